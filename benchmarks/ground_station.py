@@ -34,13 +34,13 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.parameters import Parameters
 from cosim.files import scratch
 from cosim.groundstation.exchange import Exchange, Port
-from cosim.groundstation.links import Links, vehicle_info
+from cosim.groundstation.links import Links, make_vehicle_constants
 from cosim.groundstation.mavlink.vehicle import MavlinkVehicle
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.read_only import scripted_status
 from cosim.groundstation.session import RecordOptions, Session
-from cosim.groundstation.session_flight import flight_info, snapshot_of
+from cosim.groundstation.session_flight import make_flight_info, make_snapshot
 from cosim.pages import table, write_marks
 from cosim.simulation.build import build
 from cosim.simulation.pacing import PaceReport
@@ -161,7 +161,7 @@ def realtime(seconds: float, others: bool, factor: float) -> dict[str, Any]:
             "hz": steps / (marks[1].published - marks[0].published),
             "missed_deadlines": missed,
             "missed_percent": 100.0 * missed / steps,
-            "worst_ms": 1e3 * last.worst,  # from the start on
+            "worst_ms": 1e3 * last.longest_delay,  # from the start on
             "stalls": last.stalls - first.stalls,
             "state_to_packet_ms": {
                 "median": 1e3 * median(late),
@@ -196,8 +196,8 @@ def soak(seconds: float) -> dict[str, Any]:
                         {
                             "time_s": snapshot.time,
                             "memory_mb": resident_of("self"),
-                            "waiting_requests": exchange.waiting,
-                            "waiting_bytes": sum(peer.waiting for peer in links.link.peers),
+                            "waiting_requests": exchange.request_count,
+                            "waiting_bytes": sum(peer.waiting_bytes for peer in links.link.peers),
                         }
                     )
                     print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
@@ -279,8 +279,8 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
     with build(Scenario.load("hover").replace(duration_s=SETTLE + COUNT + 1.0)) as simulation:
         link = Link([], clock=lambda: now[0])
         exchange = Exchange(lambda: now[0])
-        info = flight_info(simulation, 1, Parameters([]), None, 1.0)
-        link.handler = vehicle = MavlinkVehicle(vehicle_info(info, "px4"), Port(exchange, "mavlink"), link)
+        info = make_flight_info(simulation, 1, Parameters([]), None, 1.0)
+        link.handler = vehicle = MavlinkVehicle(make_vehicle_constants(info, "px4"), Port(exchange, "mavlink"), link)
         wire = _Wire(lambda: now[0], link, baud)
         link._channels.append(wire)
         latencies: list[float] = []
@@ -294,12 +294,12 @@ def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
                 status = scripted_status(simulation, sample)
                 fix = status.fix._replace(disturbance=(0.1, 0.0))  # as where an autopilot estimates what pushes it
                 status = status._replace(fix=fix)
-                exchange.publish(snapshot_of(simulation, info, sample, status, PaceReport(load=0.1), now[0]))
+                exchange.publish(make_snapshot(simulation, info, sample, status, PaceReport(load=0.1), now[0]))
             if now[0] >= SETTLE:
                 begun = begun or len(wire.arrived)
                 if len(latencies) <= (now[0] - SETTLE) / 0.7:
                     latencies.append(now[0])
-                    link.take(wire.peer.feed(number.pack(sender), now[0]), wire.peer, now[0])
+                    link.dispatch_frames(wire.peer.feed(number.pack(sender), now[0]), wire.peer, now[0])
             link.poll(now[0])
             now[0] += LOOK
         names = {message.id: name for name, message in BY_NAME.items()}

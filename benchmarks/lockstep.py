@@ -24,7 +24,7 @@ from tempfile import TemporaryDirectory
 from benchmarks.timing import Clocked, Job, clock
 from cosim import Scenario
 from cosim.autopilots import px4
-from cosim.autopilots.ardupilot import ArduPilot, Launch
+from cosim.autopilots.ardupilot import ArduPilot, LaunchOptions
 from cosim.autopilots.lockstep import Autopilot, SensorFrame, StickPositions
 from cosim.autopilots.px4 import Px4
 from cosim.base.frames import from_euler
@@ -122,10 +122,10 @@ def bare(kind: str) -> Clocked:
 def pair_of(kind: str, folder: Path) -> Iterator[Autopilot]:
     autopilot: ArduPilot | Px4
     if kind == "ardupilot":
-        launch = Launch(INSTANCE[kind], limit_s=20.0)
+        launch = LaunchOptions(INSTANCE[kind], limit_s=20.0)
         autopilot = ArduPilot(None, folder, VEHICLE, HOVER.step_s, ORIGIN, launch)
     else:
-        autopilot = Px4(None, folder, VEHICLE, HOVER.step_s, ORIGIN, px4.Launch(INSTANCE[kind], limit_s=20.0))
+        autopilot = Px4(None, folder, VEHICLE, HOVER.step_s, ORIGIN, px4.LaunchOptions(INSTANCE[kind], limit_s=20.0))
     with child(kind):
         try:
             yield autopilot

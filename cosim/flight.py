@@ -78,12 +78,12 @@ def fly(
     from cosim.results.expectations import check_expected
     from cosim.results.resolved_scenario import resolve
     from cosim.simulation.build import build
-    from cosim.simulation.code import need_trust_of
+    from cosim.simulation.code import check_scenario_trust
     from cosim.simulation.ending import Ending
     from cosim.simulation.pacing import Pace
 
     scenario, own = opened(scenario, controller)
-    need_trust_of(scenario)  # before its metrics are asked for their names
+    check_scenario_trust(scenario)  # before its metrics are asked for their names
     check_expected(scenario)
     with build(scenario, own) as simulation:
         replay = _replay(simulation) if scenario.requests is not None else None
@@ -114,7 +114,7 @@ def fly(
             reason += f"; {len(replay.otherwise)} requests were answered otherwise, the first: {replay.otherwise[0]}"
         if simulation.faults.commanded and replay is None:  # faults came by command
             recording.restate(resolve(simulation)[0])
-        recording.repeats(simulation.repeats())
+        recording.repeats(simulation.check_repeatable())
         run = recording.finish(ending.outcome, reason, wall, pace.report if realtime_factor else None)
         return with_page(run, shared_assets) if report else run
 
@@ -122,11 +122,11 @@ def fly(
 def _replay(simulation: Simulation) -> Replay:
     """Put an autopilot in place of the commands, with the requests of the scenario's file to it.  Raises InputError."""
     from cosim.results.autopilot.request_log import Replay, read_requests
-    from cosim.simulation.with_autopilot import with_autopilot
+    from cosim.simulation.with_autopilot import attach_autopilot
 
     scenario = simulation.scenario
     assert scenario.requests is not None
-    pilot = with_autopilot(simulation, not scenario.initial.on_ground)
+    pilot = attach_autopilot(simulation, not scenario.initial.on_ground)
     return Replay(pilot, read_requests(scenario.folder / scenario.requests))
 
 
@@ -142,13 +142,13 @@ def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Sce
 
     The parameters are those of :func:`fly`.  Raises InputError.
     """
-    from cosim.simulation.controllers.controller_file import with_controller
+    from cosim.simulation.controllers.controller_file import apply_controller
     from cosim.simulation.controllers.source import from_object
     from cosim.spec.controller_name import is_design, seen_from
     from cosim.spec.scenario import Scenario
 
     if isinstance(controller, (str, Path)) and is_design(str(controller)):
-        return with_controller(scenario, Path(controller)), None
+        return apply_controller(scenario, Path(controller)), None
     if not isinstance(scenario, Scenario):
         scenario = Scenario.load(scenario)
     if controller is None:

@@ -292,7 +292,7 @@ def _servo_signals(vehicle: Vehicle, ending: str) -> list[Signal]:
 def _need_attitude_commands(flight: Stepper) -> None:
     """Refuse a scenario that asks for something else than attitude and height (InputError); it is closed then."""
     simulation = flight.simulation
-    others = [name for name in simulation.commander.signals if name == "collective" or name.startswith("rate_")]
+    others = [name for name in simulation.command_script.signals if name == "collective" or name.startswith("rate_")]
     if simulation.pilot is not None or others:
         flight.close()
         raise InputError(

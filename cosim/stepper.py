@@ -127,7 +127,7 @@ class Stepper:
         _refuse_autopilot(scenario)
         if self._manual is not None:
             manual, name = self._manual, f"{OBJECT}by hand"
-            self._source = Source(name, "controller", lambda: manual, {}, copied=False)
+            self._source = Source(name, "controller", lambda: manual, {}, is_copied=False)
             scenario = scenario.replace(controller=name)
         self._scenario, self._log = scenario, log
         self.simulation = build(scenario, self._source)
@@ -169,7 +169,7 @@ class Stepper:
     @property
     def command(self) -> Command:
         """What the scenario asks for in that step; its places and velocities are its pilot's to turn into angles."""
-        return self.simulation.commander.at(self.simulation.k)
+        return self.simulation.command_script.at(self.simulation.k)
 
     def step(
         self,
@@ -230,13 +230,13 @@ class Stepper:
         try:
             sample = simulation.step(command)
         except FlightError as error:
-            self.ending = simulation.failure(error)
+            self.ending = simulation.make_failure(error)
             if isinstance(error, EngineError):
                 raise
             raise FlightError(self.ending.reason) from error
         self._steps_by_hand += command is not None or self._manual is not None
         self._observe(sample)
-        self.ending = simulation.end(sample, [self._observe])
+        self.ending = simulation.check_end(sample, [self._observe])
         if self.ending is None and self.k >= self._scenario.steps:
             self.ending = Ending("completed", f"flew {self.k} steps")
         return sample

@@ -33,7 +33,7 @@ from cosim.identify.sweep.result import LEDGER_SAMPLES, agrees_with_ledger, fit_
 from cosim.identify.sweep.verdict import MISFIT, all_delay_is_determined, why_refused  # noqa: E402
 from cosim.results.report.marks import table, write_marks  # noqa: E402
 from cosim.simulation.build import build  # noqa: E402
-from cosim.simulation.delay_ledger import rows_of  # noqa: E402
+from cosim.simulation.delay_ledger import select_axis  # noqa: E402
 from cosim.spec.scenario import Scenario  # noqa: E402
 from cosim.spec.vehicle import aircraft_names, engine_of, load_vehicle  # noqa: E402
 
@@ -92,7 +92,7 @@ def why_not(aircraft: str, axis: str, cells: Cells) -> Cells:
         worth = 0.01 * float(cells[4]) / (2.0 * np.pi * float(lowest) * scenario.step_s)
         reasons.append(f"the misfit is worth {worth:.1f} samples at {lowest} Hz")
     with build(scenario) as simulation:
-        vehicle, engine, ledger = simulation.vehicle, simulation.engine, rows_of(simulation.ledger, axis)
+        vehicle, engine, ledger = simulation.vehicle, simulation.engine, select_axis(simulation.ledger, axis)
     leads = [row.samples for row in ledger if row.kind == "lead" and row.samples and -row.samples > LEDGER_SAMPLES]
     reasons += [f"the rotors' momentum leads by {-lead:.1f} samples: a zero, which the form lacks" for lead in leads]
     plants = plants_of(scenario, vehicle, engine)

@@ -40,7 +40,7 @@ from cosim.design.prove import NOT_KEPT, prove
 from cosim.design.tune import FINE
 from cosim.engine import load_engine
 from cosim.results.report.marks import table, write_marks
-from cosim.simulation.controllers.controller_file import ProofRecord, read_controller, with_controller
+from cosim.simulation.controllers.controller_file import ProofRecord, apply_controller, read_controller
 from cosim.spec.vehicle import load_vehicle
 
 ROOT = Path(__file__).parent.parent
@@ -265,8 +265,8 @@ def flown(name: str) -> str:
             given = [f'engine="{name}"', f"initial.fuel={fuel}", *settings]
             path = DESIGNS / f"{name}.toml"
             aircraft = read_controller(path).design.aircraft
-            doublet = fly(with_controller("full-scale-roll-doublet", path, given, aircraft))
-            gust = fly(with_controller("full-scale-gust", path, given, aircraft))
+            doublet = fly(apply_controller("full-scale-roll-doublet", path, given, aircraft))
+            gust = fly(apply_controller("full-scale-gust", path, given, aircraft))
             roll = doublet.metrics["roll"]
             if doublet.outcome == "completed":
                 settled = f"{roll.settling_time_s:.1f} s" if roll.settling_time_s is not None else "not in 4.5 s"

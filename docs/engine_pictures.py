@@ -15,7 +15,7 @@ from cosim.engine import (
     EngineBank,
     EngineSpec,
     build_engines,
-    engine_names,
+    list_engine_names,
     load_engine,
 )
 
@@ -83,7 +83,7 @@ def small(axes: Axes, spec: EngineSpec, step: float, seconds: float) -> None:
 
 def first_order(name: str) -> None:
     spec = load_engine(name, {}, step := _step(name))
-    seconds = 25.0 * max(spec.lag or 0.0, 0.01) / 5.0 + (spec.delay or 0.0)
+    seconds = 25.0 * max(spec.lag or 0.0, 0.01) / 5.0 + (spec.transport_delay or 0.0)
     figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 2.6), constrained_layout=True)
     static(left, spec)
     large(right, fly(spec, step, 0.0, lambda _: 1.0, seconds), fly(spec, step, 1.0, lambda _: 0.0, seconds))
@@ -141,6 +141,6 @@ def _save(figure: plt.Figure, name: str) -> None:
 if __name__ == "__main__":
     build_engines()
     mpl.rcParams.update(STYLE)
-    for engine in engine_names():
+    for engine in list_engine_names():
         draw = turbine if engine.startswith("turbine-") else identified if engine.startswith("p220") else first_order
         draw(engine)

@@ -32,8 +32,8 @@ from cosim.design.loop.channel import Channel, channels
 from cosim.engine import load_engine
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.simulation.controllers.controller_file import NOISE_SHARE
-from cosim.simulation.controllers.models import belief_of
-from cosim.simulation.controllers.source import find
+from cosim.simulation.controllers.models import make_scenario_belief
+from cosim.simulation.controllers.source import find_controller_source
 from studies import DELAY, LATE, lost, run
 
 mpl.use("Agg")
@@ -102,17 +102,17 @@ def roll() -> Channel:
 
 def law(name: str, values: Mapping[str, float] | None = None) -> RateLoop:
     """A law with these parameters, or its own.  Raises InputError for one that is out of bounds."""
-    source = find(name, Path(), f"unknown law {name}")
+    source = find_controller_source(name, Path(), f"unknown law {name}")
     assert source is not None
     block: Any = source.make()
-    block.prepare(replace(belief(), parameters=source.values(values or {}, name)))
+    block.prepare(replace(belief(), parameters=source.resolve_values(values or {}, name)))
     found: RateLoop = block
     return found
 
 
 @cache
 def belief() -> Any:
-    return belief_of(DOUBLET, {})
+    return make_scenario_belief(DOUBLET, {})
 
 
 def loop(name: str, values: Mapping[str, float] | None = None, seconds: float = 0.0) -> LawLoop:
@@ -120,7 +120,7 @@ def loop(name: str, values: Mapping[str, float] | None = None, seconds: float = 
 
 
 def parameters(name: str) -> Sequence[Parameter]:
-    source = find(name, Path(), f"unknown law {name}")
+    source = find_controller_source(name, Path(), f"unknown law {name}")
     assert source is not None
     return source.parameters
 

@@ -135,8 +135,8 @@ class Replay:
         step_inputs = list(zip(samples, lacks, strict=False))
         ks = [(sample.k,) for sample in samples]
         return [
-            Block(COMMAND, _nothing, simulation.commander.at, ks, [s.command for s in samples]),
-            Block(DISTURBANCE, _nothing, simulation.disturber.at, ks, [s.disturbance for s in samples]),
+            Block(COMMAND, _nothing, simulation.command_script.at, ks, [s.command for s in samples]),
+            Block(DISTURBANCE, _nothing, simulation.disturbances.at, ks, [s.disturbance for s in samples]),
             Block(
                 ATTITUDE,
                 attitude.reset,
@@ -249,8 +249,8 @@ class Clocks:
         self.job = Job(INSTRUMENTED, SUBSTEPS, steps, self._prepare)
         cascade, propulsion = simulation.cascade, simulation.propulsion
         owners: list[tuple[str, Any, str]] = [
-            (COMMAND, simulation.commander, "at"),
-            (DISTURBANCE, simulation.disturber, "at"),
+            (COMMAND, simulation.command_script, "at"),
+            (DISTURBANCE, simulation.disturbances, "at"),
             (ATTITUDE, cascade.attitude, "update"),
             (RATE, cascade.rate, "update"),
             (ALTITUDE, cascade.altitude, "update"),

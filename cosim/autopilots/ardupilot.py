@@ -28,14 +28,14 @@ from cosim.autopilots.lockstep import (
     STICKS_S,
     ActuatorOutputs,
     AnswerTimer,
-    Handling,
     Program,
     SensorFrame,
     Sitl,
+    StartTiming,
     StickPositions,
     describe_unknown,
     listen,
-    pulse,
+    to_pulse,
 )
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
@@ -47,7 +47,7 @@ PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10
 # Without a position of its estimator it does not arm, which 40 s are for: chosen by us.  It holds its motors for 2 s
 # (ARMING_DELAY_SEC) after it was armed, and lets them go within 1 s (twice MOT_SPOOL_TIME) once throttle is raised.
 # Full stick: ANGLE_MAX, and PILOT_Y_RATE as it ships.
-HANDLING = Handling(before_s=40.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0)
+HANDLING = StartTiming(before_s=40.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0)
 HOVER = 0.35  # MOT_THST_HOVER as it ships: it learns in modes that hold the height, and Stabilize is none
 _SERIALS = (0, 1, 2, 5, 6, 7, 8)  # those that are TCP ports by themselves; 3 and 4 are its simulated GNSS receivers
 _SPEEDUP = 100  # how much faster than real time it may go: the lockstep paces it
@@ -91,7 +91,7 @@ def parse_channel(text: str, where: str) -> TransmitterChannel:
 
 
 @dataclass(frozen=True)
-class Launch:
+class LaunchOptions:
     """Start-up options of an ArduPilot: instance, parameters, and transmitter channels beside the sticks."""
 
     instance: int = 0
@@ -106,7 +106,7 @@ class ArduPilot(Sitl):
     """One ArduPilot SITL, started here or by hand.  Raises InputError for a step that its clock does not follow."""
 
     def __init__(
-        self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: Launch
+        self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: LaunchOptions
     ) -> None:
         if step >= _LONGEST_STEP_S:
             raise InputError(f"ardupilot: step_s = {step:g}: its clock is moved by steps below {_LONGEST_STEP_S:g} s")
@@ -168,7 +168,7 @@ class ArduPilot(Sitl):
         assert self._peer is not None
         counts, sock, peer = self.counts, self._socket, self._peer
         state = self._state(frame)
-        pulses = self._transmitter.pulses(frame)
+        pulses = self._transmitter.compute_pulses(frame)
         if pulses != self._pulses or counts.frames % self._sticks_every == 0:
             self._pulses = pulses
             self._out.sendto(_STICKS.pack(*pulses), (LOCAL, self.sticks_port))
@@ -274,14 +274,14 @@ class Transmitter:
         self._curve = [(1.0 - expo) * stick + expo * stick**3 for stick in (k / 1000.0 for k in range(1001))]
         self._channels, self._half_step = channels, 0.5 * step
 
-    def pulses(self, frame: SensorFrame) -> list[int]:
+    def compute_pulses(self, frame: SensorFrame) -> list[int]:
         """Return the sixteen channels at an instant."""
         sticks = frame.sticks
         pulses = [
-            pulse(sticks.roll),
-            pulse(-sticks.pitch),  # stick forward, a lower pulse, is nose down
+            to_pulse(sticks.roll),
+            to_pulse(-sticks.pitch),  # stick forward, a lower pulse, is nose down
             self._throttle(sticks),
-            pulse(sticks.yaw),
+            to_pulse(sticks.yaw),
         ]
         pulses += [1500, 1500, 2000 if sticks.armed else 1000, *[1500] * 9]
         for channel in self._channels:

@@ -25,14 +25,14 @@ from cosim.autopilots.lockstep import (
     LOCAL,
     ActuatorOutputs,
     AnswerTimer,
-    Handling,
     Program,
     SensorFrame,
     Sitl,
-    drain,
+    StartTiming,
+    discard_packets,
     find_configured_program,
     listen,
-    pulse,
+    to_pulse,
 )
 from cosim.base.errors import FlightError, InputError
 from cosim.base.limits import clamp, clip
@@ -71,7 +71,7 @@ MOST_GAIN = 250
 _CLOCK_FRAMES = 2
 # Before the flight: its grace time of 5 s after it began, and its gyro's zero.  Full stick is chosen by us: what the
 # scenarios lean, with room.
-HANDLING = Handling(before_s=6.0, arming_s=1.5, throttle_s=0.5, lean_deg=45.0, turn_deg_s=90.0)
+HANDLING = StartTiming(before_s=6.0, arming_s=1.5, throttle_s=0.5, lean_deg=45.0, turn_deg_s=90.0)
 TILT_WEIGHT = 0.1  # of pitch and yaw on the outputs that carry the tilts; chosen by us, see mixing()
 _FULL_SUM = 500.0  # of an axis, its pidsum_limit: the whole range of a servo
 _SUM_TO_MOTOR = 1.0 / 1000.0  # PID_MIXER_SCALING
@@ -99,7 +99,7 @@ def find_program(binary: Path | None) -> Path:
     return path
 
 
-def mixer_settings(vehicle: Vehicle, idle: float) -> list[str]:
+def make_mixer_settings(vehicle: Vehicle, idle: float) -> list[str]:
     """Return console lines for the motors: which jet answers to which axis, and their range.
 
     Its SITL is built without servos.  So two motor outputs behind the engines carry the tilts: each has the collective
@@ -129,7 +129,7 @@ def _sign(value: float) -> float:
     return (value > 0.0) - (value < 0.0)
 
 
-def base_settings(vehicle: Vehicle) -> list[str]:
+def make_base_settings(vehicle: Vehicle) -> list[str]:
     """Return console lines that make sticks, switches and rates those of :class:`Betaflight`; its loops stay."""
     return [
         "feature -GPS",
@@ -183,7 +183,7 @@ class Betaflight(Sitl):
             )
         self._ground = ground
         self.idle = vehicle.control.allocation.throttle_min
-        self.settings = [*mixer_settings(vehicle, self.idle), *base_settings(vehicle), *settings]
+        self.settings = [*make_mixer_settings(vehicle, self.idle), *make_base_settings(vehicle), *settings]
         self._in: socket.socket | None = None
         self._out = self._open_sender()
 
@@ -200,12 +200,12 @@ class Betaflight(Sitl):
                 configure(first, self._port + CONSOLE, self.settings, self._folder / "console.txt")
                 break
             except UnansweredError:
-                if first.ended or life == _CONFIGURE_TRIES - 1:
+                if first.end_description or life == _CONFIGURE_TRIES - 1:
                     raise
             finally:
                 first.close()
         environment = ports | {"HEXJET_STEP_NS": str(round(self._step * 1e9))}
-        drain(self._in)
+        discard_packets(self._in)
         self._program = Program([str(self._binary)], self._folder, log, environment)
         timer = AnswerTimer("betaflight", _CONSOLE_S, self._program)
         while self._packet(timer) != _READY:
@@ -259,9 +259,13 @@ class Betaflight(Sitl):
         roll, pitch, yaw, throttle, armed = frame.sticks
         fraction = clip((throttle - self.idle) / (1.0 - self.idle), 0.0, 1.0)
         low = 1010.0  # min_check, below which it is no throttle
-        sticks = [pulse(roll), pulse(pitch), round(low + (2000.0 - low) * fraction) if armed and fraction else 1000]
+        sticks = [
+            to_pulse(roll),
+            to_pulse(pitch),
+            round(low + (2000.0 - low) * fraction) if armed and fraction else 1000,
+        ]
         switch = 2000 if armed else 1000
-        return [*sticks, pulse(yaw), switch, 2000, *[_NEUTRAL] * 10]
+        return [*sticks, to_pulse(yaw), switch, 2000, *[_NEUTRAL] * 10]
 
     def _packet(self, timer: AnswerTimer) -> bytes:
         assert self._in is not None
@@ -313,7 +317,7 @@ def configure(program: Program, port: int, lines: Sequence[str], transcript: Pat
                     data = console.recv(4096)
                 except TimeoutError:
                     data = None
-                if data == b"" or program.ended or monotonic() > end:
+                if data == b"" or program.end_description or monotonic() > end:
                     silence = f"did not answer {text.strip()!r} within {_CONSOLE_S:g} s"
                     raise UnansweredError(f"betaflight: its console {silence}")
                 reply += (data or b"").decode(errors="replace")
@@ -328,7 +332,7 @@ def configure(program: Program, port: int, lines: Sequence[str], transcript: Pat
                 transcript.write_text(session)
                 raise InputError(f"betaflight: its console refuses {line!r}: {refusals[0].strip('# ')}")
         console.sendall(b"save\n")
-        while not program.ended:
+        while not program.end_description:
             if monotonic() > end:
                 raise UnansweredError("betaflight: it did not end after its settings were saved")
             sleep(0.02)
@@ -340,25 +344,27 @@ def _console(program: Program, port: int, end: float) -> socket.socket:
         try:
             return socket.create_connection((LOCAL, port), 1.0)
         except OSError:
-            if program.ended:
-                raise InputError(f"betaflight: {program.name} {program.ended}; its console was not reached") from None
+            if program.end_description:
+                raise InputError(
+                    f"betaflight: {program.name} {program.end_description}; its console was not reached"
+                ) from None
             if monotonic() > end:
                 raise InputError(f"betaflight: its console at port {port} cannot be reached") from None
             sleep(0.05)
 
 
-def torque_scale(vehicle: Vehicle) -> Vector3:
+def compute_torque_scale(vehicle: Vehicle) -> Vector3:
     """Return what 1 of an axis' PID sum is, by :func:`mixing`: throttle about roll, rad of tilt about the others."""
     motor = _SUM_TO_MOTOR * (1.0 - vehicle.control.allocation.throttle_min)  # throttle
     tilt = vehicle.servo.range_rad / _FULL_SUM if vehicle.servo else motor
     return motor, tilt, tilt
 
 
-def gain_units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
+def compute_gain_units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
     """Return for each axis what 1 of its attitude gain [1/s] and of P, I and D is here, by :func:`mixing`."""
     return {
         axis: (0.1, *(degrees(1.0) * axis_scale * scale for scale in (P_SCALE, I_SCALE, D_SCALE)))  # type: ignore[misc]
-        for axis, axis_scale in zip(AXES, torque_scale(vehicle), strict=True)
+        for axis, axis_scale in zip(AXES, compute_torque_scale(vehicle), strict=True)
     }
 
 
@@ -368,13 +374,13 @@ EXTERNAL_RATE_P = 20
 EXTERNAL_RATES = [f"set {key}_{axis} = {EXTERNAL_RATE_P if key == 'p' else 0}" for axis in AXES for key in "pidf"]
 
 
-def external_rate_gain(vehicle: Vehicle) -> Vector3:
+def compute_external_rate_gain(vehicle: Vehicle) -> Vector3:
     """Return what its P with :data:`OUTSIDE` gives per rad/s: throttle about roll, rad of tilt about pitch and yaw."""
-    roll, pitch, yaw = (EXTERNAL_RATE_P * unit for _, unit, _, _ in gain_units(vehicle).values())
+    roll, pitch, yaw = (EXTERNAL_RATE_P * unit for _, unit, _, _ in compute_gain_units(vehicle).values())
     return roll, pitch, yaw
 
 
-def gain_settings(vehicle: Vehicle) -> list[str]:
+def make_gain_settings(vehicle: Vehicle) -> list[str]:
     """Return the vehicle's attitude and rate gains as console lines, rounded to Betaflight's whole numbers.
 
     It has one attitude gain for roll and pitch: the smaller of the two.  What a unit of a gain is worth follows from
@@ -385,7 +391,7 @@ def gain_settings(vehicle: Vehicle) -> list[str]:
     lines = [f"set angle_p_gain = {round(10.0 * min(control.attitude.gain_1_s[:2]))}", *_CONSTANT_GAINS]
     if control.rate.roll.d:
         lines.append(f"set dterm_lpf1_static_hz = {round(1.0 / (2.0 * pi * control.rate.roll.d_filter_s))}")
-    for axis, (_, *axis_scale) in gain_units(vehicle).items():
+    for axis, (_, *axis_scale) in compute_gain_units(vehicle).items():
         gains = getattr(control.rate, axis)
         for key, value, unit in zip("pid", (gains.p, gains.i, gains.d), axis_scale, strict=True):
             lines.append(f"set {key}_{axis} = {min(round(value / unit), MOST_GAIN)}")

@@ -7,9 +7,9 @@ from math import radians
 
 import numpy as np
 
-from cosim.autopilots.lockstep import ActuatorOutputs, Autopilot, Handling, SensorFrame, StickPositions
+from cosim.autopilots.lockstep import ActuatorOutputs, Autopilot, SensorFrame, StartTiming, StickPositions
 from cosim.autopilots.pilot import StickPilot
-from cosim.autopilots.stand import Stand
+from cosim.autopilots.stand import StationarySensors
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Applied, EngineState
 from cosim.base.signals import ZERO3, Actuation, Command, Disturbance, Measured, State, Unallocated, Vector3
@@ -38,14 +38,14 @@ class ExternalRateLoop:
             cascade.thrust_map.throttle((float(fraction),) * self._jets)[0] for fraction in self._fractions
         ]
 
-    def gyro(self, rate: Vector3) -> Vector3:
+    def select_gyro(self, rate: Vector3) -> Vector3:
         """Return what the autopilot's gyro is given for a measured rate [rad/s]."""
         return rate if self._has_gyro else ZERO3
 
-    def answer(self, request: ActuatorOutputs, measured: Measured) -> ActuatorOutputs:
+    def compute_outputs(self, request: ActuatorOutputs, measured: Measured) -> ActuatorOutputs:
         """Return the actuator commands of the outside rate loop for an autopilot's answer."""
         torque = self._torques @ np.array([*request.throttle, *request.tilt])
-        roll, pitch, yaw = torque / self._gain + self.gyro(measured.rate)
+        roll, pitch, yaw = torque / self._gain + self.select_gyro(measured.rate)
         collective = float(np.interp(sum(request.throttle) / self._jets, self._throttles, self._fractions))
         self.rate_setpoint = (float(roll), float(pitch), float(yaw))
         command = Command(ZERO3, 0.0, self.rate_setpoint, collective)
@@ -69,14 +69,14 @@ class AutopilotBlock:
     columns = COLUMNS
 
     def __init__(
-        self, autopilot: Autopilot, label: str, handling: Handling, rates: ExternalRateLoop | None = None
+        self, autopilot: Autopilot, label: str, handling: StartTiming, rates: ExternalRateLoop | None = None
     ) -> None:
         self.autopilot, self.label, self._handling, self.rates = autopilot, label, handling, rates
         self.rows: list[Row] = []
         self.shown: tuple[float, ...] = (0.0, 0.0)
         self._frames = 0
         self.truth: Callable[[], State] | None = None
-        self.stand: Stand | None = None
+        self.stand: StationarySensors | None = None
 
     def prepare(self, belief: Belief) -> None:
         """See :class:`cosim.base.protocols.RateLoop`.  Raises InputError for a vehicle that is not told to them."""
@@ -113,9 +113,9 @@ class AutopilotBlock:
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
         """Exchange one step with the autopilot.  Raises FlightError where it does not answer."""
-        sticks = self._pilot.sticks(command, measured, applied.burnt)
+        sticks = self._pilot.update(command, measured, applied.burnt)
         answer = self._exchange(measured, sticks, applied.engines.spool_speed)
-        throttle, tilt, armed = answer if self.rates is None else self.rates.answer(answer, measured)
+        throttle, tilt, armed = answer if self.rates is None else self.rates.compute_outputs(answer, measured)
         self.shown = (1.0 if armed else 0.0, self._frames * self._belief.step_s)
         self.rows.append((throttle, tilt, self.shown))
         return Actuation(throttle, tilt, Unallocated())
@@ -123,7 +123,7 @@ class AutopilotBlock:
     def _exchange(self, measured: Measured, sticks: StickPositions, spool: tuple[float, ...]) -> ActuatorOutputs:
         frame = SensorFrame(
             self._frames * self._belief.step_s,
-            measured.rate if self.rates is None else self.rates.gyro(measured.rate),
+            measured.rate if self.rates is None else self.rates.select_gyro(measured.rate),
             measured.specific_force,
             measured.attitude,
             measured.position,

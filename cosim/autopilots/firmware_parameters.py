@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from cosim.autopilots.betaflight import base_settings, gain_settings, mixer_settings, torque_scale
+from cosim.autopilots.betaflight import (
+    compute_torque_scale,
+    make_base_settings,
+    make_gain_settings,
+    make_mixer_settings,
+)
 from cosim.autopilots.parameters import (
     ardupilot_parameters,
     ardupilot_torque_scale,
@@ -15,7 +20,7 @@ from cosim.base.signals import Vector3
 from cosim.spec.vehicle import Vehicle
 
 
-def parameters_of(autopilot: str, vehicle: Vehicle, step: float, target: str = "sitl") -> str:
+def format_firmware_parameters(autopilot: str, vehicle: Vehicle, step: float, target: str = "sitl") -> str:
     """Return lines for Betaflight's console, or a file of ``px4`` or ``ardupilot``.
 
     ``target``: of PX4, see :func:`cosim.autopilots.parameters.px4_target`.  Raises InputError for a vehicle that it has
@@ -23,9 +28,9 @@ def parameters_of(autopilot: str, vehicle: Vehicle, step: float, target: str = "
     """
     if autopilot == "betaflight":
         lines = [
-            *mixer_settings(vehicle, vehicle.control.allocation.throttle_min),
-            *base_settings(vehicle),
-            *gain_settings(vehicle),
+            *make_mixer_settings(vehicle, vehicle.control.allocation.throttle_min),
+            *make_base_settings(vehicle),
+            *make_gain_settings(vehicle),
             "save",
         ]
         return "\n".join(lines) + "\n"
@@ -33,7 +38,7 @@ def parameters_of(autopilot: str, vehicle: Vehicle, step: float, target: str = "
     return parameter_file(autopilot, parameters)
 
 
-def torque_scale_of(autopilot: str, vehicle: Vehicle) -> Vector3:
+def find_torque_scale(autopilot: str, vehicle: Vehicle) -> Vector3:
     """Return what a torque of 1 is to an autopilot: throttle about roll, rad of tilt (or throttle) about the others.
 
     Raises InputError for a vehicle that is flown by effectiveness.
@@ -43,5 +48,5 @@ def torque_scale_of(autopilot: str, vehicle: Vehicle) -> Vector3:
             f"{autopilot}: {vehicle.name}: is flown by effectiveness, whose torques are not an autopilot's"
         )
     if autopilot == "betaflight":
-        return torque_scale(vehicle)
+        return compute_torque_scale(vehicle)
     return px4_torque_scale(vehicle) if autopilot == "px4" else ardupilot_torque_scale(vehicle)

@@ -47,7 +47,7 @@ class FrameWriter:
     def __init__(self, system: int = 1, component: int = 200) -> None:
         self._system, self._component, self._sequence = system, component, 0
 
-    def frame(self, kind: MessageFormat, *values: float | int) -> bytes:
+    def pack_frame(self, kind: MessageFormat, *values: float | int) -> bytes:
         """Return the next frame; ``values`` in the order of the payload."""
         payload = kind.payload.pack(*values).rstrip(b"\0") or b"\0"
         number = kind.number

@@ -39,7 +39,7 @@ _IGRF = (
 _RADIUS = 6371200.0  # m, of the expansion
 
 
-def earth_field(latitude_deg: float, longitude_deg: float, degree: int = len(_IGRF)) -> Vector3:
+def compute_earth_field(latitude_deg: float, longitude_deg: float, degree: int = len(_IGRF)) -> Vector3:
     """Return the Earth's field at the surface, north, east, down [gauss]: IGRF-14's terms up to ``degree``.
 
     ``V = a sum (a/r)^(n+1) (g cos(m p) + h sin(m p)) P_nm(cos t)``, ``t`` the geocentric colatitude, ``p`` the
@@ -82,6 +82,6 @@ def _sectoral(order: int, ct: float, st: float) -> tuple[float, float]:
     return factor * st**order, factor * order * st ** (order - 1) * ct if order else 0.0
 
 
-def compass(field: Vector3, attitude: Quaternion) -> Vector3:
+def to_body_field(field: Vector3, attitude: Quaternion) -> Vector3:
     """Return the magnetic field in body axes [gauss] from that in north, east, down."""
     return rotate(conjugate(attitude), field)

@@ -40,7 +40,7 @@ class StickPositions(NamedTuple):
 STICKS_S = 0.02  # longest time between two messages of the sticks: as often as a receiver sends them
 
 
-def pulse(fraction: float) -> int:
+def to_pulse(fraction: float) -> int:
     """Return a stick's pulse [us] for a fraction of full stick."""
     return round(1500.0 + 500.0 * clamp(fraction, 1.0))
 
@@ -81,7 +81,7 @@ class LockstepCounts:
 
 
 @dataclass(frozen=True)
-class Handling:
+class StartTiming:
     """Timing of an autopilot before its flight, and its full stick; each autopilot's module has its own.
 
     The vehicle stands in a stand for ``before_s``.  The autopilot is armed with the throttle closed ``arming_s`` before
@@ -151,7 +151,7 @@ class Program:
             raise InputError(f"{command[0]}: cannot be started: {error.strerror or error}") from error
 
     @property
-    def ended(self) -> str:
+    def end_description(self) -> str:
         """How the process ended, in words; empty while it runs."""
         return self.process.describe_end(0.0, "was ended by {}", "ended with status {}")
 
@@ -207,7 +207,7 @@ class AnswerTimer:
 
     def remaining(self) -> float:
         """Return the seconds until the next check.  Raises FlightError where the autopilot is gone, or hangs."""
-        if self._program is not None and (ended := self._program.ended):
+        if self._program is not None and (ended := self._program.end_description):
             raise FlightError(f"{self._name} {ended}")
         remaining = self._started + self._limit - monotonic()
         if remaining <= 0.0:
@@ -277,7 +277,7 @@ class Sitl:
         self.counts.longest_s = max(self.counts.longest_s, timer.elapsed)
 
 
-def drain(sock: socket.socket) -> None:
+def discard_packets(sock: socket.socket) -> None:
     """Throw away the packets that wait."""
     sock.setblocking(False)
     with suppress(BlockingIOError):

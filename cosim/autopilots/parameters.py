@@ -30,7 +30,7 @@ def px4_torque_scale(vehicle: Vehicle) -> Vector3:
 
     Tilts count with a torque of 1 each and rotors with their levers, roll and pitch have one scale, and with tilts the
     rotors give no yaw and are told to stand at x = 0, so that they give no pitch.  Its size alone: the signs are those
-    of :func:`px4_parameters`.  Raises InputError as :func:`tilt_pitch`.
+    of :func:`px4_parameters`.  Raises InputError as :func:`tilt_pitch_sign`.
     """
     columns = []
     for jet in vehicle.jets:
@@ -38,7 +38,7 @@ def px4_torque_scale(vehicle: Vehicle) -> Vector3:
         columns.append(_THRUST * np.array([-y, 0.0 if vehicle.servo else x, 0.0 if vehicle.servo else jet.reaction_m]))
     vertical = [-_THRUST] * len(columns)
     if vehicle.servo:
-        pitch = tilt_pitch(vehicle)
+        pitch = tilt_pitch_sign(vehicle)
         columns += [np.array([0.0, pitch, 1.0]), np.array([0.0, pitch, -1.0])]  # left and right bank, tilted forward
         vertical += [0.0, 0.0]
     mix = np.linalg.pinv(np.vstack([np.array(columns).T, vertical]))
@@ -55,7 +55,7 @@ def pair_rate_gains(vehicle: Vehicle, torque: Vector3) -> tuple[tuple[str, RateG
     return tuple(zip(AXES, (control.roll, control.pitch, control.yaw), torque, strict=True))
 
 
-def tilt_pitch(vehicle: Vehicle) -> float:
+def tilt_pitch_sign(vehicle: Vehicle) -> float:
     """Return the sign of the pitch moment of a bank of PX4's that is tilted forward: 1 nose up, -1 nose down.
 
     A thrust that is turned forward pushes forward at the height of its jet: nose up where that is below the centre of
@@ -99,7 +99,7 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
     if len(jets) > _MOST_ROTORS:
         raise InputError(f"px4: {vehicle.name}: has {len(jets)} engines; allowed are {_MOST_ROTORS} at most")
     parameters: dict[str, float] = {"CA_AIRFRAME": 8 if vehicle.servo else 0, "CA_ROTOR_COUNT": len(jets)}
-    tilts_back = vehicle.servo is not None and tilt_pitch(vehicle) > 0.0
+    tilts_back = vehicle.servo is not None and tilt_pitch_sign(vehicle) > 0.0
     for index, jet in enumerate(jets):
         x, y, z = jet.position_m
         parameters |= {

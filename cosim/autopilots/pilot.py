@@ -39,7 +39,7 @@ class StickPilot:
         self._altitude.reset()
         self._still = 0
 
-    def sticks(self, command: Command, measured: Measured, burnt: float) -> StickPositions:
+    def update(self, command: Command, measured: Measured, burnt: float) -> StickPositions:
         """Return the sticks for a command.  Raises FlightError for one of body rates, which they cannot state."""
         if command.rate is not None:
             raise FlightError("the scenario asks for body rates; its sticks ask for angles: roll, pitch, yaw, altitude")

@@ -20,7 +20,7 @@ from cosim.autopilots.parameters import (
     px4_target,
     read_parameters,
 )
-from cosim.autopilots.run import AutopilotRun, external_rate_loop, fly_autopilot
+from cosim.autopilots.run import AutopilotRun, fly_autopilot, make_external_rate_loop
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Vector3
@@ -144,11 +144,11 @@ def _betaflight(
     assert program is not None
     vehicle, _ = scenario.resolved_vehicle()
     lines = [
-        *([] if setup.gains == "stock" else betaflight.gain_settings(vehicle)),
+        *([] if setup.gains == "stock" else betaflight.make_gain_settings(vehicle)),
         *([] if rates is None else betaflight.EXTERNAL_RATES),
         *setup.lines,
     ]
-    external = None if rates is None else external_rate_loop(rates, betaflight.external_rate_gain(vehicle))
+    external = None if rates is None else make_external_rate_loop(rates, betaflight.compute_external_rate_gain(vehicle))
     port = betaflight.PORT + PORT_SPACING * setup.instance if setup.port is None else setup.port
     ground = scenario.environment.ground_m
     autopilot = betaflight.Betaflight(program, folder, vehicle, scenario.step_s, lines, port, setup.limit_s, ground)
@@ -163,9 +163,9 @@ def _px4(
     parameters, external = px4_target(vehicle, scenario.step_s, "sitl"), None
     if rates is not None:
         rate_parameters, gain = px4_external_rates(vehicle)
-        parameters, external = parameters | rate_parameters, external_rate_loop(rates, gain, has_gyro=True)
+        parameters, external = parameters | rate_parameters, make_external_rate_loop(rates, gain, has_gyro=True)
     parameters |= setup.parameters
-    launch = px4.Launch(setup.instance, setup.limit_s, parameters, setup.magnetic_field)
+    launch = px4.LaunchOptions(setup.instance, setup.limit_s, parameters, setup.magnetic_field)
     autopilot = px4.Px4(program, folder, vehicle, scenario.step_s, _geodesy(scenario), launch)
     endpoint = f"TCP port {px4.PORT + setup.instance}"
     details = {"gains": setup.gains, "parameters": parameters}
@@ -184,7 +184,7 @@ def _ardupilot(
         defaults = folder / "hexjet.parm"
         folder.mkdir(parents=True, exist_ok=True)
         defaults.write_text(parameter_file("ardupilot", parameters))
-    launch = ardupilot.Launch(
+    launch = ardupilot.LaunchOptions(
         setup.instance,
         setup.limit_s,
         parameters,

@@ -17,20 +17,20 @@ from math import asinh, atan2, degrees, hypot, pi, sinh, sqrt
 from pathlib import Path
 
 from cosim.autopilots import hil
-from cosim.autopilots.instruments import compass, earth_field
+from cosim.autopilots.instruments import compute_earth_field, to_body_field
 from cosim.autopilots.lockstep import (
     STICKS_S,
     ActuatorOutputs,
     AnswerTimer,
-    Handling,
     Program,
     SensorFrame,
     Sitl,
+    StartTiming,
     StickPositions,
     describe_unknown,
     listen,
-    pulse,
     set_receive_timeout,
+    to_pulse,
 )
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError
@@ -44,7 +44,7 @@ PORT = 4560
 # EKF2 wants some 10 s of GNSS, and arming looks at 10 s of health: 30 s chosen by us.  After it was armed it holds the
 # throttle down for 1 s (COM_SPOOLUP_TIME), and then lets it up by half of its range in a second: 3 s to full throttle.
 # Full stick: MPC_MAN_TILT_MAX and MPC_MAN_Y_MAX as they ship.
-HANDLING = Handling(
+HANDLING = StartTiming(
     before_s=30.0,
     arming_s=4.0,
     throttle_s=0.5,
@@ -62,14 +62,14 @@ _UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
 _BOOT_TIMEOUT = 0.02  # s of the clock for an answer before there was one
 
 
-def yaw_stick(turn: float) -> float:
+def invert_yaw_curve(turn: float) -> float:
     """Return the stick at which PX4 turns by this fraction of its full rate: it bends yaw by ``0.4 x + 0.6 x^3``."""
     # the one real root of x^3 + p x = q with p > 0
     p, q = 0.4 / 0.6, clamp(turn, 1.0) / 0.6
     return 2.0 * sqrt(p / 3.0) * sinh(asinh(1.5 * q / p * sqrt(3.0 / p)) / 3.0)
 
 
-def refuse_unknown(log: Path, parameters: Collection[str]) -> None:
+def check_unknown_parameters(log: Path, parameters: Collection[str]) -> None:
     """Refuse parameters of ours that PX4 does not have, by what it printed.  Raises InputError that names them.
 
     Its own scripts ask for parameters of modules that it was built without, and print the same of these.
@@ -80,7 +80,7 @@ def refuse_unknown(log: Path, parameters: Collection[str]) -> None:
 
 
 @dataclass(frozen=True)
-class Launch:
+class LaunchOptions:
     """Start-up options of a PX4."""
 
     instance: int = 0
@@ -93,10 +93,10 @@ class Px4(Sitl):
     """One PX4 SITL, started here or by hand."""
 
     def __init__(
-        self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: Launch
+        self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: LaunchOptions
     ) -> None:
         super().__init__(binary, folder, vehicle, step, launch.limit_s)
-        self.field = launch.magnetic_field or earth_field(place.latitude_deg, place.longitude_deg)
+        self.field = launch.magnetic_field or compute_earth_field(place.latitude_deg, place.longitude_deg)
         self._place, self._instance, self._parameters = place, launch.instance, launch.parameters
         self._fix_every = vehicle.sensors.gnss.period_samples
         self._accuracy = max(1, round(100.0 * max(vehicle.sensors.gnss.position_noise_m, 0.3)))  # cm
@@ -128,7 +128,7 @@ class Px4(Sitl):
             with suppress(TimeoutError):
                 self._link = self._own(self._server.accept()[0])
         if self._program is not None:
-            refuse_unknown(log, self._parameters)  # its parameters are set before it connects
+            check_unknown_parameters(log, self._parameters)  # its parameters are set before it connects
         self._server.setblocking(False)
         set_receive_timeout(self._link).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
@@ -166,7 +166,7 @@ class Px4(Sitl):
 
     @property
     def _ended(self) -> str:
-        return "" if self._program is None else self._program.ended
+        return "" if self._program is None else self._program.end_description
 
     def _closed(self) -> FlightError:
         ended = self._ended
@@ -229,7 +229,7 @@ class Px4(Sitl):
             parts.append(self._gnss_message(frame, now))
         for index, spool in enumerate(frame.spool if k % self._baro_every == 0 else ()):
             if spool == spool:
-                parts.append(self._writer.frame(hil.RAW_RPM, 60.0 * spool / (2.0 * pi), index))
+                parts.append(self._writer.pack_frame(hil.RAW_RPM, 60.0 * spool / (2.0 * pi), index))
         if frame.truth is not None and k % self._mag_every == 0:
             parts.append(self._truth_message(frame, now))
         fields = _IMU
@@ -237,13 +237,13 @@ class Px4(Sitl):
         pressure = temperature = 0.0
         if k % self._mag_every == 0:
             fields |= _MAG
-            magnetic = compass(self.field, frame.attitude)
+            magnetic = to_body_field(self.field, frame.attitude)
         if k % self._baro_every == 0:
             fields |= _BARO
             pascal, kelvin = standard_air(self._place.ground + frame.altitude)
             pressure, temperature = 0.01 * pascal, kelvin - 273.15
         parts.append(
-            self._writer.frame(
+            self._writer.pack_frame(
                 hil.HIL_SENSOR,
                 now,
                 *frame.force,
@@ -262,21 +262,21 @@ class Px4(Sitl):
     def _stick_message(self, frame: SensorFrame) -> bytes:
         roll, pitch, yaw, throttle, armed = frame.sticks
         pulses = [
-            pulse(roll),
-            pulse(pitch),  # PX4: a higher pulse is forward
+            to_pulse(roll),
+            to_pulse(pitch),  # PX4: a higher pulse is forward
             round(1000.0 + 1000.0 * clip(throttle, 0.0, 1.0)),
-            pulse(yaw_stick(yaw)),
+            to_pulse(invert_yaw_curve(yaw)),
             2000 if armed else 1000,
         ]
         channels = [*pulses, *[1500] * 3, *[0xFFFF] * 10]
-        return self._writer.frame(hil.RC_CHANNELS, round(1e3 * frame.time), *channels, 8, 255)
+        return self._writer.pack_frame(hil.RC_CHANNELS, round(1e3 * frame.time), *channels, 8, 255)
 
     def _gnss_message(self, frame: SensorFrame, now: int) -> bytes:
         north, east, down = frame.position
         latitude, longitude, height = self._place.to_geodetic(north, east, -down)
         vn, ve, vd = frame.velocity
         course = degrees(atan2(ve, vn)) % 360.0
-        return self._writer.frame(
+        return self._writer.pack_frame(
             hil.HIL_GPS, now, round(1e7 * latitude), round(1e7 * longitude), round(1e3 * height), self._accuracy,
             self._accuracy, round(1e2 * hypot(vn, ve)), round(1e2 * vn), round(1e2 * ve), round(1e2 * vd),
             round(1e2 * course) % 36000, 3, 14, 0, 0,
@@ -289,7 +289,7 @@ class Px4(Sitl):
         cm = [round(clamp(1e2 * value, 32767.0)) for value in state.velocity]
         air_speed = round(min(1e2 * hypot(*(v - w for v, w in zip(state.velocity, state.wind, strict=True))), 65535.0))
         mg = [round(clamp(1e3 * value / GRAVITY, 32767.0)) for value in state.specific_force]
-        return self._writer.frame(
+        return self._writer.pack_frame(
             hil.HIL_STATE_QUATERNION, now, *state.attitude, *state.rate, round(1e7 * latitude), round(1e7 * longitude),
             round(1e3 * height), *cm, air_speed, air_speed, *mg,
         )  # fmt: skip

@@ -12,7 +12,7 @@ from typing import IO, Any
 
 from cosim.autopilots.block import AutopilotBlock, ExternalRateLoop
 from cosim.autopilots.lockstep import Autopilot, LockstepCounts
-from cosim.autopilots.stand import Stand
+from cosim.autopilots.stand import StationarySensors
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import gravity
 from cosim.base.protocols import Observer
@@ -21,7 +21,7 @@ from cosim.flight import record, with_page
 from cosim.results.resolved_scenario import resolve
 from cosim.results.run import Run
 from cosim.simulation.build import build
-from cosim.simulation.controllers.recorded import ACTUATORS, COLUMNS, header, line
+from cosim.simulation.controllers.recorded import ACTUATORS, COLUMNS, format_header, format_row
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace
@@ -48,7 +48,7 @@ class _AnswerWriter:
         self._block, self._servo, self._written = block, servo, 0
         try:
             self._file: IO[str] = path.open("w")
-            self._file.write(header(jets, servo) + "\n")
+            self._file.write(format_header(jets, servo) + "\n")
             self._file.flush()
         except OSError as error:
             raise InputError(f"{path}: {error.strerror or error}") from error
@@ -63,7 +63,7 @@ class _AnswerWriter:
         rows = self._block.rows
         try:
             for row in rows[self._written :]:
-                self._file.write(line(row, self._servo) + "\n")
+                self._file.write(format_row(row, self._servo) + "\n")
             self._file.flush()
         except OSError as error:
             raise FlightError(f"{self._file.name}: {error.strerror or error}") from error
@@ -74,7 +74,7 @@ class _AnswerWriter:
         self._file.close()
 
 
-def external_rate_loop(scenario: Scenario, gain: Vector3, has_gyro: bool = False) -> ExternalRateLoop:
+def make_external_rate_loop(scenario: Scenario, gain: Vector3, has_gyro: bool = False) -> ExternalRateLoop:
     """Return the rate loop of a scenario's controller.  Raises InputError for a user-supplied controller."""
     with build(scenario) as simulation:
         if simulation.controller_source is not None:
@@ -131,7 +131,7 @@ def fly_autopilot(
             lambda: block,
             {path.name: path for path in files},
             columns=COLUMNS,
-            copied=False,
+            is_copied=False,
         )
         scenario = scenario.replace(controller=source.name, controller_limit_s=LONGEST_S, expect=[])
         with build(scenario, source) as simulation:
@@ -141,7 +141,7 @@ def fly_autopilot(
             block.truth = lambda: simulation.state
             environment, state = scenario.environment, simulation.state
             local_gravity = gravity(environment.latitude_deg, environment.ground_m + state.altitude)
-            block.stand = Stand(
+            block.stand = StationarySensors(
                 vehicle.sensors, simulation.dt, scenario.seed, scenario.sensor_noise, state, local_gravity
             )
             writer = _AnswerWriter(folder / ACTUATORS, block, len(vehicle.jets), vehicle.servo is not None)

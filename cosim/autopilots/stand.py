@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cosim.spec.vehicle import Sensors
 
 
-class Stand:
+class StationarySensors:
     """The vehicle's own sensors while it is held still in the stand.
 
     They are those of the flight, with the same bias, filter, latency and size of noise: what an autopilot learns of

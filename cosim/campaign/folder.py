@@ -21,7 +21,7 @@ from cosim.control.predictors.registry import BASELINE
 from cosim.engine import EngineSpec, load_engine
 from cosim.results.resolved_scenario import copy_controller, copy_vehicle, engine_files, resolve
 from cosim.simulation.build import build
-from cosim.simulation.controllers.source import find
+from cosim.simulation.controllers.source import find_controller_source
 from cosim.simulation.step import Simulation
 from cosim.spec.controller_name import file_name, is_design
 from cosim.spec.scenario import Scenario, flown_parameters, list_changes
@@ -143,7 +143,7 @@ def _values(base: Scenario, vary: Vary, sources: dict[str, Path | bytes]) -> lis
             value = copy_vehicle(value, base.folder, sources)
         elif isinstance(value, str) and is_file(value):
             file, unchecked, apart = str(base.folder / value), base.engine_unchecked, base.engine_isolated
-            spec: EngineSpec = load_engine(file, {}, base.step_s, unchecked=unchecked, apart=apart)
+            spec: EngineSpec = load_engine(file, {}, base.step_s, unchecked=unchecked, isolated=apart)
             value = engine_files([spec], sources)[id(spec)]
         values.append(value)
     return values
@@ -153,7 +153,7 @@ def _controller(name: str, folder: Path, sources: dict[str, Path | bytes]) -> st
     """Return a controller's name in the campaign's folder; add the copies of its files to ``sources``."""
     if is_design(name):
         return _add_copy(folder / name, sources)
-    source = find(name, folder, f"unknown controller {name!r}")
+    source = find_controller_source(name, folder, f"unknown controller {name!r}")
     return name if source is None else copy_controller(source, sources)
 
 

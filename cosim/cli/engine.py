@@ -145,7 +145,7 @@ def fmu_check(options: Check) -> int:
     Leaves check.json and a page with its static curve and step responses.  Status 0: fit; 1: unfit; 2: not usable.
     """
     from cosim.base.storage.toml import parse_numbers
-    from cosim.engine import check_fmu, limits_of
+    from cosim.engine import check_fmu, make_limits
     from cosim.engine.make.controller_fmu import is_controller
     from cosim.results.report.engine_check import write_check
 
@@ -153,7 +153,7 @@ def fmu_check(options: Check) -> int:
     if is_controller(Path(engine)):
         return _check_controller(Path(engine), options)
     offer_to_compile(engine)
-    report = check_fmu(engine, options.step, parse_numbers(options.settings, "--set"), limits_of(options.time_limit))
+    report = check_fmu(engine, options.step, parse_numbers(options.settings, "--set"), make_limits(options.time_limit))
     page = write_check(report, options.run_folder(f"check-{Path(engine).stem}"))
     options.answer(report.to_dict, lambda: print_check(report, page))
     return DONE if report.ok else FLIGHT_FAILED

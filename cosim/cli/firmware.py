@@ -17,15 +17,17 @@ if TYPE_CHECKING:
 
 def firmware_for(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firmware:
     """Return the loops in the units of the aircraft.  Raises InputError where the autopilot lacks parameters for it."""
-    from cosim.autopilots.betaflight import MOST_GAIN, gain_units
-    from cosim.autopilots.firmware_parameters import parameters_of
+    from cosim.autopilots.betaflight import MOST_GAIN, compute_gain_units
+    from cosim.autopilots.firmware_parameters import format_firmware_parameters
     from cosim.design.loop.firmware import Firmware
 
     scenario = load_scenario("hover", None, (), None, tuple(settings), None, aircraft)
     vehicle, _ = scenario.resolved_vehicle()
-    parameters_of(autopilot, vehicle, scenario.step_s)  # before minutes of searching
+    format_firmware_parameters(autopilot, vehicle, scenario.step_s)  # before minutes of searching
     if autopilot == "betaflight":
-        return Firmware(autopilot, units=gain_units(vehicle), most=MOST_GAIN, common_filter=True, common_angle=True)
+        return Firmware(
+            autopilot, units=compute_gain_units(vehicle), most=MOST_GAIN, common_filter=True, common_angle=True
+        )
     return Firmware(autopilot, common_filter=autopilot == "px4")
 
 
@@ -63,10 +65,10 @@ def search_gains(autopilot: str, scenario: Scenario, settings: Sequence[str], ou
 
 def write_parameters(autopilot: str, aircraft: str, controller: Path, step: float) -> Path:
     """Write the parameter file beside the controller file and return its path.  Raises FlightError."""
-    from cosim.autopilots.firmware_parameters import parameters_of
+    from cosim.autopilots.firmware_parameters import format_firmware_parameters
 
     vehicle, _ = load_scenario("hover", str(controller), (), None, (), None, aircraft).resolved_vehicle()
     path = controller.with_suffix(".txt" if autopilot == "betaflight" else ".params" if autopilot == "px4" else ".parm")
     with map_os_errors(FlightError, path):
-        path.write_text(parameters_of(autopilot, vehicle, step))
+        path.write_text(format_firmware_parameters(autopilot, vehicle, step))
     return path

@@ -120,10 +120,10 @@ def warn_of_fmu_defects(*engines: str, folder: Path = Path()) -> None:
 
     for engine in dict.fromkeys(engines):
         if is_file(engine):
-            from cosim.engine.qualify.check import blemish_lines
+            from cosim.engine.qualify.check import note_harmless_violations
             from cosim.engine.spec import find_source
 
-            for line in blemish_lines(find_source(str(folder / engine)).archive):
+            for line in note_harmless_violations(find_source(str(folder / engine)).archive):
                 click.echo(f"hexjet: warning: {engine}: {line}", err=True)
 
 
@@ -142,9 +142,9 @@ def load_scenario(
 
     designed = Path(controller) if controller is not None and is_design(controller) else None
     if designed is not None:
-        from cosim.simulation.controllers.controller_file import with_controller
+        from cosim.simulation.controllers.controller_file import apply_controller
 
-        scenario, controller = with_controller(name, designed, settings, aircraft), None
+        scenario, controller = apply_controller(name, designed, settings, aircraft), None
     else:
         scenario = Scenario.read(name, list(settings))
     changes: dict[str, Any] = {}

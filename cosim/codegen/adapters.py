@@ -11,7 +11,7 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
-from cosim.codegen.files import NO_LICENCE, Labels, common_values, controller_texts, render_files, stamp
+from cosim.codegen.files import NO_LICENCE, Labels, licence_line, make_common_values, render_controller, render_files
 from cosim.codegen.form import Form
 
 # A file among the sources of a program, or that includes them, is a part of it: its licence is the program's.
@@ -26,7 +26,7 @@ _SCALE_ORIGINS = {
 }
 
 
-def adapter_texts(form: Form, labels: Labels, autopilot: str, torque_scale: Vector3) -> dict[str, str]:
+def render_adapter(form: Form, labels: Labels, autopilot: str, torque_scale: Vector3) -> dict[str, str]:
     """Return the text of every file of an adapter, by its path in the autopilot's folder.
 
     ``torque_scale``: what a torque of 1 is to the autopilot: throttle about roll, rad of tilt about pitch and yaw
@@ -39,7 +39,7 @@ def adapter_texts(form: Form, labels: Labels, autopilot: str, torque_scale: Vect
     curve: int | None = None
     if not thrust["identity"]:  # it inverts a throttle: the reference's curve, or the first station's
         curve = thrust["mapped"][0]["curve"] if thrust["reference"] is None else thrust["reference"]
-    values = common_values(form, labels) | {
+    values = make_common_values(form, labels) | {
         "autopilot": _TITLES[autopilot],
         "tilts": form["allocation"]["kind"] == "tilt",
         "inverse": form["allocation"]["inverse"],
@@ -58,13 +58,13 @@ def adapter_texts(form: Form, labels: Labels, autopilot: str, torque_scale: Vect
     }
     n = labels.name
     rates = {f"{n}_rates.h": "adapters/rates.h", f"{n}_rates.c": "adapters/rates.c"}
-    controller_files = controller_texts(form, labels, single=True) | render_files(rates, values)
+    controller_files = render_controller(form, labels, single=True) | render_files(rates, values)
     return _ADAPTERS[autopilot](n, controller_files, values)
 
 
 def _as_program(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a template is told of a file that is a part of the autopilot's program."""
-    return dict(values) | {"licence": stamp(values["program_licence"])}
+    return dict(values) | {"licence": licence_line(values["program_licence"])}
 
 
 def _betaflight(n: str, controller_files: Mapping[str, str], values: Mapping[str, Any]) -> dict[str, str]:

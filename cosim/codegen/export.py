@@ -10,12 +10,12 @@ from pathlib import Path
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import Vector3
 from cosim.base.trust import code_of, remember
-from cosim.codegen.adapters import PROGRAM_LICENCES, adapter_texts
+from cosim.codegen.adapters import PROGRAM_LICENCES, render_adapter
 from cosim.codegen.files import NO_LICENCE, PREDICTOR_KINDS, Labels, render, render_sources
 from cosim.codegen.fmu import build_fmus
-from cosim.codegen.form import Form, form_of
+from cosim.codegen.form import Form, make_form
 from cosim.codegen.measure import Measurements, measure
-from cosim.codegen.vectors import Vectors, record
+from cosim.codegen.vectors import RecordedFlight, record_vectors
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 
@@ -57,15 +57,15 @@ def export_controller(
         raise InputError(f"scenario {scenario.name}: is flown by an autopilot's requests; choose one with commands")
     labels = Labels(name, f"{scenario.aircraft_name} with {scenario.controller}", licence, ())  # before the flight
     with build(scenario) as simulation:
-        form = form_of(simulation, loops)
+        form = make_form(simulation, loops)
         origin = _origin(scenario, source, simulation.engine.name, simulation.engine.sha256)
-        vectors = record(simulation)
+        vectors = record_vectors(simulation)
     labels = replace(labels, origin=origin)
     sources = render_sources(form, vectors, labels)
     adapters = {
         f"{autopilot}/{file}": text
         for autopilot, torque_scale in (inside or {}).items()
-        for file, text in adapter_texts(form, labels, autopilot, torque_scale).items()
+        for file, text in render_adapter(form, labels, autopilot, torque_scale).items()
     }
     try:
         for file, text in (sources | adapters).items():
@@ -95,7 +95,12 @@ def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[
 
 
 def _readme(
-    form: Form, vectors: Vectors, labels: Labels, measurements: Measurements | None, fmus: list[str], inside: list[str]
+    form: Form,
+    vectors: RecordedFlight,
+    labels: Labels,
+    measurements: Measurements | None,
+    fmus: list[str],
+    inside: list[str],
 ) -> str:
     kinds = [f"{axis['name']}: {PREDICTOR_KINDS[axis['predictor']['kind']][0]}" for axis in form["axes"]]
     leads = [axis["lead"] for axis in form["axes"]] + [form["altitude"]["lead"]]
@@ -116,18 +121,21 @@ def _readme(
         schedule=bool(form["schedule"]),
         loops=form["loops"],
         straight=form["thrust"]["identity"],
-        figures=figures(measurements, form["loops"]),
+        figures=list_figures(measurements, form["loops"]),
     )
 
 
-def figures(measurements: Measurements | None, loops: bool = False) -> list[tuple[str, str]]:
+def list_figures(measurements: Measurements | None, loops: bool = False) -> list[tuple[str, str]]:
     """Return the measurements as pairs of a quantity's name and its value in words."""
     first, second, unit = ("the collective", "torque", "") if loops else ("throttle", "tilt", " rad")
     if measurements is None:
         return [("measured", "nothing: no C compiler was found where this was made")]
     lines = [
         ("compiler", f"{measurements.compiler}, -O2 -ffp-contract=off"),
-        ("double", "every number of the flight to the last bit" if measurements.same else "not the bits of the flight"),
+        (
+            "double",
+            "every number of the flight to the last bit" if measurements.is_identical else "not the bits of the flight",
+        ),
         (
             "float",
             f"{first} within {measurements.float_throttle:.2g}, {second} within {measurements.float_tilt:.2g}{unit} "

@@ -13,8 +13,8 @@ from typing import Any
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.codegen.form import Form
-from cosim.codegen.hinged import solver_texts
-from cosim.codegen.vectors import INPUTS, LOOP_INPUTS, LOOP_OUTPUTS, Vectors, loop_rows, output_names
+from cosim.codegen.hinged import render_solver
+from cosim.codegen.vectors import INPUTS, LOOP_INPUTS, LOOP_OUTPUTS, RecordedFlight, list_output_names, make_loop_rows
 from cosim.control.allocation.allocation import LEAST_SHARE
 from cosim.control.altitude import LEAST_UPRIGHT
 
@@ -47,14 +47,14 @@ class Labels:
             )
 
 
-def render_sources(form: Form, vectors: Vectors, labels: Labels) -> dict[str, str]:
+def render_sources(form: Form, vectors: RecordedFlight, labels: Labels) -> dict[str, str]:
     """Return the text of every C file by its name, the test and its vectors included."""
     n = labels.name
     if form["loops"]:
         inputs, outputs = LOOP_INPUTS, LOOP_OUTPUTS
-        rows = loop_rows(vectors, form["jets"], form["servos"])
+        rows = make_loop_rows(vectors, form["jets"], form["servos"])
     else:
-        inputs, outputs, rows = INPUTS, output_names(form["jets"], form["servos"]), vectors.rows
+        inputs, outputs, rows = INPUTS, list_output_names(form["jets"], form["servos"]), vectors.rows
     values = {
         "columns": [*inputs, *outputs],
         "inputs": len(inputs),
@@ -64,26 +64,26 @@ def render_sources(form: Form, vectors: Vectors, labels: Labels) -> dict[str, st
         "on_ground": vectors.on_ground,
     }
     test = {f"{n}_vectors.h": "vectors.h", f"{n}_vectors.c": "vectors.c", f"test_{n}.c": "test.c"}
-    return controller_texts(form, labels) | render_files(test, common_values(form, labels) | values)
+    return render_controller(form, labels) | render_files(test, make_common_values(form, labels) | values)
 
 
-def controller_texts(form: Form, labels: Labels, single: bool = False) -> dict[str, str]:
+def render_controller(form: Form, labels: Labels, single: bool = False) -> dict[str, str]:
     """Return the C files of the controller alone; ``single``: single precision is the default."""
     n = labels.name
     files = {f"{n}.h": "controller.h", f"{n}.c": "controller.c", f"{n}_parameters.c": "parameters.c"}
-    return render_files(files, common_values(form, labels) | {"single": single})
+    return render_files(files, make_common_values(form, labels) | {"single": single})
 
 
-def stamp(licence: str | None) -> str:
+def licence_line(licence: str | None) -> str:
     """Return the first line of a file with this licence."""
     return f"/* SPDX-License-Identifier: {licence or 'NOASSERTION'} */"
 
 
-def common_values(form: Form, labels: Labels) -> dict[str, Any]:
+def make_common_values(form: Form, labels: Labels) -> dict[str, Any]:
     """Return the variables that every C template gets."""
     f = _prepare_form(form)
     hinged = form["allocation"]["kind"] == "effectiveness"
-    types, functions = solver_texts(labels.name) if hinged else ("", "")
+    types, functions = render_solver(labels.name) if hinged else ("", "")
     return {
         "solver_types": types,
         "solver_functions": functions,
@@ -93,7 +93,7 @@ def common_values(form: Form, labels: Labels) -> dict[str, Any]:
         "f": f,
         "title": labels.title,
         "maker": f"hexjet-cosim {version('hexjet-cosim')}",
-        "licence": stamp(labels.licence),
+        "licence": licence_line(labels.licence),
         "step": repr(form["step"]),
         "gravity": repr(GRAVITY),
         "least_upright": repr(LEAST_UPRIGHT),

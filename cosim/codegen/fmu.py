@@ -9,7 +9,7 @@ from cosim.base.storage.scratch import temporary
 from cosim.codegen.files import Labels, render
 from cosim.codegen.form import Form
 from cosim.codegen.quantity import Quantity, define_variables
-from cosim.codegen.vectors import INPUT_QUANTITIES, Vectors, output_names
+from cosim.codegen.vectors import INPUT_QUANTITIES, RecordedFlight, list_output_names
 from cosim.engine.library import FMI_VERSIONS, BuildError, EngineDefinition, VariableDefinition, archive_path, build_one
 
 _OUTPUTS = {
@@ -22,7 +22,7 @@ _OUTPUTS = {
 
 
 def build_fmus(
-    form: Form, vectors: Vectors, labels: Labels, sources: dict[str, str], folder: Path
+    form: Form, vectors: RecordedFlight, labels: Labels, sources: dict[str, str], folder: Path
 ) -> tuple[list[str], str | None]:
     """Write the FMUs into ``folder``, and return their names and, where there are none, why in one line."""
     n, jets = labels.name, form["jets"]
@@ -30,7 +30,7 @@ def build_fmus(
         return [], "the loops alone are C for a mixer of yours"
     # a vehicle without servos has no tilts
     tilts, servos = form["allocation"]["kind"] in ("tilt", "effectiveness"), form["servos"]
-    pairs = zip(output_names(jets, servos), _expressions(jets, len(servos)), strict=True)
+    pairs = zip(list_output_names(jets, servos), _expressions(jets, len(servos)), strict=True)
     expressions = {name: expression for name, expression in pairs if tilts or not name.startswith("tilt_")}
     outputs = tuple(expressions)
     with temporary("export-") as build_folder:
@@ -72,7 +72,7 @@ def build_fmus(
     return archives, None
 
 
-def _variables(vectors: Vectors, outputs: tuple[str, ...]) -> tuple[VariableDefinition, ...]:
+def _variables(vectors: RecordedFlight, outputs: tuple[str, ...]) -> tuple[VariableDefinition, ...]:
     on_ground, text = float(vectors.on_ground), "1: it starts standing"
     parameter = VariableDefinition("on_ground", 1, "parameter", True, None, 0.0, 1.0, on_ground, text)
     inputs = [q._replace(start=vectors.burnt) if q.name == "fuel_burnt" else q for q in INPUT_QUANTITIES]
@@ -88,7 +88,7 @@ def _describe_output(name: str) -> Quantity:
 
 
 def _expressions(jets: int, servos: int) -> list[str]:
-    """Return the C expression of each output, in the order of :func:`output_names`."""
+    """Return the C expression of each output, in the order of :func:`list_output_names`."""
     return [
         *(f"output.throttle[{jet}]" for jet in range(jets)),
         *(f"output.tilt[{servo}]" for servo in range(servos)),

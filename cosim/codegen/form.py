@@ -12,7 +12,7 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
-from cosim.codegen.hinged import hinged_form
+from cosim.codegen.hinged import make_hinged_form
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.allocation.reallocation import command_to_torque
@@ -38,7 +38,7 @@ from cosim.spec.vehicle import EngineLead, RateGains, Vehicle
 Form = dict[str, Any]
 
 
-def form_of(simulation: Simulation, loops: bool = False) -> Form:
+def make_form(simulation: Simulation, loops: bool = False) -> Form:
     """Return the constants of a simulation's cascade before its flight, block by block.
 
     ``loops``: of the loops alone, without what allocates their outputs.
@@ -62,7 +62,7 @@ def form_of(simulation: Simulation, loops: bool = False) -> Form:
         {
             "name": axis,
             "gains": _gains(gains, step),
-            "predictor": predictor_form(predictor, axis),
+            "predictor": make_predictor_form(predictor, axis),
             "lead": lead,
             "scheduled": schedule is not None and axis == "roll",
         }
@@ -157,7 +157,7 @@ def _allocation(cascade: Cascade, vehicle: Vehicle) -> Form:
             "inverse": command_to_torque(len(vehicle.jets), allocator),
         }
     if isinstance(allocator, EffectivenessAllocator):
-        return limits_form | hinged_form(allocator, vehicle)
+        return limits_form | make_hinged_form(allocator, vehicle)
     raise InputError(
         f"{type(allocator).__name__}: has no C form; those of banks, rotors and hinges have; hexjet export vehicle "
         "writes the whole vehicle as an FMU"
@@ -190,7 +190,7 @@ def _thrust(thrust_map: ThrustMap, loops: bool) -> Form:
     }
 
 
-def predictor_form(predictor: object, axis: str = "roll") -> Form:
+def make_predictor_form(predictor: object, axis: str = "roll") -> Form:
     """Return a predictor's constants.  Raises InputError for one that has no C form."""
     for kind, write in _PREDICTORS.items():
         if type(predictor) is kind:

@@ -26,7 +26,7 @@ _SIZES = {
 }
 
 
-def hinged_form(allocator: EffectivenessAllocator, vehicle: Vehicle) -> dict[str, Any]:
+def make_hinged_form(allocator: EffectivenessAllocator, vehicle: Vehicle) -> dict[str, Any]:
     """Return the constants of the allocation.  Raises InputError for a vehicle with surfaces."""
     if allocator.surfaces:
         raise InputError(
@@ -86,7 +86,7 @@ def _link(hinge: int, effect: float, carries: bool) -> dict[str, Any]:
     return {"hinge": str(hinge), "effect": effect, "carries": "true" if carries else "false"}
 
 
-def solver_texts(name: str) -> tuple[str, str]:
+def render_solver(name: str) -> tuple[str, str]:
     """Return the types and the functions of the allocation with the names of a controller's files."""
     text = SOURCE.read_text(encoding="utf-8")
     _, _, text = text.partition("#define MOST_EFFECTORS (MOST_JETS + MOST_MOVERS)\n\n")

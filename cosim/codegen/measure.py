@@ -29,7 +29,7 @@ class Measurements:
     """Measurements of the compiled C; None where this machine's compiler does not report one."""
 
     compiler: str  # its own first line
-    same: bool  # every number of the flight to the last bit, in double
+    is_identical: bool  # every number of the flight to the last bit, in double
     float_throttle: float
     float_tilt: float  # rad
     float_passes: bool  # within half a step of a 12-bit command
@@ -74,13 +74,13 @@ def measure(folder: Path, name: str) -> Measurements | None:
     )
 
 
-def sources(name: str) -> list[str]:
+def list_sources(name: str) -> list[str]:
     """Return the names of the C files that the test program is compiled from."""
     return [f"test_{name}.c", f"{name}.c", f"{name}_parameters.c", f"{name}_vectors.c"]
 
 
 def _run_test(cc: str, folder: Path, name: str, program: Path, *flags: str) -> subprocess.CompletedProcess[str]:
-    files = [str(folder / source) for source in sources(name)]
+    files = [str(folder / source) for source in list_sources(name)]
     result = _run([cc, *FLAGS, "-O2", *flags, "-o", str(program), *files, "-lm"])
     if result.returncode != 0:
         complaints = [*result.stderr.splitlines(), "no word"]

@@ -16,7 +16,7 @@ from cosim.codegen.vehicle_ports import REPORTS, ExportedFlight
 from cosim.engine import EngineSpec
 from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.engine.fmu.variables import REALS, Port
-from cosim.engine.library import FMI2_SUFFIX, archive_path, pack
+from cosim.engine.library import FMI2_SUFFIX, archive_path, write_archive
 
 _SSP = "http://ssp-standard.org/SSP1/SystemStructure"
 NAMESPACES = {"ssd": f"{_SSP}Description", "ssc": f"{_SSP}Common", "ssv": f"{_SSP}ParameterValues"}
@@ -60,7 +60,7 @@ def write_ssp(flight: ExportedFlight, vehicle: Path, target: Path, fmi: int, sec
     _sub(root, "ssd:DefaultExperiment", startTime="0.0", stopTime=repr(seconds))
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n"
-    pack({"SystemStructure.ssd": text} | contents, target)
+    write_archive({"SystemStructure.ssd": text} | contents, target)
 
 
 def _connect(

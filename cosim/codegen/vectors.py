@@ -52,7 +52,7 @@ LOOP_OUTPUTS = (
 )  # of the loops alone
 
 
-def output_names(jets: int, servos: Sequence[str] = SERVOS) -> tuple[str, ...]:
+def list_output_names(jets: int, servos: Sequence[str] = SERVOS) -> tuple[str, ...]:
     """Return the names of the controller's outputs in the order of a row."""
     return (
         *(f"throttle_{jet}" for jet in range(1, jets + 1)),
@@ -68,7 +68,7 @@ def output_names(jets: int, servos: Sequence[str] = SERVOS) -> tuple[str, ...]:
 
 
 @dataclass
-class Vectors:
+class RecordedFlight:
     """A recorded flight: the start, then one row a step, inputs before outputs."""
 
     on_ground: bool = False
@@ -77,9 +77,9 @@ class Vectors:
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
 
-def loop_rows(vectors: Vectors, jets: int, servos: Sequence[str]) -> list[tuple[float, ...]]:
+def make_loop_rows(vectors: RecordedFlight, jets: int, servos: Sequence[str]) -> list[tuple[float, ...]]:
     """Return a flight's rows as the loops alone have them: what was not given in the step before is an input."""
-    names = output_names(jets, servos)
+    names = list_output_names(jets, servos)
     left = [len(INPUTS) + names.index(name) for name in LOOP_INPUTS[len(INPUTS) :]]
     given = [len(INPUTS) + names.index(name) for name in LOOP_OUTPUTS]
     before = (0.0,) * len(left)
@@ -93,7 +93,7 @@ def loop_rows(vectors: Vectors, jets: int, servos: Sequence[str]) -> list[tuple[
 class RecordingController:
     """A controller that delegates to another one and records that one's inputs and outputs."""
 
-    def __init__(self, inner: Controller, vectors: Vectors) -> None:
+    def __init__(self, inner: Controller, vectors: RecordedFlight) -> None:
         self._inner, self._vectors = inner, vectors
         self._burnt = 0.0
 
@@ -161,14 +161,14 @@ class RecordingController:
         self._inner.forgive()
 
 
-def record(simulation: Simulation) -> Vectors:
+def record_vectors(simulation: Simulation) -> RecordedFlight:
     """Fly a simulation to its end and write down its controller's inputs and outputs.
 
     Raises InputError for a flight that loses an engine, adds signals to the controller's or fails.
     """
     if simulation.starting:
         raise InputError("the flight starts its engines on the way, which is not exported; leave engine_start out")
-    vectors = Vectors()
+    vectors = RecordedFlight()
     simulation.controller = RecordingController(simulation.controller, vectors)
     simulation.reset()
     ending = simulation.run()

@@ -49,7 +49,7 @@ class ExportedVehicle:
     python: str
 
     @property
-    def data(self) -> dict[str, Any]:
+    def json_data(self) -> dict[str, Any]:
         """All fields as values for JSON."""
         return asdict(self) | {"folder": str(self.folder)}
 

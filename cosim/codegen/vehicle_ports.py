@@ -33,7 +33,7 @@ from cosim.codegen.quantity import Quantity
 from cosim.engine.fmu.air import Air
 from cosim.engine.fmu.port_kinds import AMBIENT, OUTPUTS
 from cosim.simulation.build import build
-from cosim.simulation.script.commander import Commander
+from cosim.simulation.script.commander import CommandScript
 from cosim.spec.scenario import EngineFault, Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.propulsion import Propulsion
@@ -49,7 +49,7 @@ UNITS = {
 _ENGINES = (EngineState.FLY, EngineState.IDLE, EngineState.OFF)
 
 
-class Group(NamedTuple):
+class OutputGroup(NamedTuple):
     """Outputs that one function reads together."""
 
     quantities: Sequence[Quantity]
@@ -88,7 +88,7 @@ class ExportedFlight:
                     )
         self.contents, self.exchange = contents, exchange
         self.simulation = simulation = build(scenario)
-        self._wind = simulation.disturber.at(0).wind
+        self._wind = simulation.disturbances.at(0).wind
         self.jets = len(simulation.vehicle.jets)
         self.throttle: PerJet = ()
         self.command = Command((0.0, 0.0, 0.0), 0.0)
@@ -108,7 +108,7 @@ class ExportedFlight:
             bank.close()
             simulation.propulsion.engines.bank = _EnginesOutside(self, bank.wants_ambient)
         if contents.controller:
-            simulation.pilot = _PilotOutside(self, simulation.pilot, simulation.commander)
+            simulation.pilot = _PilotOutside(self, simulation.pilot, simulation.command_script)
         else:
             simulation.controller = _ControllerOutside(self, simulation.controller)
 
@@ -119,37 +119,37 @@ class ExportedFlight:
         wind = simulation.state.wind if simulation.k else self._wind
         return simulation.propulsion.ambient(simulation.state, wind)
 
-    def values(self) -> tuple[float, ...]:
+    def read_outputs(self) -> tuple[float, ...]:
         """Return the outputs now, in the order of :attr:`outputs`."""
         return tuple([float(value) for group in self._groups for value in group.read()])
 
-    def reports(self) -> EngineOutput:
+    def read_engine_output(self) -> EngineOutput:
         """Return the outside engines' outputs from the inputs; NaN for a quantity that they do not have."""
         input_values = self.input_values
         return EngineOutput(
-            *[tuple([input_values.get(f"{name}_{jet}", nan) for jet in self.numbers]) for name in REPORTS]
+            *[tuple([input_values.get(f"{name}_{jet}", nan) for jet in self.jet_numbers]) for name in REPORTS]
         )
 
     @property
-    def numbers(self) -> range:
+    def jet_numbers(self) -> range:
         """The jets' numbers, from 1."""
         return range(1, self.jets + 1)
 
-    def per_jet(self, name: str) -> PerJet:
+    def read_per_jet(self, name: str) -> PerJet:
         """Return the input of this name of every jet."""
-        return tuple([self.input_values[f"{name}_{jet}"] for jet in self.numbers])
+        return tuple([self.input_values[f"{name}_{jet}"] for jet in self.jet_numbers])
 
     def _list_inputs(self) -> Iterator[Quantity]:
         yield from self._list_setpoints() if self.contents.controller else self._list_actuators()
         if not self.contents.engines:
             for name, starts in zip(REPORTS, self.start_engines, strict=True):
                 for jet, (start, spec) in enumerate(zip(starts, self.simulation.stations, strict=True), 1):
-                    if spec.has(name):
+                    if spec.has_port(name):
                         yield Quantity(f"{name}_{jet}", UNITS[name], f"Of the engine of jet {jet}: {name}", start)
 
     def _list_setpoints(self) -> Iterator[Quantity]:
         """List set-points for the controller inside, which fly in place of the scenario's commands."""
-        command = self.simulation.commander.at(0)
+        command = self.simulation.command_script.at(0)
         yield Quantity("commanded", "1", "0: the scenario's commands are flown; 1: the set-points here")
         for axis, angle in zip(AXES, command.attitude, strict=True):
             yield Quantity(f"{axis}_setpoint", "rad", f"Attitude asked for: {axis}", angle)
@@ -165,9 +165,9 @@ class ExportedFlight:
         """List what a controller outside commands: throttles of engines inside, and servos."""
         vehicle = self.simulation.vehicle
         if self.contents.engines:
-            for jet, start in zip(self.numbers, self.start_throttle, strict=True):
+            for jet, start in zip(self.jet_numbers, self.start_throttle, strict=True):
                 yield Quantity(f"throttle_{jet}", "1", f"Throttle of jet {jet}", start)
-            for jet in self.numbers:
+            for jet in self.jet_numbers:
                 yield Quantity(f"off_{jet}", "1", f"1: jet {jet} is shut off on purpose")
         if vehicle.servo is not None:
             yield Quantity("tilt_left", "rad", "Tilt asked of the left servo, positive forward")
@@ -176,63 +176,69 @@ class ExportedFlight:
             for n, name in enumerate(_name_movables(vehicle)):
                 yield Quantity(f"tilt_{name}", _unit_of(vehicle, n), f"Asked of the servo {name}", vehicle.rest[n])
 
-    def _list_outputs(self) -> Iterator[Group]:
+    def _list_outputs(self) -> Iterator[OutputGroup]:
         simulation, propulsion = self.simulation, self.simulation.propulsion
         if self.contents.controller:
-            throttles = [Quantity(f"throttle_{jet}", "1", f"Told to the engine of jet {jet}") for jet in self.numbers]
-            yield Group(throttles, lambda: self.throttle)
+            throttles = [
+                Quantity(f"throttle_{jet}", "1", f"Told to the engine of jet {jet}") for jet in self.jet_numbers
+            ]
+            yield OutputGroup(throttles, lambda: self.throttle)
         else:
             yield from self._list_command()
         if simulation.vehicle.servo is not None:
             sides = [Quantity(f"servo_{side}", "rad", f"Where the {side} servo stands") for side in ("left", "right")]
-            yield Group(sides, lambda: propulsion.tilt)
+            yield OutputGroup(sides, lambda: propulsion.tilt)
         elif movables := _name_movables(simulation.vehicle):
             positions = [
                 Quantity(f"servo_{name}", _unit_of(simulation.vehicle, n), f"Where the servo {name} stands")
                 for n, name in enumerate(movables)
             ]
-            yield Group(positions, lambda: propulsion.tilt)
+            yield OutputGroup(positions, lambda: propulsion.tilt)
         yield from self._list_reports() if self.contents.engines else self._list_engine_inputs()
         if propulsion.tank is not None:
-            yield Group([Quantity("fuel_burnt", "kg", "Fuel burnt since the full tank")], lambda: (propulsion.burnt,))
+            yield OutputGroup(
+                [Quantity("fuel_burnt", "kg", "Fuel burnt since the full tank")], lambda: (propulsion.burnt,)
+            )
         yield from self._list_state()
         yield from self._list_measured()
 
-    def _list_command(self) -> Iterator[Group]:
+    def _list_command(self) -> Iterator[OutputGroup]:
         """List the scenario's command, for a controller outside."""
-        yield Group(_list_angles("_setpoint", "rad", "Attitude asked for"), lambda: self.command.attitude)
+        yield OutputGroup(_list_angles("_setpoint", "rad", "Attitude asked for"), lambda: self.command.attitude)
         height = Quantity("altitude_setpoint", "m", "Height above the ground asked for")
-        yield Group([height], lambda: (self.command.altitude,))
+        yield OutputGroup([height], lambda: (self.command.altitude,))
         flag = Quantity("rates_commanded", "1", "1: body rates are asked for in place of an attitude")
-        yield Group([flag], lambda: (self.command.rate is not None,))
-        yield Group(_list_angles("_rate_setpoint", "rad/s", "Body rate asked for"), lambda: self.command.rate or ZERO3)
+        yield OutputGroup([flag], lambda: (self.command.rate is not None,))
+        yield OutputGroup(
+            _list_angles("_rate_setpoint", "rad/s", "Body rate asked for"), lambda: self.command.rate or ZERO3
+        )
         flag = Quantity("collective_commanded", "1", "1: a mean throttle is asked for in place of a height")
         mean = Quantity("collective_setpoint", "1", "Mean throttle asked for")
-        yield Group([flag, mean], lambda: (self.command.collective is not None, self.command.collective or 0.0))
+        yield OutputGroup([flag, mean], lambda: (self.command.collective is not None, self.command.collective or 0.0))
 
-    def _list_reports(self) -> Iterator[Group]:
+    def _list_reports(self) -> Iterator[OutputGroup]:
         """List what engines inside deliver and report."""
         output = self.simulation.propulsion
         for n, name in enumerate(REPORTS):
-            indices = [i for i, spec in enumerate(self.simulation.stations) if spec.has(name)]
+            indices = [i for i, spec in enumerate(self.simulation.stations) if spec.has_port(name)]
             quantities = [
                 Quantity(f"{name}_{i + 1}", UNITS[name], f"Of the engine of jet {i + 1}: {name}") for i in indices
             ]
-            yield Group(quantities, partial(_read_jets, output, n, indices))
+            yield OutputGroup(quantities, partial(_read_jets, output, n, indices))
 
-    def _list_engine_inputs(self) -> Iterator[Group]:
+    def _list_engine_inputs(self) -> Iterator[OutputGroup]:
         """List what engines outside get beside their throttles."""
         stations = self.simulation.stations
         text = "Throttle at which the engine stands in equilibrium before the first step: jet"
-        starts = [Quantity(f"start_throttle_{jet}", "1", f"{text} {jet}") for jet in self.numbers]
-        yield Group(starts, lambda: self.start_throttle)
-        indices = [i for i, spec in enumerate(stations) if spec.has("run")]
+        starts = [Quantity(f"start_throttle_{jet}", "1", f"{text} {jet}") for jet in self.jet_numbers]
+        yield OutputGroup(starts, lambda: self.start_throttle)
+        indices = [i for i, spec in enumerate(stations) if spec.has_port("run")]
         runs = [Quantity(f"run_{i + 1}", "1", f"1: fuel on at jet {i + 1}") for i in indices]
-        yield Group(runs, lambda: [self.run[i] for i in indices])
+        yield OutputGroup(runs, lambda: [self.run[i] for i in indices])
         for i, spec in enumerate(stations):
-            ports = [port for port in AMBIENT if spec.has(port)]
+            ports = [port for port in AMBIENT if spec.has_port(port)]
             text = f"Around the engine of jet {i + 1}"
-            yield Group(
+            yield OutputGroup(
                 [Quantity(f"{port}_{i + 1}", UNITS[port], f"{text}: {port}") for port in ports],
                 self._reader_of_air(i, ports),
             )
@@ -243,41 +249,51 @@ class ExportedFlight:
                 return ()
             pressure, temperature, speeds = self.ambient
             air = Air(pressure, temperature, speeds[jet])
-            quantities = dict(zip(AMBIENT[:3], air, strict=True)) | air.derived()
+            quantities = dict(zip(AMBIENT[:3], air, strict=True)) | air.derive()
             return [quantities[port] for port in ports]
 
         return read
 
-    def _list_state(self) -> Iterator[Group]:
+    def _list_state(self) -> Iterator[OutputGroup]:
         simulation = self.simulation
-        yield Group(_list_parts("position", NED, "m", "Position from the start"), lambda: simulation.state.position)
-        yield Group(_list_parts("velocity", NED, "m/s", "Velocity over the ground"), lambda: simulation.state.velocity)
-        yield Group(_list_parts("attitude", WXYZ, "1", "Quaternion body to NED"), lambda: simulation.state.attitude)
-        yield Group(_list_angles("", "rad", "Attitude, in the order yaw, pitch, roll"), lambda: simulation.state.euler)
-        yield Group(_list_angles("_rate", "rad/s", "Body rate"), lambda: simulation.state.rate)
+        yield OutputGroup(
+            _list_parts("position", NED, "m", "Position from the start"), lambda: simulation.state.position
+        )
+        yield OutputGroup(
+            _list_parts("velocity", NED, "m/s", "Velocity over the ground"), lambda: simulation.state.velocity
+        )
+        yield OutputGroup(
+            _list_parts("attitude", WXYZ, "1", "Quaternion body to NED"), lambda: simulation.state.attitude
+        )
+        yield OutputGroup(
+            _list_angles("", "rad", "Attitude, in the order yaw, pitch, roll"), lambda: simulation.state.euler
+        )
+        yield OutputGroup(_list_angles("_rate", "rad/s", "Body rate"), lambda: simulation.state.rate)
         force = _list_parts("specific_force", XYZ, "m/s2", "Specific force at the centre of gravity, body")
-        yield Group(force, lambda: simulation.state.specific_force)
-        yield Group(_list_parts("wind", NED, "m/s", "Wind with turbulence"), lambda: simulation.state.wind)
-        yield Group([Quantity("altitude", "m", "Height above the ground")], lambda: (simulation.state.altitude,))
-        yield Group([Quantity("mass", "kg", "Mass of the vehicle")], lambda: (simulation.state.mass,))
-        yield Group([Quantity("on_ground", "1", "1: a leg touches")], lambda: (simulation.state.on_ground,))
+        yield OutputGroup(force, lambda: simulation.state.specific_force)
+        yield OutputGroup(_list_parts("wind", NED, "m/s", "Wind with turbulence"), lambda: simulation.state.wind)
+        yield OutputGroup([Quantity("altitude", "m", "Height above the ground")], lambda: (simulation.state.altitude,))
+        yield OutputGroup([Quantity("mass", "kg", "Mass of the vehicle")], lambda: (simulation.state.mass,))
+        yield OutputGroup([Quantity("on_ground", "1", "1: a leg touches")], lambda: (simulation.state.on_ground,))
 
-    def _list_measured(self) -> Iterator[Group]:
+    def _list_measured(self) -> Iterator[OutputGroup]:
         simulation = self.simulation
-        yield Group(_list_angles("_rate", "rad/s", "Measured body rate", "measured_"), lambda: simulation.measured.rate)
+        yield OutputGroup(
+            _list_angles("_rate", "rad/s", "Measured body rate", "measured_"), lambda: simulation.measured.rate
+        )
         attitude = _list_parts("measured_attitude", WXYZ, "1", "Measured quaternion body to NED")
-        yield Group(attitude, lambda: simulation.measured.attitude)
-        yield Group(
+        yield OutputGroup(attitude, lambda: simulation.measured.attitude)
+        yield OutputGroup(
             _list_parts("measured_position", NED, "m", "Measured position"), lambda: simulation.measured.position
         )
-        yield Group(
+        yield OutputGroup(
             _list_parts("measured_velocity", NED, "m/s", "Measured velocity"), lambda: simulation.measured.velocity
         )
         height = Quantity("measured_altitude", "m", "Measured height above the ground")
-        yield Group([height], lambda: (simulation.measured.altitude,))
+        yield OutputGroup([height], lambda: (simulation.measured.altitude,))
         if all(isfinite(value) for value in simulation.measured.specific_force):  # there is an accelerometer
             force = _list_parts("measured_specific_force", XYZ, "m/s2", "Measured specific force, body")
-            yield Group(force, lambda: simulation.measured.specific_force)
+            yield OutputGroup(force, lambda: simulation.measured.specific_force)
 
     def close(self) -> None:
         """Free engines and airframe."""
@@ -318,22 +334,22 @@ class _EnginesOutside:
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         flight = self._flight
         flight.throttle, flight.run = _per_jet(throttle, flight.jets), [1.0] * flight.jets
-        return flight.reports()
+        return flight.read_engine_output()
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         flight = self._flight
         flight.throttle = throttle
         if flight.contents.controller:
             flight.exchange()
-        return flight.reports()
+        return flight.read_engine_output()
 
     def run_down(self, seconds: float) -> EngineOutput:
-        return self._flight.reports()
+        return self._flight.read_engine_output()
 
     def set_run(self, index: int, on: bool) -> bool:
         flight = self._flight
         flight.run[index] = float(on)
-        return flight.simulation.stations[index].has("run")
+        return flight.simulation.stations[index].has_port("run")
 
     def close(self) -> None:
         """Do nothing, because there is nothing to free."""
@@ -342,7 +358,7 @@ class _EnginesOutside:
 class _PilotOutside:
     """A pilot that flies the set-points of the inputs where they are commanded, or else the scenario's."""
 
-    def __init__(self, flight: ExportedFlight, inner: Pilot | None, commander: Commander) -> None:
+    def __init__(self, flight: ExportedFlight, inner: Pilot | None, commander: CommandScript) -> None:
         self._flight, self._inner, self._commander = flight, inner, commander
         self.engines = EngineState.FLY
         self.seen: Measured = flight.simulation.measured
@@ -400,8 +416,8 @@ class _ControllerOutside:
         )
         if not flight.contents.engines:
             return Actuation(flight.throttle, tilt, Unallocated())
-        off = frozenset([i for i, value in enumerate(flight.per_jet("off")) if value > 0.5])
-        return Actuation(flight.per_jet("throttle"), tilt, Unallocated(), off)
+        off = frozenset([i for i, value in enumerate(flight.read_per_jet("off")) if value > 0.5])
+        return Actuation(flight.read_per_jet("throttle"), tilt, Unallocated(), off)
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
         return ALL_WELL

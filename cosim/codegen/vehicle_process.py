@@ -58,7 +58,7 @@ class _Socket:
         self.send(struct.pack("=d", -1.0) + line.encode("utf-8", "replace")[:1000] + b"\n")
 
 
-def other_versions(manifest: dict[str, str], here: dict[str, str]) -> str:
+def describe_version_differences(manifest: dict[str, str], here: dict[str, str]) -> str:
     """Return in words which versions differ from those that made the archive; empty where none does."""
     differences = [
         f"{name} {here.get(name, 'missing')} in place of {text}"
@@ -80,7 +80,7 @@ class _Server:
 
         self._socket = socket
         manifest: dict[str, Any] = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-        differences = other_versions(manifest["versions"], versions())
+        differences = describe_version_differences(manifest["versions"], versions())
         if differences and not os.environ.get(ANY_VERSION):
             raise InputError(
                 f"this vehicle was made with other versions: {differences}; export it anew, or set {ANY_VERSION}=1 to "

@@ -130,7 +130,7 @@ def design(
         designable(name, f"--controller {name}", ["auto"])
     scenario, vehicle = _scenario(engine, aircraft, settings)
     engine, unchecked, apart = scenario.engine, scenario.engine_unchecked, scenario.engine_isolated
-    spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, apart=apart)
+    spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
     level = hover_share(vehicle, spec)
     limits = vehicle.control.allocation
     if not limits.throttle_min < level < limits.throttle_max:
@@ -146,7 +146,7 @@ def design(
     if model and not models:
         raise InputError(f"{model}: holds no model of {vehicle.name} with engine {spec.family!r}")
     for axis, table in models.items():
-        if not spec.owns(table.get("engine_sha256", "")):
+        if not spec.matches_model(table.get("engine_sha256", "")):
             raise InputError(f"{model}: its model of {axis} is of another {spec.family}: its hash is another")
         plants[axis] = replace(plants[axis], identified=RateModel(**table))
     if controller == "auto" and plants["roll"].by_servo and firmware is None:

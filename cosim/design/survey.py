@@ -16,7 +16,7 @@ from typing import Any
 
 from cosim.base.runtime.processes import python_command, run_child
 from cosim.base.storage.scratch import temporary
-from cosim.engine.fmu.container import one_line
+from cosim.engine.fmu.container import to_one_line
 from cosim.results.report import marks
 
 FLIES, NONE, UNFIT, REFUSED, FAULT = "flies as promised", "no design", "unfit", "refused", "FAULT OF OURS"
@@ -114,7 +114,7 @@ def _run(arguments: Sequence[str], limit: float) -> tuple[int, dict[str, Any] | 
     except subprocess.TimeoutExpired:
         return -1, None, f"not done within {limit:g} s"
     complaints = [line for line in done.stderr.splitlines() if line.startswith("hexjet: ") and "warning:" not in line]
-    message = one_line((complaints or done.stderr.splitlines() or ["nothing was said"])[-1]).removeprefix("hexjet: ")
+    message = to_one_line((complaints or done.stderr.splitlines() or ["nothing was said"])[-1]).removeprefix("hexjet: ")
     if done.returncode not in (0, 1) or "Traceback" in done.stderr:
         fault = done.returncode == 2 and "Traceback" not in done.stderr
         return (2 if fault else -1), None, message if fault else f"status {done.returncode}: {message}"

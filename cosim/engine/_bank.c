@@ -168,7 +168,7 @@ static int get_block(const Engine *e, const Block *b)
     return status;
 }
 
-/* The same air in other words: cosim.engine.fmu.air.Air.derived, whose constants these are. */
+/* The same air in other words: cosim.engine.fmu.air.Air.derive, whose constants these are. */
 static void derive(double port[INPUTS])
 {
     const double gamma = 1.4, gas = 287.05287, gravity = 9.80665, p0 = 101325.0, t0 = 288.15, lapse = 0.0065;

@@ -13,13 +13,13 @@ from cosim.engine.fmu.air import Air
 from cosim.engine.fmu.instance import FmuInstance, InstanceError
 from cosim.engine.fmu.port_kinds import AMBIENT, ASIDE
 from cosim.engine.fmu.starting import Ignition, StartError
-from cosim.engine.fmu.unpacked import Unpacked, unpack
+from cosim.engine.fmu.unpacked import UnpackedArchive, unpack
 from cosim.engine.response import ResponseError, settle
 from cosim.engine.spec import EngineSpec
 from cosim.engine.ssp.system_instance import make_instance
 
 
-def logged_columns(specs: Sequence[EngineSpec], in_flight: bool = False) -> tuple[Column, ...]:
+def make_log_columns(specs: Sequence[EngineSpec], in_flight: bool = False) -> tuple[Column, ...]:
     """Return the log columns of all engines' further outputs, named by mapping file and engine number.
 
     With ``in_flight`` they are preceded by a column for each engine that is 1 until its start has ended.
@@ -35,7 +35,7 @@ def logged_columns(specs: Sequence[EngineSpec], in_flight: bool = False) -> tupl
             Column(f"{name}_{number}", unit, "jet", f"engine {number}: {meaning}, as it gives it")
             for number, spec in enumerate(specs, start=1)
             for port, (name, unit, meaning) in ASIDE_COLUMNS.items()
-            if spec.has(port)
+            if spec.has_port(port)
         ),
         *(
             Column(
@@ -45,7 +45,7 @@ def logged_columns(specs: Sequence[EngineSpec], in_flight: bool = False) -> tupl
                 f"engine {number}: {variable.name}" + (f", {variable.description}" if variable.description else ""),
             )
             for number, spec in enumerate(specs, start=1)
-            for name, variable in spec.logged
+            for name, variable in spec.logged_outputs
         ),
     )
 
@@ -66,7 +66,7 @@ def group_stations(specs: Sequence[EngineSpec]) -> list[list[int]]:
     groups: dict[Hashable, list[int]] = {}
     for station, spec in enumerate(specs):
         count = len(spec.archive.engines)
-        key = (spec.shared, station - spec.slot) if count > 1 else station
+        key = (spec.instance_key, station - spec.slot) if count > 1 else station
         groups.setdefault(key, [-1] * count)[spec.slot] = station
     return list(groups.values())
 
@@ -86,7 +86,7 @@ class EngineBank:
     engine that serves no station has throttle 0, or, where one engine alone is asked for, that of the reset.
 
     ``in_flight``: engines whose mapping file states a start stand cold after a reset, and go through it over the steps
-    that follow, whatever throttle these ask for; :attr:`starting` says which still do.
+    that follow, whatever throttle these ask for; :attr:`starting_engines` says which still do.
 
     Raises InputError if an archive has changed since it was loaded, EngineError if an FMU does not start.
     """
@@ -95,7 +95,7 @@ class EngineBank:
         self, spec: EngineSpec | Sequence[EngineSpec], count: int, step: float, in_flight: bool = False
     ) -> None:
         if isinstance(spec, EngineSpec):
-            self._specs = (spec,) if count == 1 else tuple(spec.at(station) for station in range(count))
+            self._specs = (spec,) if count == 1 else tuple(spec.at_station(station) for station in range(count))
         else:
             self._specs = tuple(spec)
         if len(self._specs) != count:
@@ -109,8 +109,8 @@ class EngineBank:
         self._starts: dict[int, Ignition] = {}  # by instance, of those that have yet to start
         self._cancelled: set[int] = set()  # stations that were shut off before they had started
         self._instances: list[FmuInstance] = []
-        self._folders: dict[tuple[str, int], Unpacked] = {}
-        self.wants_ambient = any(spec.has(port) for spec in self._specs for port in AMBIENT)
+        self._folders: dict[tuple[str, int], UnpackedArchive] = {}
+        self.wants_ambient = any(spec.has_port(port) for spec in self._specs for port in AMBIENT)
         self._native = _bank.Bank((), step, EngineOutput)
         self._last_output = EngineOutput((), (), (), ())
         self._was_reset = False
@@ -134,7 +134,7 @@ class EngineBank:
         self._make_native()
 
     def _make_native(self) -> None:
-        rows = [instance.row(0, group) for instance, group in zip(self._instances, self._groups, strict=True)]
+        rows = [instance.make_row(0, group) for instance, group in zip(self._instances, self._groups, strict=True)]
         self._native = _bank.Bank(tuple(rows), self._step, EngineOutput)
 
     def _first_spec(self, index: int) -> EngineSpec:
@@ -211,7 +211,7 @@ class EngineBank:
         try:
             spec = self._specs[station]
             rest, span = spec.archive.starting.rest_n, abs(spec.curve.thrust[-1])
-            settle(hold, throttle, spec.window, self._step, spec.quiet, rest, span)
+            settle(hold, throttle, spec.settling_window, self._step, spec.quiet, rest, span)
         except _bank.FailureError as failure:
             raise self._describe_failure(failure, "before the flight") from failure
         except ResponseError as error:
@@ -282,14 +282,14 @@ class EngineBank:
                 del self._starts[index]
 
     @property
-    def starting(self) -> tuple[int, ...]:
+    def starting_engines(self) -> tuple[int, ...]:
         """Numbers of the engines, counted from 1, whose start has yet to end."""
         return tuple(sorted(station + 1 for index in self._starts for station in self._stations(index)))
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Further outputs that a mapping file adds to the log: :class:`cosim.base.protocols.Shows`."""
-        return logged_columns(self._specs, self._in_flight)
+        return make_log_columns(self._specs, self._in_flight)
 
     @property
     def shown(self) -> tuple[float, ...]:
@@ -303,12 +303,12 @@ class EngineBank:
             getattr(self._last_output, port)[station]
             for station, spec in enumerate(self._specs)
             for port in ASIDE
-            if spec.has(port)
+            if spec.has_port(port)
         ]
         for station, spec in enumerate(self._specs):
             try:
                 instance = self._instances[self._instance_index[station]]
-                values += [instance.read(variable) for _, variable in spec.logged]
+                values += [instance.read(variable) for _, variable in spec.logged_outputs]
             except InstanceError as error:
                 self._native.stop()
                 raise EngineError(f"{self._engine_label(station)}: {error}") from error

@@ -21,7 +21,7 @@ from cosim.base.protocols import Column
 from cosim.base.runtime.pipes import Pipes
 from cosim.base.runtime.processes import Child, die_with_parent, measure_megabytes
 from cosim.base.signals import Ambient, EngineOutput, PerJet
-from cosim.engine.bank import EngineBank, logged_columns
+from cosim.engine.bank import EngineBank, make_log_columns
 from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.engine.spec import EngineSpec
 
@@ -44,10 +44,10 @@ class IsolatedBank:
     def __init__(self, specs: Sequence[EngineSpec], step: float, in_flight: bool = False) -> None:
         self._step, self._count = step, len(specs)
         self._names = ", ".join(dict.fromkeys(spec.path.name for spec in specs))
-        self.wants_ambient = any(spec.has(port) for spec in specs for port in AMBIENT)
-        self._columns = logged_columns(specs, in_flight)
+        self.wants_ambient = any(spec.has_port(port) for spec in specs for port in AMBIENT)
+        self._columns = make_log_columns(specs, in_flight)
         self._in_flight = in_flight
-        self.starting: tuple[int, ...] = ()  # as the bank's; asked for as long as there are any
+        self.starting_engines: tuple[int, ...] = ()  # as the bank's, requested as long as there are any
         self._row, self._answer = _frame_formats(self._count)
         self._no_air = (0.0,) * (3 + self._count)
         self._child, self._pipes = Child.open_pipes(_SERVE)
@@ -70,7 +70,7 @@ class IsolatedBank:
             starting = self._call(("starting",), HANG_S, moment)
             if not isinstance(starting, list) or any(number not in range(1, self._count + 1) for number in starting):
                 raise self._invalid_answer()
-            self.starting = tuple(starting)
+            self.starting_engines = tuple(starting)
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """As the bank's."""
@@ -79,7 +79,7 @@ class IsolatedBank:
         else:
             row = self._row.pack(b"s", k, *throttle, 1.0, ambient[0], ambient[1], *ambient[2])
         output = self._output(self._exchange(row, HANG_S, k))
-        if self.starting:
+        if self.starting_engines:
             self._update_starting(True, k)
         return output
 
@@ -242,7 +242,7 @@ class _Server:
             return _double_answer(list(chain(*bank.run_down(*arguments))))
         if what == "shown":
             return _double_answer(bank.shown)
-        return _json_answer(True, bank.set_run(*arguments) if what == "run" else bank.starting)
+        return _json_answer(True, bank.set_run(*arguments) if what == "run" else bank.starting_engines)
 
 
 def serve(reader: int, writer: int) -> None:

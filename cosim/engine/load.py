@@ -9,13 +9,13 @@ from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.instance import InstanceError
 from cosim.engine.fmu.mapping import is_mapping
 from cosim.engine.fmu.port_kinds import AMBIENT
-from cosim.engine.fmu.ports import PortError, names_several, variables_of_engines
+from cosim.engine.fmu.ports import PortError, expand_engine_variables, has_several_engines
 from cosim.engine.fmu.starting import CONSTANTS
 from cosim.engine.fmu.variables import Variable
 from cosim.engine.measure import EngineMeasurement, measure_once
-from cosim.engine.response import ResponseError, window_for
-from cosim.engine.rundown import OWN, FlameOutLaw, law_of
-from cosim.engine.spec import EngineSource, EngineSpec, Sibling, find_source, need_whole_steps, resolve_parameters
+from cosim.engine.response import ResponseError, settling_window
+from cosim.engine.rundown import MODELLED, FlameOutLaw, make_flame_out_law
+from cosim.engine.spec import EngineSource, EngineSpec, Sibling, check_whole_steps, find_source, resolve_parameters
 
 
 def load_unchecked(
@@ -41,7 +41,7 @@ def load_unchecked(
     """
     source = find_source(name_or_path)
     archive, engine, mapping = source.archive, source.engine, source.mapping
-    need_whole_steps(archive, engine, step)
+    check_whole_steps(archive, engine, step)
     if not any(port in archive.ports for port in AMBIENT):
         air = STANDARD_AIR
     resolved, settings = resolve_parameters(source, parameters)
@@ -71,17 +71,19 @@ def load_unchecked(
         start=measured.start,
         rotor_inertia=engine.rotor_inertia if engine else mapping.rotor.inertia_kg_m2,
         flame_out=_flame_out(source),
-        stated_delay=mapping.ledger.delay_s,
+        specified_delay=mapping.ledger.delay_s,
         mapping=source.path if is_mapping(source.path) else None,
         archive=archive,
         settings=settings,
-        window=window_for(max(measurement.response.delay for measurement in (measured, *measured.others))),
+        settling_window=settling_window(
+            max(measurement.response.delay for measurement in (measured, *measured.others))
+        ),
         quiet=measured.quiet,
         air=air,
         isolated=bool(mapping.isolated),
-        small=measured.small,
-        logged=_logged(source, 0),
-        others=tuple(
+        small_step=measured.small,
+        logged_outputs=_logged(source, 0),
+        siblings=tuple(
             Sibling(other.curve, other.small, _logged(source, slot))
             for slot, other in enumerate(measured.others, start=1)
         ),
@@ -97,9 +99,9 @@ def _logged(source: EngineSource, slot: int) -> tuple[tuple[str, Variable], ...]
     columns = []
     count = len(source.archive.engines)
     for name, variable in source.mapping.log.items():
-        if names_several(variable):
+        if has_several_engines(variable):
             try:
-                outputs = variables_of_engines(f"log.{name}", "output", variable, source.archive.outputs)
+                outputs = expand_engine_variables(f"log.{name}", "output", variable, source.archive.outputs)
             except PortError as error:
                 raise InputError(f"{source.path}: {error}") from error
             if len(outputs) != count:
@@ -124,7 +126,7 @@ def _logged(source: EngineSource, slot: int) -> tuple[tuple[str, Variable], ...]
 
 def _flame_out(source: EngineSource) -> FlameOutLaw | None:
     if "run" in source.archive.ports:
-        return OWN
+        return MODELLED
     if source.engine is not None:
-        return law_of(source.engine.flame_out) if source.engine.flame_out else None
+        return make_flame_out_law(source.engine.flame_out) if source.engine.flame_out else None
     return source.mapping.flame_out.law() if source.mapping.flame_out else None

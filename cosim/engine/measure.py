@@ -22,12 +22,12 @@ from cosim.engine.response import (
     ResponseError,
     RestlessError,
     SmallStep,
+    measure_static_curve,
+    measure_step_response,
     settle,
-    static_curve,
-    step_response,
-    window_for,
+    settling_window,
 )
-from cosim.engine.spec import behaviour_of
+from cosim.engine.spec import make_behaviour_key
 from cosim.engine.ssp.system_instance import make_instance
 
 SMALL_STEP_FROM, SMALL_STEP_SIZE = 0.5, 0.05  # throttle: about where an engine hovers, and away from its limits
@@ -57,7 +57,7 @@ def measure_once(
     small: bool = True,
 ) -> EngineMeasurement:
     """Measure as :func:`measure`, once per process for the same archive, settings and conditions."""
-    key = (*behaviour_of(archive, settings, air), start, step, small)
+    key = (*make_behaviour_key(archive, settings, air), start, step, small)
     return _measured.get(key, lambda: measure(archive, settings, start, step, air=air, small=small))
 
 
@@ -66,7 +66,7 @@ def measure(
     settings: tuple[Setting, ...],
     start: str | None,
     step: float,
-    alive: Callable[[], object] = lambda: None,
+    report_alive: Callable[[], object] = lambda: None,
     air: Air = STANDARD_AIR,
     small: bool = True,
 ) -> EngineMeasurement:
@@ -75,14 +75,14 @@ def measure(
     ``small``: whether a small step is measured too.  Of several engines in one FMU each is measured, while all of them
     have the same throttle.
 
-    An engine that goes on trembling at rest is measured once more with more patience.  ``alive`` is called every now
-    and then while it lasts.
+    An engine that goes on trembling at rest is measured once more with more patience.  ``report_alive`` is called
+    repeatedly meanwhile.
     Raises InstanceError or ResponseError if it fails, never settles or never answers.
     """
     try:
-        return _measure(archive, settings, start, step, alive, NO_CHANGE, air, small)
+        return _measure(archive, settings, start, step, report_alive, NO_CHANGE, air, small)
     except RestlessError:
-        return _measure(archive, settings, start, step, alive, LITTLE_CHANGE, air, small)
+        return _measure(archive, settings, start, step, report_alive, LITTLE_CHANGE, air, small)
 
 
 def _measure(
@@ -90,7 +90,7 @@ def _measure(
     settings: tuple[Setting, ...],
     start: str | None,
     step: float,
-    alive: Callable[[], object],
+    report_alive: Callable[[], object],
     quiet: float,
     air: Air,
     small: bool,
@@ -99,20 +99,22 @@ def _measure(
         instance = make_instance(archive, folder, "measured")
         try:
             instance.initialize(settings, 0.0, air, step=step)
-            native = _bank.Bank([instance.row()], step)
+            native = _bank.Bank([instance.make_row()], step)
             rest = archive.starting.rest_n
             curves = []
             for slot in range(len(archive.engines)):
 
                 def hold(throttle: float, steps: int, slot: int = slot) -> list[float]:
-                    alive()
+                    report_alive()
                     return native.hold(slot, throttle, steps, True)
 
                 at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet, rest)
-                response = step_response(hold, at_rest, 1.0, step, quiet, rest)
-                curve = static_curve(hold, window_for(response.delay), step, quiet, rest)
+                response = measure_step_response(hold, at_rest, 1.0, step, quiet, rest)
+                curve = measure_static_curve(hold, settling_window(response.delay), step, quiet, rest)
                 span = abs(response.after - response.before)
-                small_step = _small_step(hold, window_for(response.delay), step, quiet, rest, span) if small else None
+                small_step = (
+                    _small_step(hold, settling_window(response.delay), step, quiet, rest, span) if small else None
+                )
                 curves.append(EngineMeasurement(curve, response, None, quiet, small_step))
         except _bank.FailureError as failure:
             raise InstanceError(instance.explain(failure, "while its thrust was measured")) from failure
@@ -134,7 +136,7 @@ def _small_step(hold: Hold, window: int, step: float, quiet: float, rest: float,
 
     try:
         before = settle(hold, SMALL_STEP_FROM, window, step, quiet, rest, span)
-        response = step_response(recorded, before, SMALL_STEP_FROM + SMALL_STEP_SIZE, step, quiet, rest)
+        response = measure_step_response(recorded, before, SMALL_STEP_FROM + SMALL_STEP_SIZE, step, quiet, rest)
     except ResponseError:
         return None
     change = response.after - response.before
@@ -159,7 +161,7 @@ def _starts_settled(
     try:
         port = archive.ports["start"]
         first = instance.initialize([*settings, (port.variable, port.value(throttle))], throttle, air, step=step)
-        rest = _bank.Bank([instance.row()], step).hold(0, throttle, window_for(response.delay))
+        rest = _bank.Bank([instance.make_row()], step).hold(0, throttle, settling_window(response.delay))
     except InstanceError:
         return False
     except _bank.FailureError as failure:

@@ -96,7 +96,7 @@ def _restless_error(last: Sequence[float], throttle: float) -> RestlessError:
     )
 
 
-def step_response(
+def measure_step_response(
     hold: Hold, before: float, throttle: float, step: float, quiet: float = NO_CHANGE, rest: float = 0.0
 ) -> Response:
     """Step the throttle of an engine that stands at ``before`` newtons, and follow the thrust until it has settled.
@@ -115,7 +115,7 @@ def step_response(
             )
         thrusts += hold(throttle, 64)
         moved = next((k for k, thrust in enumerate(thrusts) if not _is_constant([before, thrust], quiet, rest)), None)
-    window = window_for(moved)
+    window = settling_window(moved)
     while len(thrusts) < moved + 2 * window or not _has_settled(thrusts, window, quiet, rest):
         if len(thrusts) * step > LONGEST_S + LONGEST_DELAY_S:
             if rest == 0.0 and _is_constant(thrusts[-window:], quiet, quiet * abs(before - thrusts[-1])):
@@ -126,16 +126,16 @@ def step_response(
     if _is_constant([before, after], quiet, rest):
         raise ResponseError("thrust is the same at throttle 0 and 1")
     course = [before, *thrusts]
-    rise = (crossing(course, 0.9, before, after) - crossing(course, 0.1, before, after)) * step
+    rise = (find_crossing(course, 0.9, before, after) - find_crossing(course, 0.1, before, after)) * step
     return Response(moved, rise, before, after)
 
 
-def window_for(delay: int) -> int:
+def settling_window(delay: int) -> int:
     """Return how many steps a thrust must stay constant to count as settled, for an engine's delay in steps."""
     return 2 * delay + 50
 
 
-def static_curve(hold: Hold, window: int, step: float, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
+def measure_static_curve(hold: Hold, window: int, step: float, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
     """Measure the steady thrust at evenly spaced throttles, from full throttle down."""
     throttles = [k / (CURVE_POINTS - 1) for k in range(CURVE_POINTS)]
     thrusts: list[float] = []
@@ -145,13 +145,13 @@ def static_curve(hold: Hold, window: int, step: float, quiet: float = NO_CHANGE,
     return Curve(tuple(throttles), tuple(reversed(thrusts)))
 
 
-def curve_problems(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
+def find_curve_problems(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
     """Return the problems of a static curve, measured to within ``quiet`` of its thrust or ``rest`` N."""
     throttle, thrust = curve
     tolerance = _tolerance(thrust, quiet, rest)
     problems = []
     falls = [k for k in range(1, len(thrust)) if thrust[k] < thrust[k - 1] - tolerance]
-    inner = rising(curve, quiet, rest)
+    inner = trim_flat_ends(curve, quiet, rest)
     stands = [v for v, (f, g) in zip(inner.throttle[1:], pairwise(inner.thrust), strict=True) if g <= f]
     if falls or stands:
         k = falls[0] if falls else throttle.index(stands[0])
@@ -170,7 +170,7 @@ def _tolerance(thrust: Sequence[float], quiet: float, rest: float) -> float:
     return max(rest, 10.0 * quiet * max(1.0, *map(abs, thrust)))
 
 
-def rising(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
+def trim_flat_ends(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
     """Return a static curve without the flat parts at its ends: a dead band, or full thrust before full throttle.
 
     Beyond an end of the remaining curve the engine gives the thrust of that end.
@@ -184,9 +184,9 @@ def rising(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
     return Curve(throttle[first : last + 1], thrust[first : last + 1])
 
 
-def flat_notes(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
+def note_flat_ends(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
     """Return notes on the flat parts at the ends of a static curve."""
-    throttle, thrust = rising(curve, quiet, rest)
+    throttle, thrust = trim_flat_ends(curve, quiet, rest)
     text = "its thrust at rest is the same, {:.4g} N, from throttle {:.4g} to {:.4g}: a flight does not go {} {:.4g}"
     notes = []
     if throttle[0] > curve.throttle[0]:
@@ -208,7 +208,7 @@ def _has_settled(thrusts: Sequence[float], window: int, quiet: float, rest: floa
     return _is_constant(last, quiet, rest) and level
 
 
-def crossing(course: Sequence[float], fraction: float, before: float, after: float) -> float:
+def find_crossing(course: Sequence[float], fraction: float, before: float, after: float) -> float:
     """Return the time [steps] at which a course first reaches a fraction of its change, interpolated linearly."""
     level = [(thrust - before) / (after - before) for thrust in course]
     k = next(k for k, x in enumerate(level) if x >= fraction)

@@ -22,25 +22,25 @@ class FlameOutLaw(NamedTuple):
     ``own``: by its port ``run`` and its own equations.  ``electric``: along its lag.  Else by the law above.
     """
 
-    own: bool = False
-    electric: bool = False
-    left: float = 1.0  # of the thrust, with the fire just out
-    run_down: float = 1.0  # s, until the rotor has half its speed
+    is_modelled: bool = False
+    is_electric: bool = False
+    thrust_left: float = 1.0  # of the thrust, with the fire just out
+    half_speed_s: float = 1.0  # s, until the rotor has half its speed
     exponent: float = 1.0  # of thrust over speed, cold
-    relight: float = 0.0  # s, from the call for a start to idle
+    relight_s: float = 0.0  # s, from the call for a start to idle
 
 
-OWN = FlameOutLaw(own=True)
-ELECTRIC = FlameOutLaw(electric=True)
+MODELLED = FlameOutLaw(is_modelled=True)
+ELECTRIC = FlameOutLaw(is_electric=True)
 
 
-def law_of(stated: Mapping[str, float]) -> FlameOutLaw:
+def make_flame_out_law(table: Mapping[str, float]) -> FlameOutLaw:
     """Return the law that a ``[flame_out]`` table specifies."""
-    if "electric" in stated:
+    if "electric" in table:
         return ELECTRIC
     return FlameOutLaw(
-        left=stated["thrust_left"],
-        run_down=stated["run_down_s"],
-        exponent=stated["exponent"],
-        relight=stated["relight_s"],
+        thrust_left=table["thrust_left"],
+        half_speed_s=table["run_down_s"],
+        exponent=table["exponent"],
+        relight_s=table["relight_s"],
     )

@@ -26,10 +26,10 @@ from cosim.engine.library import (
     EngineDefinition,
     archive_path,
     build_all,
-    engine_folders,
+    list_engines,
     read_engine,
 )
-from cosim.engine.response import NO_CHANGE, Curve, SmallStep, rising
+from cosim.engine.response import NO_CHANGE, Curve, SmallStep, trim_flat_ends
 from cosim.engine.rundown import FlameOutLaw
 from cosim.engine.ssp.parameter_set import read_parameter_set
 from cosim.engine.ssp.system import SUFFIX, is_system, read_system
@@ -39,8 +39,8 @@ class Sibling(NamedTuple):
     """The data of a further engine in the same FMU."""
 
     curve: Curve
-    small: SmallStep | None
-    logged: tuple[tuple[str, Variable], ...]
+    small_step: SmallStep | None
+    logged_outputs: tuple[tuple[str, Variable], ...]
 
 
 @dataclass(frozen=True)
@@ -65,21 +65,21 @@ class EngineSpec:
     start: str | None  # the parameter that starts the engine in equilibrium at a throttle
     rotor_inertia: float  # kg m^2, about the jet's axis; 0 where it is not known
     flame_out: FlameOutLaw | None  # how it goes out; None where nobody knows
-    stated_delay: float | None  # s, from a mapping file
+    specified_delay: float | None  # s, from a mapping file
     mapping: Path | None  # the mapping file it was loaded by
     archive: Archive = field(repr=False)
     settings: tuple[Setting, ...] = field(repr=False)
-    window: int = field(repr=False)  # communication steps, longer than the engine's delay
+    settling_window: int = field(repr=False)  # communication steps, longer than the engine's delay
     quiet: float = field(default=NO_CHANGE, repr=False)  # to what share of itself the thrust stands still at rest
     air: Air = STANDARD_AIR  # in which the curve was measured
     isolated: bool = False  # it asks for a process of its own
-    small: SmallStep | None = (
+    small_step: SmallStep | None = (
         None  # how late it is to a small step, as measured at the control step; None: see Measured
     )
-    logged: tuple[tuple[str, Variable], ...] = ()  # further outputs, by what they are called in the log
+    logged_outputs: tuple[tuple[str, Variable], ...] = ()  # further outputs, by what they are called in the log
     slot: int = 0  # which of the engines that its FMU holds, from 0
-    others: tuple[Sibling, ...] = field(default=(), repr=False)  # of the first one: those that are held with it
-    misbehaves: str = ""  # what a check found that it does to its process, for which it has one of its own
+    siblings: tuple[Sibling, ...] = field(default=(), repr=False)  # of the first one: those that are held with it
+    misbehaviour: str = ""  # what a check found that it does to its process, for which it has one of its own
     uncertainty: Uncertainty | None = field(default=None, repr=False)  # of its parameters, from a mapping file
 
     @property
@@ -99,34 +99,41 @@ class EngineSpec:
         stated = without_uncertainty(self.mapping.read_bytes()) if self.mapping else b""
         return hashlib.sha256(self.identity.encode() + stated).hexdigest()
 
-    def owns(self, model_sha256: str) -> bool:
+    def matches_model(self, model_sha256: str) -> bool:
         """Return whether a model with this engine hash, or an empty one, may be of this engine."""
         return self.library or model_sha256 in ("", self.fingerprint)
 
     @property
-    def source(self) -> tuple[Hashable, ...]:
+    def source_key(self) -> tuple[Hashable, ...]:
         """Origin of the engine: equal for all engines of one FMU."""
         return self.path, self.mapping, self.settings
 
     @property
-    def shared(self) -> tuple[Hashable, ...]:
+    def instance_key(self) -> tuple[Hashable, ...]:
         """Everything besides its inputs that the behaviour of the FMU's instance depends on."""
-        return *behaviour_of(self.archive, self.settings, self.air), self.start, self.window, self.quiet
+        return *make_behaviour_key(self.archive, self.settings, self.air), self.start, self.settling_window, self.quiet
 
     @property
-    def behaviour(self) -> tuple[Hashable, ...]:
+    def behaviour_key(self) -> tuple[Hashable, ...]:
         """Everything besides its inputs that the behaviour of the engine depends on."""
-        return *self.shared, self.slot
+        return *self.instance_key, self.slot
 
-    def at(self, station: int) -> EngineSpec:
+    def at_station(self, station: int) -> EngineSpec:
         """Return the engine of a station, counted from 0; those of a multi-engine FMU alternate."""
         slot = station % len(self.archive.engines)
         if slot == self.slot:
             return self
         if self.slot:
             raise ValueError(f"engine {self.slot + 1} of {self.path.name} does not serve station {station + 1}")
-        other = self.others[slot - 1]
-        return replace(self, slot=slot, curve=other.curve, small=other.small, logged=other.logged, others=())
+        other = self.siblings[slot - 1]
+        return replace(
+            self,
+            slot=slot,
+            curve=other.curve,
+            small_step=other.small_step,
+            logged_outputs=other.logged_outputs,
+            siblings=(),
+        )
 
     @property
     def family(self) -> str:
@@ -142,23 +149,23 @@ class EngineSpec:
         """The engine's variables with their conversions, by port name."""
         return self.archive.engines[self.slot]
 
-    def has(self, port: str) -> bool:
+    def has_port(self, port: str) -> bool:
         """Return whether the engine has a port, such as ``ambient_pressure``, ``run`` or ``fuel_flow``."""
         return port in self.ports
 
     @property
-    def delay(self) -> float | None:
+    def transport_delay(self) -> float | None:
         """Transport delay [s]."""
-        if self.stated_delay is not None:
-            return self.stated_delay
+        if self.specified_delay is not None:
+            return self.specified_delay
         if self.delay_samples is None or self.internal_step is None:
             return None
         return self.delay_samples * self.internal_step
 
     @property
-    def rising(self) -> Curve:
+    def rising_curve(self) -> Curve:
         """The part of the static curve on which thrust grows with the throttle."""
-        return rising(self.curve, self.quiet, self.archive.starting.rest_n)
+        return trim_flat_ends(self.curve, self.quiet, self.archive.starting.rest_n)
 
     @property
     def lag(self) -> float | None:
@@ -175,9 +182,9 @@ class EngineSpec:
         return thrusts[k - 1] + (thrusts[k] - thrusts[k - 1]) * min(max(fraction, 0.0), 1.0)
 
 
-def engine_names() -> list[str]:
+def list_engine_names() -> list[str]:
     """Return the shipped engines' names; each exists as FMI 3.0, and with ``-fmi2`` appended as FMI 2.0."""
-    return engine_folders(data_folder("engines"))
+    return list_engines(data_folder("engines"))
 
 
 def build_engines(names: list[str] | None = None) -> list[Path]:
@@ -198,7 +205,7 @@ def _read(path: Path, ports: PortMap | None = None) -> Archive:
 _definitions: Memory[EngineDefinition] = Memory(64)
 
 
-def behaviour_of(archive: Archive, settings: tuple[Setting, ...], air: Air) -> tuple[Hashable, ...]:
+def make_behaviour_key(archive: Archive, settings: tuple[Setting, ...], air: Air) -> tuple[Hashable, ...]:
     """Return a key of everything that the response of an FMU with these settings in this air depends on."""
     values = tuple((variable.name, value.hex()) for variable, value in settings)
     ports = tuple(tuple(sorted(engine_ports.items())) for engine_ports in archive.engines)
@@ -247,7 +254,7 @@ def find_source(name_or_path: str) -> EngineSource:
     name = name_or_path.removesuffix(FMI2_SUFFIX)
     folder = data_folder("engines") / name
     if not (folder / "engine.toml").is_file():
-        allowed = nearest(name, engine_names())
+        allowed = nearest(name, list_engine_names())
         raise InputError(
             f"unknown engine {name_or_path!r}; {allowed}, or the path of an .fmu or .ssp, or of a .toml that maps one"
         )
@@ -269,13 +276,13 @@ def _definition(folder: Path) -> EngineDefinition:
         raise InputError(str(error)) from error
 
 
-def need_whole_steps(archive: Archive, engine: EngineDefinition | None, step: float) -> None:
+def check_whole_steps(archive: Archive, engine: EngineDefinition | None, step: float) -> None:
     """Raise InputError for a communication step that is no multiple of the engine's clocks and internal step."""
     if archive.system is not None:
         for component in archive.system.components:
-            need_whole_steps(component.archive, None, step)
+            check_whole_steps(component.archive, None, step)
     for clock in archive.clocks:
-        if clock.grid(step, archive.substeps(step)) is None:
+        if clock.count_substeps(step, archive.substeps(step)) is None:
             raise InputError(
                 f"{archive.path}: its clock {clock.name} ticks every {clock.interval:g} s"
                 + (f" from {clock.shift:g} s on" if clock.shift else "")

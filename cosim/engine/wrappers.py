@@ -27,15 +27,15 @@ _LONGEST_RESTART_S = 120.0
 class EngineEffect:
     """An effect on one engine: it changes the throttle before it, and thrust [N] and speed [rad/s] behind it."""
 
-    burns: bool = True  # False: it takes no fuel
+    burns_fuel: bool = True  # False: it takes no fuel
 
-    def throttle(self, command: float) -> float:
+    def change_throttle(self, command: float) -> float:
         return command
 
-    def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
+    def change_output(self, thrust: float, speed: float) -> tuple[float, float]:
         return thrust, speed
 
-    def light(self) -> None:
+    def relight(self) -> None:
         """Start from the next step on."""
 
 
@@ -45,7 +45,7 @@ class _StuckThrottle(EngineEffect):
     def __init__(self, at: float | None) -> None:
         self._at = at
 
-    def throttle(self, command: float) -> float:
+    def change_throttle(self, command: float) -> float:
         if self._at is None:
             self._at = command
         return self._at
@@ -58,7 +58,7 @@ class _ThrottleDelay(EngineEffect):
         self._queue: deque[float] = deque()
         self._samples = samples
 
-    def throttle(self, command: float) -> float:
+    def change_throttle(self, command: float) -> float:
         queue = self._queue
         queue.append(command)
         return queue.popleft() if len(queue) > self._samples else queue[0]
@@ -71,7 +71,7 @@ class _SlowSpool(EngineEffect):
         self._fraction = fraction
         self._value: float | None = None
 
-    def throttle(self, command: float) -> float:
+    def change_throttle(self, command: float) -> float:
         value = command if self._value is None else self._value
         self._value = value + self._fraction * (command - value)
         return self._value
@@ -83,17 +83,17 @@ class _ThrustLoss(EngineEffect):
     def __init__(self, fraction: float) -> None:
         self._fraction = fraction
 
-    def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
+    def change_output(self, thrust: float, speed: float) -> tuple[float, float]:
         return thrust * self._fraction, speed * sqrt(self._fraction)
 
 
 class _ClosedThrottle(EngineEffect):
     """Shut off without a port for it: throttle 0, and no thrust at once."""
 
-    def throttle(self, command: float) -> float:
+    def change_throttle(self, command: float) -> float:
         return 0.0
 
-    def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
+    def change_output(self, thrust: float, speed: float) -> tuple[float, float]:
         return 0.0, speed
 
 
@@ -103,16 +103,16 @@ class _UnpoweredFan(EngineEffect):
     def __init__(self, left: float) -> None:
         self._left = left
         self._factor = 1.0
-        self.burns = False
+        self.burns_fuel = False
 
-    def throttle(self, command: float) -> float:
-        return command if self.burns else 0.0
+    def change_throttle(self, command: float) -> float:
+        return command if self.burns_fuel else 0.0
 
-    def light(self) -> None:
-        self.burns = True
+    def relight(self) -> None:
+        self.burns_fuel = True
 
-    def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
-        target = 1.0 if self.burns else 0.0
+    def change_output(self, thrust: float, speed: float) -> tuple[float, float]:
+        target = 1.0 if self.burns_fuel else 0.0
         self._factor = target + self._left * (self._factor - target)
         return thrust * self._factor, speed * sqrt(self._factor)
 
@@ -132,31 +132,31 @@ class _Rundown(EngineEffect):
         self._steps_since_start = -1  # steps since it was called to start; -1 while it is not
         self._thrust = 0.0
         self._speed = 0.0
-        self.burns = False  # has its command again
+        self.burns_fuel = False  # has its command again
 
-    def light(self) -> None:
+    def relight(self) -> None:
         """Start from the next step on; at once if the law has no time for it."""
         self._steps_since_start = 0
-        self.burns = self._law.relight <= 0.0
+        self.burns_fuel = self._law.relight_s <= 0.0
 
-    def throttle(self, command: float) -> float:
-        return command if self.burns or not self._steps_out else 0.0
+    def change_throttle(self, command: float) -> float:
+        return command if self.burns_fuel or not self._steps_out else 0.0
 
-    def deliver(self, thrust: float, speed: float) -> tuple[float, float]:
-        if self.burns:
+    def change_output(self, thrust: float, speed: float) -> tuple[float, float]:
+        if self.burns_fuel:
             return thrust, speed
         if not self._steps_out:
             self._thrust, self._speed = thrust, speed
         self._steps_out += 1
         law = self._law
-        slowed = 1.0 / (1.0 + self._steps_out * self._step / law.run_down)
-        cold, turning = self._thrust * law.left * slowed**law.exponent, self._speed * slowed
+        slowed = 1.0 / (1.0 + self._steps_out * self._step / law.half_speed_s)
+        cold, turning = self._thrust * law.thrust_left * slowed**law.exponent, self._speed * slowed
         if self._steps_since_start < 0:
             return cold, turning
         self._steps_since_start += 1
-        fraction = self._steps_since_start * self._step / law.relight
+        fraction = self._steps_since_start * self._step / law.relight_s
         if fraction >= 1.0:
-            self.burns = True
+            self.burns_fuel = True
             fraction = 1.0
         return cold + fraction * (thrust - cold), turning + fraction * (speed - turning)
 
@@ -214,7 +214,7 @@ class EngineChain:
         self._idle = output.thrust
         return output
 
-    def stop(self) -> EngineOutput:
+    def shut_off_all(self) -> EngineOutput:
         """Shut every engine off right after the reset, as if it had not run yet.  Raises EngineError."""
         self.off = frozenset(range(len(self._laws)))
         for index in range(len(self._laws)):
@@ -223,7 +223,7 @@ class EngineChain:
         return self._apply_effects(self.bank.run_down(_RUN_DOWN_S))
 
     @property
-    def restarting(self) -> tuple[int, ...]:
+    def restarting_engines(self) -> tuple[int, ...]:
         """The engines, counted from 1, that were switched on again and are not back at the thrust of the start."""
         return tuple([index + 1 for index in sorted(self._restarts)])
 
@@ -238,9 +238,9 @@ class EngineChain:
         if self._shut_off or self._effects:
             throttles = list(throttle)
             for i, effect in self._shut_off.items():
-                throttles[i] = effect.throttle(throttles[i])
+                throttles[i] = effect.change_throttle(throttles[i])
             for i, _, effect in self._effects:
-                throttles[i] = effect.throttle(throttles[i])
+                throttles[i] = effect.change_throttle(throttles[i])
             throttle = tuple(throttles)
         if self._delay:
             self._queue.append(throttle)
@@ -270,15 +270,15 @@ class EngineChain:
             return output
         thrust, speed, flow = list(output.thrust), list(output.spool_speed), list(output.fuel_flow)
         for i, _, effect in self._effects:
-            thrust[i], speed[i] = effect.deliver(thrust[i], speed[i])
-            if not effect.burns:
+            thrust[i], speed[i] = effect.change_output(thrust[i], speed[i])
+            if not effect.burns_fuel:
                 flow[i] *= 0.0
         for i, effect in self._shut_off.items():
-            thrust[i], speed[i] = effect.deliver(thrust[i], speed[i])
+            thrust[i], speed[i] = effect.change_output(thrust[i], speed[i])
             flow[i] = 0.0
         return self._with_thrust(output, thrust, tuple(speed), tuple(flow))
 
-    def switch(self, index: int, on: bool) -> None:
+    def switch_engine(self, index: int, on: bool) -> None:
         """Shut one engine off, or on again, before the next step; ``index`` from 0.  Raises EngineError.
 
         An engine that has a fault of its own is not switched on: it stays what the fault makes of it.
@@ -299,9 +299,9 @@ class EngineChain:
     def _run_down(self, index: int, cold: bool = False) -> EngineEffect:
         """Return the effect of an engine without a port ``run`` that is shut off; ``cold``: it has not run yet."""
         law = self._laws[index]
-        return _ClosedThrottle() if law is None or law.electric else _Rundown(law, self._step, cold)
+        return _ClosedThrottle() if law is None or law.is_electric else _Rundown(law, self._step, cold)
 
-    def begin(self, fault: EngineFault) -> None:
+    def begin_fault(self, fault: EngineFault) -> None:
         """Let ``fault`` act from the next step on."""
         self._acting.append(fault)
         for jet in fault.jet:
@@ -322,12 +322,12 @@ class EngineChain:
             return _SlowSpool(1.0 - exp(-self._step / fault.lag_s))
         law = self._laws[i]
         assert law is not None  # the fault schedule refuses a flame-out of such an engine
-        if not law.electric:
+        if not law.is_electric:
             return _Rundown(law, self._step)
         lag = self._lag(i)
         return _UnpoweredFan(exp(-self._step / lag) if lag > 0.0 else 0.0)
 
-    def end(self, fault: EngineFault) -> None:
+    def end_fault(self, fault: EngineFault) -> None:
         """End ``fault`` at the next step; an engine that went out is lit again, if nothing keeps it out."""
         self._acting = [acting for acting in self._acting if acting is not fault]
         if not isinstance(fault, FlameOut):
@@ -335,7 +335,7 @@ class EngineChain:
             return
         for _, owner, effect in self._effects:
             if owner is fault:
-                effect.light()
+                effect.relight()
         out = [i for i, owner in self._flamed_out if owner is fault]
         self._flamed_out = [entry for entry in self._flamed_out if entry[1] is not fault]
         still_out = {i for i, _ in self._flamed_out} | self.off

@@ -105,7 +105,7 @@ class PendingRequest(NamedTuple):
     sender: str
     request: GroundRequest
     answer: AnswerCallback  # answers the sender
-    until: float  # s, of the exchange's clock
+    deadline: float  # s, of the exchange's clock
 
 
 class Exchange:
@@ -181,25 +181,25 @@ class Exchange:
     # --- for the flight ------------------------------------------------------------------------------------------
 
     @property
-    def waiting(self) -> int:
+    def request_count(self) -> int:
         """Number of requests that wait now."""
         with self._lock:
             return sum(len(queue) for queue in self._queues.values())
 
-    def take(self, most: int) -> list[PendingRequest]:
-        """Take the next requests out of the queues, ``most`` of them at most, one sender after the other."""
+    def take_requests(self, limit: int) -> list[PendingRequest]:
+        """Take the next requests out of the queues, ``limit`` of them at most, one sender after the other."""
         if not self._queues:
             return []
         taken: list[PendingRequest] = []
         late: list[PendingRequest] = []
         now = self.clock()
         with self._lock:
-            while self._queues and len(taken) < most:
+            while self._queues and len(taken) < limit:
                 # one request of the first sender, which goes to the end of the row
                 sender = next(iter(self._queues))
                 queue = self._queues.pop(sender)
                 waiting, claim = queue.popleft()
-                (taken if now <= waiting.until and claim() else late).append(waiting)
+                (taken if now <= waiting.deadline and claim() else late).append(waiting)
                 if queue:
                     self._queues[sender] = queue
         for waiting in late:
@@ -241,7 +241,7 @@ class Port:
         self.unsubscribe = exchange.subscribe(self._on_publish)
 
     def ask(self, request: GroundRequest, reply: AnswerCallback | None = None, sender: str = "") -> None:
-        """Queue a request for the vehicle; ``reply`` gets exactly one answer, from :meth:`collect`."""
+        """Queue a request for the vehicle; ``reply`` gets exactly one answer, from :meth:`deliver_answers`."""
         sender = sender or self.name
         if reply is None:
             self._exchange.ask(request, sender=sender)
@@ -253,7 +253,7 @@ class Port:
             request, lambda answer: self._queue_answer(number, answer), sender, until, lambda: self._withdraw(number)
         )
 
-    def collect(self, now: float) -> None:
+    def deliver_answers(self, now: float) -> None:
         """Hand out the answers that have come, and answer the requests that the flight has not taken in time.
 
         A request that the flight has taken is answered when it is decided.
@@ -267,7 +267,7 @@ class Port:
             if self._withdraw(number):
                 self._replies.pop(number)(Answer(False, Result.FAILED, "the flight does not answer"))
 
-    def messages(self) -> list[Message]:
+    def take_messages(self) -> list[Message]:
         """Return the messages that are new since the last call."""
         new = [message for message in self._messages if message.number > self._last_message]
         self._last_message = new[-1].number if new else self._last_message

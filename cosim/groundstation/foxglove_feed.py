@@ -14,7 +14,7 @@ REDRAW_S = 1.0  # between two drawings of what stands still: as long a viewer th
 PORT = 8766  # beside the page's
 
 
-def address(text: str, public: bool) -> tuple[str, int]:
+def parse_address(text: str, public: bool) -> tuple[str, int]:
     """Return host and port of ``[HOST:]PORT``.  Raises InputError, also for the network without ``public``."""
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or int(port) > 65535:

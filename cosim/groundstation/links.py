@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from cosim.base.errors import InputError
 from cosim.control.autopilot.modes import Severity
 from cosim.groundstation.exchange import Exchange, FlightInfo, Port, Restart, Shutdown
-from cosim.groundstation.mavlink.services.ftp import Bytes, File, FileService
-from cosim.groundstation.mavlink.services.logs import LOG_FOLDER, LogService, LogStore, finished_runs
+from cosim.groundstation.mavlink.services.ftp import File, FileService, MemoryFile
+from cosim.groundstation.mavlink.services.logs import LOG_FOLDER, LogService, LogStore, find_finished_runs
 from cosim.groundstation.mavlink.services.metadata import Metadata
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.params import ParameterService
@@ -53,7 +53,7 @@ class Links:
             raise InputError(f"--system {system}: must be from 1 to {most}; ground stations have the ids above")
         self.exchange = Exchange()
         self.system = system
-        self.endpoints = [endpoint.parse(url, public) for url in urls or endpoint.default(system)]
+        self.endpoints = [endpoint.parse_endpoint(url, public) for url in urls or endpoint.default_urls(system)]
         self._personality = personality
         signing = None if sign_key is None else Signing(read_key(sign_key))
         self._exchange_port = Port(self.exchange, "mavlink")
@@ -72,9 +72,9 @@ class Links:
                 self._page = WebServer(self.exchange, web)
                 self._page.start()
             if foxglove is not None:
-                from cosim.groundstation.foxglove_feed import FoxgloveFeed, address
+                from cosim.groundstation.foxglove_feed import FoxgloveFeed, parse_address
 
-                self._foxglove = FoxgloveFeed(self.exchange, *address(foxglove, public))
+                self._foxglove = FoxgloveFeed(self.exchange, *parse_address(foxglove, public))
                 self._foxglove.start()
         except BaseException:
             self.close()
@@ -89,12 +89,12 @@ class Links:
         ]
 
     @property
-    def page(self) -> str | None:
+    def page_url(self) -> str | None:
         """URL of the page; None without one."""
         return self._page.url if self._page is not None else None
 
     @property
-    def foxglove(self) -> str | None:
+    def foxglove_url(self) -> str | None:
         """URL of the server for Foxglove; None without one."""
         return self._foxglove.url if self._foxglove is not None else None
 
@@ -104,7 +104,7 @@ class Links:
         return sum(peer.last_heard >= 0.0 for peer in self.link.peers)
 
     @property
-    def counts(self) -> dict[str, Any]:
+    def frame_counts(self) -> dict[str, Any]:
         """Counts of frames taken, of frames and requests refused by reason, and of failures here."""
         link = self.link
         return {
@@ -130,7 +130,7 @@ class Links:
         if self._log_store is not None:
             self._log_store.mark_outdated()
 
-    def read_only(self) -> ReadOnlyObserver:
+    def make_read_only_observer(self) -> ReadOnlyObserver:
         """Return an observer that shows a flight on these links and refuses every request."""
         return ReadOnlyObserver(self.exchange, self.begin)
 
@@ -157,7 +157,7 @@ class Links:
         self.close()
 
     def _start(self, info: FlightInfo) -> None:
-        constants = vehicle_info(info, self._personality, self.system)
+        constants = make_vehicle_constants(info, self._personality, self.system)
         vehicle = self._vehicle = MavlinkVehicle(
             constants, self._exchange_port, self.link, shutdown_requests=(Restart(), Shutdown())
         )
@@ -168,7 +168,7 @@ class Links:
         metadata = Metadata(info.parameters, constants.name, constants.version)
         log_store = self._log_store = LogStore(self._runs)
 
-        files = Files({path: Bytes(data) for path, data in metadata.files.items()}, log_store)
+        files = Files({path: MemoryFile(data) for path, data in metadata.files.items()}, log_store)
         exchange = self.exchange
         missions = MissionService(
             lambda: exchange.snapshot.mission if exchange.snapshot else (),
@@ -189,7 +189,7 @@ class Links:
         """Return the finished runs of sessions in the same folder, the oldest first."""
         if self._folder is None:
             return []
-        return [run for run in finished_runs(self._folder.parent) if (run / REQUESTS).exists()]
+        return [run for run in find_finished_runs(self._folder.parent) if (run / REQUESTS).exists()]
 
 
 class Files(Mapping[str, File]):
@@ -211,7 +211,7 @@ class Files(Mapping[str, File]):
         return len(self._ready) + len(self._log_store.files())
 
 
-def vehicle_info(info: FlightInfo, personality: Personality, system: int = 1) -> VehicleConstants:
+def make_vehicle_constants(info: FlightInfo, personality: Personality, system: int = 1) -> VehicleConstants:
     """Return what the telemetry needs to know of a vehicle."""
     vehicle, sensors = info.vehicle, info.vehicle.sensors
     return VehicleConstants(

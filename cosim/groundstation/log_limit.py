@@ -15,7 +15,7 @@ LIMIT_MB = 2000.0  # two hours of flight at 250 Hz; chosen by us
 _WARN_AT = 0.8  # of it
 
 
-def hourly_mb(info: FlightInfo) -> float:
+def estimate_hourly_mb(info: FlightInfo) -> float:
     """Return how many megabytes the log of an hour's flight has."""
     columns = log_columns(logged_vehicle(info.vehicle), info.columns)
     return BYTES * len(columns) * 3600.0 / info.scenario.step_s / MEGABYTE
@@ -34,18 +34,18 @@ class LogLimit:
         self.rows = 0  # recorded so far
 
     @property
-    def full(self) -> bool:
+    def is_full(self) -> bool:
         """Whether the log has its size, so that nothing more is recorded."""
         return self._most is not None and self.rows >= self._most
 
     def observe(self, sample: Sample) -> None:
         """Record the sample while there is room for it."""
-        if self.full:
+        if self.is_full:
             return
         self._recording.observe(sample)
         self.rows += 1
         if self._most is not None and self._limit_mb is not None:
             if self.rows == max(1, int(_WARN_AT * self._most)):
                 self._say(f"the log has {_WARN_AT * self._limit_mb:g} MB, and ends at {self._limit_mb:g} MB")
-            if self.full:
+            if self.is_full:
                 self._say(f"the log has {self._limit_mb:g} MB and ends here, the flight goes on")

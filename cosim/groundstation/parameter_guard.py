@@ -36,10 +36,10 @@ class StabilityChecker(Protocol):
     def prepare(self) -> None:
         """Compute what every verdict needs, so that the first one is as quick as the others."""
 
-    def concerns(self, name: str) -> bool:
+    def tunes_loop(self, name: str) -> bool:
         """Return whether a parameter tunes a loop that can be computed."""
 
-    def cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
+    def find_cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
         """Return a caution for every loop that a change makes worse."""
 
 
@@ -61,7 +61,7 @@ class ParameterGuard:
     def defer(self, waiting: PendingRequest) -> bool:
         """Defer a change that tunes a loop until :meth:`take_verdicts` returns it; False: it tunes none."""
         request = waiting.request
-        if self.checker is None or not isinstance(request, SetParameter) or not self.checker.concerns(request.name):
+        if self.checker is None or not isinstance(request, SetParameter) or not self.checker.tunes_loop(request.name):
             return False
         if len(self._deferred) >= MOST_DEFERRED:
             waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "too many parameters at once"))
@@ -74,9 +74,11 @@ class ParameterGuard:
 
         ``now`` [s] is of the clock of :attr:`Waiting.until`.
         """
-        if late := [waiting for waiting in self._deferred if now > waiting.until]:
-            self._deferred = deque(waiting for waiting in self._deferred if now <= waiting.until)
-            if any(now > waiting.until for waiting in self._batch):  # the other verdicts assume that this one is taken
+        if late := [waiting for waiting in self._deferred if now > waiting.deadline]:
+            self._deferred = deque(waiting for waiting in self._deferred if now <= waiting.deadline)
+            if any(
+                now > waiting.deadline for waiting in self._batch
+            ):  # the other verdicts assume that this one is taken
                 self._batch, self._verdict = [], None
             return [(waiting, None) for waiting in late]
         if self._verdict is None and self._deferred:
@@ -116,7 +118,7 @@ class ParameterGuard:
         assert self.checker is not None
         verdicts: list[list[Caution]] = []
         for before, after in steps:
-            verdicts.append(self.checker.cautions(before, after))
+            verdicts.append(self.checker.find_cautions(before, after))
             if any(caution.was_stable for caution in verdicts[-1]):
                 break
         return verdicts
@@ -190,9 +192,9 @@ def find_saved_cautions(
     """Return cautions for the loops that saved values, as far as they are taken, make worse than the defaults."""
     default = {line.name: line.default for line in parameters}
     after = {**default, **split_allowed(parameters, values)[0]}
-    if checker is None or not any(checker.concerns(name) for name in after if after[name] != default[name]):
+    if checker is None or not any(checker.tunes_loop(name) for name in after if after[name] != default[name]):
         return []
-    return checker.cautions(default, after)
+    return checker.find_cautions(default, after)
 
 
 def describe_saved(checker: StabilityChecker | None, parameters: Parameters, values: Mapping[str, float]) -> list[str]:

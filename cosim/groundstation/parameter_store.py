@@ -18,14 +18,14 @@ _FORMAT = 1
 _HEAD = "# What differs from the defaults; written by hexjet gcs.\n"
 
 
-def vehicle_key(scenario: Scenario) -> str:
+def make_vehicle_key(scenario: Scenario) -> str:
     """Return the key of the parameters' file: another engine or controller has other defaults."""
     engine = Path(scenario.engine).stem if is_file(scenario.engine) else scenario.engine
     designs = [f"{Path(f.file).stem}-{f.sha256[:SHORT]}" for f in scenario.parameter_files if f.kind == "design"]
     return "-".join([scenario.aircraft_name, engine, folder_name(scenario.controller), *map(folder_name, designs)])
 
 
-def default_file(vehicle: str) -> Path:
+def find_default_file(vehicle: str) -> Path:
     """Return the default file of a vehicle's parameters, in the platform's folder for settings."""
     import click
 

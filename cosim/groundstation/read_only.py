@@ -15,7 +15,7 @@ from cosim.control.autopilot.parameters import Parameters, table
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.control.autopilot.status import Status
 from cosim.groundstation.exchange import Exchange, FlightInfo
-from cosim.groundstation.session_flight import PUBLISH_EVERY, flight_info, pass_on, snapshot_of
+from cosim.groundstation.session_flight import PUBLISH_EVERY, forward_messages, make_flight_info, make_snapshot
 from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 
@@ -32,7 +32,7 @@ class ReadOnlyObserver:
     def __call__(self, simulation: Simulation, pace: Pace, folder: Path | None, factor: float | None) -> _ReadOnlyFeed:
         pilot = simulation.pilot if isinstance(simulation.pilot, Autopilot) else None
         parameters = pilot.parameters if pilot else _list_parameters(simulation)
-        info = flight_info(simulation, 1, parameters, folder, factor)
+        info = make_flight_info(simulation, 1, parameters, folder, factor)
         self._on_begin(info)
         return _ReadOnlyFeed(simulation, pilot, info, pace, self._exchange)
 
@@ -54,14 +54,14 @@ class _ReadOnlyFeed:
             return
         self._last = now
         exchange, simulation, pilot = self._exchange, self._simulation, self._pilot
-        for waiting in exchange.take(_REQUESTS_PER_SAMPLE):
+        for waiting in exchange.take_requests(_REQUESTS_PER_SAMPLE):
             waiting.answer(Answer(False, Result.DENIED, "this flight follows its script"))
         if pilot is not None:
-            self._last_message = pass_on(pilot, exchange, self._last_message)
+            self._last_message = forward_messages(pilot, exchange, self._last_message)
         status = scripted_status(simulation, sample) if pilot is None else pilot.status
         mission = tuple(pilot.mission.items) if pilot else ()
         exchange.publish(
-            snapshot_of(simulation, self._info, sample, status, self._pace.report, exchange.clock(), None, mission)
+            make_snapshot(simulation, self._info, sample, status, self._pace.report, exchange.clock(), None, mission)
         )
 
 

@@ -40,13 +40,13 @@ from cosim.groundstation.parameter_guard import (
     report_saved,
     warn,
 )
-from cosim.groundstation.parameter_store import vehicle_key
-from cosim.groundstation.session_flight import Publisher, SessionFlight, flight_info, pass_on
+from cosim.groundstation.parameter_store import make_vehicle_key
+from cosim.groundstation.session_flight import Publisher, SessionFlight, forward_messages, make_flight_info
 from cosim.results.run import REQUESTS, Run, claim_folder
 from cosim.simulation.build import build
 from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace
-from cosim.simulation.with_autopilot import with_autopilot
+from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 
 LONGEST_S = 86_400.0  # of one flight that has no planned end: a day
@@ -73,9 +73,9 @@ class RecordOptions:
 class Session:
     """Flights on request, each recorded in a folder of its own.
 
-    ``factor``: of real time, None as fast as it goes.  ``parameters``: a TOML file that parameters are read from, and
-    written to whenever one is changed.  ``duration`` [s of flight] ends the session; without it :meth:`stop` does.
-    ``on_begin`` is called when a flight's folder is there, ``on_end`` when a flight is done with.
+    ``factor``: of real time, None as fast as it goes.  ``parameter_file``: a TOML file that parameters are read
+    from, and written to whenever one is changed.  ``duration`` [s of flight] ends the session; without it :meth:`stop`
+    does.  ``on_begin`` is called when a flight's folder is there, ``on_end`` when a flight is done with.
     Raises InputError for a scenario that cannot be flown, and for a file of parameters that cannot be used.
     """
 
@@ -85,13 +85,13 @@ class Session:
         exchange: Exchange,
         *,
         factor: float | None = 1.0,
-        parameters: Path | None = None,
+        parameter_file: Path | None = None,
         duration: float | None = None,
         records: RecordOptions = RecordOptions(),
         on_begin: Callable[[FlightInfo], None] = lambda info: None,
         on_end: Callable[[], None] = lambda: None,
     ) -> None:
-        self.scenario = ground_scenario(scenario, duration)
+        self.scenario = make_ground_scenario(scenario, duration)
         self.exchange = exchange
         self.factor = factor
         self.duration = duration
@@ -99,7 +99,7 @@ class Session:
         self._records = records
         self._on_begin, self._on_end = on_begin, on_end
         self._parameters = ParameterWriter(
-            parameters, vehicle_key(scenario), lambda text: exchange.say(Severity.WARNING, text)
+            parameter_file, make_vehicle_key(scenario), lambda text: exchange.say(Severity.WARNING, text)
         )
         self._guard = ParameterGuard()
         self._stopping = ""
@@ -114,7 +114,7 @@ class Session:
         return self._next.info
 
     @property
-    def parameters(self) -> Path | None:
+    def parameter_file(self) -> Path | None:
         """File in which parameters are saved; None: they last for the session alone."""
         return self._parameters.path
 
@@ -160,8 +160,8 @@ class Session:
         number = len(self.runs) + 1
         simulation = build(self.scenario)
         try:
-            pilot = with_autopilot(simulation)
-            info = flight_info(simulation, number, pilot.parameters, self._folder(number), self.factor)
+            pilot = attach_autopilot(simulation)
+            info = make_flight_info(simulation, number, pilot.parameters, self._folder(number), self.factor)
         except BaseException:
             simulation.close()
             raise
@@ -185,7 +185,7 @@ class Session:
         recording = flight.begin(self._records.log_mb)
         assert flight.pilot_record is not None
         # These requests were meant for the previous flight.
-        while flight.info.number > 1 and (late := [*self._guard.take_remaining(), *exchange.take(1)]):
+        while flight.info.number > 1 and (late := [*self._guard.take_remaining(), *exchange.take_requests(1)]):
             for waiting in late:
                 waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "a new flight begins"))
         self._parameters.restore(flight.set_parameter)
@@ -195,7 +195,7 @@ class Session:
         report_saved(exchange.say, self._guard.checker, parameters, parameters.changed())
         flight.publish(None, None)
         self._guard.prepare()  # when every file is open: while a library loads the process may be in another folder
-        with steady():
+        with steady_timing():
             started = time.perf_counter()
             try:
                 observers: list[Observer] = [recording, flight.pilot_record, Publisher(flight)]
@@ -205,7 +205,7 @@ class Session:
             except FlightError as error:  # a log cannot be written: the disk is full, say
                 ending = Ending("failed", str(error))
             wall = time.perf_counter() - started
-        flight.last_message = pass_on(flight.pilot, exchange, flight.last_message)
+        flight.last_message = forward_messages(flight.pilot, exchange, flight.last_message)
         if ending.outcome == "completed":
             exchange.say(Severity.INFO, f"flight over: {ending.reason}", simulation.k)
         else:
@@ -222,7 +222,7 @@ class Session:
             return Ending("completed", f"{self._stopping}{' in the air' if in_air else ''}")
         until = 0.0
         for _ in range(_REQUESTS_PER_STEP):
-            taken = self.exchange.take(1)
+            taken = self.exchange.take_requests(1)
             if not taken:
                 break
             until = until or time.perf_counter() + _REQUEST_TIME
@@ -288,7 +288,7 @@ class Session:
             left = max(0.0, self.duration - flight.simulation.k * flight.simulation.dt)
             deadline = time.monotonic() + (left / self.factor if self.factor else 0.0)
         while not (self._restart or self._stopping) and (deadline is None or time.monotonic() < deadline):
-            for waiting in [w for w in exchange.take(_REQUESTS_PER_STEP) if not self._guard.defer(w)]:
+            for waiting in [w for w in exchange.take_requests(_REQUESTS_PER_STEP) if not self._guard.defer(w)]:
                 answer = Answer(False, Result.FAILED, f"the flight is over: {ending.reason}")
                 if isinstance(waiting.request, (Restart, Shutdown)):
                     answer = self._end_or_restart(waiting.request, waiting.sender, is_armed=False)
@@ -316,7 +316,7 @@ class Session:
         return answer
 
 
-def ground_scenario(scenario: Scenario, duration: float | None) -> Scenario:
+def make_ground_scenario(scenario: Scenario, duration: float | None) -> Scenario:
     """Return the scenario with its vehicle on the ground, and an autopilot in place of its commands."""
     watched = scenario.resolved_vehicle()[0].control.monitor
     heading = scenario.initial.attitude_deg[2]
@@ -347,7 +347,7 @@ def parse_place(text: str) -> dict[str, float]:
 
 
 @contextmanager
-def steady() -> Iterator[None]:
+def steady_timing() -> Iterator[None]:
     """Keep a paced flight steady: no long collections of garbage, and threads that give way soon."""
     previous = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)

@@ -86,7 +86,7 @@ class SessionFlight:
     def publish(self, sample: Sample | None, ending: Ending | None) -> None:
         """Publish a snapshot of the flight."""
         exchange = self.exchange
-        self.last_message = pass_on(self.pilot, exchange, self.last_message)
+        self.last_message = forward_messages(self.pilot, exchange, self.last_message)
         self.sample = sample or self.sample
         simulation, status = self.simulation, self.pilot.status
         if ending is not None:
@@ -97,7 +97,9 @@ class SessionFlight:
             )
         mission = tuple(self.pilot.mission.items)
         exchange.publish(
-            snapshot_of(simulation, self.info, self.sample, status, self.pace.report, exchange.clock(), ending, mission)
+            make_snapshot(
+                simulation, self.info, self.sample, status, self.pace.report, exchange.clock(), ending, mission
+            )
         )
 
     def finish(self, ending: Ending, wall: float, report: bool) -> Run:
@@ -105,7 +107,7 @@ class SessionFlight:
         assert self.recording is not None
         self.close_record()
         steps, reason = self.simulation.k, ending.reason
-        if self.log_limit.full and self.log_limit.rows < steps:
+        if self.log_limit.is_full and self.log_limit.rows < steps:
             steps = self.log_limit.rows
             reason = f"{reason}; the log ends at {steps * self.simulation.dt:g} s, where it had its size"
         self.recording.shorten(steps)
@@ -150,12 +152,12 @@ class Publisher:
         if missed:
             self._flight.exchange.say(
                 Severity.WARNING,
-                f"{missed} deadlines missed in {_WARN_EVERY:g} s, latest by {1e3 * report.worst:.1f} ms",
+                f"{missed} deadlines missed in {_WARN_EVERY:g} s, latest by {1e3 * report.longest_delay:.1f} ms",
                 self._flight.simulation.k,
             )
 
 
-def snapshot_of(
+def make_snapshot(
     simulation: Simulation,
     info: FlightInfo,
     sample: Sample | None,
@@ -172,7 +174,7 @@ def snapshot_of(
     return Snapshot(published, info, k, time, sample, state, measured, status, pace, ending, mission, diagnostics)
 
 
-def pass_on(pilot: Autopilot, exchange: Exchange, after: int) -> int:
+def forward_messages(pilot: Autopilot, exchange: Exchange, after: int) -> int:
     """Pass on the autopilot's messages after number ``after``, and return the number of its last one."""
     messages = pilot.messages
     if messages and messages[-1].number > after:
@@ -183,7 +185,7 @@ def pass_on(pilot: Autopilot, exchange: Exchange, after: int) -> int:
     return after
 
 
-def flight_info(
+def make_flight_info(
     simulation: Simulation, number: int, parameters: Parameters, folder: Path | None, factor: float | None
 ) -> FlightInfo:
     """Return a flight's constant data, known before its first step."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from cosim.base.errors import InputError, nearest
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.engine import engine_names
+from cosim.engine import list_engine_names
 from cosim.results.metrics import metric_names
-from cosim.simulation.controllers.source import names as own_controllers
-from cosim.simulation.plugins import metrics_of
+from cosim.simulation.controllers.source import list_installed as own_controllers
+from cosim.simulation.plugins import load_metrics
 from cosim.spec.controller_name import file_name
 from cosim.spec.scenario import Expectation, Scenario
 from cosim.spec.vehicle import aircraft_names, is_aircraft_path, is_file
@@ -29,13 +29,13 @@ def check_expected(scenario: Scenario) -> None:
                     raise InputError(f"{where}.{key}: unknown {name!r}; {nearest(name, allowed)}")
         if not is_file(entry.engine):
             plain = entry.engine.removesuffix("-fmi2")
-            if plain not in engine_names():
-                raise InputError(f"{where}.engine: unknown {entry.engine!r}; {nearest(plain, engine_names())}")
+            if plain not in list_engine_names():
+                raise InputError(f"{where}.engine: unknown {entry.engine!r}; {nearest(plain, list_engine_names())}")
 
 
 def allowed_metric_names(scenario: Scenario) -> list[str]:
     """Return the names of the built-in metrics and of the scenario's own.  Raises InputError."""
-    return [*metric_names(), *(name for metric in metrics_of(scenario) for name in metric.names)]
+    return [*metric_names(), *(name for metric in load_metrics(scenario) for name in metric.names)]
 
 
 def _controllers_like(controller: str) -> list[str]:

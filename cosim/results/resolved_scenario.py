@@ -49,7 +49,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
     controller: dict[str, Any] = _plugin_names(simulation.plugins, files)
     if custom is not None:
         controller |= {"controller": copy_controller(custom, files), "controller_sha256": custom.sha256 or None}
-        custom_parameters = custom.values(scenario.controller_parameters, "controller_parameters")
+        custom_parameters = custom.resolve_values(scenario.controller_parameters, "controller_parameters")
         controller["controller_parameters"] = _floats(custom_parameters)
     aircraft, vehicle, names = copy_aircraft(simulation, files)
     engine, jets = simulation.engine, simulation.vehicle.jets
@@ -65,7 +65,7 @@ def resolve(simulation: Simulation) -> tuple[Scenario, dict[str, Path | bytes]]:
             "stations": {
                 str(number): Station(engine=names[id(station)], parameters=_floats(station.parameters))
                 for number, station in enumerate(simulation.stations, 1)
-                if station.source != engine.source or jets[number - 1].engine is not None
+                if station.source_key != engine.source_key or jets[number - 1].engine is not None
             },
             "aircraft": aircraft,
             "expect": [
@@ -141,7 +141,7 @@ def copy_vehicle(aircraft: str, folder: Path, files: dict[str, Path | bytes]) ->
         engine: None for engine in (vehicle.engine, *(jet.engine for jet in vehicle.jets)) if engine and is_file(engine)
     }
     step, sources = vehicle.control_step, [location / engine for engine in changes]
-    specs = {source.resolve(): load_engine(str(source), {}, step, apart=True) for source in sources}
+    specs = {source.resolve(): load_engine(str(source), {}, step, isolated=True) for source in sources}
     names = engine_files(list(specs.values()), files)
     table = _with_engines(table, location, {source: names[id(spec)] for source, spec in specs.items()})
     written[f"{vehicle.name}-{VEHICLE}"] = toml_text(_written(table)).encode()
@@ -181,7 +181,7 @@ def copy_controller(source: Source, files: dict[str, Path | bytes]) -> str:
 
     Raises InputError where another file has the name of one that it imports.
     """
-    named = file_name(source.name) or FileName("", source.name, "") if source.files and source.copied else None
+    named = file_name(source.name) or FileName("", source.name, "") if source.files and source.is_copied else None
     if named is None:
         return source.name
     first, *others = source.files.items()

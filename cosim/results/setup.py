@@ -24,10 +24,10 @@ from cosim.results.summary import (
     now,
     versions,
 )
-from cosim.simulation.controllers.controller_file import design_notes
+from cosim.simulation.controllers.controller_file import list_design_notes
 from cosim.simulation.controllers.source import OBJECT
-from cosim.simulation.model_agreement import flight_notes
-from cosim.simulation.notes import idle_notes, step_notes
+from cosim.simulation.model_agreement import list_model_notes
+from cosim.simulation.notes import note_few_substeps, note_settings_without_effect
 from cosim.simulation.step import Simulation
 from cosim.spec.controller_name import file_name, label
 from cosim.spec.scenario import FlownParameters, Scenario, flown_parameters
@@ -100,10 +100,10 @@ def setup_of(simulation: Simulation, resolved: Scenario, notes: bool = True) -> 
 def _notes(simulation: Simulation, flown: Sequence[FlownParameters]) -> list[str]:
     scenario, vehicle = simulation.scenario, simulation.vehicle
     return [
-        *design_notes(flown, simulation.engine),
-        *flight_notes(scenario, vehicle, simulation.engine),
-        *idle_notes(scenario, vehicle, simulation.stations),
-        *step_notes(scenario),
+        *list_design_notes(flown, simulation.engine),
+        *list_model_notes(scenario, vehicle, simulation.engine),
+        *note_settings_without_effect(scenario, vehicle, simulation.stations),
+        *note_few_substeps(scenario),
     ]
 
 
@@ -118,7 +118,7 @@ def _own_controller(simulation: Simulation) -> OwnController | None:
         sha256=source.sha256,
         files=source.hashes,
         version=source.version,
-        parameters=source.values(scenario.controller_parameters, "controller_parameters"),
+        parameters=source.resolve_values(scenario.controller_parameters, "controller_parameters"),
         again=not source.name.startswith(OBJECT),
     )
 
@@ -156,7 +156,7 @@ def reach(simulation: Simulation) -> Reach:
 def _station(spec: EngineSpec, reference: EngineSpec) -> StationEngine:
     curve = () if spec is reference else tuple(zip(spec.curve.throttle, spec.curve.thrust, strict=True))
     file = "" if spec.library else (spec.mapping or spec.path).name
-    return StationEngine(engine=spec.name, sha256=spec.sha256, curve=curve, file=file, apart=spec.misbehaves)
+    return StationEngine(engine=spec.name, sha256=spec.sha256, curve=curve, file=file, apart=spec.misbehaviour)
 
 
 def _engine_hashes(specs: Sequence[EngineSpec]) -> dict[str, str]:

@@ -298,9 +298,9 @@ def summarize(
         else Pacing(
             factor=pace.factor,
             missed_deadlines=pace.missed,
-            worst_s=pace.worst,
+            worst_s=pace.longest_delay,
             stalls=pace.stalls,
-            lost_s=pace.lost,
+            lost_s=pace.postponed,
         ),
         metrics=metrics.axes,
         altitude=metrics.altitude,
@@ -324,7 +324,7 @@ def _evaluate(metrics: Sequence[CustomMetric], log: Log, step_s: float) -> tuple
     failed = []
     for custom_metric in metrics if len(log) else ():
         try:
-            values |= custom_metric.of(log, step_s)
+            values |= custom_metric.compute(log, step_s)
         except (FlightError, InputError) as error:
             failed.append(str(error))
     return values, failed

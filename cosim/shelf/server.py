@@ -36,11 +36,11 @@ from cosim.groundstation.web.loopback import (
     has_token_query,
     is_token,
     listen,
+    make_response,
     quiet_logger,
     refuse_non_websocket,
     refuse_unknown_host,
     refuse_without_token,
-    response,
 )
 from cosim.shelf.index import Shelf
 
@@ -117,7 +117,7 @@ class ShelfServer:
         if path == "/live":
             return refuse_non_websocket(request)
         if path == "/favicon.ico":  # asked for by a page in a sandbox, as if from elsewhere
-            return response(HTTPStatus.NO_CONTENT, b"", resource_policy="cross-origin")
+            return make_response(HTTPStatus.NO_CONTENT, b"", resource_policy="cross-origin")
         if has_token_query(request, self._token):
             nonce = f"'nonce-{self._nonce}'"
             policy = (
@@ -125,7 +125,7 @@ class ShelfServer:
                 f"connect-src ws://127.0.0.1:{self.port} ws://localhost:{self.port}; base-uri 'none'; "
                 "form-action 'none'; frame-ancestors 'none'"
             )
-            return response(HTTPStatus.OK, self._page(), TYPES["html"], policy)
+            return make_response(HTTPStatus.OK, self._page(), TYPES["html"], policy)
         runs, _, rest = path.removeprefix("/").partition("/")
         key, _, name = rest.partition("/")
         if runs != "run" or not is_token(key, self._key):
@@ -153,7 +153,7 @@ class ShelfServer:
         if alone and ending in PAGES:
             return self._frame(path.name)
         resource_policy = "cross-origin" if ending in ASSETS else "same-origin"
-        answer = response(HTTPStatus.OK, body, TYPES[ending], self._policy(), resource_policy)
+        answer = make_response(HTTPStatus.OK, body, TYPES[ending], self._policy(), resource_policy)
         del answer.headers["X-Frame-Options"]  # the policy says whose frame it may be in
         answer.headers["X-DNS-Prefetch-Control"] = "off"
         return answer
@@ -166,7 +166,7 @@ class ShelfServer:
             f"default-src 'none'; frame-src {self._runs()}; style-src 'nonce-{nonce}'; img-src data:; base-uri 'none'; "
             "form-action 'none'; frame-ancestors 'none'"
         )
-        return response(HTTPStatus.OK, page.encode(), TYPES["html"], policy)
+        return make_response(HTTPStatus.OK, page.encode(), TYPES["html"], policy)
 
     def _policy(self) -> str:
         """Return the content policy of a run's page: it may load what is in it, and files of runs."""
@@ -243,4 +243,4 @@ def _parse_message(text: str | bytes) -> dict[str, Any]:
 
 
 def _not_found() -> Response:
-    return response(HTTPStatus.NOT_FOUND, b"Not found.\n")
+    return make_response(HTTPStatus.NOT_FOUND, b"Not found.\n")

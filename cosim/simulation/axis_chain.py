@@ -20,7 +20,7 @@ from cosim.base.protocols import Allocator
 from cosim.base.signals import ZERO3, Vector3
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.engine import EngineSpec
-from cosim.simulation.engine_reference import around_trim
+from cosim.simulation.engine_reference import measure_small_steps
 from cosim.spec.vehicle import Hinge, Servo, Surface, Vehicle
 from cosim.vehicle.effects.hinges import HingeReactions
 from cosim.vehicle.effects.rotors import RotorDynamics
@@ -39,17 +39,17 @@ class AxisPart:
 
     servos: tuple[Servo | Hinge, ...]  # () for the engines
     moves: tuple[float, ...]  # by which each goes per command; () for the engines
-    share: float
-    kick_s2: float = 0.0
+    fraction: float
+    reaction_s2: float = 0.0
     lead_s: float = 0.0
 
-    def shape(self, step: float) -> tuple[float, float, float]:
+    def compute_weights(self, step: float) -> tuple[float, float, float]:
         """Return by how much the part acts by its actuators' answer of this step and of the two before."""
-        lead, kick = self.lead_s / step, self.kick_s2 / (step * step)
-        return (self.share + lead + kick, -lead - 2.0 * kick, kick)
+        lead, kick = self.lead_s / step, self.reaction_s2 / (step * step)
+        return (self.fraction + lead + kick, -lead - 2.0 * kick, kick)
 
 
-class AxisShares(NamedTuple):
+class AxisFractions(NamedTuple):
     """Shares of a small angular acceleration about an axis, which add up to 1, and the moves that give it.
 
     ``thrusts`` and ``servos``: the share of each jet's thrust, and of each hinge and surface or of each bank's servo.
@@ -62,7 +62,7 @@ class AxisShares(NamedTuple):
     moves: list[float]
 
 
-def axis_shares(vehicle: Vehicle, allocator: Allocator, index: int) -> AxisShares:
+def compute_axis_fractions(vehicle: Vehicle, allocator: Allocator, index: int) -> AxisFractions:
     """Return what turns a vehicle about an axis in hover, each part for itself; nothing but zeros where nothing does.
 
     ``index``: 0 roll, 1 pitch, 2 yaw; ``allocator``: the one that it is flown with.
@@ -71,15 +71,15 @@ def axis_shares(vehicle: Vehicle, allocator: Allocator, index: int) -> AxisShare
     if isinstance(allocator, EffectivenessAllocator):
         moves, effects = allocator.unit_changes(index)
         shares = [move * effect for move, effect in zip(moves, effects, strict=True)]
-        return AxisShares(shares[:jets], shares[jets:], moves)
-    if not by_throttle(vehicle, index):
-        return AxisShares([0.0] * jets, [1.0 / len(SERVOS)] * len(SERVOS), [])
+        return AxisFractions(shares[:jets], shares[jets:], moves)
+    if not is_turned_by_throttle(vehicle, index):
+        return AxisFractions([0.0] * jets, [1.0 / len(SERVOS)] * len(SERVOS), [])
     arms = levers(vehicle, index)
     total = sum(abs(arm) for arm in arms)
     if not total:
-        return AxisShares([0.0] * jets, [0.0] * len(servos_of(vehicle)), [])
+        return AxisFractions([0.0] * jets, [0.0] * len(list_servos(vehicle)), [])
     moves = [] if vehicle.servo else thrust_moves(vehicle, index)
-    return AxisShares([abs(arm) / total for arm in arms], [0.0] * len(servos_of(vehicle)), moves)
+    return AxisFractions([abs(arm) / total for arm in arms], [0.0] * len(list_servos(vehicle)), moves)
 
 
 def thrust_moves(vehicle: Vehicle, index: int) -> list[float]:
@@ -89,17 +89,17 @@ def thrust_moves(vehicle: Vehicle, index: int) -> list[float]:
     return [per_newton * ((arm > 0.0) - (arm < 0.0)) for arm in arms]
 
 
-def thrust_lead(vehicle: Vehicle, engine: EngineSpec, index: int, step: float) -> float:
-    """Return :func:`rotor_lead` about an axis that thrusts alone give, of one engine everywhere; 0 with banks."""
+def thrust_momentum_lead(vehicle: Vehicle, engine: EngineSpec, index: int, step: float) -> float:
+    """Return :func:`rotor_momentum_lead` about an axis that thrusts alone give, with one engine; 0 with banks."""
     jets = len(vehicle.jets)
     if vehicle.servo is not None or not any(levers(vehicle, index)):
         return 0.0
     hover = [vehicle.mass_kg * GRAVITY / jets] * jets
-    return rotor_lead(vehicle, [engine] * jets, hover, thrust_moves(vehicle, index), step)[index]
+    return rotor_momentum_lead(vehicle, [engine] * jets, hover, thrust_moves(vehicle, index), step)[index]
 
 
-def servos_of(vehicle: Vehicle) -> list[Servo | Hinge | Surface]:
-    """Return the servos of a vehicle in the order of :class:`AxisShares`."""
+def list_servos(vehicle: Vehicle) -> list[Servo | Hinge | Surface]:
+    """Return the servos of a vehicle in the order of :class:`AxisFractions`."""
     if vehicle.servo is not None:
         return [vehicle.servo] * len(SERVOS)
     return [*vehicle.hinges, *vehicle.surfaces]
@@ -135,13 +135,13 @@ def axis_gain(vehicle: Vehicle, index: int, span_n: float) -> float:
 def axis_moment(vehicle: Vehicle, index: int, span_n: float) -> float:
     """Return the moment at rest [N m] of one unit of an axis' command, of banks and rotors; see :func:`axis_gain`."""
     jets = vehicle.jets
-    if by_throttle(vehicle, index):
+    if is_turned_by_throttle(vehicle, index):
         return sum(abs(lever) for lever in levers(vehicle, index)) * span_n
     thrust = vehicle.mass_kg * GRAVITY / len(jets)  # of hover, turned
     return abs(sum(jet.position_m[2] if index == 1 else abs(jet.position_m[1]) for jet in jets)) * thrust
 
 
-def by_throttle(vehicle: Vehicle, index: int) -> bool:
+def is_turned_by_throttle(vehicle: Vehicle, index: int) -> bool:
     """Return whether throttles turn the axis of a vehicle with banks or rotors, and not the banks' servos."""
     return index == 0 or vehicle.servo is None
 
@@ -157,7 +157,7 @@ def bank_reaction(vehicle: Vehicle, index: int, moment: float, step: float) -> f
     return float(copysign(2.0 * vehicle.servo.bank_inertia_kg_m2 / (moment * step * step), height))
 
 
-def hinged_parts(
+def list_hinged_parts(
     vehicle: Vehicle, allocator: EffectivenessAllocator, index: int, engine: EngineSpec, step: float
 ) -> list[AxisPart]:
     """Return what gives an axis of the allocation ``effectiveness`` in hover: the engines, then hinges by their lag.
@@ -166,7 +166,7 @@ def hinged_parts(
     """
     moves, effects = allocator.unit_changes(index)
     jets = len(vehicle.jets)
-    kicks = hinge_kicks(vehicle, step)[:, index]
+    kicks = compute_hinge_reactions(vehicle, step)[:, index]
     engines, thrusts = [engine] * jets, allocator.solve_hover(ZERO3)[0][:jets]
 
     def part(movers: Sequence[int], servos: tuple[Hinge, ...]) -> AxisPart:
@@ -176,7 +176,7 @@ def hinged_parts(
             tuple([moves[k] for k in movers]) if servos else (),
             sum([moves[k] * effects[k] for k in movers]),
             sum([moves[k] * kicks[k - jets] for k in movers]) if servos else 0.0,
-            step * rotor_lead(vehicle, engines, thrusts, own, step)[index],
+            step * rotor_momentum_lead(vehicle, engines, thrusts, own, step)[index],
         )
 
     parts = [part(range(jets), ())]
@@ -186,7 +186,7 @@ def hinged_parts(
     return parts
 
 
-def rotor_lead(
+def rotor_momentum_lead(
     vehicle: Vehicle, engines: Sequence[EngineSpec], thrusts: Sequence[float], moves: Sequence[float], step: float
 ) -> Vector3:
     """Return how a command turns the vehicle by its rotors' momentum: by so much of its change in a control step.
@@ -211,7 +211,9 @@ def rotor_lead(
     if not rotors.is_active or not any(moves):
         return ZERO3
     around = [
-        around_trim(engine, float(np.interp(thrust, engine.rising.thrust, engine.rising.throttle)), step)
+        measure_small_steps(
+            engine, float(np.interp(thrust, engine.rising_curve.thrust, engine.rising_curve.throttle)), step
+        )
         if engine.rotor_inertia
         else None
         for engine, thrust in zip(engines, thrusts, strict=True)
@@ -227,7 +229,7 @@ def rotor_lead(
     return (float(x) / SMALL, float(y) / SMALL, float(z) / SMALL)
 
 
-def hinge_kicks(vehicle: Vehicle, step: float) -> Array:
+def compute_hinge_reactions(vehicle: Vehicle, step: float) -> Array:
     """Return the body's angular acceleration per rad/s^2 of each hinge from rest, one row a hinge: its reaction."""
     reactions = HingeReactions(vehicle.hinges, vehicle.jets, step)
     small, rows = 1e-6, []
@@ -240,7 +242,7 @@ def hinge_kicks(vehicle: Vehicle, step: float) -> Array:
     return np.array(rows).reshape(-1, 3)
 
 
-def turning(
+def discretise_rate(
     damping_1_s: float, step: float, substeps: int, shape: Sequence[float] = (1.0, 0.0, 0.0)
 ) -> tuple[tuple[float, ...], float]:
     """Return what JSBSim's runs make of a moment: shares of this step's and of those before, and the rate's pole.
@@ -261,7 +263,7 @@ def turning(
 
 
 def rate_response(z: Complex, shares: Sequence[float], pole: float) -> Complex:
-    """Return the response of the rate to a moment, per step and unit of inertia, as :func:`turning` has it."""
+    """Return the response of the rate to a moment, per step and unit of inertia, as :func:`discretise_rate` has it."""
     now, before, *earlier = shares
     moment = now * z + before
     for k, share in enumerate(earlier, 1):
@@ -274,7 +276,7 @@ def filter_pole(filter_s: float, step: float) -> float:
     return exp(-step / filter_s) if filter_s > 0.0 else 0.0
 
 
-def measuring(z: Complex, pole: float, latency: int, hold: int = 1) -> Complex:
+def measurement_response(z: Complex, pole: float, latency: int, hold: int = 1) -> Complex:
     """Return the response of measured rate to rate: low-pass, latency, and the mean effect of a kept measurement."""
     hold_response = (1.0 - z**-hold) / (hold * (1.0 - 1.0 / z)) if hold > 1 else 1.0
     return np.asarray((1.0 - pole) * z / (z - pole) * z**-latency * hold_response)

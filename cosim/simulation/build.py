@@ -10,20 +10,20 @@ from cosim.base.frames import from_euler, rotate
 from cosim.base.protocols import Sensors
 from cosim.base.runtime import kernels
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.simulation.code import need_trust_of
+from cosim.simulation.code import check_scenario_trust
 from cosim.simulation.controllers.built_in import make_cascade
-from cosim.simulation.controllers.plugged import Plugged, find_controller, own_parameters
+from cosim.simulation.controllers.plugged import PluggedController, find_controller, resolve_parameters
 from cosim.simulation.controllers.source import Source
-from cosim.simulation.delay_ledger import delay_ledger
+from cosim.simulation.delay_ledger import make_delay_ledger
 from cosim.simulation.ending import TerminationCheck
-from cosim.simulation.engines import engines_of, flown_engines, make_engines
+from cosim.simulation.engines import flown_engines, load_engines, make_engines
 from cosim.simulation.plugins import load_plugins
-from cosim.simulation.script.commander import Commander
-from cosim.simulation.script.disturber import Disturber
+from cosim.simulation.script.commander import CommandScript
+from cosim.simulation.script.disturber import DisturbanceScript
 from cosim.simulation.script.fault_schedule import FaultSchedule
-from cosim.simulation.script.mismatch import as_flown
+from cosim.simulation.script.mismatch import apply_mismatch
 from cosim.simulation.step import Blocks, Simulation
-from cosim.simulation.with_places import place_pilot
+from cosim.simulation.with_places import make_guided_pilot
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.airframe import Airframe, standing_height, start_height
@@ -38,28 +38,28 @@ def build(scenario: Scenario, controller: Source | None = None) -> Simulation:
 
     Raises InputError for anything in scenario, vehicle, engine or controller that does not fit, or is not trusted.
     """
-    need_trust_of(scenario)
+    check_scenario_trust(scenario)
     kernels.warn_of_other_kernels()
     controller = controller or find_controller(scenario)
-    parameters = own_parameters(scenario, controller)
+    parameters = resolve_parameters(scenario, controller)
     plugins = load_plugins(scenario)
     scenario.count(scenario.duration_s, "duration_s")
     vehicle, folder = scenario.resolved_vehicle()
     _need_tank(scenario, vehicle)
     _need_height_above_ground(scenario, vehicle)
     PREDICTORS.check(vehicle.control.predictor, f"scenario {scenario.name}: vehicle.control.predictor")
-    engine, *stations = specs = engines_of(scenario, vehicle)
+    engine, *stations = specs = load_engines(scenario, vehicle)
     step, environment, seed = scenario.step_s, scenario.environment, scenario.seed
-    flown = as_flown(vehicle, scenario.mismatch)
+    flown = apply_mismatch(vehicle, scenario.mismatch)
     flown_stations = flown_engines(scenario, vehicle, stations)
     effects = make_effects(vehicle, flown, flown_stations, step)
     spinning = any(isinstance(effect, RotorDynamics) for effect in effects)
     with ExitStack() as stack:
         plugged = None
         if controller is not None:
-            plugged = Plugged(controller, parameters, scenario, vehicle, engine, stations)
+            plugged = PluggedController(controller, parameters, scenario, vehicle, engine, stations)
             stack.callback(plugged.close)
-            plugged.make()
+            plugged.make_block()
         cascade = make_cascade(scenario, vehicle, engine, stations, plugged)
         airframe = Airframe(flown, folder, environment, step, scenario.substeps, seed, spinning)
         stack.callback(airframe.close)
@@ -69,17 +69,17 @@ def build(scenario: Scenario, controller: Source | None = None) -> Simulation:
         suite: Sensors = SensorSuite(vehicle.sensors, step, seed, scenario.sensor_noise)
         sensors = FaultySensors(suite if plugins.sensors is None else plugins.sensors(suite))
         height = start_height(flown, scenario.initial)
-        commander = Commander(scenario, height)
+        commander = CommandScript(scenario, height)
         flies_ahead = _has_speed_command(scenario, vehicle, commander)
         simulation = Simulation(
             Blocks(
                 scenario=scenario,
                 vehicle=vehicle,
                 specs=specs,
-                ledger=delay_ledger(scenario, vehicle, flown_stations, cascade.allocator, flies_ahead),
-                commander=commander,
-                pilot=place_pilot(scenario, vehicle, commander, cascade),
-                disturber=Disturber(scenario),
+                ledger=make_delay_ledger(scenario, vehicle, flown_stations, cascade.allocator, flies_ahead),
+                command_script=commander,
+                pilot=make_guided_pilot(scenario, vehicle, commander, cascade),
+                disturbances=DisturbanceScript(scenario),
                 cascade=cascade,
                 propulsion=propulsion,
                 airframe=airframe,
@@ -103,7 +103,7 @@ def build(scenario: Scenario, controller: Source | None = None) -> Simulation:
         return simulation
 
 
-def _has_speed_command(scenario: Scenario, vehicle: Vehicle, commander: Commander) -> bool:
+def _has_speed_command(scenario: Scenario, vehicle: Vehicle, commander: CommandScript) -> bool:
     """Return whether a speed ahead is asked for.  Raises InputError where no law flies ahead."""
     flies_ahead = "ahead_m_s" in commander.signals
     if flies_ahead and vehicle.control.wing is None:

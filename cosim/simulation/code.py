@@ -16,24 +16,24 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import is_aircraft_path, is_file, load_vehicle
 
 
-def need_trust_of(scenario: Scenario) -> None:
+def check_scenario_trust(scenario: Scenario) -> None:
     """Refuse a scenario that names code which the user does not trust.  Raises CodeRefusedError."""
-    need_trust(scenario_code(scenario), f"scenario {scenario.name}")
+    need_trust(list_scenario_code(scenario), f"scenario {scenario.name}")
 
 
-def scenario_code(scenario: Scenario) -> list[Code]:
+def list_scenario_code(scenario: Scenario) -> list[Code]:
     """Return the files that a scenario names and that run: of its controller, its own blocks and its engines.
 
     What cannot be read is left out: whatever loads it says what is wrong.
     """
     blocks = [scenario.controller, *scenario.metrics, *scenario.observers, scenario.sensors, scenario.wind]
-    code = [item for name in blocks if name for item in block_code(name, scenario.folder)]
+    code = [item for name in blocks if name for item in list_block_code(name, scenario.folder)]
     engines = [scenario.engine, *(station.engine for station in scenario.stations.values())]
-    code += [item for engine in engines if engine for item in engine_code(engine, scenario.folder)]
-    return list(dict.fromkeys([*code, *aircraft_code(scenario.aircraft, scenario.folder)]))
+    code += [item for engine in engines if engine for item in list_engine_code(engine, scenario.folder)]
+    return list(dict.fromkeys([*code, *list_aircraft_code(scenario.aircraft, scenario.folder)]))
 
 
-def aircraft_code(aircraft: str, folder: Path, with_engine: bool = False) -> list[Code]:
+def list_aircraft_code(aircraft: str, folder: Path, with_engine: bool = False) -> list[Code]:
     """Return the code of the engines at single jets of an aircraft; ``with_engine``: and of the one for all."""
     if not is_aircraft_path(aircraft):
         return []
@@ -42,10 +42,10 @@ def aircraft_code(aircraft: str, folder: Path, with_engine: bool = False) -> lis
     except InputError:
         return []
     engines = [vehicle.engine if with_engine else None, *(jet.engine for jet in vehicle.jets)]
-    return [item for engine in dict.fromkeys(engines) if engine for item in engine_code(engine, own_folder)]
+    return [item for engine in dict.fromkeys(engines) if engine for item in list_engine_code(engine, own_folder)]
 
 
-def engine_code(engine: str, folder: Path) -> list[Code]:
+def list_engine_code(engine: str, folder: Path) -> list[Code]:
     """Return what an engine runs that is no shipped one; a file is seen from ``folder``."""
     if is_file(engine):
         with suppress(InputError, OSError):
@@ -53,7 +53,7 @@ def engine_code(engine: str, folder: Path) -> list[Code]:
     return []
 
 
-def block_code(name: str, folder: Path) -> list[Code]:
+def list_block_code(name: str, folder: Path) -> list[Code]:
     """Return what a controller or another block of the user's runs; a file is seen from ``folder``."""
     parsed = file_name(name)
     if parsed is None:

@@ -5,10 +5,10 @@ frequency goes to 0, with the integration from moment to rate taken as ideal (-9
 transport delays and lags add up, so the sum can be measured: after a step of command at step 0 the rate grows along
 ``K T (k + 1/2 - D)``, and ``D`` is the sum.
 
-The rows follow what turns the vehicle in hover (:func:`cosim.simulation.axis_chain.axis_shares`): thrusts with their
-engines, or servos with their banks or hinges.  Where different ones of a kind share an axis, a row states their mean,
-weighted by their shares: in that limit this is the delay of the axis, while the slowest alone would state more than can
-be measured.
+The rows follow what turns the vehicle in hover (:func:`cosim.simulation.axis_chain.compute_axis_fractions`): thrusts
+with their engines, or servos with their banks or hinges.  Where different ones of a kind share an axis, a row states
+their mean, weighted by their shares: in that limit this is the delay of the axis, while the slowest alone would state
+more than can be measured.
 
 What thrusts give beside servos, or servos beside thrusts, is not in the sum while it is at most :data:`BESIDE` of the
 axis: with a share ``w`` of it the phase is within ``asin(w / (1 - w))``, 3 deg, of the sum at every frequency.
@@ -34,8 +34,14 @@ from cosim.base.protocols import Allocator
 from cosim.base.signals import AXES, ZERO3
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.engine import EngineSpec
-from cosim.simulation.axis_chain import AxisShares, axis_shares, filter_pole, rotor_lead, servos_of
-from cosim.simulation.engine_reference import AroundTrim, around_trim
+from cosim.simulation.axis_chain import (
+    AxisFractions,
+    compute_axis_fractions,
+    filter_pole,
+    list_servos,
+    rotor_momentum_lead,
+)
+from cosim.simulation.engine_reference import SmallStepResponse, measure_small_steps
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Hinge, Surface, Vehicle
 
@@ -56,7 +62,7 @@ class LedgerRow:
     axis: str = "roll"
 
 
-def delay_ledger(
+def make_delay_ledger(
     scenario: Scenario,
     vehicle: Vehicle,
     engines: Sequence[EngineSpec],
@@ -74,26 +80,26 @@ def delay_ledger(
     return [row for axis in AXES for row in hover.rows(axis)]
 
 
-def rows_of(rows: Sequence[LedgerRow], axis: str) -> list[LedgerRow]:
+def select_axis(rows: Sequence[LedgerRow], axis: str) -> list[LedgerRow]:
     """Return the rows of an axis."""
     return [row for row in rows if row.axis == axis]
 
 
-def total_samples(rows: Sequence[LedgerRow], axis: str = "roll") -> float | None:
+def sum_samples(rows: Sequence[LedgerRow], axis: str = "roll") -> float | None:
     """Return the sum of an axis in control steps; None if any element is unknown."""
-    samples = [row.samples for row in rows_of(rows, axis)]
+    samples = [row.samples for row in select_axis(rows, axis)]
     return None if any(value is None for value in samples) else sum(value for value in samples if value is not None)
 
 
-def transport_samples(rows: Sequence[LedgerRow], axis: str) -> float | None:
+def sum_transport_samples(rows: Sequence[LedgerRow], axis: str) -> float | None:
     """Return how much of an axis's delay is transport, control steps; None if any of it is unknown."""
-    late = [row.samples for row in rows_of(rows, axis) if row.kind in ("transport", "mixed")]
+    late = [row.samples for row in select_axis(rows, axis) if row.kind in ("transport", "mixed")]
     return None if any(value is None for value in late) else sum(value for value in late if value is not None)
 
 
-def why_none(rows: Sequence[LedgerRow], axis: str) -> str:
+def explain_unknown(rows: Sequence[LedgerRow], axis: str) -> str:
     """Return why the rows of an axis have no sum; empty where they have one."""
-    unknown = [row for row in rows_of(rows, axis) if row.samples is None]
+    unknown = [row for row in select_axis(rows, axis) if row.samples is None]
     return "; ".join(row.element if row.kind == "mixed" else f"{row.element}: not known" for row in unknown)
 
 
@@ -111,7 +117,7 @@ class _Hover:
 
     def rows(self, axis: str) -> list[LedgerRow]:
         """Return the rows of an axis, in the order in which the signal passes them."""
-        turned = axis_shares(self._vehicle, self._allocator, AXES.index(axis))
+        turned = compute_axis_fractions(self._vehicle, self._allocator, AXES.index(axis))
         held = [("command held over the step", "control step", "hold", 0.5)]
         if axis == "roll":
             added = float(self._scenario.added_delay_samples)
@@ -119,7 +125,7 @@ class _Hover:
         acting = self._acting(axis, turned)
         return [LedgerRow(*row, axis) for row in (*held, *acting, *self._airframe(), *self._gyro())]
 
-    def _acting(self, axis: str, turned: AxisShares) -> list[tuple[str, str, str, float | None]]:
+    def _acting(self, axis: str, turned: AxisFractions) -> list[tuple[str, str, str, float | None]]:
         """Return element, owner, kind and samples of what gives the axis."""
         by_thrust, by_servo = sum(turned.thrusts), sum(turned.servos)
         if not by_thrust and not by_servo:
@@ -143,7 +149,7 @@ class _Hover:
         owner = _owner(engines)
         owner += ": mean by their shares of the moment" if owner.startswith("engines ") else ""
         known = [self._around(jet) for jet in range(len(engines))]
-        how = MEASURED if any(engine.pole is None and engine.small is not None for engine in engines) else ""
+        how = MEASURED if any(engine.pole is None and engine.small_step is not None for engine in engines) else ""
         how = how or (AT_HOVER if any(known) else "")
         delays = [_delay(engine, step) for engine in engines]
         lags = [_lag(engine, step, around) for engine, around in zip(engines, known, strict=True)]
@@ -158,7 +164,7 @@ class _Hover:
         ]
 
     def _by_servos(self, shares: Sequence[float]) -> list[tuple[str, str, str, float | None]]:
-        servos = servos_of(self._vehicle)
+        servos = list_servos(self._vehicle)
         poles = [filter_pole(servo.lag_s, self._step) for servo in servos]
         lag = _mean([1.0 / (1.0 - pole) for pole in poles], shares)
         moving = [servo for servo, share in zip(servos, shares, strict=True) if abs(share) >= LISTED]
@@ -171,21 +177,23 @@ class _Hover:
             ("angle of the step's end acts over all of it", "servos, then airframe", "exchange", -1.0),
         ]
 
-    def _rotors(self, axis: str, turned: AxisShares) -> list[tuple[str, str, str, float | None]]:
+    def _rotors(self, axis: str, turned: AxisFractions) -> list[tuple[str, str, str, float | None]]:
         """Return the line of the lead from the rotors' change of angular momentum, where it acts about the axis."""
-        early = rotor_lead(self._vehicle, self._engines, self._thrusts, turned.moves, self._step)[AXES.index(axis)]
+        early = rotor_momentum_lead(self._vehicle, self._engines, self._thrusts, turned.moves, self._step)[
+            AXES.index(axis)
+        ]
         if abs(early) < 1e-6:
             return []
         return [("rotors, turned or sped up, act by the rate of the command", "rotors", "lead", -early)]
 
-    def _around(self, jet: int) -> AroundTrim | None:
+    def _around(self, jet: int) -> SmallStepResponse | None:
         """Return the response about trim of an engine of the library that states no pole; None for any other engine."""
         engine = self._engines[jet]
         if engine.pole is not None or not engine.library:
             return None
-        curve = engine.rising
+        curve = engine.rising_curve
         throttle = float(np.interp(self._thrusts[jet], curve.thrust, curve.throttle))
-        return around_trim(engine, throttle, self._step)
+        return measure_small_steps(engine, throttle, self._step)
 
     def _airframe(self) -> list[tuple[str, str, str, float | None]]:
         if self._scenario.substeps > 1:
@@ -219,7 +227,9 @@ def _loops(engines: Sequence[EngineSpec]) -> list[tuple[str, str, str, float | N
     """
     return [
         (f"{text}, a step late in a loop: within the engine's own", f"engine {name}", "exchange", 0.0)
-        for name, late in {spec.name: spec.archive.system.late for spec in engines if spec.archive.system}.items()
+        for name, late in {
+            spec.name: spec.archive.system.late_connections for spec in engines if spec.archive.system
+        }.items()
         for text in late
     ]
 
@@ -245,12 +255,12 @@ def _mean(values: Sequence[float | None], weights: Sequence[float]) -> float | N
 
 def _delay(engine: EngineSpec, step: float) -> float | None:
     """Return the transport delay in control steps, as stated or measured."""
-    if engine.delay is not None:
-        return engine.delay / step
-    return None if engine.small is None else float(engine.small.delay)
+    if engine.transport_delay is not None:
+        return engine.transport_delay / step
+    return None if engine.small_step is None else float(engine.small_step.delay)
 
 
-def _lag(engine: EngineSpec, step: float, around: AroundTrim | None) -> float | None:
+def _lag(engine: EngineSpec, step: float, around: SmallStepResponse | None) -> float | None:
     """Return the delay by the engine's lag less what it takes back from the exchange, control steps.
 
     With ``m`` internal steps of pole ``a`` in a control step and a delay of ``d`` of them, ``q = d // m``: engine and
@@ -259,7 +269,7 @@ def _lag(engine: EngineSpec, step: float, around: AroundTrim | None) -> float | 
     """
     if engine.pole is None or engine.internal_step is None or engine.delay_samples is None:
         delay = _delay(engine, step)
-        late = around.late if around is not None else (None if engine.small is None else engine.small.late)
+        late = around.delay if around is not None else (None if engine.small_step is None else engine.small_step.late)
         return None if late is None or delay is None else late - delay + 1.0
     m = round(step / engine.internal_step)
     q = engine.delay_samples // m

@@ -20,42 +20,44 @@ _VISIBLE = 0.5  # least change of thrust by a small step, over that of the stati
 _ENDED = 1e-6  # of the change: an answer has ended once it was within this for a second
 
 
-class AroundTrim(NamedTuple):
+class SmallStepResponse(NamedTuple):
     """The response of an engine to small changes of the throttle around a constant one."""
 
-    late: float | None  # all delay at low frequency, control steps from the throttle's move; None: it does not answer
+    delay: float | None  # all delay at low frequency, control steps from the throttle's move; None: it does not answer
     speed: float  # rad/s; 0 where it has none
     speed_per_n: float  # rad/s per N of thrust at rest
     # thrust at the end of each step after the throttle's move, over its change: the mean of both ways; () as above
-    course: tuple[float, ...] = ()
+    response: tuple[float, ...] = ()
 
 
 _references: Memory[EngineReference] = Memory(64)
 _flows: Memory[float] = Memory(64)
-_around: Memory[AroundTrim] = Memory(64)
+_around: Memory[SmallStepResponse] = Memory(64)
 
 
-def engine_reference(spec: EngineSpec, step: float) -> EngineReference:
+def make_engine_reference(spec: EngineSpec, step: float) -> EngineReference:
     """Return static curves, lag and delay of an engine: those that it states, and others measured by stepping it.
 
     An engine that states no lag is no linear one: its lag is measured up and down, from idle and over its whole range.
     Raises EngineError if the engine fails.
     """
-    key = (*spec.behaviour, spec.curve, spec.lag, spec.delay, step)
+    key = (*spec.behaviour_key, spec.curve, spec.lag, spec.transport_delay, step)
     return _references.get(key, lambda: _measure(spec, step))
 
 
-def fuel_flow(spec: EngineSpec, throttle: float, step: float) -> float | None:
+def measure_fuel_flow(spec: EngineSpec, throttle: float, step: float) -> float | None:
     """Return the fuel [kg/s] that a healthy engine at rest takes at a throttle; None where it says nothing of it.
 
     Raises EngineError if the engine fails.
     """
-    if not spec.has("fuel_flow"):
+    if not spec.has_port("fuel_flow"):
         return None
-    return _flows.get((*spec.behaviour, throttle, step), lambda: _flow(spec, throttle, step))
+    return _flows.get((*spec.behaviour_key, throttle, step), lambda: _flow(spec, throttle, step))
 
 
-def around_trim(spec: EngineSpec, throttle: float, step: float, sizes: tuple[float, ...] = _SMALL) -> AroundTrim:
+def measure_small_steps(
+    spec: EngineSpec, throttle: float, step: float, sizes: tuple[float, ...] = _SMALL
+) -> SmallStepResponse:
     """Return how an engine answers small steps of the throttle either way, from rest at ``throttle``.
 
     ``sizes``: of the steps; the first that the engine sees is taken.
@@ -63,17 +65,19 @@ def around_trim(spec: EngineSpec, throttle: float, step: float, sizes: tuple[flo
     The delay is the mean over both ways of ``sum (y_end - y_k) / (y_end - y_0)`` over the steps ``k`` after the move.
     Raises EngineError if the engine fails.
     """
-    return _around.get((*spec.behaviour, throttle, step, sizes), lambda: _measure_around(spec, throttle, step, sizes))
+    return _around.get(
+        (*spec.behaviour_key, throttle, step, sizes), lambda: _measure_around(spec, throttle, step, sizes)
+    )
 
 
-def _measure_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple[float, ...]) -> AroundTrim:
+def _measure_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple[float, ...]) -> SmallStepResponse:
     with make_bank([spec], step) as bank:
         for by in sizes:
             low, high = max(0.0, throttle - by), min(1.0, throttle + by)
             ends = []
             for end in (low, high):
                 output = bank.reset(end)
-                ends.append((output.thrust[0], output.spool_speed[0] if spec.has("spool_speed") else 0.0))
+                ends.append((output.thrust[0], output.spool_speed[0] if spec.has_port("spool_speed") else 0.0))
             (less, slow), (more, fast) = ends
             expected = spec.thrust_at(high) - spec.thrust_at(low)
             if abs(more - less) < _VISIBLE * abs(expected) or more == less:
@@ -82,9 +86,9 @@ def _measure_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple
             late = [sum(remaining_fraction) for remaining_fraction in answers]
             per_newton = (fast - slow) / (more - less)
             course = [1.0 - sum(remaining) / len(answers) for remaining in zip_longest(*answers, fillvalue=0.0)]
-            return AroundTrim(sum(late) / len(late), 0.5 * (slow + fast), per_newton, tuple(course))
-        speed = bank.reset(throttle).spool_speed[0] if spec.has("spool_speed") else 0.0
-        return AroundTrim(None, speed, 0.0)
+            return SmallStepResponse(sum(late) / len(late), 0.5 * (slow + fast), per_newton, tuple(course))
+        speed = bank.reset(throttle).spool_speed[0] if spec.has_port("spool_speed") else 0.0
+        return SmallStepResponse(None, speed, 0.0)
 
 
 def _remaining_change(bank: Engines, first: float, then: float, step: float) -> list[float]:
@@ -107,11 +111,11 @@ def _flow(spec: EngineSpec, throttle: float, step: float) -> float:
 
 
 def _measure(spec: EngineSpec, step: float) -> EngineReference:
-    lag, delay = spec.lag, spec.delay
+    lag, delay = spec.lag, spec.transport_delay
     lags = (lag, lag)
     speed: list[float] | None = None
     with make_bank([spec], step) as bank:
-        if spec.has("spool_speed"):
+        if spec.has_port("spool_speed"):
             speed = [bank.reset(throttle).spool_speed[0] for throttle in spec.curve.throttle]
             if not all(b > a for a, b in pairwise(speed)):
                 speed = None

@@ -8,15 +8,15 @@ from cosim.base.errors import InputError
 from cosim.engine import Air, EngineSpec, load_engine, make_bank
 from cosim.engine.fmu.port_kinds import ASIDE
 from cosim.engine.wrappers import EngineChain
-from cosim.simulation.engine_reference import engine_reference
-from cosim.simulation.script.mismatch import engines_as_flown
+from cosim.simulation.engine_reference import make_engine_reference
+from cosim.simulation.script.mismatch import compute_engine_mismatch
 from cosim.spec.scenario import Scenario, Station
 from cosim.spec.vehicle import Vehicle, file_seen_from, is_file
 from cosim.vehicle.airframe import start_height
 from cosim.vehicle.atmosphere import standard_air
 
 
-def engines_of(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
+def load_engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
     """Return the scenario's engine, then the one at each station; each engine with its parameters is measured once.
 
     They are measured in the still air at the height where the flight starts.  Raises InputError as a flight.
@@ -40,7 +40,7 @@ def engines_of(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
                 f"scenario {scenario.name}: engine {spec.name}: its FMU holds {count} engines, and "
                 f"{scenario.aircraft_name} has {jets} stations, which is no whole multiple"
             )
-    return [engine, *(spec.at(station) for station, spec in enumerate(stated))]
+    return [engine, *(spec.at_station(station) for station, spec in enumerate(stated))]
 
 
 def flown_engines(scenario: Scenario, vehicle: Vehicle, stated: Sequence[EngineSpec]) -> Sequence[EngineSpec]:
@@ -58,7 +58,7 @@ def flown_engines(scenario: Scenario, vehicle: Vehicle, stated: Sequence[EngineS
         unknown = {**unknown, **single.get(str(index + 1), {})}
         spec = stated[index]
         if unknown:  # the archive was tried when the engine that is assumed was loaded
-            spec = loader.load(engine, {**parameters, **unknown}, spec.isolated).at(index)
+            spec = loader.load(engine, {**parameters, **unknown}, spec.isolated).at_station(index)
         flown.append(spec)
     return flown
 
@@ -97,7 +97,7 @@ class _Loader:
                 scenario.step_s,
                 unchecked=scenario.engine_unchecked or tried is not None,
                 air=self._air,
-                apart=scenario.engine_isolated or bool(tried),
+                isolated=scenario.engine_isolated or bool(tried),
             )
         return self._loaded[key]
 
@@ -118,13 +118,13 @@ def _starts_in_flight(scenario: Scenario, stations: Sequence[EngineSpec]) -> boo
 def make_engines(scenario: Scenario, stations: Sequence[EngineSpec]) -> EngineChain:
     """Return the engines at the stations in the chain that they fly in.  Raises InputError as a flight."""
     in_flight, step = _starts_in_flight(scenario, stations), scenario.step_s
-    factors, delay = engines_as_flown(scenario.mismatch, len(stations))
+    factors, delay = compute_engine_mismatch(scenario.mismatch, len(stations))
     return EngineChain(
         make_bank(stations, step, in_flight),
         [spec.flame_out for spec in stations],
-        lambda jet: engine_reference(stations[jet], step).lag,
+        lambda jet: make_engine_reference(stations[jet], step).lag,
         step,
         factors,
         delay,
-        any(spec.has(port) for spec in stations for port in ASIDE),
+        any(spec.has_port(port) for spec in stations for port in ASIDE),
     )

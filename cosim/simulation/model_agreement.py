@@ -40,16 +40,16 @@ from cosim.simulation.axis_chain import (
     axis_gain,
     axis_moment,
     bank_reaction,
-    by_throttle,
+    discretise_rate,
     filter_pole,
-    hinged_parts,
-    measuring,
+    is_turned_by_throttle,
+    list_hinged_parts,
+    measurement_response,
     rate_response,
-    thrust_lead,
-    turning,
+    thrust_momentum_lead,
 )
-from cosim.simulation.controllers.allocators import effectiveness_of
-from cosim.simulation.engine_reference import around_trim
+from cosim.simulation.controllers.allocators import make_effectiveness
+from cosim.simulation.engine_reference import measure_small_steps
 from cosim.spec.scenario import PayloadDisturbance, Scenario
 from cosim.spec.vehicle import RateModel, Vehicle
 
@@ -75,25 +75,25 @@ class ModelAgreement:
     unit: str  # of the gain
     state: str  # of the vehicle: "", or its fuel or payload
     hertz: float  # at which both were taken
-    gain: float  # of the model, in the unit
-    own_gain: float  # of the vehicle
-    late: float  # all delay of the model, samples
-    own_late: float  # of the vehicle
+    model_gain: float  # of the model, in the unit
+    vehicle_gain: float  # of the vehicle
+    model_delay: float  # all delay of the model, samples
+    vehicle_delay: float  # of the vehicle
     lag_misfit: float
-    opposite: bool = False  # the model's sign is the other one
+    is_opposite: bool = False  # the model's sign is the other one
 
     @property
     def ratio(self) -> float:
         """The model's gain over that of the vehicle."""
-        return self.gain / self.own_gain
+        return self.model_gain / self.vehicle_gain
 
     @property
-    def noted(self) -> bool:
+    def is_noteworthy(self) -> bool:
         """Whether the two differ by more than the threshold of a note."""
         return self._excess(1.0 + NOTED, NOTED, NOTED) > 1.0
 
     @property
-    def unfit(self) -> bool:
+    def is_unfit(self) -> bool:
         """Whether they differ by so much that a predictor with this model does not do its work."""
         return self._excess(UNFIT_GAIN, UNFIT_DELAY, UNFIT_LAG) > 1.0
 
@@ -104,20 +104,24 @@ class ModelAgreement:
 
     def _excess(self, gain: float, delay: float, lag: float) -> float:
         """Return the largest of the three differences, over its limit; a model of the other sign is beyond any."""
-        if self.opposite:
+        if self.is_opposite:
             return inf
-        samples = max(LEAST_SAMPLES, delay * self.own_late)
-        return max(abs(log(self.ratio)) / log(gain), abs(self.late - self.own_late) / samples, self.lag_misfit / lag)
+        samples = max(LEAST_SAMPLES, delay * self.vehicle_delay)
+        return max(
+            abs(log(self.ratio)) / log(gain),
+            abs(self.model_delay - self.vehicle_delay) / samples,
+            self.lag_misfit / lag,
+        )
 
     @property
     def numbers(self) -> str:
         """Gain and delay of both, and the error of the lag, in words."""
-        if self.opposite:
-            return f"it turns the other way than the vehicle, which has {self.own_gain:.4g} {self.unit}"
+        if self.is_opposite:
+            return f"it turns the other way than the vehicle, which has {self.vehicle_gain:.4g} {self.unit}"
         said = (
-            f"gain {self.gain:.4g} {self.unit}, and {self.own_gain:.4g} by geometry, inertia and engine "
-            f"({self.ratio:.2f} times); all delay {self.late:.1f} samples, and {self.own_late:.1f} by engine, servos "
-            f"and gyro (at {self.hertz:.2g} Hz)"
+            f"gain {self.model_gain:.4g} {self.unit}, and {self.vehicle_gain:.4g} by geometry, inertia and engine "
+            f"({self.ratio:.2f} times); all delay {self.model_delay:.1f} samples, and "
+            f"{self.vehicle_delay:.1f} by engine, servos and gyro (at {self.hertz:.2g} Hz)"
         )
         if self.lag_misfit > NOTED:
             said += f"; {100.0 * self.lag_misfit:.0f} % off at twice that frequency, as lags of another length are"
@@ -140,7 +144,7 @@ class _EngineResponse(NamedTuple):
 _responses: Memory[_EngineResponse] = Memory(64)
 
 
-def flown_agreements(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[ModelAgreement]:
+def compare_flown_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[ModelAgreement]:
     """Compare the models that the controller of a flight is told of with the vehicle, an axis and a state each.
 
     The vehicle is taken as it starts: with that fuel, and without and with the payloads of the scenario.  Empty where
@@ -151,20 +155,20 @@ def flown_agreements(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -
     return [
         agreement
         for state, there in _loading_states(scenario, vehicle)
-        for agreement in model_agreements(scenario, there, engine, state)
+        for agreement in compare_models(scenario, there, engine, state)
     ]
 
 
-def flight_notes(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[str]:
+def list_model_notes(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[str]:
     """Return a line for each axis whose model the vehicle does not keep: of its first state that is to be noted."""
     notes: dict[str, str] = {}
-    for agreement in flown_agreements(scenario, vehicle, engine):
-        if agreement.noted:
+    for agreement in compare_flown_models(scenario, vehicle, engine):
+        if agreement.is_noteworthy:
             notes.setdefault(agreement.axis, agreement.note)
     return list(notes.values())
 
 
-def model_agreements(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, state: str = "") -> list[ModelAgreement]:
+def compare_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, state: str = "") -> list[ModelAgreement]:
     """Compare the identified models of a vehicle with this engine, an axis each, with vehicle and engine.
 
     Models of another sample time than the scenario's step are left out: no flight takes them; and all of an engine
@@ -248,16 +252,16 @@ def _unit(vehicle: Vehicle, index: int) -> str:
     """Return the unit of an axis' gain."""
     if vehicle.allocation == "effectiveness":
         return "rad/s^2 per rad/s^2"
-    return "rad/s^2 per throttle" if by_throttle(vehicle, index) else "rad/s^2 per rad"
+    return "rad/s^2 per throttle" if is_turned_by_throttle(vehicle, index) else "rad/s^2 per rad"
 
 
 def _parts(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int, span: float) -> Sequence[AxisPart]:
     """Return the parts that make the axis's moment."""
     step = scenario.step_s
     if vehicle.allocation == "effectiveness":
-        return hinged_parts(vehicle, effectiveness_of(scenario, vehicle, engine), index, engine, step)
-    if by_throttle(vehicle, index) or vehicle.servo is None:
-        return [AxisPart((), (), 1.0, lead_s=thrust_lead(vehicle, engine, index, step) * step)]
+        return list_hinged_parts(vehicle, make_effectiveness(scenario, vehicle, engine), index, engine, step)
+    if is_turned_by_throttle(vehicle, index) or vehicle.servo is None:
+        return [AxisPart((), (), 1.0, lead_s=thrust_momentum_lead(vehicle, engine, index, step) * step)]
     kick = bank_reaction(vehicle, index, axis_moment(vehicle, index, span), step) * step * step
     return [AxisPart((vehicle.servo,), (1.0,), 1.0, kick)]
 
@@ -270,7 +274,7 @@ def _actuators(parts: Sequence[AxisPart], engine: _EngineResponse, z: Complex, s
         if part.servos:
             pole = filter_pole(part.servos[0].lag_s, step)
             answer = (1.0 - pole) / (z - pole)
-        now, before, earlier = part.shape(step)
+        now, before, earlier = part.compute_weights(step)
         total += (now + (before + earlier / z) / z) * answer
     return total
 
@@ -278,9 +282,9 @@ def _actuators(parts: Sequence[AxisPart], engine: _EngineResponse, z: Complex, s
 def _airframe(scenario: Scenario, vehicle: Vehicle, damping: float, z: Complex) -> Complex:
     """Return the response of measured rate to angular acceleration."""
     gyro = vehicle.sensors.gyro
-    shares, pole = turning(damping, scenario.step_s, scenario.substeps)
+    shares, pole = discretise_rate(damping, scenario.step_s, scenario.substeps)
     body = scenario.step_s * rate_response(z, shares, pole)
-    return np.asarray(body * measuring(z, filter_pole(gyro.filter_s, scenario.step_s), gyro.latency_samples))
+    return np.asarray(body * measurement_response(z, filter_pole(gyro.filter_s, scenario.step_s), gyro.latency_samples))
 
 
 def _engine_response(vehicle: Vehicle, engine: EngineSpec, step: float) -> _EngineResponse | None:
@@ -289,15 +293,15 @@ def _engine_response(vehicle: Vehicle, engine: EngineSpec, step: float) -> _Engi
     One of the library is taken where it hovers.  One that states a pole answers alike everywhere; any other at the
     nearest throttle of a grid, so that many vehicles share it, and by steps that its trembling does not hide.
     """
-    rising = engine.rising
+    rising = engine.rising_curve
     hover = float(np.interp(vehicle.mass_kg * GRAVITY / len(vehicle.jets), rising.thrust, rising.throttle))
     if engine.pole is not None:
-        around = around_trim(engine, 0.5, step)
+        around = measure_small_steps(engine, 0.5, step)
     elif engine.library:
-        around = around_trim(engine, hover, step)
+        around = measure_small_steps(engine, hover, step)
     else:
-        around = around_trim(engine, round(hover / _GRID) * _GRID, step, _CLEAR)
-    return _response(around.course, step) if around.course else None
+        around = measure_small_steps(engine, round(hover / _GRID) * _GRID, step, _CLEAR)
+    return _response(around.response, step) if around.response else None
 
 
 def _response(course: tuple[float, ...], step: float) -> _EngineResponse:

@@ -11,12 +11,12 @@ from cosim.spec.vehicle import Vehicle
 BY_WIND_M = 300.0  # JSBSim's MIL-F-8785C takes its strength from the wind below, from the severity well above
 
 
-def idle_notes(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec]) -> list[str]:
+def note_settings_without_effect(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec]) -> list[str]:
     """Return what a flight's turbulence and tank do not do; empty where all that is stated acts."""
-    return [*turbulence_notes(scenario), *tank_notes(vehicle, engines)]
+    return [*note_incomplete_turbulence(scenario), *note_missing_fuel_flow(vehicle, engines)]
 
 
-def step_notes(scenario: Scenario) -> list[str]:
+def note_few_substeps(scenario: Scenario) -> list[str]:
     """Return a line on what fewer JSBSim runs a step than usual cost in accuracy; empty with as many or more."""
     runs = scenario.substeps
     if runs >= SUBSTEPS:
@@ -34,7 +34,7 @@ def step_notes(scenario: Scenario) -> list[str]:
     return [f"substeps = {runs}: {what}{gusts}"]
 
 
-def turbulence_notes(scenario: Scenario) -> list[str]:
+def note_incomplete_turbulence(scenario: Scenario) -> list[str]:
     """Return a line where turbulence is stated by half: by its wind without a severity, or the other way round."""
     environment = scenario.environment
     wind, severity = environment.turbulence_wind_m_s, environment.turbulence_severity
@@ -50,22 +50,22 @@ def turbulence_notes(scenario: Scenario) -> list[str]:
     return []
 
 
-def varied_turbulence_notes(scenario: Scenario, keys: Collection[str]) -> list[str]:
+def note_varied_turbulence(scenario: Scenario, keys: Collection[str]) -> list[str]:
     """Return a line where ``keys``, which a study varies, change the turbulence by nothing or by a switch alone."""
     wind, severity = "environment.turbulence_wind_m_s", "environment.turbulence_severity"
     if severity in keys:
         return [f"below {BY_WIND_M:g} m {severity} is a switch: 1 to 7 are the same there, {wind} is the strength"]
     if wind in keys and not scenario.environment.turbulence_severity:
         return [f"turbulence is off: {wind} acts with a {severity} of 1 to 7"]
-    return turbulence_notes(scenario) if wind not in keys else []
+    return note_incomplete_turbulence(scenario) if wind not in keys else []
 
 
-def tank_notes(vehicle: Vehicle, engines: Iterable[EngineSpec]) -> list[str]:
+def note_missing_fuel_flow(vehicle: Vehicle, engines: Iterable[EngineSpec]) -> list[str]:
     """Return a line for each kind of engine that reports no fuel flow to a vehicle with a tank."""
     specs = list(engines)
-    without_flow = dict.fromkeys(spec.name for spec in specs if not spec.has("fuel_flow"))
+    without_flow = dict.fromkeys(spec.name for spec in specs if not spec.has_port("fuel_flow"))
     if vehicle.fuel is None or not without_flow:
         return []
-    some_report = any(spec.has("fuel_flow") for spec in specs)
+    some_report = any(spec.has_port("fuel_flow") for spec in specs)
     ending = "what it burns does not leave the tank" if some_report else "the tank stays full"
     return [f"engine {name} reports no fuel flow: {ending}" for name in without_flow]

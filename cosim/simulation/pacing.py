@@ -19,10 +19,10 @@ class PaceReport(NamedTuple):
     factor: float | None = None  # asked for, of real time; None: as fast as it goes
     steps: int = 0
     missed: int = 0  # steps that were not done when the next one was due
-    worst: float = 0.0  # s, how late the latest of them was
+    longest_delay: float = 0.0  # s, how late the latest of them was
     stalls: int = 0  # times that the schedule was moved
-    lost: float = 0.0  # s of wall time by which it was moved, in all
-    reached: float | None = None  # factor of the last second of wall time; None before that
+    postponed: float = 0.0  # s of wall time by which it was moved, in all
+    reached_factor: float | None = None  # factor of the last second of wall time; None before that
     load: float | None = None  # share of that second that was not slept
 
 

@@ -58,7 +58,7 @@ class CustomMetric:
     names: tuple[str, ...]  # with PREFIX
     columns: tuple[str, ...] | None
 
-    def of(self, log: Columns, step_s: float) -> dict[str, float | None]:
+    def compute(self, log: Columns, step_s: float) -> dict[str, float | None]:
         """Return its numbers, None for what this flight cannot tell.  Raises FlightError."""
         where = f"metric {self.source.label}"
         try:
@@ -187,7 +187,7 @@ def read_metric(source: Source) -> CustomMetric:
     return CustomMetric(source, tuple(PREFIX + n for n in names), None if columns is None else tuple(columns))
 
 
-def refuse_metric(name: str) -> CustomMetric:
+def make_refusing_metric(name: str) -> CustomMetric:
     """Return a metric that refuses to be computed, for a killed flight: what finishes such a flight runs no code."""
 
     def refuse() -> Any:
@@ -196,7 +196,7 @@ def refuse_metric(name: str) -> CustomMetric:
     return CustomMetric(Source(name, "metric", refuse, {}), (), ())
 
 
-def metrics_of(scenario: Scenario) -> list[CustomMetric]:
+def load_metrics(scenario: Scenario) -> list[CustomMetric]:
     """Return the scenario's custom metrics.  Raises InputError."""
     return [read_metric(_source("metric", name, scenario)) for name in scenario.metrics]
 

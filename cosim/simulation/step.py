@@ -20,14 +20,14 @@ from cosim.base.protocols import (
 from cosim.base.signals import ZERO3, Actuation, Command, Disturbance, Measured, PerJet, Sample, State
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
-from cosim.simulation.controllers.plugged import Plugged
+from cosim.simulation.controllers.plugged import PluggedController
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.delay_ledger import LedgerRow
 from cosim.simulation.ending import Ending, TerminationCheck
 from cosim.simulation.pacing import Pace
 from cosim.simulation.plugins import Plugins
-from cosim.simulation.script.commander import Commander
-from cosim.simulation.script.disturber import Disturber
+from cosim.simulation.script.commander import CommandScript
+from cosim.simulation.script.disturber import DisturbanceScript
 from cosim.simulation.script.fault_schedule import FaultSchedule
 from cosim.simulation.script.wind import FieldWind
 from cosim.spec.scenario import Fault, Scenario
@@ -57,16 +57,16 @@ class Blocks(NamedTuple):
     vehicle: Vehicle
     specs: Sequence[EngineSpec]
     ledger: list[LedgerRow]
-    commander: Commander
+    command_script: CommandScript
     pilot: Pilot | None
-    disturber: Disturbances
+    disturbances: Disturbances
     cascade: Cascade
     propulsion: Propulsion
     airframe: Airframe
     sensors: FaultySensors
     faults: FaultSchedule
     termination: TerminationCheck
-    plugged: Plugged | None
+    plugged: PluggedController | None
     plugins: Plugins
     wind: FieldWind | None
 
@@ -84,12 +84,12 @@ class Simulation:
         # The annotations name the built-in blocks, because compiled code calls a class that it knows directly.
         self.controller: Cascade | Controller = blocks.cascade if whole is None else whole
         self.replaced_cascade = None if whole is None else blocks.cascade  # by a whole controller
-        self.disturber: Disturber | Disturbances = blocks.disturber
+        self.disturbances: DisturbanceScript | Disturbances = blocks.disturbances
         self.plugins, self._field = blocks.plugins, blocks.wind
         self.scenario, self.vehicle, self.ledger = blocks.scenario, blocks.vehicle, blocks.ledger
         self.engine, *self.stations = blocks.specs
         self.dt = blocks.scenario.step_s
-        self.commander, self.pilot, self.propulsion = blocks.commander, blocks.pilot, blocks.propulsion
+        self.command_script, self.pilot, self.propulsion = blocks.command_script, blocks.pilot, blocks.propulsion
         self.airframe, self.sensors, self.faults = blocks.airframe, blocks.sensors, blocks.faults
         self.termination = blocks.termination
         self._all_engines = tuple(range(1, len(blocks.vehicle.jets) + 1))
@@ -103,7 +103,7 @@ class Simulation:
         self.k = 0
         self.faults.reset()
         propulsion, airframe, initial = self.propulsion, self.airframe, self.scenario.initial
-        wind = self.disturber.at(0).wind
+        wind = self.disturbances.at(0).wind
         if self._field is not None:
             wind = self._field.reset(wind)
             propulsion.gusts = []
@@ -119,7 +119,7 @@ class Simulation:
         if self.pilot is not None:
             self.pilot.reset(self.measured)
         # The blocks with columns of their own in the log are settled here for the whole flight.
-        blocks = (self.pilot, self.disturber, self.controller, propulsion.engines.bank, self.sensors.inner)
+        blocks = (self.pilot, self.disturbances, self.controller, propulsion.engines.bank, self.sensors.inner)
         self.starting = self._engines_to_start() if self.scenario.engine_start == "in flight" else ()
         self.started = 0  # the step from which on all engines run
         self._logged_blocks = [(cast(Shows, block), columns_of(block)) for block in blocks if columns_of(block)]
@@ -148,7 +148,7 @@ class Simulation:
         if override is not None:
             command = override
         elif pilot is None:
-            command = self.commander.at(k)
+            command = self.command_script.at(k)
         else:
             controller = self.controller
             starting = self._restarting(pilot) if self._starts_cold else self.starting
@@ -172,13 +172,13 @@ class Simulation:
         off, self._engines_were_off = self._engines_were_off, pilot.engines is _OFF
         if self._engines_were_off:
             return ()
-        return self._all_engines if off else self.propulsion.engines.restarting
+        return self._all_engines if off else self.propulsion.engines.restarting_engines
 
     def _disturbance(self, k: int) -> Disturbance:
         """Return what acts from outside, a field's wind in it, and what is added to the controller's own signals."""
-        disturbance = self.disturber.at(k)
+        disturbance = self.disturbances.at(k)
         if self._field is not None:
-            disturbance = self._field.with_wind(k, self.state, disturbance)
+            disturbance = self._field.add_wind(k, self.state, disturbance)
             self.propulsion.gusts = self._field.at_jets
         return disturbance
 
@@ -220,7 +220,7 @@ class Simulation:
         )
 
     def _engines_to_start(self) -> tuple[int, ...]:
-        starting: tuple[int, ...] = getattr(self.propulsion.engines.bank, "starting", ())
+        starting: tuple[int, ...] = getattr(self.propulsion.engines.bank, "starting_engines", ())
         return starting
 
     def _block_signals(self) -> tuple[float, ...]:
@@ -250,7 +250,7 @@ class Simulation:
         """The scenario with the faults as they did act so far, those given by command too: it can be flown again."""
         if not self.faults.commanded:
             return self.scenario
-        faults = [fault.model_dump(mode="json", exclude_none=True) for fault in self.faults.flown]
+        faults = [fault.model_dump(mode="json", exclude_none=True) for fault in self.faults.flown_faults]
         return self.scenario.replace(fault=faults, monitor=self.scenario.monitored)
 
     def inject(self, fault: Fault) -> None:
@@ -288,10 +288,10 @@ class Simulation:
             try:
                 sample = self.step()
             except FlightError as error:
-                return self.failure(error)
+                return self.make_failure(error)
             for look in observe:
                 look(sample)
-            ending = self.end(sample, observe)
+            ending = self.check_end(sample, observe)
             if ending:
                 return ending
             if pace:
@@ -299,12 +299,12 @@ class Simulation:
         late = f", {pace.missed} of them late" if pace and pace.missed else ""
         return Ending("completed", f"flew {self.k} steps{late}{self._describe_engine_start()}")
 
-    def failure(self, error: FlightError) -> Ending:
+    def make_failure(self, error: FlightError) -> Ending:
         """Return the ending for an error of the present step; that of an engine says itself when it was."""
         when = "" if isinstance(error, EngineError) else f" at step {self.k} ({self.k * self.dt:.3f} s)"
         return Ending("failed", f"{error}{when}")
 
-    def end(self, sample: Sample, observe: Iterable[Callable[[Sample], None]]) -> Ending | None:
+    def check_end(self, sample: Sample, observe: Iterable[Callable[[Sample], None]]) -> Ending | None:
         """Return the ending, if the flight is over after the step of ``sample``.
 
         The observers then get one more sample, of the state that ended the flight and what acted until then.
@@ -326,9 +326,9 @@ class Simulation:
         waited = f", for which {begun} of the script's commands waited" if begun else ""
         return f"; all engines ran from {self.started * self.dt:.3f} s on{waited}"
 
-    def repeats(self) -> bool | None:
+    def check_repeatable(self) -> bool | None:
         """Whether a controller outside this process answers the same when it is asked the same; None: there is none."""
-        return None if self._plugged is None else self._plugged.repeats()
+        return None if self._plugged is None else self._plugged.check_repeatable()
 
     def close(self) -> None:
         """Free the engines, the airframe and what a controller from outside holds; may be called twice."""

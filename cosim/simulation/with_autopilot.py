@@ -11,8 +11,8 @@ from cosim.control.autopilot.autopilot import Autopilot, Thrust
 from cosim.control.autopilot.request_handler import FaultCommands
 from cosim.control.autopilot.requests import InjectFault
 from cosim.control.autopilot.tuning import ControlLoops
-from cosim.simulation.controllers.models import predictors
-from cosim.simulation.engine_reference import engine_reference, fuel_flow
+from cosim.simulation.controllers.models import make_predictors
+from cosim.simulation.engine_reference import make_engine_reference, measure_fuel_flow
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Fault
 from cosim.spec.vehicle import PredictorTuning
@@ -20,7 +20,7 @@ from cosim.spec.vehicle import PredictorTuning
 _FAULTS = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in get_args(Fault)}
 
 
-def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
+def attach_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
     """Put an autopilot in place of the scenario's commands; from here on the flight does what it is asked.
 
     ``airborne``: the flight begins in the air, armed and holding.
@@ -33,7 +33,7 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
     roll = vehicle.identified.get(engine.family, {}).get("roll")
     delay = None if roll is None else roll.delay_samples + scenario.added_delay_samples
 
-    def make_predictors(controller: str, samples: float, tuning: PredictorTuning) -> list[Predictor]:
+    def make_tuned_predictors(controller: str, samples: float, tuning: PredictorTuning) -> list[Predictor]:
         models = dict(vehicle.identified.get(engine.family, {}))
         if "roll" in models:
             models["roll"] = models["roll"].model_copy(update={"delay_samples": samples})
@@ -43,9 +43,9 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
         )
         # the delay that the controller adds is in `samples` already
         flown = scenario.model_copy(update={"controller": controller, "added_delay_samples": 0})
-        return predictors(flown, tuned_vehicle, engine)
+        return make_predictors(flown, tuned_vehicle, engine)
 
-    references = [engine_reference(spec, scenario.step_s) for spec in simulation.stations]
+    references = [make_engine_reference(spec, scenario.step_s) for spec in simulation.stations]
     pilot = Autopilot(
         vehicle,
         scenario.step_s,
@@ -61,12 +61,12 @@ def with_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilot:
             cascade.attitude,
             cascade.altitude,
             cascade.rate,
-            make_predictors,
+            make_tuned_predictors,
             scenario.controller if source is None else source.predictor if source.level == "attitude" else source.label,
             delay,
             "" if source is None else source.level,
         ),
-        FaultCommands(lambda request: simulation.inject(fault_from(request)), simulation.clear_faults),
+        FaultCommands(lambda request: simulation.inject(make_fault(request)), simulation.clear_faults),
         EngineState.FLY if airborne else EngineState(scenario.initial.engines),
         scenario.sensor_noise,
     )
@@ -84,11 +84,13 @@ def _hover_burn_rate(simulation: Simulation) -> float | None:
     allocator = cascade.allocator
     throttles = cascade.thrust_map.throttle(allocator.trim(allocator.hover))
     step = simulation.scenario.step_s
-    flows = [fuel_flow(spec, throttle, step) for spec, throttle in zip(simulation.stations, throttles, strict=True)]
+    flows = [
+        measure_fuel_flow(spec, throttle, step) for spec, throttle in zip(simulation.stations, throttles, strict=True)
+    ]
     return None if any(flow is None for flow in flows) else sum(flow or 0.0 for flow in flows) / tank.mass
 
 
-def fault_from(request: InjectFault) -> Fault:
+def make_fault(request: InjectFault) -> Fault:
     """Return the scenario's fault that a request stands for.  Raises InputError for one that there is not."""
     kind = _FAULTS.get(request.fault)
     if kind is None:

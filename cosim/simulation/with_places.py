@@ -24,7 +24,7 @@ from cosim.control.autopilot.guidance.descent import descent_rate, height_limits
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
 from cosim.control.cascade import Cascade
-from cosim.simulation.script.commander import Commander, read_columns
+from cosim.simulation.script.commander import CommandScript, read_columns
 from cosim.spec.scenario import (
     GuidedCommand,
     PlaceCommand,
@@ -43,7 +43,7 @@ TRACKED = ("north_m", "east_m", "altitude_m", "yaw_deg")  # the columns of a tra
 _ON_THE_GRID = 1e-9  # of a step, so that a row on the grid counts from its own step on
 
 
-class PlacePilot:
+class GuidedPilot:
     """The pilot that flies a scenario's guided commands, one after the other, each from its start on.
 
     ``hover`` and ``idle`` are the collective in hover and the idle thrust in its unit.  Raises InputError where the
@@ -55,7 +55,9 @@ class PlacePilot:
     engines: EngineState = EngineState.FLY
     seen: Measured  # what the loops fly with: the sensors as they are, as in any script
 
-    def __init__(self, scenario: Scenario, vehicle: Vehicle, commander: Commander, hover: float, idle: float) -> None:
+    def __init__(
+        self, scenario: Scenario, vehicle: Vehicle, commander: CommandScript, hover: float, idle: float
+    ) -> None:
         gains, settings = vehicle.control.position, vehicle.control.pilot
         where = f"scenario {scenario.name}: command"
         if gains is None or settings is None:
@@ -215,7 +217,7 @@ class PlacePilot:
 
     def _follow(self, drawn: SplineTrack, t: float) -> Track:
         """Return a track's set-points at ``t`` [s] from its start."""
-        track, height, yaw = drawn.at(t)
+        track, height, yaw = drawn.evaluate(t)
         self._last_point = (track, height)
         if height is not None:
             self._to_altitude = height[0]
@@ -257,11 +259,11 @@ class PlacePilot:
 class SplineTrack:
     """A track of a file: cubic splines through its rows, at rest at both ends; the heading is linear between rows.
 
-    ``most``: the acceleration [m/s^2] that the law may lean for.  Raises InputError as the commands' other files, where
+    ``max_acceleration``: that which the law may lean for, m/s^2.  Raises InputError as the commands' other files, where
     a column of the place is missing, and where the track asks for more.
     """
 
-    def __init__(self, scenario: Scenario, entry: TrackCommand, where: str, most: float) -> None:
+    def __init__(self, scenario: Scenario, entry: TrackCommand, where: str, max_acceleration: float) -> None:
         path = scenario.folder / entry.file
         self._times, columns = read_columns(path, TRACKED, where)
         for name in TRACKED[:2]:
@@ -272,14 +274,14 @@ class SplineTrack:
         self._yaw = [radians(value) for value in columns["yaw_deg"]] if "yaw_deg" in columns else None
         self._pieces = {name: _spline(self._times, columns[name]) for name in TRACKED[:3] if name in columns}
         for t in self._times:
-            asked = hypot(*self.at(t)[0].acceleration)  # straight lines between the rows
-            if asked > most:
+            asked = hypot(*self.evaluate(t)[0].acceleration)  # straight lines between the rows
+            if asked > max_acceleration:
                 raise InputError(
                     f"{path}: asks for {asked:.2f} m/s^2 at {t:g} s; the position law leans for "
-                    f"{most:.2f} m/s^2 at most ([control.position] lean_rad): give it more time"
+                    f"{max_acceleration:.2f} m/s^2 at most ([control.position] lean_rad): give it more time"
                 )
 
-    def at(self, t: float) -> tuple[Track, Pair | None, float | None]:
+    def evaluate(self, t: float) -> tuple[Track, Pair | None, float | None]:
         """Return place, velocity and acceleration; height and its rate; heading [rad], each if it is stated."""
         times = self._times
         i = min(max(bisect_right(times, t + self._slack) - 1, 0), max(len(times) - 2, 0))
@@ -327,8 +329,10 @@ def _describe_target(aim: GuidedCommand, drawn: SplineTrack | None, key: str) ->
     return f"place states {key}" if getattr(aim, key, None) is not None else ""
 
 
-def place_pilot(scenario: Scenario, vehicle: Vehicle, commander: Commander, cascade: Cascade) -> PlacePilot | None:
+def make_guided_pilot(
+    scenario: Scenario, vehicle: Vehicle, commander: CommandScript, cascade: Cascade
+) -> GuidedPilot | None:
     """Return the pilot of a script that asks for a place, a velocity, waypoints or a track; else None."""
     if not any(isinstance(entry, GuidedCommand) for entry in scenario.command):
         return None
-    return PlacePilot(scenario, vehicle, commander, cascade.allocator.hover, cascade.thrust_map.idle)
+    return GuidedPilot(scenario, vehicle, commander, cascade.allocator.hover, cascade.thrust_map.idle)

@@ -33,7 +33,7 @@ def check_model_loads(xml: bytes, model: Path, text: bytes) -> None:
     ``xml``: what JSBSim loads; ``model`` and ``text``: the user's file, and its contents with those of files it names.
     """
     from cosim.base.storage.user import cache_folder
-    from cosim.engine.qualify.remembered import write
+    from cosim.engine.qualify.remembered import write_if_possible
 
     if model.resolve().is_relative_to(data_folder("aircraft").resolve()):
         return
@@ -44,7 +44,7 @@ def check_model_loads(xml: bytes, model: Path, text: bytes) -> None:
     if failure:
         where = _blame(ET.fromstring(xml), model)
         raise InputError(f"{where}: JSBSim {failure}; look for an element that is not JSBSim's, or an empty one")
-    write(cached, f"{model}\n")
+    write_if_possible(cached, f"{model}\n")
 
 
 def try_model(file: str) -> None:

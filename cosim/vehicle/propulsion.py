@@ -112,7 +112,7 @@ class Propulsion:
         self.output = self.engines.reset(throttle, ambient)
         if engines_off:
             self._off = frozenset(range(self._jets))
-            self.output = self.engines.stop()
+            self.output = self.engines.shut_off_all()
         load = self._load
         load.begin_step(self.output, load.along_axes(self.output.thrust))
         for effect in self.effects:
@@ -153,10 +153,10 @@ class Propulsion:
     def _switch(self, off: frozenset[int]) -> None:
         """Shut engines off, and restart those that are no longer to be off, where there is fuel."""
         for jet in sorted(off - self._off):
-            self.engines.switch(jet, False)
+            self.engines.switch_engine(jet, False)
         if self.tank is None or not self.tank.empty:
             for jet in sorted(self._off - off):
-                self.engines.switch(jet, True)
+                self.engines.switch_engine(jet, True)
         self._off = off
 
     def _burn(self, tank: Tank, flows: PerJet) -> None:
@@ -164,7 +164,7 @@ class Propulsion:
         self.fuel = tank.remaining
         if tank.burn(flows) and tank.empty:
             for jet in range(self._jets):
-                self.engines.switch(jet, False)
+                self.engines.switch_engine(jet, False)
 
     def ambient(self, state: State, wind: Vector3) -> Ambient:
         """Return the air at the engines: the vehicle's, and what blows into each intake along its jet as it stands.

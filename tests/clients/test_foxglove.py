@@ -19,7 +19,7 @@ from cosim.base.errors import InputError
 from cosim.base.frames import to_euler
 from cosim.control.autopilot.modes import Severity
 from cosim.groundstation.exchange import Exchange
-from cosim.groundstation.foxglove_feed import FoxgloveFeed, address
+from cosim.groundstation.foxglove_feed import FoxgloveFeed, parse_address
 from cosim.groundstation.session import RecordOptions, Session
 from cosim.results.export.mcap_file import SUBJECTS
 from cosim.spec.scenario import Scenario
@@ -101,15 +101,15 @@ def test_channels_pose_scene_and_words_of_a_flight(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["", "x", "127.0.0.1", "70000", "-1", "127.0.0.1:"])
 def test_what_is_no_address(text: str) -> None:
     with pytest.raises(InputError, match="must be \\[HOST:\\]PORT"):
-        address(text, False)
+        parse_address(text, False)
 
 
 def test_the_network_needs_to_be_allowed() -> None:
-    assert address("8766", False) == ("127.0.0.1", 8766)
-    assert address("8766", True) == ("0.0.0.0", 8766)
-    assert address("192.0.2.1:1", True) == ("192.0.2.1", 1)
+    assert parse_address("8766", False) == ("127.0.0.1", 8766)
+    assert parse_address("8766", True) == ("0.0.0.0", 8766)
+    assert parse_address("192.0.2.1:1", True) == ("192.0.2.1", 1)
     with pytest.raises(InputError, match=r"192\.0\.2\.1:1: listens to the network, which needs --public"):
-        address("192.0.2.1:1", False)
+        parse_address("192.0.2.1:1", False)
 
 
 def test_without_the_sdk_it_says_what_to_install(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,7 +23,7 @@ from gcs_tools import Relay, Station, VehicleProcess
 from patience import FLIGHT_PATIENCE, stretched
 
 from cosim.groundstation.links import Files
-from cosim.groundstation.mavlink.services.ftp import Bytes
+from cosim.groundstation.mavlink.services.ftp import MemoryFile
 from cosim.groundstation.mavlink.services.service import crc32
 
 RTF = 6.0
@@ -493,7 +493,7 @@ def test_reading_descriptions_makes_no_log() -> None:
         def files(self) -> Any:
             raise AssertionError("the logs were asked for")
 
-    here = Bytes(b"x")
+    here = MemoryFile(b"x")
     files = Files({"etc/a.json.xz": here}, Untouched())  # type: ignore[arg-type]
     assert files["etc/a.json.xz"] is here
     assert files.get("@PARAM/param.pck") is None

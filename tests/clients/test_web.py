@@ -30,7 +30,7 @@ from cosim.control.autopilot.requests import SetParameter
 from cosim.groundstation import read_only
 from cosim.groundstation.exchange import Exchange, Snapshot
 from cosim.groundstation.session import RecordOptions, Session
-from cosim.groundstation.session_flight import flight_info
+from cosim.groundstation.session_flight import make_flight_info
 from cosim.groundstation.web import feed, server
 from cosim.groundstation.web.server import WebServer
 from cosim.results.report.page import ASSETS
@@ -341,7 +341,7 @@ def test_the_state_that_is_told(flown: Flown) -> None:
     thrust = tuple(7.0 + jet for jet in range(6))
     sample = sample._replace(engines=sample.engines._replace(thrust=thrust))
     snapshot = snapshot._replace(sample=sample)
-    told = json.loads(server._dump(feed.state(snapshot)))
+    told = json.loads(server._dump(feed.describe_state(snapshot)))
     assert told["t"] == pytest.approx(snapshot.k * 0.004, abs=5e-4)
     assert told["mode"] == snapshot.status.mode.value
     assert told["height"] == round(seen.altitude, 4)
@@ -352,7 +352,7 @@ def test_the_state_that_is_told(flown: Flown) -> None:
         said = told["jets"][jet]
         assert said["throttle"] == said["asked_N"] == 0.0  # nobody armed it
         assert said["thrust_N"] == thrust[jet]
-        armed = feed.jets(info, sample, off=False)[jet]
+        armed = feed.describe_jets(info, sample, off=False)[jet]
         assert armed["throttle"] == round(sample.actuation.throttle[jet], 4)
         assert armed["asked_N"] == round(spec.thrust_at(sample.actuation.throttle[jet]), 4)
         assert said["rpm"] is said["fuel_g_s"] is None  # this engine does not say
@@ -363,17 +363,19 @@ def test_units_of_what_an_engine_says(flown: Flown) -> None:
     sample = snapshot.sample
     assert sample is not None
     engines = sample.engines._replace(spool_speed=(100.0 * math.pi,) * 6, exhaust_temperature=(873.15,) * 6)
-    (first, *_) = feed.jets(snapshot.info, sample._replace(engines=engines), off=False)
+    (first, *_) = feed.describe_jets(snapshot.info, sample._replace(engines=engines), off=False)
     assert first["rpm"] == 3000.0
     assert first["exhaust_C"] == 600.0
-    (first, *_) = feed.jets(snapshot.info, sample, off=True)
+    (first, *_) = feed.describe_jets(snapshot.info, sample, off=True)
     assert first["throttle"] == first["asked_N"] == 0.0
 
 
 def test_the_strip_chart_gets_measured_and_predicted(flown: Flown) -> None:
     sample = flown.now.sample
     assert sample is not None
-    t, *rates = feed.point(sample._replace(control=sample.control._replace(rate_predicted=(math.nan, math.pi, 0.0))))
+    t, *rates = feed.make_chart_point(
+        sample._replace(control=sample.control._replace(rate_predicted=(math.nan, math.pi, 0.0)))
+    )
     assert t == round(sample.time, 3)
     assert rates[:3] == [round(math.degrees(rate), 2) for rate in sample.measured.rate]
     assert rates[3:] == [None, 180.0, 0.0]
@@ -401,7 +403,7 @@ def test_the_rows_that_are_told_are_the_log_s(flown: Flown) -> None:
     sample, info = flown.now.sample, flown.now.info
     assert sample is not None
     sample = sample._replace(spool_moment=(math.nan, 1.23456789, 0.0))
-    told, rows = feed.flight(info), feed.Rows()
+    told, rows = feed.describe_flight(info), feed.RowConverter()
     names = [column[0] for column in told["columns"]]
     assert rows(info, None) == []
     rows(info, sample._replace(time=1.0))
@@ -411,18 +413,18 @@ def test_the_rows_that_are_told_are_the_log_s(flown: Flown) -> None:
     assert row["throttle_6"] == pytest.approx(sample.actuation.throttle[5], rel=1e-5)
     assert [row[f"spool_moment_{axis}_N_m"] for axis in "xyz"] == [None, 1.23457, 0.0]
     assert [tuple(jet["position"]) for jet in told["shape"]["jets"]] == [jet.position_m for jet in info.vehicle.jets]
-    json.dumps([told, feed.parameters(info.parameters)], allow_nan=False)
+    json.dumps([told, feed.describe_parameters(info.parameters)], allow_nan=False)
 
 
 def test_what_blocks_show_of_their_own_is_told_too(tmp_path: Path) -> None:
     """A mapping file's further output, a law's own numbers: they come last, as in the log."""
     with build(Scenario.load("jetwing-cruise")) as simulation:
-        info = flight_info(simulation, 1, read_only._list_parameters(simulation), tmp_path, 1.0)
+        info = make_flight_info(simulation, 1, read_only._list_parameters(simulation), tmp_path, 1.0)
         sample = simulation.step()
         shown = [column.name for column in simulation.columns]
         assert shown
-        assert [column[0] for column in feed.flight(info)["columns"]][-len(shown) :] == shown
-        assert feed.Rows()(info, sample)[-len(shown) :] == pytest.approx(sample.own, rel=1e-5)
+        assert [column[0] for column in feed.describe_flight(info)["columns"]][-len(shown) :] == shown
+        assert feed.RowConverter()(info, sample)[-len(shown) :] == pytest.approx(sample.own, rel=1e-5)
 
 
 def test_parameters_are_told_searched_and_set(flown: Flown) -> None:

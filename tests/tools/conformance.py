@@ -25,8 +25,8 @@ from cosim.results.log.recorder import Recorder
 from cosim.results.run import Recording
 from cosim.simulation.controllers.guard import GuardedController, GuardedPredictor
 from cosim.simulation.plugins import GuardedObserver, WindTable
-from cosim.simulation.script.disturber import Disturber
-from cosim.simulation.with_places import PlacePilot
+from cosim.simulation.script.disturber import DisturbanceScript
+from cosim.simulation.with_places import GuidedPilot
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
 
 METRICS: list[protocols.Metric] = [metrics.flight_metrics]
@@ -54,11 +54,11 @@ def sensors(block: SensorSuite | FaultySensors) -> protocols.Sensors:
     return block
 
 
-def disturbances(block: Disturber) -> protocols.Disturbances:
+def disturbances(block: DisturbanceScript) -> protocols.Disturbances:
     return block
 
 
-def pilot(block: PlacePilot | Autopilot | _PilotOutside) -> protocols.Pilot:
+def pilot(block: GuidedPilot | Autopilot | _PilotOutside) -> protocols.Pilot:
     return block
 
 

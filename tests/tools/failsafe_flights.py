@@ -18,7 +18,7 @@ from cosim.results.log.digest import DigestSink, log_digest
 from cosim.results.log.recorder import Recorder
 from cosim.results.run import Run
 from cosim.simulation.build import build
-from cosim.simulation.with_autopilot import with_autopilot
+from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 
 
@@ -48,7 +48,7 @@ class Flight(Asked):
         subject = load_subject(aircraft)
         scenario = table.scenario_of(subject, table.default_controller(subject), height, 0.0).replace(**changes)
         self.simulation = build(scenario)
-        self.pilot = with_autopilot(self.simulation, airborne=not scenario.initial.on_ground)
+        self.pilot = attach_autopilot(self.simulation, airborne=not scenario.initial.on_ground)
         self._entries: list[Entry] = []
         self._digest: DigestSink | None = None
         if recorded:

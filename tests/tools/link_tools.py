@@ -15,14 +15,14 @@ from cosim.groundstation.mavlink.vehicle import MavlinkVehicle
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.signing import Signing
 from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
-from cosim.groundstation.mavlink.wire.transports.endpoint import parse
+from cosim.groundstation.mavlink.wire.transports.endpoint import parse_endpoint
 
 
 class Flight:
     """A thread that steps at 250 Hz, as far as the link can tell; ``late``: steps that began 4 ms late or more."""
 
     def __init__(self, *urls: str, signing: Signing | None = None, log: TelemetryLog | None = None) -> None:
-        self.link = Link([parse(url) for url in urls], signing=signing, log=log)
+        self.link = Link([parse_endpoint(url) for url in urls], signing=signing, log=log)
         self.exchange = Exchange()
         self.vehicle = MavlinkVehicle(ABOUT, Port(self.exchange, "mavlink"), self.link)
         self.pilot = Pilot()
@@ -37,7 +37,7 @@ class Flight:
         start, k = time.monotonic(), 0
         while not self._stop.is_set():
             began = time.perf_counter()
-            for waiting in self.exchange.take(MOST):
+            for waiting in self.exchange.take_requests(MOST):
                 waiting.answer(self.pilot.handle(waiting.request))
             self.exchange.publish(snapshot(sample(k), self.pilot.status))
             self.worst = max(self.worst, time.perf_counter() - began)

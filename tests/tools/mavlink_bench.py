@@ -12,7 +12,7 @@ from typing import Any
 from cosim.control.autopilot.requests import Answer, Request, Result
 from cosim.groundstation.mavlink.services.logs import DiskFile, LogEntry
 from cosim.groundstation.mavlink.services.service import Client
-from cosim.groundstation.mavlink.wire.dialect import mav, pack
+from cosim.groundstation.mavlink.wire.dialect import mav, prepare_message
 from cosim.groundstation.mavlink.wire.frames import FramePacker, Parser
 
 TICK = 0.01  # s between two polls
@@ -22,7 +22,7 @@ _FLOAT = struct.Struct("<f")
 class StandInPeer:
     """The address of a station, as far as services read one."""
 
-    behind = False
+    is_behind = False
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -96,7 +96,7 @@ class Station:
 
     def down(self, message: Any) -> None:
         """A message of the vehicle, as bytes."""
-        data = self.vehicle_sender.frame(pack(message))
+        data = self.vehicle_sender.pack_frame(prepare_message(message))
         if self.bench.chance.random() < self.bench.loss:
             return
         for found in self.mav.parse_buffer(data) or []:

@@ -152,7 +152,7 @@ class Bench:
         """Time goes on: the pilot answers, the vehicle polls."""
         end = self.time + seconds
         while True:
-            while taken := self.exchange.take(MOST):
+            while taken := self.exchange.take_requests(MOST):
                 for waiting in taken:
                     waiting.answer(self.pilot.handle(waiting.request))
                 self.publish()
@@ -211,7 +211,7 @@ class Desk:
         self.bytes(raw)
 
     def bytes(self, raw: bytes) -> None:
-        self.bench.link.take(self.peer.feed(raw, self.bench.time), self.peer, self.bench.time)
+        self.bench.link.dispatch_frames(self.peer.feed(raw, self.bench.time), self.peer, self.bench.time)
 
     def ask(self, message: Any, seconds: float = 0.0) -> list[Any]:
         """Send, let the vehicle answer, and give what came, telemetry left out where time stands still."""

@@ -14,7 +14,7 @@ from cosim.control.autopilot.modes import Mode
 from cosim.simulation.build import build
 from cosim.simulation.ending import Ending
 from cosim.simulation.step import Simulation
-from cosim.simulation.with_autopilot import with_autopilot
+from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 
 
@@ -52,7 +52,7 @@ class Flight(Asked):
         }
         scenario = Scenario.from_table(base | changes, Scenario.load("hover").folder, "test")
         self.simulation = build(scenario)
-        self.pilot = with_autopilot(self.simulation, airborne)
+        self.pilot = attach_autopilot(self.simulation, airborne)
         self.samples: list[Sample] = []
         self.ending: Ending | None = None
 

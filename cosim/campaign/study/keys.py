@@ -27,11 +27,11 @@ from cosim.base.storage.toml import merge, split_key
 from cosim.base.trust import CodeRefusedError, is_looking
 from cosim.campaign.study.key import Key, Value, unit_of
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.engine import engine_names
+from cosim.engine import list_engine_names
 from cosim.engine.fmu.variables import INTEGERS
 from cosim.engine.spec import EngineSource, find_source
-from cosim.simulation.controllers.source import find
-from cosim.simulation.controllers.source import names as custom_controllers
+from cosim.simulation.controllers.source import find_controller_source
+from cosim.simulation.controllers.source import list_installed as custom_controllers
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario, parameter_files
 from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of, is_file
@@ -176,7 +176,9 @@ def custom_keys(scenario: Scenario) -> list[Key]:
     if is_design(scenario.controller):
         return []
     try:
-        source = find(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
+        source = find_controller_source(
+            scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}"
+        )
     except CodeRefusedError:
         if is_looking():
             return []
@@ -251,7 +253,7 @@ def _names(name: str) -> list[str]:
 
     if name == "controller":
         return [*PREDICTORS, *(name for name, _ in custom_controllers())]
-    return aircraft_names() if name == "aircraft" else engine_names()
+    return aircraft_names() if name == "aircraft" else list_engine_names()
 
 
 def _refine_key(key: Key, entry: BaseModel, scenario: Scenario) -> Key:
@@ -396,7 +398,7 @@ def _declared(name: str, unit: str | None) -> str:
 def _station_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
     """Yield the keys of the engine at each station: which it is, and its parameters."""
 
-    names = tuple(engine_names())
+    names = tuple(list_engine_names())
     for number in range(1, jets + 1):
         station = scenario.stations.get(str(number))
         engine = station.engine if station else None

@@ -9,9 +9,9 @@ from cosim.campaign.study.key import Value
 from cosim.campaign.study.plan import Flight, flights, scenario_of
 from cosim.campaign.study.study import Study
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.simulation.controllers.controller_file import design_notes
-from cosim.simulation.engines import engines_of
-from cosim.simulation.model_agreement import ModelAgreement, flown_agreements
+from cosim.simulation.controllers.controller_file import list_design_notes
+from cosim.simulation.engines import load_engines
+from cosim.simulation.model_agreement import ModelAgreement, compare_flown_models
 from cosim.spec.scenario import flown_parameters
 
 MAX_DRAWN = 1000  # flights whose values are compared for the ends of what varies: they cost nothing to draw
@@ -33,12 +33,12 @@ def model_notes(study: Study) -> list[str]:
         try:
             scenario = scenario_of(study, flight)
             vehicle, _ = scenario.resolved_vehicle()
-            agreements = flown_agreements(scenario, vehicle, engines_of(scenario, vehicle)[0])
+            agreements = compare_flown_models(scenario, vehicle, load_engines(scenario, vehicle)[0])
         except (InputError, FlightError):
             continue
         compared += bool(agreements)
         farthest = max(agreements, key=lambda agreement: agreement.distance, default=None)
-        if farthest is not None and farthest.noted:
+        if farthest is not None and farthest.is_noteworthy:
             noted += 1
             if worst is None or farthest.distance > worst[1].distance:
                 worst = flight, farthest
@@ -63,7 +63,7 @@ def design_warnings(study: Study) -> list[str]:
         try:
             scenario = scenario_of(study, planned[number])
             vehicle, _ = scenario.resolved_vehicle()
-            notes += design_notes(flown_parameters(scenario), engines_of(scenario, vehicle)[0])
+            notes += list_design_notes(flown_parameters(scenario), load_engines(scenario, vehicle)[0])
         except (InputError, FlightError):
             continue
     return list(dict.fromkeys(notes))

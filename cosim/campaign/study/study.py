@@ -27,10 +27,10 @@ from cosim.campaign.study.key import Key
 from cosim.campaign.study.keys import CUSTOM_PARAMETERS, custom_keys, find_key, with_values
 from cosim.campaign.study.values import check_vary
 from cosim.results.metrics import metric_names
-from cosim.simulation.code import aircraft_code, block_code, engine_code, scenario_code
-from cosim.simulation.controllers.source import find
-from cosim.simulation.notes import step_notes, varied_turbulence_notes
-from cosim.simulation.plugins import metrics_of
+from cosim.simulation.code import list_aircraft_code, list_block_code, list_engine_code, list_scenario_code
+from cosim.simulation.controllers.source import find_controller_source
+from cosim.simulation.notes import note_few_substeps, note_varied_turbulence
+from cosim.simulation.plugins import load_metrics
 from cosim.spec.controller_name import is_design, seen_from
 from cosim.spec.scenario import Range, Scenario, find_scenario
 
@@ -178,9 +178,9 @@ class Study(Model):
     def notes(self) -> list[str]:
         """Return notes on settings that are allowed but that a user should know of before flying."""
         base, keys = self.base(), [vary.key for vary in self.vary]
-        lines = varied_turbulence_notes(base, keys)
+        lines = note_varied_turbulence(base, keys)
         if "substeps" not in keys and "aircraft" not in keys:
-            lines += step_notes(base)
+            lines += note_few_substeps(base)
         if self.design == "sobol" and self.draws & (self.draws - 1):
             below = 1 << (self.draws.bit_length() - 1)
             lines.append(
@@ -316,16 +316,19 @@ class Study(Model):
 def study_code(study: Study) -> list[Code]:
     """Return the files that a study names and that run: of its scenario, its controllers and what it varies."""
     base = study.base()
-    code = [*scenario_code(base), *(each for name in study.controllers for each in block_code(name, study.folder))]
+    code = [
+        *list_scenario_code(base),
+        *(each for name in study.controllers for each in list_block_code(name, study.folder)),
+    ]
     for vary in study.vary:
         kind = vary.key.split(".")[-1]
         for value in [value for value in vary.values or [] if isinstance(value, str)]:
             if kind == "engine":
-                code += engine_code(value, base.folder)
+                code += list_engine_code(value, base.folder)
             elif kind == "controller":
-                code += block_code(value, base.folder)
+                code += list_block_code(value, base.folder)
             elif kind == "aircraft":
-                code += aircraft_code(value, base.folder, with_engine=True)
+                code += list_aircraft_code(value, base.folder, with_engine=True)
     if study.autopilot is not None and study.autopilot.binary:
         with suppress(OSError):
             code.append(code_of(Path(study.autopilot.seen_from(study.folder).binary)))
@@ -368,8 +371,8 @@ def _check_names(study: Study, where: str) -> None:
     """Refuse unknown controllers and metrics, and keys that are columns of their own or stand twice."""
     for name in study.controllers:
         if not is_design(name):
-            find(name, study.folder, f"{where}: controllers: unknown controller {name!r}")
-    names = [*metric_names(), *(name for metric in metrics_of(study.base()) for name in metric.names)]
+            find_controller_source(name, study.folder, f"{where}: controllers: unknown controller {name!r}")
+    names = [*metric_names(), *(name for metric in load_metrics(study.base()) for name in metric.names)]
     for name in study.success:
         if name not in names:
             raise InputError(f"{where}: success: unknown metric {name!r}; {nearest(name, names)}")

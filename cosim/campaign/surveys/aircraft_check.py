@@ -24,13 +24,13 @@ from cosim.campaign.surveys.authority_drawing import attainable_moments
 from cosim.campaign.surveys.survey import load_subject
 from cosim.control.allocation.authority import Authority, Range, Reach, compute_reach
 from cosim.control.predictors.registry import BASELINE
-from cosim.engine import engine_names
+from cosim.engine import list_engine_names
 from cosim.flight import fly
 from cosim.results.report.three_views import points_of, three_views
 from cosim.simulation.build import build
-from cosim.simulation.engines import engines_of
-from cosim.simulation.model_agreement import NOTED, ModelAgreement, model_agreements
-from cosim.simulation.notes import tank_notes
+from cosim.simulation.engines import load_engines
+from cosim.simulation.model_agreement import NOTED, ModelAgreement, compare_models
+from cosim.simulation.notes import note_missing_fuel_flow
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from
@@ -130,7 +130,10 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
         reach = compute_reach(vehicle, least.tolist(), most.tolist())
         authority = [reach.authority(lost) for lost in losses]
         engine_name = simulation.engine.name
-        models = [*_models(simulation), *(Line("fuel", text) for text in tank_notes(vehicle, simulation.stations))]
+        models = [
+            *_models(simulation),
+            *(Line("fuel", text) for text in note_missing_fuel_flow(vehicle, simulation.stations)),
+        ]
     lines += [_lift(authority[0]), *_axes(authority, vehicle.inertia_kg_m2), *models, _flight(scenario)]
     return AircraftCheck(
         vehicle.name,
@@ -270,14 +273,14 @@ def _models(simulation: Simulation) -> list[Line]:
     for family, models in vehicle.identified.items():
         scenario, engine = simulation.scenario, simulation.engine
         if family != engine.family:
-            if family not in engine_names():
+            if family not in list_engine_names():
                 text = f"not compared: --engine FILE names the engine {family}"
                 lines += [Line(f"{axis} model, {family}", text) for axis in models]
                 continue
             scenario = scenario.replace(engine=family)
-            engine = engines_of(scenario, vehicle)[0]
-        full = model_agreements(scenario, vehicle, engine)
-        empty = model_agreements(scenario, vehicle.with_fuel(0.0), engine, "without fuel") if vehicle.fuel else []
+            engine = load_engines(scenario, vehicle)[0]
+        full = compare_models(scenario, vehicle, engine)
+        empty = compare_models(scenario, vehicle.with_fuel(0.0), engine, "without fuel") if vehicle.fuel else []
         compared = {axis: [agreement for agreement in (*full, *empty) if agreement.axis == axis] for axis in models}
         lines += [_model(axis, family, agreements) for axis, agreements in compared.items()]
     return lines
@@ -290,9 +293,11 @@ def _model(axis: str, family: str, agreements: Sequence[ModelAgreement]) -> Line
         return Line(name, "not compared: its sample time is not the vehicle's control step")
     worst = max(agreements, key=lambda agreement: agreement.distance)
     text = f"{worst.numbers}{f', {worst.state}' if worst.state else ''}"
-    if worst.unfit:
+    if worst.is_unfit:
         return Line(name, text, f"not of this vehicle: make one with hexjet identify {axis}, or take it out")
-    return Line(name, f"{text}: more than {100.0 * NOTED:.0f} % off, which predictors feel" if worst.noted else text)
+    return Line(
+        name, f"{text}: more than {100.0 * NOTED:.0f} % off, which predictors feel" if worst.is_noteworthy else text
+    )
 
 
 def _flight(scenario: Scenario) -> Line:

@@ -24,11 +24,11 @@ from cosim.campaign.surveys.lean_bound import STEP_S, Bound, RollAxis, make_roll
 from cosim.campaign.surveys.survey import Progress, Subject, fly_all, judge_outcome, measure_flight
 from cosim.design.controller_table import controller_table
 from cosim.design.design import design
-from cosim.engine import engine_names, load_engine
+from cosim.engine import list_engine_names, load_engine
 from cosim.flight import fly
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.simulation.build import build
-from cosim.simulation.controllers.controller_file import ControllerFile, Requirements, purpose_of, read_controller
+from cosim.simulation.controllers.controller_file import ControllerFile, Requirements, read_controller, read_purpose
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import aircraft_name, load_vehicle
 
@@ -137,7 +137,7 @@ def engine_out(
         vehicle, _ = load_vehicle(name)
         if vehicle.servo is None:
             raise InputError(f"aircraft {name}: it has no tilting banks, and no plan for an engine that is lost")
-        for engine in engines or [engine for engine in engine_names() if engine not in NOT_A_JET]:
+        for engine in engines or [engine for engine in list_engine_names() if engine not in NOT_A_JET]:
             subject = Subject(name, vehicle, engine)
             controller = find_obstacle(subject) or _controller(subject, designs, progress)
             if isinstance(controller, str):
@@ -175,7 +175,7 @@ def _controller(subject: Subject, designs: Path, progress: Progress) -> Controll
     path = designs / f"{purpose[1]}-{purpose[0]}.toml"
     for candidate in (designs / f"{purpose[1]}.toml", path):
         if candidate.is_file():
-            recorded = purpose_of(candidate)
+            recorded = read_purpose(candidate)
             if (recorded.aircraft, Path(recorded.engine).name) == purpose:
                 return read_controller(candidate, aircraft)
     progress(f"designing {aircraft} with {engine}", 0, 1)

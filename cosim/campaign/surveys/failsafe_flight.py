@@ -21,7 +21,7 @@ from cosim.results.log.columns import log_columns, logged_vehicle
 from cosim.results.log.digest import DigestSink
 from cosim.results.log.recorder import Recorder
 from cosim.simulation.build import build
-from cosim.simulation.with_autopilot import with_autopilot
+from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ class FailsafeFlight:
 def fly_case(task: Task) -> FailsafeFlight:
     """Fly one flight, in this process."""
     with build(task.scenario) as simulation:
-        flight = _Flight(task, simulation, with_autopilot(simulation, airborne=not task.number))
+        flight = _Flight(task, simulation, attach_autopilot(simulation, airborne=not task.number))
         if task.number:
             if not flight.take_off():
                 return flight.fail()
@@ -245,7 +245,7 @@ class _Flight:
             self._touchdown = max(down, 0.0 if isnan(self._touchdown) else self._touchdown)
             self._sideways = max(hypot(north, east), 0.0 if isnan(self._sideways) else self._sideways)
             self._touched = k if isnan(self._touched) else self._touched
-        self._ending = simulation.end(sample, [self._recorder.observe])
+        self._ending = simulation.check_end(sample, [self._recorder.observe])
         return sample
 
     def _verdict(self, disarmed: bool, target: HoldTarget) -> Verdict:

@@ -41,7 +41,7 @@ from cosim.control.autopilot.requests import (
 )
 from cosim.control.predictors.registry import BASELINE, SMITH
 from cosim.simulation.build import build
-from cosim.simulation.with_autopilot import with_autopilot
+from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_name
 
@@ -211,7 +211,7 @@ def _plan(
         for start, number in conditions.starts(case)
     ]
     with build(tasks[0].scenario) as simulation:
-        energy = with_autopilot(simulation, airborne=True).energy
+        energy = attach_autopilot(simulation, airborne=True).energy
         return controller, [
             draw_flight(task, vehicle, energy, conditions.seed) if task.number else task for task in tasks
         ]

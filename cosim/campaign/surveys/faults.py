@@ -28,7 +28,7 @@ from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.predictors.registry import BASELINE
 from cosim.flight import fly
 from cosim.simulation.build import build
-from cosim.simulation.controllers.controller_file import differences, read_controller
+from cosim.simulation.controllers.controller_file import list_differences, read_controller
 from cosim.spec.controller_name import is_design, label
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
@@ -217,12 +217,12 @@ def survival(
         f"{label(flight.controller)}: {text}"
         for flight in first_flights
         if is_design(flight.controller)
-        for text in differences(flight.scenario, Path(flight.controller))
+        for text in list_differences(flight.scenario, Path(flight.controller))
     )
     flights = [flight._replace(scenario=_pin_controller(flight, custom)) for flight in flights]
     with build(flights[0].scenario.replace(controller=BASELINE.name)) as simulation:
         hover, idle = simulation.cascade.allocator.hover, simulation.cascade.thrust_map.idle
-        moments = _moments(vehicle, simulation.stations[0].delay)
+        moments = _moments(vehicle, simulation.stations[0].transport_delay)
     rows = list(fly_all(_fly, flights, workers, progress, lambda row: f"{row.kind}, {row.place}"))
     scans = [(subject, name, start, controller) for name in SCANS for start in STARTS for controller in controllers]
     reached = list(fly_all(_scan, scans, workers, progress, lambda limit: limit.quantity)) if limits else []

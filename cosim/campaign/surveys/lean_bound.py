@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 from cosim.base.constants import GRAVITY
 from cosim.engine import make_bank
 from cosim.engine.wrappers import EngineChain
-from cosim.simulation.controllers.built_in import opposites
-from cosim.simulation.engine_reference import engine_reference
+from cosim.simulation.controllers.built_in import find_opposite_jets
+from cosim.simulation.engine_reference import make_engine_reference
 from cosim.spec.scenario import FlameOut
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.servo import TiltServo
@@ -67,13 +67,13 @@ class ThrustCourses:
         spec = self._spec
         courses = []
         with make_bank([spec], STEP_S) as bank:
-            engines = EngineChain(bank, [spec.flame_out], lambda _: engine_reference(spec, STEP_S).lag, STEP_S)
+            engines = EngineChain(bank, [spec.flame_out], lambda _: make_engine_reference(spec, STEP_S).lag, STEP_S)
             engines.reset(self._hover)
             for k in range(self._steps):
                 if k == out_at:
-                    engines.begin(FlameOut(kind="flame_out", start_s=0.0, jet=[1]))
+                    engines.begin_fault(FlameOut(kind="flame_out", start_s=0.0, jet=[1]))
                 if k == shut_at:
-                    engines.switch(0, False)
+                    engines.switch_engine(0, False)
                 courses.append(engines.step(k, (throttle(k),)).thrust[0])
         return courses
 
@@ -160,7 +160,7 @@ def _damping(vehicle: Vehicle) -> float:
 def find_opposite(vehicle: Vehicle, jet: int) -> int:
     """Return the jet, from 1, across the centre of gravity."""
 
-    return opposites(vehicle)[jet - 1] + 1
+    return find_opposite_jets(vehicle)[jet - 1] + 1
 
 
 def measure_courses(simulation: Simulation, fraction: float, seconds: float = FOLLOWED_S) -> ThrustCourses:

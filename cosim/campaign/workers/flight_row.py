@@ -26,7 +26,7 @@ from cosim.results import metrics
 from cosim.results.log.columns import logged_vehicle
 from cosim.results.log.digest import DigestSink, log_digest
 from cosim.results.metrics import check_expectations, metric_names
-from cosim.simulation.plugins import metrics_of
+from cosim.simulation.plugins import load_metrics
 from cosim.spec.scenario import WaypointsCommand
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = 
 
 def custom_metric_names(study: Study) -> list[str]:
     """Return the names of the custom metrics that a study's rows have."""
-    return [name for metric in metrics_of(study.base()) for name in metric.names]
+    return [name for metric in load_metrics(study.base()) for name in metric.names]
 
 
 def _plugin_kinds(study: Study) -> Kinds:
@@ -138,7 +138,7 @@ def _sink(scenario: Scenario) -> DigestSink:
     """Return a sink that keeps what metrics read: everything if a custom metric does not name its columns."""
     waypoints = any(isinstance(entry, WaypointsCommand) for entry in scenario.command)
     names = list(metrics.columns(logged_vehicle(scenario.resolved_vehicle()[0]), waypoints))
-    custom = metrics_of(scenario)
+    custom = load_metrics(scenario)
     extra = [name for metric in custom for name in metric.columns or ()]
     return DigestSink([*names, *(name for name in dict.fromkeys(extra) if name not in names)],
                       whole=any(metric.columns is None for metric in custom))  # fmt: skip

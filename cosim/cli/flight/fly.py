@@ -127,9 +127,9 @@ def _warn(scenario: Scenario, controller: str | None) -> None:
     from cosim.spec.controller_name import is_design
 
     if controller is not None and is_design(controller):
-        from cosim.simulation.controllers.controller_file import differences
+        from cosim.simulation.controllers.controller_file import list_differences
 
-        for text in differences(scenario, Path(controller), noted=False):
+        for text in list_differences(scenario, Path(controller), noted=False):
             click.echo(f"hexjet: warning: {controller}: {text}", err=True)
     for text in scenario.after_the_end():
         click.echo(f"hexjet: warning: scenario {scenario.name}: {text}", err=True)
@@ -158,7 +158,7 @@ def _open_links(links: Sequence[str]) -> Iterator[Any]:
     from cosim.groundstation.links import Links
 
     with Links(links) as opened:
-        yield opened.read_only()
+        yield opened.make_read_only_observer()
 
 
 @contextmanager

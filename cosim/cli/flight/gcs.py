@@ -92,7 +92,7 @@ def gcs(options: Gcs) -> int:
     """
     from cosim.design.measured.judge import LoopJudge
     from cosim.groundstation.links import Links
-    from cosim.groundstation.parameter_store import default_file, vehicle_key
+    from cosim.groundstation.parameter_store import find_default_file, make_vehicle_key
     from cosim.groundstation.session import RecordOptions, Session, parse_place, stop_on_signals
 
     loaded = options.load()
@@ -100,8 +100,8 @@ def gcs(options: Gcs) -> int:
     if options.place is not None:
         changes["environment"] = parse_place(options.place)
     loaded = loaded.replace(**changes)
-    key = vehicle_key(loaded) + (f"-system-{options.system}" if options.system != 1 else "")
-    parameters = None if str(options.parameters) == "none" else options.parameters or default_file(key)
+    key = make_vehicle_key(loaded) + (f"-system-{options.system}" if options.system != 1 else "")
+    parameters = None if str(options.parameters) == "none" else options.parameters or find_default_file(key)
     as_json = options.as_json
     with (
         output_to_stderr(as_json),
@@ -114,7 +114,7 @@ def gcs(options: Gcs) -> int:
             loaded,
             opened.exchange,
             factor=options.rtf or None,
-            parameters=parameters,
+            parameter_file=parameters,
             duration=options.duration,
             records=RecordOptions(options.out, log_mb=options.log_limit),
             on_begin=opened.begin,
@@ -124,7 +124,7 @@ def gcs(options: Gcs) -> int:
         print_gcs(session, opened, options.log_limit, to_stderr=as_json)
         with stop_on_signals(session), live_line(opened, quiet=as_json):
             runs = session.run()
-        counts = opened.counts
+        counts = opened.frame_counts
     print_session(runs, counts, to_stderr=as_json)
     options.answer(
         lambda: {"runs": [run.summary.model_dump(mode="json") for run in runs], "links": counts}, lambda: None
@@ -136,7 +136,7 @@ def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) ->
     """Print where to connect, what flies, and where it is recorded."""
     from rich.console import Console
 
-    from cosim.groundstation.log_limit import hourly_mb
+    from cosim.groundstation.log_limit import estimate_hourly_mb
     from cosim.spec.scenario import controller_shown
 
     console = Console(stderr=True) if to_stderr else terminal()
@@ -146,12 +146,16 @@ def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) ->
         ("place", f"{site.latitude_deg:.6f}, {site.longitude_deg:.6f}, {site.ground_m:g} m above the sea"),
         ("system", str(links.system)),
         *[("MAVLink", _describe_link(url)) for url in links.urls],
-        *([("page", links.page)] if links.page else []),
-        *([("Foxglove", links.foxglove)] if links.foxglove else []),
-        ("parameters", f"{session.parameters or 'not kept'}"),
+        *([("page", links.page_url)] if links.page_url else []),
+        *([("Foxglove", links.foxglove_url)] if links.foxglove_url else []),
+        ("parameters", f"{session.parameter_file or 'not kept'}"),
         *[("", line) for line in session.describe_saved()],
         ("run", str(session.info.folder)),
-        ("log", f"{hourly_mb(session.info):.0f} MB an hour of flight, {log_mb:g} MB a flight at most (--log-limit)"),
+        (
+            "log",
+            f"{estimate_hourly_mb(session.info):.0f} MB an hour of flight, "
+            f"{log_mb:g} MB a flight at most (--log-limit)",
+        ),
         ("pace", "as fast as it goes" if session.factor is None else f"{session.factor:g} x real time"),
     ]
     for label, value in rows:
@@ -232,7 +236,7 @@ def _state(links: Links) -> str:
         return ""
     status, pace = snapshot.status, snapshot.pace
     state = "armed" if status.armed else "disarmed"
-    speed = "" if pace.reached is None else f"  {pace.reached:.2f} x"
+    speed = "" if pace.reached_factor is None else f"  {pace.reached_factor:.2f} x"
     missed = f"  deadlines missed {pace.missed} of {pace.steps}" if pace.factor else ""
     count = sum(list(links.link.refused.values()))  # a list at once: another thread counts
     refused = f"  frames refused {count}" if count else ""

@@ -250,13 +250,13 @@ def params(options: Parameters) -> int:
     What cannot be said in its parameters stands in the lines that begin with #. For Betaflight they are lines for its
     console.
     """
-    from cosim.autopilots.firmware_parameters import parameters_of
+    from cosim.autopilots.firmware_parameters import format_firmware_parameters
 
     autopilot, target = options.autopilot, options.target
     if target != "sitl" and autopilot != "px4":
         raise InputError(f"--target {target}: {autopilot} has one set of parameters; allowed is px4")
     vehicle, _ = load_scenario("hover", options.gains, (), None, (), None, options.aircraft).resolved_vehicle()
-    click.echo(parameters_of(autopilot, vehicle, 1.0 / options.rate, target), nl=False)
+    click.echo(format_firmware_parameters(autopilot, vehicle, 1.0 / options.rate, target), nl=False)
     return DONE
 
 

@@ -164,7 +164,7 @@ def controller(options: ExportController) -> int:
     """
     from dataclasses import asdict
 
-    from cosim.autopilots.firmware_parameters import torque_scale_of
+    from cosim.autopilots.firmware_parameters import find_torque_scale
     from cosim.codegen.export import export_controller
     from cosim.spec.controller_name import is_design
 
@@ -173,14 +173,14 @@ def controller(options: ExportController) -> int:
     name_or_file = options.controller
     source = Path(name_or_file).name if name_or_file is not None and is_design(name_or_file) else ""
     vehicle, _ = loaded.resolved_vehicle()
-    torques = {autopilot: torque_scale_of(autopilot, vehicle) for autopilot in options.inside}
+    torques = {autopilot: find_torque_scale(autopilot, vehicle) for autopilot in options.inside}
     out = options.out or Path(name)
     exported = export_controller(loaded, out, name, licence, not options.no_fmu, source, torques, options.loops)
     _warn_of_licences(licence, options.inside)
     options.answer(
         lambda: asdict(exported) | {"folder": str(exported.folder)}, lambda: _print(exported, options.loops), nan=True
     )
-    return FLIGHT_FAILED if exported.measured is not None and not exported.measured.same else DONE
+    return FLIGHT_FAILED if exported.measured is not None and not exported.measured.is_identical else DONE
 
 
 def _warn_of_licences(licence: str | None, inside: tuple[str, ...]) -> None:
@@ -239,16 +239,16 @@ def vehicle(options: ExportVehicle) -> int:
         click.echo(f"{ports}, communication step {exported.step_s:g} s or a multiple")
         click.echo(f"flown by {exported.python}, unless HEXJET_PYTHON names another")
 
-    options.answer(lambda: exported.data, show, nan=True)
+    options.answer(lambda: exported.json_data, show, nan=True)
     return DONE
 
 
 def _print(exported: ExportedController, loops: bool) -> None:
-    from cosim.codegen.export import figures
+    from cosim.codegen.export import list_figures
 
     click.echo(f"{exported.folder}: {', '.join(exported.files)}")
     click.echo(f"test vectors: {exported.steps} steps")
-    for quantity, value in figures(exported.measured, loops):
+    for quantity, value in list_figures(exported.measured, loops):
         click.echo(f"{quantity}: {value}")
     if exported.without_fmus is not None:
         click.echo(f"no FMUs: {exported.without_fmus}")

@@ -88,7 +88,7 @@ def catalogue(kind: str) -> list[dict[str, Any]]:
         return [_entry(name, data_folder(kind) / f"{name}.toml") for name in files_in(kind)]
     if kind == "controllers":
         from cosim.control.predictors.registry import PREDICTORS
-        from cosim.simulation.controllers.source import names as custom_controllers
+        from cosim.simulation.controllers.source import list_installed as custom_controllers
 
         built_in = [{"name": spec.name, "title": spec.title} for spec in PREDICTORS.values()]
         return built_in + [{"name": name, "title": title} for name, title in custom_controllers()]

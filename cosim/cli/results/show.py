@@ -117,13 +117,13 @@ def _entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
 def _design(name: str) -> dict[str, Any] | None:
     """Return what a controller file of ``hexjet design`` is, None for any other name.  Raises InputError."""
     from cosim.base.storage.toml import read_toml
-    from cosim.simulation.controllers.controller_file import describe_proof, purpose_of
+    from cosim.simulation.controllers.controller_file import describe_proof, read_purpose
 
     path = Path(name)
     table = read_toml(path) if is_design(name) and path.is_file() else {}
     if not isinstance(table.get("design"), Mapping):  # a study's is a word
         return None
-    purpose = purpose_of(path)
+    purpose = read_purpose(path)
     margins = [
         number._replace(meaning=_MEANINGS_OF_MARGINS.get(number.name.rpartition(".")[2], ""))
         for axis, record in purpose.axes.items()

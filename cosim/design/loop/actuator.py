@@ -47,22 +47,22 @@ def by_hinges(parts: Sequence[AxisPart], step: float, slower: float = 1.0) -> tu
 
         sum_i W_i(z) (1 - a_i) / (z - a_i) = A(z) sum_i W_i(z) prod_j!=i (1 - a_j / z) / (1 - a_j),
 
-    with ``W_i`` of :meth:`AxisPart.shape` and ``A`` all of the lags in a row, so that the second factor has no poles.
-    It is taken over the sum of the shares, and ``slower`` multiplies the lags.  The dynamics are those of the lag that
-    gives most: they say how quick a loop may be, the model and the shape what it meets.
+    with ``W_i`` of :meth:`AxisPart.compute_weights` and ``A`` all of the lags in a row, so that the second factor
+    has no poles.  It is taken over the sum of the shares, and ``slower`` multiplies the lags.  The dynamics are those
+    of the lag that gives most: they say how quick a loop may be, the model and the shape what it meets.
     """
     servos = [servo_actuator(part.servos[0], step, slower) for part in parts]
     poles = [exp(step * servo.dynamics.poles[0].real) for servo in servos]
     shape = np.zeros(1)
     for k, part in enumerate(parts):
-        answer = np.array(part.shape(step))
+        answer = np.array(part.compute_weights(step))
         for pole in poles[:k] + poles[k + 1 :]:
             answer = np.convolve(answer, [1.0 / (1.0 - pole), -pole / (1.0 - pole)])
         shape = shape + answer if k else answer
-    main = servos[max(range(len(parts)), key=lambda k: parts[k].share)]
+    main = servos[max(range(len(parts)), key=lambda k: parts[k].fraction)]
     if len(poles) > 1:
         gain = prod([1.0 - pole for pole in poles])
         zeros = [0.0] * (len(poles) - 1)
         changed = {"gain": gain, "zeros": zeros, "poles": sorted(poles, reverse=True)}
         main = replace(main, model=main.model.model_copy(update=changed))
-    return main, tuple((shape / sum([part.share for part in parts])).tolist())
+    return main, tuple((shape / sum([part.fraction for part in parts])).tolist())

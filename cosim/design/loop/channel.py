@@ -35,15 +35,15 @@ from cosim.simulation.axis_chain import (
     axis_gain,
     axis_moment,
     bank_reaction,
-    by_throttle,
+    discretise_rate,
     filter_pole,
-    hinged_parts,
-    measuring,
+    is_turned_by_throttle,
+    list_hinged_parts,
+    measurement_response,
     rate_response,
-    thrust_lead,
-    turning,
+    thrust_momentum_lead,
 )
-from cosim.simulation.controllers.allocators import effectiveness_of
+from cosim.simulation.controllers.allocators import make_effectiveness
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import EngineLead, Hinge, RateModel, Sensors, Servo, Vehicle
 
@@ -87,8 +87,8 @@ class Channel:
 
     @property
     def turning(self) -> tuple[tuple[float, ...], float]:
-        """What JSBSim's runs make of a moment, and the rate's pole: :func:`cosim.simulation.axis_chain.turning`."""
-        return turning(self.damping_1_s, self.step, self.substeps, self.shape)
+        """Weights of a moment and the rate's pole over one step, as :func:`.axis_chain.discretise_rate` has them."""
+        return discretise_rate(self.damping_1_s, self.step, self.substeps, self.shape)
 
     @property
     def transport_samples(self) -> float:
@@ -104,8 +104,8 @@ class Channel:
             return sum(-self.step / log(pole) for pole in self.identified.poles if 0.0 < pole < 0.998)
         acting = self.actuator.dynamics.lag_s - self.lead_s
         if len(self.hinged) > 1:  # each by its share
-            late = sum([part.share * part.servos[0].lag_s for part in self.hinged])
-            acting = late / sum([part.share for part in self.hinged]) - self.lead_s
+            late = sum([part.fraction * part.servos[0].lag_s for part in self.hinged])
+            acting = late / sum([part.fraction for part in self.hinged]) - self.lead_s
         return acting + self.rate_filter_s + 0.5 * (self.rate_hold - 1) * self.step
 
     @property
@@ -113,7 +113,7 @@ class Channel:
         """By how much the momentum of rotors that hinges turn acts sooner than the hinges do, s; 0 without hinges."""
         if not self.hinged:
             return 0.0
-        return sum([part.lead_s for part in self.hinged]) / sum([part.share for part in self.hinged])
+        return sum([part.lead_s for part in self.hinged]) / sum([part.fraction for part in self.hinged])
 
     @property
     def slowness_s(self) -> float:
@@ -224,7 +224,7 @@ class Channel:
 
     def measuring(self, z: Complex) -> Complex:
         """Return the response from rate to measured rate: low-pass, latency, and the mean effect of a hold."""
-        return measuring(z, self.gyro_pole, self.rate_latency, self.rate_hold)
+        return measurement_response(z, self.gyro_pole, self.rate_latency, self.rate_hold)
 
     # ---- the same channel, changed
 
@@ -279,9 +279,9 @@ def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, d
     if vehicle.allocation == "effectiveness":
         return _by_effectiveness(axis, scenario, vehicle, engine, dynamics)
     inertia, span = vehicle.inertia_kg_m2[index], thrust_span(engine)
-    thrusts, moment = by_throttle(vehicle, index), axis_moment(vehicle, index, span)
+    thrusts, moment = is_turned_by_throttle(vehicle, index), axis_moment(vehicle, index, span)
     kick = bank_reaction(vehicle, index, moment, scenario.step_s)
-    early = thrust_lead(vehicle, engine, index, scenario.step_s)
+    early = thrust_momentum_lead(vehicle, engine, index, scenario.step_s)
     room = _room(vehicle, engine) if thrusts else _servo_room(vehicle.servo)
     return Channel(
         axis,
@@ -306,12 +306,12 @@ def _by_effectiveness(
     What the other gives of it is carried as an uncertainty: :func:`_with_others`.
     """
     index = AXES.index(axis)
-    allocator, step = effectiveness_of(scenario, vehicle, engine), scenario.step_s
+    allocator, step = make_effectiveness(scenario, vehicle, engine), scenario.step_s
     room = allocator.acceleration_limit(index)
-    engines, *hinges = hinged_parts(vehicle, allocator, index, engine, step)
-    hinged = tuple([part for part in hinges if any(part.shape(step))])
+    engines, *hinges = list_hinged_parts(vehicle, allocator, index, engine, step)
+    hinged = tuple([part for part in hinges if any(part.compute_weights(step))])
     main, shape, others = dynamics, STILL, hinged
-    if sum([part.share for part in hinged]) > engines.share:
+    if sum([part.fraction for part in hinged]) > engines.fraction:
         main, shape = by_hinges(hinged, step)
         others = (engines,)
         # no step of the command may ask more of a hinge than its servo follows
@@ -350,10 +350,12 @@ def _with_others(
     hertz = np.geomspace(1e-3, 0.49, OTHERS_POINTS) / step
     z = np.exp(2j * np.pi * hertz * step)
     main_response = np.polyval(shape[::-1], 1.0 / z) * delayed_response(main.model, z)
-    deviation = np.full(len(z), -sum([part.share for part in others]), complex)
+    deviation = np.full(len(z), -sum([part.fraction for part in others]), complex)
     for part in others:
         answer = servo_actuator(part.servos[0], step) if part.servos else engine
-        deviation += np.polyval(part.shape(step)[::-1], 1.0 / z) * delayed_response(answer.model, z) / main_response
+        deviation += (
+            np.polyval(part.compute_weights(step)[::-1], 1.0 / z) * delayed_response(answer.model, z) / main_response
+        )
     off = np.abs(deviation)
     if float(off.max()) < CARRIED:
         return main

@@ -90,7 +90,7 @@ def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[
 
 
 def _tuning(channel: Channel, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
-    """Return what flies on a channel, its predictor as by :func:`cosim.simulation.controllers.models.predictors`."""
+    """Return what flies on a channel, with the predictor of :func:`.controllers.models.make_predictors`."""
     tuning = shipped_tuning(channel, vehicle, spec)
     if channel.name == "altitude":
         return tuning

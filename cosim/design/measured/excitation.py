@@ -27,9 +27,9 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Controller, EngineState
 from cosim.base.signals import AXES, Actuation, Command, Disturbance, Measured
 from cosim.engine import EngineSpec
-from cosim.simulation.axis_chain import by_throttle, levers
+from cosim.simulation.axis_chain import is_turned_by_throttle, levers
 from cosim.simulation.build import build
-from cosim.simulation.controllers.allocators import effectiveness_of
+from cosim.simulation.controllers.allocators import make_effectiveness
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
@@ -93,7 +93,7 @@ class Tap:
         index = AXES.index(axis)
         self._moves: list[float] = []
         self._turns: list[float] = []
-        self.tilts = not by_throttle(vehicle, index)
+        self.tilts = not is_turned_by_throttle(vehicle, index)
         self.unit, self.usual = ("rad of tilt", USUAL_TILT) if self.tilts else ("share of thrust", USUAL_SHARE)
         if vehicle.allocation == "effectiveness":
             self._by_effectiveness(axis, scenario, vehicle, stations)
@@ -112,7 +112,7 @@ class Tap:
         self, axis: str, scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec]
     ) -> None:
         """Set the tap as the allocation splits a small angular acceleration in hover, with the effect of each part."""
-        fractions, effects = effectiveness_of(scenario, vehicle, stations[0]).unit_changes(AXES.index(axis))
+        fractions, effects = make_effectiveness(scenario, vehicle, stations[0]).unit_changes(AXES.index(axis))
         jets, weight = len(vehicle.jets), vehicle.mass_kg * GRAVITY
         if not any(fractions):
             raise InputError(f"{vehicle.name}: its engines give no {axis} moment")

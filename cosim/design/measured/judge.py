@@ -60,7 +60,7 @@ class LoopJudge:
         with self._lock, suppress(InputError, ValueError, ArithmeticError):
             self._known_plants()
 
-    def concerns(self, name: str) -> bool:
+    def tunes_loop(self, name: str) -> bool:
         """Return whether a parameter tunes a loop that can be computed."""
         return not isinstance(self._plants, str) and any(name.startswith(_NAMES[axis]) for axis in self._channels)
 
@@ -68,7 +68,7 @@ class LoopJudge:
     def _channels(self) -> tuple[str, ...]:
         return CHANNELS if self._built_in else ("altitude",)
 
-    def cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
+    def find_cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
         """Return what is to be said of every loop that a change makes worse; nothing where it cannot be computed."""
         changed = [name for name, value in after.items() if value != before[name]]
         axes = [axis for axis in self._channels if any(name.startswith(_NAMES[axis]) for name in changed)]
@@ -117,7 +117,7 @@ class LoopJudge:
         if self._plants is None:
             scenario = self._scenario if self._built_in else self._with(BASELINE.name)
             engine, unchecked, apart = scenario.engine, scenario.engine_unchecked, scenario.engine_isolated
-            spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, apart=apart)
+            spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
             self._plants = plants_of(scenario, self._vehicle, spec)
         return self._plants
 

@@ -16,7 +16,7 @@ from cosim.design.measured.excitation import Multisine, Record, Tap, fly_with, m
 from cosim.simulation.build import build
 from cosim.simulation.controllers.plugged import find_controller
 from cosim.simulation.controllers.source import Source, from_object
-from cosim.simulation.delay_ledger import transport_samples
+from cosim.simulation.delay_ledger import sum_transport_samples
 from cosim.spec.controller_name import label, seen_from
 from cosim.spec.scenario import Scenario, controller_shown, flown_parameters
 
@@ -210,7 +210,7 @@ def measure_margins(
     computed_margins = computed(scenario, vehicle, spec, list(axes))
     by_axis = {}
     for axis in axes:
-        late = transport_samples(ledger, axis)
+        late = sum_transport_samples(ledger, axis)
         request = _MarginRequest(
             scenario,
             own,

@@ -23,7 +23,7 @@ class Air(NamedTuple):
     temperature: float  # K, static
     speed: float  # m/s, into the intake
 
-    def derived(self) -> dict[str, float]:
+    def derive(self) -> dict[str, float]:
         """Return the derived quantities :data:`DERIVED` in SI units, computed as the C loop does.
 
         ``altitude`` is the geopotential pressure altitude of ISO 2533, which engine decks mean; density that of dry

@@ -20,18 +20,18 @@ from cosim.engine.fmu.container import (
     DESCRIPTION,
     UnusableError,
     Zip,
-    fmi_of,
     has_sources,
-    one_line,
     open_archive,
-    parse,
+    parse_xml,
     read_bytes,
+    read_fmi_version,
+    to_one_line,
 )
-from cosim.engine.fmu.description import describe, descriptions
+from cosim.engine.fmu.description import pack_descriptions, read_description
 from cosim.engine.fmu.mapping import PortMap
 from cosim.engine.fmu.port_kinds import SPEEDS
 from cosim.engine.fmu.ports import PortError, find_engines
-from cosim.engine.fmu.starting import Setting, Starting, resolve_start
+from cosim.engine.fmu.starting import Setting, StartSequence, resolve_start
 from cosim.engine.fmu.units import Unit
 from cosim.engine.fmu.variables import INTEGERS, REALS, Port, Variable
 from cosim.engine.library import ADAPTER, ADAPTER_GENERATED, GENERATION_TOOL, platform_folder
@@ -51,7 +51,7 @@ class Feed(NamedTuple):
     output: Variable
     factor: float
     offset: float
-    late: bool  # the value of the step's beginning, because the source is stepped later
+    is_late: bool  # the value of the step's beginning, because the source is stepped later
 
 
 class ComponentVariable(NamedTuple):
@@ -85,13 +85,13 @@ class System:
     targets: tuple[tuple[ComponentVariable, ...], ...]
 
     @property
-    def late(self) -> list[str]:
+    def late_connections(self) -> list[str]:
         """Descriptions of the connections whose values are exchanged one step late."""
         names = [component.name for component in self.components]
         return [
             f"{names[feed.source]}.{feed.output.name} to {names[feed.component]}.{feed.variable.name}"
             for feed in self.feeds
-            if feed.late
+            if feed.is_late
         ]
 
 
@@ -106,16 +106,18 @@ class Archive:
     model: str
     engines: tuple[Mapping[str, Port], ...]  # the ports of each engine in it
     port_notes: tuple[str, ...]  # what was assumed about the ports
-    blemishes: tuple[str, ...]  # violations of FMI that stepping does not depend on
+    harmless_violations: tuple[str, ...]  # violations of FMI that stepping does not depend on
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     parameters: tuple[Variable, ...]
     once_per_process: bool
     saves_state: bool
     serializes_state: bool
-    starting: Starting = field(default_factory=Starting)  # what an instance goes through before it gives thrust
+    starting: StartSequence = field(
+        default_factory=StartSequence
+    )  # what an instance goes through before it gives thrust
     system: System | None = field(default=None, repr=False)  # None: one FMU, of which the rest says more
-    equations_sha256: str | None = None  # see equations_of; None if not of the library
+    equations_sha256: str | None = None  # see hash_equations; None if not of the library
     identifier: str = ""
     token: str = ""
     internal_step: float | None = None  # s, where the description states it
@@ -133,7 +135,7 @@ class Archive:
         return self.engines[0] if self.engines else {}
 
     @property
-    def one_speed(self) -> bool:
+    def has_shared_air_speed(self) -> bool:
         """Whether several engines share one air-speed input, which is then set to their mean."""
         return len(self.engines) > 1 and any(
             self.engines[0][name].variable == self.engines[1][name].variable for name in SPEEDS if name in self.ports
@@ -160,10 +162,10 @@ def read_archive(path: Path, ports: PortMap | None = None) -> Archive:
 
     Raises InputError: one line with the file and what is wrong with it.
     """
-    return read_once(path, ports, _archives, _read)
+    return read_cached(path, ports, _archives, _read)
 
 
-def read_once(
+def read_cached(
     path: Path, ports: PortMap | None, cache: Memory[Archive], read: Callable[[Path, bytes, str, PortMap], Archive]
 ) -> Archive:
     """Return ``read`` of a file's path, bytes, SHA-256 and port map, taken from ``cache`` where possible.
@@ -178,14 +180,14 @@ def read_once(
         raise InputError(f"{path}: {reason}") from reason
 
 
-def libraries_of(archive: Archive) -> list[str]:
+def list_libraries(archive: Archive) -> list[str]:
     """Return the paths of this platform's libraries relative to the folder of an unpacked archive."""
     if archive.system is None:
-        return [library_of(archive)]
-    return [f"{number}/{library_of(component.archive)}" for number, component in enumerate(archive.system.components)]
+        return [find_library(archive)]
+    return [f"{number}/{find_library(component.archive)}" for number, component in enumerate(archive.system.components)]
 
 
-def library_of(archive: Archive) -> str:
+def find_library(archive: Archive) -> str:
     """Return the path of this platform's library in the archive of one FMU."""
     import fmpy  # type: ignore[import-untyped]
 
@@ -195,11 +197,11 @@ def library_of(archive: Archive) -> str:
 def validate(data: bytes) -> list[str]:
     """Return the complaints of FMPy's validation about an archive's descriptions, empty if there are none.
 
-    Not against the names of its files, of which it knows one complaint: :func:`cosim.engine.fmu.container.name_notes`.
+    The names of its files are left out; :func:`cosim.engine.fmu.container.note_unusual_names` has notes on them.
     """
     from fmpy.validation import validate_fmu  # type: ignore[import-untyped]
 
-    return [one_line(problem) for problem in validate_fmu(descriptions(data))]
+    return [to_one_line(problem) for problem in validate_fmu(pack_descriptions(data))]
 
 
 def read_component(path: Path, data: bytes) -> Archive:
@@ -209,9 +211,9 @@ def read_component(path: Path, data: bytes) -> Archive:
 
 def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Archive:
     names, xml = open_archive(data)
-    root = parse(xml)
-    fmi = fmi_of(root)
-    description, blemishes = describe(data)
+    root = parse_xml(xml)
+    fmi = read_fmi_version(root)
+    description, blemishes = read_description(data)
     cosimulation = description.coSimulation
     _check_library(names, fmi, cosimulation.modelIdentifier)
     _read_unsigned(root, description)
@@ -221,7 +223,7 @@ def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Arc
     )
     engines: tuple[Mapping[str, Port], ...] = ()
     notes: list[str] = []
-    starting = Starting()
+    starting = StartSequence()
     try:
         if port_map is not None:
             engines, notes = find_engines([*inputs, *outputs, *parameters], port_map)
@@ -239,7 +241,7 @@ def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Arc
     return Archive(
         path=path,
         sha256=sha256,
-        equations_sha256=equations_of(data, root, description),
+        equations_sha256=hash_equations(data, root, description),
         fmi=fmi,
         version=root.attrib["fmiVersion"],
         model=description.modelName,
@@ -247,7 +249,7 @@ def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Arc
         token=description.instantiationToken,
         engines=engines,
         port_notes=tuple(notes),
-        blemishes=blemishes,
+        harmless_violations=blemishes,
         inputs=inputs,
         outputs=outputs,
         parameters=parameters,
@@ -262,7 +264,7 @@ def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Arc
     )
 
 
-def equations_of(data: bytes, root: ElementTree.Element, description: Any) -> str | None:
+def hash_equations(data: bytes, root: ElementTree.Element, description: Any) -> str | None:
     """Return a hash of a library engine's C sources and variables with their start values.
 
     The hash does not depend on compiler or FMI adapter, while that of the archive changes with every compiler.  None
@@ -271,14 +273,14 @@ def equations_of(data: bytes, root: ElementTree.Element, description: Any) -> st
     if root.get("generationTool") != GENERATION_TOOL:
         return None
     digest = hashlib.sha256()
-    for name, text in own_sources(data):
+    for name, text in read_engine_sources(data):
         digest.update(f"{name}\0".encode() + text + b"\0")
     for v in sorted(description.modelVariables, key=lambda v: str(v.name)):
         digest.update(repr([str(value) for value in (v.name, v.causality, v.start, v.min, v.max, v.unit)]).encode())
     return digest.hexdigest()
 
 
-def own_sources(data: bytes) -> list[tuple[str, bytes]]:
+def read_engine_sources(data: bytes) -> list[tuple[str, bytes]]:
     """Return names and contents of the engine's C sources in a library archive, those of the FMI adapter left out.
 
     Raises UnusableError where one is damaged.
@@ -289,7 +291,7 @@ def own_sources(data: bytes) -> list[tuple[str, bytes]]:
             names = sorted(set(fmu.namelist()) - adapter)
             return [(name, fmu.read(name)) for name in names if name.startswith("sources/")]
     except DAMAGE as error:
-        raise UnusableError(f"is damaged or truncated: {one_line(error)}") from error
+        raise UnusableError(f"is damaged or truncated: {to_one_line(error)}") from error
 
 
 def label_ports(engines: Sequence[Mapping[str, Port]]) -> dict[str, Port]:
@@ -301,7 +303,7 @@ def label_ports(engines: Sequence[Mapping[str, Port]]) -> dict[str, Port]:
     }
 
 
-def note_unset_inputs(inputs: Sequence[Variable], ports: Mapping[str, Port], starting: Starting) -> list[str]:
+def note_unset_inputs(inputs: Sequence[Variable], ports: Mapping[str, Port], starting: StartSequence) -> list[str]:
     """Return a note on inputs that nothing sets, or an empty list."""
     assigned = {port.variable.name for port in ports.values()} | {
         v.name for settings in (starting.constants, *(stage.settings for stage in starting.stages)) for v, _ in settings
@@ -358,7 +360,7 @@ def _all_elements(description: Any) -> list[Variable]:
         bases = _bases(description)
         return [element for v in description.modelVariables if v.type in TYPES for element in _elements(v, bases)]
     except (ValueError, OverflowError) as error:
-        raise UnusableError(f"{DESCRIPTION} cannot be used: {one_line(error)}") from error
+        raise UnusableError(f"{DESCRIPTION} cannot be used: {to_one_line(error)}") from error
 
 
 def _elements(v: Any, bases: Mapping[str, Unit]) -> list[Variable]:

@@ -19,9 +19,9 @@ class InputClock(NamedTuple):
     interval: float
     shift: float
 
-    def grid(self, step: float, parts: int) -> tuple[int, int] | None:
+    def count_substeps(self, step: float, substeps: int) -> tuple[int, int] | None:
         """Return interval and shift as counts of ``step / parts``, or None where they are not whole numbers."""
-        counts = [value * parts / step for value in (self.interval, self.shift)]
+        counts = [value * substeps / step for value in (self.interval, self.shift)]
         whole = [round(count) for count in counts]
         fits = all(abs(count - n) <= 1e-6 for count, n in zip(counts, whole, strict=True)) and whole[0] >= 1
         return (whole[0], whole[1]) if fits else None

@@ -40,7 +40,7 @@ class UnusableError(Exception):
     """The reason why an archive cannot be used; the caller adds its path."""
 
 
-def one_line(error: object) -> str:
+def to_one_line(error: object) -> str:
     """Return an error's text without line breaks and other control characters."""
     return "".join(c if c.isprintable() else " " for c in " ".join(str(error).split()))
 
@@ -65,13 +65,13 @@ def is_system_file(name: str) -> bool:
     return "__MACOSX" in (*folders, last) or last.startswith("._") or last.lower() in SYSTEM_FILES
 
 
-def name_notes(path: Path) -> list[str]:
+def note_unusual_names(path: Path) -> list[str]:
     """Return notes on unusual but accepted names in an archive."""
     with Zip(path) as archive:
         names = [entry.orig_filename for entry in archive.filelist if "\\" in entry.orig_filename]
     if not names:
         return []
-    shown = one_line(names[0])[:120]
+    shown = to_one_line(names[0])[:120]
     return [f"packed with backslashes ({shown}), where FMI has /: other programs may not find its files"]
 
 
@@ -115,26 +115,26 @@ def open_archive(data: bytes, main: str = DESCRIPTION, kind: str = "FMU") -> tup
                 if name in names:
                     if fmu.getinfo(name).file_size > MOST_XML:
                         raise UnusableError(f"{name} is larger than {_size(MOST_XML)}")
-                    need_harmless_xml(name, fmu.read(name))
+                    check_xml(name, fmu.read(name))
             return names, fmu.read(main)
     except DAMAGE as error:
-        raise UnusableError(f"is damaged or truncated: {one_line(error)}") from error
+        raise UnusableError(f"is damaged or truncated: {to_one_line(error)}") from error
     except NotImplementedError as error:  # a version of the zip format that Python does not know
-        raise UnusableError(f"is a zip archive of a strange kind: {one_line(error)}") from error
+        raise UnusableError(f"is a zip archive of a strange kind: {to_one_line(error)}") from error
 
 
-def parse(xml: bytes) -> ElementTree.Element:
+def parse_xml(xml: bytes) -> ElementTree.Element:
     """Parse a model description that ``open_archive`` returned, and return its root element.
 
     Raises UnusableError if it is no model description.
     """
     root = ElementTree.fromstring(xml)
     if root.tag != "fmiModelDescription":
-        raise UnusableError(f"{DESCRIPTION} describes a {one_line(root.tag)[:80]}, not an FMU")
+        raise UnusableError(f"{DESCRIPTION} describes a {to_one_line(root.tag)[:80]}, not an FMU")
     return root
 
 
-def fmi_of(root: ElementTree.Element) -> int:
+def read_fmi_version(root: ElementTree.Element) -> int:
     """Return the FMI version, 2 or 3; raise UnusableError for another one or if there is no co-simulation interface."""
     version = root.get("fmiVersion", "none stated")
     if version != "2.0" and not version.startswith("3.0"):
@@ -154,7 +154,7 @@ def has_sources(names: Iterable[str]) -> bool:
 def _inside(main: str, names: Iterable[str]) -> str:
     """Return a hint for an archive of a folder in place of the folder's contents, else an empty string."""
     nested = [name for name in names if name.endswith(f"/{main}")]
-    return f", but {one_line(nested[0])}: pack what is in that folder, not the folder" if nested else ""
+    return f", but {to_one_line(nested[0])}: pack what is in that folder, not the folder" if nested else ""
 
 
 def _size(count: int) -> str:
@@ -181,7 +181,7 @@ def _need_harmless_entries(entries: list[zipfile.ZipInfo]) -> None:
         name = entry.filename
         path = PurePosixPath(name)
         # zipfile cuts a name at a NUL; what stood behind it is in orig_filename
-        shown = one_line(repr(entry.orig_filename))[:120]
+        shown = to_one_line(repr(entry.orig_filename))[:120]
         strange = ":" in name or "\0" in entry.orig_filename
         if strange or path.is_absolute() or ".." in path.parts or not path.parts:
             raise UnusableError(f"has an unsafe path inside: {shown}")
@@ -204,13 +204,13 @@ def _need_harmless_entries(entries: list[zipfile.ZipInfo]) -> None:
             )
 
 
-def need_harmless_xml(name: str, xml: bytes) -> None:
+def check_xml(name: str, xml: bytes) -> None:
     """Refuse XML that FMI has no use for: document types and entities, deep nesting, unusual encodings."""
     depth = 0
 
     def declaration(version: str, encoding: str | None, standalone: int) -> None:
         if encoding is not None and encoding.lower() not in ENCODINGS:
-            raise UnusableError(f"{name} is in {one_line(encoding)}; allowed: {', '.join(sorted(ENCODINGS))}")
+            raise UnusableError(f"{name} is in {to_one_line(encoding)}; allowed: {', '.join(sorted(ENCODINGS))}")
 
     def doctype(*_: object) -> None:
         raise UnusableError(f"{name} declares a document type or entities; FMI uses neither, and they can do harm")

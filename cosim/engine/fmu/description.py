@@ -17,10 +17,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 from xml.etree import ElementTree
 
-from cosim.engine.fmu.container import BUILD_DESCRIPTION, DESCRIPTION, UnusableError, Zip, one_line
+from cosim.engine.fmu.container import BUILD_DESCRIPTION, DESCRIPTION, UnusableError, Zip, to_one_line
 
 # What FMPy says of a description that no step depends on.
-BLEMISHES = tuple(
+HARMLESS_VIOLATIONS = tuple(
     re.compile(text)
     for text in (
         r'^The (display )?unit ".*" of (the )?variable .* is not defined',
@@ -45,12 +45,12 @@ BLEMISHES = tuple(
 )
 
 
-def is_blemish(complaint: str) -> bool:
+def is_harmless_violation(complaint: str) -> bool:
     """Return whether a complaint of FMPy's validation is about something that stepping does not depend on."""
-    return any(pattern.search(complaint) for pattern in BLEMISHES)
+    return any(pattern.search(complaint) for pattern in HARMLESS_VIOLATIONS)
 
 
-def describe(data: bytes) -> tuple[Any, tuple[str, ...]]:
+def read_description(data: bytes) -> tuple[Any, tuple[str, ...]]:
     """Return FMPy's object for an archive's model description, and the harmless violations found in it.
 
     Raises UnusableError with the first complaint that is none.
@@ -60,13 +60,13 @@ def describe(data: bytes) -> tuple[Any, tuple[str, ...]]:
     complaints: list[str] = []
     stumbled = ""
     try:
-        return read_model_description(descriptions(data)), ()
+        return read_model_description(pack_descriptions(data)), ()
     except ValidationError as error:
-        complaints = [one_line(problem) for problem in error.problems]
+        complaints = [to_one_line(problem) for problem in error.problems]
     except Exception as error:  # FMPy raises bare exceptions, and stumbles in its own ways over strange descriptions
-        stumbled = one_line(error)
+        stumbled = to_one_line(error)
     try:
-        description = read_model_description(descriptions(data, with_initial), validate=False)
+        description = read_model_description(pack_descriptions(data, add_missing_initial), validate=False)
     except Exception as error:
         raise _refusal(complaints) if complaints else _unusable(error) from error
     more = _more(description)
@@ -76,7 +76,9 @@ def describe(data: bytes) -> tuple[Any, tuple[str, ...]]:
         complaints.append(undeclared)
     elif stumbled:
         raise _unusable(stumbled)
-    if dangerous := [complaint for complaint in [*_doubles(description), *complaints] if not is_blemish(complaint)]:
+    if dangerous := [
+        complaint for complaint in [*_doubles(description), *complaints] if not is_harmless_violation(complaint)
+    ]:
         raise _refusal(dangerous)
     for v in description.modelVariables:
         if (v.causality, v.variability) == ("parameter", "constant"):
@@ -94,7 +96,7 @@ _COMBINED = {
 }
 
 
-def with_initial(xml: bytes) -> bytes:
+def add_missing_initial(xml: bytes) -> bytes:
     """Return the description with ``initial`` stated where a variable's kind gives it no default.
 
     FMPy, asked without its validation too, reads no description with a parameter that is constant, say, which tools
@@ -112,7 +114,7 @@ def with_initial(xml: bytes) -> bytes:
     return ElementTree.tostring(root, encoding="utf-8") if changed else xml
 
 
-def descriptions(data: bytes, change: Callable[[bytes], bytes] = bytes) -> io.BytesIO:
+def pack_descriptions(data: bytes, change: Callable[[bytes], bytes] = bytes) -> io.BytesIO:
     """Return a new archive of the two descriptions that FMPy reads, ``change`` applied to the model description.
 
     They have the names that FMI prescribes, whatever system packed the original.
@@ -132,7 +134,7 @@ def _refusal(complaints: Sequence[str]) -> UnusableError:
 
 
 def _unusable(error: object) -> UnusableError:
-    return UnusableError(f"modelDescription.xml cannot be used: {one_line(error)}")
+    return UnusableError(f"modelDescription.xml cannot be used: {to_one_line(error)}")
 
 
 def _more(description: Any) -> list[str] | None:
@@ -140,7 +142,7 @@ def _more(description: Any) -> list[str] | None:
     from fmpy.validation import validate_model_description  # type: ignore[import-untyped]
 
     try:
-        return [one_line(complaint) for complaint in validate_model_description(description)]
+        return [to_one_line(complaint) for complaint in validate_model_description(description)]
     except Exception:
         return None
 
@@ -158,4 +160,4 @@ def _undeclared(description: Any) -> str:
 def _doubles(description: Any) -> list[str]:
     """Return a complaint about each variable name that is used twice."""
     names = Counter(v.name for v in description.modelVariables)
-    return [f'The variable name "{one_line(name)}" is not unique' for name, count in names.items() if count > 1]
+    return [f'The variable name "{to_one_line(name)}" is not unique' for name, count in names.items() if count > 1]

@@ -18,7 +18,7 @@ import cosim.engine._bank as _bank
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive
 from cosim.engine.fmu.clocks import InputClock
-from cosim.engine.fmu.container import one_line
+from cosim.engine.fmu.container import to_one_line
 from cosim.engine.fmu.port_kinds import BASE, INPUTS, OUTPUTS
 from cosim.engine.fmu.starting import Ignition, Setting, StartError
 from cosim.engine.fmu.variables import REALS, Variable
@@ -143,7 +143,7 @@ class FmuInstance:
         engines = self.archive.engines
         throttles = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(engines)
         airs = (air,) * len(engines) if isinstance(air, Air) else tuple(air)
-        if self.archive.one_speed:
+        if self.archive.has_shared_air_speed:
             mean = fmean(air.speed for air in airs)
             airs = tuple(air._replace(speed=mean) for air in airs)
         self._inputs = [_input_values(*values) for values in zip(throttles, airs, strict=True)]
@@ -177,7 +177,7 @@ class FmuInstance:
         native: _bank.Bank | None = None
         try:
             while ignition.advance(self.write, self.read):
-                native = native or _bank.Bank((self.row(),), step)
+                native = native or _bank.Bank((self.make_row(),), step)
                 native.hold(0, ignition.throttle, 1, True)
                 self._start_steps += 1
         except StartError as error:
@@ -244,16 +244,16 @@ class FmuInstance:
         try:
             return getattr(self.fmu, name)(*args, **kwargs)
         except FMICallException as error:
-            self.failed(error.status)
+            self.record_failure(error.status)
             raise InstanceError(self._with_log(f"{error.function} returned {_status(error.status)}")) from error
 
-    def failed(self, status: int) -> None:
+    def record_failure(self, status: int) -> None:
         """Record that the FMU is in its error state, or after a fatal error that nothing may be called any more."""
         self._stepping = False
         self._dead = self._dead or status == FATAL
 
     def _with_log(self, text: str) -> str:
-        messages = one_line(self.log.take())
+        messages = to_one_line(self.log.take())
         return f"{text}: {messages}" if messages else text
 
     def explain(self, failure: _bank.FailureError, moment: str) -> str:
@@ -262,7 +262,7 @@ class FmuInstance:
         more = self._reached() if what == "step" and status == DISCARD and self.archive.fmi == 2 else ""
         if what == "step" and status == PENDING:
             more = ", which is for FMUs that step in the background; these are not supported"
-        self.failed(status)
+        self.record_failure(status)
         text = FAULTS[what].format(status=_status(status), port=port)
         return self._with_log(f"{text} {moment}{more}")
 
@@ -275,7 +275,7 @@ class FmuInstance:
         reported = status <= 1 and math.isfinite(value.value)
         return f"; it came as far as its own time {value.value:g} s" if reported else ""
 
-    def row(self, done: int = 0, stations: Sequence[int] | None = None) -> _bank.Row:
+    def make_row(self, done: int = 0, stations: Sequence[int] | None = None) -> _bank.Row:
         """Return the C loop's description of this instance, which has made ``done`` communication steps.
 
         ``stations``: those that its engines serve, counted from 0, -1 for none; by default from 0 on.
@@ -292,7 +292,7 @@ class FmuInstance:
             self._start_steps + done,
             sets,
             gets,
-            archive.one_speed,
+            archive.has_shared_air_speed,
             archive.substeps(self._step),
             tuple((clock.reference, *self._tick_grid(clock)) for clock in archive.clocks),
             tuple(
@@ -302,8 +302,8 @@ class FmuInstance:
         )
 
     def _tick_grid(self, clock: InputClock) -> tuple[int, int]:
-        grid = clock.grid(self._step, self.archive.substeps(self._step))
-        if grid is None:  # a step that need_whole_steps refuses
+        grid = clock.count_substeps(self._step, self.archive.substeps(self._step))
+        if grid is None:  # a step that check_whole_steps refuses
             raise InstanceError(f"its clock {clock.name} does not tick at whole parts of a step of {self._step:g} s")
         return grid
 
@@ -390,7 +390,7 @@ def _remove_from_path(resources: Path) -> None:
 
 
 def _input_values(throttle: float, air: Air) -> dict[str, float]:
-    return dict(zip(BASE, (throttle, *air), strict=True)) | air.derived()
+    return dict(zip(BASE, (throttle, *air), strict=True)) | air.derive()
 
 
 class _Functions(dict[str, Any]):
@@ -439,7 +439,7 @@ def _load(archive: Archive, folder: Path, name: str) -> Any:
             instanceName=name,
         )
     except Exception as error:  # FMPy raises bare exceptions here
-        reason = one_line(error).replace(f"{folder}{os.sep}", "")
+        reason = to_one_line(error).replace(f"{folder}{os.sep}", "")
         raise InstanceError(f"its shared library does not load: {reason}") from error
     finally:
         os.chdir(here)  # FMPy changes it, and leaves it changed when loading fails

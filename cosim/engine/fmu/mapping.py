@@ -50,8 +50,8 @@ from cosim.base.errors import InputError
 from cosim.base.storage.toml import Model, NotNegative, Positive, read_toml, validate
 from cosim.engine.fmu.port_kinds import KINDS
 from cosim.engine.fmu.uncertainty import Uncertainty
-from cosim.engine.fmu.units import by_name
-from cosim.engine.rundown import FlameOutLaw, law_of
+from cosim.engine.fmu.units import find_unit
+from cosim.engine.rundown import FlameOutLaw, make_flame_out_law
 
 LONGEST_START_S = 600.0  # of one stage: chosen by us; a turbojet is at idle within two minutes
 CONDITION = re.compile(r"\s*(\S+)\s*(>=|<=|>|<)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*")
@@ -109,7 +109,7 @@ class _FlameOut(Model):
         return self
 
     def law(self) -> FlameOutLaw:
-        return law_of(self.model_dump(exclude_none=True))
+        return make_flame_out_law(self.model_dump(exclude_none=True))
 
 
 def flatten(table: object) -> object:
@@ -210,7 +210,7 @@ def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
         raise InputError(f"{path}: range.throttle = {list(limits)}: what 0 and 1 are must differ")
     for port, unit in _stated_values(file.units).items():
         quantity = KINDS[port].quantity
-        if port != "throttle" and by_name(unit, quantity) is None:
+        if port != "throttle" and find_unit(unit, quantity) is None:
             raise InputError(f"{path}: units.{port} = {unit!r}: allowed: {', '.join(quantity.units)}")
     return (
         file,

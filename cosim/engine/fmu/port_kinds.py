@@ -32,7 +32,7 @@ SPEEDS = ("air_speed", "mach", "total_pressure", "total_temperature")  # of the 
 OWN = ("throttle", *OUTPUTS, "ram_drag", "run", "start")  # that no two engines of one FMU share
 
 
-class Kind(NamedTuple):
+class PortKind(NamedTuple):
     """What a port is, and what it is usually called.
 
     Names are compared in lower case and without anything but letters and digits.  They are plain words and the symbols
@@ -45,13 +45,13 @@ class Kind(NamedTuple):
     causality: str
     quantity: Quantity
     types: tuple[str, ...]
-    names: tuple[str, ...]
-    vague: tuple[str, ...] = ()  # names that count where no better one is found
+    usual_names: tuple[str, ...]
+    ambiguous_names: tuple[str, ...] = ()  # names that count where no better one is found
     only_mapped: bool = False  # never found by name, because an FMU may mean another thing by it
 
 
-KINDS: Mapping[str, Kind] = {
-    "throttle": Kind(
+KINDS: Mapping[str, PortKind] = {
+    "throttle": PortKind(
         "input",
         RATIO,
         LEVERS,
@@ -62,7 +62,7 @@ KINDS: Mapping[str, Kind] = {
         ),
         ("lever", "command", "cmd", "control", "u"),
     ),
-    "ambient_pressure": Kind(
+    "ambient_pressure": PortKind(
         "input",
         PRESSURE,
         REALS,
@@ -72,7 +72,7 @@ KINDS: Mapping[str, Kind] = {
         ),
         ("pressure",),
     ),
-    "ambient_temperature": Kind(
+    "ambient_temperature": PortKind(
         "input",
         TEMPERATURE,
         REALS,
@@ -82,7 +82,7 @@ KINDS: Mapping[str, Kind] = {
         ),
         ("temperature",),
     ),
-    "air_speed": Kind(
+    "air_speed": PortKind(
         "input",
         SPEED,
         REALS,
@@ -91,28 +91,30 @@ KINDS: Mapping[str, Kind] = {
             "vinf", "vair",
         ),
     ),
-    "altitude": Kind(
+    "altitude": PortKind(
         "input",
         LENGTH,
         REALS,
         ("altitude", "alt", "pressurealtitude", "flightaltitude", "hp", "zp"),
     ),
-    "mach": Kind("input", RATIO, REALS, ("mach", "machnumber", "flightmach", "mn", "xm")),
-    "density": Kind("input", DENSITY, REALS, ("density", "airdensity", "ambientdensity", "rho", "rhoamb", "rhoair")),
-    "total_pressure": Kind(
+    "mach": PortKind("input", RATIO, REALS, ("mach", "machnumber", "flightmach", "mn", "xm")),
+    "density": PortKind(
+        "input", DENSITY, REALS, ("density", "airdensity", "ambientdensity", "rho", "rhoamb", "rhoair")
+    ),
+    "total_pressure": PortKind(
         "input",
         PRESSURE,
         REALS,
         ("totalpressure", "ptotal", "ptot", "stagnationpressure", "pt0", "pt1", "inlettotalpressure"),
     ),
-    "total_temperature": Kind(
+    "total_temperature": PortKind(
         "input",
         TEMPERATURE,
         REALS,
         ("totaltemperature", "ttotal", "ttot", "stagnationtemperature", "tt0", "tt1", "totalairtemperature", "tat"),
     ),
-    "run": Kind("input", RATIO, SWITCHES, ("run", "enginerun", "runcommand", "runcmd", "fuelon", "runswitch")),
-    "thrust": Kind(
+    "run": PortKind("input", RATIO, SWITCHES, ("run", "enginerun", "runcommand", "runcmd", "fuelon", "runswitch")),
+    "thrust": PortKind(
         "output",
         FORCE,
         REALS,
@@ -121,8 +123,8 @@ KINDS: Mapping[str, Kind] = {
         ),
         ("force", "f"),
     ),
-    "ram_drag": Kind("output", FORCE, REALS, (), only_mapped=True),  # taken from a thrust that is the gross one
-    "spool_speed": Kind(
+    "ram_drag": PortKind("output", FORCE, REALS, (), only_mapped=True),  # taken from a thrust that is the gross one
+    "spool_speed": PortKind(
         "output",
         ANGULAR_SPEED,
         REALS,
@@ -132,13 +134,13 @@ KINDS: Mapping[str, Kind] = {
         ),
         ("n", "speed", "omega", "w"),
     ),
-    "exhaust_temperature": Kind(
+    "exhaust_temperature": PortKind(
         "output",
         TEMPERATURE,
         REALS,
         ("exhausttemperature", "exhaustgastemperature", "exhausttemp", "egt"),
     ),
-    "fuel_flow": Kind(
+    "fuel_flow": PortKind(
         "output",
         MASS_FLOW,
         REALS,
@@ -148,10 +150,10 @@ KINDS: Mapping[str, Kind] = {
         ),
     ),
     # in the frame of the jet, which tilts with it; a torque of an engine is most often that of its shaft
-    "force_forward": Kind("output", FORCE, REALS, (), only_mapped=True),
-    "force_right": Kind("output", FORCE, REALS, (), only_mapped=True),
-    "torque": Kind("output", MOMENT, REALS, (), only_mapped=True),
-    "start": Kind(
+    "force_forward": PortKind("output", FORCE, REALS, (), only_mapped=True),
+    "force_right": PortKind("output", FORCE, REALS, (), only_mapped=True),
+    "torque": PortKind("output", MOMENT, REALS, (), only_mapped=True),
+    "start": PortKind(
         "parameter",
         RATIO,
         REALS,

@@ -12,7 +12,7 @@ from math import isfinite
 
 from cosim.base.signals import MOST_JETS
 from cosim.engine.fmu.mapping import PortMap, VariableName
-from cosim.engine.fmu.port_kinds import KINDS, NEEDED, OWN, Kind
+from cosim.engine.fmu.port_kinds import KINDS, NEEDED, OWN, PortKind
 from cosim.engine.fmu.units import (
     FORCE,
     PRESSURE,
@@ -21,8 +21,8 @@ from cosim.engine.fmu.units import (
     TEMPERATURE,
     Quantity,
     UnitError,
-    by_name,
-    measures,
+    find_unit,
+    is_unit_of,
     to_si,
 )
 from cosim.engine.fmu.variables import INTEGERS, LEVERS, REALS, Port, Variable
@@ -42,8 +42,8 @@ def find_engines(variables: Sequence[Variable], port_map: PortMap) -> tuple[tupl
     There is one engine unless ports are specified as several variables.  Other ports are shared by all engines.
     Raises PortError as :func:`find_ports`, and where the engines are not as many everywhere.
     """
-    members = {name: variables_of_engines(name, KINDS[name].causality, variable, variables)
-               for name, variable in port_map.ports.items() if names_several(variable)}  # fmt: skip
+    members = {name: expand_engine_variables(name, KINDS[name].causality, variable, variables)
+               for name, variable in port_map.ports.items() if has_several_engines(variable)}  # fmt: skip
     if not members:
         ports, notes = find_ports(variables, port_map)
         return (ports,), notes
@@ -77,12 +77,12 @@ def find_engines(variables: Sequence[Variable], port_map: PortMap) -> tuple[tupl
     return tuple(engines), [f"holds {count} engines, stepped as one: {pairs}", *notes]
 
 
-def names_several(name: VariableName) -> bool:
+def has_several_engines(name: VariableName) -> bool:
     """Return whether the variables specified for a port belong to several engines."""
     return isinstance(name, list) or "*" in name
 
 
-def variables_of_engines(port: str, causality: str, name: VariableName, variables: Sequence[Variable]) -> list[str]:
+def expand_engine_variables(port: str, causality: str, name: VariableName, variables: Sequence[Variable]) -> list[str]:
     """Return the variables specified for a port: a list unchanged, a ``*`` as all its numbers in rising order."""
     if isinstance(name, list):
         return name
@@ -144,22 +144,22 @@ def find_ports(variables: Sequence[Variable], port_map: PortMap) -> tuple[dict[s
     return ports, notes
 
 
-def plain(name: str) -> str:
+def normalise_name(name: str) -> str:
     """Return a name reduced to letters and digits, in lower case."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def without_unit(name: str, quantity: Quantity) -> tuple[str, str | None]:
+def split_unit(name: str, quantity: Quantity) -> tuple[str, str | None]:
     """Split a name such as ``thrust_lbf`` or ``fuel-flow-kg_h`` into its stem and unit, None if it has no unit."""
     words = re.split(r"[^A-Za-z0-9%]+", name)
     for count in (3, 2, 1):
         unit = "/".join(word for word in words[-count:] if word.lower() != "per")
-        if len(words) > count and unit and by_name(unit, quantity) is not None:
+        if len(words) > count and unit and find_unit(unit, quantity) is not None:
             return "_".join(words[:-count]), unit
     return name, None
 
 
-def _find_mapped(port: str, kind: Kind, name: str, variables: Sequence[Variable]) -> Variable:
+def _find_mapped(port: str, kind: PortKind, name: str, variables: Sequence[Variable]) -> Variable:
     """Return the variable specified for a port; raise PortError if it is missing, ambiguous or of a wrong type."""
     candidates = [v for v in variables if v.causality == kind.causality]
     matches = [v for v in candidates if v.name == name] or [v for v in candidates if v.name.lower() == name.lower()]
@@ -172,7 +172,7 @@ def _find_mapped(port: str, kind: Kind, name: str, variables: Sequence[Variable]
     return matches[0]
 
 
-def _search(port: str, kind: Kind, variables: Sequence[Variable], ports: Mapping[str, Port]) -> Variable | None:
+def _search(port: str, kind: PortKind, variables: Sequence[Variable], ports: Mapping[str, Port]) -> Variable | None:
     """Return a port's variable, found by its usual names or, for a needed port, by its unit alone.
 
     None if there is none and the port is not needed.
@@ -190,7 +190,9 @@ def _search(port: str, kind: Kind, variables: Sequence[Variable], ports: Mapping
             raise PortError(f"has several {kind.causality}s that may be its {port}: {names}; {_advise_mapping(port)}")
     if port not in NEEDED:
         return None
-    unfit = [v for v in candidates if v not in usable and plain(v.name) in kind.names + kind.vague]
+    unfit = [
+        v for v in candidates if v not in usable and normalise_name(v.name) in kind.usual_names + kind.ambiguous_names
+    ]
     if unfit and unfit[0].type not in kind.types:
         raise _wrong_type(unfit[0], kind)
     if unfit:
@@ -199,31 +201,31 @@ def _search(port: str, kind: Kind, variables: Sequence[Variable], ports: Mapping
     raise PortError(f"has no {kind.causality} that is known as its {port} ({names}); {_advise_mapping(port)}")
 
 
-def _tiers(port: str, kind: Kind, usable: Sequence[Variable]) -> Iterable[list[Variable]]:
+def _tiers(port: str, kind: PortKind, usable: Sequence[Variable]) -> Iterable[list[Variable]]:
     """Yield lists of candidates for a port, the most certain first."""
-    yield [v for v in usable if plain(v.name) == plain(port)]
-    stems = [plain(without_unit(v.name.rpartition(".")[2], kind.quantity)[0]) for v in usable]
-    for names in (kind.names, kind.vague):
-        yield [v for v, stem in zip(usable, stems, strict=True) if stem in names or plain(v.name) in names]
+    yield [v for v in usable if normalise_name(v.name) == normalise_name(port)]
+    stems = [normalise_name(split_unit(v.name.rpartition(".")[2], kind.quantity)[0]) for v in usable]
+    for names in (kind.usual_names, kind.ambiguous_names):
+        yield [v for v, stem in zip(usable, stems, strict=True) if stem in names or normalise_name(v.name) in names]
     if port == "thrust":
-        yield [v for v in usable if measures(v.unit, v.base, kind.quantity)]
+        yield [v for v in usable if is_unit_of(v.unit, v.base, kind.quantity)]
     if port == "throttle":
-        others = [name for other in KINDS.values() if other.causality == kind.causality for name in other.names]
+        others = [name for other in KINDS.values() if other.causality == kind.causality for name in other.usual_names]
         rest = [v for v, stem in zip(usable, stems, strict=True) if stem not in others]
         yield rest if len(rest) == 1 else []
 
 
-def _other_quantity(port: str, kind: Kind, v: Variable) -> bool:
+def _other_quantity(port: str, kind: PortKind, v: Variable) -> bool:
     """Return whether a variable's declared unit is of another quantity than the port's."""
     if v.unit is None or port in ("throttle", "run", "start"):
         # a lever may be in degrees, in volts, in anything that has a range
         return port == "throttle" and any(
-            measures(v.unit, v.base, other) for other in (PRESSURE, TEMPERATURE, SPEED, FORCE)
+            is_unit_of(v.unit, v.base, other) for other in (PRESSURE, TEMPERATURE, SPEED, FORCE)
         )
-    return not measures(v.unit, v.base, kind.quantity)
+    return not is_unit_of(v.unit, v.base, kind.quantity)
 
 
-def _unit_complaint(v: Variable, kind: Kind) -> str:
+def _unit_complaint(v: Variable, kind: PortKind) -> str:
     try:
         to_si(v.unit or "", v.base, kind.quantity)
     except UnitError as error:
@@ -231,7 +233,7 @@ def _unit_complaint(v: Variable, kind: Kind) -> str:
     return f"must be {kind.quantity.name}"
 
 
-def _wrong_type(v: Variable, kind: Kind) -> PortError:
+def _wrong_type(v: Variable, kind: PortKind) -> PortError:
     return PortError(f"its {v.name} is of type {v.type}; it must be one of: {', '.join(kind.types)}")
 
 
@@ -250,7 +252,7 @@ def _list_names(causality: str, variables: Sequence[Variable]) -> str:
 
 
 def _make_port(
-    name: str, kind: Kind, v: Variable, port_map: PortMap, ports: Mapping[str, Port], notes: list[str]
+    name: str, kind: PortKind, v: Variable, port_map: PortMap, ports: Mapping[str, Port], notes: list[str]
 ) -> Port:
     """Return a port on a variable with the conversion to SI units, or to 0..1 for throttle and start."""
     if name == "throttle":
@@ -265,11 +267,11 @@ def _make_port(
     return _quantity_port(name, kind, v, port_map, notes)
 
 
-def _quantity_port(name: str, kind: Kind, v: Variable, port_map: PortMap, notes: list[str]) -> Port:
+def _quantity_port(name: str, kind: PortKind, v: Variable, port_map: PortMap, notes: list[str]) -> Port:
     """Return a port on a physical quantity, converted from the unit specified, declared or in the variable's name."""
     unit = port_map.units.get(name, v.unit)
     if unit is None:
-        unit = without_unit(v.name, kind.quantity)[1]
+        unit = split_unit(v.name, kind.quantity)[1]
         if unit is not None:
             notes.append(f"{v.name} states no unit; it is taken to be in {unit}, as its name says")
     scale = port_map.scale.get(name, 1.0)
@@ -324,10 +326,10 @@ def _port_over_range(v: Variable, low: float, high: float) -> Port:
 
 def _range_of_unit(v: Variable, unit: str | None) -> tuple[float, float]:
     """Return the throttle range implied by its unit: 0 to 1 for a ratio, 0 to 100 for a percentage."""
-    if unit is None and plain(v.name).endswith(("pla", "tla", "angle")):
+    if unit is None and normalise_name(v.name).endswith(("pla", "tla", "angle")):
         raise PortError(f"its {v.name} states neither range nor unit; {RANGE_ADVICE}")
     base = v.base if unit == v.unit else None
-    if unit is not None and not measures(unit, base, RATIO):
+    if unit is not None and not is_unit_of(unit, base, RATIO):
         raise PortError(f"its {v.name} is in {unit} and states no range; {RANGE_ADVICE}")
     high = 1.0 if unit is None else 1.0 / to_si(unit, base, RATIO)[0]
     if not 0.0 <= (v.start or 0.0) <= high:

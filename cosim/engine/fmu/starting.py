@@ -37,7 +37,7 @@ class Until(NamedTuple):
     relation: str
     limit: float
 
-    def holds(self, value: float) -> bool:
+    def is_met(self, value: float) -> bool:
         """Return whether a value of the output fulfils the condition."""
         return {
             ">": value > self.limit,
@@ -59,7 +59,7 @@ class Stage(NamedTuple):
     until: Until | None
 
 
-class Starting(NamedTuple):
+class StartSequence(NamedTuple):
     """The complete start; ``constants`` are set before initialization and stay."""
 
     constants: tuple[Setting, ...] = ()
@@ -101,7 +101,7 @@ class Ignition:
             until = stage.until
             if until is None:
                 over = self._steps_made == most
-            elif not (over := until.holds(value := read(until.output))) and self._steps_made == most:
+            elif not (over := until.is_met(value := read(until.output))) and self._steps_made == most:
                 raise StartError(
                     f"it does not start: {until} does not come about within {stage.seconds:g} s of stage "
                     f"{self.stage} of its [start]; {until.output.name} is {value:g}"
@@ -123,7 +123,7 @@ class Ignition:
 
 def resolve_start(
     port_map: PortMap, inputs: Sequence[Variable], outputs: Sequence[Variable], ports: Mapping[str, Port]
-) -> Starting:
+) -> StartSequence:
     """Resolve the start of a mapping file to variables and numbers.
 
     Raises PortError for an input or output that is not there, a port, or a value that the input cannot have.
@@ -139,7 +139,7 @@ def resolve_start(
                 raise PortError(f"{where}: {name} is its port {port_names[variable.name]}, which the simulation sets")
             if variable.reference in arrays and variable.is_array:
                 raise PortError(f"{where}: {name} is an element of an array of which another is a port")
-            pairs.append((variable, value_of(variable, stated, where)))
+            pairs.append((variable, convert_value(variable, stated, where)))
         return tuple(pairs)
 
     stages = []
@@ -157,21 +157,21 @@ def resolve_start(
         stages.append(Stage(settings(stage.set, where), stage.throttle or 0.0, seconds, until))
     if port_map.start.warm_up_s:
         stages.append(Stage((), 0.0, port_map.start.warm_up_s, None))
-    return Starting(settings(port_map.inputs, "[inputs]"), tuple(stages), port_map.rest_n)
+    return StartSequence(settings(port_map.inputs, "[inputs]"), tuple(stages), port_map.rest_n)
 
 
-def value_of(variable: Variable, stated: ConstantValue, where: str) -> float:
+def convert_value(variable: Variable, specified: ConstantValue, where: str) -> float:
     """Return the number for an input's specified value; raise PortError if the variable cannot have it."""
-    shown = f"{where}: {variable.name} = {stated!r}"
-    if isinstance(stated, str):
+    shown = f"{where}: {variable.name} = {specified!r}"
+    if isinstance(specified, str):
         items = dict(variable.items)
-        if stated not in items:
+        if specified not in items:
             allowed = ", ".join(items) or "a number, because it is no enumeration"
             raise PortError(f"{shown}: allowed: {allowed}")
-        return float(items[stated])
-    if isinstance(stated, bool) and variable.type != "Boolean":
+        return float(items[specified])
+    if isinstance(specified, bool) and variable.type != "Boolean":
         raise PortError(f"{shown}: it is of type {variable.type}; a number goes here")
-    value = float(stated)
+    value = float(specified)
     if variable.type == "Boolean" and value not in (0.0, 1.0):
         raise PortError(f"{shown}: true or false goes here")
     if variable.type in (*INTEGERS, "Enumeration") and value != round(value):

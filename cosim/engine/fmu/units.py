@@ -101,7 +101,7 @@ QUANTITIES = (FORCE, PRESSURE, TEMPERATURE, SPEED, ANGULAR_SPEED, MASS_FLOW, RAT
 _PER_SECOND = exponents("1/s")
 
 
-def by_name(name: str, quantity: Quantity) -> tuple[float, float] | None:
+def find_unit(name: str, quantity: Quantity) -> tuple[float, float] | None:
     """Return factor and offset of a unit known by name; the case counts only where it tells two units apart."""
     if name in quantity.units:
         return quantity.units[name]
@@ -109,13 +109,13 @@ def by_name(name: str, quantity: Quantity) -> tuple[float, float] | None:
     return close.pop() if len(close) == 1 else None
 
 
-def measures(name: str | None, base: Unit | None, quantity: Quantity) -> bool:
+def is_unit_of(name: str | None, base: Unit | None, quantity: Quantity) -> bool:
     """Return whether a declared unit is one of this quantity."""
     if name is None:
         return False
     if base is None:
-        return by_name(name, quantity) is not None
-    turns = quantity is ANGULAR_SPEED and base.exponents == _PER_SECOND and by_name(name, quantity) is not None
+        return find_unit(name, quantity) is not None
+    turns = quantity is ANGULAR_SPEED and base.exponents == _PER_SECOND and find_unit(name, quantity) is not None
     return turns or base.exponents == quantity.exponents
 
 
@@ -125,7 +125,7 @@ def to_si(name: str, base: Unit | None, quantity: Quantity) -> tuple[float, floa
     A declared revolution (``1/s`` without ``rad``) goes by its name.  Raises UnitError if the unit is not one of this
     quantity, is not known, or is declared as another than its name says: then one of the two is wrong.
     """
-    known = by_name(name, quantity)
+    known = find_unit(name, quantity)
     if base is None:
         if known is None:
             raise UnitError(f"is in {name}, which the FMU does not define; known: {', '.join(quantity.units)}")

@@ -13,21 +13,21 @@ from types import TracebackType
 
 from cosim.base.errors import InputError
 from cosim.base.storage.scratch import scratch
-from cosim.engine.fmu.archive import Archive, libraries_of
-from cosim.engine.fmu.container import DAMAGE, UnusableError, Zip, one_line, read_bytes
+from cosim.engine.fmu.archive import Archive, list_libraries
+from cosim.engine.fmu.container import DAMAGE, UnusableError, Zip, read_bytes, to_one_line
 from cosim.engine.library import platform_folder
 
 MOST_FREE = 16  # folders that wait for their next user
-_free: list[Unpacked] = []  # the youngest last
+_free: list[UnpackedArchive] = []  # the youngest last
 
 
-class Unpacked:
+class UnpackedArchive:
     """The files that running an archive on this machine needs, in the folder ``path`` until :meth:`close`."""
 
     def __init__(self, archive: Archive, data: bytes) -> None:
         self.sha256 = archive.sha256
         self.path = Path(tempfile.mkdtemp(prefix="engine-", dir=scratch()))
-        self._libraries = [self.path / name for name in libraries_of(archive)]
+        self._libraries = [self.path / name for name in list_libraries(archive)]
         try:
             if archive.system is None:
                 _extract(archive, data, self.path)
@@ -38,13 +38,13 @@ class Unpacked:
         except BaseException:
             self.remove()
             raise
-        self._contents = contents(self.path)
+        self._contents = hash_files(self.path)
 
     @property
-    def untouched(self) -> bool:
+    def is_untouched(self) -> bool:
         """Whether the files are unchanged since unpacking and no library of theirs is loaded in this process."""
         try:
-            return not any(map(_is_loaded, self._libraries)) and contents(self.path) == self._contents
+            return not any(map(_is_loaded, self._libraries)) and hash_files(self.path) == self._contents
         except OSError:
             return False
 
@@ -73,7 +73,7 @@ def _extract(archive: Archive, data: bytes, folder: Path) -> None:
                 fmu.extract(name, folder)
 
 
-def unpack(archive: Archive) -> Unpacked:
+def unpack(archive: Archive) -> UnpackedArchive:
     """Unpack an archive's files for this machine into a folder that nobody else uses.
 
     Raises InputError if the archive has changed since it was read, or there is no space for its files.
@@ -82,7 +82,7 @@ def unpack(archive: Archive) -> Unpacked:
         data = read_bytes(archive.path)
         if hashlib.sha256(data).hexdigest() != archive.sha256:
             raise UnusableError("was changed while it was in use")
-        return _take_free_folder(archive) or Unpacked(archive, data)
+        return _take_free_folder(archive) or UnpackedArchive(archive, data)
     except InputError:  # There is no folder to unpack into.
         raise
     except UnusableError as reason:
@@ -91,10 +91,10 @@ def unpack(archive: Archive) -> Unpacked:
         where = error.filename or tempfile.gettempdir()
         raise InputError(f"{archive.path}: cannot be unpacked: {where}: {error.strerror or error}") from error
     except DAMAGE as error:
-        raise InputError(f"{archive.path}: is damaged: {one_line(error)}") from error
+        raise InputError(f"{archive.path}: is damaged: {to_one_line(error)}") from error
 
 
-def contents(folder: Path) -> dict[str, str]:
+def hash_files(folder: Path) -> dict[str, str]:
     """Return the digest of each file of an unpacked archive by path; folders have an empty one."""
     members = {}
     for parent, folders, files in os.walk(folder):
@@ -109,12 +109,12 @@ def _read(path: str) -> bytes:
         return file.read()
 
 
-def _take_free_folder(archive: Archive) -> Unpacked | None:
+def _take_free_folder(archive: Archive) -> UnpackedArchive | None:
     """Return a free folder of the same archive, made by this process and not by the one it was forked from."""
     own = [folder for folder in _free if folder.sha256 == archive.sha256 and folder.path.parent == scratch()]
     for folder in reversed(own):
         _free.remove(folder)
-        if folder.untouched:
+        if folder.is_untouched:
             return folder
         folder.remove()
     return None

@@ -13,10 +13,10 @@ from .archives import (
     build_all,
     build_one,
     compile_sources,
-    engine_folders,
-    fmi_token,
-    pack,
+    hash_build_inputs,
+    list_engines,
     platform_folder,
+    write_archive,
 )
 from .definition import FMI2_SUFFIX, BuildError, EngineDefinition, VariableDefinition, read_engine
 from .description import GENERATION_TOOL
@@ -37,9 +37,9 @@ __all__ = [
     "build_all",
     "build_one",
     "compile_sources",
-    "engine_folders",
-    "fmi_token",
-    "pack",
+    "hash_build_inputs",
+    "list_engines",
     "platform_folder",
     "read_engine",
+    "write_archive",
 ]

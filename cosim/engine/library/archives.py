@@ -16,7 +16,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from .definition import FMI2_SUFFIX, BuildError, EngineDefinition, read_engine
-from .description import build_description, model_description_2, model_description_3, variables_header
+from .description import (
+    render_build_description,
+    render_model_description_2,
+    render_model_description_3,
+    render_variables_header,
+)
 
 FMI_VERSIONS = (3, 2)
 
@@ -28,7 +33,7 @@ ADAPTER_GENERATED = ("variables.h", "buildDescription.xml")  # written from engi
 C_FLAGS = "" if sys.platform == "win32" else "-ffp-contract=off"
 
 
-def engine_folders(engines: Path) -> list[str]:
+def list_engines(engines: Path) -> list[str]:
     """Return the names of the engines in the folder ``engines``."""
     return sorted(path.parent.name for path in engines.glob("*/engine.toml"))
 
@@ -46,7 +51,7 @@ def build_all(
     ``adapter`` is the folder of the FMI adapter, ``engines/fmi`` unless stated.  Nothing is written to standard output.
     Raises BuildError for an unknown engine, a wrong ``engine.toml``, or a compiler that is missing or fails.
     """
-    folders, adapter = engine_folders(engines), adapter or engines / "fmi"
+    folders, adapter = list_engines(engines), adapter or engines / "fmi"
     for name in names or []:
         if name not in folders:
             raise BuildError(f"unknown engine {name!r}; allowed: {', '.join(folders)}")
@@ -55,7 +60,7 @@ def build_all(
     for name in folders if names is None else names:
         engine = read_engine(engines / name)
         for fmi in FMI_VERSIONS:
-            target, token = archive_path(fmus, name, fmi), fmi_token(engine, adapter, fmi)
+            target, token = archive_path(fmus, name, fmi), hash_build_inputs(engine, adapter, fmi)
             if force or not _is_up_to_date(target, token):
                 _build(engine, adapter, fmi, token, target, {})
             archives.append(target)
@@ -119,10 +124,10 @@ def _build(
         for path in Path(folder, "binaries").rglob("*"):
             if path.is_file() and path.suffix != ".pdb":
                 contents[path.relative_to(folder).as_posix()] = path.read_bytes()
-    pack(contents, target)
+    write_archive(contents, target)
 
 
-def pack(contents: Mapping[str, bytes], target: Path) -> None:
+def write_archive(contents: Mapping[str, bytes], target: Path) -> None:
     """Write an archive whose bytes depend on its contents alone, and put it in place at once."""
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     try:
@@ -213,7 +218,7 @@ def _redirect_output(descriptor: int) -> Iterator[None]:
             os.close(copy)
 
 
-def fmi_token(engine: EngineDefinition, adapter: Path, fmi: int) -> str:
+def hash_build_inputs(engine: EngineDefinition, adapter: Path, fmi: int) -> str:
     """Return the FMI token, a hash of all build inputs that shows whether an archive is up to date."""
     return _hash(f"{engine.name} FMI {fmi}", [engine.folder / "engine.toml", *_build_inputs(engine, adapter, fmi)])
 
@@ -240,12 +245,12 @@ def _contents(engine: EngineDefinition, adapter: Path, fmi: int, token: str) -> 
     files = {path.name: path.read_bytes() for path in [*engine.sources, *_adapter_files(adapter, fmi)]}
     if engine.tool is not None:
         files["slave.c"] = engine.tool.read_bytes()
-    files["variables.h"] = variables_header(engine, token).encode()
+    files["variables.h"] = render_variables_header(engine, token).encode()
     sources = sorted(name for name in files if name.endswith(".c"))
     contents = {f"sources/{name}": data for name, data in files.items()}
     if fmi == 3:
-        contents["modelDescription.xml"] = model_description_3(engine, token)
-        contents["sources/buildDescription.xml"] = build_description(engine, sources)
+        contents["modelDescription.xml"] = render_model_description_3(engine, token)
+        contents["sources/buildDescription.xml"] = render_build_description(engine, sources)
     else:
-        contents["modelDescription.xml"] = model_description_2(engine, token, sources)
+        contents["modelDescription.xml"] = render_model_description_2(engine, token, sources)
     return contents

@@ -23,7 +23,7 @@ def _table_row(v: VariableDefinition) -> str:
     return f"    {{{kind}, {limits}}}"
 
 
-def variables_header(engine: EngineDefinition, token: str) -> str:
+def render_variables_header(engine: EngineDefinition, token: str) -> str:
     """Return ``variables.h``: what the C code needs to know of ``engine.toml``."""
     fields = [f"    {'int32_t' if v.integer else 'double'} {v.name};" for v in engine.variables]
     limits = [f"#define {v.name.upper()}_MAX {int(v.max)}" for v in engine.variables if v.integer and v.max is not None]
@@ -107,7 +107,7 @@ def _value(v: VariableDefinition) -> dict[str, str | None]:
     return {"unit": v.unit, **texts}
 
 
-def model_description_3(engine: EngineDefinition, token: str) -> bytes:
+def render_model_description_3(engine: EngineDefinition, token: str) -> bytes:
     """Return ``modelDescription.xml`` of the FMI 3.0 archive."""
     root = _root(engine, "3.0", instantiationToken=token)
     # FMI 3.0 says with the two step attributes together just what this slave does: the step may vary from call to
@@ -135,7 +135,7 @@ def model_description_3(engine: EngineDefinition, token: str) -> bytes:
     return _xml(root)
 
 
-def model_description_2(engine: EngineDefinition, token: str, sources: Iterable[str]) -> bytes:
+def render_model_description_2(engine: EngineDefinition, token: str, sources: Iterable[str]) -> bytes:
     """Return ``modelDescription.xml`` of the FMI 2.0 archive, which lists the C ``sources``."""
     root = _root(engine, "2.0", guid=token)
     # FMI 2.0 cannot state an internal step, so "variable step" would promise more than the slave keeps.
@@ -166,7 +166,7 @@ def model_description_2(engine: EngineDefinition, token: str, sources: Iterable[
     return _xml(root)
 
 
-def build_description(engine: EngineDefinition, sources: Iterable[str]) -> bytes:
+def render_build_description(engine: EngineDefinition, sources: Iterable[str]) -> bytes:
     """Return ``buildDescription.xml`` of the FMI 3.0 archive, which lists the C ``sources``."""
     root = ElementTree.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
     files = _add(_add(root, "BuildConfiguration", modelIdentifier=engine.identifier), "SourceFileSet", language="C99")

@@ -22,12 +22,12 @@ from cosim.engine.fmu.container import (
     UnusableError,
     Zip,
     has_sources,
-    one_line,
     open_archive,
-    parse,
+    parse_xml,
     read_bytes,
+    to_one_line,
 )
-from cosim.engine.fmu.description import describe, with_initial
+from cosim.engine.fmu.description import add_missing_initial, read_description
 from cosim.engine.library import platform_folder
 
 LONGEST_S = 600.0  # chosen by us: a solver's sources take a minute
@@ -50,7 +50,7 @@ def needs_compiling(path: Path) -> bool:
     try:
         data = read_bytes(path)
         names, xml = open_archive(data)
-        folder = platform_folder(2 if parse(xml).get("fmiVersion") == "2.0" else 3)
+        folder = platform_folder(2 if parse_xml(xml).get("fmiVersion") == "2.0" else 3)
     except UnusableError:
         return False
     return has_sources(names) and not any(
@@ -76,7 +76,7 @@ def compile_archive(path: Path, out: Path | None = None, windows: bool = False) 
     try:
         data = read_bytes(path)
         names, xml = open_archive(data)
-        description, _ = describe(data)
+        description, _ = read_description(data)
     except UnusableError as reason:
         raise InputError(f"{path}: {reason}") from reason
     if description.coSimulation is None or not has_sources(names):
@@ -85,7 +85,7 @@ def compile_archive(path: Path, out: Path | None = None, windows: bool = False) 
         folder = str(folder_path)
         with Zip(BytesIO(data)) as fmu:
             fmu.extractall(folder)
-        Path(folder, DESCRIPTION).write_bytes(with_initial(xml))
+        Path(folder, DESCRIPTION).write_bytes(add_missing_initial(xml))
         if windows:
             binaries = _build_for_windows(path, folder, description)
         else:
@@ -153,4 +153,4 @@ def _run(
     lines = [*result.stdout.splitlines(), *result.stderr.splitlines()]
     errors = [line for line in lines if "error" in line.lower() and "CalledProcessError" not in line] or lines
     first = errors[0].replace(f"{folder}{os.sep}", "") if errors else "no word of it"
-    raise InputError(f"{path}: its sources do not compile {how}: {one_line(first)[:200]}")
+    raise InputError(f"{path}: its sources do not compile {how}: {to_one_line(first)[:200]}")

@@ -36,9 +36,18 @@ from cosim.base.signals import MOST_JETS
 from cosim.base.storage.scratch import temporary
 from cosim.base.storage.toml import read_toml
 from cosim.engine.fmu.archive import parse_number
-from cosim.engine.fmu.container import DAMAGE, UnusableError, Zip, fmi_of, one_line, open_archive, parse, read_bytes
-from cosim.engine.fmu.description import describe
-from cosim.engine.fmu.ports import plain
+from cosim.engine.fmu.container import (
+    DAMAGE,
+    UnusableError,
+    Zip,
+    open_archive,
+    parse_xml,
+    read_bytes,
+    read_fmi_version,
+    to_one_line,
+)
+from cosim.engine.fmu.description import read_description
+from cosim.engine.fmu.ports import normalise_name
 from cosim.engine.fmu.variables import INTEGERS, REALS
 from cosim.engine.library import platform_folder
 
@@ -63,7 +72,7 @@ class ControllerFmu:
     inputs: Mapping[str, Any]  # by the name of the port
     outputs: Mapping[str, Any]
     parameters: Sequence[Any]
-    shown: Sequence[Any]  # outputs that become columns
+    column_outputs: Sequence[Any]  # outputs that become columns
     notes: tuple[str, ...]
     description: Any
     data: bytes
@@ -114,8 +123,8 @@ def read_controller_fmu(path: Path, servos: Sequence[str] | None = None) -> Cont
 def _read(path: Path, mapping: Path | None, mapped: Mapping[str, str], servos: Sequence[str] | None) -> ControllerFmu:
     data = read_bytes(path)
     _, xml = open_archive(data)
-    fmi = fmi_of(parse(xml))
-    description, blemishes = describe(data)
+    fmi = read_fmi_version(parse_xml(xml))
+    description, blemishes = read_description(data)
     scalars = [v for v in description.modelVariables if v.type in _KINDS and not v.shape]
     all_inputs, all_outputs, parameters = (
         [v for v in scalars if v.causality == causality] for causality in ("input", "output", "parameter")
@@ -125,7 +134,7 @@ def _read(path: Path, mapping: Path | None, mapped: Mapping[str, str], servos: S
         servos = _servos([v.name for v in all_outputs], mapped)
     names = [name for n in jets_known for name in wire.output_names("controller", n, servos, wire.EXTRAS)]
     names += [name for level in ("rate", "attitude", "predictor") for name in wire.output_names(level, 1, ())]
-    outputs = _match_ports(all_outputs, {plain(name): name for name in names}, mapped)
+    outputs = _match_ports(all_outputs, {normalise_name(name): name for name in names}, mapped)
     level = next((known_level for name, known_level in wire.LEVEL_BY_OUTPUT.items() if name in outputs), "")
     if not level:
         raise UnusableError(
@@ -139,7 +148,7 @@ def _read(path: Path, mapping: Path | None, mapped: Mapping[str, str], servos: S
     if missing := [name for name in needed if name not in outputs]:
         raise IncompleteError(f"has no output {missing[0]}, which a {level} needs")
     outputs = {name: outputs[name] for name in needed}
-    input_ports = {plain(name): name for name in wire.input_names(level, jets, servos or SERVOS, True)}
+    input_ports = {normalise_name(name): name for name in wire.input_names(level, jets, servos or SERVOS, True)}
     inputs = _match_ports(all_inputs, input_ports, mapped)
     used = {id(v) for v in (*inputs.values(), *outputs.values())}
     unset = [v.name for v in all_inputs if id(v) not in used]
@@ -180,9 +189,13 @@ def _read(path: Path, mapping: Path | None, mapped: Mapping[str, str], servos: S
 def _servos(outputs: Sequence[str], mapped: Mapping[str, str]) -> tuple[str, ...]:
     """Return the actuators of the ``tilt_`` outputs: those mapped, and left and right, or all others if one lacks."""
     servos = [name[5:] for name in mapped if name.startswith("tilt_") and not name.endswith("_applied")]
-    short = [plain(name)[4:] for name in outputs if plain(name).startswith("tilt") and name not in mapped.values()]
+    short = [
+        normalise_name(name)[4:]
+        for name in outputs
+        if normalise_name(name).startswith("tilt") and name not in mapped.values()
+    ]
     banks = set(SERVOS) <= {*servos, *short}
-    mapped_servos = {plain(name) for name in servos}
+    mapped_servos = {normalise_name(name) for name in servos}
     servos += [name for name in short if name not in mapped_servos and (name in SERVOS if banks else name)]
     return tuple(sorted(servos, key=lambda name: SERVOS.index(name) if name in SERVOS else len(SERVOS)))
 
@@ -195,13 +208,13 @@ def _extra_outputs(jets: int, extra: str) -> set[str]:
 def _match_ports(variables: Sequence[Any], ports: Mapping[str, str], mapped: Mapping[str, str]) -> dict[str, Any]:
     """Return variables by port, matched by the plain names in ``ports``; mapped ports take precedence."""
     by_name = {v.name: v for v in variables}
-    by_port = {ports[plain(v.name)]: v for v in variables if plain(v.name) in ports}
+    by_port = {ports[normalise_name(v.name)]: v for v in variables if normalise_name(v.name) in ports}
     return by_port | {
         port: by_name[name] for port, name in mapped.items() if port in ports.values() and name in by_name
     }
 
 
-def command(path: Path) -> list[str]:
+def make_command(path: Path) -> list[str]:
     """Return the command line of the process that runs the FMU."""
     return python_command(_SERVE, str(path))
 
@@ -212,7 +225,7 @@ def describe_controller(fmu: ControllerFmu) -> dict[str, Any]:
         "level": fmu.level,
         "extras": fmu.extras,
         "parameters": [[_identifier(v), *_number_and_range(v)] for v in fmu.parameters],
-        "columns": [[_identifier(v), v.unit or "1", "", v.description or v.name] for v in fmu.shown],
+        "columns": [[_identifier(v), v.unit or "1", "", v.description or v.name] for v in fmu.column_outputs],
     }
 
 
@@ -243,13 +256,15 @@ def serve(path: str) -> None:
     if not line:
         return
     settings = json.loads(line)
-    columns, servos_known = [_identifier(v) for v in fmu.shown], fmu.servos
+    columns, servos_known = [_identifier(v) for v in fmu.column_outputs], fmu.servos
     if fmu.level == "controller":
         fmu = read_controller_fmu(Path(path), settings["servos"])
     input_frame, output_frame = wire.frame(len(settings["inputs"])), wire.frame(len(settings["outputs"]))
     try:
         with temporary("controller-") as folder:
-            if settings["outputs"] != [*fmu.outputs, *columns] or columns != [_identifier(v) for v in fmu.shown]:
+            if settings["outputs"] != [*fmu.outputs, *columns] or columns != [
+                _identifier(v) for v in fmu.column_outputs
+            ]:
                 moved = f"servos {', '.join(servos_known)}" if servos_known else "no servos"
                 has = f"servos {', '.join(settings['servos'])}" if settings["servos"] else "no servos"
                 name, jets = settings["vehicle"]["name"], len(settings["vehicle"]["jets"])
@@ -260,7 +275,7 @@ def serve(path: str) -> None:
                 k, *values = input_frame.unpack(frame)
                 _write(out, output_frame.pack(k, *instance.step(int(k), values)))
     except Exception as error:
-        _write(out, output_frame.pack(-1.0, *[0.0] * len(settings["outputs"])) + f"{one_line(error)}\n".encode())
+        _write(out, output_frame.pack(-1.0, *[0.0] * len(settings["outputs"])) + f"{to_one_line(error)}\n".encode())
 
 
 class _Group:
@@ -329,7 +344,7 @@ class _Instance:
             with Zip(BytesIO(fmu.data)) as archive:
                 archive.extractall(folder)
         except DAMAGE as error:
-            raise RuntimeError(f"cannot be unpacked: {one_line(error)}") from error
+            raise RuntimeError(f"cannot be unpacked: {to_one_line(error)}") from error
 
     def step(self, k: int, values: Sequence[float]) -> list[float]:
         if k == 0:
@@ -378,7 +393,7 @@ class _Instance:
         fmu = self._fmu
         inputs = {i: fmu.inputs[name] for i, name in enumerate(self._names) if name in fmu.inputs}
         self._inputs = _by_type(self._instance, list(inputs), list(inputs.values()))
-        answers = [*fmu.outputs.values(), *fmu.shown]
+        answers = [*fmu.outputs.values(), *fmu.column_outputs]
         self._count = len(answers)
         self._outputs = _by_type(self._instance, range(self._count), answers)
 

@@ -25,15 +25,15 @@ from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive, label_ports
 from cosim.engine.fmu.container import DAMAGE, Zip
 from cosim.engine.fmu.port_kinds import KINDS
-from cosim.engine.fmu.ports import plain
+from cosim.engine.fmu.ports import normalise_name
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.fmu.variables import Port, Variable
 from cosim.engine.measure import EngineMeasurement, measure_once
-from cosim.engine.qualify.remembered import misbehaves, record_misbehaviour, write
+from cosim.engine.qualify.remembered import read_misbehaviour, record_misbehaviour, write_if_possible
 from cosim.engine.qualify.report import CheckReport
 from cosim.engine.qualify.supervisor import READ, STARTED, ChildResult, Limits, run_in_child
-from cosim.engine.response import NO_CHANGE, Response, curve_problems
-from cosim.engine.spec import EngineSource, find_source, need_whole_steps, resolve_parameters
+from cosim.engine.response import NO_CHANGE, Response, find_curve_problems
+from cosim.engine.spec import EngineSource, check_whole_steps, find_source, resolve_parameters
 
 DEFAULT_STEP_S = 0.004  # of the Hex-Jet's control loop
 LIMITS = Limits()
@@ -52,7 +52,7 @@ DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
 # ---- the check
 
 
-def limits_of(seconds: float) -> Limits:
+def make_limits(seconds: float) -> Limits:
     """Return limits for a check of at most ``seconds``, within which a single call to the FMU must return too."""
     return replace(LIMITS, seconds=seconds, silence=min(LIMITS.silence, seconds))
 
@@ -85,7 +85,7 @@ def _check(
     need_trust(source.code, f"engine {source.path.name}")
     archive = source.archive
     step = step or (source.engine.internal_step if source.engine else DEFAULT_STEP_S)
-    need_whole_steps(archive, source.engine, step)
+    check_whole_steps(archive, source.engine, step)
     resolve_parameters(source, parameters)
     unpack(archive).close()
     report = CheckReport(
@@ -128,7 +128,7 @@ class _TrialRunner:
             begun_parts = [message["part"] for message in apart.messages if "part" in message]
             is_over = any(message.get("over") for message in apart.messages)
             last = begun_parts[-1] if begun_parts else parts[0]
-            if is_over or not apart.crashed or last in NEEDED:
+            if is_over or not apart.has_crashed or last in NEEDED:
                 break
             parts = parts[parts.index(last) + 1 :]  # a crash in one part need not hide what the others have to say
         measured = self._fill_report()
@@ -153,27 +153,27 @@ class _TrialRunner:
     def _run(self, parts: Sequence[str]) -> ChildResult:
         limits = replace(self._limits, seconds=max(0.1, self._seconds_left))
         apart = run_in_child({**self._task, "parts": list(parts)}, limits)
-        self._seconds_left -= apart.took
+        self._seconds_left -= apart.seconds
         for message in apart.messages:
             findings = message.get("found", {})
             notes = self._report.notes
             notes += [note for note in findings.get("notes", []) if note not in notes]
             self._findings |= findings
             self._add_problems(message.get("problems", []))
-        if apart.end is not None:
-            self._add_problems([apart.end])
-            if (apart.crashed or apart.hung) and apart.moment not in (STARTED, READ):
-                self._note_misbehaviour(apart.end)
-        if apart.left_behind:
+        if apart.problem is not None:
+            self._add_problems([apart.problem])
+            if (apart.has_crashed or apart.has_hung) and apart.moment not in (STARTED, READ):
+                self._note_misbehaviour(apart.problem)
+        if apart.left_processes:
             self._add_problems(["leaves processes behind"])
             self._note_misbehaviour("leaves processes behind")
-        self._printed_bytes += apart.printed
+        self._printed_bytes += apart.printed_bytes
         return apart
 
     def _repeat_run(self) -> None:
         """Repeat the run in another process, where addresses, process number and time of day differ."""
         digest = self._findings.pop("digest")
-        if self._run(["run"]).end is None:
+        if self._run(["run"]).problem is None:
             self._report.processes_agree = self._findings.get("digest") == digest
             if not self._report.processes_agree:
                 self._add_problems(["two processes with the same throttle differ"])
@@ -195,7 +195,7 @@ class _TrialRunner:
                 setattr(report, f"rise_time_{way}", response.rise)
         if "measured" not in findings:
             return None
-        measured = measurement_json().validate_python(findings["measured"])
+        measured = make_measurement_adapter().validate_python(findings["measured"])
         if measured.quiet > NO_CHANGE:
             report.notes.append(
                 f"its thrust trembles at rest; it is taken to stand still to {measured.quiet:g} of itself"
@@ -204,7 +204,7 @@ class _TrialRunner:
 
 
 @cache
-def measurement_json() -> TypeAdapter[EngineMeasurement]:
+def make_measurement_adapter() -> TypeAdapter[EngineMeasurement]:
     """Return what turns a measurement into JSON and back, for transmission and caching."""
     return TypeAdapter(EngineMeasurement)
 
@@ -219,9 +219,9 @@ def _described_port(label: str, port: Port, source: EngineSource) -> dict[str, A
     mapped = source.engine.ports if source.engine else source.mapping.ports.model_dump(exclude_none=True)
     if name in mapped:
         origin = "in engine.toml" if source.engine else "in the mapping file"
-    elif plain(v.name) == plain(name):
+    elif normalise_name(v.name) == normalise_name(name):
         origin = "by its name"
-    elif any(plain(text) in KINDS[name].names for text in (v.name, v.name.rpartition(".")[2])):
+    elif any(normalise_name(text) in KINDS[name].usual_names for text in (v.name, v.name.rpartition(".")[2])):
         origin = "by a usual name"
     else:
         origin = "by its unit" if name == "thrust" else "as the only one"
@@ -253,16 +253,16 @@ def _checksums(path: Path) -> list[str]:
     return [f"{damaged} fails its checksum"] if damaged else []
 
 
-def blemish_lines(archive: Archive) -> list[str]:
+def note_harmless_violations(archive: Archive) -> list[str]:
     """Return notes on violations of FMI in an archive's description that have no effect on stepping."""
-    shown = archive.blemishes[:MOST_BLEMISHES]
+    shown = archive.harmless_violations[:MOST_BLEMISHES]
     lines = [f"blemish in its description, of no effect on stepping: {text}" for text in shown]
-    rest = len(archive.blemishes) - len(shown)
+    rest = len(archive.harmless_violations) - len(shown)
     return [*lines, f"and {rest} more blemishes like these"] if rest else lines
 
 
 def _notes(archive: Archive, library: bool) -> list[str]:
-    notes = [*blemish_lines(archive), *archive.port_notes]
+    notes = [*note_harmless_violations(archive), *archive.port_notes]
     if not archive.saves_state:
         notes.append("cannot save its state")
     if archive.once_per_process:
@@ -278,13 +278,13 @@ _fit_engines: set[tuple[str, str, float]] = set()  # checked in this process: sh
 
 
 def measure_in_child(
-    name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR, apart: bool = False
+    name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR, isolated: bool = False
 ) -> EngineMeasurement:
     """Check a user's FMU in another process, and return its static curve and response.
 
     The result is cached by archive, mapping file, parameters, step and air, and a fit FMU is not checked again: in
     another ``air`` than the standard one at sea level it is only measured.  A process that flies it again, with other
-    parameters or in another air, measures it itself, or in another process where ``apart`` is set.
+    parameters or in another air, measures it itself, or in another process where ``isolated`` is set.
 
     Raises InputError if it is unfit: one line with the first problem.  InstanceError, ResponseError if it fails here.
     """
@@ -293,14 +293,14 @@ def measure_in_child(
     is_fit = key in _fit_engines
     path = _cache_path(source, parameters, step, air)
     cached = _read_cached(path)
-    if cached is None and is_fit and (apart or not misbehaves(source.archive.sha256)):
-        measure = measure_unchecked if apart else _measure_here
+    if cached is None and is_fit and (isolated or not read_misbehaviour(source.archive.sha256)):
+        measure = measure_unchecked if isolated else _measure_here
         measured = measure(name_or_path, parameters, step, air)
-        _need_no_problems(source, all_curve_problems(measured, source.archive.starting.rest_n))
+        _need_no_problems(source, find_all_curve_problems(measured, source.archive.starting.rest_n))
         return measured
     measured = cached or _check_and_measure(name_or_path, source, parameters, step, air)
     if cached is None:
-        write(path, measurement_json().dump_json(measured).decode())
+        write_if_possible(path, make_measurement_adapter().dump_json(measured).decode())
     _fit_engines.add(key)
     return measured
 
@@ -333,11 +333,11 @@ def _measure_here(name_or_path: str, parameters: Mapping[str, float], step: floa
     return measure_once(source.archive, settings, source.archive.start, step, air)
 
 
-def all_curve_problems(measured: EngineMeasurement, rest: float) -> list[str]:
+def find_all_curve_problems(measured: EngineMeasurement, rest: float) -> list[str]:
     """Return the problems of the static curves of all engines in an FMU."""
-    problems = curve_problems(measured.curve, measured.quiet, rest)
+    problems = find_curve_problems(measured.curve, measured.quiet, rest)
     for slot, other in enumerate(measured.others, start=2):
-        problems += [f"engine {slot}: {text}" for text in curve_problems(other.curve, other.quiet, rest)]
+        problems += [f"engine {slot}: {text}" for text in find_curve_problems(other.curve, other.quiet, rest)]
     return problems
 
 
@@ -391,7 +391,7 @@ def _code() -> str:
 def _read_cached(path: Path) -> EngineMeasurement | None:
     """Return a cached measurement, or None if there is none that can be read."""
     try:
-        measured = measurement_json().validate_json(path.read_bytes())
+        measured = make_measurement_adapter().validate_json(path.read_bytes())
         sane = len(measured.curve.throttle) == len(measured.curve.thrust) > 1 and measured.response.delay >= 0
         return measured if sane else None
     except (OSError, ValueError):

@@ -32,7 +32,7 @@ def main(pipe: int) -> None:
         while data:
             data = data[os.write(pipe, data) :]
 
-    from cosim.engine.qualify.trial import perform
+    from cosim.engine.qualify.trial import run_task
 
-    perform(order["task"], say)
+    run_task(order["task"], say)
     say({"done": True, "at": "when its process ended"})

@@ -12,7 +12,7 @@ from typing import Any
 from cosim.base.runtime.processes import measure_megabytes
 
 
-def process_state() -> dict[str, Any]:
+def read_process_state() -> dict[str, Any]:
     """Return the process-wide state that an FMU may change, by its description."""
     third, smallest = [1.0, 3.0], [sys.float_info.min, 0.5]  # in lists, so that Python computes it here and now
     return {
@@ -27,8 +27,8 @@ def process_state() -> dict[str, Any]:
 
 
 def describe_changes(before: Mapping[str, Any]) -> list[str]:
-    """Return problems about changes since ``before``, a result of :func:`process_state`; restore the folder."""
-    after = process_state()
+    """Return problems about changes since ``before``, a result of :func:`read_process_state`; restore the folder."""
+    after = read_process_state()
     with suppress(OSError):
         os.chdir(before["the working directory"])
     return [f"changes {what}, for everything in the same process" for what in before if after[what] != before[what]]
@@ -42,7 +42,7 @@ def count_threads() -> int:
         return 0
 
 
-def mapped_libraries() -> set[str]:
+def list_mapped_libraries() -> set[str]:
     """Return the names of the files mapped by this process; empty where there is no ``/proc``."""
     try:
         with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
@@ -51,7 +51,7 @@ def mapped_libraries() -> set[str]:
         return set()
 
 
-def resident_bytes() -> float:
+def measure_resident_bytes() -> float:
     """Return the resident memory [bytes]; where there is no ``/proc``, its maximum so far."""
     if size := measure_megabytes(os.getpid()):
         return size * 2**20

@@ -21,7 +21,7 @@ from typing import Any
 
 from cosim.base.runtime.processes import Child, measure_megabytes, python_command
 from cosim.base.storage.scratch import temporary
-from cosim.engine.fmu.container import one_line
+from cosim.engine.fmu.container import to_one_line
 
 POLL_S = 0.02  # how often time and memory are looked at
 MOST_MESSAGES = 2**24  # bytes; a check says less than 100 kB
@@ -51,14 +51,14 @@ class ChildResult:
     """The result of a task; ``end`` is None if it was finished, else a clause on how the process ended."""
 
     messages: list[dict[str, Any]] = field(default_factory=list)
-    end: str | None = None
-    hung: bool = False  # did not answer, and was ended
-    crashed: bool = False  # or left by itself: another child may try what comes behind
+    problem: str | None = None
+    has_hung: bool = False  # did not answer, and was ended
+    has_crashed: bool = False  # or left by itself: another child may try what comes behind
     moment: str = STARTED  # what the FMU was asked for last
-    printed: int = 0  # bytes
-    last_words: str = ""
-    left_behind: bool = False  # processes that it did not end
-    took: float = 0.0  # of its own time
+    printed_bytes: int = 0  # bytes
+    last_output: str = ""
+    left_processes: bool = False  # processes that it did not end
+    seconds: float = 0.0  # of its own time
 
 
 def run_in_child(task: Mapping[str, Any], limits: Limits) -> ChildResult:
@@ -71,19 +71,19 @@ def run_in_child(task: Mapping[str, Any], limits: Limits) -> ChildResult:
         assert child.stdout is not None
         readers = {pipe: _message_reader(result), child.stdout.fileno(): _output_reader(result)}
         child_time = _ChildTime(child.pid)
-        result.end = _watch(child, readers, limits, child_time)
-        result.took = child_time.seconds
-        result.hung = result.end is not None and result.end.startswith(HANGS)
+        result.problem = _watch(child, readers, limits, child_time)
+        result.seconds = child_time.seconds
+        result.has_hung = result.problem is not None and result.problem.startswith(HANGS)
         for descriptor, take in readers.items():
             _drain(descriptor, take)
         done = any("done" in message for message in result.messages)
-        if result.end is None and not (done and child.returncode == 0):
-            result.end, result.crashed = _describe_exit(child.returncode), True
-            if result.last_words:
-                result.end += f'; it printed: "{result.last_words}"'
-        if result.end is not None:
-            result.end = result.end.replace("{moment}", result.moment)
-        result.left_behind = result.end is None and _is_alive(child.pid)
+        if result.problem is None and not (done and child.returncode == 0):
+            result.problem, result.has_crashed = _describe_exit(child.returncode), True
+            if result.last_output:
+                result.problem += f'; it printed: "{result.last_output}"'
+        if result.problem is not None:
+            result.problem = result.problem.replace("{moment}", result.moment)
+        result.left_processes = result.problem is None and _is_alive(child.pid)
     return result
 
 
@@ -217,11 +217,11 @@ def _output_reader(result: ChildResult) -> Callable[[bytes], bool]:
     kept = bytearray()
 
     def take(data: bytes) -> bool:
-        result.printed += len(data)
+        result.printed_bytes += len(data)
         kept.extend(data)
         del kept[:-LAST_OUTPUT_BYTES]
         lines = [line for line in bytes(kept).decode(errors="replace").splitlines() if line.strip()]
-        result.last_words = one_line(lines[-1])[:200] if lines else ""
+        result.last_output = to_one_line(lines[-1])[:200] if lines else ""
         return False  # printing is no sign of getting on
 
     return take

@@ -20,20 +20,20 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import EngineOutput
 from cosim.engine.bank import EngineBank
 from cosim.engine.fmu.air import STANDARD_AIR, Air
-from cosim.engine.fmu.archive import libraries_of, validate
-from cosim.engine.fmu.container import name_notes, read_bytes
-from cosim.engine.fmu.description import describe, is_blemish
+from cosim.engine.fmu.archive import list_libraries, validate
+from cosim.engine.fmu.container import note_unusual_names, read_bytes
+from cosim.engine.fmu.description import is_harmless_violation, read_description
 from cosim.engine.fmu.instance import FmuInstance, InstanceError
-from cosim.engine.fmu.unpacked import contents, unpack
+from cosim.engine.fmu.unpacked import hash_files, unpack
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import EngineMeasurement, measure
-from cosim.engine.qualify.check import NEEDED, all_curve_problems, measurement_json
+from cosim.engine.qualify.check import NEEDED, find_all_curve_problems, make_measurement_adapter
 from cosim.engine.qualify.process_state import (
     count_threads,
     describe_changes,
-    mapped_libraries,
-    process_state,
-    resident_bytes,
+    list_mapped_libraries,
+    measure_resident_bytes,
+    read_process_state,
 )
 from cosim.engine.qualify.supervisor import READ
 from cosim.engine.response import (
@@ -41,11 +41,11 @@ from cosim.engine.response import (
     Hold,
     Response,
     ResponseError,
-    crossing,
-    flat_notes,
+    find_crossing,
+    measure_step_response,
+    note_flat_ends,
     settle,
-    step_response,
-    window_for,
+    settling_window,
 )
 from cosim.engine.spec import EngineSource, EngineSpec, find_source, resolve_parameters
 from cosim.engine.ssp.system_instance import make_instance
@@ -82,7 +82,7 @@ FEATURES = {
 INTERFACES = {"modelExchange": "model exchange", "scheduledExecution": "scheduled execution"}
 
 
-class Task(NamedTuple):
+class TrialTask(NamedTuple):
     """Order to the child process: the engine and the parts to run."""
 
     name: str  # of the library, or an absolute path
@@ -95,7 +95,7 @@ class Task(NamedTuple):
 class Trial:
     """One engine, unpacked, and the ways to run it.  ``say`` sends a message to the parent process."""
 
-    def __init__(self, source: EngineSource, task: Task, folder: Path, say: Say) -> None:
+    def __init__(self, source: EngineSource, task: TrialTask, folder: Path, say: Say) -> None:
         self.archive, self.task, self.folder, self.say, self.step = source.archive, task, folder, say, task.step
         self.measured: EngineMeasurement | None = None
         _, self.settings = resolve_parameters(source, task.parameters)
@@ -123,58 +123,58 @@ class Trial:
         self.say({"at": "when it was initialized"})
         instance.initialize(self.settings, throttle, step=self.step)
 
-    def native(self, instance: FmuInstance, done: int = 0) -> _bank.Bank:
+    def make_native_bank(self, instance: FmuInstance, done: int = 0) -> _bank.Bank:
         """Return a C loop around an instance that has made ``done`` steps."""
-        return _bank.Bank((instance.row(done),), self.step, EngineOutput)
+        return _bank.Bank((instance.make_row(done),), self.step, EngineOutput)
 
-    def hold(self, instance: FmuInstance) -> Hold:
+    def make_hold(self, instance: FmuInstance) -> Hold:
         """Return a function that steps a new instance at a constant throttle and reports progress."""
-        native = self.native(instance)
+        native = self.make_native_bank(instance)
         count = 0
 
-        def hold(throttle: float, steps: int) -> list[float]:
+        def make_hold(throttle: float, steps: int) -> list[float]:
             nonlocal count
             thrusts: list[float] = []
             while len(thrusts) < steps:
                 now = min(CHUNK, steps - len(thrusts))
-                self.stepping(count)
+                self.report_step(count)
                 thrusts += native.hold(0, throttle, now)
                 count += now
             return thrusts
 
-        return hold
+        return make_hold
 
-    def stepping(self, k: int) -> None:
+    def report_step(self, k: int) -> None:
         """Report that stepping has come to step ``k``."""
         self.say({"at": f"while it was stepped, {k * self.step:g} s after its start or later"})
 
-    def zigzag(self, instance: FmuInstance, begin: int = 0, end: int = TRIAL_STEPS) -> list[float]:
+    def run_zigzag(self, instance: FmuInstance, begin: int = 0, end: int = TRIAL_STEPS) -> list[float]:
         """Return thrusts under a throttle that keeps changing within 0..1, from step ``begin`` to ``end``."""
-        native = self.native(instance, begin)
+        native = self.make_native_bank(instance, begin)
         thrusts: list[float] = []
         for k in range(begin, end):
             if k == begin or k % CHUNK == 0:
-                self.stepping(k)
+                self.report_step(k)
             try:
-                thrusts += native.hold(0, zigzag(k), 1)
+                thrusts += native.hold(0, zigzag_throttle(k), 1)
             except _bank.FailureError as failure:
                 raise InstanceError(instance.explain(failure, f"at step {k} ({k * self.step:g} s)")) from failure
         return thrusts
 
 
-def zigzag(k: int) -> float:
+def zigzag_throttle(k: int) -> float:
     """Return a throttle sequence that visits 20 values from 0 to 1 in an order that is neither up nor down."""
     return (k * 7 % 20) / 19
 
 
-def perform(order: Mapping[str, Any], say: Say) -> None:
+def run_task(order: Mapping[str, Any], say: Say) -> None:
     """Do the parts that a task asks for; say ``part`` before each, ``found`` and ``problems`` after it."""
-    task = Task(**order)
+    task = TrialTask(**order)
     say({"at": READ})
     source = find_source(task.name)
     with unpack(source.archive) as folder:
         trial = Trial(source, task, folder, say)
-        before = contents(trial.folder)
+        before = hash_files(trial.folder)
         for part in task.parts:
             say({"part": part})
             is_over = False
@@ -185,7 +185,7 @@ def perform(order: Mapping[str, Any], say: Say) -> None:
             say({"of": part, "found": findings, "problems": problems, "over": is_over})
             if is_over:
                 break
-        after = contents(trial.folder)
+        after = hash_files(trial.folder)
         # Files that it adds are allowed: an FMU written in Python leaves compiled modules.
         if any(after.get(name) != digest for name, digest in before.items()):
             say({"of": "files", "found": {}, "problems": ["changes or deletes files of its own archive"]})
@@ -196,7 +196,7 @@ def perform(order: Mapping[str, Any], say: Say) -> None:
 
 def _validate(trial: Trial) -> Findings:
     trial.say({"at": "while its description was validated"})
-    notes = name_notes(trial.archive.path)
+    notes = note_unusual_names(trial.archive.path)
     if trial.archive.system is not None:  # what a component's has to say was said when it was read
         return {
             "features": [f"{component.name}: {component.file}" for component in trial.archive.system.components],
@@ -204,9 +204,9 @@ def _validate(trial: Trial) -> Findings:
         }, []
     data = read_bytes(trial.archive.path)
     # with blemishes it was judged when it was read
-    complaints = [] if trial.archive.blemishes else validate(data)
-    remarks = [text for text in complaints if is_blemish(text)]
-    features = _features(describe(data)[0])
+    complaints = [] if trial.archive.harmless_violations else validate(data)
+    remarks = [text for text in complaints if is_harmless_violation(text)]
+    features = _features(read_description(data)[0])
     return {"features": features, "notes": notes + remarks}, [text for text in complaints if text not in remarks]
 
 
@@ -228,8 +228,8 @@ def _features(description: Any) -> list[str]:
 
 def _load(trial: Trial) -> Findings:
     """Load and unload the library, or those of a system's components one after the other."""
-    before = process_state()
-    for library in libraries_of(trial.archive):
+    before = read_process_state()
+    for library in list_libraries(trial.archive):
         _load_library(trial, trial.folder / library)
     return {}, describe_changes(before)
 
@@ -256,10 +256,10 @@ def _start(trial: Trial) -> Findings:
     import fmpy.fmi2  # type: ignore[import-untyped]
     import fmpy.fmi3  # type: ignore[import-untyped] # noqa: F401 - these start threads of numpy
 
-    before, threads, libraries = process_state(), count_threads(), mapped_libraries()
+    before, threads, libraries = read_process_state(), count_threads(), list_mapped_libraries()
     with trial.instance() as instance:
-        trial.zigzag(instance, 0, 1)
-        runtimes = sorted({match[0] for name in mapped_libraries() - libraries if (match := RUNTIMES.match(name))})
+        trial.run_zigzag(instance, 0, 1)
+        runtimes = sorted({match[0] for name in list_mapped_libraries() - libraries if (match := RUNTIMES.match(name))})
         more = count_threads() - threads
     own = f"brings a run time of its own ({', '.join(runtimes)})" if runtimes else ""
     if more > 0 and not own:
@@ -268,9 +268,9 @@ def _start(trial: Trial) -> Findings:
 
 
 def _run(trial: Trial) -> Findings:
-    before = process_state()
+    before = read_process_state()
     with trial.instance() as instance:
-        thrusts = trial.zigzag(instance, 0, max(TRIAL_STEPS, round(RUN_S / trial.step)))
+        thrusts = trial.run_zigzag(instance, 0, max(TRIAL_STEPS, round(RUN_S / trial.step)))
     digest = hashlib.sha256(struct.pack(f"<{len(thrusts)}d", *thrusts)).hexdigest()
     return {"digest": digest}, describe_changes(before)
 
@@ -287,9 +287,9 @@ def _measure(trial: Trial) -> Findings:
         Air(*trial.task.air),
     )
     curve = measurement.curve._asdict()
-    measured = measurement_json().dump_python(measurement, mode="json")
-    problems = all_curve_problems(measurement, trial.archive.starting.rest_n)
-    notes = flat_notes(measurement.curve, measurement.quiet, trial.archive.starting.rest_n)
+    measured = make_measurement_adapter().dump_python(measurement, mode="json")
+    problems = find_all_curve_problems(measurement, trial.archive.starting.rest_n)
+    notes = note_flat_ends(measurement.curve, measurement.quiet, trial.archive.starting.rest_n)
     return {**curve, "up": measurement.response._asdict(), "measured": measured, "notes": notes}, problems
 
 
@@ -298,10 +298,10 @@ def _respond(trial: Trial) -> Findings:
     with trial.instance() as instance:
         courses: dict[str, Any] = {}
         notes: list[str] = []
-        hold = trial.hold(instance)
+        hold = trial.make_hold(instance)
         quiet, span = (m.quiet, abs(m.curve.thrust[-1])) if (m := trial.measured) else (NO_CHANGE, 0.0)
         rest = trial.archive.starting.rest_n
-        before = settle(hold, 0.0, window_for(round(1.0 / trial.step)), trial.step, quiet, rest, span)
+        before = settle(hold, 0.0, settling_window(round(1.0 / trial.step)), trial.step, quiet, rest, span)
         for way, throttle in (("up", 1.0), ("down", 0.0)):
             course = [before]
 
@@ -310,13 +310,13 @@ def _respond(trial: Trial) -> Findings:
                 course.extend(thrusts)
                 return thrusts
 
-            response: Response = step_response(recorded, before, throttle, trial.step, quiet, rest)
+            response: Response = measure_step_response(recorded, before, throttle, trial.step, quiet, rest)
             before = response.after
             shown = course[: _drawn(course, response)]
             every = max(1, len(shown) // MOST_POINTS)
             courses |= {way: response._asdict(), f"course_{way}": shown[::every]}
             courses[f"course_step_{way}"] = every * trial.step
-            courses[f"tenth_{way}"] = crossing(course, 0.1, response.before, response.after) * trial.step
+            courses[f"tenth_{way}"] = find_crossing(course, 0.1, response.before, response.after) * trial.step
             change = response.after - response.before
             back = max(((response.before - thrust) / change for thrust in course), default=0.0)
             if back > WRONG_WAY + rest / abs(change):
@@ -340,13 +340,13 @@ def _drawn(course: Sequence[float], response: Response) -> int:
 def _repeat(trial: Trial) -> Findings:
     """Compare two runs, the first instance alive during the second: they must not share any state."""
     with trial.instance() as instance:
-        first = trial.zigzag(instance)
+        first = trial.run_zigzag(instance)
         if not trial.archive.once_per_process:
             with trial.instance() as other:
-                second = trial.zigzag(other)
+                second = trial.run_zigzag(other)
     if trial.archive.once_per_process:
         with trial.instance() as other:
-            second = trial.zigzag(other)
+            second = trial.run_zigzag(other)
     return _finding("deterministic", first == second, "two runs with the same throttle differ")
 
 
@@ -360,14 +360,14 @@ def _together(trial: Trial) -> Findings:
     For an FMU with several engines, compare one of two instances with one stepped alone.
     """
     trial.say({"at": "while several of it were instantiated"})
-    memory = resident_bytes()
+    memory = measure_resident_bytes()
     spec = _spec(trial)
     runs = []
     count_per_fmu = len(trial.archive.engines)
     most = 2 * count_per_fmu if count_per_fmu > 1 else ENGINES
     for count in (most, count_per_fmu):
         with EngineBank(spec, count, trial.step) as bank:
-            begin = resident_bytes()
+            begin = measure_resident_bytes()
             for _ in range(2):  # a second flight of the same bank
                 trial.say({"at": f"while {count} of it were started"})
                 bank.reset(0.25)
@@ -384,7 +384,7 @@ def _together(trial: Trial) -> Findings:
 
 def _shifted(k: int, count: int) -> tuple[float, ...]:
     """Return throttles at step ``k``: the zigzag for the last engine, shifted more and more for those before it."""
-    return tuple(zigzag(k + 3 * (count - 1 - i)) for i in range(count))
+    return tuple(zigzag_throttle(k + 3 * (count - 1 - i)) for i in range(count))
 
 
 def _spec(trial: Trial) -> EngineSpec:
@@ -395,11 +395,11 @@ def _spec(trial: Trial) -> EngineSpec:
 
 def _reset(trial: Trial) -> Findings:
     with trial.instance() as instance:
-        first = trial.zigzag(instance)
+        first = trial.run_zigzag(instance)
         trial.say({"at": "when it was reset"})
         instance.call("reset")
         trial.initialize(instance)
-        is_equal = trial.zigzag(instance) == first
+        is_equal = trial.run_zigzag(instance) == first
     return _finding("reset_restores_start", is_equal, "a run after a reset differs from the first")
 
 
@@ -425,14 +425,14 @@ def _serialize(trial: Trial) -> Findings:
 
 def _continues(trial: Trial, instance: FmuInstance, copy: Callable[[Any], Any]) -> bool:
     """Return whether a run repeats after going back to ``copy`` of a state saved in mid-run."""
-    trial.zigzag(instance, 0, SAVED_AT)
+    trial.run_zigzag(instance, 0, SAVED_AT)
     trial.say({"at": "when its state was saved"})
     saved = instance.call("getFMUState")
-    first = trial.zigzag(instance, SAVED_AT)
+    first = trial.run_zigzag(instance, SAVED_AT)
     trial.say({"at": "when its state was restored"})
     copied = copy(saved)
     instance.call("setFMUState", copied)
-    second = trial.zigzag(instance, SAVED_AT)
+    second = trial.run_zigzag(instance, SAVED_AT)
     trial.say({"at": "when a saved state was freed"})
     for state in {id(state): state for state in (saved, copied)}.values():
         instance.call("freeFMUState", state)
@@ -441,7 +441,7 @@ def _continues(trial: Trial, instance: FmuInstance, copy: Callable[[Any], Any]) 
 
 def _time(trial: Trial) -> Findings:
     with trial.instance() as instance:
-        hold = trial.hold(instance)
+        hold = trial.make_hold(instance)
         begin = time.perf_counter()
         hold(0.5, TIMED_STEPS)
         microseconds = (time.perf_counter() - begin) / TIMED_STEPS * 1e6
@@ -451,12 +451,12 @@ def _time(trial: Trial) -> Findings:
 def _grow(trial: Trial) -> Findings:
     """Measure the growth of resident memory [bytes per step] over many steps."""
     with trial.instance() as instance:
-        hold = trial.hold(instance)
+        hold = trial.make_hold(instance)
         resident = []
         for _ in range(3):
             for _ in range(GROWTH_STEPS // CHUNK):
                 hold(0.5, CHUNK)
-            resident.append(resident_bytes())
+            resident.append(measure_resident_bytes())
     per_step = min(b - a for a, b in pairwise(resident)) / GROWTH_STEPS
     leaks = per_step >= LEAST_LEAK
     problems = [f"takes {per_step:.0f} bytes more memory in every step"] if leaks else []

@@ -7,8 +7,8 @@ from xml.etree import ElementTree
 
 from cosim.base.errors import InputError, nearest
 from cosim.engine.fmu.archive import Archive
-from cosim.engine.fmu.container import UnusableError, need_harmless_xml, read_bytes
-from cosim.engine.ssp.structure import conversion, read_units, read_values
+from cosim.engine.fmu.container import UnusableError, check_xml, read_bytes
+from cosim.engine.ssp.structure import convert_units, read_units, read_values
 
 
 def read_parameter_set(path: Path, archive: Archive) -> dict[str, float]:
@@ -18,7 +18,7 @@ def read_parameter_set(path: Path, archive: Archive) -> dict[str, float]:
     """
     try:
         data = read_bytes(path)
-        need_harmless_xml(path.name, data)
+        check_xml(path.name, data)
         root = ElementTree.fromstring(data)
         units, values = read_units(root), read_values(root, "the set")
         known = {v.name: v for v in archive.parameters}
@@ -33,7 +33,7 @@ def read_parameter_set(path: Path, archive: Archive) -> dict[str, float]:
                 source_unit = units.get(value.unit)
                 if source_unit is None or variable.base is None:
                     raise UnusableError(f"{name}: is in {value.unit}, the parameter in {variable.unit or 'no unit'}")
-                factor, offset = conversion(source_unit, variable.base, name)
+                factor, offset = convert_units(source_unit, variable.base, name)
             converted[name] = factor * value.value + offset
     except UnusableError as reason:
         raise InputError(f"{path}: {reason}") from reason

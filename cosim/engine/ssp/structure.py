@@ -12,7 +12,7 @@ from pathlib import PurePosixPath
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
-from cosim.engine.fmu.container import UnusableError, one_line
+from cosim.engine.fmu.container import UnusableError, to_one_line
 from cosim.engine.fmu.units import Unit
 from cosim.engine.library import BASE_UNITS
 
@@ -41,12 +41,12 @@ class Value:
 
 
 @dataclass(frozen=True)
-class Line:
+class Connection:
     """A connection from ``start``: ``factor, offset`` of its linear transformation; None: the units determine it."""
 
     start: Node
-    stated: tuple[float, float] | None
-    converted: bool  # units are
+    transformation: tuple[float, float] | None
+    is_converted: bool  # units are
 
 
 @dataclass
@@ -57,26 +57,26 @@ class Structure:
     version: str
     components: dict[Path, str] = field(default_factory=dict)  # the file of each, in the order of the description
     connectors: dict[Node, Connector] = field(default_factory=dict)
-    lines: dict[Node, Line] = field(default_factory=dict)  # by where they end
+    connections: dict[Node, Connection] = field(default_factory=dict)  # by where they end
     values: dict[Node, Value] = field(default_factory=dict)
     units: dict[str, Unit] = field(default_factory=dict)
 
 
-def local(element: ElementTree.Element) -> str:
+def local_tag(element: ElementTree.Element) -> str:
     """Return an element's tag without its namespace, which differs between versions."""
     return element.tag.rpartition("}")[2]
 
 
-def children(element: ElementTree.Element | None, *tags: str) -> Iterator[ElementTree.Element]:
+def iterate_elements(element: ElementTree.Element | None, *tags: str) -> Iterator[ElementTree.Element]:
     """Yield the descendants of an element along a path of tags."""
     if element is None:
         return
     for child in element:
-        if local(child) == tags[0]:
+        if local_tag(child) == tags[0]:
             if len(tags) == 1:
                 yield child
             else:
-                yield from children(child, *tags[1:])
+                yield from iterate_elements(child, *tags[1:])
 
 
 def read_structure(xml: bytes, file: Callable[[str], bytes]) -> Structure:
@@ -85,12 +85,12 @@ def read_structure(xml: bytes, file: Callable[[str], bytes]) -> Structure:
     Raises UnusableError.
     """
     root = ElementTree.fromstring(xml)
-    if local(root) != "SystemStructureDescription":
-        raise UnusableError(f"{STRUCTURE} describes a {one_line(local(root))[:80]}, not a system")
+    if local_tag(root) != "SystemStructureDescription":
+        raise UnusableError(f"{STRUCTURE} describes a {to_one_line(local_tag(root))[:80]}, not a system")
     version = root.get("version", "none stated")
     if not version.startswith(("1.", "2.")):
         raise UnusableError(f"SSP version {version} is not supported; allowed: 1.0, 2.0")
-    systems = list(children(root, "System"))
+    systems = list(iterate_elements(root, "System"))
     if len(systems) != 1:
         raise UnusableError(f"{STRUCTURE} has {len(systems)} systems at its top; it must have one")
     structure = Structure(systems[0].get("name") or root.get("name") or "system", version)
@@ -102,8 +102,8 @@ def read_structure(xml: bytes, file: Callable[[str], bytes]) -> Structure:
 def read_units(root: ElementTree.Element) -> dict[str, Unit]:
     """Return the unit definitions of a description or a parameter set by name."""
     units = {}
-    for unit in children(root, "Units", "Unit"):
-        for base in children(unit, "BaseUnit"):
+    for unit in iterate_elements(root, "Units", "Unit"):
+        for base in iterate_elements(unit, "BaseUnit"):
             powers = tuple(int(base.get(name, 0)) for name in BASE_UNITS)
             units[unit.get("name", "")] = Unit(powers, float(base.get("factor", 1.0)), float(base.get("offset", 0.0)))
     return units
@@ -111,23 +111,25 @@ def read_units(root: ElementTree.Element) -> dict[str, Unit]:
 
 def _system(element: ElementTree.Element, path: Path, structure: Structure, file: Callable[[str], bytes]) -> None:
     where = "the system" if not path else f"system {'.'.join(path)}"
-    if any(children(element, "SignalDictionaries")) or any(children(element, "Elements", "SignalDictionaryReference")):
+    if any(iterate_elements(element, "SignalDictionaries")) or any(
+        iterate_elements(element, "Elements", "SignalDictionaryReference")
+    ):
         raise UnusableError(f"{where} has signal dictionaries, which are not supported")
     _connectors(element, path, structure)
     names: set[str] = set()
-    for list_ in children(element, "Elements"):
+    for list_ in iterate_elements(element, "Elements"):
         for child in list_:
             name = child.get("name", "")
             if not name or name in names:
-                raise UnusableError(f"{where} has two elements, or one without a name, called {one_line(name)!r}")
+                raise UnusableError(f"{where} has two elements, or one without a name, called {to_one_line(name)!r}")
             names.add(name)
-            if local(child) == "System":
+            if local_tag(child) == "System":
                 _system(child, (*path, name), structure, file)
-            elif local(child) == "Component":
+            elif local_tag(child) == "Component":
                 _component(child, (*path, name), structure, file)
             else:
-                raise UnusableError(f"{where} has a {one_line(local(child))}, which is not supported")
-    for connection in children(element, "Connections", "Connection"):
+                raise UnusableError(f"{where} has a {to_one_line(local_tag(child))}, which is not supported")
+    for connection in iterate_elements(element, "Connections", "Connection"):
         _connection(connection, path, names, structure)
     _bindings(element, path, structure, file)
 
@@ -145,12 +147,12 @@ def _component(element: ElementTree.Element, path: Path, structure: Structure, f
 
 
 def _connectors(element: ElementTree.Element, path: Path, structure: Structure) -> None:
-    for connector in children(element, "Connectors", "Connector"):
+    for connector in iterate_elements(element, "Connectors", "Connector"):
         name, kind = connector.get("name", ""), connector.get("kind", "")
         if kind not in KINDS:
             where = ".".join((*path, name))
             raise UnusableError(f"connector {where}: kind {kind!r} is not supported; allowed: {', '.join(KINDS)}")
-        typed = [child for child in connector if local(child) in TYPES]
+        typed = [child for child in connector if local_tag(child) in TYPES]
         unit = typed[0].get("unit") if typed else None
         structure.connectors[(path, name)] = Connector(kind, unit)
 
@@ -160,18 +162,22 @@ def _connection(element: ElementTree.Element, path: Path, names: set[str], struc
     for which in ("start", "end"):
         name, connector = element.get(f"{which}Element"), element.get(f"{which}Connector", "")
         if name is not None and name not in names:
-            raise UnusableError(f"a connection {which}s at {one_line(name)}.{connector}, and there is no such element")
+            raise UnusableError(
+                f"a connection {which}s at {to_one_line(name)}.{connector}, and there is no such element"
+            )
         ends.append((path if name is None else (*path, name), connector))
     start, end = ends
     stated = None
     for child in element:
-        if local(child) == "LinearTransformation":
+        if local_tag(child) == "LinearTransformation":
             stated = float(child.get("factor", 1.0)), float(child.get("offset", 0.0))
-        elif local(child).endswith("Transformation"):
-            raise UnusableError(f"the connection to {_text(end)} has a {local(child)}, which is not supported")
-    if end in structure.lines:
-        raise UnusableError(f"{_text(end)} is connected to both {_text(structure.lines[end].start)} and {_text(start)}")
-    structure.lines[end] = Line(start, stated, element.get("suppressUnitConversion") not in ("true", "1"))
+        elif local_tag(child).endswith("Transformation"):
+            raise UnusableError(f"the connection to {_text(end)} has a {local_tag(child)}, which is not supported")
+    if end in structure.connections:
+        raise UnusableError(
+            f"{_text(end)} is connected to both {_text(structure.connections[end].start)} and {_text(start)}"
+        )
+    structure.connections[end] = Connection(start, stated, element.get("suppressUnitConversion") not in ("true", "1"))
 
 
 def _text(node: Node) -> str:
@@ -181,14 +187,14 @@ def _text(node: Node) -> str:
 def _bindings(element: ElementTree.Element, path: Path, structure: Structure, file: Callable[[str], bytes]) -> None:
     """Read an element's parameter sets; those of an outer system take precedence, as SSP specifies."""
     where = ".".join(path) or "the system"
-    for binding in children(element, "ParameterBindings", "ParameterBinding"):
-        if any(children(binding, "ParameterMapping")):
+    for binding in iterate_elements(element, "ParameterBindings", "ParameterBinding"):
+        if any(iterate_elements(binding, "ParameterMapping")):
             raise UnusableError(f"{where}: a parameter binding has a mapping (SSM), which is not supported")
         source, prefix = binding.get("source"), binding.get("prefix", "")
         if source is not None:
             sets = [ElementTree.fromstring(file(unquote(source)))]
         else:
-            sets = list(children(binding, "ParameterValues", "ParameterSet"))
+            sets = list(iterate_elements(binding, "ParameterValues", "ParameterSet"))
         for parameter_set in sets:
             units = read_units(parameter_set)
             for name, value in read_values(parameter_set, where).items():
@@ -201,21 +207,23 @@ def _bindings(element: ElementTree.Element, path: Path, structure: Structure, fi
 
 def read_values(root: ElementTree.Element, where: str) -> dict[str, Value]:
     """Return the numbers of a parameter set (SSV) by name; raise UnusableError for a value that is no number."""
-    if local(root) != "ParameterSet":
+    if local_tag(root) != "ParameterSet":
         raise UnusableError(
-            f"{where}: a parameter set begins with a {one_line(local(root))[:80]}; ParameterSet is needed"
+            f"{where}: a parameter set begins with a {to_one_line(local_tag(root))[:80]}; ParameterSet is needed"
         )
     values = {}
-    for parameter in children(root, "Parameters", "Parameter"):
+    for parameter in iterate_elements(root, "Parameters", "Parameter"):
         name = parameter.get("name", "")
-        typed = [child for child in parameter if local(child) in TYPES]
+        typed = [child for child in parameter if local_tag(child) in TYPES]
         if len(typed) != 1:
-            raise UnusableError(f"{where}: parameter {one_line(name)} is no number; allowed: {', '.join(TYPES)}")
+            raise UnusableError(f"{where}: parameter {to_one_line(name)} is no number; allowed: {', '.join(TYPES)}")
         text = typed[0].get("value", "")
         try:
             number = float({"true": "1", "false": "0"}.get(text, text))
         except ValueError:
-            raise UnusableError(f"{where}: parameter {one_line(name)} = {one_line(text)!r}: is no number") from None
+            raise UnusableError(
+                f"{where}: parameter {to_one_line(name)} = {to_one_line(text)!r}: is no number"
+            ) from None
         values[name] = Value(number, typed[0].get("unit"))
     return values
 
@@ -235,17 +243,17 @@ def _resolve_parameter(path: Path, name: str, structure: Structure) -> Node:
     return path, name
 
 
-def origin(structure: Structure, node: Node, unit_of: Callable[[Node], Unit | None]) -> tuple[Node, float, float]:
+def trace_origin(structure: Structure, node: Node, unit_of: Callable[[Node], Unit | None]) -> tuple[Node, float, float]:
     """Return the connector that a connector's value comes from, with the ``factor`` and ``offset`` along the way.
 
     Raises UnusableError for a circular connection, and for units of different quantities.
     """
     factor, offset, passed = 1.0, 0.0, {node}
-    while node in structure.lines:
-        line = structure.lines[node]
-        scale, shift = line.stated or (1.0, 0.0)
-        if line.stated is None and line.converted:
-            scale, shift = conversion(unit_of(line.start), unit_of(node), f"{_text(line.start)} to {_text(node)}")
+    while node in structure.connections:
+        line = structure.connections[node]
+        scale, shift = line.transformation or (1.0, 0.0)
+        if line.transformation is None and line.is_converted:
+            scale, shift = convert_units(unit_of(line.start), unit_of(node), f"{_text(line.start)} to {_text(node)}")
         factor, offset = factor * scale, factor * shift + offset
         node = line.start
         if node in passed:
@@ -254,7 +262,7 @@ def origin(structure: Structure, node: Node, unit_of: Callable[[Node], Unit | No
     return node, factor, offset
 
 
-def conversion(source: Unit | None, target: Unit | None, what: str) -> tuple[float, float]:
+def convert_units(source: Unit | None, target: Unit | None, what: str) -> tuple[float, float]:
     """Return factor and offset from one unit to another, 1 and 0 where one of them is unknown.
 
     Raises UnusableError for units of different quantities.
@@ -266,7 +274,7 @@ def conversion(source: Unit | None, target: Unit | None, what: str) -> tuple[flo
     return source.factor / target.factor, (source.offset - target.offset) / target.factor
 
 
-def order(names: list[Path], feeds: Mapping[Path, set[Path]]) -> tuple[list[Path], set[tuple[Path, Path]]]:
+def sort_components(names: list[Path], feeds: Mapping[Path, set[Path]]) -> tuple[list[Path], set[tuple[Path, Path]]]:
     """Sort components so that each follows its sources; return also the (source, target) pairs that loops make late.
 
     In a loop the component that is listed first comes first.

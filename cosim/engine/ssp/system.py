@@ -22,16 +22,25 @@ from cosim.engine.fmu.archive import (
     System,
     label_ports,
     note_unset_inputs,
+    read_cached,
     read_component,
-    read_once,
 )
-from cosim.engine.fmu.container import UnusableError, Zip, need_harmless_xml, open_archive
+from cosim.engine.fmu.container import UnusableError, Zip, check_xml, open_archive
 from cosim.engine.fmu.mapping import PortMap
-from cosim.engine.fmu.ports import PortError, find_engines, names_several
+from cosim.engine.fmu.ports import PortError, find_engines, has_several_engines
 from cosim.engine.fmu.starting import Setting, resolve_start
 from cosim.engine.fmu.units import Unit
 from cosim.engine.fmu.variables import Variable
-from cosim.engine.ssp.structure import STRUCTURE, Node, Structure, Value, conversion, order, origin, read_structure
+from cosim.engine.ssp.structure import (
+    STRUCTURE,
+    Node,
+    Structure,
+    Value,
+    convert_units,
+    read_structure,
+    sort_components,
+    trace_origin,
+)
 from cosim.engine.ssp.structure import Path as At
 
 SUFFIX = ".ssp"
@@ -48,7 +57,7 @@ def read_system(path: Path, ports: PortMap | None = None) -> Archive:
 
     Raises InputError: one line with the file, the component where it is one's fault, and what is wrong with it.
     """
-    return read_once(path, ports, _systems, _read)
+    return read_cached(path, ports, _systems, _read)
 
 
 class _Components:
@@ -93,10 +102,10 @@ class _Components:
         return own.base if own is not None else None
 
     def origin(self, node: Node) -> tuple[Node, float, float]:
-        return origin(self.structure, node, self.unit)
+        return trace_origin(self.structure, node, self.unit)
 
 
-def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
+def _read(path: Path, data: bytes, sha256: str, port_map: PortMap) -> Archive:
     _, xml = open_archive(data, STRUCTURE, "SSP")
     with Zip(io.BytesIO(data)) as zipped:
 
@@ -105,7 +114,7 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
                 content = zipped.read(name)
             except KeyError:
                 raise UnusableError(f"there is no {name} in the archive") from None
-            need_harmless_xml(name, content)
+            check_xml(name, content)
             return content
 
         try:
@@ -115,14 +124,14 @@ def _read(path: Path, data: bytes, sha256: str, stated: PortMap) -> Archive:
         if not structure.components:
             raise UnusableError("has no components")
         components = _Components(path, structure, zipped)
-    for end in structure.lines:
-        for node in (end, structure.lines[end].start):
+    for end in structure.connections:
+        for node in (end, structure.connections[end].start):
             if node[0] in components.archives:
                 components.variable(node)
-    return _archive(path, sha256, stated, structure, components)
+    return _archive(path, sha256, port_map, structure, components)
 
 
-def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, components: _Components) -> Archive:
+def _archive(path: Path, sha256: str, port_map: PortMap, structure: Structure, components: _Components) -> Archive:
     origins = {
         (name, v.name): components.origin((name, v.name))
         for name, archive in components.archives.items()
@@ -132,7 +141,7 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, com
     for node, (source, _, _) in origins.items():
         if source != node and source[0] in components.archives and components.variable(node).causality == "input":
             fed.setdefault(node[0], set()).add(source[0])
-    ordered, late = order(list(components.archives), fed)
+    ordered, late = sort_components(list(components.archives), fed)
     number = {name: i for i, name in enumerate(ordered)}
     settings = _settings(structure, components, origins)
     fmus = tuple(
@@ -148,20 +157,20 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, com
     starts = {(name, v.name): value for name, pairs in settings.items() for v, value in pairs}
     variables, places = _variables(structure, components, origins, number, starts)
     system = System(fmus, feeds, places)
-    named = {name for each in stated.ports.values() for name in (each if isinstance(each, list) else [each])}
-    many = any(names_several(port) and "." in port for port in stated.ports.values())  # of components, with a *
+    named = {name for each in port_map.ports.values() for name in (each if isinstance(each, list) else [each])}
+    many = any(has_several_engines(port) and "." in port for port in port_map.ports.values())  # of components, with a *
     own = [v for v in variables if many or "." not in v.name or v.name in named]
     inputs, outputs, parameters = (
         tuple(v for v in variables if v.causality == causality) for causality in ("input", "output", "parameter")
     )
     try:
-        engines, notes = find_engines(own or variables, stated)
-        begin = resolve_start(stated, inputs, outputs, label_ports(engines))
+        engines, notes = find_engines(own or variables, port_map)
+        begin = resolve_start(port_map, inputs, outputs, label_ports(engines))
     except PortError as error:
         raise UnusableError(str(error)) from error
     notes += note_unset_inputs(inputs, label_ports(engines), begin)
     notes += [f"component {fmu.name}: {text}" for fmu in fmus for text in fmu.archive.port_notes]  # on clocks
-    notes += [f"exchanged a step late, because it is in a loop: {text}" for text in system.late]
+    notes += [f"exchanged a step late, because it is in a loop: {text}" for text in system.late_connections]
     return Archive(
         path=path,
         sha256=sha256,
@@ -170,7 +179,9 @@ def _archive(path: Path, sha256: str, stated: PortMap, structure: Structure, com
         model=structure.name,
         engines=engines,
         port_notes=tuple(notes),
-        blemishes=tuple(f"component {fmu.name}: {text}" for fmu in fmus for text in fmu.archive.blemishes),
+        harmless_violations=tuple(
+            f"component {fmu.name}: {text}" for fmu in fmus for text in fmu.archive.harmless_violations
+        ),
         inputs=inputs,
         outputs=outputs,
         parameters=parameters,
@@ -197,7 +208,7 @@ def _settings(
         value = structure.values[at]
         number = _in_unit(structure, value, components, at)
         if at != node:
-            _, scale, shift = origin(_disconnect(structure, at), node, components.unit)
+            _, scale, shift = trace_origin(_disconnect(structure, at), node, components.unit)
             number = scale * number + shift
         settings.setdefault(node[0], []).append((variable, number))
     for node in structure.values:
@@ -213,14 +224,14 @@ def _settings(
 def _upstream_connectors(structure: Structure, node: Node) -> list[Node]:
     """Return a component's connector followed by the connectors that it is fed from, up to the first source."""
     connectors = [node]
-    while connectors[-1] in structure.lines:
-        connectors.append(structure.lines[connectors[-1]].start)
+    while connectors[-1] in structure.connections:
+        connectors.append(structure.connections[connectors[-1]].start)
     return connectors
 
 
 def _disconnect(structure: Structure, at: Node) -> Structure:
     """Return the structure without the connection to a connector."""
-    return replace(structure, lines={end: line for end, line in structure.lines.items() if end != at})
+    return replace(structure, connections={end: line for end, line in structure.connections.items() if end != at})
 
 
 def _in_unit(structure: Structure, value: Value, components: _Components, node: Node) -> float:
@@ -231,7 +242,7 @@ def _in_unit(structure: Structure, value: Value, components: _Components, node: 
     source = structure.units.get(value.unit)
     if source is None:
         raise UnusableError(f"parameter {text}: its unit {value.unit} is not defined")
-    factor, offset = conversion(source, components.unit(node), f"parameter {text}")
+    factor, offset = convert_units(source, components.unit(node), f"parameter {text}")
     return factor * value.value + offset
 
 

@@ -292,7 +292,7 @@ class _Stepper:
 
 def _need_good(component: FmuInstance, function: str, status: int) -> None:
     if status > _WARNING:
-        component.failed(status)
+        component.record_failure(status)
         raise InstanceError(component._with_log(f"{function} returned {STATUS.get(status, f'status {status}')}"))
 
 

@@ -8,14 +8,14 @@ U8, U16, I16, I32 = 0xFF, 0xFFFF, 0x7FFF, 0x7FFFFFFF
 U32 = 0xFFFFFFFF
 
 
-def to_field(value: float, least: int, most: int) -> int:
+def to_field(value: float, low: int, high: int) -> int:
     """Return a value rounded and clipped to a field's range; NaN becomes 0."""
-    return 0 if isnan(value) else round(min(max(value, least), most))
+    return 0 if isnan(value) else round(min(max(value, low), high))
 
 
-def e7(angle_deg: float) -> int:
+def to_e7(angle_deg: float) -> int:
     return to_field(angle_deg * 1e7, -I32, I32)
 
 
-def mm(metres: float) -> int:
+def to_mm(metres: float) -> int:
     return to_field(metres * 1e3, -I32, I32)

@@ -24,7 +24,7 @@ class Stream:
 
     name: str
     rate: float
-    build: Build
+    make_messages: Build
 
 
 # A new one goes to the end: the slots of each depend on its place.
@@ -83,7 +83,7 @@ _FIT_INTERVAL = 1.0  # s between two looks at what a line carries
 _PHASE = {number: index * (sqrt(5.0) - 1.0) / 2.0 % 1.0 for index, number in enumerate(BY_ID)}
 
 
-def interval(peer: Peer, number: int) -> float:
+def stream_interval(peer: Peer, number: int) -> float:
     """Return the seconds between two messages of a kind to a station; 0: it gets none unasked.
 
     On a line that does not carry them all, every interval but the heartbeat's is longer by the same factor.
@@ -106,7 +106,7 @@ class Streams:
         number = BY_NAME[stream.name].id
         self._sizes[number] = sum(map(frame_size, packets)), len(packets)
 
-    def demand(self, peer: Peer, numbers: Iterable[int] = BY_ID) -> float:
+    def compute_demand(self, peer: Peer, numbers: Iterable[int] = BY_ID) -> float:
         """Return the bytes a second that a station has requested, of messages whose size is known already."""
         total = 0.0
         for number in numbers:
@@ -120,15 +120,15 @@ class Streams:
         if peer.line is None or not self._sizes or now - peer.stretched_at < _FIT_INTERVAL:
             return
         peer.stretched_at = now
-        fixed = self.demand(peer, (HEARTBEAT,))
+        fixed = self.compute_demand(peer, (HEARTBEAT,))
         room = peer.telemetry_rate - fixed
-        need = (self.demand(peer) - fixed) / room if room > 0.0 else _MOST_STRETCH
+        need = (self.compute_demand(peer) - fixed) / room if room > 0.0 else _MOST_STRETCH
         steps = ceil(log(max(need, 1.0), _STRETCH) - 1e-9)
         stretch = min(_MOST_STRETCH, _STRETCH**steps)
         if stretch > peer.stretch or stretch * _STRETCH < peer.stretch or (steps == 0 and peer.stretch > 1.0):
             peer.stretch = stretch
             for number in BY_ID:  # what has just been sent is not due again because it comes more seldom
-                if every := interval(peer, number):
+                if every := stream_interval(peer, number):
                     self._next.setdefault((number, every), self._slot(now, number, every))
 
     def _slot(self, now: float, number: int, every: float) -> float:
@@ -137,11 +137,11 @@ class Streams:
         return start + (floor((now - start) / every + 1e-9) + 1) * every
 
     @property
-    def next(self) -> float:
+    def next_due(self) -> float:
         """Time at which something is due again, as of the last call."""
         return self._next_due
 
-    def due(self, now: float, peers: Sequence[Peer]) -> Iterator[tuple[Stream, list[Peer]]]:
+    def iterate_due(self, now: float, peers: Sequence[Peer]) -> Iterator[tuple[Stream, list[Peer]]]:
         """Iterate over the messages that are due with the stations that get them; none where it is only for the log."""
         for peer in peers:
             self._fit(peer, now)
@@ -152,7 +152,7 @@ class Streams:
             default = DEFAULT[number]
             stations_by_interval: dict[float, list[Peer]] = {default: []} if default else {}
             for peer in peers:
-                every = interval(peer, number)
+                every = stream_interval(peer, number)
                 if every:
                     stations_by_interval.setdefault(every, []).append(peer)
             receivers: list[Peer] = []

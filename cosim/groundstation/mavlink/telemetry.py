@@ -12,7 +12,7 @@ from cosim.base.frames import conjugate, from_euler, rotate
 from cosim.control.autopilot.estimation.wind import estimate_wind
 from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.status import Status
-from cosim.groundstation.mavlink.fields import I16, I32, U8, U16, e7, mm, to_field
+from cosim.groundstation.mavlink.fields import I16, I32, U8, U16, to_e7, to_field, to_mm
 from cosim.groundstation.mavlink.modes import AUTOPILOT, LANDED, LIST, STANDARD, base_mode, custom_mode, vehicle_type
 from cosim.groundstation.mavlink.telemetry_state import TelemetryState
 from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
@@ -95,10 +95,10 @@ def gps_raw_int(v: TelemetryState) -> list[Message]:
     fixed = v.status.positioned
     speed = to_field(hypot(vn, ve) * 100.0, 0, U16 - 1) if fixed else U16
     course = to_field(degrees(atan2(ve, vn) % (2.0 * pi)) * 100.0, 0, 35999) if fixed else U16
-    height = mm(metres)
+    height = to_mm(metres)
     return [
         mav.MAVLink_gps_raw_int_message(
-            v.us, 3 if fixed else 1, e7(lat), e7(lon), height, U16, U16, speed, course, U8, height,
+            v.us, 3 if fixed else 1, to_e7(lat), to_e7(lon), height, U16, U16, speed, course, U8, height,
             to_field(vehicle.position_noise * 1e3, 0, I32), to_field(vehicle.position_noise * 1e3, 0, I32),
             to_field(vehicle.velocity_noise * 1e3, 0, I32), 0, 0,
         )
@@ -126,7 +126,7 @@ def global_position_int(v: TelemetryState) -> list[Message]:
     lat, lon = v.position_deg
     return [
         mav.MAVLink_global_position_int_message(
-            v.ms, e7(lat), e7(lon), mm(v.sea_level), mm(v.height), *speeds, heading
+            v.ms, to_e7(lat), to_e7(lon), to_mm(v.altitude_above_sea), to_mm(v.height_above_home), *speeds, heading
         )
     ]  # fmt: skip
 
@@ -136,7 +136,7 @@ def vfr_hud(v: TelemetryState) -> list[Message]:
     throttle = to_field(100.0 * v.sample.control.collective, 0, 100)
     speed = hypot(*v.status.fix.velocity)
     # nothing on board measures the speed through the air
-    return [mav.MAVLink_vfr_hud_message(nan, speed, heading, throttle, v.sea_level, -v.estimate.velocity[2])]
+    return [mav.MAVLink_vfr_hud_message(nan, speed, heading, throttle, v.altitude_above_sea, -v.estimate.velocity[2])]
 
 
 def attitude_target(v: TelemetryState) -> list[Message]:
@@ -172,14 +172,16 @@ def position_target_global_int(v: TelemetryState) -> list[Message]:
     lat, lon, height = v.vehicle.geodesy.to_geodetic(*target)
     return [
         mav.MAVLink_position_target_global_int_message(
-            v.ms, 5, _POSITION_ONLY & ~(1 << 10), e7(lat), e7(lon), height,
+            v.ms, 5, _POSITION_ONLY & ~(1 << 10), to_e7(lat), to_e7(lon), height,
             0.0, 0.0, 0.0, 0.0, 0.0, 0.0, v.status.yaw, 0.0,
         )
     ]  # fmt: skip
 
 
 def altitude(v: TelemetryState) -> list[Message]:
-    return [mav.MAVLink_altitude_message(v.us, v.altitude, v.sea_level, v.altitude, v.height, nan, nan)]
+    return [
+        mav.MAVLink_altitude_message(v.us, v.altitude, v.altitude_above_sea, v.altitude, v.height_above_home, nan, nan)
+    ]
 
 
 def battery_status(v: TelemetryState) -> list[Message]:
@@ -237,7 +239,7 @@ def home_position(v: TelemetryState) -> list[Message]:
     lat, lon, height = v.vehicle.geodesy.to_geodetic(*home)
     return [
         mav.MAVLink_home_position_message(
-            e7(lat), e7(lon), mm(height), home.north, home.east, -home.altitude, [1.0, 0.0, 0.0, 0.0],
+            to_e7(lat), to_e7(lon), to_mm(height), home.north, home.east, -home.altitude, [1.0, 0.0, 0.0, 0.0],
             nan, nan, nan, v.us,
         )
     ]  # fmt: skip
@@ -250,13 +252,15 @@ def orbit_execution_status(v: TelemetryState) -> list[Message]:
         return []
     lat, lon, height = v.vehicle.geodesy.to_geodetic(*centre)
     radius = orbit.radius if orbit.clockwise else -orbit.radius
-    return [mav.MAVLink_orbit_execution_status_message(v.us, radius, 5, e7(lat), e7(lon), height)]
+    return [mav.MAVLink_orbit_execution_status_message(v.us, radius, 5, to_e7(lat), to_e7(lon), height)]
 
 
 def gps_global_origin(v: TelemetryState) -> list[Message]:
     start = v.vehicle.geodesy
     return [
-        mav.MAVLink_gps_global_origin_message(e7(start.latitude_deg), e7(start.longitude_deg), mm(start.ground), v.us)
+        mav.MAVLink_gps_global_origin_message(
+            to_e7(start.latitude_deg), to_e7(start.longitude_deg), to_mm(start.ground), v.us
+        )
     ]
 
 
@@ -294,11 +298,11 @@ def wind_cov(v: TelemetryState) -> list[Message]:
     if status.landed is LandedState.ON_GROUND or not status.positioned:
         return []
     vehicle, thrust = v.snapshot.info.vehicle, v.sample.engines.thrust[: v.vehicle.jets]
-    density = standard_density(v.sea_level)
+    density = standard_density(v.altitude_above_sea)
     wind = estimate_wind(vehicle, fix.disturbance, fix.velocity, v.euler, thrust, density)
     if wind is None:
         return []
-    return [mav.MAVLink_wind_cov_message(v.us, *wind, nan, nan, nan, v.sea_level, nan, nan)]
+    return [mav.MAVLink_wind_cov_message(v.us, *wind, nan, nan, nan, v.altitude_above_sea, nan, nan)]
 
 
 def current_mode(v: TelemetryState) -> list[Message]:
@@ -354,7 +358,7 @@ def predictor_array(v: TelemetryState) -> list[Message]:
     Measured rate, predicted rate, model without delay, model with delay (rad/s), delay (s), set-point of the rate
     (rad/s), command.
     """
-    sample, (model, delayed, delay) = v.sample, v.predicting
+    sample, (model, delayed, delay) = v.sample, v.predictor_signals
     rows = (
         sample.measured.rate, sample.control.rate_predicted, model, delayed, delay,
         sample.control.rate_setpoint, sample.control.torque,
@@ -365,7 +369,7 @@ def predictor_array(v: TelemetryState) -> list[Message]:
 
 def named_values(v: TelemetryState) -> list[Message]:
     """Return the predictor's roll axis as named values, for tools that plot single numbers."""
-    sample, (model, _, delay) = v.sample, v.predicting
+    sample, (model, _, delay) = v.sample, v.predictor_signals
     measured, predicted = sample.measured.rate[0], sample.control.rate_predicted[0]
     values = {
         b"rate_p": measured,
@@ -421,7 +425,7 @@ def hil_state_quaternion(v: TelemetryState) -> list[Message]:
     force = [to_field(value / GRAVITY * 1e3, -I16, I16) for value in state.specific_force]
     return [
         mav.MAVLink_hil_state_quaternion_message(
-            v.us, state.attitude, *state.rate, e7(lat), e7(lon), mm(height),
+            v.us, state.attitude, *state.rate, to_e7(lat), to_e7(lon), to_mm(height),
             *speeds, air, air, *force,
         )
     ]  # fmt: skip

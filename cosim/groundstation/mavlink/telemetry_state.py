@@ -68,7 +68,7 @@ class TelemetryState:
         self.us = round(snapshot.time * 1e6)
 
     @property
-    def predicting(self) -> tuple[Vector3, Vector3, Vector3]:
+    def predictor_signals(self) -> tuple[Vector3, Vector3, Vector3]:
         """The predictors' model rates of all axes without delay and with it [rad/s], and delays [s]; NaN: none."""
         roll, pitch, yaw = self.snapshot.diagnostics
         step = self.snapshot.info.scenario.step_s
@@ -84,10 +84,10 @@ class TelemetryState:
         return self.estimate.altitude
 
     @property
-    def height(self) -> float:
+    def height_above_home(self) -> float:
         """Estimated height above home [m]."""
         return self.altitude - (self.status.home.altitude if self.status.home else 0.0)
 
     @property
-    def sea_level(self) -> float:
+    def altitude_above_sea(self) -> float:
         return self.vehicle.geodesy.ground + self.altitude

@@ -17,7 +17,14 @@ from cosim.control.autopilot.requests import Answer, Arm, LinkBack, LinkLost, Re
 from cosim.groundstation.exchange import Port, Snapshot
 from cosim.groundstation.mavlink.modes import from_custom
 from cosim.groundstation.mavlink.services import commands, setpoints
-from cosim.groundstation.mavlink.services.mav_command import OF_RESULT, Ack, Context, MavCommand, Plan, parse_command
+from cosim.groundstation.mavlink.services.mav_command import (
+    OF_RESULT,
+    CommandResult,
+    Context,
+    MavCommand,
+    Plan,
+    parse_command,
+)
 from cosim.groundstation.mavlink.services.service import Client, Service
 from cosim.groundstation.mavlink.streams import Streams
 from cosim.groundstation.mavlink.telemetry import (
@@ -30,7 +37,7 @@ from cosim.groundstation.mavlink.telemetry import (
 )
 from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState
 from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
-from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, mav, pack
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, mav, prepare_message
 from cosim.groundstation.mavlink.wire.frames import Frame
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import Peer, Priority
@@ -82,7 +89,7 @@ class MavlinkVehicle:
         self._now = link.now()
         self._is_lost = False
         self._last_report = -_REPORT_INTERVAL
-        self._last_done: tuple[tuple[Any, ...], float, Ack] | None = None
+        self._last_done: tuple[tuple[Any, ...], float, CommandResult] | None = None
         self._pending: set[tuple[Any, ...]] = set()
         port.wake = link.wake
 
@@ -133,20 +140,20 @@ class MavlinkVehicle:
     def poll(self, now: float) -> float:
         """Do what is due; returns when there is something to do again."""
         self._now = now
-        self.port.collect(now)
+        self.port.deliver_answers(now)
         snapshot = self.port.snapshot
         if snapshot is not None and snapshot is not self._snapshot:
             self._update_state(snapshot)
-        for message in self.port.messages():
+        for message in self.port.take_messages():
             self.say(int(message.severity), message.text)
         self._poll_services(now)
         self._watch_link(now)
         state = self._state
         if state is None:
             return now + 0.01
-        for stream, peers in self._streams.due(now, self.link.peers):
+        for stream, peers in self._streams.iterate_due(now, self.link.peers):
             packets: list[Message] = []
-            for message in stream.build(state):
+            for message in stream.make_messages(state):
                 packed = self._pack(message)
                 if packed is not None:
                     packets.append(packed)
@@ -157,9 +164,9 @@ class MavlinkVehicle:
                     if stream.name == "HEARTBEAT":  # whatever the line carries, it tells that the vehicle is there
                         peer.send(packed)
                     else:
-                        peer.stream(packed, index)
-        busy = any(service.busy for service in self.services)
-        return min(self._streams.next, now + _SERVICE_INTERVAL) if busy else self._streams.next
+                        peer.send_telemetry(packed, index)
+        busy = any(service.is_busy for service in self.services)
+        return min(self._streams.next_due, now + _SERVICE_INTERVAL) if busy else self._streams.next_due
 
     def _poll_services(self, now: float) -> None:
         peers = self.link.peers
@@ -180,7 +187,7 @@ class MavlinkVehicle:
 
     def _pack(self, message: Message) -> Message | None:
         try:
-            return pack(message)
+            return prepare_message(message)
         except (struct.error, OverflowError, ValueError) as error:
             self.link.failures[f"{message.msgname}: {error}"[:200]] += 1
             return None
@@ -238,13 +245,13 @@ class MavlinkVehicle:
 
     def _radio(self, message: Message, client: Client) -> None:
         """Slow a line down if its radio reports that its buffer is full."""
-        client.peer.radio(message.txbuf)
+        client.peer.update_radio(message.txbuf)
 
     def _command(self, message: Message, client: Client) -> None:
         command = parse_command(message)
         state = self._state
         if state is None:
-            self._acknowledge(command, client, Ack.TEMPORARILY_REJECTED)
+            self._acknowledge(command, client, CommandResult.TEMPORARILY_REJECTED)
             return
         key = (client.system, client.component, command._replace(confirmation=0))
         if key in self._pending:
@@ -255,7 +262,7 @@ class MavlinkVehicle:
                 self._acknowledge(command, client, result)
                 return
         context = Context(self.constants, state, client.peer, self._find_message, self.shutdown_requests)
-        plan = commands.plan(command, context)
+        plan = commands.plan_command(command, context)
         if plan.requests:
             self._pending.add(key)
             self._request_next(plan, 0, command, client, key)
@@ -263,7 +270,7 @@ class MavlinkVehicle:
             self._acknowledge(command, client, plan.result)
             self.send(client.peer, plan.messages)
             if plan.text:
-                is_accepted = plan.result is Ack.ACCEPTED
+                is_accepted = plan.result is CommandResult.ACCEPTED
                 self.say(int(Severity.INFO if is_accepted else Severity.WARNING), plan.text, client.peer)
 
     def _find_message(self, message_id: int) -> Sequence[Message] | None:
@@ -280,14 +287,14 @@ class MavlinkVehicle:
             self._pending.discard(key)
             result = OF_RESULT[answer.result]
             self._acknowledge(command, client, result)
-            if result is Ack.ACCEPTED:
+            if result is CommandResult.ACCEPTED:
                 self._last_done = (key, self._now, result)
             elif answer.text and not isinstance(plan.requests[index], Arm):  # the pilot says itself why it is not armed
                 self.say(int(Severity.WARNING), answer.text, client.peer)
 
-        self.port.ask(plan.requests[index], reply, client.text)
+        self.port.ask(plan.requests[index], reply, client.label)
 
-    def _acknowledge(self, command: MavCommand, client: Client, result: Ack) -> None:
+    def _acknowledge(self, command: MavCommand, client: Client, result: CommandResult) -> None:
         self.acknowledged += 1
         ack = mav.MAVLink_command_ack_message(command.number, int(result), 0, 0, client.system, client.component)
         self.send(client.peer, (ack,))
@@ -303,14 +310,14 @@ class MavlinkVehicle:
             if answer.result is not Result.ACCEPTED and answer.text:
                 self.say(int(Severity.WARNING), answer.text, client.peer)
 
-        self.port.ask(SetMode(mode.value), reply, client.text)
+        self.port.ask(SetMode(mode.value), reply, client.label)
 
     def _setpoint(self, message: Message, client: Client) -> None:
         state = self._state
         if state is None:
             return
         try:
-            self.port.ask(_SETPOINTS[message.msgname](message, state), None, client.text)
+            self.port.ask(_SETPOINTS[message.msgname](message, state), None, client.label)
         except InputError as error:
             self._report_unusable(str(error), client.peer)
 

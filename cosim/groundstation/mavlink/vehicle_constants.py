@@ -32,4 +32,4 @@ class VehicleConstants:
     position_noise: float = nan  # m, standard deviation of the GNSS; NaN: not known
     velocity_noise: float = nan  # m/s
     height_noise: float = nan  # m, of the barometer
-    failures: bool = True  # INJECT_FAILURE is answered
+    can_fail: bool = True  # INJECT_FAILURE is answered

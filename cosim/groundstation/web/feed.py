@@ -29,7 +29,7 @@ _DIGITS = 6  # of a column's number, chosen by us: a strip has a thousand pixels
 _DECIMALS = 4  # digits after the point; a tenth of a millimetre, and less than any sensor here tells
 
 
-def flight(info: FlightInfo) -> dict[str, Any]:
+def describe_flight(info: FlightInfo) -> dict[str, Any]:
     """Return the constant data of a flight."""
     scenario, vehicle = info.scenario, info.vehicle
     return {
@@ -48,14 +48,14 @@ def flight(info: FlightInfo) -> dict[str, Any]:
     }
 
 
-def parameters(parameters: Parameters) -> list[dict[str, Any]]:
+def describe_parameters(parameters: Parameters) -> list[dict[str, Any]]:
     """Return the table of the vehicle's parameters without their values, which are sent on their own."""
     keys = ("name", "kind", "unit", "group", "text", "default", "least", "most", "values", "read_only")
     return [{key: getattr(line, key) for key in keys} for line in parameters]
 
 
-class Rows:
-    """Converter of a sample to the log's columns, in the order in which :func:`flight` names them."""
+class RowConverter:
+    """Converter of a sample to the log's columns, in the order in which :func:`describe_flight` names them."""
 
     def __init__(self) -> None:
         self._flight = 0
@@ -70,7 +70,7 @@ class Rows:
         return [float(f"{value:.{_DIGITS}g}") if isfinite(value) else None for (value,) in self._row(sample).tolist()]
 
 
-def state(snapshot: Snapshot) -> dict[str, Any]:
+def describe_state(snapshot: Snapshot) -> dict[str, Any]:
     """Return the state of the flight at one instant."""
     status, pace, ending = snapshot.status, snapshot.pace, snapshot.ending
     estimate = status.seen or snapshot.measured
@@ -94,13 +94,13 @@ def state(snapshot: Snapshot) -> dict[str, Any]:
         "attitude_deg": _degrees(to_euler(estimate.attitude)),
         "attitude_asked_deg": _degrees(sample.command.attitude) if sample and sample.command.rate is None else None,
         "remaining": _finite(status.remaining),
-        "jets": [] if sample is None else jets(snapshot.info, sample, status.engines is EngineState.OFF),
-        "pace": {"asked": pace.factor, "reached": _finite(pace.reached), "missed": pace.missed},
+        "jets": [] if sample is None else describe_jets(snapshot.info, sample, status.engines is EngineState.OFF),
+        "pace": {"asked": pace.factor, "reached": _finite(pace.reached_factor), "missed": pace.missed},
         "ending": None if ending is None else {"outcome": ending.outcome, "reason": ending.reason},
     }
 
 
-def jets(info: FlightInfo, sample: Sample, off: bool) -> list[dict[str, Any]]:
+def describe_jets(info: FlightInfo, sample: Sample, off: bool) -> list[dict[str, Any]]:
     """Return each engine's commanded and actual thrust [N] and its reports; ``off``: all are shut off.
 
     The thrust asked for is the steady one at the throttle asked for, from the engine's static curve.
@@ -115,7 +115,7 @@ def jets(info: FlightInfo, sample: Sample, off: bool) -> list[dict[str, Any]]:
                 "thrust_N": _finite(out.thrust[jet]),
                 "rpm": _finite(out.spool_speed[jet] * _RPM),
                 "exhaust_C": _finite(out.exhaust_temperature[jet] - _ZERO_CELSIUS),
-                "fuel_g_s": _finite(1e3 * out.fuel_flow[jet]) if spec.has("fuel_flow") else None,
+                "fuel_g_s": _finite(1e3 * out.fuel_flow[jet]) if spec.has_port("fuel_flow") else None,
                 "health": _finite(sample.health[jet]),
                 "fault": bool(sample.faults[jet]),
             }
@@ -123,13 +123,13 @@ def jets(info: FlightInfo, sample: Sample, off: bool) -> list[dict[str, Any]]:
     return jets
 
 
-def point(sample: Sample) -> Point:
+def make_chart_point(sample: Sample) -> Point:
     """Return a strip chart's point: rates measured at the step's beginning, and those fed to the rate loop."""
     rates = (*sample.measured.rate, *sample.control.rate_predicted)
     return (round(sample.time, 3), *(round(degrees(rate), 2) if isfinite(rate) else None for rate in rates))
 
 
-def lines(messages: Iterable[Message], step: float) -> list[dict[str, Any]]:
+def describe_messages(messages: Iterable[Message], step: float) -> list[dict[str, Any]]:
     """Return messages for the people on the ground, with their time [s] from the step size [s]."""
     return [
         {

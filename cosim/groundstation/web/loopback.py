@@ -57,14 +57,14 @@ def refuse_unknown_host(request: Request, hosts: Container[str]) -> Response | N
     host = request.headers.get_all("Host")
     if len(host) == 1 and host[0].lower() in hosts:
         return None
-    return response(HTTPStatus.MISDIRECTED_REQUEST, b"This is not the server you are looking for.\n")
+    return make_response(HTTPStatus.MISDIRECTED_REQUEST, b"This is not the server you are looking for.\n")
 
 
 def refuse_non_websocket(request: Request) -> Response | None:
     """Return the refusal of a request for anything but a WebSocket, whose origin is checked next; else None."""
     if request.headers.get("Upgrade", "").lower() == "websocket":
         return None
-    return response(HTTPStatus.UPGRADE_REQUIRED, b"A WebSocket.\n")
+    return make_response(HTTPStatus.UPGRADE_REQUIRED, b"A WebSocket.\n")
 
 
 def has_token_query(request: Request, token: str) -> bool:
@@ -76,7 +76,7 @@ def has_token_query(request: Request, token: str) -> bool:
 def refuse_without_token() -> Response:
     """Return the refusal of a request that shows no token, which says where to find it."""
     text = "Open the address that hexjet has printed, with its token: this page is for those who were told it.\n"
-    return response(HTTPStatus.FORBIDDEN, text.encode())
+    return make_response(HTTPStatus.FORBIDDEN, text.encode())
 
 
 def is_token(presented: Any, token: str) -> bool:
@@ -84,7 +84,7 @@ def is_token(presented: Any, token: str) -> bool:
     return isinstance(presented, str) and presented.isascii() and hmac.compare_digest(presented, token)
 
 
-def response(
+def make_response(
     status: HTTPStatus, body: bytes, kind: str = TEXT, policy: str = "", resource_policy: str = "same-origin"
 ) -> Response:
     """Return an answer that browsers neither store nor frame.

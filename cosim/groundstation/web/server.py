@@ -39,11 +39,11 @@ from cosim.groundstation.web.loopback import (
     has_token_query,
     is_token,
     listen,
+    make_response,
     quiet_logger,
     refuse_non_websocket,
     refuse_unknown_host,
     refuse_without_token,
-    response,
 )
 from cosim.results.report.page import ASSETS, SCENE, THREE, licence_file
 
@@ -103,7 +103,7 @@ class WebServer:
         self._pages: dict[ServerConnection, _Page] = {}
         self._strip: deque[tuple[int, Sample]] = deque(maxlen=_MOST_WAITING_POINTS)
         self._newest_point = (0, -1)  # flight and step of the newest point
-        self._rows = feed.Rows()
+        self._rows = feed.RowConverter()
         self._frame_count = 0  # of frames
         self._thread: threading.Thread | None = None
 
@@ -180,7 +180,7 @@ class WebServer:
             return refusal
         if request.method != "GET":
             self.refused += 1
-            refusal = response(HTTPStatus.METHOD_NOT_ALLOWED, b"GET only.\n")
+            refusal = make_response(HTTPStatus.METHOD_NOT_ALLOWED, b"GET only.\n")
             refusal.headers["Allow"] = "GET"
             return refusal
         path = request.path.partition("?")[0]
@@ -192,9 +192,9 @@ class WebServer:
             return refuse_without_token()
         file = self._files.get(f"/{name}")
         if file is None:
-            return response(HTTPStatus.NOT_FOUND, b"Not found.\n")
+            return make_response(HTTPStatus.NOT_FOUND, b"Not found.\n")
         kind, body, policy = file
-        return response(HTTPStatus.OK, body, kind, policy)
+        return make_response(HTTPStatus.OK, body, kind, policy)
 
     # --- one page ------------------------------------------------------------------------------------------------
 
@@ -300,7 +300,7 @@ class WebServer:
                 connection.transport.abort()
             else:
                 self.skipped += 1
-        frame = feed.state(snapshot) | {
+        frame = feed.describe_state(snapshot) | {
             "age_s": round(now - snapshot.published, 2),
             "strip": self._points(snapshot),
             "row": self._rows(snapshot.info, snapshot.sample),
@@ -317,15 +317,15 @@ class WebServer:
             number, sample = self._strip.popleft()
             if number == snapshot.info.number:
                 new.append(sample)
-        return [feed.point(sample) for sample in new[:: 1 + len(new) // _MOST_POINTS]]
+        return [feed.make_chart_point(sample) for sample in new[:: 1 + len(new) // _MOST_POINTS]]
 
     def _send_updates(self, connection: ServerConnection, page: _Page, snapshot: Snapshot) -> None:
         """Send a page the flight, the parameters and the messages that it does not have yet."""
         if page.flight != snapshot.info.number:
             page.flight = snapshot.info.number
             page.values = {}
-            _send(connection, feed.flight(snapshot.info))
-            _send(connection, {"type": "parameters", "table": feed.parameters(snapshot.info.parameters)})
+            _send(connection, feed.describe_flight(snapshot.info))
+            _send(connection, {"type": "parameters", "table": feed.describe_parameters(snapshot.info.parameters)})
         if not page.values or self._frame_count % _VALUES_EVERY == 0:
             values = dict(snapshot.info.parameters.values)
             if changed := {name: value for name, value in values.items() if page.values.get(name) != value}:
@@ -334,7 +334,7 @@ class WebServer:
         messages = [message for message in self._exchange.messages if message.number > page.last_message]
         if messages:
             page.last_message = messages[-1].number
-            lines = feed.lines(messages, snapshot.info.scenario.step_s)
+            lines = feed.describe_messages(messages, snapshot.info.scenario.step_s)
             _send(connection, {"type": "messages", "lines": lines})
 
 

@@ -27,10 +27,10 @@ from cosim.identify.sweep.result import (
     suitable_duration,
 )
 from cosim.identify.sweep.verdict import why_refused
-from cosim.simulation.axis_chain import by_throttle, hinged_parts
+from cosim.simulation.axis_chain import is_turned_by_throttle, list_hinged_parts
 from cosim.simulation.build import build
-from cosim.simulation.controllers.allocators import effectiveness_of
-from cosim.simulation.delay_ledger import total_samples, why_none
+from cosim.simulation.controllers.allocators import make_effectiveness
+from cosim.simulation.delay_ledger import explain_unknown, sum_samples
 from cosim.simulation.ending import Ending
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from, load_vehicle
@@ -85,7 +85,7 @@ def identify_axis(
     vehicle = base.resolved_vehicle()[0]
     accelerates = vehicle.allocation == "effectiveness"
     usual, unit = (ACCELERATION, ACCELERATION_UNIT) if accelerates else (AMPLITUDE, UNITS[axis])
-    if unit == "rad" and by_throttle(vehicle, AXES.index(axis)):
+    if unit == "rad" and is_turned_by_throttle(vehicle, AXES.index(axis)):
         unit = UNITS["roll"]
     size = usual if amplitude is None else amplitude
     if size > MOST[unit]:
@@ -97,7 +97,7 @@ def identify_axis(
     flight, response, notes = _fly_until_clear(base, axis, requested, amplitude is None, subject, lags)
     sweep, family = flight.sweep, flight.engine.family
     # pitch and yaw turn the jets, they do not throttle them; what hinges and engines share has no one engine's delay
-    own_delay = flight.engine.delay if axis == "roll" and not accelerates else None
+    own_delay = flight.engine.transport_delay if axis == "roll" and not accelerates else None
     fits = _fits(response, lags, hold, None if own_delay is None else own_delay / base.step_s)
     return Identification(
         kind="axis",
@@ -132,7 +132,7 @@ def _band(
     high = TO_HZ
     if from_hz is None or to_hz is None:
         parameters, unchecked = base.engine_parameters, base.engine_unchecked
-        engine = load_engine(base.engine, parameters, base.step_s, unchecked=unchecked, apart=base.engine_isolated)
+        engine = load_engine(base.engine, parameters, base.step_s, unchecked=unchecked, isolated=base.engine_isolated)
         if _turned_by_engines(base, vehicle, engine, AXES.index(axis)):
             high = min(TO_HZ, CORNERS / (2.0 * np.pi * settling_lag(engine, base.step_s)))
     high = high if to_hz is None else to_hz
@@ -142,9 +142,9 @@ def _band(
 
 def _turned_by_engines(base: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int) -> bool:
     if vehicle.allocation != "effectiveness":
-        return by_throttle(vehicle, index)
-    hinged = hinged_parts(vehicle, effectiveness_of(base, vehicle, engine), index, engine, base.step_s)
-    return abs(hinged[0].share) > PARTAKES
+        return is_turned_by_throttle(vehicle, index)
+    hinged = list_hinged_parts(vehicle, make_effectiveness(base, vehicle, engine), index, engine, base.step_s)
+    return abs(hinged[0].fraction) > PARTAKES
 
 
 def _fly_until_clear(
@@ -302,7 +302,7 @@ def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
     with build(scenario) as simulation:
         ending = simulation.run([watch])
         vehicle, engine = simulation.vehicle, simulation.engine
-        ledger, no_ledger = total_samples(simulation.ledger, axis), why_none(simulation.ledger, axis)
+        ledger, no_ledger = sum_samples(simulation.ledger, axis), explain_unknown(simulation.ledger, axis)
     requested, injected, refused, cut, rate = (np.array(column) for column in zip(*watch.rows, strict=True))
     late = scenario.added_delay_samples if index == 0 else 0
     if late:

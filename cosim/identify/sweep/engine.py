@@ -20,7 +20,7 @@ from cosim.identify.sweep.result import (
     need_coherence,
     suitable_duration,
 )
-from cosim.simulation.script.commander import sweep as chirp
+from cosim.simulation.script.commander import make_sweep as chirp
 
 LEAD_STEPS = 10
 STILL = 1e-9  # of the thrust's swing: what is left of the sweep when the record ends
@@ -127,7 +127,7 @@ def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tupl
     with make_bank([engine], step) as bank:
         before = bank.reset(throttle).thrust[0]
         course: list[float] = []
-        window = engine.window
+        window = engine.settling_window
         while len(course) * step < LONGEST_S:
             course += [bank.step(len(course) + i, (throttle + size,)).thrust[0] for i in range(window)]
             swing = np.abs(np.array(course) - before).max()
@@ -154,7 +154,7 @@ def fly_sweep(engine: EngineSpec, throttle: float, sweep: Sweep, step: float) ->
         thrust = [start]
         command: list[float] = []
         end = LEAD_STEPS + length
-        window = engine.window
+        window = engine.settling_window
         swing = 0.0
         while True:
             k = len(command)

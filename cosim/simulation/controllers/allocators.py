@@ -15,8 +15,8 @@ from cosim.control.allocation.hinged_recovery import EngineLag, HingedRecovery
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
 from cosim.control.phases.recovery import Recovery
 from cosim.engine import EngineSpec
-from cosim.simulation.controllers.models import map_thrust
-from cosim.simulation.engine_reference import engine_reference
+from cosim.simulation.controllers.models import make_thrust_map
+from cosim.simulation.engine_reference import make_engine_reference
 from cosim.spec.scenario import Environment, Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.airframe import Airframe
@@ -44,10 +44,10 @@ def make_allocator(
     return TiltAllocator(vehicle.jets, limits, vehicle.servo.range_rad, hover, thrust_map.idle, lift)
 
 
-def effectiveness_of(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> EffectivenessAllocator:
+def make_effectiveness(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> EffectivenessAllocator:
     """Return the allocation of a vehicle with this engine at every station.  Raises InputError as a flight."""
     stations = [engine] * len(vehicle.jets)
-    thrust_map, _ = map_thrust(vehicle, engine, stations)
+    thrust_map, _ = make_thrust_map(vehicle, engine, stations)
     return _by_effectiveness(scenario, vehicle, stations, thrust_map)
 
 
@@ -59,7 +59,7 @@ def _by_effectiveness(
     ends: list[tuple[float, ...]] = []
     for fraction in (limits.throttle_min, limits.throttle_max):
         throttles = thrust_map.throttle((fraction,) * jets)
-        curves = [StaticCurve(spec.name, *spec.rising) for spec in stations]
+        curves = [StaticCurve(spec.name, *spec.rising_curve) for spec in stations]
         thrusts = [_thrust_at(curve, u) for curve, u in zip(curves, throttles, strict=True)]
         ends.append(tuple([(thrust - thrust_map.low) / thrust_map.span for thrust in thrusts]))
     # where a hinge carries engines all keep its pace: vanes that ran ahead of slow banks turned the jetwing over
@@ -103,25 +103,25 @@ def _engine_lateness(scenario: Scenario, vehicle: Vehicle, stations: Sequence[En
     monitor = vehicle.control.monitor
     if not scenario.monitored or monitor is None or not monitor.catch:
         return None
-    references = [engine_reference(spec, scenario.step_s) for spec in stations]
+    references = [make_engine_reference(spec, scenario.step_s) for spec in stations]
     delay, lag = max(reference.delay for reference in references), max(reference.lag for reference in references)
     return EngineLag(delay + lag / 3.0, scenario.step_s)
 
 
 def _surface_effects(scenario: Scenario, vehicle: Vehicle) -> list[tuple[float, ...]]:
     """Return what each surface does per unit and Pa, as the vehicle's own JSBSim model gives it."""
-    return ask_model("surfaces", scenario, vehicle, Airframe.surface_effects) if vehicle.surfaces else []
+    return query_model("surfaces", scenario, vehicle, Airframe.surface_effects) if vehicle.surfaces else []
 
 
-def ask_model(what: str, scenario: Scenario, vehicle: Vehicle, ask: Callable[[Airframe], T]) -> T:
-    """Return what ``ask`` reads from the vehicle's own JSBSim model, built once for a vehicle and a model."""
+def query_model(what: str, scenario: Scenario, vehicle: Vehicle, query: Callable[[Airframe], T]) -> T:
+    """Return what ``query`` reads from the vehicle's own JSBSim model, built once for a vehicle and a model."""
     _, folder = scenario.resolved_vehicle()
     model = None if vehicle.model is None else read_model(folder / vehicle.model)
 
     def make() -> T:
         frame = Airframe(vehicle, folder, Environment(), scenario.step_s, 1, 0)
         try:
-            return ask(frame)
+            return query(frame)
         finally:
             frame.close()
 
@@ -144,5 +144,5 @@ def _throttle_rise(scenario: Scenario, vehicle: Vehicle, stations: Sequence[Engi
     acceleration, all alike, and what roll asks for between them is lost.
     """
     limits, step = vehicle.control.allocation, scenario.step_s
-    longest = max(engine_reference(spec, step).longest for spec in stations)
+    longest = max(make_engine_reference(spec, step).longest for spec in stations)
     return (limits.throttle_max - limits.throttle_min) * step / max(longest, step)

@@ -27,10 +27,10 @@ from cosim.control.phases.wing import WingFlight, WingTable
 from cosim.control.rate import RateController
 from cosim.control.schedule import GainSchedule
 from cosim.engine import EngineSpec
-from cosim.simulation.controllers.allocators import ask_model, make_allocator
-from cosim.simulation.controllers.models import map_thrust, predictors
-from cosim.simulation.controllers.plugged import Plugged
-from cosim.simulation.engine_reference import engine_reference
+from cosim.simulation.controllers.allocators import make_allocator, query_model
+from cosim.simulation.controllers.models import make_predictors, make_thrust_map
+from cosim.simulation.controllers.plugged import PluggedController
+from cosim.simulation.engine_reference import make_engine_reference
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import EngineLead, Vehicle, WingControl
 
@@ -44,11 +44,11 @@ def make_cascade(
     vehicle: Vehicle,
     engine: EngineSpec,
     stations: Sequence[EngineSpec],
-    plugged: Plugged | None,
+    plugged: PluggedController | None,
 ) -> Cascade:
     step = scenario.step_s
     gains = vehicle.control
-    thrust_map, hover = map_thrust(vehicle, engine, stations)
+    thrust_map, hover = make_thrust_map(vehicle, engine, stations)
     by_effectiveness = vehicle.allocation == "effectiveness"
     if not by_effectiveness and not gains.allocation.throttle_min < hover < gains.allocation.throttle_max:
         raise InputError(
@@ -61,7 +61,7 @@ def make_cascade(
         AttitudeController(gains.attitude),
         RateController(
             (gains.rate.roll, gains.rate.pitch, gains.rate.yaw),
-            predictors(scenario, vehicle, engine) if plugged is None else plugged.predictors(),
+            make_predictors(scenario, vehicle, engine) if plugged is None else plugged.make_predictors(),
             step,
             [_lead(vehicle, axis, step) for axis in AXES],
         ),
@@ -103,7 +103,7 @@ def _engine_loss_laws(
 ) -> list[FlightLaw]:
     """Return what flies without an engine, of vehicles whose allocation does not."""
     monitor = vehicle.control.monitor
-    opposite = opposites(vehicle) if monitor is not None and monitor.shut_opposite else ()
+    opposite = find_opposite_jets(vehicle) if monitor is not None and monitor.shut_opposite else ()
     if reduced is not None:
         return [SpunFlight(loops, reduced, thrust_map, len(vehicle.jets))]
     return [ShutOpposite(loops, opposite, catch, vehicle.mass_kg)] if opposite else []
@@ -130,7 +130,7 @@ def _wing(
     """Return flight ahead on the wing of the vehicle's own JSBSim model."""
     least, most = settings.alpha_rad
     alphas = [least + (most - least) * row / WING_ROWS for row in range(WING_ROWS + 1)]
-    lift, drag, moment = ask_model("wing", scenario, vehicle, lambda frame: frame.wing_effects(alphas, WING_AT_M_S))
+    lift, drag, moment = query_model("wing", scenario, vehicle, lambda frame: frame.wing_effects(alphas, WING_AT_M_S))
     names = [hinge.name for hinge in vehicle.hinges]
     tilts = [names.index(name) for name in settings.tilts]
     table = WingTable(tuple(alphas), tuple(lift), tuple(drag), tuple(moment))
@@ -146,10 +146,10 @@ def _reduced_attitude(
     monitor = vehicle.control.monitor
     if vehicle.allocation != "rotors" or not scenario.monitored or monitor is None or not monitor.catch:
         return None
-    references = [engine_reference(spec, scenario.step_s) for spec in stations]
+    references = [make_engine_reference(spec, scenario.step_s) for spec in stations]
     lag, delay = max(reference.lag for reference in references), max(reference.delay for reference in references)
     added = scenario.added_delay_samples
-    return ReducedAttitude(vehicle, opposites(vehicle), thrust_map, lag, delay, scenario.step_s, added)
+    return ReducedAttitude(vehicle, find_opposite_jets(vehicle), thrust_map, lag, delay, scenario.step_s, added)
 
 
 def _catch(
@@ -171,11 +171,11 @@ def _catch(
         return None
     if not isinstance(lead, EngineLead) or lead.damping is None:
         return None
-    delay = max(engine_reference(spec, scenario.step_s).delay for spec in stations)
+    delay = max(make_engine_reference(spec, scenario.step_s).delay for spec in stations)
     return Recovery(vehicle, thrust_map, lead, delay, scenario.step_s)
 
 
-def opposites(vehicle: Vehicle) -> tuple[int, ...]:
+def find_opposite_jets(vehicle: Vehicle) -> tuple[int, ...]:
     """Return for every jet, from 0, the one across the centre of gravity.  Raises InputError if one has none."""
     places = [jet.position_m for jet in vehicle.jets]
     opposite_jets = []
@@ -210,7 +210,9 @@ def _monitor(scenario: Scenario, vehicle: Vehicle, stations: Sequence[EngineSpec
             "state it, or set monitor = false"
         )
     load_solver()
-    references = {key: engine_reference(spec, scenario.step_s) for key, spec in {id(s): s for s in stations}.items()}
+    references = {
+        key: make_engine_reference(spec, scenario.step_s) for key, spec in {id(s): s for s in stations}.items()
+    }
     return EngineMonitor(
         settings,
         [references[id(spec)] for spec in stations],

@@ -123,7 +123,7 @@ class ControllerFile(Model):
             raise InputError(f"{path}: designed for steps of {self.design.step_s:g} s, not of {step:g} s")
 
 
-def purpose_of(path: Path) -> Purpose:
+def read_purpose(path: Path) -> Purpose:
     """Return what a controller file was made for.  Raises InputError as :func:`read_controller`."""
     return validate(ControllerFile, read_toml(path), str(path)).design
 
@@ -174,7 +174,7 @@ def _older_than_banks(file: ControllerFile, original: Vehicle) -> bool:
     return file.design.bank_inertia_kg_m2 is None and not stated and bool(servo and servo.bank_inertia_kg_m2)
 
 
-def with_controller(
+def apply_controller(
     scenario: Scenario | str | Path, path: Path, settings: Sequence[str] = (), aircraft: str | None = None
 ) -> Scenario:
     """Return a scenario with a controller file over it, and settings over both.
@@ -219,16 +219,16 @@ def with_controller(
     return changed
 
 
-def differences(scenario: Scenario, path: Path, noted: bool = True) -> list[str]:
+def list_differences(scenario: Scenario, path: Path, noted: bool = True) -> list[str]:
     """Return in which ways a flight is not what its controller file was designed for.
 
-    Without ``noted`` those are left out that the flight's own record has (:func:`design_notes`).
+    Without ``noted`` those are left out that the flight's own record has (:func:`list_design_notes`).
     """
 
     file = validate(ControllerFile, read_toml(path), str(path))
     made = file.design
     engine, unchecked, apart = str(scenario.engine), scenario.engine_unchecked, scenario.engine_isolated
-    spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, apart=apart)
+    spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
     lines = _proof_and_engine(made, spec) if noted else []
     if made.engine_sha256 in (spec.identity, spec.sha256) and (
         any(spec.parameters.get(key) != value for key, value in made.engine_parameters.items())
@@ -253,7 +253,7 @@ def differences(scenario: Scenario, path: Path, noted: bool = True) -> list[str]
     return lines
 
 
-def design_notes(parameters: Iterable[FlownParameters], engine: EngineSpec) -> list[str]:
+def list_design_notes(parameters: Iterable[FlownParameters], engine: EngineSpec) -> list[str]:
     """Return what the record of a flight says of its design: a proof that failed or is not there, another engine.
 
     Empty where no design is among ``parameters``.  Raises InputError for one that is none.

@@ -24,7 +24,7 @@ _ACTIVE: list[Deadline] = []  # the deadlines whose calls the signal breaks off
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     for deadline in _ACTIVE:
-        if deadline.late:
+        if deadline.is_late:
             raise LateError
 
 
@@ -38,19 +38,19 @@ class Deadline:
         self._watcher: threading.Thread | None = None
 
     def begin(self) -> float:
-        """Start the clock of a call and return its start time [s], which :meth:`done` takes."""
+        """Start the clock of a call and return its start time [s], which :meth:`end` takes."""
         if self._watcher is None:
             self._start()
         self._started = started = monotonic()
         return started
 
-    def done(self, started: float) -> None:
+    def end(self, started: float) -> None:
         """Stop the clock of the call that began then.  Raises LateError where it took longer than the limit."""
         self._started = None
         if monotonic() - started > self.limit:
             raise LateError
 
-    def drop(self) -> None:
+    def cancel(self) -> None:
         """Stop the clock of a call that ended with an error."""
         self._started = None
 
@@ -65,7 +65,7 @@ class Deadline:
                 signal.signal(signal.SIGUSR2, signal.SIG_DFL)
 
     @property
-    def late(self) -> bool:
+    def is_late(self) -> bool:
         """Whether a running call has taken longer than the limit."""
         started = self._started
         return started is not None and monotonic() - started > self.limit
@@ -82,5 +82,5 @@ class Deadline:
 
     def _watch(self, caller: int, ended: threading.Event) -> None:
         while not ended.wait(self.limit / _CHECKS):
-            if self.late and self in _ACTIVE:
+            if self.is_late and self in _ACTIVE:
                 signal.pthread_kill(caller, signal.SIGUSR2)

@@ -52,7 +52,7 @@ class CallGuard:
     deadline: Deadline | None = None
     kind: str = "controller"
 
-    def error(self, text: str) -> FlightError:
+    def make_error(self, text: str) -> FlightError:
         return FlightError(f"{self.kind} {self.label}: {text}")
 
     def call(self, what: str, method: Callable[..., Any], *arguments: Any) -> Any:
@@ -65,20 +65,20 @@ class CallGuard:
         try:
             answer = method(*arguments)
             if deadline is not None:
-                deadline.done(begun)
+                deadline.end(begun)
         except BaseException as error:  # Ctrl-C too: nothing is on that could be late
             if deadline is not None:
-                deadline.drop()
+                deadline.cancel()
                 if isinstance(error, LateError):
-                    raise self.error(f"{what} took longer than {deadline.limit:g} s") from None
+                    raise self.make_error(f"{what} took longer than {deadline.limit:g} s") from None
             if isinstance(error, FlightError):
-                raise self.error(str(error)) from error
+                raise self.make_error(str(error)) from error
             if not isinstance(error, Exception) or (self.kind == "controller" and isinstance(error, InputError)):
                 raise
-            raise self.error(f"{what} raised {describe_error(error)}") from error
+            raise self.make_error(f"{what} raised {describe_error(error)}") from error
         return answer
 
-    def numbers(self, answer: Any, names: Sequence[str], what: str = "update") -> tuple[float, ...]:
+    def check_numbers(self, answer: Any, names: Sequence[str], what: str = "update") -> tuple[float, ...]:
         """Return an answer as so many finite numbers.  Raises FlightError."""
         numbers = within(answer, len(names), -_MAX_FLOAT, _MAX_FLOAT)
         if numbers is not None:
@@ -86,20 +86,20 @@ class CallGuard:
         try:
             values = tuple([float(value) for value in answer])
         except (TypeError, ValueError):
-            raise self.error(f"{what} gave {_short(answer)}: must be {len(names)} numbers") from None
+            raise self.make_error(f"{what} gave {_short(answer)}: must be {len(names)} numbers") from None
         if len(values) != len(names):
-            raise self.error(f"{what} gave {len(values)} numbers: must be {len(names)}")
+            raise self.make_error(f"{what} gave {len(values)} numbers: must be {len(names)}")
         for value, name in zip(values, names, strict=True):
             if not isfinite(value):
-                raise self.error(f"{name} = {value}: must be finite")
+                raise self.make_error(f"{name} = {value}: must be finite")
         return values
 
-    def shown(self, block: Any, columns: Sequence[Column]) -> tuple[float, ...]:
+    def read_shown(self, block: Any, columns: Sequence[Column]) -> tuple[float, ...]:
         """Return the values that a block shows, one number for each column.  Raises FlightError."""
         try:
             return tuple([float(value) for value in block.shown])
         except Exception as error:
-            raise self.error(f"shown raised {describe_error(error)}") from error
+            raise self.make_error(f"shown raised {describe_error(error)}") from error
 
 
 def _short(value: Any) -> str:
@@ -121,7 +121,7 @@ class Guarded:
 
     @property
     def shown(self) -> tuple[float, ...]:
-        return self._guard.shown(self._block, self.columns)
+        return self._guard.read_shown(self._block, self.columns)
 
 
 class GuardedPredictor(Guarded):
@@ -138,7 +138,9 @@ class GuardedPredictor(Guarded):
         answer = self._guard.call("update", self._block.update, measured, applied)
         if type(answer) is float and isfinite(answer):
             return answer
-        return self._guard.numbers((answer,) if not isinstance(answer, (list, tuple)) else answer, self._answer)[0]
+        return self._guard.check_numbers((answer,) if not isinstance(answer, (list, tuple)) else answer, self._answer)[
+            0
+        ]
 
     @property
     def diagnostics(self) -> Diagnostics:
@@ -162,7 +164,7 @@ class GuardedRate(Guarded):
         roll, pitch, yaw = self._torque
         applied = (roll - unallocated.roll, pitch - unallocated.pitch, yaw - unallocated.yaw)
         answer = self._guard.call("update", self._block.update, setpoint, measured, applied)
-        roll, pitch, yaw = self._guard.numbers(answer, _AXIS_ANSWERS)
+        roll, pitch, yaw = self._guard.check_numbers(answer, _AXIS_ANSWERS)
         self._torque = (roll, pitch, yaw)
         predicted = getattr(self._block, "predicted", None)
         if predicted is not None:
@@ -182,7 +184,7 @@ class GuardedAttitude(Guarded):
         self._guard.call("reset", self._block.reset)
 
     def update(self, command: Command, measured: Measured) -> Vector3:
-        x, y, z = self._guard.numbers(
+        x, y, z = self._guard.check_numbers(
             self._guard.call("update", self._block.update, command, measured),
             ("the rate of roll", "the rate of pitch", "the rate of yaw"),
         )
@@ -259,16 +261,16 @@ class GuardedController(Guarded):
             try:
                 throttles, tilts = answer if self._tilt_limit or self._ranges else (answer, (0.0, 0.0))
             except (TypeError, ValueError):
-                raise guard.error(f"update gave {_short(answer)}: must be throttles and tilts") from None
+                raise guard.make_error(f"update gave {_short(answer)}: must be throttles and tilts") from None
         throttle = within(throttles, len(self._names), 0.0, 1.0) or self._round_to_limits(throttles)
         tilt: PerServo | None = None
         if self._ranges:
-            asked = guard.numbers(tilts, self._servos, "tilts: update")
+            asked = guard.check_numbers(tilts, self._servos, "tilts: update")
             tilt = tuple([clip(asked[i], least, most) for i, (least, most) in enumerate(self._ranges)])
         else:
             tilt = within(tilts, 2, -self._tilt_limit, self._tilt_limit)
             if tilt is None:
-                left, right = guard.numbers(tilts, _TILTS, "tilts: update")
+                left, right = guard.check_numbers(tilts, _TILTS, "tilts: update")
                 tilt = (clamp(left, self._tilt_limit), clamp(right, self._tilt_limit))
         return Actuation(
             throttle,
@@ -279,10 +281,10 @@ class GuardedController(Guarded):
 
     def _round_to_limits(self, throttles: Any) -> PerJet:
         """Return the throttles, limited to 0 to 1, of which only rounding may be outside.  Raises FlightError."""
-        throttle = self._guard.numbers(throttles, self._names, "throttles: update")
+        throttle = self._guard.check_numbers(throttles, self._names, "throttles: update")
         for name, value in zip(self._names, throttle, strict=True):
             if not -_ROUNDING <= value <= 1.0 + _ROUNDING:
-                raise self._guard.error(f"{name} = {value:g}: must be from 0 to 1")
+                raise self._guard.make_error(f"{name} = {value:g}: must be from 0 to 1")
         return tuple([clip(value, 0.0, 1.0) for value in throttle])
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:

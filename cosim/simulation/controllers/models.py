@@ -16,16 +16,16 @@ from cosim.control.belief import Belief
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.control.predictors.smith import NoPredictor
 from cosim.engine import EngineSpec
-from cosim.simulation.engine_reference import engine_reference
-from cosim.simulation.engines import engines_of
+from cosim.simulation.engine_reference import make_engine_reference
+from cosim.simulation.engines import load_engines
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import RateModel, Vehicle, aircraft_seen_from
 
 
-def belief_of(scenario: Scenario, parameters: Mapping[str, float]) -> Belief:
+def make_scenario_belief(scenario: Scenario, parameters: Mapping[str, float]) -> Belief:
     """Return what a controller with these parameters would be told in a scenario.  Raises InputError as a flight."""
     vehicle, _ = scenario.resolved_vehicle()
-    engine, *stations = engines_of(scenario, vehicle)
+    engine, *stations = load_engines(scenario, vehicle)
     return make_belief(scenario, vehicle, engine, stations, parameters)
 
 
@@ -37,23 +37,23 @@ def make_belief(
     parameters: Mapping[str, float],
 ) -> Belief:
     """Return what a controller from outside is told, with its own parameters."""
-    thrust_map, hover = map_thrust(vehicle, engine, stations)
+    thrust_map, hover = make_thrust_map(vehicle, engine, stations)
     built_in = scenario.model_copy(update={"controller": BASELINE.name})
     return Belief(
         scenario.step_s,
         vehicle,
-        known_models(scenario, vehicle, engine),
+        find_step_models(scenario, vehicle, engine),
         thrust_map,
         hover,
         parameters,
         "",
         scenario.initial.on_ground,
-        lambda: [engine_reference(spec, scenario.step_s) for spec in stations],
-        lambda name: predictors(built_in.model_copy(update={"controller": name}), vehicle, engine),
+        lambda: [make_engine_reference(spec, scenario.step_s) for spec in stations],
+        lambda name: make_predictors(built_in.model_copy(update={"controller": name}), vehicle, engine),
     )
 
 
-def models_of(vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
+def find_models(vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
     """Return the models, by axis, that the vehicle states for an engine.
 
     Those of an engine that is a file are filed under its name and its hash: with a note, one whose hash is of another
@@ -62,7 +62,7 @@ def models_of(vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
     models: dict[str, RateModel] = {}
     for axis, model in vehicle.identified.get(engine.family, {}).items():
         where = f"vehicle.identified.{engine.family!r}.{axis}"
-        if not engine.owns(model.engine_sha256):
+        if not engine.matches_model(model.engine_sha256):
             other = f"is of another {engine.family} (sha256 {model.engine_sha256[:12]}, not {engine.fingerprint[:12]})"
             warnings.warn(f"{where}: {other}: left out; hexjet identify {axis} makes one of this", Notice, stacklevel=2)
             continue
@@ -73,10 +73,10 @@ def models_of(vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
     return models
 
 
-def known_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
+def find_step_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
     """Return the identified models for this engine and step, the delay that the controller adds in that of roll."""
     models: dict[str, RateModel] = {}
-    for axis, model in models_of(vehicle, engine).items():
+    for axis, model in find_models(vehicle, engine).items():
         if abs(model.sample_time_s - scenario.step_s) <= 1e-9:
             added = scenario.added_delay_samples if axis == "roll" else 0
             delay = model.delay_samples + added
@@ -84,24 +84,24 @@ def known_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> di
     return models
 
 
-def map_thrust(vehicle: Vehicle, engine: EngineSpec, stations: Sequence[EngineSpec]) -> tuple[ThrustMap, float]:
+def make_thrust_map(vehicle: Vehicle, engine: EngineSpec, stations: Sequence[EngineSpec]) -> tuple[ThrustMap, float]:
     """Return the way from shares of thrust to throttles, and the share in hover."""
-    curves = {id(station): StaticCurve(station.name, *station.rising) for station in (engine, *stations)}
+    curves = {id(station): StaticCurve(station.name, *station.rising_curve) for station in (engine, *stations)}
     thrust_map = ThrustMap(curves[id(engine)], [curves[id(station)] for station in stations])
     return thrust_map, thrust_map.fraction(vehicle.mass_kg * GRAVITY / len(vehicle.jets))
 
 
-def predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[Predictor]:
+def make_predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[Predictor]:
     """Return one predictor an axis: the controller's where the vehicle states a model for this engine, else none."""
     spec = PREDICTORS[scenario.controller]
-    models = models_of(vehicle, engine) if spec.needs_model else {}
+    models = find_models(vehicle, engine) if spec.needs_model else {}
     if spec.needs_model and not models:
         raise InputError(
             f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine "
             f"{engine.family!r}; there are {_list_engines(vehicle.identified)}; "
             + _advise_design(scenario, vehicle, engine)
         )
-    models_at_step = known_models(scenario, vehicle, engine)
+    models_at_step = find_step_models(scenario, vehicle, engine)
     predictors_by_axis: list[Predictor] = []
     for axis in AXES:
         model = models_at_step.get(axis)

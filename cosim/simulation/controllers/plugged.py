@@ -21,24 +21,24 @@ from cosim.simulation.controllers.guard import (
 )
 from cosim.simulation.controllers.models import make_belief
 from cosim.simulation.controllers.process import ProcessBlock
-from cosim.simulation.controllers.source import Source, find
+from cosim.simulation.controllers.source import Source, find_controller_source
 from cosim.spec.scenario import Scenario, TorqueCommandDisturbance
 from cosim.spec.vehicle import Vehicle
 
 
 def find_controller(scenario: Scenario) -> Source | None:
     """Return the scenario's user-supplied controller.  Raises InputError for an unknown one, or another file."""
-    source = find(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
+    source = find_controller_source(scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}")
     if source is not None:
-        source.expect(scenario.controller_sha256, f"scenario {scenario.name}")
+        source.check_hash(scenario.controller_sha256, f"scenario {scenario.name}")
     return source
 
 
-def own_parameters(scenario: Scenario, source: Source | None) -> dict[str, float]:
+def resolve_parameters(scenario: Scenario, source: Source | None) -> dict[str, float]:
     """Return the values of a controller's own parameters.  Raises InputError where the scenario states others."""
     where = f"scenario {scenario.name}: controller_parameters"
     if source is not None:
-        return source.values(scenario.controller_parameters, where)
+        return source.resolve_values(scenario.controller_parameters, where)
     for name in scenario.controller_parameters:
         raise InputError(
             f"{where}.{name}: controller {scenario.controller} has none of its own; it is tuned under vehicle.control"
@@ -46,7 +46,7 @@ def own_parameters(scenario: Scenario, source: Source | None) -> dict[str, float
     return {}
 
 
-class Plugged:
+class PluggedController:
     """A controller from outside, made and told what it may believe, in the place of its level."""
 
     def __init__(
@@ -59,7 +59,7 @@ class Plugged:
         stations: Sequence[EngineSpec],
     ) -> None:
         self._source, self._scenario = source, scenario
-        self._deadline = Deadline(scenario.controller_limit_s * (1.0 if source.repeats else 2.0))
+        self._deadline = Deadline(scenario.controller_limit_s * (1.0 if source.is_in_process else 2.0))
         self._guard = CallGuard(source.label, self._deadline)
         self._blocks: list[Any] = []
         self.whole: GuardedController | None = None
@@ -79,7 +79,7 @@ class Plugged:
             )
         self._belief = make_belief(scenario, vehicle, engine, stations, parameters)
 
-    def make(self) -> None:
+    def make_block(self) -> None:
         """Make the block, but for predictors.  Raises InputError as ``_make_block``; :meth:`close` frees it."""
         if self._source.level == "controller":
             self.whole = GuardedController(self._make_block(self._belief), self._guard, self._belief)
@@ -88,7 +88,7 @@ class Plugged:
         elif self._source.level == "attitude":
             self.attitude = GuardedAttitude(self._make_block(self._belief), self._guard)
 
-    def predictors(self) -> list[Predictor]:
+    def make_predictors(self) -> list[Predictor]:
         """Return the predictors before the rate loop: the user's if the controller is one, else built-in ones."""
         belief = self._belief
         if self._source.level != "predictor":
@@ -104,7 +104,7 @@ class Plugged:
         block = self._source.make()
         self._blocks.append(block)
         if isinstance(block, ProcessBlock):  # it has limits of its own, and takes a while to start
-            block.limit(self._scenario.controller_limit_s)
+            block.set_limit(self._scenario.controller_limit_s)
             block.prepare(belief)
             return block
         if hasattr(block, "prepare"):
@@ -119,9 +119,9 @@ class Plugged:
         """The source of the controller."""
         return self._source
 
-    def repeats(self) -> bool | None:
+    def check_repeatable(self) -> bool | None:
         """Whether processes, asked the same again, answer the same; None: it is code of this process."""
-        answers = [block.repeats() for block in self._blocks if isinstance(block, ProcessBlock)]
+        answers = [block.check_repeatable() for block in self._blocks if isinstance(block, ProcessBlock)]
         return all(answers) if answers else None
 
     def close(self) -> None:

@@ -50,7 +50,7 @@ class Connection:
         assert self._process.stdout is not None
         self._pipes = Pipes(self._process.stdout.fileno(), self._process.stdin.fileno())
 
-    def line(self, limit: float) -> bytes:
+    def read_line(self, limit: float) -> bytes:
         """Read one line of its output.  Raises FlightError."""
         try:
             return self._pipes.receive_line(_LINE, limit)
@@ -90,7 +90,7 @@ class Connection:
         self._process.end(END_S)
 
 
-def describe(command: Command, folder: Path, label: str) -> dict[str, Any]:
+def request_description(command: Command, folder: Path, label: str) -> dict[str, Any]:
     """Return a process's description of itself.  Raises InputError."""
     with tempfile.TemporaryFile() as errors:  # it ends before it has begun, and need not like that
         connection = _start_process(command, folder, label, errors)
@@ -114,7 +114,7 @@ def _start_process(command: Command, folder: Path, label: str, errors: IO[bytes]
 
 def _description(connection: Connection, label: str) -> dict[str, Any]:
     try:
-        line = connection.line(START_S)
+        line = connection.read_line(START_S)
         description = json.loads(line)
     except FlightError as error:
         raise InputError(f"controller {label}: {error} before it had said what it is") from error
@@ -153,7 +153,7 @@ class ProcessBlock:
         self._frames_received: list[bytes] = []
         self._k = 0
 
-    def limit(self, seconds: float) -> None:
+    def set_limit(self, seconds: float) -> None:
         """Set the time limit for an answer, s."""
         self._limit = seconds
 
@@ -225,12 +225,12 @@ class ProcessBlock:
         answer = connection.read(self._out.size, self._limit)
         (number,) = _STEP.unpack_from(answer)
         if number == -1.0:
-            raise FlightError(connection.line(self._limit).decode(errors="replace"))
+            raise FlightError(connection.read_line(self._limit).decode(errors="replace"))
         if number != k:
             raise FlightError(f"its answer begins with {number:g} and not with the step; does it print to its output?")
         return answer
 
-    def repeats(self) -> bool:
+    def check_repeatable(self) -> bool:
         """Whether another process, asked the same, answers the same, bit for bit."""
         try:
             connection = self._start()
@@ -253,7 +253,7 @@ class ProcessBlock:
             self._connection = None
 
 
-def program(path: Path, arguments: str) -> Command:
+def make_program_command(path: Path, arguments: str) -> Command:
     """Return the command that runs a file: one of Python by this interpreter, any other as a program."""
     words = arguments.split()
 

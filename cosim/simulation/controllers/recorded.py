@@ -24,19 +24,19 @@ COLUMNS = (
 Row = tuple[PerJet, tuple[float, float], tuple[float, ...]]  # throttles, tilts [rad], columns
 
 
-def header(jets: int, servo: bool) -> str:
+def format_header(jets: int, servo: bool) -> str:
     """Return the header line of a table of actuator commands."""
     tilts = TILTS if servo else ()
     return ",".join([*(f"throttle_{number}" for number in range(1, jets + 1)), *tilts, *[c.name for c in COLUMNS]])
 
 
-def line(row: Row, servo: bool) -> str:
+def format_row(row: Row, servo: bool) -> str:
     """Return the line of one step."""
     throttle, tilt, shown = row
     return ",".join([repr(value) for value in (*throttle, *(tilt if servo else ()), *shown)])
 
 
-def read(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
+def read_rows(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
     """Read the rows of a table, and the columns for the log.  Raises InputError with the line that does not fit."""
     try:
         first, *lines = path.read_text().splitlines()

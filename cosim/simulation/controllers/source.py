@@ -33,7 +33,7 @@ from cosim.base.trust import Code, CodeRefusedError, code_of, need_trust
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.simulation.controllers import recorded
 from cosim.simulation.controllers.guard import columns_from
-from cosim.simulation.controllers.process import Command, ProcessBlock, describe, program
+from cosim.simulation.controllers.process import Command, ProcessBlock, make_program_command, request_description
 from cosim.spec.controller_name import file_name, is_design
 from cosim.spec.controller_name import label as label_of
 
@@ -76,8 +76,8 @@ class Source:
     predictor: str = BASELINE.name  # ours, under a loop of its own above
     parameters: Sequence[Parameter] = ()
     columns: Sequence[Column] = ()
-    copied: bool = True  # its files go into a run's folder
-    repeats: bool = True  # it is code of this process; else it is found out whether it answers the same again
+    is_copied: bool = True  # its files go into a run's folder
+    is_in_process: bool = True  # it is code of this process; else it is found out whether it answers the same again
     text: str = ""  # of a class that no file holds, where it is to be had
 
     @property
@@ -101,19 +101,19 @@ class Source:
             return next(iter(self.hashes.values()))
         return hashlib.sha256("".join(f"{value}  {name}\n" for name, value in self.hashes.items()).encode()).hexdigest()
 
-    def values(self, stated: Mapping[str, float], where: str) -> dict[str, float]:
+    def resolve_values(self, specified: Mapping[str, float], where: str) -> dict[str, float]:
         """Return its parameters' values.  Raises InputError: one line with the key and what is allowed."""
         parameters = {parameter.name: parameter for parameter in self.parameters}
-        for name, value in stated.items():
+        for name, value in specified.items():
             if name not in parameters:
                 allowed = nearest(name, parameters) if parameters else f"controller {self.label} has none"
                 raise InputError(f"{where}.{name}: unknown parameter; {allowed}")
             _, _, unit, _, least, most = parameters[name]
             if not least <= value <= most:
                 raise InputError(f"{where}.{name} = {value:g}: must be from {least:g} to {most:g} {unit}".rstrip())
-        return {name: stated.get(name, parameter.default) for name, parameter in parameters.items()}
+        return {name: specified.get(name, parameter.default) for name, parameter in parameters.items()}
 
-    def expect(self, sha256: str | None, where: str) -> None:
+    def check_hash(self, sha256: str | None, where: str) -> None:
         """Refuse another file than the one that flew.  Raises InputError with the difference."""
         if sha256 is not None and sha256 != self.sha256:
             raise InputError(
@@ -122,7 +122,7 @@ class Source:
             )
 
 
-def find(controller: str, folder: Path, complaint: str) -> Source | None:
+def find_controller_source(controller: str, folder: Path, complaint: str) -> Source | None:
     """Return the controller of that name, a file seen from ``folder``; None for a built-in one.
 
     Raises InputError: ``complaint`` and what there is, or what is wrong with it.
@@ -159,12 +159,12 @@ def find_python(kind: str, name: str, folder: Path) -> Source | None:
         module_name, _, attribute = name.partition(":")
         module, path, files = import_installed(module_name, where)
         block = _attribute(module, attribute, kind, where, path)
-        return _from_attributes(kind, name, block, None, files, version_of(module_name), copied=False)
+        return _from_attributes(kind, name, block, None, files, find_package_version(module_name), copied=False)
     entry = find_entries(kind).get(name)
     return None if entry is None else _from_entry(kind, name, entry)
 
 
-def names() -> Iterator[tuple[str, str]]:
+def list_installed() -> Iterator[tuple[str, str]]:
     """Yield the controllers of installed packages, and what each is.  Raises InputError for one that cannot be loaded.
 
     One that only says that it is installed is not run for that.
@@ -187,11 +187,11 @@ def from_object(value: Any) -> Source:
     """
     cls = value if isinstance(value, type) else type(value)
     label = f"{cls.__module__}.{cls.__qualname__}"
-    path = file_of(cls)
+    path = find_source_file(cls)
     files = {} if path is None else {path.name: path}
     make = None if isinstance(value, type) else _copier(value)
-    is_repeatable = path is not None and path.suffix == ".py" and cls.__qualname__.isidentifier()
-    if is_repeatable and (isinstance(value, type) or _is_default(value, cls)):
+    check_repeatable = path is not None and path.suffix == ".py" and cls.__qualname__.isidentifier()
+    if check_repeatable and (isinstance(value, type) or _is_default(value, cls)):
         return _from_attributes("controller", f"{path}:{cls.__name__}", value, make, files)
     source = _from_attributes("controller", f"{OBJECT}{label}", value, make, files, copied=False)
     return source if files else replace(source, text=_source_text(cls))
@@ -212,7 +212,7 @@ def _is_default(value: Any, cls: type) -> bool:
         return False
 
 
-def file_of(cls: Any) -> Path | None:
+def find_source_file(cls: Any) -> Path | None:
     """Return the file that a class or a function is in, unless its text was executed into that file's module."""
     try:
         source_file = inspect.getsourcefile(cls)
@@ -272,18 +272,18 @@ _files_by_path: dict[Path, list[Path]] = {}  # the files that a file was made of
 
 def _from_process(controller: str, path: Path, arguments: str) -> Source:
     need_trust(program_code(path, arguments), f"controller {label_of(controller)}")
-    command = program(path, arguments)
+    command = make_program_command(path, arguments)
     key = (controller, str(path), _sha256(path))
 
     def load() -> Source:
-        description = describe(command, path.parent, label_of(controller))
+        description = request_description(command, path.parent, label_of(controller))
         return _from_description(controller, description, {path.name: path}, command, path.parent)
 
     return _sources.get(key, load)
 
 
 def _from_fmu(controller: str, path: Path) -> Source:
-    from cosim.engine.make.controller_fmu import command, describe_controller, read_controller_fmu
+    from cosim.engine.make.controller_fmu import describe_controller, make_command, read_controller_fmu
 
     try:
         fmu = read_controller_fmu(path)
@@ -291,7 +291,7 @@ def _from_fmu(controller: str, path: Path) -> Source:
         raise InputError(f"controller {controller}: {error}") from error
     need_trust([code_of(fmu.path, path, fmu.path)], f"controller {label_of(controller)}")
     key = (controller, str(path), *[_sha256(file) for file in fmu.files.values()])
-    command_line = command(path)
+    command_line = make_command(path)
     return _sources.get(
         key,
         lambda: _from_description(controller, describe_controller(fmu), fmu.files, lambda: command_line, path.parent),
@@ -299,7 +299,7 @@ def _from_fmu(controller: str, path: Path) -> Source:
 
 
 def _from_record(controller: str, path: Path) -> Source:
-    rows, columns = recorded.read(path, f"controller {label_of(controller)}")
+    rows, columns = recorded.read_rows(path, f"controller {label_of(controller)}")
     source = Source(
         controller, "controller", lambda: recorded.RecordedController(rows, columns), {path.name: path}, columns=columns
     )
@@ -336,7 +336,7 @@ def _from_description(
         predictor=predictor,
         parameters=parameters,
         columns=columns,
-        repeats=False,
+        is_in_process=False,
     )
     source.hashes  # noqa: B018  of what was read just now
     return source
@@ -346,11 +346,11 @@ def _from_entry(kind: str, name: str, entry: EntryPoint) -> Source:
     if kind == "controller" and name in PREDICTORS:
         raise InputError(f"{describe_entry(entry)}: there is a predictor of this name already")
     member, package = load_entry(entry)
-    path = file_of(member)
+    path = find_source_file(member)
     return _from_attributes(kind, name, member, None, {} if path is None else {path.name: path}, package, copied=False)
 
 
-def version_of(module: str) -> str:
+def find_package_version(module: str) -> str:
     """Return name and version of the installed package that a module belongs to; empty where it belongs to none."""
     top = module.split(".")[0]
     for package in packages_distributions().get(top, []):
@@ -398,7 +398,7 @@ def _from_attributes(
             make, block = _constant(block), SimpleNamespace(__call__=block)
         elif not isinstance(block, type):
             raise InputError(f"{where}: must be a class{' or a function' if kind == 'metric' else ''}")
-        source = Source(name, kind, make or _maker(block, where), files, package, copied=copied)
+        source = Source(name, kind, make or _maker(block, where), files, package, is_copied=copied)
     for method, arguments in methods:
         check_method(block, method, arguments, where)
     source.hashes  # noqa: B018  of what was read just now
@@ -420,7 +420,7 @@ def _read_attributes(block: Any, where: str, column: str) -> tuple[str, str, tup
         columns = columns_from(block)
     except TypeError as error:
         raise InputError(f"{where}: columns: must be {column}: {error}") from error
-    return level, predictor, columns, parameters_of(block, where)
+    return level, predictor, columns, read_block_parameters(block, where)
 
 
 def _maker(make_block: Callable[[], Any], where: str) -> Callable[[], Any]:
@@ -448,7 +448,7 @@ def check_method(block: Any, method: str, arguments: Sequence[str], where: str) 
         raise InputError(f"{where}: {method}{signature}: must take ({', '.join(arguments)})") from error
 
 
-def parameters_of(block: Any, where: str) -> tuple[Parameter, ...]:
+def read_block_parameters(block: Any, where: str) -> tuple[Parameter, ...]:
     """Return the parameters that a block states.  Raises InputError."""
     parameters: list[Parameter] = []
     stated = getattr(block, "parameters", ())

@@ -28,7 +28,7 @@ _ROLL, _PITCH, _YAW, _ALTITUDE, _P, _Q, _R, _COLLECTIVE, _AHEAD = range(len(SIGN
 _IN_DEGREES = frozenset({_ROLL, _PITCH, _YAW, _P, _Q, _R})
 
 
-class Commander:
+class CommandScript:
     """The sum of a scenario's commands at every control step.
 
     Before and between them the vehicle is asked to stay level, at its initial heading and height.  Any command of a
@@ -93,7 +93,7 @@ class Commander:
         return self._last
 
 
-def sweep(step: float, start: int, length: int, amplitude: float, low: float, high: float) -> Waveform:
+def make_sweep(step: float, start: int, length: int, amplitude: float, low: float, high: float) -> Waveform:
     """Return the chirp ``amplitude sin(2 pi low L (exp(t/L) - 1))``, ``L = D / ln(high/low)``, t from ``start``.
 
     Its frequency is ``low`` Hz at the first and ``high`` Hz at the last of ``length`` steps.
@@ -112,7 +112,7 @@ def sweep(step: float, start: int, length: int, amplitude: float, low: float, hi
     return wave
 
 
-def doublet(start: int, width: int, amplitude: float) -> Waveform:
+def make_doublet(start: int, width: int, amplitude: float) -> Waveform:
     """Return a waveform of ``amplitude`` for ``width`` steps, then its opposite for as long."""
 
     def wave(k: int) -> float:
@@ -122,7 +122,7 @@ def doublet(start: int, width: int, amplitude: float) -> Waveform:
     return wave
 
 
-def pulse(start: int, end: int | None, amplitude: float) -> Waveform:
+def make_pulse(start: int, end: int | None, amplitude: float) -> Waveform:
     """Return a waveform of ``amplitude`` from step ``start`` to before ``end``, or for good."""
 
     def wave(k: int) -> float:
@@ -135,12 +135,12 @@ def _waveform(
     entry: StepCommand | DoubletCommand | RampCommand | SweepCommand, scenario: Scenario, start: int, where: str
 ) -> Waveform:
     if isinstance(entry, StepCommand):
-        return pulse(start, None, entry.amplitude)
+        return make_pulse(start, None, entry.amplitude)
     if isinstance(entry, DoubletCommand):
-        return doublet(start, scenario.count(entry.width_s, f"{where}.width_s"), entry.amplitude)
+        return make_doublet(start, scenario.count(entry.width_s, f"{where}.width_s"), entry.amplitude)
     length = scenario.count(entry.duration_s, f"{where}.duration_s")
     if isinstance(entry, SweepCommand):
-        return sweep(scenario.step_s, start, length, entry.amplitude, entry.from_hz, entry.to_hz)
+        return make_sweep(scenario.step_s, start, length, entry.amplitude, entry.from_hz, entry.to_hz)
     amplitude = entry.amplitude
     return lambda k: amplitude * min(1.0, max(0.0, (k - start) / length))
 

@@ -6,7 +6,7 @@ from operator import sub
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
-from cosim.simulation.script.commander import Waveform, doublet, pulse, sweep
+from cosim.simulation.script.commander import Waveform, make_doublet, make_pulse, make_sweep
 from cosim.spec.scenario import (
     ForceDisturbance,
     GustDisturbance,
@@ -21,7 +21,7 @@ Payload = tuple[float, float, float, float]
 _NO_PAYLOAD: Payload = (0.0, 0.0, 0.0, 0.0)
 
 
-class Disturber:
+class DisturbanceScript:
     """The sum of a scenario's disturbances at every control step; the same object while nothing changes."""
 
     def __init__(self, scenario: Scenario) -> None:
@@ -43,7 +43,7 @@ class Disturber:
             end = None
             if entry.duration_s is not None:
                 end = start + scenario.count(entry.duration_s, f"{where}.duration_s")
-            on = pulse(start, end, 1.0)
+            on = make_pulse(start, end, 1.0)
             if isinstance(entry, ForceDisturbance):
                 self._forces.append((on, entry.force_n))
             elif isinstance(entry, MomentDisturbance):
@@ -118,9 +118,9 @@ def _total(entries: list[tuple[Waveform, Vector3]], k: int, start: Vector3 = ZER
 
 def _torque(entry: TorqueCommandDisturbance, scenario: Scenario, start: int, length: int, where: str) -> Waveform:
     if entry.shape == "sweep":
-        return sweep(scenario.step_s, start, length, entry.amplitude, entry.from_hz, entry.to_hz)
+        return make_sweep(scenario.step_s, start, length, entry.amplitude, entry.from_hz, entry.to_hz)
     if entry.shape == "doublet":
         if length % 2:
             raise InputError(f"{where}.duration_s: a doublet needs an even number of {scenario.step_s:g} s steps")
-        return doublet(start, length // 2, entry.amplitude)
-    return pulse(start, start + length, entry.amplitude)
+        return make_doublet(start, length // 2, entry.amplitude)
+    return make_pulse(start, start + length, entry.amplitude)

@@ -108,7 +108,7 @@ class FaultSchedule:
         self.next, self.commanded = k, True
 
     @property
-    def flown(self) -> list[Fault]:
+    def flown_faults(self) -> list[Fault]:
         """The faults with the times at which they did act so far, or will."""
         dt = self._scenario.step_s
         return [
@@ -138,13 +138,13 @@ class FaultSchedule:
         if isinstance(fault, (SensorBias, SensorDropout)):
             self._sensors.begin(fault, measured)
         elif not isinstance(fault, ServoJam):
-            self._engines.begin(fault)
+            self._engines.begin_fault(fault)
 
     def _end(self, fault: Fault) -> None:
         if isinstance(fault, (SensorBias, SensorDropout)):
             self._sensors.end(fault)
         elif not isinstance(fault, ServoJam):
-            self._engines.end(fault)
+            self._engines.end_fault(fault)
 
     def _update_jams(self) -> None:
         """Jam the servos that are to be, by the first fault that acts, and free the others where they stand."""

@@ -12,7 +12,7 @@ from cosim.spec.scenario import Mismatch
 from cosim.spec.vehicle import Vehicle
 
 
-def as_flown(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
+def apply_mismatch(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
     """Return the vehicle that flies where the controller assumes ``vehicle``; the same object without a mismatch.
 
     Its body axes start from the true centre of gravity, to which the moments of inertia stated belong then.
@@ -54,7 +54,7 @@ def as_flown(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
     )
 
 
-def engines_as_flown(mismatch: Mismatch, jets: int) -> tuple[PerJet | None, int]:
+def compute_engine_mismatch(mismatch: Mismatch, jets: int) -> tuple[PerJet | None, int]:
     """Return thrust over the nominal engines' thrust, None where equal, and the added delays in steps.
 
     Raises InputError for a factor of a jet that the vehicle has not.

@@ -31,7 +31,7 @@ class FieldWind:
         x, y, z = self._velocity(0.0, 0.0, 0.0, self._height)
         return (wind[0] + x, wind[1] + y, wind[2] + z)
 
-    def with_wind(self, k: int, state: State, disturbance: Disturbance) -> Disturbance:
+    def add_wind(self, k: int, state: State, disturbance: Disturbance) -> Disturbance:
         """Return the disturbance of step ``k`` with the field's wind added."""
         time = k * self._step
         north, east, _ = state.position

@@ -28,7 +28,7 @@ class RotorDynamics(Effect):
         self, jets: Sequence[Jet], engines: Sequence[EngineSpec], step: float, hinges: Sequence[Hinge] = ()
     ) -> None:
         for number, (jet, engine) in enumerate(zip(jets, engines, strict=True), 1):
-            if jet.spin and engine.rotor_inertia and not engine.has("spool_speed"):
+            if jet.spin and engine.rotor_inertia and not engine.has_port("spool_speed"):
                 raise InputError(
                     f"engine {engine.name} at station {number}: its rotor's inertia is stated, but it has no output "
                     "spool_speed; leave out one or map the other"

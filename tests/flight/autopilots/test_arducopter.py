@@ -15,7 +15,14 @@ from command_tools import Hexjet
 from patience import FLIGHT_PATIENCE, PATIENCE
 from stated_figures import stated
 
-from cosim.autopilots.ardupilot import HANDLING, ArduPilot, Launch, Transmitter, TransmitterChannel, parse_channel
+from cosim.autopilots.ardupilot import (
+    HANDLING,
+    ArduPilot,
+    LaunchOptions,
+    Transmitter,
+    TransmitterChannel,
+    parse_channel,
+)
 from cosim.autopilots.lockstep import SensorFrame, StickPositions
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
@@ -123,7 +130,7 @@ def test_a_flight_whose_log_does_not_list_all_names_says_that_nobody_checked_the
         vehicle,
         0.0025,
         Geodesy(22.35, 113.59),
-        Launch(219, parameters={"NO_SUCH": 1.0}, defaults=tmp_path),
+        LaunchOptions(219, parameters={"NO_SUCH": 1.0}, defaults=tmp_path),
     )
     with suppress(FlightError):
         ours.start()
@@ -216,7 +223,7 @@ def test_the_throttle_that_is_meant_is_what_comes_out_of_its_stick(hover: float)
             frame = SensorFrame(
                 50.0, *[(0.0, 0.0, 0.0)] * 2, (1.0, 0.0, 0.0, 0.0), *[(0.0, 0.0, 0.0)] * 2, 10.0, sticks
             )
-            share = heard(ours.pulses(frame), {}).throttle(hover) / np.cos(np.radians(roll * HANDLING.lean_deg))
+            share = heard(ours.compute_pulses(frame), {}).throttle(hover) / np.cos(np.radians(roll * HANDLING.lean_deg))
             assert 0.1 + 0.8 * share == pytest.approx(throttle, abs=0.002)
 
 

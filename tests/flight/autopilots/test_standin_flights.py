@@ -14,12 +14,12 @@ from autopilot_standins import ArduPilotStandIn, Px4StandIn
 from patience import PATIENCE
 
 from cosim.autopilots import px4
-from cosim.autopilots.ardupilot import ArduPilot, Launch
+from cosim.autopilots.ardupilot import ArduPilot, LaunchOptions
 from cosim.autopilots.block import AutopilotBlock
-from cosim.autopilots.lockstep import Autopilot, Handling
+from cosim.autopilots.lockstep import Autopilot, StartTiming
 from cosim.autopilots.parameters import px4_external_rates, px4_torque_scale
 from cosim.autopilots.px4 import Px4
-from cosim.autopilots.run import AutopilotRun, external_rate_loop, fly_autopilot
+from cosim.autopilots.run import AutopilotRun, fly_autopilot, make_external_rate_loop
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import AXES, ZERO3, Sample, Vector3
@@ -29,7 +29,7 @@ from cosim.spec.scenario import Scenario
 HOVER = Scenario.load("hover").replace(duration_s=1.0, engine="edf")
 VEHICLE = HOVER.resolved_vehicle()[0]
 PLACE = Geodesy(22.35, 113.59)
-HANDLING = Handling(before_s=2.0, arming_s=1.5, throttle_s=0.5, lean_deg=35.0, turn_deg_s=150.0)
+HANDLING = StartTiming(before_s=2.0, arming_s=1.5, throttle_s=0.5, lean_deg=35.0, turn_deg_s=150.0)
 
 
 def fly_it(autopilot: Autopilot, label: str, folder: Path, scenario: Scenario = HOVER) -> AutopilotRun:
@@ -55,7 +55,7 @@ def test_px4_flies_by_the_sticks(tmp_path: Path) -> None:
             [throttle + (-roll if jet.servo == "right" else roll) for jet in VEHICLE.jets] + [pitch, pitch] + [0.0] * 8
         )
 
-    ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, px4.Launch(31_007, PATIENCE))
+    ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, px4.LaunchOptions(31_007, PATIENCE))
     theirs = Px4StandIn(4560 + 31_007, controls=controls)
     flown = fly_it(ours, "px4", tmp_path / "run")
     theirs.thread.join(PATIENCE)
@@ -90,9 +90,9 @@ def test_a_rate_loop_of_ours_hears_what_px4_asks_for(tmp_path: Path) -> None:
         # a bank that tilts forward pushes the nose down, and turns it away from its side
         return [*engines, (yaw - pitch) / limit, (-yaw - pitch) / limit] + [0.0] * 8
 
-    ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, px4.Launch(31_009, PATIENCE))
+    ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, px4.LaunchOptions(31_009, PATIENCE))
     theirs = Px4StandIn(4560 + 31_009, controls=controls)
-    rates = external_rate_loop(scenario, gain, has_gyro=True)
+    rates = make_external_rate_loop(scenario, gain, has_gyro=True)
     heard: list[Vector3] = []
 
     class Heard:
@@ -114,7 +114,7 @@ def test_a_rate_loop_of_ours_hears_what_px4_asks_for(tmp_path: Path) -> None:
 
 def test_ardupilot_that_hangs_ends_the_flight_and_keeps_the_run(tmp_path: Path) -> None:
     """Named with step and time; the record flies again as far as it goes."""
-    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, Launch(3307, PATIENCE))
+    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, LaunchOptions(3307, PATIENCE))
     packets = count()
 
     def pulses(told: dict[str, Any]) -> Sequence[int]:
@@ -134,7 +134,7 @@ def test_ardupilot_that_hangs_ends_the_flight_and_keeps_the_run(tmp_path: Path) 
 
 
 def test_one_that_is_not_armed_does_not_fly(tmp_path: Path) -> None:
-    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, Launch(3308, PATIENCE))
+    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, LaunchOptions(3308, PATIENCE))
     theirs = ArduPilotStandIn(9002 + 33_080, pulses=lambda told: [1000] * 16)
     flown = fly_it(ours, "ardupilot", tmp_path / "run")
     theirs.close()
@@ -142,7 +142,7 @@ def test_one_that_is_not_armed_does_not_fly(tmp_path: Path) -> None:
 
 
 def test_engines_that_start_in_flight_are_refused(tmp_path: Path) -> None:
-    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, Launch())
+    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, LaunchOptions())
     ground = HOVER.replace(engine_start="in flight", initial={"on_ground": True})
     with pytest.raises(InputError, match="with an autopilot engines run before the flight"):
         fly_it(ours, "ardupilot", tmp_path / "run", ground)

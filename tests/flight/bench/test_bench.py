@@ -736,7 +736,7 @@ def test_the_unit_is_one_run_in_hover(tmp_path: Path) -> None:
         for substeps, unit in flights.units().items():
             unit.prepare()()
             airframe = flights._bare[substeps].airframe
-            state = airframe.step([(0.0, 0.0, -9.0)] * 6, flights._bare[substeps].disturber.at(0))
+            state = airframe.step([(0.0, 0.0, -9.0)] * 6, flights._bare[substeps].disturbances.at(0))
             assert state.altitude == pytest.approx(10.0, abs=1.0)  # g at the place is 0.02 m/s^2 below standard
             assert airframe._fdm.get_sim_time() == pytest.approx((unit.steps + substeps) * 0.004 / substeps)
 

@@ -329,7 +329,7 @@ def test_what_is_left_of_a_jet_ten_seconds_later_is_its_rotor_running_down() -> 
     with Flight("hexjet-p220", initial={"on_ground": True}) as flight:
         law = flight.simulation.engine.flame_out
         assert law is not None
-        left = law.left * (1.0 + failsafe_flight.LATER_S / law.run_down) ** -law.exponent
+        left = law.thrust_left * (1.0 + failsafe_flight.LATER_S / law.half_speed_s) ** -law.exponent
         stated("docs/failsafes.md", "{} % of what they gave when they were shut off", 100.0 * left)
         flight.fly(1.1)
         flight.ok(rq.Arm())

@@ -18,7 +18,7 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import MissionItem
 from cosim.simulation.build import build
-from cosim.simulation.with_autopilot import fault_from, with_autopilot
+from cosim.simulation.with_autopilot import attach_autopilot, make_fault
 from cosim.spec.scenario import FlameOut, Scenario, SensorBias
 from cosim.spec.vehicle import load_vehicle
 
@@ -392,13 +392,13 @@ def test_the_quadrotor_flies_as_well() -> None:
 
 
 def test_faults_by_request_are_the_scenarios_own() -> None:
-    assert fault_from(rq.InjectFault("flame_out", (2, 3), duration_s=4.0)) == FlameOut(
+    assert make_fault(rq.InjectFault("flame_out", (2, 3), duration_s=4.0)) == FlameOut(
         kind="flame_out", start_s=0.0, duration_s=4.0, jet=[2, 3]
     )
-    assert fault_from(rq.InjectFault("sensor_bias", sensor="barometer", amount=2.0)) == SensorBias(
+    assert make_fault(rq.InjectFault("sensor_bias", sensor="barometer", amount=2.0)) == SensorBias(
         kind="sensor_bias", start_s=0.0, sensor="barometer", bias=[2.0]
     )
-    assert fault_from(rq.InjectFault("sensor_bias", sensor="gyro", vector=(0.1, 0.0, 0.0))) == SensorBias(
+    assert make_fault(rq.InjectFault("sensor_bias", sensor="gyro", vector=(0.1, 0.0, 0.0))) == SensorBias(
         kind="sensor_bias", start_s=0.0, sensor="gyro", bias=[0.1, 0.0, 0.0]
     )
 
@@ -415,7 +415,7 @@ def test_faults_by_request_are_the_scenarios_own() -> None:
 )
 def test_faults_that_there_are_not(request_: rq.InjectFault, complaint: str) -> None:
     with pytest.raises(InputError) as refusal:
-        fault_from(request_)
+        make_fault(request_)
     assert str(refusal.value).startswith(complaint)
 
 
@@ -425,7 +425,7 @@ def test_a_vehicle_without_gains_for_it_is_refused() -> None:
         control = simulation.vehicle.control.model_copy(update={"position": None})
         simulation.vehicle = simulation.vehicle.model_copy(update={"control": control})
         with pytest.raises(InputError, match=r"vehicle.control.position is missing: hexjet cannot be flown"):
-            with_autopilot(simulation)
+            attach_autopilot(simulation)
 
 
 def test_gains_too_fast_for_the_attitude_loop_are_refused() -> None:
@@ -433,5 +433,5 @@ def test_gains_too_fast_for_the_attitude_loop_are_refused() -> None:
     gains = {"control": {"position": {"velocity_1_s": 1.75}}}
     with build(Scenario.load("hover").replace(vehicle=gains)) as simulation:
         with pytest.raises(InputError, match=r"too fast for hexjet, whose attitude gain is 3.5 1/s: at most 1.4"):
-            with_autopilot(simulation)
+            attach_autopilot(simulation)
         assert simulation.pilot is None

@@ -19,7 +19,7 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.groundstation.mavlink.services.logs import LogService, LogStore
 from cosim.groundstation.mavlink.wire.dialect import mav
-from cosim.groundstation.session import ground_scenario
+from cosim.groundstation.session import make_ground_scenario
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.autopilot.request_log import RequestLog
 from cosim.results.export.ulog import export_ulog
@@ -41,7 +41,7 @@ ASKED = [
 @pytest.fixture(scope="module")
 def piloted(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("piloted")
-    waiting = ground_scenario(Scenario.load("hover"), SECONDS)
+    waiting = make_ground_scenario(Scenario.load("hover"), SECONDS)
     log = RequestLog(folder / REQUESTS)
     for at, request in ASKED:
         log.write(round(at / waiting.step_s), "test", request, Answer(True, Result.ACCEPTED, ""))
@@ -125,7 +125,7 @@ def test_position_is_the_autopilots_and_set_points_are_there(piloted: Run, ulog:
 
 def test_without_fixes_the_position_is_not_valid(tmp_path: Path) -> None:
     """A second after the last fix, as the ground station is told."""
-    waiting = ground_scenario(Scenario.load("hover"), 4.0)
+    waiting = make_ground_scenario(Scenario.load("hover"), 4.0)
     log = RequestLog(tmp_path / REQUESTS)
     silent = rq.InjectFault("sensor_dropout", sensor="gnss")
     for at, request in ((0.4, rq.SetParameter("SYS_FAILURE_EN", 1)), (0.5, silent)):

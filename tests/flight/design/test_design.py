@@ -47,11 +47,11 @@ from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import (
     NO_PROOF,
     Requirements,
-    differences,
+    apply_controller,
+    list_differences,
     read_controller,
-    with_controller,
 )
-from cosim.simulation.delay_ledger import total_samples
+from cosim.simulation.delay_ledger import sum_samples
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import PredictorTuning, RateModel, load_vehicle
 
@@ -167,7 +167,7 @@ def test_the_roll_channel_is_the_ledger() -> None:
     damped = (z - exp(-roll.damping_1_s * roll.step)) / (z - 1.0)
     phase = float(np.angle(roll.responses(z)[0] * damped)[0]) + pi / 2.0
     with build(scenario) as simulation:
-        total = total_samples(simulation.ledger)
+        total = sum_samples(simulation.ledger)
     assert -phase / theta == pytest.approx(total, abs=0.02)  # lags bend the phase by their cube
 
 
@@ -526,7 +526,7 @@ def test_a_stored_design_keeps_its_margins_in_state_space(engine: str) -> None:
 
 def test_a_file_is_read_back_as_it_was_written(tmp_path: Path) -> None:
     file = read_controller(DESIGNS / "turbojet.toml")
-    scenario = with_controller("roll-doublet", DESIGNS / "turbojet.toml", ["vehicle.mass_kg=5.6", 'engine="turbojet"'])
+    scenario = apply_controller("roll-doublet", DESIGNS / "turbojet.toml", ["vehicle.mass_kg=5.6", 'engine="turbojet"'])
     assert scenario.controller == file.controller
     assert scenario.vehicle["control"] == file.vehicle["control"]
     assert scenario.vehicle["mass_kg"] == 5.6
@@ -549,19 +549,19 @@ def test_a_wrong_file_is_refused(tmp_path: Path, change: tuple[str, str], said: 
     path = tmp_path / "wrong.toml"
     path.write_text(text.replace(*change, 1), encoding="utf-8")
     with pytest.raises(InputError, match=said):
-        with_controller("roll-doublet", path)
+        apply_controller("roll-doublet", path)
 
 
 def test_a_file_for_another_engine_is_told() -> None:
     path = DESIGNS / "edf-as-flown.toml"
-    other = with_controller("roll-doublet", path, ['engine="edf"'])
-    assert "designed for engine edf-as-flown" in differences(other, path)[0]
-    later = with_controller("roll-doublet", path, ["engine_parameters.delay_samples=30"])
-    assert any("engine parameters" in text or "designed for engine" in text for text in differences(later, path))
-    heavier = with_controller(
+    other = apply_controller("roll-doublet", path, ['engine="edf"'])
+    assert "designed for engine edf-as-flown" in list_differences(other, path)[0]
+    later = apply_controller("roll-doublet", path, ["engine_parameters.delay_samples=30"])
+    assert any("engine parameters" in text or "designed for engine" in text for text in list_differences(later, path))
+    heavier = apply_controller(
         "roll-doublet", path, ["vehicle.mass_kg=6.0", "vehicle.control.attitude.gain_1_s=[1,1,1]"]
     )
-    assert differences(heavier, path) == ["designed for hexjet with no changes, flown with {'mass_kg': 6.0}"]
+    assert list_differences(heavier, path) == ["designed for hexjet with no changes, flown with {'mass_kg': 6.0}"]
 
 
 def test_a_file_whose_proof_failed_later_is_told(tmp_path: Path) -> None:
@@ -569,9 +569,9 @@ def test_a_file_whose_proof_failed_later_is_told(tmp_path: Path) -> None:
     table["design"]["proof"] = {"flights": 4, "lean_deg": 20.0, "failed": "doublet to 20 deg: diverged"}
     path = tmp_path / "older.toml"
     path.write_text(toml_text(table), encoding="utf-8")
-    flown = with_controller("roll-doublet", path)
-    assert differences(flown, path) == ["its proof failed: doublet to 20 deg: diverged"]
-    assert differences(flown, path, noted=False) == []
+    flown = apply_controller("roll-doublet", path)
+    assert list_differences(flown, path) == ["its proof failed: doublet to 20 deg: diverged"]
+    assert list_differences(flown, path, noted=False) == []
 
 
 def test_a_file_without_a_proof_is_told(tmp_path: Path) -> None:
@@ -580,9 +580,9 @@ def test_a_file_without_a_proof_is_told(tmp_path: Path) -> None:
     del table["design"]["proof"]
     path = tmp_path / "unproved.toml"
     path.write_text(toml_text(table), encoding="utf-8")
-    short = with_controller("roll-doublet", path, ["duration_s=0.1"])
-    assert differences(short, path) == [NO_PROOF]
-    assert differences(short, path, noted=False) == []
+    short = apply_controller("roll-doublet", path, ["duration_s=0.1"])
+    assert list_differences(short, path) == [NO_PROOF]
+    assert list_differences(short, path, noted=False) == []
     assert NO_PROOF.startswith("has no proof flights: made with --no-proof")
     note = f"unproved.toml: {NO_PROOF}"
     arguments = ["fly", "roll-doublet", "--controller", str(path), "--set", "duration_s=0.1", "--out"]
@@ -599,14 +599,14 @@ def test_a_file_without_a_proof_is_told(tmp_path: Path) -> None:
 
 def test_a_run_keeps_what_its_design_is_not_for(tmp_path: Path) -> None:
     """On standard error it would be gone with the terminal: summary and page have it, and so has the flight again."""
-    short = with_controller("roll-doublet", DESIGNS / "edf.toml", ["duration_s=0.1"])
+    short = apply_controller("roll-doublet", DESIGNS / "edf.toml", ["duration_s=0.1"])
     run = fly(short, tmp_path / "run")
     (note,) = (text for text in run.summary.notes if text.startswith("edf.toml: "))
     assert note.startswith("edf.toml: designed for engine edf (")
     assert ", flown with edf-as-flown (" in note
     assert note in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert fly(tmp_path / "run" / "scenario.toml").summary.notes == run.summary.notes
-    fits = with_controller("roll-doublet", DESIGNS / "edf-as-flown.toml", ["duration_s=0.1"])
+    fits = apply_controller("roll-doublet", DESIGNS / "edf-as-flown.toml", ["duration_s=0.1"])
     assert not [text for text in fly(fits).summary.notes if "edf-as-flown.toml: " in text]
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from places import DESIGNS
 
-from cosim.engine import engine_names
+from cosim.engine import list_engine_names
 from cosim.flight import fly
-from cosim.simulation.controllers.controller_file import read_controller, with_controller
+from cosim.simulation.controllers.controller_file import apply_controller, read_controller
 from cosim.spec.vehicle import load_vehicle
 
 ENGINES = sorted(path.stem for path in DESIGNS.glob("*.toml"))
@@ -21,11 +21,11 @@ def flown(engine: str, scenario: str, *settings: str) -> Any:
     path = DESIGNS / f"{engine}.toml"
     made = read_controller(path).design
     given = [f'engine="{made.engine}"', f"step_s={made.step_s}", *settings]
-    return fly(with_controller(scenario, path, given, made.aircraft))
+    return fly(apply_controller(scenario, path, given, made.aircraft))
 
 
 def test_every_engine_of_the_library_has_a_design() -> None:
-    assert sorted(engine_names()) == ENGINES
+    assert sorted(list_engine_names()) == ENGINES
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -84,7 +84,7 @@ def growth(engine: str, seconds: float, *settings: str) -> float:
     made = read_controller(path).design
     given = [f'engine="{made.engine}"', f"step_s={made.step_s}", f"duration_s={seconds}", "sensor_noise=false",
              "initial.attitude_deg=[1.0, 0.0, 0.0]", *settings]  # fmt: skip
-    run = fly(with_controller("hover", path, given, made.aircraft))
+    run = fly(apply_controller("hover", path, given, made.aircraft))
     if run.outcome != "completed":
         return 10.0
     roll = np.abs(run.log["roll_rad"])

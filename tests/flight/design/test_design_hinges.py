@@ -25,10 +25,10 @@ from cosim.design.loop.dynamics import lags
 from cosim.design.tune import settle
 from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.flight import fly
-from cosim.simulation.axis_chain import hinge_kicks, hinged_parts
+from cosim.simulation.axis_chain import compute_hinge_reactions, list_hinged_parts
 from cosim.simulation.build import build
-from cosim.simulation.controllers.allocators import effectiveness_of
-from cosim.simulation.controllers.controller_file import Requirements, read_controller, with_controller
+from cosim.simulation.controllers.allocators import make_effectiveness
+from cosim.simulation.controllers.controller_file import Requirements, apply_controller, read_controller
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, engine_of, load_vehicle
 
@@ -74,7 +74,7 @@ def test_the_room_of_an_axis_is_what_its_servos_follow() -> None:
     hinge = vehicle.hinges[0]
     turn = min(0.26, hinge.rate_limit_rad_s * hinge.lag_s)
     alone = vehicle.mass_kg * GRAVITY * 0.2 / vehicle.inertia_kg_m2[0] * turn
-    share = 1.0 - effectiveness_of(*_hover("quadjet")).thrust_part(0)
+    share = 1.0 - make_effectiveness(*_hover("quadjet")).thrust_part(0)
     assert of["roll"].room == pytest.approx(alone / share, rel=1e-4)
 
 
@@ -89,20 +89,22 @@ def test_what_turns_pushes_back_as_newton_has_it() -> None:
     hinge = vehicle.hinges[0]
     assert hinge.centre_m is None or hinge.centre_m == hinge.position_m
     moment = -hinge.inertia_kg_m2 * np.array(hinge.axis)
-    assert hinge_kicks(vehicle, T)[0] == pytest.approx(np.linalg.solve(np.array(vehicle.tensor), moment), rel=1e-6)
+    assert compute_hinge_reactions(vehicle, T)[0] == pytest.approx(
+        np.linalg.solve(np.array(vehicle.tensor), moment), rel=1e-6
+    )
 
 
 def leads(aircraft: str, index: int) -> Array:
     """Of each hinge, by Euler: the spools' momentum on its tilted axis, over the body's tensor, in s of its move's rate."""
     vehicle, spec, _ = plants(aircraft)
     scenario, _, _ = _hover(aircraft)
-    allocator = effectiveness_of(scenario, vehicle, spec)
+    allocator = make_effectiveness(scenario, vehicle, spec)
     thrusts = allocator.solve_hover((0.0, 0.0, 0.0))[0]
     rows = []
-    for hinge, move in zip(vehicle.hinges, allocator.split(index)[0][len(vehicle.jets) :], strict=False):
+    for hinge, move in zip(vehicle.hinges, allocator.unit_changes(index)[0][len(vehicle.jets) :], strict=False):
         moment = np.zeros(3)
         for jet in hinge.carries:
-            throttle = np.interp(thrusts[jet - 1], spec.rising.thrust, spec.rising.throttle)
+            throttle = np.interp(thrusts[jet - 1], spec.rising_curve.thrust, spec.rising_curve.throttle)
             with make_bank([spec], T) as bank:
                 momentum = vehicle.jets[jet - 1].spin * spec.rotor_inertia * bank.reset(float(throttle)).spool_speed[0]
             moment -= momentum * np.cross(hinge.axis, UP)
@@ -113,15 +115,15 @@ def leads(aircraft: str, index: int) -> Array:
 def test_rotors_that_hinges_turn_lead_by_their_momentum() -> None:
     """The trijet's tilts against each other balance the vanes' push; its spools turn against each other too."""
     vehicle, spec, _ = plants("trijet")
-    allocator = effectiveness_of(*_hover("trijet"))
+    allocator = make_effectiveness(*_hover("trijet"))
     for index, samples in ((0, 6.4453), (1, 0.0), (2, 0.9649)):  # of the delay ledger
-        parts = hinged_parts(vehicle, allocator, index, spec, T)
+        parts = list_hinged_parts(vehicle, allocator, index, spec, T)
         tilts = next(part for part in parts if part.servos[:1] == (vehicle.hinges[0],))
         assert tilts.lead_s == pytest.approx(leads("trijet", index).sum(), rel=1e-4, abs=1e-9)
         # the ledger has each station's own engine, and the fan's share of the thrusts is another one
         assert sum(part.lead_s for part in parts) == pytest.approx(samples * T, rel=2e-3, abs=1e-4 * T)
     quadjet, spec, _ = plants("quadjet")  # what its hinges turn is a nozzle, and no spool
-    parts = hinged_parts(quadjet, effectiveness_of(*_hover("quadjet")), 0, spec, T)
+    parts = list_hinged_parts(quadjet, make_effectiveness(*_hover("quadjet")), 0, spec, T)
     assert max(abs(part.lead_s) for part in parts) < 1e-9
 
 
@@ -147,9 +149,9 @@ def test_a_channel_by_hinges_of_several_lags_is_their_sum(aircraft: str, axis: s
     scenario, _, _ = _hover(aircraft)
     moves, effects = (
         np.array(column[len(vehicle.jets) :])
-        for column in effectiveness_of(scenario, vehicle, spec).unit_changes(index)
+        for column in make_effectiveness(scenario, vehicle, spec).unit_changes(index)
     )
-    lead, kick = leads(aircraft, index), hinge_kicks(vehicle, T)[:, index]
+    lead, kick = leads(aircraft, index), compute_hinge_reactions(vehicle, T)[:, index]
     grid = FrequencyGrid(channel)
     back, whole, shares = 1.0 / grid.z, np.zeros(len(grid.z), complex), 0.0
     for k, hinge in enumerate(vehicle.hinges):
@@ -189,11 +191,11 @@ def test_what_is_given_beside_is_carried() -> None:
     channel = of["pitch"]
     assert channel.by_servo
     scenario, _, _ = _hover("trijet")
-    moves, effects = effectiveness_of(scenario, vehicle, spec).unit_changes(1)
+    moves, effects = make_effectiveness(scenario, vehicle, spec).unit_changes(1)
     jets = len(vehicle.jets)
     by_thrust = sum(m * e for m, e in zip(moves[:jets], effects[:jets], strict=True))
     engine = of["altitude"].actuator.dynamics
-    kick = sum(m * k for m, k in zip(moves[jets:], hinge_kicks(vehicle, T)[:, 1], strict=True))
+    kick = sum(m * k for m, k in zip(moves[jets:], compute_hinge_reactions(vehicle, T)[:, 1], strict=True))
     hertz = np.array([0.3, 0.5, 2.0, 4.0, 10.0])
     s = 2j * np.pi * hertz
     hold = np.exp(-s * T / 2)  # of both the same to the share that counts here
@@ -290,7 +292,7 @@ def test_a_doublet_with_the_design_is_what_it_promises(aircraft: str) -> None:
     """Flown with noise and the engines themselves: overshoot and settling of roll.  Long."""
     path = ROOT / "aircraft" / aircraft / "design.toml"
     promised = read_controller(path, aircraft).design.axes["roll"]
-    run = fly(with_controller(f"{aircraft}-roll-doublet", path, ["expect=[]"]), report=False)
+    run = fly(apply_controller(f"{aircraft}-roll-doublet", path, ["expect=[]"]), report=False)
     assert run.outcome == "completed"
     roll = run.metrics["roll"]
     assert roll.overshoot_percent is not None

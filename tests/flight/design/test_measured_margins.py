@@ -31,7 +31,7 @@ from cosim.design.tune import FINE
 from cosim.engine import EngineSpec, load_engine
 from cosim.engine.bank import EngineBank
 from cosim.simulation.build import build
-from cosim.simulation.controllers.controller_file import with_controller
+from cosim.simulation.controllers.controller_file import apply_controller
 from cosim.spec.vehicle import Vehicle, engine_of, load_vehicle
 
 DESIGNS = ROOT / "tests" / "designs"
@@ -252,7 +252,7 @@ def test_what_is_added_is_read_as_itself_and_other_axes_are_left_alone(aircraft:
 def test_three_designs_are_measured_as_they_are_computed(design: str) -> None:
     scenario = QUIET
     if design != "shipped":
-        scenario = with_controller("hover", DESIGNS / f"{design}.toml", [f"engine={design}", "sensor_noise=false"])
+        scenario = apply_controller("hover", DESIGNS / f"{design}.toml", [f"engine={design}", "sensor_noise=false"])
     found = measure_margins(scenario, ["roll"], **SHORT, to_hz=100.0)
     roll = found.axes["roll"]
     assert not found.uncomputed

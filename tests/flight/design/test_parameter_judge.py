@@ -49,24 +49,24 @@ LOST = [
 def test_what_loses_the_vehicle_is_unstable(aircraft: str, name: str, value: float | None, axis: str) -> None:
     """``value`` None: the most that it may be."""
     judge, default, most = judged(aircraft)
-    assert judge.concerns(name)
+    assert judge.tunes_loop(name)
     after = {**default, name: most[name] if value is None else value}
-    (caution,) = judge.cautions(default, after)
+    (caution,) = judge.find_cautions(default, after)
     assert (caution.axis, caution.unstable, caution.was_stable) == (axis, True, True)
     assert caution.text == f"{axis}: the loop is unstable"
-    assert judge.cautions(after, default) == []  # the way back is open
+    assert judge.find_cautions(after, default) == []  # the way back is open
 
 
 @pytest.mark.parametrize("aircraft", ["hexjet", "hexjet-p220", "quadrotor", "jetwing"])
 def test_a_little_more_or_less_of_a_gain_is_taken_without_a_word(aircraft: str) -> None:
     judge, default, _ = judged(aircraft)
-    names = [name for name in default if judge.concerns(name) and name not in ("HJ_PRED_TYPE", "HJ_PRED_DELAY")]
+    names = [name for name in default if judge.tunes_loop(name) and name not in ("HJ_PRED_TYPE", "HJ_PRED_DELAY")]
     assert len(names) > 12
     for name in names:
         for factor in (0.95, 1.05):
-            assert judge.cautions(default, {**default, name: factor * default[name]}) == [], (name, factor)
+            assert judge.find_cautions(default, {**default, name: factor * default[name]}) == [], (name, factor)
     for name in ("HJ_LEAN_MAX", "HJ_FUEL_LOW", "MPC_XY_VEL_MAX", "HJ_RLIM_ROLL"):
-        assert not judge.concerns(name)
+        assert not judge.tunes_loop(name)
 
 
 @pytest.mark.parametrize("axis", ["pitch", "yaw"])
@@ -85,7 +85,7 @@ def test_the_verdict_turns_at_the_gain_margin_of_the_loop(axis: str) -> None:
             **default,
             **{f"HJ_{axis.upper()}_{term}": factor * default[f"HJ_{axis.upper()}_{term}"] for term in "PID"},
         }
-        (caution,) = judge.cautions(default, after)
+        (caution,) = judge.find_cautions(default, after)
         assert caution.unstable is unstable
         if not unstable:
             assert caution.text.startswith(f"{axis}: gain margin 0.1 dB")
@@ -96,32 +96,32 @@ def test_the_height_is_judged_whatever_the_controller(controller: str) -> None:
     scenario = Scenario.load("hover").replace(controller=controller)
     judge, (_, default, _) = LoopJudge(scenario), judged("hexjet")
     judge.prepare()
-    assert judge.concerns("HJ_ALT_P")
+    assert judge.tunes_loop("HJ_ALT_P")
     for name, value, text in (
         ("HJ_ALT_P", 0.0, "a gain of 0: nothing brings it back"),
         ("HJ_CLIMB_P", 0.0, "the loop is unstable"),
         ("HJ_CLIMB_P", 10.0 * default["HJ_CLIMB_P"], "the loop is unstable"),
     ):
         after = {**default, name: value, "HJ_PRED_TYPE": kind_of(controller, default)}
-        (caution,) = judge.cautions({**after, name: default[name]}, after)
+        (caution,) = judge.find_cautions({**after, name: default[name]}, after)
         assert caution == ("altitude", True, True, f"altitude: {text}")
 
 
 @pytest.mark.parametrize("controller", ["own", "lqg", "mpc"])
 def test_a_law_from_outside_leaves_the_height_alone_to_judge(controller: str) -> None:
     judge = LoopJudge(Scenario.load("hover").replace(controller=controller))
-    assert not judge.concerns("HJ_ROLL_P")
-    assert not judge.concerns("HJ_ATT_YAW")
+    assert not judge.tunes_loop("HJ_ROLL_P")
+    assert not judge.tunes_loop("HJ_ATT_YAW")
 
 
 def test_a_predictor_without_a_response_leaves_the_other_axes_to_judge() -> None:
     judge, (_, default, _) = LoopJudge(Scenario.load("hover").replace(controller="state")), judged("hexjet")
     before = {**default, "HJ_PRED_TYPE": kind_of("state", default)}
-    assert judge.cautions(before, {**before, "HJ_ROLL_P": 0.0}) == []
-    (caution,) = judge.cautions(before, {**before, "HJ_PITCH_P": 0.0})
+    assert judge.find_cautions(before, {**before, "HJ_ROLL_P": 0.0}) == []
+    (caution,) = judge.find_cautions(before, {**before, "HJ_PITCH_P": 0.0})
     assert (caution.axis, caution.was_stable) == ("pitch", True)
     # from what cannot be computed to what is unstable
-    (lost,) = judge.cautions({**before, "HJ_ROLL_P": 0.0}, {**default, "HJ_ROLL_P": 0.0})
+    (lost,) = judge.find_cautions({**before, "HJ_ROLL_P": 0.0}, {**default, "HJ_ROLL_P": 0.0})
     assert (lost.axis, lost.was_stable) == ("roll", True)
 
 

@@ -52,10 +52,10 @@ def pushed(flown: Scenario, fault: ThrustLoss | None = None) -> Iterator[Any]:
         propulsion, frame = simulation.propulsion, simulation.airframe
         propulsion.reset(THROTTLE, simulation.state, ZERO3)
         if fault is not None:
-            propulsion.engines.begin(fault)
+            propulsion.engines.begin_fault(fault)
         for k in range(100):
             forces, moment = propulsion.step(k, Actuation(THROTTLE, TILT, Unallocated()), simulation.state)
-        frame.step(forces, simulation.disturber.at(0), moment)
+        frame.step(forces, simulation.disturbances.at(0), moment)
         yield simulation, np.array(propulsion.output.thrust), propulsion.tilt, np.array(forces), np.array(moment)
 
 
@@ -127,4 +127,4 @@ def test_what_is_none_is_refused(lines: tuple[str, ...], said: str, fmu: Path) -
 def test_a_torque_is_never_guessed(fmu: Path) -> None:
     """That of most engines is their shaft's, which the airframe does not feel."""
     spec = load_engine(str(mapped(fmu, "[ports]", "thrust = 'thrust'")), {}, STEP, unchecked=True)
-    assert not any(spec.has(port) for port in ("force_forward", "force_right", "torque"))
+    assert not any(spec.has_port(port) for port in ("force_forward", "force_right", "torque"))

@@ -21,17 +21,17 @@ from cosim.engine import (
     CheckReport,
     build_engines,
     check_fmu,
-    engine_names,
+    list_engine_names,
     load_engine,
 )
 from cosim.engine.library import build_all
 from cosim.engine.response import (
     Hold,
     ResponseError,
+    measure_static_curve,
+    measure_step_response,
     settle,
-    static_curve,
-    step_response,
-    window_for,
+    settling_window,
 )
 from cosim.results.report.engine_check import write_check
 
@@ -44,14 +44,14 @@ def _built() -> None:
 @pytest.fixture(scope="module")
 def reports() -> Iterator[Mapping[str, Future[CheckReport]]]:
     """Every engine of the library in both versions of FMI, two checks at a time."""
-    names = [name + suffix for name in engine_names() for suffix in ("", "-fmi2")]
+    names = [name + suffix for name in list_engine_names() for suffix in ("", "-fmi2")]
     with ThreadPoolExecutor(2) as pool:
         yield {name: pool.submit(check_fmu, name) for name in names}
         pool.shutdown(cancel_futures=True)
 
 
 @pytest.mark.parametrize("suffix", ["", "-fmi2"])
-@pytest.mark.parametrize("name", engine_names())
+@pytest.mark.parametrize("name", list_engine_names())
 def test_the_library_is_sound(name: str, suffix: str, reports: Mapping[str, Future[CheckReport]]) -> None:
     report = reports[name + suffix].result()
     assert (report.ok, report.problems, report.notes) == (True, [], [])
@@ -251,7 +251,7 @@ def engine(law: Callable[[float, int], float], lag: float = 0.9, delay: int = 0)
 
 @pytest.mark.parametrize("delay", [0, 1, 63, 64, 65, 700])
 def test_any_delay_is_measured(delay: int) -> None:
-    response = step_response(engine(lambda u, k: 10.0 * u, delay=delay), 0.0, 1.0, STEP)
+    response = measure_step_response(engine(lambda u, k: 10.0 * u, delay=delay), 0.0, 1.0, STEP)
     assert response.delay == delay
     assert response.after == pytest.approx(10.0, abs=1e-7)
     # ln 9 time constants, as far as straight lines between samples follow the exponential
@@ -261,8 +261,8 @@ def test_any_delay_is_measured(delay: int) -> None:
 def test_a_curve_with_an_idle_thrust() -> None:
     hold = engine(lambda u, k: 3.0 + 5.0 * u * u)
     assert settle(hold, 0.0, 50, STEP) == pytest.approx(3.0)
-    step_response(hold, 3.0, 1.0, STEP)
-    curve = static_curve(hold, window_for(0), STEP)
+    measure_step_response(hold, 3.0, 1.0, STEP)
+    curve = measure_static_curve(hold, settling_window(0), STEP)
     np.testing.assert_allclose(curve.thrust, 3.0 + 5.0 * np.square(curve.throttle), atol=1e-7)
 
 
@@ -271,15 +271,15 @@ def test_an_engine_that_never_stands_still() -> None:
     with pytest.raises(ResponseError, match=r"thrust does not settle within 180 s at throttle 0\.5"):
         settle(hold, 0.5, 50, STEP)
     with pytest.raises(ResponseError, match="does not settle"):
-        step_response(hold, 0.0, 1.0, STEP)
+        measure_step_response(hold, 0.0, 1.0, STEP)
 
 
 def test_an_engine_that_never_answers() -> None:
     with pytest.raises(ResponseError, match="thrust does not answer the throttle within 10 s"):
-        step_response(engine(lambda u, k: 2.0), 2.0, 1.0, STEP)
+        measure_step_response(engine(lambda u, k: 2.0), 2.0, 1.0, STEP)
 
 
 def test_an_engine_that_comes_back_to_where_it_was() -> None:
     hold = engine(lambda u, k: 1.0 if 20 < k < 40 else 0.0)
     with pytest.raises(ResponseError, match="thrust is the same at throttle 0 and 1"):
-        step_response(hold, 0.0, 1.0, STEP)
+        measure_step_response(hold, 0.0, 1.0, STEP)

@@ -66,7 +66,7 @@ def test_a_clocked_throttle_is_taken_at_the_ticks(stated: str, period: float, st
     own = load(foreign(place, f"own-{period}", made_of + (f",sampled={period}" if period > STEP else ""), None, 3))
     # a run-up begins a flight where it ends, at a multiple of neither
     for each in (spec, own):
-        assert each.window % 5 == own.window % 5
+        assert each.settling_window % 5 == own.settling_window % 5
     assert thrusts(spec) == thrusts(own)
 
 
@@ -75,7 +75,7 @@ def test_several_engines_take_their_throttles_at_one_tick(place: Path) -> None:
     rows: list[Row] = [("u", "throttles", "input", stated), ARRAYS[1], clock('intervalDecimal="0.02"')]
     path = foreign(place, "six", "lag=0.1,clocked=0.02,strict=1,engines=6", rows, 3, EVENTS)
     spec = load(mapped(path, "[ports]", "throttle = 'u[*]'", "thrust = 'F[*]'"))
-    assert [round(other.curve.thrust[-1], 6) for other in spec.others] == [20.0] * 5
+    assert [round(other.curve.thrust[-1], 6) for other in spec.siblings] == [20.0] * 5
     assert len(set(thrusts(spec, 20, 6)[-1])) == 6
 
 

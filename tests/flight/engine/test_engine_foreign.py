@@ -40,20 +40,20 @@ from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient
 from cosim.base.storage.toml import parse_setting
 from cosim.cli.main import main
-from cosim.codegen.vectors import record
+from cosim.codegen.vectors import record_vectors
 from cosim.codegen.vehicle_ports import ExportedFlight, VehicleContents
 from cosim.control.autopilot import requests as rq
 from cosim.design.survey import FLIES, MARK, NONE, REFUSED, UNFIT, describe_design
 from cosim.engine import EngineBank, EngineSpec, load_engine
 from cosim.engine.fmu.air import Air
 from cosim.engine.fmu.archive import read_archive, validate
-from cosim.engine.fmu.description import is_blemish
+from cosim.engine.fmu.description import is_harmless_violation
 from cosim.engine.make.compile import compile_archive, needs_compiling
-from cosim.engine.response import flat_notes
+from cosim.engine.response import note_flat_ends
 from cosim.results.log.digest import log_digest
 from cosim.results.report import marks
 from cosim.simulation.build import build
-from cosim.simulation.delay_ledger import LedgerRow, delay_ledger, rows_of
+from cosim.simulation.delay_ledger import LedgerRow, make_delay_ledger, select_axis
 from cosim.spec.vehicle import load_vehicle
 
 
@@ -79,8 +79,8 @@ BLEMISHED = {
 def test_a_blemish_that_no_step_depends_on_is_listed_and_read_over(what: str, place: Path) -> None:
     change, said = BLEMISHED[what]
     archive = read_archive(foreign(place, "blemished", "lag=0.2", [lever(), force(), SWITCH], change=change))
-    assert any(re.search(said, text) for text in archive.blemishes)
-    assert all(is_blemish(text) for text in archive.blemishes)
+    assert any(re.search(said, text) for text in archive.harmless_violations)
+    assert all(is_harmless_violation(text) for text in archive.harmless_violations)
     assert archive.thrust.name == "thrust"
     assert archive.ports["thrust"].scale == (9.80665 if "kgf" in change[1] else 1.0)
 
@@ -93,7 +93,7 @@ def test_dependencies_are_nobodys_business_here(place: Path) -> None:
     )
     complaints = validate(foreign(place, "dependencies", "lag=0.2", change=wrong).read_bytes())
     assert complaints
-    assert all(is_blemish(text) for text in complaints)
+    assert all(is_harmless_violation(text) for text in complaints)
 
 
 DANGEROUS = {
@@ -243,7 +243,7 @@ def test_an_engine_is_started_before_anything_is_asked_of_it(fmi: int, place: Pa
         load(path)
     spec = load(path, "[start]", CRANK)
     assert spec.curve.thrust[-1] == pytest.approx(FULL)
-    assert spec.window < 100  # the start is no dead time
+    assert spec.settling_window < 100  # the start is no dead time
     with EngineBank(spec, 2, STEP) as bank:
         assert bank.reset(0.4).thrust == pytest.approx((8.0, 8.0))
         up = [bank.step(k, (1.0, 0.4)).thrust for k in range(25)]
@@ -265,10 +265,10 @@ def test_a_start_in_flight_is_that_before_it_step_by_step(quick_crank: Path) -> 
         for _ in range(2):  # a second flight begins cold too
             cold = bank.reset(0.4)
             assert cold.thrust[0] == 0.0 < cold.thrust[1]
-            assert (bank.starting, bank.shown) == ((1,), (1.0, 0.0))
+            assert (bank.starting_engines, bank.shown) == ((1,), (1.0, 0.0))
             assert [column.name for column in bank.columns] == ["starting_1", "starting_2"]
             k = 0
-            while bank.starting:
+            while bank.starting_engines:
                 assert bank.step(k, (1.0, 0.4)).thrust == (0.0, cold.thrust[1])  # the other has none, and runs
                 k += 1
             assert k == pytest.approx(0.3 / STEP, abs=2)
@@ -279,7 +279,7 @@ def test_a_start_in_flight_is_that_before_it_step_by_step(quick_crank: Path) -> 
         bank.set_run(0, False)
         bank.set_run(0, True)
         assert {bank.step(k, (1.0, 0.4)).thrust[0] for k in range(200)} == {0.0}
-        assert bank.starting == (1,)  # shut off meanwhile: it does not start any more
+        assert bank.starting_engines == (1,)  # shut off meanwhile: it does not start any more
 
 
 def on_the_ground(engine: Path | str, duration_s: float, **more: object) -> Scenario:
@@ -347,7 +347,7 @@ def test_who_cannot_start_in_flight_is_told(quick_crank: Path) -> None:
     with pytest.raises(InputError, match="an exported vehicle cannot"):
         ExportedFlight(on_the_ground(quick_crank, 1.0), VehicleContents(), lambda: None)
     with build(on_the_ground(quick_crank, 1.0)) as simulation, pytest.raises(InputError, match="is not exported"):
-        record(simulation)
+        record_vectors(simulation)
     with pytest.raises(InputError, match=r"engine_start.*initial.on_ground = true"):
         on_the_ground(quick_crank, 1.0, initial={})
     with pytest.raises(InputError, match=r"edf has no start; state one in \[start\]"):
@@ -407,10 +407,10 @@ def test_the_air_in_other_words(place: Path) -> None:
         (0.0, 101325.0, 288.15, 1.225), (2000.0, 79501.4, 275.15, 1.00655), (11000.0, 22632.0, 216.65, 0.363918),
         (15000.0, 12044.6, 216.65, 0.193674),
     ):  # fmt: skip
-        derived = Air(pressure, temperature, 0.0).derived()
+        derived = Air(pressure, temperature, 0.0).derive()
         assert derived["altitude"] == pytest.approx(height, abs=1.0)
         assert derived["density"] == pytest.approx(density, rel=2e-5)
-    fast = Air(101325.0, 288.15, 340.294).derived()  # the speed of sound there
+    fast = Air(101325.0, 288.15, 340.294).derive()  # the speed of sound there
     assert fast["mach"] == pytest.approx(1.0, rel=1e-5)
     assert fast["total_pressure"] == pytest.approx(101325.0 * 1.2**3.5)  # 1.892929 at Mach 1
     assert fast["total_temperature"] == pytest.approx(1.2 * 288.15)
@@ -419,7 +419,7 @@ def test_the_air_in_other_words(place: Path) -> None:
     spec = load(foreign(place, "deck", "lag=0.02,air=1", rows))
     assert {"mach", "density", "altitude"} <= set(spec.ports)
     air = Air(79501.4, 275.15, 100.0)
-    derived = air.derived()
+    derived = air.derive()
     with EngineBank(spec, 1, STEP) as bank:
         bank.reset(1.0)
         for k in range(200):
@@ -434,8 +434,8 @@ def test_a_throttle_that_does_nothing_at_its_end_is_not_used_there(
     made_of: str, ends: tuple[float, float], place: Path
 ) -> None:
     spec = load(foreign(place, "flat", made_of))
-    assert (spec.rising.throttle[0], spec.rising.throttle[-1]) == ends
-    assert bool(flat_notes(spec.curve)) == (ends != (0.0, 1.0))
+    assert (spec.rising_curve.throttle[0], spec.rising_curve.throttle[-1]) == ends
+    assert bool(note_flat_ends(spec.curve)) == (ends != (0.0, 1.0))
 
 
 @pytest.mark.parametrize("key", ["engine_parameters.emf.k", "stations.3.parameters.emf.k", "engine_parameters.'emf.k'"])
@@ -536,7 +536,7 @@ def test_the_delay_ledger_has_what_was_measured(place: Path, tmp_path: Path) -> 
 
     def rows(engine: str) -> list[LedgerRow]:
         spec = load_engine(engine, {}, 0.004, unchecked=True)
-        ledger = rows_of(delay_ledger(scenario, vehicle, [spec] * 6, allocator), "roll")
+        ledger = select_axis(make_delay_ledger(scenario, vehicle, [spec] * 6, allocator), "roll")
         return [row for row in ledger if row.owner.startswith("engine ")]
 
     copied = shutil.copy(load_engine("edf-as-flown", {}, 0.004).path, tmp_path / "mine.fmu")

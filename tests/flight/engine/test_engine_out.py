@@ -45,7 +45,7 @@ from cosim.campaign.surveys.lean_bound import (
 )
 from cosim.campaign.surveys.survey import load_subject
 from cosim.control.autopilot import requests as rq
-from cosim.engine import EngineBank, engine_names, load_engine
+from cosim.engine import EngineBank, list_engine_names, load_engine
 from cosim.flight import fly
 from cosim.results.report.marks import parts_of
 from cosim.simulation.build import build
@@ -114,7 +114,7 @@ def test_the_bound_with_idle_in_place_of_the_allocations_least_is_the_pages() ->
     stated("docs/faults.md", sentence, 100.0 * least_throttle, *bounds)
 
 
-@pytest.mark.parametrize("engine", [name for name in engine_names() if name not in NOT_A_JET])
+@pytest.mark.parametrize("engine", [name for name in list_engine_names() if name not in NOT_A_JET])
 def test_no_throttles_take_an_engine_out_of_the_strip_of_its_two_extremes(engine: str) -> None:
     """What the bound rests on: full and least throttle are the fastest up and down, whatever else is tried."""
     spec = load_engine(engine, {}, STEP_S)
@@ -436,7 +436,7 @@ def test_the_pages_have_every_engine_at_every_station(tmp_path: Path) -> None:
             flown = [line for line in parts["engine-out"].splitlines() if line.startswith(f"| {name} |")]
             left = [line for line in parts["engine-out-left"].splitlines() if line.startswith(f"| {name} |")]
             engines = {line.split(" | ")[1] for line in (*flown, *left)}
-            assert engines == {each for each in engine_names() if each not in NOT_A_JET}, (page, name)
+            assert engines == {each for each in list_engine_names() if each not in NOT_A_JET}, (page, name)
             assert len(flown) == len(MEANS) * (len(engines) - len(left))
             for line in flown:
                 assert line.count("°") >= 8, line  # six stations, two bounds
@@ -453,10 +453,10 @@ def test_what_the_pages_text_says() -> None:
     text = (DOCS / "faults.md").read_text(encoding="utf-8")
     law = load_engine("p220", {}, STEP_S).flame_out
     assert law is not None
-    for key, value in (("thrust_left", law.left), ("run_down_s", law.run_down), ("exponent", law.exponent)):
+    for key, value in (("thrust_left", law.thrust_left), ("run_down_s", law.half_speed_s), ("exponent", law.exponent)):
         assert f"{key} = {value:.2f} " in text
-    assert f"relight_s = {law.relight:.1f} " in text
-    left = [100.0 * law.left * (1.0 + t / law.run_down) ** -law.exponent for t in (0.0, 0.1, 0.25)]
+    assert f"relight_s = {law.relight_s:.1f} " in text
+    left = [100.0 * law.thrust_left * (1.0 + t / law.half_speed_s) ** -law.exponent for t in (0.0, 0.1, 0.25)]
     assert "{:.0f} % are left at once, {:.0f} % after 0.1 s, {:.0f} % after 0.25 s".format(*left) in text
     throttles = {}
     for page in PAGES:

@@ -15,7 +15,7 @@ from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient
 from cosim.engine import EngineBank, EngineSpec, IsolatedBank, load_engine
 from cosim.engine.qualify import check
-from cosim.engine.qualify.trial import perform
+from cosim.engine.qualify.trial import run_task
 from cosim.results.log.digest import log_digest
 from cosim.stepper import Stepper
 
@@ -36,7 +36,7 @@ def load(path: Path, *lines: str) -> EngineSpec:
 
 
 def all_six(spec: EngineSpec) -> list[EngineSpec]:
-    return [spec.at(station) for station in range(6)]
+    return [spec.at_station(station) for station in range(6)]
 
 
 def throttles(steps: int) -> list[tuple[float, ...]]:
@@ -85,7 +85,7 @@ def test_two_instances_and_a_stranger_between(place: Path) -> None:
     rows = [*SIX[:2], *SIX[6:8]]
     spec = load(foreign(place, "two", "lag=0.05,engines=2,coupled=0.5", rows), *NUMBERED)
     other = load_engine("edf", {}, STEP)
-    stations = [spec.at(0), spec.at(1), other, spec.at(3)]
+    stations = [spec.at_station(0), spec.at_station(1), other, spec.at_station(3)]
     with EngineBank(stations, 4, STEP) as bank:
         assert len(bank._instances) == 3
         thrust = bank.reset(0.5).thrust
@@ -121,7 +121,7 @@ def test_what_is_one_for_all_is_told_to_all(place: Path) -> None:
     """Density and pressure are everybody's; of the air speed, which is each intake's, an input for all has the mean."""
     air: list[Row] = [("rho", "density", "input", 'unit="kg/m3" start="1"'), ("Mn", "mach", "input", 'start="0"')]
     spec = load(foreign(place, "deck", "lag=0.02,air=1,engines=6", [*SIX, *air]), *NUMBERED)
-    assert spec.archive.one_speed
+    assert spec.archive.has_shared_air_speed
     speeds = (0.0, 10.0, 20.0, 30.0, 40.0, 20.0)
     with EngineBank(all_six(spec), 6, STEP) as bank:
         bank.reset(0.5)
@@ -160,13 +160,13 @@ def test_it_flies_with_columns_a_fault_and_in_a_process_of_its_own(flyable: Path
 def test_the_check_tries_two_instances_of_it(place: Path) -> None:
     said: list[dict[str, object]] = []
     path = mapped(foreign(place, "checked", "lag=0.1,engines=6,coupled=0.2", SIX), *NUMBERED)
-    perform(
+    run_task(
         {"name": str(path), "parameters": {}, "step": STEP, "parts": ("measure", "repeat", "together", "reset")},
         said.append,
     )
     found = {each["of"]: each for each in said if "of" in each}
     assert [each["problems"] for each in found.values()] == [[]] * 4
-    measured = check.measurement_json().validate_python(found["measure"]["found"]["measured"])  # type: ignore[index]
+    measured = check.make_measurement_adapter().validate_python(found["measure"]["found"]["measured"])  # type: ignore[index]
     assert len(measured.others) == 5
     report, _ = check._check(str(path), STEP, {}, check.LIMITS, ("start",))
     said_of = dict(report.lines())

@@ -34,8 +34,8 @@ from cosim.identify.sweep.fit import counts
 from cosim.identify.sweep.response import FrequencyResponse
 from cosim.identify.sweep.result import equation, fit_rows, low_frequency_delay, note_off_ledger, rate_response
 from cosim.identify.sweep.verdict import MISFIT, why_refused
-from cosim.simulation.controllers.models import models_of
-from cosim.simulation.script.commander import sweep
+from cosim.simulation.controllers.models import find_models
+from cosim.simulation.script.commander import make_sweep
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import RateModel, load_vehicle, read_models
 
@@ -51,7 +51,7 @@ PAPER_G = RateModel(
 
 def chirp(low: float, high: float, seconds: float, rest: float, amplitude: float = 1.0) -> Array:
     lead, length = 20, round(seconds / STEP)
-    wave = sweep(STEP, lead, length, amplitude, low, high)
+    wave = make_sweep(STEP, lead, length, amplitude, low, high)
     return np.array([wave(k) for k in range(lead + length + round(rest / STEP))])
 
 
@@ -591,10 +591,10 @@ def test_a_model_is_not_inherited_by_another_file_of_the_same_name(tmp_path: Pat
     found = replace(found, engine_sha256=kestrel.fingerprint)
     vehicle, _ = load_vehicle("hexjet", {"identified": found.model_table()["identified"]}, "test")
     assert kestrel.family == other.family == "kestrel.toml"
-    assert models_of(vehicle, kestrel)["roll"].engine_sha256 == kestrel.fingerprint
+    assert find_models(vehicle, kestrel)["roll"].engine_sha256 == kestrel.fingerprint
     with pytest.warns(Notice, match="is of another kestrel.toml .*: left out"):
-        assert models_of(vehicle, other) == {}
+        assert find_models(vehicle, other) == {}
     old = replace(found, engine_sha256="").model_table()["identified"]
     assert "engine_sha256" not in old["kestrel.toml"]["roll"]
     with pytest.warns(Notice, match="states no hash: .* is not verified"):
-        assert set(models_of(load_vehicle("hexjet", {"identified": old}, "test")[0], other)) == {"roll"}
+        assert set(find_models(load_vehicle("hexjet", {"identified": old}, "test")[0], other)) == {"roll"}

@@ -25,13 +25,13 @@ from cosim.campaign.surveys.faults import LOSS, Case, Limit, cases, scenario_of,
 from cosim.campaign.surveys.survey import load_subject, measure_flight
 from cosim.control.allocation.engine_monitor import EngineMonitor, EngineReference
 from cosim.engine import EngineBank, load_engine
-from cosim.engine.rundown import ELECTRIC, OWN, FlameOutLaw
+from cosim.engine.rundown import ELECTRIC, MODELLED, FlameOutLaw
 from cosim.engine.wrappers import EngineChain
 from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.simulation.controllers.source import Source
-from cosim.simulation.engine_reference import engine_reference
+from cosim.simulation.engine_reference import make_engine_reference
 from cosim.simulation.script.fault_schedule import NEVER
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import (
@@ -102,8 +102,8 @@ def ramp(engines: EngineChain, steps: int) -> list[EngineOutput]:
 def test_a_stuck_throttle_stays_at_its_first_command_or_where_told() -> None:
     bank = Bank()
     engines = faulty(bank)
-    engines.begin(StuckThrottle(kind="stuck_throttle", start_s=0.0, jet=[2]))
-    engines.begin(StuckThrottle(kind="stuck_throttle", start_s=0.0, jet=[5], throttle=0.8))
+    engines.begin_fault(StuckThrottle(kind="stuck_throttle", start_s=0.0, jet=[2]))
+    engines.begin_fault(StuckThrottle(kind="stuck_throttle", start_s=0.0, jet=[5], throttle=0.8))
     ramp(engines, 4)
     assert [each[1] for each in bank.given] == [0.1] * 4
     assert [each[4] for each in bank.given] == [0.8] * 4
@@ -113,7 +113,7 @@ def test_a_stuck_throttle_stays_at_its_first_command_or_where_told() -> None:
 def test_a_grown_delay_holds_the_first_command_until_late_ones_arrive() -> None:
     bank = Bank()
     engines = faulty(bank)
-    engines.begin(DelayGrowth(kind="delay_growth", start_s=0.0, jet=[1], delay_s=3 * STEP))
+    engines.begin_fault(DelayGrowth(kind="delay_growth", start_s=0.0, jet=[1], delay_s=3 * STEP))
     ramp(engines, 7)
     assert [each[0] for each in bank.given] == pytest.approx([0.1, 0.1, 0.1, 0.1, 0.11, 0.12, 0.13])
 
@@ -121,7 +121,7 @@ def test_a_grown_delay_holds_the_first_command_until_late_ones_arrive() -> None:
 def test_a_slow_spool_is_a_first_order_lag() -> None:
     bank = Bank()
     engines = faulty(bank)
-    engines.begin(SlowSpool(kind="slow_spool", start_s=0.0, jet=[3], lag_s=0.02))
+    engines.begin_fault(SlowSpool(kind="slow_spool", start_s=0.0, jet=[3], lag_s=0.02))
     engines.step(0, (0.2,) * 6)
     for k in range(1, 11):
         engines.step(k, (0.7,) * 6)
@@ -131,11 +131,11 @@ def test_a_slow_spool_is_a_first_order_lag() -> None:
 def test_a_weak_engine_misses_a_share_of_its_thrust_and_the_root_of_it_in_speed() -> None:
     engines = faulty(Bank())
     loss = ThrustLoss(kind="thrust_loss", start_s=0.0, jet=[4], share=0.36)
-    engines.begin(loss)
+    engines.begin_fault(loss)
     output = engines.step(0, (0.5,) * 6)
     assert output.thrust == pytest.approx((5.0, 5.0, 5.0, 3.2, 5.0, 5.0))
     assert output.spool_speed[3] == pytest.approx(80.0)
-    engines.end(loss)
+    engines.end_fault(loss)
     assert engines.step(1, (0.5,) * 6).thrust == (5.0,) * 6
 
 
@@ -143,14 +143,14 @@ def test_a_fan_without_current_dies_away_along_its_lag_and_comes_back() -> None:
     bank = Bank()
     engines = faulty(bank, lag=0.05)
     out = FlameOut(kind="flame_out", start_s=0.0, jet=[1])
-    engines.begin(out)
+    engines.begin_fault(out)
     for k in range(10):
         output = engines.step(k, (0.5,) * 6)
     assert bank.given[-1] == (0.0, 0.5, 0.5, 0.5, 0.5, 0.5)
     assert output.thrust[0] == 0.0
     assert output.fuel_flow[:2] == (0.0, 1e-3)
     assert output.spool_speed[0] == pytest.approx(100.0 * sqrt(exp(-10 * STEP / 0.05)))
-    engines.end(out)
+    engines.end_fault(out)
     for k in range(10, 20):
         output = engines.step(k, (0.5,) * 6)
     left = 1.0 - exp(-10 * STEP / 0.05)
@@ -158,11 +158,11 @@ def test_a_fan_without_current_dies_away_along_its_lag_and_comes_back() -> None:
 
 
 def test_a_turbine_without_a_run_port_goes_out_by_its_law_and_is_lit_again() -> None:
-    law = FlameOutLaw(left=0.4, run_down=1.2, exponent=2.5, relight=20 * STEP)
+    law = FlameOutLaw(thrust_left=0.4, half_speed_s=1.2, exponent=2.5, relight_s=20 * STEP)
     bank = Bank()
     engines = EngineChain(bank, [law] * 6, lambda jet: 1.0, STEP)
     out = FlameOut(kind="flame_out", start_s=0.0, jet=[1])
-    engines.begin(out)
+    engines.begin_fault(out)
     for k in range(10):
         output = engines.step(k, (0.5 + 0.01 * k,) * 6)
         slowed = 1.0 / (1.0 + (k + 1) * STEP / 1.2)
@@ -171,7 +171,7 @@ def test_a_turbine_without_a_run_port_goes_out_by_its_law_and_is_lit_again() -> 
         assert output.spool_speed[0] == pytest.approx(100.0 * slowed, rel=1e-12)
         assert output.fuel_flow[0] == 0.0
     assert [each[0] for each in bank.given[:2]] == [0.5, 0.0]
-    engines.end(out)
+    engines.end_fault(out)
     course = [engines.step(k, (0.6,) * 6).thrust[0] for k in range(10, 40)]
     # the bank's engine gives nothing at throttle 0: it comes back when the start is over, not before
     assert bank.given[10 + 19][0] == 0.0
@@ -193,8 +193,8 @@ def test_the_law_of_a_flame_out_is_that_of_the_gas_path_of_its_class(engine: str
         rows = [bank.step(k, (throttle,)) for k in range(1000)]
     thrust = np.array([row.thrust[0] for row in rows]) / hover.thrust[0]
     speed = np.array([row.spool_speed[0] for row in rows]) / hover.spool_speed[0]
-    slowed = 1.0 / (1.0 + STEP * np.arange(1, 1001) / law.run_down)
-    assert thrust == pytest.approx(law.left * slowed**law.exponent, abs=0.015)
+    slowed = 1.0 / (1.0 + STEP * np.arange(1, 1001) / law.half_speed_s)
+    assert thrust == pytest.approx(law.thrust_left * slowed**law.exponent, abs=0.015)
     assert speed == pytest.approx(slowed, abs=0.03)
     assert thrust[0] < 0.45
 
@@ -219,11 +219,11 @@ def test_how_the_gas_path_goes_out_at_the_ends_of_its_range() -> None:
 
 
 def test_an_engine_shut_off_goes_out_by_its_law_too_and_a_fan_at_once() -> None:
-    law = FlameOutLaw(left=0.4, run_down=1.2, exponent=2.5, relight=13.0)
+    law = FlameOutLaw(thrust_left=0.4, half_speed_s=1.2, exponent=2.5, relight_s=13.0)
     bank = Bank()
     engines = EngineChain(bank, [law, ELECTRIC, *[law] * 4], lambda jet: 0.05, STEP)
-    engines.switch(0, False)
-    engines.switch(1, False)
+    engines.switch_engine(0, False)
+    engines.switch_engine(1, False)
     for k in range(5):
         output = engines.step(k, (0.5,) * 6)
         assert bank.given[-1] == ((0.5 if k == 0 else 0.0), 0.0, 0.5, 0.5, 0.5, 0.5)
@@ -231,7 +231,7 @@ def test_an_engine_shut_off_goes_out_by_its_law_too_and_a_fan_at_once() -> None:
         assert output.thrust[:3] == (pytest.approx(5.0 * 0.4 * slowed**2.5), 0.0, 5.0)
         assert output.spool_speed[:3] == (pytest.approx(100.0 * slowed), 100.0, 100.0)
         assert output.fuel_flow[:3] == (0.0, 0.0, 1e-3)
-    engines.switch(0, True)
+    engines.switch_engine(0, True)
     engines.step(5, (0.5,) * 6)
     assert bank.given[-1][:3] == (0.5, 0.0, 0.5)
 
@@ -247,7 +247,7 @@ def test_in_flight_the_fire_takes_its_thrust_along(aircraft: str) -> None:
     law = load_engine(engine, {}, STEP).flame_out
     assert law is not None
     times = STEP * np.array([1, 26, 63])
-    left = 0.40 * (1.0 + times / law.run_down) ** -law.exponent
+    left = 0.40 * (1.0 + times / law.half_speed_s) ** -law.exponent
     # the first step is still the engine's own
     assert thrust[[50, 75, 112]] / thrust[49] == pytest.approx(left, rel=0.005)
     assert thrust[75] < 0.34 * thrust[49]
@@ -273,7 +273,9 @@ def test_an_engine_of_which_nobody_knows_how_it_goes_out_is_refused_the_fault(tm
         encoding="utf-8",
     )
     with build(flight) as simulation:
-        assert simulation.stations[0].flame_out == FlameOutLaw(left=0.3, run_down=1.0, exponent=2.0, relight=5.0)
+        assert simulation.stations[0].flame_out == FlameOutLaw(
+            thrust_left=0.3, half_speed_s=1.0, exponent=2.0, relight_s=5.0
+        )
     mapping.write_text(f'fmu = "{archive}"\n[flame_out]\nthrust_left = 0.3\n', encoding="utf-8")
     with pytest.raises(InputError, match=r"flame_out: .*state thrust_left, run_down_s, exponent and relight_s"):
         build(flight)
@@ -283,34 +285,34 @@ def test_an_engine_that_can_be_shut_off_is_left_to_its_own_equations() -> None:
     bank = Bank(ports=(0, 1))
     engines = faulty(bank)
     out = FlameOut(kind="flame_out", start_s=0.0, jet=[1])
-    engines.begin(out)
+    engines.begin_fault(out)
     assert engines.step(0, (0.5,) * 6).thrust == (5.0,) * 6
-    engines.end(out)
+    engines.end_fault(out)
     assert bank.runs == [(0, False), (0, True)]
 
 
 def test_an_engine_without_fuel_is_not_lit_again() -> None:
     bank = Bank(ports=(0,))
-    engines = EngineChain(bank, [OWN] * 6, lambda jet: 0.05, STEP)
+    engines = EngineChain(bank, [MODELLED] * 6, lambda jet: 0.05, STEP)
     out = FlameOut(kind="flame_out", start_s=0.0, jet=[1])
-    engines.begin(out)
-    engines.switch(0, False)
-    engines.end(out)
+    engines.begin_fault(out)
+    engines.switch_engine(0, False)
+    engines.end_fault(out)
     assert bank.runs == [(0, False)] * 2
-    engines.switch(0, True)
+    engines.switch_engine(0, True)
     assert bank.runs[-1] == (0, True)
 
 
 def test_an_engine_with_a_fault_is_not_switched_on() -> None:
     bank = Bank(ports=(0,))
     engines = faulty(bank)
-    engines.switch(0, False)
+    engines.switch_engine(0, False)
     loss = ThrustLoss(kind="thrust_loss", start_s=0.0, jet=[1], share=0.5)
-    engines.begin(loss)
-    engines.switch(0, True)
+    engines.begin_fault(loss)
+    engines.switch_engine(0, True)
     assert engines.off == {0}
-    engines.end(loss)
-    engines.switch(0, True)
+    engines.end_fault(loss)
+    engines.switch_engine(0, True)
     assert bank.runs == [(0, False), (0, True)]
 
 
@@ -318,11 +320,11 @@ def test_an_engine_that_is_out_twice_is_lit_when_both_are_over() -> None:
     bank = Bank(ports=(0,))
     engines = faulty(bank)
     first, second = (FlameOut(kind="flame_out", start_s=0.0, jet=[1]) for _ in range(2))
-    engines.begin(first)
-    engines.begin(second)
-    engines.end(first)
+    engines.begin_fault(first)
+    engines.begin_fault(second)
+    engines.end_fault(first)
     assert True not in [on for _, on in bank.runs]
-    engines.end(second)
+    engines.end_fault(second)
     assert bank.runs[-1] == (0, True)
 
 
@@ -355,16 +357,16 @@ def test_in_flight_a_flame_out_decays_exactly_along_the_lag() -> None:
 def test_an_engine_with_a_run_port_goes_out_and_is_lit_again_by_its_own_equations() -> None:
     """It winds down long after the fuel is gone, and takes half a minute to start."""
     spec = load_engine("turbine-20", {}, STEP)
-    assert spec.has("run")
+    assert spec.has_port("run")
     out = FlameOut(kind="flame_out", start_s=0.0, jet=[1])
     with EngineBank(spec, 1, STEP) as bank:
-        engines = EngineChain(bank, [OWN], lambda jet: 1.0, STEP)
+        engines = EngineChain(bank, [MODELLED], lambda jet: 1.0, STEP)
         hover = engines.reset(0.5)
-        engines.begin(out)
+        engines.begin_fault(out)
         course = [engines.step(k, (0.5,)) for k in range(500)]
         assert course[50].thrust[0] < 0.25 * hover.thrust[0]
         assert 0.2 < course[499].spool_speed[0] / hover.spool_speed[0] < 0.5
-        engines.end(out)
+        engines.end_fault(out)
         for k in range(500, 12000):
             last = engines.step(k, (0.5,))
     assert last.thrust[0] == pytest.approx(hover.thrust[0], rel=0.01)
@@ -752,10 +754,10 @@ def test_no_false_alarm_from_a_flight_that_swings_out_of_control(engine: str) ->
 
 def test_the_reference_of_an_engine_is_its_own() -> None:
     spec = load_engine("turbojet", {}, STEP)
-    stated = engine_reference(spec, STEP)
+    stated = make_engine_reference(spec, STEP)
     assert stated.lag == spec.lag == stated.shortest == stated.longest
     assert stated.delay == pytest.approx(0.1)
-    measured = engine_reference(load_engine("turbine-20", {}, STEP), STEP)
+    measured = make_engine_reference(load_engine("turbine-20", {}, STEP), STEP)
     assert measured.shortest <= measured.lag <= measured.longest
     assert measured.speed is not None
     assert list(measured.speed) == sorted(measured.speed)

@@ -14,7 +14,7 @@ from cosim.engine import load_engine
 from cosim.identify.sweep import Identification, identify_axis
 from cosim.identify.sweep.result import low_frequency_delay
 from cosim.simulation.build import build
-from cosim.simulation.delay_ledger import rows_of, total_samples, why_none
+from cosim.simulation.delay_ledger import explain_unknown, select_axis, sum_samples
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import engine_of
 
@@ -42,7 +42,7 @@ def swept(found: Identification) -> float:
 
 def agree(found: Identification, aircraft: str) -> bool:
     with build(scenario_of(aircraft)) as simulation:
-        others = any(row.kind == "beside" for row in rows_of(simulation.ledger, found.channel))
+        others = any(row.kind == "beside" for row in select_axis(simulation.ledger, found.channel))
     assert found.ledger_samples is not None
     return abs(swept(found) - found.ledger_samples) < (WITH_OTHERS if others else WITHIN)
 
@@ -83,7 +83,7 @@ def test_roll_by_turbines_is_as_late_as_their_engine_is_swept(aircraft: str) -> 
     vehicle, _ = scenario.resolved_vehicle()
     plants = plants_of(scenario, vehicle, load_engine(scenario.engine, {}, scenario.step_s))
     assert not isinstance(plants, str)
-    engines = [row.samples for row in rows_of(ledger, "roll") if row.owner.startswith("engine")]
+    engines = [row.samples for row in select_axis(ledger, "roll") if row.owner.startswith("engine")]
     dynamics = plants.channels["roll"].actuator.dynamics
     held = dynamics.delay_samples + dynamics.lag_s / dynamics.step  # from the throttle that is held, half a step before
     assert sum(value for value in engines if value is not None) + 0.5 == pytest.approx(held, abs=1.0)
@@ -92,8 +92,8 @@ def test_roll_by_turbines_is_as_late_as_their_engine_is_swept(aircraft: str) -> 
 def test_an_axis_that_engines_and_servos_share_has_no_sum_and_says_why() -> None:
     with build(scenario_of("trijet")) as simulation:
         ledger = simulation.ledger
-    assert total_samples(ledger, "pitch") is None
-    assert why_none(ledger, "pitch").startswith("no one delay: servos give 89 % of the moment")
+    assert sum_samples(ledger, "pitch") is None
+    assert explain_unknown(ledger, "pitch").startswith("no one delay: servos give 89 % of the moment")
     with build(Scenario.load("jetwing-cruise")) as simulation:
         assert all(row.samples is None and "on its wing" in row.element for row in simulation.ledger)
 
@@ -101,7 +101,7 @@ def test_an_axis_that_engines_and_servos_share_has_no_sum_and_says_why() -> None
 @pytest.mark.parametrize("aircraft", ["quadjet", "trijet", "jetwing"])
 def test_no_delay_of_an_engine_is_counted_where_hinges_turn_the_vehicle(aircraft: str) -> None:
     with build(scenario_of(aircraft)) as simulation:
-        rows = rows_of(simulation.ledger, "roll")
+        rows = select_axis(simulation.ledger, "roll")
     assert any(row.kind == "lag" and row.owner.startswith("lag_s of ") for row in rows)
     assert all(row.samples == 0.0 for row in rows if "engine" in row.owner)
 
@@ -150,6 +150,6 @@ def test_a_vehicle_of_ones_own_has_what_a_sweep_finds(
 ) -> None:
     aircraft = gimballed(tmp_path / "own", lag_s, kept)
     with build(scenario_of(aircraft)) as simulation:
-        (lag, *_) = [row for row in rows_of(simulation.ledger, axis) if row.kind == "lag"]
+        (lag, *_) = [row for row in select_axis(simulation.ledger, axis) if row.kind == "lag"]
     assert lag.owner == owner
     assert agree(identified(axis, aircraft), aircraft)

@@ -33,7 +33,7 @@ from cosim.results.limits import (
 from cosim.results.metrics import metric_names
 from cosim.results.report.flight import write_report
 from cosim.results.run import open_run
-from cosim.simulation.script.commander import Commander
+from cosim.simulation.script.commander import CommandScript
 from cosim.spec.scenario import FlightLimits, Scenario
 
 LAW = (0.8, 2.0, 1.0)
@@ -294,4 +294,4 @@ def test_a_summary_from_before_limits_is_still_read(tmp_path: Path) -> None:
 
 def test_a_run_without_a_yardstick_has_no_limits() -> None:
     assert setup().yardstick is None
-    assert Commander(Scenario.load("hover"), 10.0).at(0).place is None
+    assert CommandScript(Scenario.load("hover"), 10.0).at(0).place is None

@@ -11,13 +11,13 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.base.frames import cross
 from cosim.base.signals import EngineOutput
-from cosim.engine.rundown import OWN
+from cosim.engine.rundown import MODELLED
 from cosim.engine.wrappers import EngineChain
 from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.simulation.build import build
-from cosim.simulation.engines import engines_of, flown_engines
-from cosim.simulation.script.mismatch import as_flown, engines_as_flown
+from cosim.simulation.engines import flown_engines, load_engines
+from cosim.simulation.script.mismatch import apply_mismatch, compute_engine_mismatch
 from cosim.spec.scenario import Mismatch, Scenario
 from cosim.spec.vehicle import load_vehicle
 
@@ -36,8 +36,8 @@ def same(one: Run, other: Run) -> bool:
 
 def test_without_a_mismatch_nothing_is_made_anew() -> None:
     vehicle, _ = load_vehicle("hexjet")
-    assert as_flown(vehicle, Mismatch()) is vehicle
-    assert engines_as_flown(Mismatch(), 6) == (None, 0)
+    assert apply_mismatch(vehicle, Mismatch()) is vehicle
+    assert compute_engine_mismatch(Mismatch(), 6) == (None, 0)
 
 
 class Recorded:
@@ -65,7 +65,7 @@ class Recorded:
 def test_engines_answer_later_and_with_another_thrust() -> None:
     bank = Recorded()
     factors = (0.5, 2.0, 1.0, 1.0, 1.0, 4.0)
-    engines = EngineChain(bank, [OWN] * 6, lambda jet: 0.1, 0.004, factors, 2)
+    engines = EngineChain(bank, [MODELLED] * 6, lambda jet: 0.1, 0.004, factors, 2)
     assert engines.reset((0.5,) * 6).thrust == tuple(0.5 * each for each in factors)
     thrusts = [engines.step(k, (0.125 * k,) * 6).thrust for k in range(4)]
     assert bank.given == [(0.5,) * 6, (0.5,) * 6, (0.0,) * 6, (0.125,) * 6]
@@ -75,7 +75,7 @@ def test_engines_answer_later_and_with_another_thrust() -> None:
 
 
 def test_common_and_single_factors_multiply() -> None:
-    factors, delay = engines_as_flown(Mismatch(thrust_factor=0.5, thrust_factor_3=4.0), 6)
+    factors, delay = compute_engine_mismatch(Mismatch(thrust_factor=0.5, thrust_factor_3=4.0), 6)
     assert factors == (0.5, 0.5, 2.0, 0.5, 0.5, 0.5)
     assert delay == 0
 
@@ -205,7 +205,7 @@ def test_parameters_of_a_station_that_are_not_known() -> None:
     unknown = {"engine_parameters": {"gain": 0.3, "pole": 0.9}, "stations": {"2": {"gain": 0.2}}}
     scenario = doublet(mismatch=unknown, stations={"3": {"engine": "edf"}, "4": {"parameters": {"gain": 0.25}}})
     vehicle, _ = scenario.resolved_vehicle()
-    _, *stated = engines_of(scenario, vehicle)
+    _, *stated = load_engines(scenario, vehicle)
     flown = flown_engines(scenario, vehicle, stated)
     assert [spec.parameters["gain"] for spec in stated] == [0.2554, 0.2554, 0.2554, 0.25, 0.2554, 0.2554]
     assert [spec.parameters["gain"] for spec in flown] == [0.3, 0.2, 0.2554, 0.3, 0.3, 0.3]

@@ -35,7 +35,7 @@ from cosim.control.cascade import Cascade
 from cosim.engine import EngineBank
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
-from cosim.simulation.with_autopilot import with_autopilot
+from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 from cosim.vehicle.sensors import FaultySensors
 
@@ -94,7 +94,7 @@ def test_a_controller_of_ones_own_flies_and_shuts_engines_off() -> None:
         hover = simulation.cascade.allocator.hover
         simulation.controller = Constant(simulation.cascade.thrust_map.throttle((hover,) * 6))
         with pytest.raises(InputError, match="Constant flies, and has not the parts of the built-in cascade"):
-            with_autopilot(simulation)
+            attach_autopilot(simulation)
 
     samples = flown(change)
     begin = next(sample.k for sample in samples if sample.command.attitude[0])
@@ -145,7 +145,7 @@ def test_disturbances_of_ones_own_push_as_newton_says() -> None:
             return Disturbance(force=(0.0, 5.525, 0.0))
 
     samples = flown(
-        lambda simulation: setattr(simulation, "disturber", Push()), ROLL.replace(command=[], duration_s=0.1)
+        lambda simulation: setattr(simulation, "disturbances", Push()), ROLL.replace(command=[], duration_s=0.1)
     )
     assert samples[-1].state.velocity[1] == pytest.approx(samples[-1].k * 0.004, rel=0.02)  # 1 m/s^2, less what drags
 

@@ -20,7 +20,7 @@ from cosim.base.signals import (
 from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.simulation.build import build
-from cosim.simulation.delay_ledger import total_samples
+from cosim.simulation.delay_ledger import sum_samples
 from cosim.spec.scenario import Scenario
 
 STEP = 0.004
@@ -72,7 +72,7 @@ def measured_delay(flown: Scenario) -> tuple[float, float]:
     with build(flown) as simulation:
         simulation.run([rows])
         vehicle, engine = simulation.vehicle, simulation.engine
-        stated = total_samples(simulation.ledger)
+        stated = sum_samples(simulation.ledger)
         hover = simulation.cascade.allocator.hover
     lever = sum(abs(jet.position_m[1]) for jet in vehicle.jets)
     slope = engine.thrust_at(hover + amplitude) - engine.thrust_at(hover)
@@ -411,11 +411,11 @@ def test_a_controller_without_a_model_of_the_engine_says_which_there_are() -> No
     flown = scenario()
     with build(flown) as simulation:
         vehicle, engine = simulation.vehicle, replace(simulation.engine, library=False)
-    from cosim.simulation.controllers.models import predictors
+    from cosim.simulation.controllers.models import make_predictors
 
     with pytest.raises(
         InputError,
         match=r"needs an identified model of hexjet with engine 'edf-as-flown\.fmu'; there are models for: edf",
     ):
-        predictors(flown, vehicle, engine)
-    assert len(predictors(flown.replace(controller="baseline"), vehicle, engine)) == 3
+        make_predictors(flown, vehicle, engine)
+    assert len(make_predictors(flown.replace(controller="baseline"), vehicle, engine)) == 3

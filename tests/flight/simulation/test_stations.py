@@ -22,7 +22,7 @@ from cosim.flight import fly
 from cosim.results.resolved_scenario import resolve
 from cosim.results.run import open_run
 from cosim.simulation.build import build
-from cosim.simulation.delay_ledger import total_samples
+from cosim.simulation.delay_ledger import sum_samples
 from cosim.spec.scenario import Scenario
 
 STEP = 0.004
@@ -225,7 +225,7 @@ def test_the_ledger_of_mixed_engines_is_what_can_be_measured() -> None:
     lever = sum(abs(jet.position_m[1]) for jet in vehicle.jets)
     gain = lever * (curve.thrust[-1] - curve.thrust[0]) * amplitude / vehicle.inertia_kg_m2[0]
     grown = (rates[0][-1] - rates[1][-1]) / (gain * STEP)
-    stated = total_samples(ledger)
+    stated = sum_samples(ledger)
     assert stated is not None
     assert len(rates[0]) - 1 - start + 0.5 - grown == pytest.approx(stated, abs=0.05)
     row = next(row for row in ledger if row.element == "transport delay")

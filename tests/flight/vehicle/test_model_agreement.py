@@ -17,8 +17,8 @@ from cosim.campaign.study.options import open_study
 from cosim.campaign.surveys.aircraft_check import check_aircraft
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import Requirements
-from cosim.simulation.delay_ledger import total_samples
-from cosim.simulation.engines import engines_of
+from cosim.simulation.delay_ledger import sum_samples
+from cosim.simulation.engines import load_engines
 from cosim.simulation.model_agreement import (
     LEAST_SAMPLES,
     NOTED,
@@ -26,9 +26,9 @@ from cosim.simulation.model_agreement import (
     UNFIT_GAIN,
     UNFIT_LAG,
     ModelAgreement,
-    flight_notes,
-    flown_agreements,
-    model_agreements,
+    compare_flown_models,
+    compare_models,
+    list_model_notes,
 )
 from cosim.spec.vehicle import RateModel, Vehicle, aircraft_names, load_vehicle
 
@@ -56,12 +56,12 @@ def scenario_of(aircraft: str = "hexjet", engine: str = "edf-as-flown", **change
 
 def agreements(scenario: Scenario) -> list[ModelAgreement]:
     vehicle, _ = scenario.resolved_vehicle()
-    return model_agreements(scenario, vehicle, engines_of(scenario, vehicle)[0])
+    return compare_models(scenario, vehicle, load_engines(scenario, vehicle)[0])
 
 
 def notes(scenario: Scenario) -> list[str]:
     vehicle, _ = scenario.resolved_vehicle()
-    return flight_notes(scenario, vehicle, engines_of(scenario, vehicle)[0])
+    return list_model_notes(scenario, vehicle, load_engines(scenario, vehicle)[0])
 
 
 def test_the_table_has_every_shipped_model() -> None:
@@ -80,14 +80,14 @@ def test_shipped_models_are_their_vehicles(cell: str) -> None:
     aircraft, engine, fuel = ROWS[cell]
     scenario = scenario_of(aircraft, engine)
     vehicle, _ = scenario.resolved_vehicle()
-    (found,) = model_agreements(scenario, vehicle.with_fuel(fuel), engines_of(scenario, vehicle)[0])
+    (found,) = compare_models(scenario, vehicle.with_fuel(fuel), load_engines(scenario, vehicle)[0])
     assert found.axis == "roll"
-    assert not found.noted, found.note
+    assert not found.is_noteworthy, found.note
     if cell.endswith(", full"):  # designs swept the engine at this throttle, and composed the model from that
         assert found.ratio == pytest.approx(1.0, abs=0.005)
-        assert found.late == pytest.approx(found.own_late, abs=0.5)
+        assert found.model_delay == pytest.approx(found.vehicle_delay, abs=0.5)
     assert (
-        f"| {cell} | {found.gain:.0f} | {found.own_gain:.0f} | {found.late:.1f} | {found.own_late:.1f} | "
+        f"| {cell} | {found.model_gain:.0f} | {found.vehicle_gain:.0f} | {found.model_delay:.1f} | {found.vehicle_delay:.1f} | "
         f"{100.0 * found.lag_misfit:.0f} % |"
     ) in (DOCS / "own-aircraft.md").read_text()
 
@@ -123,7 +123,7 @@ def test_the_limits_are_those_of_the_page() -> None:
 def test_the_hexjets_gain_is_its_levers_over_its_inertia() -> None:
     (found,) = agreements(scenario_of())
     assert found.unit == "rad/s^2 per throttle"
-    assert found.own_gain == pytest.approx(6.0 * LEVER_M * THRUST_N / INERTIA, rel=1e-3)
+    assert found.vehicle_gain == pytest.approx(6.0 * LEVER_M * THRUST_N / INERTIA, rel=1e-3)
     assert found.ratio == pytest.approx(1.0, abs=0.01)
 
 
@@ -132,10 +132,10 @@ def test_all_delay_is_that_of_the_ledger(engine: str) -> None:
     """At low frequency; where it is compared a little of the lags' phase is missing."""
     scenario = scenario_of(engine=engine)
     with build(scenario) as simulation:
-        total = total_samples(simulation.ledger)
+        total = sum_samples(simulation.ledger)
     (found,) = agreements(scenario)
     assert total is not None
-    assert total - 0.05 * total - 0.2 < found.own_late < total + 0.1
+    assert total - 0.05 * total - 0.2 < found.vehicle_delay < total + 0.1
 
 
 def changed(vehicle: Vehicle, **model: Any) -> dict[str, Any]:
@@ -163,8 +163,10 @@ def test_what_is_changed_is_found_by_its_size(
 ) -> None:
     (right,), (found,) = agreements(scenario_of()), agreements(scenario_of(**changes))
     assert found.ratio / right.ratio == pytest.approx(ratio, rel=0.03)
-    assert (found.late - found.own_late) - (right.late - right.own_late) == pytest.approx(later, abs=0.6)
-    assert (found.noted, found.unfit) == (noted, unfit)
+    assert (found.model_delay - found.vehicle_delay) - (right.model_delay - right.vehicle_delay) == pytest.approx(
+        later, abs=0.6
+    )
+    assert (found.is_noteworthy, found.is_unfit) == (noted, unfit)
 
 
 @pytest.mark.parametrize(
@@ -202,11 +204,11 @@ def test_an_axis_that_banks_turn_goes_with_the_weight() -> None:
     stated = {"identified": {"edf-as-flown": {"pitch": model}}}
     found = agreements(scenario_of(vehicle=stated))[-1]
     assert found.unit == "rad/s^2 per rad"
-    assert found.own_gain == pytest.approx(gain, rel=1e-6)
-    assert not found.noted, found.note
+    assert found.vehicle_gain == pytest.approx(gain, rel=1e-6)
+    assert not found.is_noteworthy, found.note
     light = agreements(scenario_of(vehicle=stated | {"mass_kg": vehicle.mass_kg / 1.6}))[-1]
     assert light.ratio == pytest.approx(1.6 * found.ratio, rel=1e-3)
-    assert light.unfit
+    assert light.is_unfit
 
 
 def test_an_axis_of_hinges_is_an_acceleration_asked_for() -> None:
@@ -214,7 +216,7 @@ def test_an_axis_of_hinges_is_an_acceleration_asked_for() -> None:
     model = {"gain": 0.004, "zeros": [], "poles": [1.0], "delay_samples": 20, "sample_time_s": 0.004, "source": "none"}
     stated = {"identified": {"turbine-100": {"roll": model}}}
     (found,) = agreements(scenario_of("quadjet", "turbine-100", vehicle=stated))
-    assert found.own_gain == 1.0
+    assert found.vehicle_gain == 1.0
     assert found.unit == "rad/s^2 per rad/s^2"
     assert found.ratio == pytest.approx(1.0, abs=0.2)
 
@@ -246,7 +248,7 @@ def test_a_payload_and_a_part_of_the_tank_count() -> None:
     assert fly(scenario_of(disturbance=[load])).summary.notes == [said]
     scenario = scenario_of("hexjet-p220", "p220", initial={"fuel": 0.25})
     vehicle, _ = scenario.resolved_vehicle()
-    found = flown_agreements(scenario, vehicle, engines_of(scenario, vehicle)[0])
+    found = compare_flown_models(scenario, vehicle, load_engines(scenario, vehicle)[0])
     assert [each.state for each in found] == ["with 25 % of its fuel"]
 
 

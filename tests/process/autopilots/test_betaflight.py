@@ -20,7 +20,7 @@ from stated_figures import stated
 from cosim.autopilots import betaflight as theirs
 from cosim.autopilots.block import AutopilotBlock, ExternalRateLoop
 from cosim.autopilots.lockstep import SensorFrame, StickPositions
-from cosim.autopilots.run import LOCKSTEP, AutopilotRun, external_rate_loop, fly_autopilot
+from cosim.autopilots.run import LOCKSTEP, AutopilotRun, fly_autopilot, make_external_rate_loop
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Sample
 from cosim.design.assessment import margins
@@ -72,7 +72,7 @@ IN_ITS_LOOP: dict[str, Any] = {
 def made(scenario: Scenario, folder: Path, gains: str = "vehicle", limit: float = 60.0) -> theirs.Betaflight:
     assert BINARY is not None
     vehicle, _ = scenario.resolved_vehicle()
-    lines = theirs.gain_settings(vehicle) if gains == "vehicle" else []
+    lines = theirs.make_gain_settings(vehicle) if gains == "vehicle" else []
     return theirs.Betaflight(BINARY, folder / "betaflight", vehicle, scenario.step_s, lines, free_port(), limit)
 
 
@@ -210,7 +210,9 @@ def test_its_loop_is_the_models(tmp_path: Path) -> None:
     """A gyro and an attitude at random go in, motors come out: the matrices that the design reads say the same."""
     vehicle = Scenario.load("hover").replace(vehicle=IN_ITS_LOOP).resolved_vehicle()[0]
     assert BINARY is not None
-    autopilot = theirs.Betaflight(BINARY, tmp_path, vehicle, 0.004, theirs.gain_settings(vehicle), free_port(), 60.0)
+    autopilot = theirs.Betaflight(
+        BINARY, tmp_path, vehicle, 0.004, theirs.make_gain_settings(vehicle), free_port(), 60.0
+    )
     draw = np.random.default_rng(1)
     rates = 0.2 * np.convolve(draw.standard_normal(400), np.full(5, 0.2), "same")
     angles = 0.15 * np.convolve(draw.standard_normal(400), np.full(20, 0.05), "same")
@@ -283,10 +285,10 @@ def test_a_rate_loop_of_ours_flies_it_from_outside(tmp_path: Path) -> None:
     """The gains with which its own loop is lost hold with a predictor; the flight repeats without either."""
     doublet = Scenario.load("roll-doublet")
     vehicle, _ = doublet.resolved_vehicle()
-    lines = [*theirs.gain_settings(vehicle), *theirs.EXTERNAL_RATES]
+    lines = [*theirs.make_gain_settings(vehicle), *theirs.EXTERNAL_RATES]
     assert BINARY is not None
     autopilot = theirs.Betaflight(BINARY, tmp_path / "its", vehicle, doublet.step_s, lines, free_port(), 60.0)
-    rates = external_rate_loop(doublet.replace(controller="smith"), theirs.external_rate_gain(vehicle))
+    rates = make_external_rate_loop(doublet.replace(controller="smith"), theirs.compute_external_rate_gain(vehicle))
     run = fly_with(autopilot, doublet, tmp_path / "run", rates=rates).run
     roll = run.metrics["roll"]
     assert run.outcome == "completed"
@@ -429,7 +431,7 @@ def test_its_own_blackbox_is_read(tmp_path: Path) -> None:
     """What Betaflight logged of the flight is what it was told: the gyro, in whole degrees a second, on another clock."""
     scenario = Scenario.load("roll-doublet").replace(duration_s=3.0, vehicle=DESIGNED)
     vehicle, _ = scenario.resolved_vehicle()
-    lines = [*theirs.gain_settings(vehicle), "set blackbox_device = VIRTUAL", "set blackbox_sample_rate = 1/4"]
+    lines = [*theirs.make_gain_settings(vehicle), "set blackbox_device = VIRTUAL", "set blackbox_sample_rate = 1/4"]
     assert BINARY is not None
     folder = tmp_path / "run"
     autopilot = theirs.Betaflight(BINARY, folder / "betaflight", vehicle, scenario.step_s, lines, free_port(), 60.0)

@@ -112,9 +112,9 @@ def test_the_gains_of_a_design_are_flown_and_named(hexjet: Hexjet) -> None:
     told = books()
     assert told["gains"] == str(DESIGN)
     assert f"gains of {DESIGN}" in done.out.replace("\n", "")
-    from cosim.simulation.controllers.controller_file import with_controller
+    from cosim.simulation.controllers.controller_file import apply_controller
 
-    vehicle, _ = with_controller("hover", DESIGN, (), None).resolved_vehicle()
+    vehicle, _ = apply_controller("hover", DESIGN, (), None).resolved_vehicle()
     own, _ = Scenario.load("hover").resolved_vehicle()
     assert told["parameters"]["MC_ROLLRATE_P"] == vehicle.control.rate.roll.p / px4_torque_scale(vehicle)[0]
     assert told["parameters"]["MC_ROLLRATE_P"] != px4_parameters(own)["MC_ROLLRATE_P"]

@@ -20,15 +20,15 @@ from stated_figures import stated
 
 from cosim.autopilots import betaflight as theirs
 from cosim.autopilots.block import AutopilotBlock
-from cosim.autopilots.firmware_parameters import torque_scale_of
+from cosim.autopilots.firmware_parameters import find_torque_scale
 from cosim.autopilots.run import fly_autopilot
 from cosim.base.errors import InputError
 from cosim.base.protocols import EngineState
 from cosim.base.signals import ZERO3, Command, Disturbance, EngineOutput, Measured
 from cosim.codegen import measure
-from cosim.codegen.adapters import adapter_texts
+from cosim.codegen.adapters import render_adapter
 from cosim.codegen.files import Labels
-from cosim.codegen.form import form_of
+from cosim.codegen.form import make_form
 from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
@@ -75,10 +75,10 @@ def adapted(name: str, autopilot: str, folder: Path) -> tuple[Array, Array]:
     """Write an adapter; a drive for it, and the torques that the controller of Python gives for that, in theirs."""
     flown = scenario(name)
     vehicle, _ = flown.resolved_vehicle()
-    worth = torque_scale_of(autopilot, vehicle)
+    worth = find_torque_scale(autopilot, vehicle)
     with build(flown) as simulation:
-        form = form_of(simulation)
-        for file, text in adapter_texts(form, Labels("ours", "a test", "MIT", ()), autopilot, worth).items():
+        form = make_form(simulation)
+        for file, text in render_adapter(form, Labels("ours", "a test", "MIT", ()), autopilot, worth).items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_text(text)
         controller, jets = simulation.controller, len(vehicle.jets)
@@ -183,7 +183,7 @@ def test_betaflight_hears_the_torques_of_the_controller(name: str, tmp_path: Pat
         source.write_text(source.read_text().replace("#define STEP_US 2500", "#define STEP_US 4000"))
     includes = [f"-I{STUBS / 'betaflight'}", f"-I{flight.parent}"]
     compiled(tmp_path / "program", *includes, STUBS / "betaflight" / "drive.c", *sorted(flight.glob("*.c")))
-    worth = torque_scale_of("betaflight", scenario(name).resolved_vehicle()[0])
+    worth = find_torque_scale("betaflight", scenario(name).resolved_vehicle()[0])
     same(driven(tmp_path / "program", drive), wanted, worth)
 
 
@@ -197,7 +197,7 @@ def test_ardupilot_hears_the_torques_of_the_controller(name: str, tmp_path: Path
     vehicle, _ = flown.resolved_vehicle()
     least = f"{vehicle.control.allocation.throttle_min}"
     found = driven(tmp_path / "program", drive, f"{0.5 * flown.step_s}", least)
-    same(found, wanted, torque_scale_of("ardupilot", vehicle))
+    same(found, wanted, find_torque_scale("ardupilot", vehicle))
     handed = driven(tmp_path / "program", drive, f"{flown.step_s / 1.6}", least)
     assert np.allclose(handed, (0.1, 0.2, 0.3))
 
@@ -220,7 +220,7 @@ def test_px4_is_told_the_torques_of_the_controller(name: str, tmp_path: Path) ->
     built(tmp_path / "program", "px4", module)
     flown = scenario(name)
     found = driven(tmp_path / "program", drive, f"{round(1e6 * flown.step_s)}")
-    same(found, wanted, torque_scale_of("px4", flown.resolved_vehicle()[0]))
+    same(found, wanted, find_torque_scale("px4", flown.resolved_vehicle()[0]))
     stated_sources = set(re.findall(r"^\t\t(\S+\.c\w*)$", (module / "CMakeLists.txt").read_text(), re.MULTILINE))
     assert stated_sources == {path.name for path in module.iterdir() if path.suffix in (".c", ".cpp")}
     assert "modules/ours\n" in (tmp_path / "src" / "CMakeLists.txt").read_text()
@@ -287,7 +287,7 @@ def test_the_patch_fits_its_sources(tmp_path: Path) -> None:
 def flown_inside(binary: Path, folder: Path) -> Run:
     doublet = Scenario.load("roll-doublet")
     vehicle, _ = doublet.resolved_vehicle()
-    lines = [*theirs.gain_settings(vehicle), "set pidsum_limit_yaw = 500"]
+    lines = [*theirs.make_gain_settings(vehicle), "set pidsum_limit_yaw = 500"]
     autopilot = theirs.Betaflight(binary, folder / "betaflight", vehicle, doublet.step_s, lines, free_port(), 60.0)
     return fly_autopilot(doublet, AutopilotBlock(autopilot, "betaflight", theirs.HANDLING), folder).run
 
@@ -337,9 +337,9 @@ def test_what_is_a_part_of_an_autopilot_has_its_licence(autopilot: str) -> None:
     flown = scenario("hexjet")
     vehicle, _ = flown.resolved_vehicle()
     with build(flown) as simulation:
-        form = form_of(simulation)
-    files = adapter_texts(
-        form, Labels("ours", "a test", "LicenseRef-Mine", ()), autopilot, torque_scale_of(autopilot, vehicle)
+        form = make_form(simulation)
+    files = render_adapter(
+        form, Labels("ours", "a test", "LicenseRef-Mine", ()), autopilot, find_torque_scale(autopilot, vehicle)
     )
     readme = files.pop("README.md")
     if autopilot == "betaflight":

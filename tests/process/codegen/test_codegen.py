@@ -23,8 +23,8 @@ from cosim.cli.main import main
 from cosim.codegen import measure
 from cosim.codegen.export import ExportedController, export_controller
 from cosim.codegen.files import Labels, render_sources
-from cosim.codegen.form import form_of, predictor_form
-from cosim.codegen.vectors import INPUTS, RecordingController, Vectors, output_names, record
+from cosim.codegen.form import make_form, make_predictor_form
+from cosim.codegen.vectors import INPUTS, RecordedFlight, RecordingController, list_output_names, record_vectors
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.flight import fly
 from cosim.simulation.build import build
@@ -46,7 +46,7 @@ QUIET = EngineOutput((0.0,) * 6, (0.0,) * 6, (0.0,) * 6, (0.0,) * 6)
 pytestmark = pytest.mark.skipif(CC is None, reason="no C compiler")
 
 
-def written(folder: Path, simulation: Simulation, vectors: Vectors, form: dict[str, Any]) -> Path:
+def written(folder: Path, simulation: Simulation, vectors: RecordedFlight, form: dict[str, Any]) -> Path:
     """The C files of a controller."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in render_sources(form, vectors, Labels("ours", "a test", None, ("a test",))).items():
@@ -57,7 +57,7 @@ def written(folder: Path, simulation: Simulation, vectors: Vectors, form: dict[s
 def ran(folder: Path, *flags: str, cc: str | None = CC, name: str = "ours") -> subprocess.CompletedProcess[str]:
     """What the test program says, compiled with warnings as errors."""
     program = folder / "program"
-    files = [str(folder / source) for source in measure.sources(name)]
+    files = [str(folder / source) for source in measure.list_sources(name)]
     command = [str(cc), *measure.FLAGS, *STRICT, *flags, "-o", str(program), *files, "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -65,9 +65,9 @@ def ran(folder: Path, *flags: str, cc: str | None = CC, name: str = "ours") -> s
     return subprocess.run([str(program)], capture_output=True, text=True, check=False)
 
 
-def driven(simulation: Simulation, steps: int, seed: int) -> Vectors:
+def driven(simulation: Simulation, steps: int, seed: int) -> RecordedFlight:
     """The controller with inputs that no flight would have: every branch is gone through, limits included."""
-    chance, vectors = random.Random(seed), Vectors()
+    chance, vectors = random.Random(seed), RecordedFlight()
     vehicle = simulation.vehicle
     controller = RecordingController(simulation.controller, vectors)
     burnt = 0.1 * vehicle.mass_kg if vehicle.fuel else 0.0
@@ -169,7 +169,7 @@ def made(name: str, changes: dict[str, Any]) -> Scenario:
 def test_every_branch_of_every_controller_gives_the_same_bits(case: str, tmp_path: Path) -> None:
     name, changes = CASES[case]
     with build(made(name, changes)) as simulation:
-        form = form_of(simulation)
+        form = make_form(simulation)
         folder = written(tmp_path, simulation, driven(simulation, 300, seed=len(case)), form)
     done = ran(folder, "-O2")
     assert done.returncode == 0, done.stdout
@@ -181,7 +181,7 @@ def test_the_loops_alone_ask_for_the_same_bits(case: str, tmp_path: Path) -> Non
     """Told what was not given in the step before, as by a mixer of one's own; at limits most of the time."""
     name, changes = LOOPS[case]
     with build(made(name, changes)) as simulation:
-        form = form_of(simulation, loops=True)
+        form = make_form(simulation, loops=True)
         folder = written(tmp_path, simulation, driven(simulation, 300, seed=len(case)), form)
     done = ran(folder, "-O2")
     assert done.returncode == 0, done.stdout
@@ -216,8 +216,8 @@ def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     """The vectors of a flight."""
     name, controller = request.param.split()
     with build(scenario(name, controller=controller, duration_s=4.0)) as simulation:
-        form = form_of(simulation)
-        return written(tmp_path_factory.mktemp("flown"), simulation, record(simulation), form)
+        form = make_form(simulation)
+        return written(tmp_path_factory.mktemp("flown"), simulation, record_vectors(simulation), form)
 
 
 @pytest.mark.parametrize("cc", COMPILERS)
@@ -250,7 +250,7 @@ CROSS = shutil.which("arm-none-eabi-gcc"), shutil.which("qemu-system-arm")
 def test_a_microcontroller_repeats_the_flight(flown: Path, board: str, flags: list[str], says: str) -> None:
     cc, qemu = CROSS
     image = flown / "image.elf"
-    files = [*(str(flown / source) for source in measure.sources("ours")), str(TOOLS / "cortex_m_start.c")]
+    files = [*(str(flown / source) for source in measure.list_sources("ours")), str(TOOLS / "cortex_m_start.c")]
     script = str(TOOLS / "cortex_m.ld")
     built = [str(cc), *measure.FLAGS, *flags, "-mthumb", "-O2", "--specs=rdimon.specs", "-T", script, "-o", str(image)]
     done = subprocess.run([*built, *files, "-lm"], capture_output=True, text=True, check=False)
@@ -271,7 +271,7 @@ def test_single_precision_says_where_it_is_not_enough(tmp_path: Path) -> None:
     flight = scenario("full-scale-roll-doublet", controller="filtered-smith", duration_s=3.0)
     done = export_controller(flight, tmp_path / "out", "ours", fmus=False)
     assert done.measured is not None
-    assert (done.measured.same, done.measured.float_passes) == (True, False)
+    assert (done.measured.is_identical, done.measured.float_passes) == (True, False)
     assert "not within half a step of a 12-bit command" in (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
 
 
@@ -347,7 +347,7 @@ def test_a_folder_has_what_is_said_of_it(exported: ExportedController) -> None:
     assert {"ours.fmu", "ours-fmi2.fmu", "ours.c", "README.md"} <= set(exported.files)
     assert (exported.steps, exported.without_fmus) == (500, None)
     assert found is not None
-    assert found.same
+    assert found.is_identical
     assert found.float_passes
     assert found.stack is None or 0 < found.stack < 4096
     assert found.state is not None
@@ -380,7 +380,7 @@ def test_the_fmus_answer_as_the_flight(exported: ExportedController, fmi: int, t
     path = exported.folder / ("ours.fmu" if fmi == 3 else "ours-fmi2.fmu")
     assert fmpy.validation.validate_fmu(str(path)) == []
     with build(scenario(HEXJET, controller="smith", duration_s=2.0)) as simulation:
-        vectors = record(simulation)
+        vectors = record_vectors(simulation)
     description = fmpy.read_model_description(str(path))
     reference = {v.name: v.valueReference for v in description.modelVariables}
     slave = (FMU2Slave if fmi == 2 else FMU3Slave)(
@@ -396,7 +396,7 @@ def test_the_fmus_answer_as_the_flight(exported: ExportedController, fmi: int, t
     slave.exitInitializationMode()
     put, get = (slave.setReal, slave.getReal) if fmi == 2 else (slave.setFloat64, slave.getFloat64)
     into = [reference[name] for name in INPUTS]
-    out = [reference[name] for name in output_names(6)]
+    out = [reference[name] for name in list_output_names(6)]
     assert tuple(get(out[:6])) == vectors.start
     for k, row in enumerate(vectors.rows):
         put(into, list(row[: len(INPUTS)]))
@@ -485,8 +485,8 @@ def test_the_page_has_every_variable_of_the_fmus() -> None:
     families = {f"unallocated_{axis}" for axis in ("pitch", "yaw")} | {
         f"shown_{what}_{axis}" for what in ("rate_setpoint", "predicted", "torque") for axis in ("pitch", "yaw")
     }
-    assert {"on_ground", *INPUTS, *output_names(1)} - families <= named
-    assert not {name for name in named if "_" in name} - {"on_ground", *INPUTS, *output_names(1)}
+    assert {"on_ground", *INPUTS, *list_output_names(1)} - families <= named
+    assert not {name for name in named if "_" in name} - {"on_ground", *INPUTS, *list_output_names(1)}
 
 
 def test_every_built_in_predictor_has_a_c_form() -> None:
@@ -512,7 +512,7 @@ def test_loops_from_outside_are_refused() -> None:
         except TypeError:
             pytest.skip("compiled, an attitude loop is of its class")
         with pytest.raises(InputError, match="the loop Loop has no C form; allowed: the built-in ones"):
-            form_of(simulation)
+            make_form(simulation)
 
 
 @pytest.mark.parametrize("level", ["predictor", "rate", "controller"])
@@ -535,7 +535,7 @@ def test_a_predictor_of_somebody_elses_has_no_c_form() -> None:
             return measured
 
     with pytest.raises(InputError, match=r"^pitch: the predictor Own has no C form; those that have: NoPredictor, "):
-        predictor_form(Own(), "pitch")
+        make_predictor_form(Own(), "pitch")
 
 
 def test_without_a_compiler_the_text_is_written_and_nothing_claimed(

@@ -24,7 +24,7 @@ from cosim.codegen import measure
 from cosim.codegen.ssp import write_ssp
 from cosim.codegen.vehicle import export_vehicle
 from cosim.codegen.vehicle_ports import ExportedFlight, VehicleContents
-from cosim.codegen.vehicle_process import other_versions
+from cosim.codegen.vehicle_process import describe_version_differences
 from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.flight import fly
 from cosim.results.run import Run
@@ -172,8 +172,8 @@ def test_a_python_that_is_not_there_or_has_not_the_package(
 
 
 def test_other_versions_are_refused_by_name(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert other_versions({"jsbsim": "1", "python": "3"}, {"jsbsim": "1", "python": "3"}) == ""
-    assert other_versions({"jsbsim": "1"}, {}) == "jsbsim missing in place of 1"
+    assert describe_version_differences({"jsbsim": "1", "python": "3"}, {"jsbsim": "1", "python": "3"}) == ""
+    assert describe_version_differences({"jsbsim": "1"}, {}) == "jsbsim missing in place of 1"
 
     def older(contents: dict[str, bytes]) -> None:
         made = contents["resources/vehicle.json"].decode()
@@ -228,7 +228,7 @@ def test_a_controller_outside_that_does_the_same_makes_the_same_flight(ours: Run
     def meet() -> None:
         k = next(told)
         names = [each.name for each in flight.outputs]
-        assert dict(zip(names, flight.values(), strict=True))["roll"] == log["roll_rad"][k]
+        assert dict(zip(names, flight.read_outputs(), strict=True))["roll"] == log["roll_rad"][k]
         flight.input_values.update({f"throttle_{i}": log[f"throttle_{i}"][k] for i in range(1, 7)})
         flight.input_values.update({f"tilt_{side}": log[f"tilt_{side}_command_rad"][k] for side in ("left", "right")})
 

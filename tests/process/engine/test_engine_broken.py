@@ -205,7 +205,7 @@ def test_it_is_tried_once(sound: Path, monkeypatch: pytest.MonkeyPatch, tmp_path
     assert load_engine(str(sound), {}, STEP) == first
     assert len(tried) == count
     plain = load_engine(str(sound), {}, STEP, unchecked=True)  # measured here and now: the same, bit for bit
-    assert (plain.curve, plain.start, plain.window) == (first.curve, first.start, first.window)
+    assert (plain.curve, plain.start, plain.settling_window) == (first.curve, first.start, first.settling_window)
     assert len(tried) == count
     load_engine(str(sound), {}, 2 * STEP)  # another question
     assert len(tried) > count
@@ -281,7 +281,7 @@ def test_an_engine_may_tremble_at_rest(kit: Kit, sound: Path) -> None:
     assert report.delay_samples_up == report.delay_samples_down == 100
     assert report.thrust == pytest.approx([float(k) for k in range(21)], abs=1e-4)
     spec = load_engine(str(sound), {}, STEP)
-    assert (spec.quiet, spec.window) == (1e-6, 250)
+    assert (spec.quiet, spec.settling_window) == (1e-6, 250)
     with EngineBank(spec, 2, STEP) as bank:
         assert bank.reset(0.5).thrust == pytest.approx((10.0,) * 2, abs=1e-4)
 

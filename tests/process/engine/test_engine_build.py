@@ -23,8 +23,8 @@ from cosim.engine import (
     EngineBank,
     build_engines,
     check_fmu,
-    engine_names,
     library,
+    list_engine_names,
     load_engine,
 )
 from cosim.engine.library import BuildError, archives, build_all, read_engine
@@ -76,12 +76,12 @@ def test_what_is_up_to_date_is_left_alone_and_what_is_not_is_built(
 
 
 def load_names() -> list[str]:
-    return library.engine_folders(data_folder("engines"))
+    return library.list_engines(data_folder("engines"))
 
 
 def test_the_token_is_that_of_the_content(engines: Path) -> None:
     def token(fmi: int) -> str:
-        return library.fmi_token(read_engine(engines / "edf"), engines / "fmi", fmi)
+        return library.hash_build_inputs(read_engine(engines / "edf"), engines / "fmi", fmi)
 
     described = fmpy.read_model_description(str(archive("edf", 3)))
     assert described.instantiationToken == token(3) != token(2)
@@ -170,7 +170,7 @@ paths = module.build_all(Path({str(data_folder("engines"))!r}), Path({str(data_f
 print(json.dumps([len(paths), "cosim" in sys.modules, "pydantic" in sys.modules]))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=tmp_path)
-    assert json.loads(done.stdout) == [2 * len(engine_names()), False, False]
+    assert json.loads(done.stdout) == [2 * len(list_engine_names()), False, False]
 
 
 def test_an_unknown_engine(engines: Path, tmp_path: Path) -> None:

@@ -151,14 +151,14 @@ def test_what_a_check_finds_is_remembered_and_the_flight_takes_it_apart(
     if not why:
         check.record_misbehaviour(report.sha256, "crashed once")
         check._check(str(path), STEP, {}, check.LIMITS, parts)
-        assert check.misbehaves(report.sha256)  # a part of a check clears nobody
+        assert check.read_misbehaviour(report.sha256)  # a part of a check clears nobody
         return
     assert ("flown", f"in a process of its own: it {why}") in report.lines()
     other = shutil.copy(path, tmp_path / "other.fmu")
     spec = load_engine(str(other), {}, STEP, unchecked=True)
-    assert (spec.isolated, spec.misbehaves) == (True, why)
+    assert (spec.isolated, spec.misbehaviour) == (True, why)
     harmless = load_engine(str(mapped(path, "isolated = false")), {}, STEP, unchecked=True)
-    assert (harmless.isolated, harmless.misbehaves) == (False, "")
+    assert (harmless.isolated, harmless.misbehaviour) == (False, "")
     scenario = Scenario.load("hover").replace(
         engine=str(other), controller="baseline", engine_unchecked=True, duration_s=0.1, expect=[]
     )
@@ -170,7 +170,7 @@ def test_a_crash_in_a_check_is_remembered(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     path = foreign(tmp_path, "dies", "dies=1")
     report, _ = check._check(str(path), STEP, {}, check.LIMITS, ("start",))
-    assert check.misbehaves(report.sha256).startswith("crashed when it was instantiated")
+    assert check.read_misbehaviour(report.sha256).startswith("crashed when it was instantiated")
     with pytest.raises(
         InputError, match="crashed while its thrust"
     ):  # it is not loaded here to be measured, unchecked or not
@@ -185,10 +185,10 @@ def test_a_hang_is_the_engines_only_where_the_engine_was_called(
 ) -> None:
     """A machine that is busy may take as long to start a process."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    ended = ChildResult(end=f"hangs {moment}", hung=True, moment=moment)
+    ended = ChildResult(problem=f"hangs {moment}", has_hung=True, moment=moment)
     monkeypatch.setattr(check, "run_in_child", lambda task, limits: ended)
     report, _ = check._check(str(foreign(tmp_path, "stays", "lag=0.1")), STEP, {}, check.LIMITS)
-    assert check.misbehaves(report.sha256) == (f"hangs {moment}" if remembered else "")
+    assert check.read_misbehaviour(report.sha256) == (f"hangs {moment}" if remembered else "")
 
 
 def test_a_whole_check_without_a_finding_forgives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -198,7 +198,7 @@ def test_a_whole_check_without_a_finding_forgives(tmp_path: Path, monkeypatch: p
     digest = check._check(str(path), STEP, {}, check.LIMITS)[0].sha256
     check.record_misbehaviour(digest, "printed once")
     check._check(str(path), STEP, {}, check.LIMITS)
-    assert not check.misbehaves(digest)
+    assert not check.read_misbehaviour(digest)
 
 
 def test_an_engine_that_cannot_be_made_says_so_from_over_there(tmp_path: Path) -> None:
@@ -323,7 +323,7 @@ def test_no_library_of_an_isolated_engine_is_loaded_here(tmp_path: Path, monkeyp
     hover = Scenario.load("hover").replace(
         engine=str(path), engine_isolated=True, controller="baseline", duration_s=0.1, expect=[]
     )
-    assert "density" in load_engine(str(path), {}, STEP, apart=True).archive.ports
+    assert "density" in load_engine(str(path), {}, STEP, isolated=True).archive.ports
     library = hover.replace(engine="turbine-20")
     for scenario in (hover.replace(engine_unchecked=True), hover, hover.replace(vehicle={"mass_kg": 7.0}), library):
         assert fly(scenario).outcome == "completed"

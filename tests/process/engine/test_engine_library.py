@@ -15,9 +15,9 @@ from fmpy.validation import validate_fmu
 from places import TOOLS
 
 from cosim.base.storage.paths import data_folder
-from cosim.engine import build_engines, engine_names, library
+from cosim.engine import build_engines, library, list_engine_names
 
-ENGINES = engine_names()
+ENGINES = list_engine_names()
 FMUS = [(name, fmi) for name in ENGINES for fmi in (2, 3)]
 # a start that fits into a short test
 QUICK = {name: {"ignition_time": 0.2, "spooling_time": 2.0} for name in ENGINES if name.startswith("turbine-")}

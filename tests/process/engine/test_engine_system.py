@@ -25,9 +25,9 @@ from cosim.engine import EngineBank, load_engine
 from cosim.engine.fmu.archive import Archive
 from cosim.engine.fmu.instance import FmuInstance
 from cosim.engine.fmu.unpacked import unpack
-from cosim.engine.qualify.trial import perform
+from cosim.engine.qualify.trial import run_task
 from cosim.engine.spec import find_source
-from cosim.engine.ssp.structure import order
+from cosim.engine.ssp.structure import sort_components
 from cosim.engine.ssp.system_instance import make_instance
 from cosim.flight import fly
 from cosim.spec.scenario import Scenario
@@ -55,7 +55,7 @@ def stepped(path: Path, **settings: float) -> Iterator[tuple[Archive, FmuInstanc
             parameters = {v.name: v for v in archive.parameters}
             named = [(parameters[name.replace("__", ".")], value) for name, value in settings.items()]
             instance.initialize(named, 0.0, step=STEP)
-            yield archive, instance, native.Bank((instance.row(),), STEP)
+            yield archive, instance, native.Bank((instance.make_row(),), STEP)
         finally:
             instance.close()
 
@@ -70,7 +70,7 @@ def test_it_is_stepped_as_by_hand_to_the_last_bit(mine: Path) -> None:
     assert thrusts(mine, governor__gain=0.1) == by_hand(THROTTLE, 0.1)
     archive = find_source(str(mine)).archive
     assert [part.name for part in archive.system.components] == ["governor", "pump", "core"]
-    assert archive.system.late == ["core.n to governor.speed"]
+    assert archive.system.late_connections == ["core.n to governor.speed"]
     assert pickle.loads(pickle.dumps(archive)).system == archive.system
 
 
@@ -81,11 +81,11 @@ def test_the_order_is_that_of_the_connections_and_not_of_the_file(tmp_path: Path
     )
     path = pack(tmp_path / "open.ssp", structure(open_loop, ("core", "pump", "governor"), version="2.0"), fmus)
     archive = find_source(str(path)).archive
-    assert archive.system.late == []
+    assert archive.system.late_connections == []
     assert [part.name for part in archive.system.components] == ["governor", "pump", "core"]
     a, b, c = ("a",), ("b",), ("c",)
-    assert order([a, b, c], {a: {c}, b: {a}, c: {b}}) == ([a, b, c], {(c, a)})
-    assert order([a, b], {a: {a}}) == ([a, b], {(a, a)})
+    assert sort_components([a, b, c], {a: {c}, b: {a}, c: {b}}) == ([a, b, c], {(c, a)})
+    assert sort_components([a, b], {a: {a}}) == ([a, b], {(a, a)})
 
 
 def test_parameter_sets_inside_and_outside_and_in_a_file(tmp_path: Path, fmus: dict[str, bytes]) -> None:
@@ -175,7 +175,7 @@ def test_an_archive_as_another_tool_writes_it_is_read_and_flies(tmp_path: Path, 
     archive = find_source(str(path)).archive
     assert (archive.throttle.unit, archive.thrust.unit, archive.model) == ("%", "lbf", "propulsion unit")
     assert [part.name for part in archive.system.components] == ["Hot section.core", "Control.governor", "pump"]
-    assert archive.system.late == ["pump.flow to Hot section.core.fuel"]
+    assert archive.system.late_connections == ["pump.flow to Hot section.core.fuel"]
     run = fly(Scenario.load("hover").replace(
         engine=str(path), engine_unchecked=True, controller="baseline", duration_s=0.2, expect=[]
     ))  # fmt: skip
@@ -186,7 +186,7 @@ def test_the_check_tries_it_as_any_engine(mine: Path) -> None:
     """The parts of hexjet fmu check that are not one more run, in this process."""
     parts = ("validate", "load", "start", "repeat", "reset", "restore", "serialize")
     said: list[dict[str, Any]] = []
-    perform({"name": str(mine), "parameters": {}, "step": STEP, "parts": parts}, said.append)
+    run_task({"name": str(mine), "parameters": {}, "step": STEP, "parts": parts}, said.append)
     found = {each["of"]: each for each in said if "of" in each}
     assert [each["problems"] for each in found.values()] == [[]] * len(parts)
     assert found["validate"]["found"]["features"][0] == "governor: resources/governor.fmu"

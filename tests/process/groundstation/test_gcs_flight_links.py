@@ -22,13 +22,13 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Mode
 from cosim.control.autopilot.parameters import Parameters
 from cosim.groundstation.exchange import Exchange, Port
-from cosim.groundstation.links import vehicle_info
+from cosim.groundstation.links import make_vehicle_constants
 from cosim.groundstation.mavlink.vehicle import LINK_LOST, MavlinkVehicle
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.transports.channel import RETRY, STALL
-from cosim.groundstation.mavlink.wire.transports.endpoint import parse
-from cosim.groundstation.session_flight import flight_info, pass_on, snapshot_of
+from cosim.groundstation.mavlink.wire.transports.endpoint import parse_endpoint
+from cosim.groundstation.session_flight import forward_messages, make_flight_info, make_snapshot
 from cosim.simulation.pacing import PaceReport
 
 LOOK_STEPS = 5  # of flight between two turns of the link's loop
@@ -79,10 +79,12 @@ class Airborne:
     def __init__(self, *urls: str) -> None:
         self.flight = Flight(height=10.0)
         simulation = self.flight.simulation
-        self.link = Link([parse(url) for url in urls], clock=lambda: self.now)
+        self.link = Link([parse_endpoint(url) for url in urls], clock=lambda: self.now)
         self.exchange = Exchange(lambda: self.now)
-        self.info = flight_info(simulation, 1, Parameters([]), None, 1.0)
-        self.vehicle = MavlinkVehicle(vehicle_info(self.info, "px4"), Port(self.exchange, "mavlink"), self.link)
+        self.info = make_flight_info(simulation, 1, Parameters([]), None, 1.0)
+        self.vehicle = MavlinkVehicle(
+            make_vehicle_constants(self.info, "px4"), Port(self.exchange, "mavlink"), self.link
+        )
         self.link.handler = self.vehicle
         self.askers: list[Asker] = []
         self.told = 0
@@ -96,14 +98,14 @@ class Airborne:
         simulation, pilot, exchange = self.flight.simulation, self.flight.pilot, self.exchange
         end = self.now + seconds
         while self.now < end:
-            for waiting in exchange.take(100):
+            for waiting in exchange.take_requests(100):
                 waiting.answer(pilot.handle(waiting.request, simulation.k))
             sample = simulation.step()
             assert simulation.termination.check(simulation.state, 0.0) is None
             if simulation.k % LOOK_STEPS:
                 continue
-            self.told = pass_on(pilot, exchange, self.told)
-            exchange.publish(snapshot_of(simulation, self.info, sample, pilot.status, PaceReport(), self.now))
+            self.told = forward_messages(pilot, exchange, self.told)
+            exchange.publish(make_snapshot(simulation, self.info, sample, pilot.status, PaceReport(), self.now))
             for asker in self.askers:
                 asker.turn(self.now)
             # as the link's own thread does

@@ -126,7 +126,7 @@ def test_parameters_of_a_file_that_lose_the_vehicle_are_told_before_anybody_conn
     kept = tmp_path / "kept.toml"
     head = 'format = 1\nvehicle = "hexjet-edf-as-flown-smith"\n[parameters]\n'
     kept.write_text(f"{head}HJ_PRED_DELAY = 100.0\nMPC_XY_VEL_MAX = 3.0\nHJ_PITCH_P = 99999.0\nHJ_FORCE = 1.0\n")
-    session = Session(SCENARIO, Exchange(), parameters=kept, records=RecordOptions(tmp_path / "run", report=False))
+    session = Session(SCENARIO, Exchange(), parameter_file=kept, records=RecordOptions(tmp_path / "run", report=False))
     session.set_stability_checker(judge)
     assert session.describe_saved() == [
         "HJ_PRED_DELAY 100 (default 25)",
@@ -147,10 +147,10 @@ class SlowJudge:
     def prepare(self) -> None:
         """Nothing to compute."""
 
-    def concerns(self, name: str) -> bool:
+    def tunes_loop(self, name: str) -> bool:
         return name == "HJ_ROLL_P"
 
-    def cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
+    def find_cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
         assert self.go.wait(PATIENCE)
         return []
 

@@ -86,7 +86,7 @@ def test_a_deadline_is_missed_when_a_step_is_not_done_as_the_next_is_due() -> No
     report = paced(clock, 1.0, [0.001, 0.0055, 0.0015, 0.0039]).report
     # done at 1, 9.5, 11, 15.9 ms; due at 4, 8, 12, 16
     assert (report.steps, report.missed, report.stalls) == (4, 1, 0)
-    assert report.worst == pytest.approx(0.0015, abs=1e-12)
+    assert report.longest_delay == pytest.approx(0.0015, abs=1e-12)
     assert clock.now == pytest.approx(100.0 + 4 * 0.004, abs=1e-12)  # caught up with
 
 
@@ -105,7 +105,7 @@ def test_after_a_long_stall_it_does_not_race() -> None:
     assert clock.slept == pytest.approx([0.003, 0.003, 0.003], abs=1e-12)
     report = pace.report
     assert (report.missed, report.stalls) == (1, 1)
-    assert report.lost == pytest.approx(2.996, abs=1e-9)
+    assert report.postponed == pytest.approx(2.996, abs=1e-9)
 
 
 def test_without_a_factor_nothing_waits() -> None:
@@ -113,7 +113,7 @@ def test_without_a_factor_nothing_waits() -> None:
     report = paced(clock, None, [0.01] * 300).report
     assert not clock.slept
     assert (report.missed, report.factor) == (0, None)
-    assert report.reached == pytest.approx(0.4, rel=1e-6)  # 4 ms of flight in 10 ms
+    assert report.reached_factor == pytest.approx(0.4, rel=1e-6)  # 4 ms of flight in 10 ms
 
 
 def test_a_step_keeps_time_on_a_real_clock() -> None:
@@ -135,14 +135,14 @@ def test_senders_take_turns() -> None:
         exchange.ask(rq.SetSpeed(float(i)), sender="loud")
     exchange.ask(rq.Land(), sender="quiet")
     exchange.ask(rq.Hold(), sender="third")
-    order = [(each.sender, type(each.request).__name__) for each in exchange.take(4)]
+    order = [(each.sender, type(each.request).__name__) for each in exchange.take_requests(4)]
     assert order == [("loud", "SetSpeed"), ("quiet", "Land"), ("third", "Hold"), ("loud", "SetSpeed")]
-    assert [request for _, request, _, _ in exchange.take(100)] == [
+    assert [request for _, request, _, _ in exchange.take_requests(100)] == [
         rq.SetSpeed(2.0),
         rq.SetSpeed(3.0),
         rq.SetSpeed(4.0),
     ]
-    assert exchange.take(1) == []
+    assert exchange.take_requests(1) == []
 
 
 def test_a_full_queue_answers_at_once_and_leaves_room_for_others() -> None:
@@ -154,7 +154,7 @@ def test_a_full_queue_answers_at_once_and_leaves_room_for_others() -> None:
     exchange.ask(rq.Land(), answers.append, "quiet")
     assert len(answers) == 3
     assert exchange.turned_away == 3
-    assert [type(request) for _, request, _, _ in exchange.take(2)] == [rq.Hold, rq.Land]
+    assert [type(request) for _, request, _, _ in exchange.take_requests(2)] == [rq.Hold, rq.Land]
 
 
 def test_there_may_not_be_any_number_of_senders() -> None:
@@ -162,7 +162,7 @@ def test_there_may_not_be_any_number_of_senders() -> None:
     answers: list[Answer] = []
     for i in range(10 * SENDERS):
         exchange.ask(rq.Hold(), answers.append, str(i))
-    assert (exchange.waiting, len(answers)) == (SENDERS, 9 * SENDERS)
+    assert (exchange.request_count, len(answers)) == (SENDERS, 9 * SENDERS)
 
 
 def test_only_the_last_of_a_stream_counts() -> None:
@@ -173,7 +173,7 @@ def test_only_the_last_of_a_stream_counts() -> None:
     exchange.ask(rq.Land(), sender="pad")
     exchange.ask(rq.Sticks(-1.0, 0.0, 0.0, 0.5), sender="pad")
     assert len(answers) == 999
-    taken = [request for _, request, _, _ in exchange.take(10)]
+    taken = [request for _, request, _, _ in exchange.take_requests(10)]
     assert taken == [rq.Sticks(0.999, 0.0, 0.0, 0.5), rq.Land(), rq.Sticks(-1.0, 0.0, 0.0, 0.5)]
 
 
@@ -183,9 +183,9 @@ def test_a_request_whose_time_is_over_is_not_done() -> None:
     now = time.monotonic()
     exchange.ask(rq.Arm(), answers.append, "slow", now - 0.001)
     exchange.ask(rq.Land(), answers.append, "slow", now + 60.0)
-    assert [request for _, request, _, _ in exchange.take(5)] == [rq.Land()]
+    assert [request for _, request, _, _ in exchange.take_requests(5)] == [rq.Land()]
     assert [answer.result for answer in answers] == [Result.FAILED]
-    assert exchange.waiting == 0
+    assert exchange.request_count == 0
 
 
 def test_every_request_is_answered_once_whoever_asks_when() -> None:
@@ -205,8 +205,8 @@ def test_every_request_is_answered_once_whoever_asks_when() -> None:
     for thread in threads:
         thread.start()
     last = [-1.0] * 4
-    while any(thread.is_alive() for thread in threads) or exchange.waiting:
-        for sender, request, done, _ in exchange.take(3):
+    while any(thread.is_alive() for thread in threads) or exchange.request_count:
+        for sender, request, done, _ in exchange.take_requests(3):
             assert isinstance(request, rq.SetSpeed)
             assert request.m_s > last[int(sender)]  # in order
             last[int(sender)] = request.m_s
@@ -447,7 +447,7 @@ def test_a_file_of_parameters_that_cannot_be_used_is_refused(tmp_path: Path, tex
     kept = tmp_path / "kept.toml"
     kept.write_text(text)
     with pytest.raises(InputError, match=r"kept\.toml") as caught:
-        Session(Scenario.load("hover"), Exchange(), parameters=kept, records=RecordOptions(tmp_path / "run"))
+        Session(Scenario.load("hover"), Exchange(), parameter_file=kept, records=RecordOptions(tmp_path / "run"))
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "run").exists()
@@ -488,7 +488,7 @@ def test_a_flood_of_one_leaves_the_others_served(tmp_path: Path) -> None:
                 before = pilot.until(lambda s: True).k
                 pilot.ok(rq.SetHome())
                 waits.append(exchange.snapshot.k - before if exchange.snapshot else -1)
-                assert exchange.waiting <= WAITING_PER_SENDER + 1
+                assert exchange.request_count <= WAITING_PER_SENDER + 1
         finally:
             going = False
             thread.join()

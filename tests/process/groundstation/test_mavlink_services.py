@@ -18,16 +18,16 @@ from patience import stretched
 from cosim.base.geodesy import Geodesy
 from cosim.control.autopilot.requests import ItemKind
 from cosim.groundstation.exchange import Exchange, Port
-from cosim.groundstation.mavlink.services.ftp import Bytes, FileService
+from cosim.groundstation.mavlink.services.ftp import FileService, MemoryFile
 from cosim.groundstation.mavlink.services.metadata import GENERAL, Metadata
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.params import ParameterService
 from cosim.groundstation.mavlink.vehicle import MavlinkVehicle
 from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
 from cosim.groundstation.mavlink.wire.link import Link
-from cosim.groundstation.mavlink.wire.transports.endpoint import parse
+from cosim.groundstation.mavlink.wire.transports.endpoint import parse_endpoint
 from cosim.simulation.build import build
-from cosim.simulation.with_autopilot import with_autopilot
+from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 
 PLACE = Geodesy(22.35, 113.59)
@@ -41,17 +41,17 @@ class Flight:
         table: dict[str, Any] = {"name": "test", "engine": "edf-as-flown", "controller": "smith"}
         table |= {"duration_s": 400.0, "initial": {"on_ground": True}}
         self.simulation = build(Scenario.from_table(table, Scenario.load("hover").folder, "test"))
-        self.pilot = pilot = with_autopilot(self.simulation)
+        self.pilot = pilot = attach_autopilot(self.simulation)
         for _ in range(300):  # until it knows where home is
             self.simulation.step()
         self.exchange = exchange = Exchange()
-        self.link = Link([parse("udpin:127.0.0.1:0")])
+        self.link = Link([parse_endpoint("udpin:127.0.0.1:0")])
         self.metadata = Metadata(pilot.parameters, "hexjet", "0.1.0")
 
         def ask(*given: Any) -> None:
             self.vehicle.port.ask(*given)
 
-        files = {path: Bytes(data) for path, data in self.metadata.files.items()}
+        files = {path: MemoryFile(data) for path, data in self.metadata.files.items()}
         services = [
             ParameterService(pilot.parameters, ask),
             MissionService(
@@ -84,7 +84,7 @@ class Flight:
         """Step until a message of these kinds comes."""
         end = time.monotonic() + stretched(seconds)
         while time.monotonic() < end:
-            for waiting in self.exchange.take(100):
+            for waiting in self.exchange.take_requests(100):
                 waiting.answer(self.pilot.handle(waiting.request, self.simulation.k))
             self.exchange.publish(snapshot(self.simulation.step(), self.pilot.status))
             try:

@@ -22,11 +22,11 @@ from cosim.design import survey
 from cosim.engine import IsolatedBank, load_engine
 from cosim.engine.fmu.air import STANDARD_AIR
 from cosim.engine.make.compile import compile_archive
-from cosim.engine.make.controller_fmu import command
+from cosim.engine.make.controller_fmu import make_command
 from cosim.engine.qualify.supervisor import Limits, run_in_child
 from cosim.flight import fly
 from cosim.groundstation.mavlink.services.logs import LogStore
-from cosim.simulation.controllers.process import describe
+from cosim.simulation.controllers.process import request_description
 from cosim.spec.scenario import Scenario
 
 STEP = 0.004
@@ -46,7 +46,7 @@ def isolated_engines() -> None:
 
 def fmu_check() -> None:
     task = {"name": ENGINE, "parameters": {}, "step": STEP, "air": list(STANDARD_AIR), "parts": ["start"]}
-    assert run_in_child(task, Limits(PATIENCE, PATIENCE)).end is None
+    assert run_in_child(task, Limits(PATIENCE, PATIENCE)).problem is None
 
 
 def worker() -> None:
@@ -80,7 +80,7 @@ def compiler() -> None:
 
 def controller_fmu() -> None:
     with pytest.raises(InputError, match=r"before it had said what it is: .*edf"):  # an engine is no controller
-        describe(lambda: command(archive()), Path.cwd(), "none")
+        request_description(lambda: make_command(archive()), Path.cwd(), "none")
 
 
 def bench() -> None:

@@ -34,7 +34,7 @@ from cosim.engine import build_engines, load_engine
 from cosim.engine import measure as engine_measure
 from cosim.engine.fmu import archive, unpacked
 from cosim.engine.fmu.air import STANDARD_AIR
-from cosim.engine.fmu.archive import library_of
+from cosim.engine.fmu.archive import find_library
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.measure import EngineMeasurement
 from cosim.engine.qualify import check
@@ -249,7 +249,7 @@ def test_a_foreign_engine_is_tried_once_and_then_measured(tmp_path: Path, monkey
     many = [load_engine(str(path), {"delay_samples": float(k), "gain": 0.1 + 0.01 * k}, STEP) for k in range(4, 9)]
     assert len(asked) == 2
     assert len(list((tmp_path / "cache").rglob("*.json"))) == 1
-    assert [each.window for each in many] == [2 * k + 50 for k in range(4, 9)]
+    assert [each.settling_window for each in many] == [2 * k + 50 for k in range(4, 9)]
     apart = check._check(str(path), STEP, {"delay_samples": 5.0, "gain": 0.1 + 0.01 * 5}, check.LIMITS, ("measure",))[1]
     assert apart is not None
     assert (apart.curve, apart.start) == (many[1].curve, many[1].start)
@@ -282,18 +282,18 @@ def test_unpacked_files_are_used_again_if_nobody_changed_them() -> None:
     with unpack(known) as again:
         assert again == first.path
     for change in (
-        lambda folder: (folder / library_of(known)).write_bytes(b"other"),
+        lambda folder: (folder / find_library(known)).write_bytes(b"other"),
         lambda folder: (folder / "left").mkdir(),
         lambda folder: (folder / "left").write_text("behind"),
-        lambda folder: (folder / library_of(known)).unlink(),
+        lambda folder: (folder / find_library(known)).unlink(),
         lambda folder: shutil.rmtree(folder),
     ):
         with unpack(known) as folder:
             change(folder)
-        assert not unpacked._free[-1].untouched
+        assert not unpacked._free[-1].is_untouched
         with unpack(known) as other:
             assert other != folder
-            assert (other / library_of(known)).stat().st_size > 1000
+            assert (other / find_library(known)).stat().st_size > 1000
             assert not (other / "left").exists()
         assert not folder.exists()
     second.close()
@@ -325,7 +325,7 @@ def test_a_library_that_stays_loaded_is_not_used_again() -> None:
     """It would keep what it has in its memory from one flight to the next."""
     known = find_source("edf").archive
     with unpack(known) as folder:
-        library = CDLL(str(folder / library_of(known)))
+        library = CDLL(str(folder / find_library(known)))
     with unpack(known) as other:
         assert other != folder
     _ctypes.dlclose(library._handle)

@@ -298,7 +298,7 @@ def test_an_entry_point_brings_one(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     (info / "entry_points.txt").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     found = find_block("wind", "shear", tmp_path)
-    assert (found.version, list(found.files), found.copied) == ("my-blocks 1.2", ["mine.py"], False)
+    assert (found.version, list(found.files), found.is_copied) == ("my-blocks 1.2", ["mine.py"], False)
 
 
 def test_the_page_names_what_there_is() -> None:

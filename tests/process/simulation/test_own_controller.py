@@ -38,7 +38,7 @@ from cosim.control.attitude import AttitudeController
 from cosim.control.rate import RateController
 from cosim.simulation.build import build
 from cosim.simulation.controllers.deadline import Deadline, LateError
-from cosim.simulation.with_autopilot import with_autopilot
+from cosim.simulation.with_autopilot import attach_autopilot
 
 PAGE = ROOT / "docs" / "own-controller.md"
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.2}
@@ -237,11 +237,11 @@ def test_what_hangs_is_broken_off_beside_a_flight_that_was_left_open() -> None:
     for each in (left, ours, left, ours):
         with pytest.raises(LateError):
             hang(each)
-        each.drop()
+        each.cancel()
     left.close()
     with pytest.raises(LateError):
         hang(ours)
-    ours.drop()
+    ours.cancel()
     ours.close()
     assert signal.getsignal(signal.SIGUSR2) is signal.SIG_DFL
 
@@ -625,7 +625,7 @@ def test_the_autopilot_flies_it_and_what_it_has_not_cannot_be_set(tmp_path: Path
 
     def flown(controller: str) -> tuple[list[Any], Any]:
         with build(hover.replace(controller=controller)) as simulation:
-            pilot = with_autopilot(simulation, airborne=True)
+            pilot = attach_autopilot(simulation, airborne=True)
             samples = [simulation.step() for _ in range(100)]
             return [(s.state.position, s.actuation.throttle) for s in samples], pilot
 

@@ -18,7 +18,7 @@ from cosim.base.plugins import execute
 from cosim.base.plugins.entry_points import load_entry
 from cosim.base.plugins.execute import import_installed
 from cosim.base.storage.user import settings_folder
-from cosim.simulation.controllers.source import find, names
+from cosim.simulation.controllers.source import find_controller_source, list_installed
 
 REFUSED = "is code that you have not flown before"
 
@@ -95,7 +95,9 @@ def test_metadata_beside_it_are_not_believed(mark: Path) -> None:
     with pytest.raises(trust.CodeRefusedError, match=REFUSED):
         load_entry(EntryPoint("theirs", "theirs:Mine", "hexjet.controllers"))
     (facts / "entry_points.txt").write_text("[hexjet.controllers]\nstrange = theirs:Mine\n")
-    assert dict(names())["strange"] == "theirs:Mine (not where packages are installed, and not run to look at it)"
+    assert (
+        dict(list_installed())["strange"] == "theirs:Mine (not where packages are installed, and not run to look at it)"
+    )
     assert not mark.exists()
 
 
@@ -124,7 +126,7 @@ def test_what_has_no_file_to_look_at_is_refused(mark: Path, tmp_path: Path, monk
 def test_a_folder_is_no_module_with_a_class(tmp_path: Path) -> None:
     Path("empty").mkdir()
     with pytest.raises(InputError, match="controller empty:Mine: "):
-        find("empty:Mine", tmp_path, "test")
+        find_controller_source("empty:Mine", tmp_path, "test")
 
 
 def test_a_module_in_a_package_that_is_loaded_is_asked_for(mark: Path) -> None:

@@ -17,8 +17,8 @@ from cosim.autopilots.betaflight import (
     TILT_WEIGHT,
     Betaflight,
     find_program,
-    gain_settings,
-    mixer_settings,
+    make_gain_settings,
+    make_mixer_settings,
 )
 from cosim.autopilots.lockstep import listen
 from cosim.base.errors import InputError
@@ -36,7 +36,7 @@ def mix(lines: list[str]) -> list[list[float]]:
 def test_the_banks_are_mixed_as_the_allocator_does() -> None:
     """Roll by throttle, left up; the outputs behind the engines tilt both banks for pitch and against each other for yaw."""
     hexjet = vehicle("hexjet")
-    rows = mix(mixer_settings(hexjet, 0.05))
+    rows = mix(make_mixer_settings(hexjet, 0.05))
     for jet, (throttle, roll, pitch, yaw) in zip(hexjet.jets, rows, strict=False):
         assert (throttle, roll, pitch, yaw) == (1.0, 1.0 if jet.servo == "left" else -1.0, 0.0, 0.0)
     # the jets stand above the centre of gravity: tilted forward they push the nose down, which is Betaflight's positive
@@ -49,7 +49,7 @@ def test_a_quadrotor_is_mixed_as_its_own() -> None:
         (x > 0.0, y > 0.0): row
         for (x, y, _), row in zip(
             [jet.position_m for jet in vehicle("quadrotor").jets],
-            mix(mixer_settings(vehicle("quadrotor"), 0.05)),
+            mix(make_mixer_settings(vehicle("quadrotor"), 0.05)),
             strict=True,
         )
     }
@@ -66,7 +66,9 @@ def test_a_quadrotor_is_mixed_as_its_own() -> None:
 def test_gains_are_ours_in_its_units() -> None:
     """Each back again through its scales, its mixer and our tilt: within half of its unit."""
     hexjet = vehicle("hexjet")
-    set_to = {line.split()[1]: float(line.split()[3]) for line in gain_settings(hexjet) if line.split()[3].isdigit()}
+    set_to = {
+        line.split()[1]: float(line.split()[3]) for line in make_gain_settings(hexjet) if line.split()[3].isdigit()
+    }
     gains, room = hexjet.control.rate, 1.0 - hexjet.control.allocation.throttle_min
     assert hexjet.servo is not None
     for axis, ours, worth in (

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 from places import script
 
-from cosim.autopilots.betaflight import gain_settings, gain_units
+from cosim.autopilots.betaflight import compute_gain_units, make_gain_settings
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
 from cosim.cli.controllers.design import design
@@ -137,19 +137,19 @@ def test_a_firmwares_loop_is_that_of_its_lines(name: str, written: type[Written]
 def test_gains_are_whole_and_no_neighbour_is_better() -> None:
     """From a start beside it, in Betaflight's units; what is written into its console are those numbers."""
     vehicle, channel = place()
-    firmware = Firmware("betaflight", units=gain_units(vehicle))
+    firmware = Firmware("betaflight", units=compute_gain_units(vehicle))
     need = Requirements()
     found = settle(channel, tuning(channel, firmware), need)
     assert found is not None
     whole = [
         value / unit
-        for value, unit in zip((found.angle_gain, *values(found)), gain_units(vehicle)["roll"], strict=True)
+        for value, unit in zip((found.angle_gain, *values(found)), compute_gain_units(vehicle)["roll"], strict=True)
     ]
     assert whole == pytest.approx(np.round(whole), abs=1e-9)
     assert settle(channel, found, need) == found
     told = {"rate": {"roll": found.gains.model_dump()}, "attitude": {"gain_1_s": [found.angle_gain] * 3}}
     flown, _ = load_vehicle("hexjet", {"control": told}, "here")
-    lines = gain_settings(flown)
+    lines = make_gain_settings(flown)
     for key, value in zip("pid", whole[1:], strict=True):
         assert f"set {key}_roll = {round(value)}" in lines
     assert f"set angle_p_gain = {round(whole[0])}" in lines

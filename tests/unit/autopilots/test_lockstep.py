@@ -20,8 +20,8 @@ from command_tools import Hexjet
 from patience import PATIENCE
 
 from cosim.autopilots import hil, px4
-from cosim.autopilots.ardupilot import ArduPilot, Launch
-from cosim.autopilots.instruments import compass, earth_field
+from cosim.autopilots.ardupilot import ArduPilot, LaunchOptions
+from cosim.autopilots.instruments import compute_earth_field, to_body_field
 from cosim.autopilots.lockstep import SensorFrame, StickPositions
 from cosim.autopilots.px4 import Px4
 from cosim.base.errors import FlightError, InputError
@@ -65,7 +65,7 @@ def free(instances: range, port: int, apart: int, kind: socket.SocketKind) -> in
 @contextmanager
 def ardupilot(folder: Path, step: float = STEP, **faults: Any) -> Iterator[tuple[ArduPilot, ArduPilotStandIn]]:
     instance = free(range(100, 4000), 9002, 10, socket.SOCK_DGRAM)
-    ours = ArduPilot(None, folder, HEXJET, step, PLACE, Launch(instance, PATIENCE))
+    ours = ArduPilot(None, folder, HEXJET, step, PLACE, LaunchOptions(instance, PATIENCE))
     theirs = ArduPilotStandIn(9002 + 10 * instance, **faults)
     try:
         ours.start()
@@ -78,7 +78,7 @@ def ardupilot(folder: Path, step: float = STEP, **faults: Any) -> Iterator[tuple
 @contextmanager
 def px4_pair(folder: Path, **faults: Any) -> Iterator[tuple[Px4, Px4StandIn]]:
     instance = free(range(1000, 40000), 4560, 1, socket.SOCK_STREAM)
-    ours = Px4(None, folder, HEXJET, STEP, PLACE, px4.Launch(instance, PATIENCE))
+    ours = Px4(None, folder, HEXJET, STEP, PLACE, px4.LaunchOptions(instance, PATIENCE))
     theirs = Px4StandIn(4560 + instance, **faults)
     try:
         ours.start()
@@ -158,7 +158,7 @@ def test_another_rate_than_the_flights_is_refused(tmp_path: Path) -> None:
         with pytest.raises(FlightError, match="asks for 400 frames a second, and the flight has 250: set SIM_RATE_HZ"):
             ours.exchange(frame(2399))
     with pytest.raises(InputError, match=r"step_s = 0\.1: its clock is moved by steps below 0\.1 s"):
-        ArduPilot(None, tmp_path, HEXJET, 0.1, PLACE, Launch())
+        ArduPilot(None, tmp_path, HEXJET, 0.1, PLACE, LaunchOptions())
 
 
 def test_a_second_sender_is_left_alone_and_counted(tmp_path: Path) -> None:
@@ -174,7 +174,7 @@ def test_a_second_sender_is_left_alone_and_counted(tmp_path: Path) -> None:
 
 def test_a_wrong_protocol_on_the_port_is_named(tmp_path: Path) -> None:
     instance = free(range(100, 4000), 9002, 10, socket.SOCK_DGRAM)
-    ours = ArduPilot(None, tmp_path, HEXJET, STEP, PLACE, Launch(instance))
+    ours = ArduPilot(None, tmp_path, HEXJET, STEP, PLACE, LaunchOptions(instance))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         talking = threading.Timer(0.05, stranger.sendto, (b"\xfd\x09 MAVLink", ("127.0.0.1", 9002 + 10 * instance)))
         talking.start()
@@ -222,7 +222,7 @@ def test_px4_is_told_what_was_measured(tmp_path: Path) -> None:
     given = frame(0)
     assert (sensor.xgyro, sensor.ygyro, sensor.zgyro) == pytest.approx(given.rate)
     assert (sensor.xacc, sensor.yacc, sensor.zacc) == pytest.approx(given.force)
-    assert (sensor.xmag, sensor.ymag, sensor.zmag) == pytest.approx(compass(ours.field, given.attitude), rel=1e-6)
+    assert (sensor.xmag, sensor.ymag, sensor.zmag) == pytest.approx(to_body_field(ours.field, given.attitude), rel=1e-6)
     assert sensor.fields_updated == 7 | 56 | 448 | 6656
     assert sensor.abs_pressure == pytest.approx(1013.25 * (1.0 - 0.0065 * 35.0 / 288.15) ** 5.2559, rel=1e-4)
     sticks, fix = told["RC_CHANNELS"], told["HIL_GPS"]
@@ -262,7 +262,7 @@ def test_a_second_client_is_turned_away(tmp_path: Path) -> None:
 def test_one_that_never_connects_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(px4, "_START_S", 0.1)
     instance = free(range(1000, 40000), 4560, 1, socket.SOCK_STREAM)
-    ours = Px4(None, tmp_path, HEXJET, STEP, PLACE, px4.Launch(instance))
+    ours = Px4(None, tmp_path, HEXJET, STEP, PLACE, px4.LaunchOptions(instance))
     with pytest.raises(FlightError, match=rf"px4 did not connect to port {4560 + instance} within 0\.1 s"):
         ours.start()
     ours.close()
@@ -299,7 +299,7 @@ def test_messages_are_those_of_pymavlink(kind: hil.MessageFormat) -> None:
     payload = bytes(range(kind.payload.size))
     values = kind.payload.unpack(payload)
     assert values == theirs.unpacker.unpack(payload)
-    raw = hil.FrameWriter().frame(kind, *values)
+    raw = hil.FrameWriter().pack_frame(kind, *values)
     (message,) = mav.MAVLink(None).parse_buffer(raw)
     assert message.get_msgId() == kind.number
     ((again, read),) = hil.FrameReader().feed(b"\x00noise" + raw)
@@ -308,7 +308,7 @@ def test_messages_are_those_of_pymavlink(kind: hil.MessageFormat) -> None:
 
 
 def test_a_stream_may_come_in_pieces_and_with_wrong_bytes() -> None:
-    raw = hil.FrameWriter().frame(hil.HIL_ACTUATOR_CONTROLS, 4001, 1, *[0.25] * 16, 129)
+    raw = hil.FrameWriter().pack_frame(hil.HIL_ACTUATOR_CONTROLS, 4001, 1, *[0.25] * 16, 129)
     broken = raw[:-1] + bytes((raw[-1] ^ 1,))
     reader, found = hil.FrameReader(), []
     for byte in raw + broken + raw:
@@ -331,7 +331,7 @@ FIELDS = {
 @pytest.mark.parametrize(("place", "nano_tesla"), FIELDS.items())
 def test_the_field_is_the_earths(place: tuple[float, float], nano_tesla: tuple[float, float, float]) -> None:
     """Within a nanotesla."""
-    assert earth_field(*place) == pytest.approx([1e-5 * value for value in nano_tesla], abs=1e-5)
+    assert compute_earth_field(*place) == pytest.approx([1e-5 * value for value in nano_tesla], abs=1e-5)
 
 
 def test_its_first_terms_are_those_of_a_dipole() -> None:
@@ -340,6 +340,6 @@ def test_its_first_terms_are_those_of_a_dipole() -> None:
     strength = 1e-5 * (g10**2 + g11**2 + h11**2) ** 0.5
     latitude = degrees(np.arcsin(1e-5 * g10 / strength))
     longitude = degrees(np.arctan2(h11, g11))
-    assert earth_field(latitude, longitude, 1) == pytest.approx((0.0, 0.0, 2.0 * strength), abs=0.02 * strength)
-    north, east, down = earth_field(latitude - 90.0, longitude, 1)
+    assert compute_earth_field(latitude, longitude, 1) == pytest.approx((0.0, 0.0, 2.0 * strength), abs=0.02 * strength)
+    north, east, down = compute_earth_field(latitude - 90.0, longitude, 1)
     assert (north, east, down) == pytest.approx((strength, 0.0, 0.0), abs=0.02 * strength)

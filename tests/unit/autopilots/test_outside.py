@@ -7,7 +7,7 @@ import pytest
 from command_tools import Hexjet
 
 from cosim.autopilots.lockstep import ActuatorOutputs
-from cosim.autopilots.run import external_rate_loop
+from cosim.autopilots.run import make_external_rate_loop
 from cosim.base.protocols import EngineState
 from cosim.base.signals import ZERO3, Command, Disturbance, Measured, Vector3
 from cosim.control.allocation.reallocation import command_to_torque
@@ -30,9 +30,9 @@ def test_what_an_autopilot_asks_for_reaches_the_controller(name: str, has_gyro: 
     coarse, which is a part of a step of 12 bits."""
     scenario = FLOWN[name]
     vehicle, _ = scenario.resolved_vehicle()
-    rates = external_rate_loop(scenario, GAIN, has_gyro)
+    rates = make_external_rate_loop(scenario, GAIN, has_gyro)
     draw = np.random.default_rng(3)
-    assert rates.gyro((0.1, 0.2, 0.3)) == ((0.1, 0.2, 0.3) if has_gyro else ZERO3)
+    assert rates.select_gyro((0.1, 0.2, 0.3)) == ((0.1, 0.2, 0.3) if has_gyro else ZERO3)
     with build(scenario) as simulation:
         cascade, jets = simulation.cascade, len(vehicle.jets)
         cascade.reset(False, 0.0)
@@ -41,7 +41,7 @@ def test_what_an_autopilot_asks_for_reaches_the_controller(name: str, has_gyro: 
             rate: Vector3 = tuple(map(float, 0.1 * draw.standard_normal(3)))  # type: ignore[assignment]
             share = float(draw.uniform(0.4, 0.7))
             mean = cascade.thrust_map.throttle((share,) * jets)[0]
-            roll, pitch, yaw = (asked - np.array(rates.gyro(rate))) * GAIN
+            roll, pitch, yaw = (asked - np.array(rates.select_gyro(rate))) * GAIN
             if vehicle.servo is None:
                 throttle = tuple(
                     mean - np.sign(jet.position_m[1]) * roll + np.sign(jet.position_m[0]) * pitch
@@ -53,7 +53,7 @@ def test_what_an_autopilot_asks_for_reaches_the_controller(name: str, has_gyro: 
                 forward = -1.0 if sum(jet.position_m[2] for jet in vehicle.jets) < 0.0 else 1.0
                 tilt = (forward * pitch + yaw, forward * pitch - yaw)
             measured = Measured(rate, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, 0.0)
-            found = rates.answer(ActuatorOutputs(throttle, tilt, True), measured)
+            found = rates.compute_outputs(ActuatorOutputs(throttle, tilt, True), measured)
             wanted = cascade.update(
                 Command(ZERO3, 0.0, tuple(map(float, asked)), share),  # type: ignore[arg-type]
                 measured,
@@ -67,7 +67,7 @@ def test_what_an_autopilot_asks_for_reaches_the_controller(name: str, has_gyro: 
 def test_disarmed_its_answer_is_left_as_it_is() -> None:
     still = Measured(ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, 0.0)
     asked = ActuatorOutputs((0.0,) * 6, (0.0, 0.0), False)
-    assert external_rate_loop(DOUBLET, GAIN).answer(asked, still) is asked
+    assert make_external_rate_loop(DOUBLET, GAIN).compute_outputs(asked, still) is asked
 
 
 def test_the_inverse_gives_back_what_the_allocation_was_told() -> None:

@@ -40,13 +40,13 @@ def test_betaflights_console_has_gains_then_what_is_stated(tmp_path: Path) -> No
     vehicle, _ = HOVER.resolved_vehicle()
     setup = Setup(instance=3, lines=["set p_roll = 12"])
     own = prepare("betaflight", HOVER, tmp_path, PROGRAM, setup)
-    console = [*betaflight.gain_settings(vehicle), "set p_roll = 12"]
+    console = [*betaflight.make_gain_settings(vehicle), "set p_roll = 12"]
     assert own.details["gains"] == "vehicle"
     assert own.details["console"][-len(console) :] == console
     assert own.endpoint == f"UDP port {betaflight.PORT + 3 * PORT_SPACING}"
     assert own.rates is None
     stock = prepare("betaflight", HOVER, tmp_path, PROGRAM, Setup(gains="stock", port=2000))
-    assert not set(betaflight.gain_settings(vehicle)) & set(stock.details["console"])
+    assert not set(betaflight.make_gain_settings(vehicle)) & set(stock.details["console"])
     assert stock.endpoint == "UDP port 2000"
 
 

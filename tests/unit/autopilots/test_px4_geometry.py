@@ -11,9 +11,9 @@ from command_tools import Hexjet
 from px4_program import DEFAULTS, configured, mixer
 
 from cosim.autopilots.parameters import PX4_TARGETS, px4_link, px4_parameters, px4_target, px4_torque_scale
-from cosim.autopilots.px4 import yaw_stick
+from cosim.autopilots.px4 import invert_yaw_curve
 from cosim.base.errors import InputError
-from cosim.codegen.form import form_of
+from cosim.codegen.form import make_form
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Jet, Vehicle, aircraft_names, engine_of, load_vehicle
@@ -143,9 +143,9 @@ def test_a_target_is_told_of_what_it_has(hexjet: Hexjet) -> None:
 
 def test_the_yaw_stick_undoes_what_px4_bends() -> None:
     for turn in np.linspace(-1.0, 1.0, 41):
-        stick = yaw_stick(float(turn))
+        stick = invert_yaw_curve(float(turn))
         assert 0.4 * stick + 0.6 * stick**3 == pytest.approx(turn, abs=1e-12)
-    assert (yaw_stick(3.0), yaw_stick(-3.0)) == pytest.approx((1.0, -1.0))
+    assert (invert_yaw_curve(3.0), invert_yaw_curve(-3.0)) == pytest.approx((1.0, -1.0))
 
 
 @pytest.mark.parametrize("vehicle", TOLD, ids=lambda vehicle: vehicle.name)
@@ -155,7 +155,7 @@ def test_what_an_exported_controller_takes_for_a_torque_is_that_torque_to_the_mi
         aircraft=vehicle.name, engine=engine_of(vehicle.name), controller="baseline"
     )
     with build(scenario) as simulation:
-        back = np.array(form_of(simulation)["allocation"]["inverse"])
+        back = np.array(make_form(simulation)["allocation"]["inverse"])
     mix, jets = mixer(DEFAULTS | px4_parameters(vehicle)), len(vehicle.jets)
     size = np.ones(mix.shape[0])
     size[jets:] = 0.0 if vehicle.servo is None else vehicle.servo.range_rad

@@ -10,8 +10,8 @@ import pytest
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Applied
 from cosim.base.signals import Command, EngineOutput, Measured
-from cosim.simulation.controllers.recorded import COLUMNS, RecordedController, header, line, read
-from cosim.simulation.controllers.source import find
+from cosim.simulation.controllers.recorded import COLUMNS, RecordedController, format_header, format_row, read_rows
+from cosim.simulation.controllers.source import find_controller_source
 
 ROWS = [
     ((0.1, 1.0 / 3.0, nextafter(0.5, 1.0), 0.0), (-0.2, nextafter(0.1, 0.0)), (0.0, 6.004)),
@@ -30,21 +30,23 @@ def table(path: Path, *lines: str) -> Path:
 
 
 def test_what_is_written_is_read_to_the_last_bit(tmp_path: Path) -> None:
-    path = table(tmp_path / "actuators.csv", header(4, True), *[line(row, True) for row in ROWS])
-    rows, columns = read(path, "controller")
+    path = table(tmp_path / "actuators.csv", format_header(4, True), *[format_row(row, True) for row in ROWS])
+    rows, columns = read_rows(path, "controller")
     assert repr(rows) == repr(ROWS)
     assert columns == COLUMNS
 
 
 def test_a_vehicle_without_servos_has_no_tilts(tmp_path: Path) -> None:
-    path = table(tmp_path / "actuators.csv", header(4, False), *[line(row, False) for row in ROWS])
-    rows, _ = read(path, "controller")
+    path = table(tmp_path / "actuators.csv", format_header(4, False), *[format_row(row, False) for row in ROWS])
+    rows, _ = read_rows(path, "controller")
     assert [row[0] for row in rows] == [row[0] for row in ROWS]
     assert {row[1] for row in rows} == {(0.0, 0.0)}
 
 
 def test_it_gives_its_rows_in_order_and_says_where_they_end(tmp_path: Path) -> None:
-    source = find(str(table(tmp_path / "a.csv", header(4, True), *[line(row, True) for row in ROWS])), tmp_path, "")
+    source = find_controller_source(
+        str(table(tmp_path / "a.csv", format_header(4, True), *[format_row(row, True) for row in ROWS])), tmp_path, ""
+    )
     assert source is not None
     assert (source.level, tuple(source.columns), list(source.hashes)) == ("controller", COLUMNS, ["a.csv"])
     block = source.make()
@@ -60,8 +62,8 @@ def test_it_gives_its_rows_in_order_and_says_where_they_end(tmp_path: Path) -> N
 
 def test_a_line_that_a_kill_cut_off_is_left_out(tmp_path: Path) -> None:
     path = tmp_path / "actuators.csv"
-    path.write_text("\n".join([header(4, True), *[line(row, True) for row in ROWS], "0.5,0.5,0.4"]))
-    assert len(read(path, "controller")[0]) == 2
+    path.write_text("\n".join([format_header(4, True), *[format_row(row, True) for row in ROWS], "0.5,0.5,0.4"]))
+    assert len(read_rows(path, "controller")[0]) == 2
 
 
 @pytest.mark.parametrize(
@@ -79,4 +81,4 @@ def test_what_is_no_record_is_refused(tmp_path: Path, lines: list[str], said: st
     path = tmp_path / "actuators.csv"
     path.write_text("\n".join(lines))
     with pytest.raises(InputError, match=said):
-        read(path, "controller actuators.csv")
+        read_rows(path, "controller actuators.csv")

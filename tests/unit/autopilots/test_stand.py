@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cosim.autopilots.stand import Stand
+from cosim.autopilots.stand import StationarySensors
 from cosim.base.frames import conjugate, from_euler, multiply, rotate, to_euler
 from cosim.base.geodesy import gravity
 from cosim.base.signals import Measured, State
@@ -29,7 +29,7 @@ STATE = State(
 
 
 def sampled(count: int, noisy: bool = True, seed: int = 1) -> list[Measured]:
-    stand = Stand(BIASED, 0.004, seed, noisy, STATE, PULL)
+    stand = StationarySensors(BIASED, 0.004, seed, noisy, STATE, PULL)
     return [stand.sample() for _ in range(count)]
 
 

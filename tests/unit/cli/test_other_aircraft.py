@@ -6,7 +6,7 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.cli.options import load_scenario
-from cosim.codegen.form import form_of
+from cosim.codegen.form import make_form
 from cosim.simulation.build import build
 
 
@@ -37,4 +37,4 @@ def test_what_has_no_form_in_c_says_what_to_do_instead() -> None:
         build(load_scenario("roll-doublet", None, (), None, (), None, "jetwing")) as simulation,
         pytest.raises(InputError, match=r"^jetwing: surfaces have no C form; hexjet export controller --loops writes"),
     ):
-        form_of(simulation)
+        make_form(simulation)

@@ -38,7 +38,7 @@ from cosim.design.loop.tuning import Tuning
 from cosim.engine import EngineSpec, load_engine
 from cosim.results.report.marks import parts_of
 from cosim.simulation.build import build
-from cosim.simulation.controllers.models import belief_of, predictors
+from cosim.simulation.controllers.models import make_predictors, make_scenario_belief
 from cosim.spec.vehicle import Vehicle
 
 LawLoop = script("law_loop").LawLoop
@@ -78,7 +78,7 @@ class BuiltIn:
 
 @cache
 def place() -> tuple[Vehicle, EngineSpec, Belief, Channel]:
-    belief = belief_of(ROLL, {})
+    belief = make_scenario_belief(ROLL, {})
     vehicle, engine = belief.vehicle, load_engine("edf-as-flown", {}, STEP)
     # the fan's pole is the paper's 0.8748 and its delay 25 samples: engines/edf/README.md
     actuator = Actuator.of("fan", lags([-STEP / np.log(0.8748)], 25.0, STEP))
@@ -107,7 +107,7 @@ def test_a_loop_of_the_built_in_law_is_that_of_its_responses(name: str) -> None:
     vehicle, engine, _, channel = place()
     gains, attitude = vehicle.control.rate, vehicle.control.attitude.gain_1_s[0]
     scenario = ROLL.replace(controller=name)
-    rate = RateController((gains.roll, gains.pitch, gains.yaw), predictors(scenario, vehicle, engine), STEP)
+    rate = RateController((gains.roll, gains.pitch, gains.yaw), make_predictors(scenario, vehicle, engine), STEP)
     found = LawLoop(channel, BuiltIn(rate), attitude)
     model = vehicle.identified["edf-as-flown"]["roll"]
     exact = ClosedLoop(
@@ -238,7 +238,9 @@ def test_other_axes_keep_the_vehicles_pid() -> None:
     vehicle, engine, _, _ = place()
     gains = vehicle.control.rate
     rate = RateController(
-        (gains.roll, gains.pitch, gains.yaw), predictors(ROLL.replace(controller="baseline"), vehicle, engine), STEP
+        (gains.roll, gains.pitch, gains.yaw),
+        make_predictors(ROLL.replace(controller="baseline"), vehicle, engine),
+        STEP,
     )
     mine = law("lqg")
     mine.reset()

@@ -15,7 +15,7 @@ from cosim.base.signals import ZERO3, Command, Measured
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
 from cosim.control.attitude import AttitudeController
 from cosim.control.phases.reduced_attitude import ReducedAttitude, feedback_gains, linear_model
-from cosim.simulation.controllers.built_in import opposites
+from cosim.simulation.controllers.built_in import find_opposite_jets
 from cosim.spec.vehicle import Vehicle, load_vehicle
 
 STEP, LAG, DELAY, FULL = 0.0025, 0.0173, 0.0125, 4.374747  # s, s, s, N: engines/motor/README.md
@@ -28,7 +28,7 @@ LEVER = VEHICLE.jets[2].reaction_m
 
 def law(vehicle: Vehicle = VEHICLE, delay: float = DELAY, added: int = 0) -> ReducedAttitude:
     curve = StaticCurve("straight", (0.0, 1.0), (0.0, FULL))
-    return ReducedAttitude(vehicle, opposites(vehicle), ThrustMap(curve, [curve] * 4), LAG, delay, STEP, added)
+    return ReducedAttitude(vehicle, find_opposite_jets(vehicle), ThrustMap(curve, [curve] * 4), LAG, delay, STEP, added)
 
 
 def turned(angle: np.ndarray) -> np.ndarray:

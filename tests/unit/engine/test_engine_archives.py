@@ -20,10 +20,10 @@ from cosim import Scenario, fly
 from cosim.base.errors import InputError
 from cosim.engine import EngineBank, EngineSpec, check_fmu, load_engine
 from cosim.engine.fmu.container import Zip, is_system_file
-from cosim.engine.fmu.description import descriptions
+from cosim.engine.fmu.description import pack_descriptions
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.qualify import supervisor
-from cosim.engine.qualify.check import blemish_lines
+from cosim.engine.qualify.check import note_harmless_violations
 
 APPLE = b"\x00\x05\x16\x07\x00\x02\x00\x00Mac OS X        "  # how such a file of a Mac begins
 
@@ -108,7 +108,7 @@ def test_a_description_is_found_behind_backslashes(tmp_path: Path) -> None:
     build = b'<fmiBuildDescription fmiVersion="3.0"><BuildConfiguration modelIdentifier="x"/></fmiBuildDescription>'
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("sources\\buildDescription.xml", build)
-    with zipfile.ZipFile(descriptions(path.read_bytes())) as archive:
+    with zipfile.ZipFile(pack_descriptions(path.read_bytes())) as archive:
         assert archive.read("sources/buildDescription.xml") == build
 
 
@@ -188,7 +188,9 @@ def test_a_variability_that_fmi_does_not_allow_is_read_over_and_told(
     spec = load(stating(tmp_path, attributes))
     assert [v.name for v in spec.archive.parameters] == (["v_min"] if settable else [])
     if "local" not in attributes:
-        assert any("v_min" in note and "of no effect on stepping" in note for note in blemish_lines(spec.archive))
+        assert any(
+            "v_min" in note and "of no effect on stepping" in note for note in note_harmless_violations(spec.archive)
+        )
     with EngineBank(spec, 1, STEP) as bank:
         assert bank.reset(1.0).thrust[0] == pytest.approx(20.0)
 

@@ -20,11 +20,11 @@ from cosim.engine import (
     EngineBank,
     EngineSpec,
     build_engines,
-    engine_names,
+    list_engine_names,
     load_engine,
 )
 from cosim.engine.response import Curve
-from cosim.simulation.engine_reference import engine_reference
+from cosim.simulation.engine_reference import make_engine_reference
 
 Breaker = Callable[[Path], Path]
 
@@ -51,7 +51,7 @@ def full_thrust(spec: EngineSpec) -> float:
 
 
 def test_the_library() -> None:
-    assert engine_names() == [
+    assert list_engine_names() == [
         "edf",
         "edf-as-flown",
         "fitted",
@@ -79,7 +79,7 @@ def test_an_engine_is_measured_in_the_air_it_is_given() -> None:
     assert (spec.air, low.air, spec.start) == (THIN, Air(101325.0, 288.15, 0.0), low.start)
     with EngineBank([spec, low], 2, STEP) as bank:  # each in the air it was measured in
         assert bank.reset(0.5).thrust == pytest.approx((spec.thrust_at(0.5), low.thrust_at(0.5)), rel=1e-8)
-    thin, dense = engine_reference(spec, STEP), engine_reference(low, STEP)
+    thin, dense = make_engine_reference(spec, STEP), make_engine_reference(low, STEP)
     assert thin.speed is not None
     assert dense.speed is not None
     assert thin.thrust == spec.curve.thrust
@@ -99,7 +99,7 @@ def test_a_library_engine_knows_its_numbers(name: str, suffix: str) -> None:
     assert (spec.name, spec.family, spec.library) == (name + suffix, name, True)
     assert spec.fmi == ("2.0" if suffix else "3.0")
     assert (spec.pole, spec.delay_samples, spec.internal_step) == (pole, delay, STEP)
-    assert spec.delay == pytest.approx(delay * STEP, abs=1e-15)
+    assert spec.transport_delay == pytest.approx(delay * STEP, abs=1e-15)
     # the time constants of the paper: 0.33 s and 0.029 s (29.9 ms unrounded)
     assert spec.lag == pytest.approx({"turbojet": 0.32857}.get(name, 0.029904), rel=2e-5)
     assert spec.parameters == {
@@ -122,7 +122,7 @@ def test_thrust_of_the_identified_engines_is_what_the_paper_implies() -> None:
 
 def test_parameters_change_curve_and_ledger() -> None:
     spec = load_engine("edf", {"delay_samples": 12, "pole": 0.9, "newton_per_unit": 1.0}, STEP)
-    assert (spec.delay_samples, spec.pole, spec.delay) == (12, 0.9, pytest.approx(0.048))
+    assert (spec.delay_samples, spec.pole, spec.transport_delay) == (12, 0.9, pytest.approx(0.048))
     assert full_thrust(spec) == pytest.approx(2.554, rel=1e-9)
     assert spec.parameters["delay_samples"] == 12.0
 
@@ -130,7 +130,7 @@ def test_parameters_change_curve_and_ledger() -> None:
 def test_the_longest_delay_is_measured_through() -> None:
     spec = load_engine("turbojet", {"delay_samples": 1000}, STEP)
     assert full_thrust(spec) == pytest.approx(0.01866 / 0.0121 * NEWTON_PER_KGF, rel=1e-9)
-    assert spec.window > 1000
+    assert spec.settling_window > 1000
 
 
 def test_by_path_there_is_no_ledger_but_everything_else() -> None:
@@ -138,7 +138,7 @@ def test_by_path_there_is_no_ledger_but_everything_else() -> None:
         load_engine("turbojet", {}, STEP),
         load_engine(str(archive("turbojet", 3)), {}, STEP, unchecked=True),
     )
-    assert (by_path.pole, by_path.delay_samples, by_path.lag, by_path.delay) == (None, None, None, None)
+    assert (by_path.pole, by_path.delay_samples, by_path.lag, by_path.transport_delay) == (None, None, None, None)
     assert (by_path.name, by_path.title, by_path.start) == ("turbojet", "turbojet", "throttle_start")
     assert not by_path.library
     assert (by_path.sha256, by_path.curve, by_path.parameters) == (by_name.sha256, by_name.curve, by_name.parameters)

@@ -30,7 +30,7 @@ from cosim.engine.fmu.archive import read_archive
 from cosim.engine.fmu.instance import FmuInstance
 from cosim.engine.fmu.mapping import PortMap
 from cosim.engine.fmu.port_kinds import INPUTS, KINDS, OUTPUTS
-from cosim.engine.fmu.ports import find_ports, plain, without_unit
+from cosim.engine.fmu.ports import find_ports, normalise_name, split_unit
 from cosim.engine.fmu.units import (
     ANGULAR_SPEED,
     FORCE,
@@ -43,7 +43,7 @@ from cosim.engine.fmu.units import (
     Quantity,
     Unit,
     UnitError,
-    by_name,
+    find_unit,
     to_si,
 )
 from cosim.engine.fmu.variables import Variable
@@ -126,10 +126,10 @@ def test_every_unit_belongs_to_one_quantity() -> None:
 
 
 def test_a_units_case_counts_only_where_it_must() -> None:
-    assert by_name("RPM", ANGULAR_SPEED) == by_name("rpm", ANGULAR_SPEED)
-    assert by_name("mN", FORCE) == (1e-3, 0.0)
-    assert by_name("MN", FORCE) == (1e6, 0.0)
-    assert by_name("Mn", FORCE) is None
+    assert find_unit("RPM", ANGULAR_SPEED) == find_unit("rpm", ANGULAR_SPEED)
+    assert find_unit("mN", FORCE) == (1e-3, 0.0)
+    assert find_unit("MN", FORCE) == (1e6, 0.0)
+    assert find_unit("Mn", FORCE) is None
 
 
 def test_a_declared_unit_goes_before_its_name_unless_they_differ() -> None:
@@ -179,7 +179,7 @@ def test_a_frequency_of_unknown_name_is_no_speed_of_rotation() -> None:
     ],
 )
 def test_a_unit_behind_a_name(name: str, quantity: Quantity, expected: tuple[str, str | None]) -> None:
-    assert without_unit(name, quantity) == expected
+    assert split_unit(name, quantity) == expected
 
 
 # --- finding ports ------------------------------------------------------------------------------------------------
@@ -326,17 +326,22 @@ def test_the_throttles_range(
 
 def test_known_names_are_written_plainly_and_belong_to_one_port_each() -> None:
     for port, kind in KINDS.items():
-        names = kind.names + kind.vague
-        assert all(name == plain(name) for name in names)
+        names = kind.usual_names + kind.ambiguous_names
+        assert all(name == normalise_name(name) for name in names)
         alike = [each for other, each in KINDS.items() if other != port and each.causality == kind.causality]
-        assert not set(names) & {name for each in alike for name in each.names + each.vague}
+        assert not set(names) & {name for each in alike for name in each.usual_names + each.ambiguous_names}
 
 
 def test_the_library_goes_by_its_own_statement(tmp_path: Path) -> None:
     """Nothing is looked for that its engine.toml does not name."""
     spec = load_engine("edf", {}, STEP)
     assert set(spec.ports) == {"throttle", "thrust", "start"}
-    assert (spec.has("thrust"), spec.has("run"), spec.stated_delay, spec.mapping) == (True, False, None, None)
+    assert (spec.has_port("thrust"), spec.has_port("run"), spec.specified_delay, spec.mapping) == (
+        True,
+        False,
+        None,
+        None,
+    )
     assert all(port.scale == port.gain == 1.0 and port.offset == port.bias == 0.0 for port in spec.ports.values())
 
 
@@ -440,7 +445,7 @@ def test_an_engine_of_pythonfmu_in_pounds_with_a_mapping_file(pythons: Mapping[s
     path = mapping(tmp_path, pythons["pythonfmu"], MAPPING)
     spec = load(path)
     assert (spec.name, spec.family, spec.title) == ("engine", "engine.toml", "Somebody's engine")
-    assert (spec.rotor_inertia, spec.delay, spec.stated_delay, spec.mapping) == (2e-5, 0.1, 0.1, path)
+    assert (spec.rotor_inertia, spec.transport_delay, spec.specified_delay, spec.mapping) == (2e-5, 0.1, 0.1, path)
     assert spec.path == tmp_path / "LbfEngine.fmu"
     assert spec.parameters == {"scale": 5.0}
     # standing still to 1e-10 of a newton or of itself, times what the lag still has to go in that window
@@ -607,7 +612,7 @@ def test_an_unknown_parameter_of_a_mapping_file(pythons: Mapping[str, Path], tmp
 
 def test_a_port_left_unconnected(pythons: Mapping[str, Path], tmp_path: Path) -> None:
     spec = load(mapping(tmp_path, pythons["pythonfmu"], MAPPING + '[ports]\nspool_speed = ""'))
-    assert not spec.has("spool_speed")
+    assert not spec.has_port("spool_speed")
 
 
 # --- arrays, Float32, events, early return: tests/tools/odd_engine.c ------------------------------------------------------
@@ -681,7 +686,7 @@ def odd(tmp_path_factory: pytest.TempPathFactory) -> Path:
     library.compile_sources(folder, "odd")
     for path in (folder / "binaries").rglob("*.*"):
         contents[path.relative_to(folder).as_posix()] = path.read_bytes()
-    library.pack(contents, folder / "odd.fmu")
+    library.write_archive(contents, folder / "odd.fmu")
     (folder / "odd.toml").write_text(ODD_MAPPING)
     return folder / "odd.toml"
 

@@ -6,7 +6,7 @@ from math import exp
 
 import pytest
 
-from cosim.engine.response import LONGEST_S, RestlessError, settle, step_response
+from cosim.engine.response import LONGEST_S, RestlessError, measure_step_response, settle
 
 STEP = 0.004
 SPAN = 20.0  # N
@@ -29,9 +29,9 @@ class Slow:
 def test_what_is_left_of_a_slow_overshoot_is_small_beside_the_thrust_of_its_range() -> None:
     """6 % that decays in 10 s: after three minutes 2e-8 of the range and less is left, and it was 20 N before."""
     engine = Slow(0.06, 10.0)
-    response = step_response(engine.hold, 0.0, 1.0, STEP)
+    response = measure_step_response(engine.hold, 0.0, 1.0, STEP)
     assert response.after == pytest.approx(SPAN, abs=1e-6)
-    closed = step_response(engine.hold, response.after, 0.0, STEP)
+    closed = measure_step_response(engine.hold, response.after, 0.0, STEP)
     assert abs(closed.after) < 1e-6
     again = Slow(0.06, 10.0)
     again.slow = 1.0
@@ -52,5 +52,5 @@ def test_what_moves_by_more_than_that_does_not_settle() -> None:
 def test_a_small_engine_is_measured_by_its_own_range() -> None:
     """A hundredth of the thrust: what was still beside 1 N is so beside 0.2 N."""
     engine = Slow(0.06, 5.0, 0.01 * SPAN)
-    response = step_response(engine.hold, 0.0, 1.0, STEP)
+    response = measure_step_response(engine.hold, 0.0, 1.0, STEP)
     assert response.after == pytest.approx(0.2, abs=1e-8)

@@ -25,14 +25,14 @@ from cosim.flight import fly
 from cosim.groundstation.mavlink.streams import STREAMS
 from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState
 from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
-from cosim.groundstation.session import ground_scenario
-from cosim.groundstation.web.feed import state as web_state
+from cosim.groundstation.session import make_ground_scenario
+from cosim.groundstation.web.feed import describe_state as web_state
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.autopilot.request_log import RequestLog
 from cosim.results.export.ulog import export_ulog
 from cosim.results.run import REQUESTS
 from cosim.simulation.build import build
-from cosim.simulation.with_autopilot import with_autopilot
+from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 
 GYRO, ACCEL, MAG, BARO, GPS, AHRS = 1, 2, 4, 8, 32, 1 << 21
@@ -45,7 +45,7 @@ class Flight:
 
     def __init__(self) -> None:
         self.simulation = build(scenario_of(load_subject("hexjet", "edf-as-flown"), "smith", 10.0, 0.0))
-        self.pilot = with_autopilot(self.simulation, airborne=True)
+        self.pilot = attach_autopilot(self.simulation, airborne=True)
         self.ok(rq.SetParameter("SYS_FAILURE_EN", 1.0))
 
     def __enter__(self) -> Flight:
@@ -71,7 +71,7 @@ class Flight:
         view = TelemetryState(
             VehicleConstants(Geodesy(52.0, 13.0, 0.0), 6), snapshot(self.sample, self.pilot.status), FlightEvents()
         )
-        return {stream.name: found[0] for stream in STREAMS if (found := stream.build(view))}
+        return {stream.name: found[0] for stream in STREAMS if (found := stream.make_messages(view))}
 
 
 def test_while_everything_lives_everything_is_healthy_and_as_sure_as_the_filters_are() -> None:
@@ -123,7 +123,7 @@ def web_state_of(flight: Flight) -> dict[str, Any]:
     simulation = flight.simulation
     snapshot: Any = SimpleNamespace(
         status=flight.pilot.status, measured=simulation.measured, ending=None, sample=None, info=None,
-        time=simulation.k * simulation.dt, pace=SimpleNamespace(factor=1.0, reached=1.0, missed=0),
+        time=simulation.k * simulation.dt, pace=SimpleNamespace(factor=1.0, reached_factor=1.0, missed=0),
     )  # fmt: skip
     return web_state(snapshot)
 
@@ -157,7 +157,7 @@ def test_the_bit_of_the_sensor_that_is_dead_is_the_one_that_goes(sensor: str, bi
 
 
 def test_the_log_has_height_and_climb_as_estimated_and_says_what_is_not_valid(tmp_path: Path) -> None:
-    waiting = ground_scenario(Scenario.load("hover"), 16.0)
+    waiting = make_ground_scenario(Scenario.load("hover"), 16.0)
     log = RequestLog(tmp_path / REQUESTS)
     asked = [
         (1.2, rq.SetParameter("SYS_FAILURE_EN", 1)),

@@ -10,7 +10,7 @@ import pytest
 
 from cosim.flight import fly
 from cosim.groundstation.exchange import Exchange
-from cosim.groundstation.log_limit import hourly_mb
+from cosim.groundstation.log_limit import estimate_hourly_mb
 from cosim.groundstation.session import RecordOptions, Session
 from cosim.results.run import open_run
 from cosim.spec.scenario import Scenario
@@ -25,7 +25,7 @@ def test_the_run_is_what_was_recorded_and_flies_again_as_that(tmp_path: Path) ->
         duration=6.0,
         records=RecordOptions(tmp_path / "run", report=False, log_mb=1.0),
     )
-    row = hourly_mb(session.info) * 1e6 / 3600.0 * 0.004
+    row = estimate_hourly_mb(session.info) * 1e6 / 3600.0 * 0.004
     (run,) = session.run()
     rows = int(1e6 / row)
     assert len(run.log) == rows

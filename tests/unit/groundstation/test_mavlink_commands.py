@@ -409,14 +409,14 @@ def test_a_flight_that_does_not_answer(desk: Desk) -> None:
     bench.vehicle.poll(bench.time)
     (ack,) = desk.named("COMMAND_ACK")
     assert ack.result == FAILED
-    assert bench.exchange.take(1) == []
+    assert bench.exchange.take_requests(1) == []
 
 
 def test_an_answer_that_comes_too_late_is_not_a_second_one(desk: Desk) -> None:
     bench = desk.bench
     desk.got.clear()
     desk.send(command(20))
-    (waiting,) = bench.exchange.take(2)
+    (waiting,) = bench.exchange.take_requests(2)
     bench.vehicle.poll(bench.time + ANSWER_TIMEOUT + 0.01)
     waiting.answer(Answer(True, Result.ACCEPTED, ""))
     bench.vehicle.poll(bench.time + ANSWER_TIMEOUT + 0.02)

@@ -21,7 +21,7 @@ from cosim.groundstation.mavlink.wire.dialect import (
     BY_NAME,
     KINDS,
     mav,
-    pack,
+    prepare_message,
 )
 from cosim.groundstation.mavlink.wire.frames import FramePacker, Parser
 from cosim.groundstation.mavlink.wire.generate import generate
@@ -96,12 +96,12 @@ def test_every_message_is_sent_as_pymavlink_sends_it(number: int) -> None:
         message = _random(KINDS[number], chance)
         raw = message.pack(theirs)
         theirs.seq = (theirs.seq + 1) & 0xFF
-        assert ours.frame(pack(message)) == raw
+        assert ours.pack_frame(prepare_message(message)) == raw
 
 
 def test_zeros_at_the_end_are_not_sent_and_come_back() -> None:
     message = mav.MAVLink_statustext_message(6, b"a")
-    packed = pack(message)
+    packed = prepare_message(message)
     assert packed.get_payload() == b"\x06a"
     assert message_of(type(packed), packed.get_payload()).text == "a"
 
@@ -117,11 +117,11 @@ def test_every_stream_is_a_message_and_survives_what_cannot_be() -> None:
     wild = wild._replace(measured=measured, state=state, engines=engines)
     view = TelemetryState(ABOUT, snapshot(wild, status(), nothing, 7.0), FlightEvents())
     for stream in STREAMS:
-        for message in stream.build(view):
+        for message in stream.make_messages(view):
             assert message.msgname == stream.name
-            assert pack(message).msgname == stream.name
+            assert prepare_message(message).msgname == stream.name
 
 
 def test_a_value_that_does_not_fit_is_an_error_of_packing() -> None:
     with pytest.raises(struct.error):
-        pack(mav.MAVLink_heartbeat_message(256, 0, 0, 0, 0, 3))
+        prepare_message(mav.MAVLink_heartbeat_message(256, 0, 0, 0, 0, 3))

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.groundstation.mavlink.wire.dialect import mav, pack
+from cosim.groundstation.mavlink.wire.dialect import mav, prepare_message
 from cosim.groundstation.mavlink.wire.frames import FramePacker, Parser
 from cosim.groundstation.mavlink.wire.signing import EPOCH, Signing, read_key
 from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
@@ -111,7 +111,7 @@ def test_what_is_not_known_is_refused() -> None:
 def test_pymavlink_reads_what_is_sent() -> None:
     sender, other = FramePacker(1, 1), station()
     for i in range(300):
-        message = other.parse_char(sender.frame(pack(heartbeat())))
+        message = other.parse_char(sender.pack_frame(prepare_message(heartbeat())))
         assert message.get_seq() == i % 256
         assert (message.get_srcSystem(), message.get_srcComponent()) == (1, 1)
 
@@ -192,7 +192,7 @@ def test_pymavlink_believes_our_signature() -> None:
     other.signing.secret_key = KEY
     stamps = []
     for _ in range(5):
-        message = other.parse_char(sender.frame(pack(heartbeat())))
+        message = other.parse_char(sender.pack_frame(prepare_message(heartbeat())))
         assert message.get_signed()
         assert message.get_link_id() == 5
         stamps.append(int.from_bytes(message.get_msgbuf()[-12:-6], "little"))
@@ -200,13 +200,13 @@ def test_pymavlink_believes_our_signature() -> None:
     wrong = station()
     wrong.robust_parsing = True
     wrong.signing.secret_key = b"y" * 32
-    assert wrong.parse_char(sender.frame(pack(heartbeat()))).get_type() == "BAD_DATA"
+    assert wrong.parse_char(sender.pack_frame(prepare_message(heartbeat()))).get_type() == "BAD_DATA"
 
 
 def test_the_vehicle_signs_later_than_what_it_has_accepted() -> None:
     reader, _, signing = guarded()
     reader.feed(signed(at=NOW + 1000.0))
-    frame = FramePacker(1, 1, signing=signing).frame(pack(heartbeat()))
+    frame = FramePacker(1, 1, signing=signing).pack_frame(prepare_message(heartbeat()))
     assert int.from_bytes(frame[-12:-6], "little") > int((NOW + 1000.0 - EPOCH) * 1e5)
 
 
@@ -241,7 +241,7 @@ def test_the_log_is_read_by_pymavlink(tmp_path: Path) -> None:
     now = [1.7e9]
     log = TelemetryLog(path, clock=lambda: now[0])
     for i in range(5):
-        log.write_sent(pack(mav.MAVLink_attitude_message(i * 20, 0.1 * i, 0.0, 0.0, 0.0, 0.0, 0.0)))
+        log.write_sent(prepare_message(mav.MAVLink_attitude_message(i * 20, 0.1 * i, 0.0, 0.0, 0.0, 0.0, 0.0)))
         now[0] += 0.02
     log.write_received(raw(seq=9))
     log.close()

@@ -23,15 +23,15 @@ from cosim.flight import fly
 from cosim.groundstation.mavlink.services.ftp import (
     BURST_LENGTH,
     SESSIONS,
-    Bytes,
     File,
     FileService,
+    MemoryFile,
 )
 from cosim.groundstation.mavlink.services.logs import (
     MOST_EARLIER_LOGS,
     LogService,
     LogStore,
-    finished_runs,
+    find_finished_runs,
 )
 from cosim.groundstation.mavlink.services.metadata import Metadata
 from cosim.groundstation.mavlink.services.service import crc32
@@ -49,7 +49,7 @@ CONTENT = {"log/a.ulg": TEXT, "log/deep/b.ulg": b"b", "etc/x.json": b"{}", "empt
 
 
 def files() -> Mapping[str, File]:
-    return {path: Bytes(data) for path, data in CONTENT.items()}
+    return {path: MemoryFile(data) for path, data in CONTENT.items()}
 
 
 class Reply(NamedTuple):
@@ -209,7 +209,7 @@ def test_no_path_leads_out(path: bytes) -> None:
 
 def test_a_folder_is_listed_in_parts() -> None:
     many = {f"log/{number:03d}-{'x' * 40}.ulg": b"12345" for number in range(50)}
-    ftp = Client(Bench(FileService(lambda: {path: Bytes(data) for path, data in many.items()})).station())
+    ftp = Client(Bench(FileService(lambda: {path: MemoryFile(data) for path, data in many.items()})).station())
     found: list[bytes] = []
     while (reply := ftp.ask(LIST, b"/log\0", offset=len(found))).code == ACK:
         assert len(reply.data) <= DATA
@@ -229,7 +229,7 @@ def test_the_checksum_of_a_file() -> None:
     ftp = client()
     assert struct.unpack("<I", ftp.ask(CRC, b"log/a.ulg\0").data) == (crc32(TEXT),)
     assert struct.unpack("<I", ftp.ask(CRC, b"empty\0").data) == (0,)
-    assert not ftp.station.bench.services[0].busy
+    assert not ftp.station.bench.services[0].is_busy
 
 
 def test_nothing_can_be_written() -> None:
@@ -333,7 +333,7 @@ def test_metadata_is_read_over_ftp_as_mavsdk_does(tmp_path: Path) -> None:
     assert control.pilot is not None
     lines = Parameters(table(control, control.pilot, "smith", 25.0))
     metadata = Metadata(lines, "hexjet", "0.1.0")
-    ftp = Client(Bench(FileService(lambda: {p: Bytes(d) for p, d in metadata.files.items()}), loss=0.2).station())
+    ftp = Client(Bench(FileService(lambda: {p: MemoryFile(d) for p, d in metadata.files.items()}), loss=0.2).station())
     start = metadata.on_request[397](0)
     uri, crc = start.uri, start.file_crc
     general = ftp.download(uri.removeprefix("mftp://"))
@@ -363,7 +363,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def store(runs: Path) -> Iterator[LogStore]:
-    store = LogStore(lambda: finished_runs(runs))
+    store = LogStore(lambda: find_finished_runs(runs))
     yield store
     store.close()
 
@@ -385,7 +385,7 @@ def patient(station: Station) -> Any:
     import time
 
     deadline = time.monotonic() + PATIENCE
-    while station.bench.services[0].busy and time.monotonic() < deadline:
+    while station.bench.services[0].is_busy and time.monotonic() < deadline:
         entry = station.wait("LOG_ENTRY", seconds=0.0)
         if entry is not None:
             return entry
@@ -449,7 +449,7 @@ def test_logs_are_files_too(runs: Path, store: LogStore) -> None:
 
 
 def test_no_runs_is_a_list_of_none(tmp_path: Path) -> None:
-    store = LogStore(lambda: finished_runs(tmp_path / "nowhere"))
+    store = LogStore(lambda: find_finished_runs(tmp_path / "nowhere"))
     try:
         station = Bench(LogService(store)).station()
         station.send("LOG_REQUEST_LIST", *TO, 0, 0xFFFF)
@@ -478,7 +478,7 @@ def test_a_log_that_is_asked_for_without_an_end_has_one(tmp_path: Path, size: in
     assert b"".join(bytes(p.data[: p.count]) for p in parts) == (tmp_path / "0.ulg").read_bytes()
     assert parts[-1].count == 0
     assert [p.count for p in parts[:-2]] == [90] * (math.ceil(size / 90) - 1)
-    assert not station.bench.services[0].busy
+    assert not station.bench.services[0].is_busy
 
 
 def test_only_what_is_asked_for_is_sent_and_an_end_ends_it(tmp_path: Path) -> None:

@@ -212,8 +212,8 @@ def test_right_frames_with_anything_in_them(personality: Any) -> None:
         message = _strange(kind, chance)
         commands += kind.msgname in ("COMMAND_LONG", "COMMAND_INT")
         rig.send(bytes(packed(message, chance)))
-        rig.bench.vehicle.port.collect(rig.bench.time)
-        for waiting in rig.bench.exchange.take(100):
+        rig.bench.vehicle.port.deliver_answers(rig.bench.time)
+        for waiting in rig.bench.exchange.take_requests(100):
             waiting.answer(rig.bench.pilot.handle(waiting.request))
         rig.bench.vehicle.poll(rig.bench.time)
         rig.desk.peer.intervals.update(rig.before)

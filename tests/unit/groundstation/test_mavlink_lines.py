@@ -25,13 +25,13 @@ from cosim.control.autopilot.requests import (
     LinkLost,
     Result,
 )
-from cosim.groundstation.mavlink.wire.dialect import mav, pack
+from cosim.groundstation.mavlink.wire.dialect import mav, prepare_message
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import TELEMETRY_FRACTION, Priority
 from cosim.groundstation.mavlink.wire.signing import Signing
 from cosim.groundstation.mavlink.wire.transports import channel, connection, serial_port
 from cosim.groundstation.mavlink.wire.transports.channel import MOST_PEERS
-from cosim.groundstation.mavlink.wire.transports.endpoint import parse
+from cosim.groundstation.mavlink.wire.transports.endpoint import parse_endpoint
 from cosim.groundstation.mavlink.wire.transports.serial_port import SerialDevice
 from cosim.results.report.marks import parts_of
 
@@ -73,7 +73,9 @@ class Wire:
 
     def send(self, message: Any) -> None:
         sender = mav.MAVLink(None, srcSystem=255, srcComponent=190)
-        self.bench.link.take(self.peer.feed(message.pack(sender), self.bench.time), self.peer, self.bench.time)
+        self.bench.link.dispatch_frames(
+            self.peer.feed(message.pack(sender), self.bench.time), self.peer, self.bench.time
+        )
 
 
 def run(bench: Bench, seconds: float, each: Callable[[], None] = lambda: None) -> None:
@@ -157,11 +159,11 @@ def test_an_acknowledgement_goes_before_telemetry_and_lists(bench: Bench) -> Non
     for number in (30, 31, 32, 33, 291, 251, 24, 74, 331):
         wire.send(command(511, float(number), 4000.0))
     run(bench, 3.0)
-    text = pack(mav.MAVLink_log_data_message(0, 0, 90, [1] * 90))
+    text = prepare_message(mav.MAVLink_log_data_message(0, 0, 90, [1] * 90))
     asked: list[float] = []
 
     def busy() -> None:
-        while not wire.peer.behind:
+        while not wire.peer.is_behind:
             wire.peer.send(text, Priority.BULK)
         if len(asked) < 40 and (not asked or bench.time - asked[-1] >= 0.11):
             asked.append(bench.time)
@@ -181,10 +183,10 @@ def test_lists_and_telemetry_take_turns(bench: Bench) -> None:
     for number in (30, 31, 32, 33, 331):
         wire.send(command(511, float(number), 4000.0))
     wire.peer.stretched_at = 1e9  # more telemetry than fits
-    data = pack(mav.MAVLink_log_data_message(0, 0, 90, [1] * 90))
+    data = prepare_message(mav.MAVLink_log_data_message(0, 0, 90, [1] * 90))
 
     def busy() -> None:
-        while not wire.peer.behind:
+        while not wire.peer.is_behind:
             wire.peer.send(data, Priority.BULK)
 
     since = bench.time
@@ -212,7 +214,7 @@ def test_of_telemetry_that_waits_the_newest_goes(bench: Bench) -> None:
     assert len(desk.named("EFI_STATUS")) == 6  # of all engines
     names = [message.get_type() for message in desk.got]
     assert names.index("COMMAND_ACK") <= 4  # after what was begun and two or three heartbeats
-    assert desk.peer.waiting == 0
+    assert desk.peer.waiting_bytes == 0
     sequence = [m.get_seq() for m in desk.got]
     assert [(b - a) % 256 for a, b in pairwise(sequence)] == [1] * (len(sequence) - 1)
 
@@ -242,7 +244,7 @@ def test_a_radio_that_says_that_its_buffer_is_full_is_believed(bench: Bench) -> 
     status = mav.MAVLink_radio_status_message(100, 100, 10, 40, 40, 0, 0)
     radio = mav.MAVLink(None, srcSystem=51, srcComponent=68)
     for _ in range(5):
-        bench.link.take(wire.peer.feed(status.pack(radio), bench.time), wire.peer, bench.time)
+        bench.link.dispatch_frames(wire.peer.feed(status.pack(radio), bench.time), wire.peer, bench.time)
         run(bench, 1.0)
     assert wire.peer.stretch > 2.0 * full
     run(bench, 30.0)
@@ -257,11 +259,11 @@ def test_a_radio_has_no_key_and_is_believed_on_a_line_alone() -> None:
     free = wire.peer.line
     assert free is not None
     for peer in (wire.peer, desk.peer):
-        bench.link.take(peer.feed(low, bench.time), peer, bench.time)
+        bench.link.dispatch_frames(peer.feed(low, bench.time), peer, bench.time)
     assert dict(bench.link.refused) == {"unsigned": 1}  # the datagram
     run(bench, 1.1)
     assert free.health == 0.75
-    bench.link.take(wire.peer.feed(beat, bench.time), wire.peer, bench.time)
+    bench.link.dispatch_frames(wire.peer.feed(beat, bench.time), wire.peer, bench.time)
     assert bench.link.refused["unsigned"] == 2
     assert not bench.vehicle.stations
     bench.close()
@@ -269,12 +271,12 @@ def test_a_radio_has_no_key_and_is_believed_on_a_line_alone() -> None:
 
 def test_answers_that_nobody_takes_are_bounded(bench: Bench) -> None:
     wire = Wire(bench, 57600, most=0)
-    ack = pack(mav.MAVLink_command_ack_message(20, 0))
+    ack = prepare_message(mav.MAVLink_command_ack_message(20, 0))
     sent = 0
     while wire.peer.send(ack):
         sent += 1
         assert sent < 10_000
-    assert wire.peer.waiting < 10.0 * 5760.0 + 1000  # ten seconds of the line
+    assert wire.peer.waiting_bytes < 10.0 * 5760.0 + 1000  # ten seconds of the line
     assert wire.peer.dropped == 1
 
 
@@ -534,7 +536,7 @@ def test_a_port_opens_and_closes_twice() -> None:
     pytest.importorskip("serial")
     made = Terminal()
     for _ in range(2):
-        link = Link([parse(made.url)])
+        link = Link([parse_endpoint(made.url)])
         link.close()
         link.close()
     made.close()

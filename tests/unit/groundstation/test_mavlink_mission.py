@@ -37,7 +37,7 @@ from cosim.groundstation.mavlink.services.items import (
     to_mission_item,
 )
 from cosim.groundstation.mavlink.services.missions import MissionService
-from cosim.groundstation.mavlink.services.service import service_text
+from cosim.groundstation.mavlink.services.service import make_service_text
 from cosim.spec.scenario import Environment, Initial
 from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.airframe import Airframe
@@ -210,9 +210,9 @@ def test_a_place_far_away_is_refused_as_a_pilot_says_it() -> None:
 
 def test_a_text_that_fills_its_last_piece_is_ended() -> None:
     """Without a NUL a station waits for more; and no text of a service has a number of one of the vehicle's own."""
-    (one,) = service_text("a" * 49, 4)
+    (one,) = make_service_text("a" * 49, 4)
     assert one.id == 0
-    two = service_text("a" * 100, 4)
+    two = make_service_text("a" * 100, 4)
     assert [piece.chunk_seq for piece in two] == [0, 1, 2]
     assert two[-1].text == ""
     assert two[0].id > 0x8000
@@ -349,7 +349,7 @@ def test_an_item_that_cannot_be_flown_is_refused_with_its_reason(item: Item, cod
     assert text.text.startswith("mission item 1 refused: ")
     assert vehicle.items is before
     assert len(vehicle.bench.asked) == asked
-    assert not vehicle.service.busy
+    assert not vehicle.service.is_busy
 
 
 def test_a_jump_to_nowhere_and_too_many_items_are_refused() -> None:
@@ -360,7 +360,7 @@ def test_a_jump_to_nowhere_and_too_many_items_are_refused() -> None:
     vehicle.station.send("MISSION_COUNT", *TO, 65535, 0)
     assert vehicle.station.wait("MISSION_ACK").type == NO_SPACE
     assert not vehicle.bench.asked
-    assert not vehicle.service.busy
+    assert not vehicle.service.is_busy
 
 
 def test_the_pilots_refusal_is_the_end_of_the_upload() -> None:
@@ -419,7 +419,7 @@ def test_the_vehicle_asks_again_and_gives_up_in_the_end() -> None:
     assert len(requests) == pytest.approx(4.9 / (0.25 + TICK) + 1, abs=2)
     vehicle.bench.tick(0.2)
     assert [m.type for m in vehicle.station.take("MISSION_ACK")] == [CANCELLED]
-    assert not vehicle.service.busy
+    assert not vehicle.service.is_busy
     assert vehicle.items is before
 
 
@@ -472,14 +472,14 @@ def test_an_upload_that_its_sender_gives_up_is_over_but_nobody_elses() -> None:
     other = vehicle.bench.station(245)
     vehicle.station.send("MISSION_COUNT", *TO, 2, 0)
     other.send("MISSION_ACK", *TO, CANCELLED, 0)
-    assert vehicle.service.busy
+    assert vehicle.service.is_busy
     vehicle.station.send("MISSION_ACK", *TO, CANCELLED, 0)
-    assert not vehicle.service.busy
+    assert not vehicle.service.is_busy
     vehicle.station.send("MISSION_COUNT", *TO, 2, 0)
     vehicle.service.forget(StandInPeer("somebody"))
-    assert vehicle.service.busy
+    assert vehicle.service.is_busy
     vehicle.service.forget(vehicle.station.peer)
-    assert not vehicle.service.busy
+    assert not vehicle.service.is_busy
 
 
 def test_a_count_that_comes_again_begins_again() -> None:

@@ -29,7 +29,7 @@ from cosim.groundstation.mavlink.services.metadata import (
     GENERAL,
     PARAMETERS,
     Metadata,
-    describe,
+    describe_parameter,
 )
 from cosim.groundstation.mavlink.services.params import LIST_BURST, LIST_RATE, ParameterService
 from cosim.groundstation.mavlink.services.service import crc32
@@ -121,11 +121,11 @@ def test_a_list_waits_for_a_slow_link() -> None:
     """While bytes wait to be sent, nothing is added to them."""
 
     vehicle = Vehicle()
-    vehicle.station.peer.behind = True
+    vehicle.station.peer.is_behind = True
     vehicle.station.send("PARAM_REQUEST_LIST", *TO)
     vehicle.bench.tick(5.0)
     assert not vehicle.station.inbox
-    vehicle.station.peer.behind = False
+    vehicle.station.peer.is_behind = False
     vehicle.bench.tick(5.0)
     assert len(vehicle.station.inbox) == len(vehicle.parameters.values) + 1
 
@@ -136,7 +136,7 @@ def test_a_list_that_is_asked_for_again_begins_again_and_is_not_doubled() -> Non
         vehicle.station.send("PARAM_REQUEST_LIST", *TO)
     vehicle.bench.tick(3.0)
     assert len(vehicle.station.inbox) == len(vehicle.parameters.values) + 1
-    assert not vehicle.service.busy
+    assert not vehicle.service.is_busy
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -355,9 +355,9 @@ def test_a_station_that_has_the_set_cached_stops_the_list() -> None:
     vehicle.station.send("PARAM_REQUEST_LIST", *TO)
     vehicle.bench.tick()
     vehicle.station.send("PARAM_SET", *TO, b"_HASH_CHECK", 1.0, 5)  # a wrong hash stops nothing
-    assert vehicle.service.busy
+    assert vehicle.service.is_busy
     vehicle.station.send("PARAM_SET", *TO, b"_HASH_CHECK", value.param_value, 5)
-    assert not vehicle.service.busy
+    assert not vehicle.service.is_busy
     assert "PARAM_ERROR" not in vehicle.station.counts
 
 
@@ -371,7 +371,7 @@ def test_a_peer_that_goes_takes_its_list_along_and_a_restart_begins_lists_anew()
     vehicle = Vehicle()
     vehicle.station.send("PARAM_REQUEST_LIST", *TO)
     vehicle.service.forget(StandInPeer("somebody"))
-    assert vehicle.service.busy
+    assert vehicle.service.is_busy
     vehicle.bench.tick(0.2)
     vehicle.service.replace(parameters())
     vehicle.station.take()
@@ -379,7 +379,7 @@ def test_a_peer_that_goes_takes_its_list_along_and_a_restart_begins_lists_anew()
     assert len(vehicle.station.take()) == len(vehicle.parameters.values)
     vehicle.station.send("PARAM_REQUEST_LIST", *TO)
     vehicle.service.forget(vehicle.station.peer)
-    assert not vehicle.service.busy
+    assert not vehicle.service.is_busy
 
 
 def test_lists_for_endless_stations_are_bounded() -> None:
@@ -451,7 +451,7 @@ def test_another_table_has_another_checksum() -> None:
     other.table["HJ_ROLL_P"] = Parameter(line.name, line.kind, line.default, line.least, 2 * line.most, "", "", "x")
     first, second = (Metadata(each, "hexjet", "1").on_request[397](0).file_crc for each in (one, other))
     assert first != second
-    assert describe(other.table["HJ_ROLL_P"]).get("units") is None
+    assert describe_parameter(other.table["HJ_ROLL_P"]).get("units") is None
 
 
 # --- on the disk ---------------------------------------------------------------------------------------------------

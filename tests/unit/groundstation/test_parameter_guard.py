@@ -31,10 +31,10 @@ class StabilityChecker:
         self.began.set()
         assert self.go.wait(PATIENCE)
 
-    def concerns(self, name: str) -> bool:
+    def tunes_loop(self, name: str) -> bool:
         return name == "P"
 
-    def cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
+    def find_cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
         assert self.go.wait(PATIENCE)
         self.asked.append((before["P"], after["P"]))
         return [LOST] if after["P"] == 0.0 else []
@@ -57,7 +57,7 @@ class Desk:
             self.port.ask(SetParameter("P", value), self.answers.append)
 
     def hold(self) -> None:
-        for waiting in self.exchange.take(20):
+        for waiting in self.exchange.take_requests(20):
             assert self.guard.defer(waiting)
 
     def judged(self) -> list[tuple[PendingRequest, list[Caution] | None]]:
@@ -73,7 +73,7 @@ class Desk:
         return [(w.request.value, bool(c)) for w, c in self.judged() if isinstance(w.request, SetParameter)]
 
     def told(self) -> list[tuple[bool, str]]:
-        self.port.collect(self.now)
+        self.port.deliver_answers(self.now)
         return [(answer.accepted, answer.text) for answer in self.answers]
 
 
@@ -105,7 +105,7 @@ def test_a_change_without_a_verdict_in_time_is_given_back_to_be_refused_and_no_m
 
 def test_a_station_is_not_told_that_there_is_no_answer_to_what_the_flight_has_taken(desk: Desk) -> None:
     desk.set(2.0)
-    (waiting,) = desk.exchange.take(1)
+    (waiting,) = desk.exchange.take_requests(1)
     desk.now = WAIT + 0.5
     assert desk.told() == []
     waiting.answer(Answer(True, Result.ACCEPTED, ""))
@@ -114,9 +114,9 @@ def test_a_station_is_not_told_that_there_is_no_answer_to_what_the_flight_has_ta
 
 def test_what_a_station_was_told_is_not_done_is_not_taken(desk: Desk) -> None:
     desk.set(2.0)
-    desk.port.collect(WAIT)
+    desk.port.deliver_answers(WAIT)
     assert desk.told() == [(False, "the flight does not answer")]
-    assert desk.exchange.take(1) == []
+    assert desk.exchange.take_requests(1) == []
     assert len(desk.told()) == 1
 
 

@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as theirs
 
 from cosim.base.errors import InputError
-from cosim.groundstation.mavlink.wire.dialect import BY_NAME, pack
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, prepare_message
 from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
 from cosim.identify.logs import FlightLog, is_flight_log, read_flight_log, signals_of, tlog
 from cosim.identify.logs.as_columns import as_columns
@@ -96,8 +96,10 @@ def test_a_log_of_our_own_ground_station_is_read(tmp_path: Path) -> None:
     clock = iter(BEGIN + 0.02 * np.arange(1000))
     log = TelemetryLog(tmp_path / "own.tlog", clock=lambda: next(clock))
     for n in range(50):
-        log.write_sent(pack(BY_NAME["ATTITUDE"](20 * n, 0.1 * n, 0.0, 0.0, 0.5, 0.0, 0.0)))
-        log.write_sent(pack(BY_NAME["ESC_STATUS"](0, 20_000 * n, [n, 2 * n, 3 * n, 4 * n], [0.0] * 4, [0.0] * 4)))
+        log.write_sent(prepare_message(BY_NAME["ATTITUDE"](20 * n, 0.1 * n, 0.0, 0.0, 0.5, 0.0, 0.0)))
+        log.write_sent(
+            prepare_message(BY_NAME["ESC_STATUS"](0, 20_000 * n, [n, 2 * n, 3 * n, 4 * n], [0.0] * 4, [0.0] * 4))
+        )
     log.close()
     found = read_flight_log(tmp_path / "own.tlog")
     assert found.channels["ESC_STATUS.rpm[1]"].values.tolist() == [2.0 * n for n in range(50)]

@@ -43,7 +43,7 @@ from cosim.identify.sweep.result import low_frequency_delay, rate_response
 from cosim.results.report.marks import parts_of
 from cosim.simulation.build import build as build_flight
 from cosim.simulation.controllers.controller_file import Requirements
-from cosim.simulation.delay_ledger import rows_of, total_samples
+from cosim.simulation.delay_ledger import select_axis, sum_samples
 from cosim.spec.scenario import DoubletCommand, Scenario
 from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.atmosphere import standard_air
@@ -416,12 +416,12 @@ def test_every_function_on_the_way_exists() -> None:
 def test_who_owns_the_delay() -> None:
     """The table is the ledger's of a flight as shipped."""
     with build_flight(Scenario.load("hover")) as simulation:
-        rows = rows_of(simulation.ledger, "roll")
+        rows = select_axis(simulation.ledger, "roll")
         ledger = [row for row in rows if row.element != "delay added to the roll output"]
     said = [cells for name, *cells in owners() if name != "sum"]
     assert [[f"{row.samples:.2f}", f"{4.0 * (row.samples or 0.0):.2f}"] for row in ledger] == [row[1:] for row in said]
     (total,) = [cells for name, *cells in owners() if name == "sum"]
-    samples = total_samples(ledger)
+    samples = sum_samples(ledger)
     assert samples is not None
     assert total[1:] == [f"{samples:.2f}", f"{4.0 * samples:.2f}"]
     stated(HEXJET, "The same count for the paper's G(z) gives {} samples", papers_delay())
@@ -571,7 +571,7 @@ def test_what_a_check_of_an_engine_does_and_allows() -> None:
         CHECK,
         "{} s under a throttle that jumps between {} values",
         trial.RUN_S,
-        len({trial.zigzag(k) for k in range(100)}),
+        len({trial.zigzag_throttle(k) for k in range(100)}),
     )
     stated(CHECK, "static thrust at {} throttles", response.CURVE_POINTS)
     stated(
@@ -910,7 +910,7 @@ def test_what_full_scale_flies_with() -> None:
     assert isinstance(command, DoubletCommand)
     stated(FULL, "in the roll doublet of {}° (overshoot, time to settle) and in {} s of hover", command.amplitude,
            Scenario.load("full-scale-hover").duration_s)  # fmt: skip
-    late = load_engine("turbine-220", {}, STEP).delay or 0.0
+    late = load_engine("turbine-220", {}, STEP).transport_delay or 0.0
     stated(FULL, "with an ECU that answers {} s late and limits the acceleration", late)
     stated(FULL, "is too late for that too: {} s in its ECU and the slowest spool", late)
     stated(FULL, "linearised at hover thrust ({} N), gives", load_vehicle("hexjet-p220")[0].mass_kg * G / 6.0)

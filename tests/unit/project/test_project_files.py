@@ -21,7 +21,7 @@ from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.results.report.flight import write_report
-from cosim.simulation.controllers.controller_file import read_controller, with_controller
+from cosim.simulation.controllers.controller_file import apply_controller, read_controller
 from hexjet_paper import numbers
 
 yaml = pytest.importorskip("yaml", reason="no PyYAML, with which these files are read")
@@ -182,7 +182,7 @@ def test_an_older_study_is_flown(folder: Path) -> None:
 @pytest.mark.parametrize("folder", OLDER, ids=lambda path: path.name)
 def test_an_older_design_flies(folder: Path) -> None:
     path = folder / "design.toml"
-    run = fly(with_controller("hover", path, ["duration_s=0.4", "expect=[]"]))
+    run = fly(apply_controller("hover", path, ["duration_s=0.4", "expect=[]"]))
     assert run.outcome == "completed"
     assert run.summary.controller == read_controller(path).controller
 

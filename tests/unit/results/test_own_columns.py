@@ -133,8 +133,8 @@ def test_the_digest_of_a_flight_covers_them(folder: Path) -> None:
 
 
 def test_predictors_show_through_the_cascade_under_their_axes(monkeypatch: pytest.MonkeyPatch) -> None:
-    built_in = wiring.predictors
-    monkeypatch.setattr(wiring, "predictors", lambda *told: [Estimating(p) for p in built_in(*told)])
+    built_in = wiring.make_predictors
+    monkeypatch.setattr(wiring, "make_predictors", lambda *told: [Estimating(p) for p in built_in(*told)])
     with build(HOVER) as simulation:
         log = flown(simulation).log
         columns = [f"{axis}_innovation_rad_s" for axis in ("roll", "pitch", "yaw")]

@@ -15,7 +15,7 @@ from cosim.cli.main import cli
 from cosim.flight import opened
 from cosim.results.report.comparison import compare_report, run_labels
 from cosim.shelf.index import read_entry
-from cosim.simulation.controllers.controller_file import with_controller
+from cosim.simulation.controllers.controller_file import apply_controller
 from cosim.spec.scenario import flown_parameters, list_changes
 from cosim.spec.vehicle import load_vehicle
 
@@ -61,7 +61,7 @@ def test_a_program_names_a_design_as_the_command_does(
 ) -> None:
     """The whole scenario: law, gains, models, no expectations, the file with its hash; and a flight by steps too."""
     monkeypatch.chdir(tmp_path)
-    commanded = with_controller("roll-doublet", design)
+    commanded = apply_controller("roll-doublet", design)
     programmed, own = opened(given, kind("my-design.toml"))
     assert own is None
     assert programmed.stated() == commanded.stated()
@@ -71,7 +71,7 @@ def test_a_program_names_a_design_as_the_command_does(
         stepped = flight.run()
     flown = fly(programmed.replace(duration_s=0.2), controller=kind("my-design.toml"), report=False)
     assert flown.summary.controller_shown == stepped.summary.controller_shown
-    reference = fly(with_controller("roll-doublet", design, SHORT), report=False)
+    reference = fly(apply_controller("roll-doublet", design, SHORT), report=False)
     assert flown.summary.parameter_files == reference.summary.parameter_files
     for name in ("time_s", "roll_rad", "throttle_1", "down_m"):
         assert reference.log[name].tobytes() == flown.log[name].tobytes() == stepped.log[name].tobytes(), name
@@ -96,9 +96,9 @@ def test_a_design_that_is_for_something_else_is_refused_to_a_program(
 
 @pytest.mark.unit
 def test_two_designs_of_one_name_are_told_apart(design: Path, tmp_path: Path) -> None:
-    first = fly(with_controller("roll-doublet", design, SHORT))
+    first = fly(apply_controller("roll-doublet", design, SHORT))
     design.write_text(design.read_text().replace("p = 0.0225", "p = 0.0226"))
-    second = fly(with_controller("roll-doublet", design, SHORT))
+    second = fly(apply_controller("roll-doublet", design, SHORT))
     labels = run_labels([first.summary, second.summary])
     assert len(set(labels)) == 2
     assert all(label.startswith("my-design ") for label in labels)
@@ -107,7 +107,7 @@ def test_two_designs_of_one_name_are_told_apart(design: Path, tmp_path: Path) ->
 @pytest.mark.unit
 def test_a_design_that_is_another_or_gone_does_not_fly(design: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    fly(with_controller("roll-doublet", design, SHORT), out, report=False)
+    fly(apply_controller("roll-doublet", design, SHORT), out, report=False)
     copy = out / "my-design.toml"
     copy.write_text(copy.read_text() + "\n")
     with pytest.raises(InputError, match=r"parameter_files\.0: .*my-design\.toml: is another file"):
@@ -119,7 +119,7 @@ def test_a_design_that_is_another_or_gone_does_not_fly(design: Path, tmp_path: P
 
 @pytest.mark.unit
 def test_a_session_goes_on_with_the_design_that_it_was_given(design: Path, tmp_path: Path) -> None:
-    scenario, content = with_controller("roll-doublet", design, SHORT), design.read_bytes()
+    scenario, content = apply_controller("roll-doublet", design, SHORT), design.read_bytes()
     design.write_text("written over")
     run = fly(scenario, tmp_path / "run", report=False)
     assert (tmp_path / "run" / "my-design.toml").read_bytes() == content
@@ -147,7 +147,7 @@ def test_a_parameter_file_of_somebody_else_is_data(file: str, content: bytes | N
 
 @pytest.mark.unit
 def test_values_over_a_design_are_said(design: Path) -> None:
-    run = fly(with_controller("roll-doublet", design, [*SHORT, "vehicle.control.rate.roll.p=0.03"]))
+    run = fly(apply_controller("roll-doublet", design, [*SHORT, "vehicle.control.rate.roll.p=0.03"]))
     assert run.summary.parameter_files[0].changed == ("control.rate.roll.p",)
     assert ", changed (state-disturbance)" in run.summary.controller_shown
     assert "vehicle.control.rate.roll.p = 0.03" in run.summary.title
@@ -217,7 +217,7 @@ def test_a_flight_of_a_study_names_its_design(design: Path) -> None:
 @pytest.mark.unit
 def test_an_older_summary_opens(design: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    fly(with_controller("roll-doublet", design, SHORT), out, report=False)
+    fly(apply_controller("roll-doublet", design, SHORT), out, report=False)
     summary = json.loads((out / "summary.json").read_text())
     for key in ("parameter_files", "changed"):
         del summary[key]
@@ -229,7 +229,7 @@ def test_an_older_summary_opens(design: Path, tmp_path: Path) -> None:
 def test_margins_name_the_design(design: Path) -> None:
     from cosim.design.measured.margins import MeasuredMargins
 
-    margins = MeasuredMargins(with_controller("hover", design), None, {}, "")
+    margins = MeasuredMargins(apply_controller("hover", design), None, {}, "")
     (given,) = margins.to_dict()["parameter_files"]
     assert (given["kind"], given["file"], given["changed"]) == ("design", "my-design.toml", [])
     assert margins.controller_shown == f"my-design {given['sha256'][:8]} (state-disturbance)"

@@ -12,13 +12,13 @@ from scipy.signal import chirp
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Disturbance
 from cosim.simulation.script.commander import (
-    Commander,
-    doublet,
-    pulse,
+    CommandScript,
+    make_doublet,
+    make_pulse,
+    make_sweep,
     read_columns,
-    sweep,
 )
-from cosim.simulation.script.disturber import Disturber
+from cosim.simulation.script.disturber import DisturbanceScript
 from cosim.spec.scenario import Scenario
 
 STEP = 0.004
@@ -28,19 +28,19 @@ def scenario(folder: Path | None = None, **changes: object) -> Scenario:
     return Scenario.from_table({"name": "test", "duration_s": 10.0} | changes, folder or Path(), "test")
 
 
-def roll(commander: Commander, steps: int) -> list[float]:
+def roll(commander: CommandScript, steps: int) -> list[float]:
     return [commander.at(k).attitude[0] for k in range(steps)]
 
 
 def test_nothing_commanded_is_level_at_the_initial_heading_and_height() -> None:
-    command = Commander(scenario(initial={"attitude_deg": [5.0, -3.0, 90.0]}), 12.0).at(0)
+    command = CommandScript(scenario(initial={"attitude_deg": [5.0, -3.0, 90.0]}), 12.0).at(0)
     assert command.attitude == (0.0, 0.0, pi / 2)
     assert (command.altitude, command.rate, command.collective) == (12.0, None, None)
 
 
 def test_doublet_begins_turns_and_ends_on_its_steps() -> None:
     entry = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.2, "amplitude": 15.0, "width_s": 0.5}
-    values = roll(Commander(scenario(command=[entry]), 0.0), 400)
+    values = roll(CommandScript(scenario(command=[entry]), 0.0), 400)
     up = radians(15.0)
     assert values == [0.0] * 50 + [up] * 125 + [-up] * 125 + [0.0] * 100
 
@@ -48,7 +48,7 @@ def test_doublet_begins_turns_and_ends_on_its_steps() -> None:
 def test_ramp_and_step() -> None:
     ramp = {"kind": "ramp", "signal": "altitude_m", "start_s": 0.04, "amplitude": 2.0, "duration_s": 0.04}
     step = {"kind": "step", "signal": "collective", "start_s": 0.008, "amplitude": 0.4}
-    commander = Commander(scenario(command=[ramp, step]), 1.0)
+    commander = CommandScript(scenario(command=[ramp, step]), 1.0)
     heights = [commander.at(k).altitude for k in range(25)]
     assert heights == pytest.approx([1.0] * 10 + [1.0 + 0.2 * n for n in range(10)] + [3.0] * 5)
     assert [commander.at(k).collective for k in range(4)] == [None, None, 0.4, 0.4]
@@ -59,18 +59,18 @@ def test_commands_add_up() -> None:
         {"kind": "step", "signal": "roll_deg", "start_s": 0.0, "amplitude": 10.0},
         {"kind": "step", "signal": "roll_deg", "start_s": 0.004, "amplitude": -4.0},
     ]
-    assert roll(Commander(scenario(command=entries), 0.0), 2) == pytest.approx([radians(10.0), radians(6.0)])
+    assert roll(CommandScript(scenario(command=entries), 0.0), 2) == pytest.approx([radians(10.0), radians(6.0)])
 
 
 def test_a_rate_command_replaces_the_attitude_loop() -> None:
     entry = {"kind": "step", "signal": "rate_q_deg_s", "start_s": 0.0, "amplitude": 20.0}
-    assert Commander(scenario(command=[entry]), 0.0).at(0).rate == (0.0, radians(20.0), 0.0)
+    assert CommandScript(scenario(command=[entry]), 0.0).at(0).rate == (0.0, radians(20.0), 0.0)
 
 
 def test_sweep_is_a_logarithmic_chirp() -> None:
     """Against scipy's."""
     n = 2500
-    wave = sweep(STEP, 10, n, 2.0, 0.3, 4.0)
+    wave = make_sweep(STEP, 10, n, 2.0, 0.3, 4.0)
     t = np.arange(n) * STEP
     expected = 2.0 * chirp(t, 0.3, n * STEP, 4.0, method="logarithmic", phi=-90)
     assert [wave(k) for k in range(10, 10 + n)] == pytest.approx(expected, abs=1e-9)
@@ -78,30 +78,30 @@ def test_sweep_is_a_logarithmic_chirp() -> None:
 
 
 def test_sweep_of_one_frequency_is_a_sine() -> None:
-    wave = sweep(STEP, 0, 1000, 1.0, 2.0, 2.0)
+    wave = make_sweep(STEP, 0, 1000, 1.0, 2.0, 2.0)
     assert [wave(k) for k in range(1000)] == pytest.approx(np.sin(4 * pi * STEP * np.arange(1000)), abs=1e-12)
 
 
 def test_pulse_and_doublet_edges() -> None:
-    assert [pulse(2, 4, 1.5)(k) for k in range(6)] == [0.0, 0.0, 1.5, 1.5, 0.0, 0.0]
-    assert [pulse(2, None, 1.5)(k) for k in (1, 2, 10**6)] == [0.0, 1.5, 1.5]
-    assert [doublet(1, 2, 1.0)(k) for k in range(6)] == [0.0, 1.0, 1.0, -1.0, -1.0, 0.0]
+    assert [make_pulse(2, 4, 1.5)(k) for k in range(6)] == [0.0, 0.0, 1.5, 1.5, 0.0, 0.0]
+    assert [make_pulse(2, None, 1.5)(k) for k in (1, 2, 10**6)] == [0.0, 1.5, 1.5]
+    assert [make_doublet(1, 2, 1.0)(k) for k in range(6)] == [0.0, 1.0, 1.0, -1.0, -1.0, 0.0]
 
 
 def test_table_holds_or_interpolates(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("time_s,roll_deg,altitude_m\n0.0,0,0\n0.008,10,1\n0.016,0,1\n")
     entry = {"kind": "table", "file": "t.csv", "start_s": 0.004}
-    linear = Commander(scenario(tmp_path, command=[entry]), 5.0)
+    linear = CommandScript(scenario(tmp_path, command=[entry]), 5.0)
     assert np.degrees(roll(linear, 7)) == pytest.approx([0.0, 0.0, 5.0, 10.0, 5.0, 0.0, 0.0], abs=1e-6)
     assert [linear.at(k).altitude for k in (0, 3, 6)] == pytest.approx([5.0, 6.0, 6.0])
-    held = Commander(scenario(tmp_path, command=[entry | {"interpolate": "hold"}]), 0.0)
+    held = CommandScript(scenario(tmp_path, command=[entry | {"interpolate": "hold"}]), 0.0)
     assert np.degrees(roll(held, 7)) == pytest.approx([0.0, 0.0, 0.0, 10.0, 10.0, 0.0, 0.0])
 
 
 def test_sticks_scale_and_integrate(tmp_path: Path) -> None:
     (tmp_path / "s.csv").write_text("time_s,roll,pitch,yaw,throttle\n0,0.5,0.5,1,-1\n0.4,0.5,0.5,1,-1\n")
     entry = {"kind": "sticks", "file": "s.csv", "tilt_deg": 20.0, "yaw_rate_deg_s": 90.0, "climb_m_s": 2.0}
-    commander = Commander(scenario(tmp_path, command=[entry]), 10.0)
+    commander = CommandScript(scenario(tmp_path, command=[entry]), 10.0)
     command = commander.at(100)
     assert np.degrees(command.attitude[:2]) == pytest.approx([10.0, -10.0])  # stick forward: nose down
     assert np.degrees(command.attitude[2]) == pytest.approx(36.0)  # 90 deg/s for 0.4 s
@@ -133,23 +133,23 @@ def test_wrong_tables_name_file_and_line(tmp_path: Path, text: str, message: str
 def test_missing_table_and_wild_sticks(tmp_path: Path) -> None:
     entry = {"kind": "sticks", "file": "s.csv"}
     with pytest.raises(InputError, match=r"command\.0\.file: .*s\.csv: No such file"):
-        Commander(scenario(tmp_path, command=[entry]), 0.0)
+        CommandScript(scenario(tmp_path, command=[entry]), 0.0)
     (tmp_path / "s.csv").write_text("time_s,roll\n0,1.5\n")
     with pytest.raises(InputError, match=r"column roll holds 1\.5; sticks go from -1 to 1"):
-        Commander(scenario(tmp_path, command=[entry]), 0.0)
+        CommandScript(scenario(tmp_path, command=[entry]), 0.0)
 
 
 def test_times_off_the_grid_are_refused() -> None:
     entry = {"kind": "step", "signal": "roll_deg", "start_s": 0.0055, "amplitude": 1.0}
     with pytest.raises(InputError, match=r"command\.0\.start_s = 0\.0055 s is not a whole number of 0\.004 s steps"):
-        Commander(scenario(command=[entry]), 0.0)
+        CommandScript(scenario(command=[entry]), 0.0)
 
 
 # --- disturbances ------------------------------------------------------------------------------------------------
 
 
 def test_calm_is_one_object() -> None:
-    disturber = Disturber(scenario())
+    disturber = DisturbanceScript(scenario())
     assert disturber.at(0) == Disturbance()
     assert disturber.at(0) is disturber.at(2000)
 
@@ -161,7 +161,7 @@ def test_forces_moments_and_winds_add_up_while_they_last() -> None:
         {"kind": "moment", "start_s": 0.0, "duration_s": 0.004, "moment_n_m": [0.0, 0.5, 0.0]},
         {"kind": "wind", "start_s": 0.008, "velocity_ned_m_s": [0.0, 4.0, 0.0]},
     ]
-    disturber = Disturber(scenario(disturbance=entries, environment={"wind_ned_m_s": [1.0, 0.0, 0.0]}))
+    disturber = DisturbanceScript(scenario(disturbance=entries, environment={"wind_ned_m_s": [1.0, 0.0, 0.0]}))
     assert [disturber.at(k).force for k in range(5)] == [ZERO3, (1, 2, 3), (2, 2, 3), (1, 0, 0), ZERO3]
     assert [disturber.at(k).moment for k in range(2)] == [(0.0, 0.5, 0.0), ZERO3]
     assert [disturber.at(k).wind for k in (0, 2, 2000)] == [(1, 0, 0), (1, 4, 0), (1, 4, 0)]
@@ -172,7 +172,7 @@ def test_payloads_share_one_centre() -> None:
         {"kind": "payload", "start_s": 0.0, "mass_kg": 1.0, "offset_m": [0.1, 0.0, 0.0]},
         {"kind": "payload", "start_s": 0.004, "duration_s": 0.004, "mass_kg": 3.0, "offset_m": [-0.1, 0.2, 0.0]},
     ]
-    disturber = Disturber(scenario(disturbance=entries))
+    disturber = DisturbanceScript(scenario(disturbance=entries))
     assert disturber.at(0).payload == (1.0, 0.1, 0.0, 0.0)
     assert disturber.at(1).payload == pytest.approx((4.0, -0.05, 0.15, 0.0))
     assert disturber.at(2).payload == disturber.at(0).payload
@@ -190,7 +190,7 @@ def test_torque_commands_by_axis_and_shape() -> None:
             "amplitude": 0.1,
         },
     ]
-    disturber = Disturber(scenario(disturbance=entries))
+    disturber = DisturbanceScript(scenario(disturbance=entries))
     assert [disturber.at(k).torque_command for k in range(5)] == [
         (0.1, 0.0, 0.3),
         (0.1, 0.0, 0.0),
@@ -200,7 +200,7 @@ def test_torque_commands_by_axis_and_shape() -> None:
     ]
     odd = entries[1] | {"duration_s": 0.012}
     with pytest.raises(InputError, match=r"even number of 0\.004 s steps"):
-        Disturber(scenario(disturbance=[odd]))
+        DisturbanceScript(scenario(disturbance=[odd]))
 
 
 def test_a_gust_is_announced_once() -> None:
@@ -212,9 +212,9 @@ def test_a_gust_is_announced_once() -> None:
         "hold_s": 0.0,
         "fall_s": 1.0,
     }
-    disturber = Disturber(scenario(disturbance=[entry]))
+    disturber = DisturbanceScript(scenario(disturbance=[entry]))
     assert [disturber.at(k).gust for k in range(4)] == [None, None, ((0.0, 8.0, 0.0), 1.0, 0.0, 1.0), None]
     with pytest.raises(InputError, match="a gust needs a velocity"):
-        Disturber(scenario(disturbance=[entry | {"velocity_ned_m_s": [0, 0, 0]}]))
+        DisturbanceScript(scenario(disturbance=[entry | {"velocity_ned_m_s": [0, 0, 0]}]))
     with pytest.raises(InputError, match="a start_s of its own"):
-        Disturber(scenario(disturbance=[entry, entry]))
+        DisturbanceScript(scenario(disturbance=[entry, entry]))

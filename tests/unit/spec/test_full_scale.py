@@ -498,7 +498,7 @@ def test_the_verdict_is_that_of_the_tables() -> None:
     assert rounded(stiffness, lead["natural_rad_s"] ** 2, 2)
     assert rounded(damping, 2.0 * lead["damping"] * lead["natural_rad_s"], 2)
     (delay,) = figures("with a lead its delay of {} s becomes the limit")
-    assert delay == pytest.approx(load_engine("turbine-220", {}, 0.004).delay)
+    assert delay == pytest.approx(load_engine("turbine-220", {}, 0.004).transport_delay)
     titles = [title.strip() for title in parts_of(PAGE, "full-scale.md")["gains"].splitlines()[0].strip("|").split("|")]
     reached = {name: dict(zip(titles[1:], cells(name, "gains"), strict=True)) for name in ("p220", "turbine-220")}
     plain = [name for name in titles[5:] if not name.endswith("lead")]

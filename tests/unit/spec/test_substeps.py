@@ -14,7 +14,7 @@ from cosim.campaign.folder import freeze
 from cosim.campaign.study.options import open_study
 from cosim.results.resolved_scenario import resolve
 from cosim.simulation.build import build
-from cosim.simulation.notes import step_notes
+from cosim.simulation.notes import note_few_substeps
 from cosim.spec.scenario import measured_errors
 from cosim.spec.scenario.substeps import SUBSTEPS, StepErrors, runs_for
 from cosim.spec.vehicle import aircraft_names
@@ -111,14 +111,14 @@ def test_a_campaign_takes_it_by_name(vary: list[str], tmp_path: Path) -> None:
 def test_what_fewer_runs_cost_is_said() -> None:
     hexjet = measured_errors("hexjet")
     assert hexjet is not None
-    assert step_notes(Scenario.load("hover")) == []
-    assert step_notes(Scenario.load("hover").replace(substeps=8)) == []
-    (note,) = step_notes(Scenario.load("hover").replace(substeps=2))
+    assert note_few_substeps(Scenario.load("hover")) == []
+    assert note_few_substeps(Scenario.load("hover").replace(substeps=8)) == []
+    (note,) = note_few_substeps(Scenario.load("hover").replace(substeps=2))
     degrees, place = hexjet.attitude_deg[1], hexjet.place_mm[1]
     assert note.startswith(
         f"substeps = 2: shipped flights of hexjet then differ by up to {degrees:g} deg and {place:g} mm"
     )
-    (note,) = step_notes(Scenario.load("gust").replace(substeps=2))
+    (note,) = note_few_substeps(Scenario.load("gust").replace(substeps=2))
     assert note.endswith("the turbulence is another than with other numbers")
 
 
@@ -127,7 +127,7 @@ def test_what_fewer_runs_cost_an_aircraft_of_ones_own_is_not_known(tmp_path: Pat
     shipped = (folder / "vehicle.toml").read_text()
     (folder / "vehicle.toml").write_text(shipped.replace('name = "quadrotor"', 'name = "mine"', 1))
     own = Scenario.load("hover").replace(aircraft=str(folder), engine="motor", controller="baseline", substeps=2)
-    assert step_notes(own) == ["substeps = 2: what fewer than 4 cost mine in accuracy has not been measured"]
+    assert note_few_substeps(own) == ["substeps = 2: what fewer than 4 cost mine in accuracy has not been measured"]
     with pytest.raises(InputError, match=r"errors are measured for shipped aircraft, and not for .*mine; state a num"):
         own.replace(substeps="campaign")
 

@@ -12,8 +12,8 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Jet, load_vehicle
 from cosim.vehicle.effects.make import make_effects
 
-SILENT = SimpleNamespace(name="silent", rotor_inertia=0.0, has=lambda port: False)
-GIVES_ALL = SimpleNamespace(name="all", rotor_inertia=1e-5, has=lambda port: True)
+SILENT = SimpleNamespace(name="silent", rotor_inertia=0.0, has_port=lambda port: False)
+GIVES_ALL = SimpleNamespace(name="all", rotor_inertia=1e-5, has_port=lambda port: True)
 
 
 def names(engine: SimpleNamespace, **more: object) -> list[str]:

@@ -132,7 +132,7 @@ def test_force_and_moment_of_any_layout_are_those_of_levers_and_newton(seed: int
     base, folder = load_vehicle("quadrotor")
     vehicle = base.model_copy(update={"jets": jets, "hinges": hinges, "model": None})
     engines = Given(len(jets))
-    silent = SimpleNamespace(rotor_inertia=0.0, has=lambda port: False)
+    silent = SimpleNamespace(rotor_inertia=0.0, has_port=lambda port: False)
     propulsion = Propulsion(
         jets, EngineChain(engines, [None] * len(jets), lambda jet: 0.1, STEP), [TiltServo(h, STEP) for h in hinges],
         make_effects(vehicle, vehicle, [silent] * len(jets), STEP), None, lambda: (101325.0, 288.15), hinges,  # type: ignore[list-item]

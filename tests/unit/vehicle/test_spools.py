@@ -83,7 +83,7 @@ class Rows:
 def spools(spins: tuple[int, ...], inertia: float = 2e-5) -> RotorDynamics:
     sides = ("right", "left", "left", "right", "right", "left")
     jets = [Jet(position_m=ZERO3, servo=side, spin=spin) for side, spin in zip(sides, spins, strict=True)]  # type: ignore[arg-type]
-    engine = SimpleNamespace(name="made up", rotor_inertia=inertia, has=lambda port: True)
+    engine = SimpleNamespace(name="made up", rotor_inertia=inertia, has_port=lambda port: True)
     return RotorDynamics(jets, [engine] * 6, STEP)  # type: ignore[list-item]
 
 
@@ -145,7 +145,7 @@ def test_rotors_that_turn_alternately_cancel_exactly() -> None:
 
 
 def test_a_rotor_whose_speed_is_not_told_is_refused() -> None:
-    engine = SimpleNamespace(name="silent", rotor_inertia=1e-5, has=lambda port: False)
+    engine = SimpleNamespace(name="silent", rotor_inertia=1e-5, has_port=lambda port: False)
     with pytest.raises(InputError, match=r"engine silent at station 2: .* no output spool_speed"):
         RotorDynamics([Jet(position_m=ZERO3), Jet(position_m=ZERO3, spin=1)], [engine] * 2, STEP)  # type: ignore[list-item]
     assert not RotorDynamics([Jet(position_m=ZERO3)], [engine], STEP).is_active  # type: ignore[list-item]

@@ -34,12 +34,12 @@ from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, LIST, UNSUP
 from cosim.groundstation.mavlink.services.mav_command import (
     ABSOLUTE_FRAMES,
     RELATIVE_FRAMES,
-    Ack,
+    CommandResult,
     Context,
     MavCommand,
     Plan,
 )
-from cosim.groundstation.mavlink.streams import BY_ID, FASTEST, interval
+from cosim.groundstation.mavlink.streams import BY_ID, FASTEST, stream_interval
 from cosim.groundstation.mavlink.telemetry import gps_global_origin, mode_line
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 
@@ -69,24 +69,24 @@ class _FrameError(Exception):
 Handler = Callable[[MavCommand, Context], Plan]
 
 
-def plan(command: MavCommand, context: Context) -> Plan:
+def plan_command(command: MavCommand, context: Context) -> Plan:
     """Return how a command is executed.  Raises nothing."""
     handler = _HANDLERS.get(command.number)
     if handler is None:
-        return Plan(result=Ack.UNSUPPORTED)
+        return Plan(result=CommandResult.UNSUPPORTED)
     try:
         return handler(command, context)
     except InputError as error:
-        return Plan(result=Ack.DENIED, text=str(error))
+        return Plan(result=CommandResult.DENIED, text=str(error))
     except _FrameError:
-        return Plan(result=Ack.UNSUPPORTED_FRAME)
+        return Plan(result=CommandResult.UNSUPPORTED_FRAME)
 
 
 def _do(*requests: Request) -> Plan:
     return Plan(requests)
 
 
-def _refuse(text: str, result: Ack = Ack.DENIED) -> Plan:
+def _refuse(text: str, result: CommandResult = CommandResult.DENIED) -> Plan:
     return Plan(result=result, text=text)
 
 
@@ -99,7 +99,7 @@ def _whole(value: float | None) -> int:
 
 
 def _arm(command: MavCommand, context: Context) -> Plan:
-    arm, force = command.p[0], command.p[1] == FORCE
+    arm, force = command.params[0], command.params[1] == FORCE
     if arm == 1.0:
         return _do(Arm(force))
     if arm == 0.0:
@@ -109,18 +109,18 @@ def _arm(command: MavCommand, context: Context) -> Plan:
 
 def _take_off(command: MavCommand, context: Context) -> Plan:
     """Plan a take-off to parameter 7, above the sea as in PX4, or above home for ArduPilot or a relative frame."""
-    altitude = command.p[6]
+    altitude = command.params[6]
     if altitude is None:
         return _do(Takeoff())
     if command.frame in RELATIVE_FRAMES or context.vehicle.personality == "ardupilot":
         return _do(Takeoff(altitude))
     if command.frame is not None and command.frame not in ABSOLUTE_FRAMES:
-        return _refuse("", Ack.UNSUPPORTED_FRAME)
+        return _refuse("", CommandResult.UNSUPPORTED_FRAME)
     state = context.state
-    if altitude < state.sea_level + 1.0:
-        here = f"the vehicle is at {state.sea_level:.0f} m"
+    if altitude < state.altitude_above_sea + 1.0:
+        here = f"the vehicle is at {state.altitude_above_sea:.0f} m"
         return _refuse(f"take-off refused: {altitude:.0f} m above sea level asked for, {here}")
-    return _do(Takeoff(altitude - state.sea_level + state.height))
+    return _do(Takeoff(altitude - state.altitude_above_sea + state.height_above_home))
 
 
 def _land(command: MavCommand, context: Context) -> Plan:
@@ -133,9 +133,9 @@ def _land(command: MavCommand, context: Context) -> Plan:
 
 
 def _set_mode(command: MavCommand, context: Context) -> Plan:
-    base, main, sub = (_whole(value) for value in command.p[:3])
+    base, main, sub = (_whole(value) for value in command.params[:3])
     if base < 0 or not base & CUSTOM:
-        return _refuse("mode: only custom modes are known here", Ack.UNSUPPORTED)
+        return _refuse("mode: only custom modes are known here", CommandResult.UNSUPPORTED)
     if context.vehicle.personality == "ardupilot":
         return _mode(from_custom(main, "ardupilot"), f"{main}")
     name = UNSUPPORTED.get((main, sub), "")
@@ -143,20 +143,20 @@ def _set_mode(command: MavCommand, context: Context) -> Plan:
 
 
 def _set_standard_mode(command: MavCommand, context: Context) -> Plan:
-    number = _whole(command.p[0])
+    number = _whole(command.params[0])
     return _mode(FROM_STANDARD.get(number), f"{number}")
 
 
 def _mode(mode: Mode | None, number: str) -> Plan:
     if mode is None:
-        return _refuse(f"mode {number} is not known here", Ack.UNSUPPORTED)
+        return _refuse(f"mode {number} is not known here", CommandResult.UNSUPPORTED)
     return _do(SetMode(mode.value))
 
 
 def _reposition(command: MavCommand, context: Context) -> Plan:
     """Plan a flight to a position, height and yaw [rad]; without any of them a pause."""
-    speed, yaw = command.p[0], command.p[3]
-    if command.position is None and command.p[6] is None and yaw is None:
+    speed, yaw = command.params[0], command.params[3]
+    if command.position is None and command.params[6] is None and yaw is None:
         return _do(Hold())
     heading = None if yaw is None else remainder(yaw, tau)
     return _do(Goto(*_target(command, context), heading, speed if speed is not None and speed > 0.0 else None))
@@ -164,7 +164,7 @@ def _reposition(command: MavCommand, context: Context) -> Plan:
 
 def _orbit(command: MavCommand, context: Context) -> Plan:
     """Plan DO_ORBIT: a negative radius turns to the left; parameter 4 is an angle [rad], 0 without end."""
-    radius, speed, yaw, angle = command.p[:4]
+    radius, speed, yaw, angle = command.params[:4]
     if radius is None:
         return _refuse("orbit: parameter 1, the radius, is missing")
     target = _target(command, context)
@@ -185,18 +185,18 @@ _ORBIT_YAW = {0: OrbitYaw.CENTRE, 3: OrbitYaw.TANGENT}  # ORBIT_YAW_BEHAVIOUR; a
 
 def _yaw(command: MavCommand, context: Context) -> Plan:
     """Plan CONDITION_YAW [deg], relative to the nose where parameter 4 is 1; parameter 3 then gives the sense."""
-    angle = command.p[0]
+    angle = command.params[0]
     if angle is None:
         return _refuse("yaw: parameter 1 is missing")
     heading = radians(angle)
-    if command.p[3] == 1.0:
-        sense = -1.0 if command.p[2] is not None and command.p[2] < 0.0 else 1.0
+    if command.params[3] == 1.0:
+        sense = -1.0 if command.params[2] is not None and command.params[2] < 0.0 else 1.0
         heading = context.state.euler[2] + sense * heading
     return _do(Goto(yaw=remainder(heading, tau)))
 
 
 def _change_speed(command: MavCommand, context: Context) -> Plan:
-    kind, speed = command.p[0], command.p[1]
+    kind, speed = command.params[0], command.params[1]
     if kind not in (None, 0.0, 1.0):
         return _refuse("speed: only that over the ground can be set")
     if speed is None or speed < 0.0:
@@ -205,7 +205,7 @@ def _change_speed(command: MavCommand, context: Context) -> Plan:
 
 
 def _set_home(command: MavCommand, context: Context) -> Plan:
-    if command.p[0] == 1.0:
+    if command.params[0] == 1.0:
         return _do(SetHome())
     if command.position is None:
         return _refuse("home: latitude and longitude are missing")
@@ -213,26 +213,26 @@ def _set_home(command: MavCommand, context: Context) -> Plan:
 
 
 def _terminate(command: MavCommand, context: Context) -> Plan:
-    if command.p[0] is None or command.p[0] < 0.5:
+    if command.params[0] is None or command.params[0] < 0.5:
         return _refuse("terminate: parameter 1 must be 1; there is no way back")
     return _do(Kill(True))
 
 
 def _start_mission(command: MavCommand, context: Context) -> Plan:
     """Plan a mission's start at the present item, or at that of parameter 1 where it is not 0."""
-    first = _whole(command.p[0])
+    first = _whole(command.params[0])
     return _do(MissionSetCurrent(first), MissionStart()) if first > 0 else _do(MissionStart())
 
 
 def _set_item(command: MavCommand, context: Context) -> Plan:
-    item = _whole(command.p[0])
+    item = _whole(command.params[0])
     return _refuse("mission: parameter 1 must be an item") if item < 0 else _do(MissionSetCurrent(item))
 
 
 def _pause(command: MavCommand, context: Context) -> Plan:
-    if command.p[0] == 0.0:
+    if command.params[0] == 0.0:
         return _do(Hold())
-    return _do(MissionStart()) if command.p[0] == 1.0 else _refuse("pause: parameter 1 must be 0 or 1")
+    return _do(MissionStart()) if command.params[0] == 1.0 else _refuse("pause: parameter 1 must be 0 or 1")
 
 
 def _target(command: MavCommand, context: Context) -> tuple[float | None, float | None, float | None]:
@@ -242,7 +242,7 @@ def _target(command: MavCommand, context: Context) -> tuple[float | None, float 
     """
     if command.frame is not None and command.frame not in (*ABSOLUTE_FRAMES, *RELATIVE_FRAMES):
         raise _FrameError
-    altitude = command.p[6]
+    altitude = command.params[6]
     above = None if altitude is None else _altitude(command, altitude, context)
     north, east = (None, None) if command.position is None else _local(command.position, context, above)
     return north, east, above
@@ -265,7 +265,7 @@ def _local(position: tuple[float, float], context: Context, above: float | None 
 def _altitude(command: MavCommand, value: float, context: Context) -> float:
     """Return an order's height above the origin [m]."""
     if command.frame in RELATIVE_FRAMES:
-        return value + context.state.altitude - context.state.height
+        return value + context.state.altitude - context.state.height_above_home
     return value - context.vehicle.geodesy.ground
 
 
@@ -273,10 +273,10 @@ def _altitude(command: MavCommand, value: float, context: Context) -> float:
 
 
 def _fail(command: MavCommand, context: Context) -> Plan:
-    unit, kind = _whole(command.p[0]), _whole(command.p[1])
-    which = 0 if command.p[2] is None else _whole(command.p[2])
-    if not context.vehicle.failures:
-        return Plan(result=Ack.UNSUPPORTED)
+    unit, kind = _whole(command.params[0]), _whole(command.params[1])
+    which = 0 if command.params[2] is None else _whole(command.params[2])
+    if not context.vehicle.can_fail:
+        return Plan(result=CommandResult.UNSUPPORTED)
     if kind == _OK:
         return _do(ClearFaults())  # there is no way to end one of several
     faults: tuple[InjectFault, ...] = ()
@@ -295,7 +295,7 @@ def _fail(command: MavCommand, context: Context) -> Plan:
         faults = tuple(InjectFault("servo_jam", servo=servo) for servo in (servos[which - 1 : which] or servos))
     elif unit in _SENSORS:
         faults = _sensor_fault(kind, _SENSORS[unit])
-    return Plan(faults) if faults else _refuse("failure: not one that can be made here", Ack.UNSUPPORTED)
+    return Plan(faults) if faults else _refuse("failure: not one that can be made here", CommandResult.UNSUPPORTED)
 
 
 def _sensor_fault(kind: int, sensor: str) -> tuple[InjectFault, ...]:
@@ -312,23 +312,23 @@ def _sensor_fault(kind: int, sensor: str) -> tuple[InjectFault, ...]:
 
 
 def _request_message(command: MavCommand, context: Context) -> Plan:
-    number = _whole(command.p[0])
+    number = _whole(command.params[0])
     messages = context.find_message(number)
     if messages is None and number == BY_NAME["AVAILABLE_MODES"].id:
         return _modes(command, context)
     if messages is None and number == BY_NAME["MESSAGE_INTERVAL"].id:
-        return _get_interval(command._replace(p=(command.p[1], *command.p[1:])), context)
+        return _get_interval(command._replace(params=(command.params[1], *command.params[1:])), context)
     if messages is None and number in BY_ID:
-        messages = BY_ID[number].build(context.state)
+        messages = BY_ID[number].make_messages(context.state)
         if not messages:
-            return _refuse("", Ack.TEMPORARILY_REJECTED)  # not known yet: its client requests it again
+            return _refuse("", CommandResult.TEMPORARILY_REJECTED)  # not known yet: its client requests it again
     if messages is None:
-        return Plan(result=Ack.UNSUPPORTED)
+        return Plan(result=CommandResult.UNSUPPORTED)
     return Plan(messages=tuple(messages))
 
 
 def _modes(command: MavCommand, context: Context) -> Plan:
-    index = 0 if command.p[1] is None else _whole(command.p[1])
+    index = 0 if command.params[1] is None else _whole(command.params[1])
     if index == 0:
         return Plan(messages=tuple(mode_line(context.vehicle, i) for i in range(1, len(LIST) + 1)))
     if not 1 <= index <= len(LIST):
@@ -339,16 +339,16 @@ def _modes(command: MavCommand, context: Context) -> Plan:
 def _requester_of(name: str) -> Handler:
     """Return the handler of a command that requests one kind of message."""
     number = float(BY_NAME[name].id)
-    return lambda command, context: _request_message(command._replace(p=(number, *command.p[1:])), context)
+    return lambda command, context: _request_message(command._replace(params=(number, *command.params[1:])), context)
 
 
 def _get_interval(command: MavCommand, context: Context) -> Plan:
-    number = _whole(command.p[0])
+    number = _whole(command.params[0])
     if not 0 <= number <= 0xFFFF:
-        return _refuse("interval: parameter 1 must be a message", Ack.UNSUPPORTED)
+        return _refuse("interval: parameter 1 must be a message", CommandResult.UNSUPPORTED)
     if number not in BY_ID:
-        return Plan(result=Ack.UNSUPPORTED, messages=(mav.MAVLink_message_interval_message(number, 0),))
-    every = interval(context.peer, number)
+        return Plan(result=CommandResult.UNSUPPORTED, messages=(mav.MAVLink_message_interval_message(number, 0),))
+    every = stream_interval(context.peer, number)
     micro = round(every * 1e6) if every else -1
     return Plan(messages=(mav.MAVLink_message_interval_message(number, micro),))
 
@@ -358,20 +358,20 @@ def _set_origin(command: MavCommand, context: Context) -> Plan:
     at = context.vehicle.geodesy
     messages = tuple(gps_global_origin(context.state))
     if command.position is None:
-        return Plan(result=Ack.DENIED, text="origin: latitude and longitude are missing", messages=messages)
+        return Plan(result=CommandResult.DENIED, text="origin: latitude and longitude are missing", messages=messages)
     if command.frame is not None and command.frame not in ABSOLUTE_FRAMES:
-        return Plan(result=Ack.UNSUPPORTED_FRAME, messages=messages)
+        return Plan(result=CommandResult.UNSUPPORTED_FRAME, messages=messages)
     off = hypot(*at.to_local(*command.position, at.ground)[:2])
     if off > ORIGIN_NEAR:
-        return Plan(result=Ack.DENIED, text=ORIGIN_FIXED, messages=messages)
+        return Plan(result=CommandResult.DENIED, text=ORIGIN_FIXED, messages=messages)
     return Plan(messages=messages)
 
 
 def _set_interval(command: MavCommand, context: Context) -> Plan:
     """Set a message's interval for the station that asks: parameter 2 in us; -1 none, 0 the default."""
-    number, micro = _whole(command.p[0]), command.p[1]
+    number, micro = _whole(command.params[0]), command.params[1]
     if number not in BY_ID:
-        return Plan(result=Ack.UNSUPPORTED)
+        return Plan(result=CommandResult.UNSUPPORTED)
     if micro is None or (micro < 0.0 and micro != -1.0) or micro > 3600e6:
         return _refuse("interval: parameter 2 must be microseconds, at most an hour")
     if micro == 0.0:
@@ -384,16 +384,16 @@ def _set_interval(command: MavCommand, context: Context) -> Plan:
 def _prearm(command: MavCommand, context: Context) -> Plan:
     status = context.state.status
     if status.armed:
-        return _refuse("pre-arm checks: already armed", Ack.TEMPORARILY_REJECTED)
+        return _refuse("pre-arm checks: already armed", CommandResult.TEMPORARILY_REJECTED)
     text = f"not ready: {'; '.join(status.refusals)}" if status.refusals else "ready to arm"
     return Plan(text=text)
 
 
 def _reboot(command: MavCommand, context: Context) -> Plan:
     """Plan a new flight where parameter 1 is 1, or the session's end where it is 2."""
-    number = _whole(command.p[0])
+    number = _whole(command.params[0])
     if not 1 <= number <= len(context.shutdown_requests):
-        return Plan(result=Ack.UNSUPPORTED)
+        return Plan(result=CommandResult.UNSUPPORTED)
     if context.state.status.armed:
         return _refuse("reboot refused: armed")
     return _do(context.shutdown_requests[number - 1])

@@ -40,7 +40,7 @@ class File(Protocol):
     def read(self, offset: int, length: int) -> bytes: ...
 
 
-class Bytes:
+class MemoryFile:
     """A file in memory."""
 
     def __init__(self, data: bytes) -> None:
@@ -111,7 +111,7 @@ class FileService(Service):
         out: Outgoing = []
         for client, state in self._clients.items():
             if state.burst is not None:
-                for _ in range(state.pace.take(now, state.burst.remaining, client.peer)):
+                for _ in range(state.pace.take_tokens(now, state.burst.remaining, client.peer)):
                     out.append((client.peer, _message(client, _next_burst_message(state))))
                     if state.burst is None:
                         break
@@ -122,7 +122,7 @@ class FileService(Service):
         return out
 
     @property
-    def busy(self) -> bool:
+    def is_busy(self) -> bool:
         return any(state.burst or state.checksum for state in self._clients.values())
 
     def forget(self, peer: Peer) -> None:

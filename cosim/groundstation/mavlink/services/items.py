@@ -94,7 +94,7 @@ def to_mission_item(item: Item, geodesy: Geodesy, home_altitude: float) -> Missi
         if item.command in (LOITER, LOITER_TURNS, LOITER_ALTITUDE):
             return _loiter(item, geodesy, home_altitude)
         if item.command == TAKEOFF:
-            altitude = altitude_of(item, geodesy, home_altitude)
+            altitude = to_altitude(item, geodesy, home_altitude)
             return MissionItem(ItemKind.TAKEOFF, altitude=altitude, yaw=_yaw(item.params[3]))
         if item.command == LAND:
             north, east = _position_or_here(item, geodesy, 0.0)
@@ -165,8 +165,8 @@ def _degrees(value: float) -> int:
 
 def _waypoint(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
     hold, radius, _, yaw = item.params
-    altitude = altitude_of(item, geodesy, home_altitude)
-    north, east = local_position(item, geodesy, altitude)
+    altitude = to_altitude(item, geodesy, home_altitude)
+    north, east = to_local_position(item, geodesy, altitude)
     if item.command == LOITER_TIME:  # its other parameters are of circles
         radius = 0.0
     hold_s = _number(hold, PARAM1, "time to hold", 0.0, 0.0)
@@ -180,11 +180,11 @@ def _loiter(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
     Radii of the others, and a heading before it goes on, are for vehicles with wings.
     """
     turns, _, radius, yaw = item.params
-    altitude = altitude_of(item, geodesy, home_altitude)
+    altitude = to_altitude(item, geodesy, home_altitude)
     if item.command == LOITER_ALTITUDE:
         north, east = _position_or_here(item, geodesy, altitude)
         return MissionItem(ItemKind.ALTITUDE, north, east, altitude)
-    north, east = local_position(item, geodesy, altitude)
+    north, east = to_local_position(item, geodesy, altitude)
     if item.command == LOITER:
         return MissionItem(ItemKind.STAY, north, east, altitude, _yaw(yaw))
     return MissionItem(
@@ -201,10 +201,10 @@ def _loiter(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem:
 def _position_or_here(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float] | tuple[None, None]:
     """Return the position of an item; None, None for none or 0, 0, which is where the vehicle is then."""
     is_placed = item.x not in (0, NO_POSITION) or item.y not in (0, NO_POSITION)
-    return local_position(item, geodesy, altitude) if is_placed else (None, None)
+    return to_local_position(item, geodesy, altitude) if is_placed else (None, None)
 
 
-def local_position(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float]:
+def to_local_position(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float, float]:
     if not -900_000_000 <= item.x <= 900_000_000:
         raise ItemError(PARAM5, "the latitude is none")
     if not -1_800_000_000 <= item.y <= 1_800_000_000:
@@ -218,7 +218,7 @@ def local_position(item: Item, geodesy: Geodesy, altitude: float) -> tuple[float
     return north, east
 
 
-def altitude_of(item: Item, geodesy: Geodesy, home_altitude: float) -> float:
+def to_altitude(item: Item, geodesy: Geodesy, home_altitude: float) -> float:
     """Return an item's height above the ground at the start [m].  Raises ItemError."""
     if item.frame not in (*_SEA, *_HOME):
         raise ItemError(WRONG_FRAME, f"frame {item.frame} is not known here")
@@ -239,12 +239,12 @@ def _yaw(angle: float) -> float | None:
     return (radians(angle) + pi) % (2.0 * pi) - pi
 
 
-def _number(value: float, code: int, what: str, least: float, missing: float | None = None) -> float:
-    """Return a parameter that must be at least ``least``; NaN becomes ``missing``.  Raises ItemError."""
+def _number(value: float, code: int, what: str, low: float, missing: float | None = None) -> float:
+    """Return a parameter that must be at least ``low``; NaN becomes ``missing``.  Raises ItemError."""
     if isnan(value) and missing is not None:
         return missing
-    if not (isfinite(value) and value >= least):
-        raise ItemError(code, f"{what} {value:g}: at least {least:g} is needed")
+    if not (isfinite(value) and value >= low):
+        raise ItemError(code, f"{what} {value:g}: at least {low:g} is needed")
     return value
 
 

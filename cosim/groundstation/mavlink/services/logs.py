@@ -21,7 +21,7 @@ from threading import Thread
 
 from cosim.base.runtime.processes import Child, python_command
 from cosim.base.storage.scratch import scratch
-from cosim.groundstation.mavlink.services.ftp import Bytes, File
+from cosim.groundstation.mavlink.services.ftp import File, MemoryFile
 from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, RateLimit, Service
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
@@ -134,7 +134,7 @@ class LogStore:
             if code is None and now - started < CONVERSION_TIMEOUT:
                 return
             self._end_conversion()
-            log.file = _open_file(self._path(log)) if code == 0 else Bytes(b"")
+            log.file = _open_file(self._path(log)) if code == 0 else MemoryFile(b"")
             self._converted_count += 1
         if self._converted_count < len(self.logs):
             log = self.logs[self._converted_count]
@@ -143,7 +143,7 @@ class LogStore:
             try:
                 self._conversion = (Child(command, stdin=quiet, stdout=quiet, stderr=quiet), log, now)
             except OSError:
-                log.file = Bytes(b"")
+                log.file = MemoryFile(b"")
                 self._converted_count += 1
 
     @property
@@ -212,7 +212,7 @@ class LogService(Service):
             if first > last:
                 del self._lists[client]
         for client, download in list(self._downloads.items()):
-            for _ in range(download.limit.take(now, -(-(download.end - download.at) // DATA), client.peer)):
+            for _ in range(download.limit.take_tokens(now, -(-(download.end - download.at) // DATA), client.peer)):
                 out.append((client.peer, download.next()))
                 if download.at >= download.end:
                     break
@@ -223,7 +223,7 @@ class LogService(Service):
         return out
 
     @property
-    def busy(self) -> bool:
+    def is_busy(self) -> bool:
         return bool(self._downloads or self._lists or self._store.is_converting)
 
     def forget(self, peer: Peer) -> None:
@@ -280,10 +280,10 @@ def _open_file(path: Path) -> File:
     try:
         return DiskFile(path)
     except OSError:
-        return Bytes(b"")
+        return MemoryFile(b"")
 
 
-def finished_runs(root: Path) -> list[Path]:
+def find_finished_runs(root: Path) -> list[Path]:
     """Return the folders of the finished runs in ``root``, in the order in which they began."""
     with suppress(OSError):
         runs = [

@@ -17,7 +17,7 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.peer import Peer
 
 
-class Ack(IntEnum):
+class CommandResult(IntEnum):
     """MAV_RESULT."""
 
     ACCEPTED = 0
@@ -28,7 +28,7 @@ class Ack(IntEnum):
     UNSUPPORTED_FRAME = 9
 
 
-OF_RESULT = {result: Ack[result.name] for result in Result}
+OF_RESULT = {result: CommandResult[result.name] for result in Result}
 
 GLOBAL, LOCAL_NED, RELATIVE, GLOBAL_INT, RELATIVE_INT = 0, 1, 3, 5, 6  # MAV_FRAME
 ABSOLUTE_FRAMES, RELATIVE_FRAMES = (GLOBAL, GLOBAL_INT), (RELATIVE, RELATIVE_INT)
@@ -39,14 +39,14 @@ class MavCommand(NamedTuple):
     """A command of either message; None: missing.  Latitude and longitude are in degrees."""
 
     number: int
-    p: tuple[float | None, ...]  # parameters 1 to 7, counted from 0
+    params: tuple[float | None, ...]  # parameters 1 to 7, counted from 0
     frame: int | None  # None: COMMAND_LONG has none
     confirmation: int
 
     @property
     def position(self) -> tuple[float, float] | None:
         """Latitude and longitude; None where one is missing, or both are 0, which some send for none."""
-        lat, lon = self.p[4], self.p[5]
+        lat, lon = self.params[4], self.params[5]
         return None if lat is None or lon is None or lat == lon == 0.0 else (lat, lon)
 
 
@@ -54,7 +54,7 @@ class Plan(NamedTuple):
     """How a command is executed: requests one after another until one is refused, or a result at once."""
 
     requests: tuple[Request, ...] = ()
-    result: Ack = Ack.ACCEPTED
+    result: CommandResult = CommandResult.ACCEPTED
     text: str = ""
     messages: tuple[Message, ...] = ()  # after the acknowledgement
 

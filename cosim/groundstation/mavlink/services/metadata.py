@@ -29,7 +29,7 @@ class Metadata:
     """
 
     def __init__(self, parameters: Iterable[Parameter], name: str, version: str) -> None:
-        inner = _compress({"version": _VERSION, "parameters": [describe(line) for line in parameters]})
+        inner = _compress({"version": _VERSION, "parameters": [describe_parameter(line) for line in parameters]})
         general = _compress(
             {
                 "version": _VERSION,
@@ -52,7 +52,7 @@ class Metadata:
         }
 
 
-def describe(line: Parameter) -> dict[str, Any]:
+def describe_parameter(line: Parameter) -> dict[str, Any]:
     """Return a parameter by MAVLink's parameter.schema.json."""
     number = int if line.kind == "int" else float
     described: dict[str, Any] = {

@@ -47,7 +47,7 @@ from cosim.groundstation.mavlink.services.items import (
     to_mission_item,
 )
 from cosim.groundstation.mavlink.services.plans import CHECKS, from_fence, from_rally, to_fence, to_rally
-from cosim.groundstation.mavlink.services.service import AnswerQueue, Ask, Client, Outgoing, Service, service_text
+from cosim.groundstation.mavlink.services.service import AnswerQueue, Ask, Client, Outgoing, Service, make_service_text
 from cosim.groundstation.mavlink.telemetry import mission_progress, mission_state
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
@@ -155,7 +155,7 @@ class MissionService(Service):
     def poll(self, now: float) -> Outgoing:
         """Return the autopilot's answers, repeated requests of items, and the mission's progress."""
         self._now = now
-        out = self._answers.take()
+        out = self._answers.take_messages()
         upload = self._upload
         if upload is not None and not upload.waiting:
             if now - upload.last_progress > UPLOAD_TIMEOUT:
@@ -167,7 +167,7 @@ class MissionService(Service):
         return out + [(None, message) for message in self._progress(now)]
 
     @property
-    def busy(self) -> bool:
+    def is_busy(self) -> bool:
         return self._upload is not None
 
     def forget(self, peer: Peer) -> None:
@@ -365,7 +365,7 @@ def _ack(client: Client, code: int, mission_type: int = MISSION) -> Message:
 
 
 def _warn(text: str) -> list[Message]:
-    return service_text(text, wire.MAV_SEVERITY_WARNING) if text else []
+    return make_service_text(text, wire.MAV_SEVERITY_WARNING) if text else []
 
 
 def _describe_left_out(items: list[Item]) -> str:

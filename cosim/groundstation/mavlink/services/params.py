@@ -79,13 +79,13 @@ class ParameterService(Service):
 
     def poll(self, now: float) -> Outgoing:
         """Return the autopilot's answers, changes that others made, and the next part of every list."""
-        out = self._answers.take()
+        out = self._answers.take_messages()
         values = dict(self._parameters.values)
         if values != self._sent:
             out += [(None, self._value(self._index[n])) for n, v in values.items() if v != self._sent[n]]
             self._sent = values
         for client, (at, pace) in list(self._lists.items()):
-            end = at + pace.take(now, len(self._lines) - at, client.peer)
+            end = at + pace.take_tokens(now, len(self._lines) - at, client.peer)
             out += [(client.peer, self._value(i) if i >= 0 else self._hash_value()) for i in range(at, end)]
             if end == len(self._lines):
                 del self._lists[client]
@@ -94,7 +94,7 @@ class ParameterService(Service):
         return out
 
     @property
-    def busy(self) -> bool:
+    def is_busy(self) -> bool:
         return bool(self._lists)
 
     def forget(self, peer: Peer) -> None:

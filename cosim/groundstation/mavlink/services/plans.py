@@ -12,7 +12,14 @@ from math import isfinite
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
 from cosim.control.autopilot.requests import FenceUpload, FenceZone, RallyPoint, RallyUpload, ZoneKind
-from cosim.groundstation.mavlink.services.items import PARAM1, UNSUPPORTED, Item, ItemError, altitude_of, local_position
+from cosim.groundstation.mavlink.services.items import (
+    PARAM1,
+    UNSUPPORTED,
+    Item,
+    ItemError,
+    to_altitude,
+    to_local_position,
+)
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
 _POLYGONS = {
@@ -47,7 +54,7 @@ def to_fence(items: Sequence[Item], geodesy: Geodesy) -> FenceUpload:
     for index, item in enumerate(items):
         if item.command == _RETURN_POINT:
             continue
-        corner = local_position(item, geodesy, 0.0)
+        corner = to_local_position(item, geodesy, 0.0)
         try:
             if item.command in _CIRCLES:
                 zones.append(FenceZone(_CIRCLES[item.command], (corner,), float(item.params[0])))
@@ -92,8 +99,8 @@ def to_rally(items: Sequence[Item], geodesy: Geodesy, home_altitude: float) -> R
     """Return the rally points of these items.  Raises ItemError."""
     points = []
     for item in items:
-        altitude = altitude_of(item, geodesy, home_altitude)
-        north, east = local_position(item, geodesy, altitude)
+        altitude = to_altitude(item, geodesy, home_altitude)
+        north, east = to_local_position(item, geodesy, altitude)
         try:
             points.append(RallyPoint(north, east, altitude))
         except InputError as error:

@@ -32,7 +32,7 @@ class Client(NamedTuple):
     component: int
 
     @property
-    def text(self) -> str:
+    def label(self) -> str:
         """Name of the client for people to read."""
         return f"{self.peer.name} {self.system}/{self.component}"
 
@@ -46,7 +46,7 @@ class Service:
     handles: frozenset[str] = frozenset()
 
     @property
-    def busy(self) -> bool:
+    def is_busy(self) -> bool:
         return False
 
     def handle(self, message: Message, client: Client, now: float) -> Sequence[Message]:
@@ -69,14 +69,14 @@ class RateLimit:
         self._tokens = self._burst
         self._last: float | None = None
 
-    def take(self, now: float, most: int, peer: Peer) -> int:
-        """Return how many of ``most`` messages may go now; none while the link to the peer is behind."""
+    def take_tokens(self, now: float, requested: int, peer: Peer) -> int:
+        """Return how many of ``requested`` messages may go now; none while the link to the peer is behind."""
         if self._last is not None:
             self._tokens = min(self._burst, self._tokens + max(0.0, now - self._last) * self._rate)
         self._last = now
-        if peer.behind:
+        if peer.is_behind:
             return 0
-        count = min(most, int(self._tokens))
+        count = min(requested, int(self._tokens))
         self._tokens -= count
         return count
 
@@ -84,8 +84,8 @@ class RateLimit:
 class AnswerQueue:
     """Queue of the autopilot's answers, filled from any thread and emptied in the link's."""
 
-    def __init__(self, ask: Ask, most: int = 100) -> None:
-        self._ask, self._most = ask, most
+    def __init__(self, ask: Ask, limit: int = 100) -> None:
+        self._ask, self._most = ask, limit
         self._ready: deque[tuple[Callable[[Answer], Outgoing], Answer]] = deque()
         self._open = 0
 
@@ -94,10 +94,10 @@ class AnswerQueue:
         if self._open >= self._most:
             return False
         self._open += 1
-        self._ask(request, lambda answer: self._ready.append((then, answer)), client.text)
+        self._ask(request, lambda answer: self._ready.append((then, answer)), client.label)
         return True
 
-    def take(self) -> Outgoing:
+    def take_messages(self) -> Outgoing:
         """Return the messages of every answer that has come."""
         messages: Outgoing = []
         while self._ready:
@@ -107,7 +107,7 @@ class AnswerQueue:
         return messages
 
 
-def service_text(text: str, severity: int) -> list[Message]:
+def make_service_text(text: str, severity: int) -> list[Message]:
     """Return STATUSTEXT in as many pieces as it needs, with numbers that the vehicle's own texts do not use."""
     global _text_id
     _text_id = (_text_id + 1) % _FIRST_TEXT_ID

@@ -72,7 +72,7 @@ def parse_global(message: Message, state: TelemetryState) -> OffboardSetpoint:
     if not (-90.0 <= lat <= 90.0 and -180.0 <= lon <= 180.0):
         raise InputError(f"set-point: {lat:g}, {lon:g} is no latitude and longitude")
     geodesy = state.vehicle.geodesy
-    altitude = message.alt + (state.altitude - state.height if frame in RELATIVE_FRAMES else -geodesy.ground)
+    altitude = message.alt + (state.altitude - state.height_above_home if frame in RELATIVE_FRAMES else -geodesy.ground)
     north, east, _ = geodesy.to_local(lat, lon, geodesy.ground + altitude)
     return OffboardPosition(north, east, -altitude, yaw)
 

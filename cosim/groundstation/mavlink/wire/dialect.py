@@ -23,7 +23,7 @@ CHECKSUM = 2  # bytes
 _UNSENT = mav.MAVLink(None)
 
 
-def pack(message: Message) -> Message:
+def prepare_message(message: Message) -> Message:
     """Return the message, with its payload.  Raises struct.error for a value that does not fit its field."""
     message.pack(_UNSENT)
     return message

@@ -90,7 +90,7 @@ class Parser:
         if self._signing is not None:
             # a radio at the vehicle's end of a cable puts its own word in, and has no key
             of_radio = message.get_msgId() == RADIO_STATUS and not self._is_datagram
-            reason = self._signing.refuse(raw, system, component) if signed else "" if of_radio else "unsigned"
+            reason = self._signing.find_refusal(raw, system, component) if signed else "" if of_radio else "unsigned"
             if reason:
                 return reason, None
         return "", Frame(raw, system, component, message.get_seq(), signed, message)
@@ -104,14 +104,14 @@ class FramePacker:
         self._component = component
         self._signing = signing
         if signing is not None:
-            signing.sign_all_of(self._mav, link)
+            signing.enable_signing(self._mav, link)
         self.signature = 0 if signing is None else mav.MAVLINK_SIGNATURE_BLOCK_LEN  # bytes of it
 
-    def frame(self, message: Message, component: int | None = None) -> bytes:
+    def pack_frame(self, message: Message, component: int | None = None) -> bytes:
         """Return the next frame."""
         self._mav.srcComponent = self._component if component is None else component
         if self._signing is not None:
-            self._mav.signing.timestamp = self._signing.next_stamp()
+            self._mav.signing.timestamp = self._signing.make_time_stamp()
         raw: bytes = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) & 0xFF
         return raw

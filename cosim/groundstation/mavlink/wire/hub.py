@@ -51,12 +51,12 @@ class Hub:
         self._peer_count = 0
         self._selector = selectors.DefaultSelector()
 
-    def say(self, text: str) -> None:
+    def report_event(self, text: str) -> None:
         """Report an event to the people on the ground."""
         self.events.append(text)
         self.on_event(f"link: {text}")
 
-    def take(self, frames: Sequence[Frame], peer: Peer, now: float) -> None:
+    def dispatch_frames(self, frames: Sequence[Frame], peer: Peer, now: float) -> None:
         """Log a station's frames and hand them to the handler."""
         self.taken += len(frames)
         for frame in frames:

@@ -18,8 +18,8 @@ from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
 from cosim.groundstation.mavlink.wire.transports.channel import Channel
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 from cosim.groundstation.mavlink.wire.transports.serial_port import Serial
-from cosim.groundstation.mavlink.wire.transports.tcp import Tcp, TcpIn
-from cosim.groundstation.mavlink.wire.transports.udp import UdpIn, UdpOut
+from cosim.groundstation.mavlink.wire.transports.tcp import TcpClient, TcpServer
+from cosim.groundstation.mavlink.wire.transports.udp import UdpClient, UdpServer
 
 # Chosen by us.
 _IDLE = 0.05  # s: the longest sleep
@@ -139,7 +139,7 @@ class Link(Hub):
         until = now + _IDLE
         if self.handler is not None:
             until = self._run_isolated(self.handler.poll, now) or until
-        return min([until, *(peer.due for peer in self.peers)])
+        return min([until, *(peer.flush_due for peer in self.peers)])
 
     def _run_isolated(self, callback: Callable[[Any], Any], argument: Any) -> Any:
         """Run a link's callback; count an exception instead of letting it stop the other links."""
@@ -155,7 +155,7 @@ class Link(Hub):
             reported, when = self._reports.get(reason, (0, -inf))
             if count > reported and now - when >= _REPORT_INTERVAL:
                 self._reports[reason] = count, now
-                self.say(f"{_REPORTED.get(reason, reason)}: {count - reported}")
+                self.report_event(f"{_REPORTED.get(reason, reason)}: {count - reported}")
 
     def _drain_wakeups(self, mask: int) -> None:
         with contextlib.suppress(OSError):
@@ -163,9 +163,9 @@ class Link(Hub):
 
 
 _OPEN: dict[str, Callable[[Link, Endpoint], Channel]] = {
-    "udpout": UdpOut,
-    "udpin": UdpIn,
-    "tcp": Tcp,
-    "tcpin": TcpIn,
+    "udpout": UdpClient,
+    "udpin": UdpServer,
+    "tcp": TcpClient,
+    "tcpin": TcpServer,
     "serial": Serial,
 }

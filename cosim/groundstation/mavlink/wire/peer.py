@@ -39,7 +39,7 @@ class Priority(Enum):
     BULK = 2
 
 
-class Line:
+class LinePacer:
     """Pacing of bytes for a line that takes ``rate`` bytes a second.
 
     The driver of a serial port would take seconds of bytes at once, and everything after them would wait for them.
@@ -61,7 +61,7 @@ class Line:
     def _capacity(self) -> float:
         return _AHEAD * self.rate
 
-    def free(self, now: float) -> bool:
+    def is_free(self, now: float) -> bool:
         """Return whether a frame may be handed over.  One may overdraw, and the next waits for that."""
         self._tokens = min(self._capacity, self._tokens + (now - self._last) * self.rate)
         self._last = now
@@ -71,7 +71,7 @@ class Line:
             self._has_stalled = False
         return self._tokens > 0.0
 
-    def take(self, count: int) -> None:
+    def count_bytes(self, count: int) -> None:
         """Count bytes that were handed over."""
         self._tokens -= count
 
@@ -80,7 +80,7 @@ class Line:
         self._has_stalled = True
 
     @property
-    def next(self) -> float:
+    def free_at(self) -> float:
         """Time at which it is free again [s of the clock]."""
         return self._last + max(0.0, -self._tokens) / self.rate + 1e-4
 
@@ -112,7 +112,7 @@ class Peer:
         self.intervals: dict[int, float] = {}  # s, by message; 0: not sent
         self.stretch = 1.0  # factor by which they are longer, so that they fit the line
         self.stretched_at = -inf  # when that was last computed
-        self.line = None if line is None else Line(line, now)
+        self.line = None if line is None else LinePacer(line, now)
         self.received = self.sent = self.dropped = 0
         self.signature = packer.signature  # bytes of it on every frame
         self.stuck = False  # more answers wait than there is room for
@@ -132,7 +132,7 @@ class Peer:
 
     def feed(self, data: bytes, now: float) -> list[Frame]:
         """Return the frames in new bytes; none, and counted, for a station that floods."""
-        if self.credit(now) < 1.0:
+        if self.update_credit(now) < 1.0:
             self._refused["flood"] += 1
             return []
         frames = self._parser.feed(data)
@@ -142,17 +142,17 @@ class Peer:
             self.received += len(frames)
         return frames
 
-    def credit(self, now: float) -> float:
+    def update_credit(self, now: float) -> float:
         """Return how many frames may be read from the station now."""
         self._credit = min(float(_BURST), self._credit + (now - self._credited) * FRAMES_A_SECOND)
         self._credited = now
         return self._credit
 
-    def silent(self, now: float) -> float:
+    def silent_seconds(self, now: float) -> float:
         """Return the seconds since it was last heard, or was first there."""
         return now - max(self.last_heard, self.created)
 
-    def radio(self, free_percent: int) -> None:
+    def update_radio(self, free_percent: int) -> None:
         """Slow the line down if the radio's buffer is nearly full; ``free_percent`` is of RADIO_STATUS."""
         if self.line is not None and free_percent < _RADIO_LOW:
             self.line.note_stall()
@@ -170,7 +170,7 @@ class Peer:
         self.flush()
         return True
 
-    def stream(self, packed: Message, index: int = 0) -> None:
+    def send_telemetry(self, packed: Message, index: int = 0) -> None:
         """Queue telemetry in place of a waiting older one; ``index``: that among several of the same message."""
         key = (packed.get_msgId(), index)
         if key in self._telemetry:
@@ -182,9 +182,9 @@ class Peer:
         """Give the operating system what it takes, and the line what it carries."""
         while self._frame or self._answers or self._bulk or self._telemetry:
             now = self._clock()
-            if self.line is not None and not self.line.free(now):
+            if self.line is not None and not self.line.is_free(now):
                 return
-            frame = self._frame = self._frame or self._packer.frame(*self._next())
+            frame = self._frame = self._frame or self._packer.pack_frame(*self._next())
             count = self._transmit(frame)
             if count < len(frame) and self.line is not None:
                 self.line.note_stall()
@@ -193,7 +193,7 @@ class Peer:
                 return
             self._blocked = None
             if self.line is not None:
-                self.line.take(count)
+                self.line.count_bytes(count)
             self._frame = b"" if self.is_datagram else frame[count:]
             if self._frame:
                 return
@@ -218,18 +218,18 @@ class Peer:
         return packed, None
 
     @property
-    def due(self) -> float:
+    def flush_due(self) -> float:
         """Time at which the line is free for :meth:`flush` again; inf: it does not wait for that."""
         idle = not (self._frame or self._answers or self._bulk or self._telemetry)
-        return inf if idle or self.line is None or self._blocked is not None else self.line.next
+        return inf if idle or self.line is None or self._blocked is not None else self.line.free_at
 
     @property
-    def waiting(self) -> int:
+    def waiting_bytes(self) -> int:
         """Number of bytes that wait."""
         return len(self._frame) + self._waiting + sum(map(self._size, self._telemetry.values()))
 
     @property
-    def behind(self) -> bool:
+    def is_behind(self) -> bool:
         """Whether so many answers wait that lists and files should pause."""
         return self._waiting > (BULK if self.line is None else min(BULK, _BULK_S * self.line.rate))
 
@@ -241,7 +241,7 @@ class Peer:
         """Return the bytes of a message's frame, with its signature."""
         return frame_size(packed) + self.signature
 
-    def blocked(self, now: float) -> float:
+    def blocked_seconds(self, now: float) -> float:
         """Return the seconds for which nothing has been taken though something waits."""
         return 0.0 if self._blocked is None else now - self._blocked
 

@@ -58,16 +58,16 @@ class Signing:
         self._last = 0  # the highest time stamp sent or accepted
         self._streams: dict[tuple[int, int, int], int] = {}
 
-    def sign_all_of(self, packer: Any, link: int) -> None:
+    def enable_signing(self, packer: Any, link: int) -> None:
         """Let a MAVLink object of pymavlink sign what it packs, as the link of this number."""
         packer.signing.secret_key, packer.signing.link_id, packer.signing.sign_outgoing = self._key, link, True
 
-    def next_stamp(self) -> int:
+    def make_time_stamp(self) -> int:
         """Return the time stamp of the next frame."""
         self._last = max(self._last + 1, self._now())
         return self._last
 
-    def refuse(self, frame: bytes, system: int, component: int) -> str:
+    def find_refusal(self, frame: bytes, system: int, component: int) -> str:
         """Return the reason to reject a signed frame (whole, with its signature); empty if it is authentic.
 
         The time stamp counts only once the signature has proved right, so nobody without the key moves it.  pymavlink's

@@ -35,7 +35,7 @@ class TelemetryLog:
     def write_sent(self, packed: Message) -> None:
         """Write a message that was sent."""
         if self._file is not None:
-            self._write(self._packer.frame(packed))
+            self._write(self._packer.pack_frame(packed))
 
     def write_received(self, raw: bytes) -> None:
         """Write a frame that was received, byte for byte."""

@@ -52,7 +52,7 @@ class ReadGate:
 
     def poll(self, peer: Peer, now: float) -> None:
         """Read again when it has credit."""
-        if not self._open and peer.credit(now) > _RESUME:
+        if not self._open and peer.update_credit(now) > _RESUME:
             self._open = True
             self._link.watch(self._item, self._ready)
 
@@ -79,4 +79,4 @@ def name_station(kind: str, address: Address) -> str:
 
 def is_replaceable(peer: Peer, now: float) -> bool:
     """Return whether a new station may replace this one, which has been silent for too long."""
-    return peer.silent(now) > (EVICT if peer.last_heard >= 0.0 else UNHEARD)
+    return peer.silent_seconds(now) > (EVICT if peer.last_heard >= 0.0 else UNHEARD)

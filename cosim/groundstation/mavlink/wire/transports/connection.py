@@ -49,7 +49,7 @@ class Connection:
 
     def _ready(self, mask: int) -> None:
         now = self._link.now()
-        if self.peer.credit(now) < 1.0:
+        if self.peer.update_credit(now) < 1.0:
             self._gate.pause()
             return
         why = "the other end has closed it"
@@ -62,7 +62,7 @@ class Connection:
         if not data:
             self.close(why)
             return
-        self._link.take(self.peer.feed(data, now), self.peer, now)
+        self._link.dispatch_frames(self.peer.feed(data, now), self.peer, now)
 
     def poll(self, now: float) -> None:
         """Send what waits; close it when it has been stuck for too long."""
@@ -71,7 +71,7 @@ class Connection:
         if not self.open:
             return
         self._gate.poll(peer, now)
-        if peer.blocked(now) > STALL or (peer.stuck and peer.line is None):
+        if peer.blocked_seconds(now) > STALL or (peer.stuck and peer.line is None):
             self._link.refused["stuck"] += 1
             self.stalled = True
             self.close("too much waits for it" if peer.stuck else f"it has taken nothing for {STALL:g} s")

@@ -16,7 +16,7 @@ _BAUD = 57600  # of the usual telemetry radios
 _FORMS = "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or serial:DEVICE[:BAUD]"
 
 
-def default(system: int = 1) -> tuple[str, str]:
+def default_urls(system: int = 1) -> tuple[str, str]:
     """Return the default links of a vehicle by its system id.
 
     QGroundControl listens on 14550 to all vehicles; programs with MAVSDK to one each, 14540 the first.
@@ -38,7 +38,7 @@ class Endpoint(NamedTuple):
         return f"{self.kind}:{host}:{self.port}"
 
 
-def parse(url: str, public: bool = False) -> Endpoint:
+def parse_endpoint(url: str, public: bool = False) -> Endpoint:
     """Parse the URL of a link.
 
     ``public``: a server may listen to the network and not only to this machine.  Raises InputError.

@@ -105,7 +105,7 @@ class Serial:
                 return
             self._stream, self._next = None, now + RETRY
             if not self._is_lost:
-                self._link.say(f"{self._endpoint.url} is dropped: {stream.why}")
+                self._link.report_event(f"{self._endpoint.url} is dropped: {stream.why}")
             self._is_lost = True
         if now >= self._next:
             self._next = now + RETRY
@@ -114,9 +114,9 @@ class Serial:
 
     def _report_recovery(self, stream: Connection, now: float) -> None:
         """Report a lost line as back once it has worked for as long as it may be stuck, not at each attempt."""
-        if self._is_lost and now - self._opened_at > STALL and not stream.peer.blocked(now):
+        if self._is_lost and now - self._opened_at > STALL and not stream.peer.blocked_seconds(now):
             self._is_lost = False
-            self._link.say(f"{self._endpoint.url} carries again")
+            self._link.report_event(f"{self._endpoint.url} carries again")
 
     def close(self) -> None:
         if self._stream is not None:

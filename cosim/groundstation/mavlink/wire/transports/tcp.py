@@ -36,7 +36,7 @@ def _connection(link: Hub, name: str, connection: socket.socket) -> Connection:
     return Connection(link, name, connection, lambda: connection.recv(DATAGRAM), connection.send)
 
 
-class TcpIn:
+class TcpServer:
     """A server for several connections."""
 
     def __init__(self, link: Hub, endpoint: Endpoint) -> None:
@@ -72,7 +72,7 @@ class TcpIn:
         if not idle:
             return False
         # one that has sent nothing is closed before one that has
-        oldest = max(idle, key=lambda stream: (stream.peer.last_heard < 0.0, stream.peer.silent(now)))
+        oldest = max(idle, key=lambda stream: (stream.peer.last_heard < 0.0, stream.peer.silent_seconds(now)))
         oldest.close()
         streams.remove(oldest)
         return True
@@ -81,7 +81,7 @@ class TcpIn:
         for stream in self._streams:
             stream.poll(now)
             if stream.stalled:
-                self._link.say(f"{stream.peer.name} is dropped: {stream.why}")
+                self._link.report_event(f"{stream.peer.name} is dropped: {stream.why}")
         self._streams = [stream for stream in self._streams if stream.open]
 
     def close(self) -> None:
@@ -91,7 +91,7 @@ class TcpIn:
         self._socket.close()
 
 
-class Tcp:
+class TcpClient:
     """A connection to a server, which is made again when it is lost."""
 
     port = 0
@@ -123,7 +123,7 @@ class Tcp:
             if self._stream.open:
                 return
             if self._stream.stalled:
-                self._link.say(f"{self._endpoint.url} is dropped: {self._stream.why}")
+                self._link.report_event(f"{self._endpoint.url} is dropped: {self._stream.why}")
             self._stream = None
         if now < self._next or self._attempt is not None:
             return

@@ -47,7 +47,7 @@ def _datagrams(source: socket.socket) -> Iterator[tuple[bytes, Address]]:
             continue  # an ICMP message: nobody listens there
 
 
-class UdpOut:
+class UdpClient:
     """A client that sends datagrams to one address and takes those from there alone."""
 
     port = 0
@@ -70,7 +70,7 @@ class UdpOut:
                 self._link.refused["stranger"] += 1
                 continue
             now = self._link.now()
-            self._link.take(self._peer.feed(data, now), self._peer, now)
+            self._link.dispatch_frames(self._peer.feed(data, now), self._peer, now)
 
     def poll(self, now: float) -> None:
         self._peer.flush()
@@ -80,7 +80,7 @@ class UdpOut:
         self._socket.close()
 
 
-class Datagrams:
+class ConnectedStation:
     """One station behind a UDP server, on a socket of its own at the server's port: nobody fills its buffer but itself.
 
     What another sent while the socket was being made is handed to ``stray``.  Raises OSError where the system has no
@@ -113,7 +113,7 @@ class Datagrams:
         link = self._link
         for _ in range(READS):
             now = link.now()
-            if self.peer.credit(now) < 1.0:
+            if self.peer.update_credit(now) < 1.0:
                 self._gate.pause()
                 return
             try:
@@ -123,7 +123,7 @@ class Datagrams:
             except OSError:
                 continue
             if address == self._address:
-                link.take(self.peer.feed(data, now), self.peer, now)
+                link.dispatch_frames(self.peer.feed(data, now), self.peer, now)
             else:
                 self._stray(data, address)
 
@@ -136,7 +136,7 @@ class Datagrams:
         self._socket.close()
 
 
-class Shared:
+class SharedSocketStation:
     """One station behind a UDP server where the system has no socket of its own for it."""
 
     def __init__(self, link: Hub, server: socket.socket, address: Address) -> None:
@@ -150,14 +150,14 @@ class Shared:
         pass
 
 
-class UdpIn:
+class UdpServer:
     """A UDP server, whose stations are the addresses from which a valid frame has come."""
 
     def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
         self._socket = open_socket(endpoint, socket.SOCK_DGRAM, bind=True)
         self.port = int(self._socket.getsockname()[1])
-        self._stations: dict[Address, Datagrams | Shared] = {}
+        self._stations: dict[Address, ConnectedStation | SharedSocketStation] = {}
         self._first_parser = link.new_parser(is_datagram=True)  # for addresses that are no stations yet
         link.watch(self._socket, self._ready)
 
@@ -174,23 +174,23 @@ class UdpIn:
         now = link.now()
         station = self._stations.get(address)
         if station is not None:
-            link.take(station.peer.feed(data, now), station.peer, now)
+            link.dispatch_frames(station.peer.feed(data, now), station.peer, now)
             return
         frames = self._first_parser.feed(data)
         if not frames or not self._room(now):
             return
         try:
-            station = Datagrams(link, self._socket, address, self._datagram)
+            station = ConnectedStation(link, self._socket, address, self._datagram)
         except OSError:
-            station = Shared(link, self._socket, address)
+            station = SharedSocketStation(link, self._socket, address)
         station.peer.last_heard, station.peer.received = now, len(frames)
         self._stations[address] = station
-        link.take(frames, station.peer, now)
+        link.dispatch_frames(frames, station.peer, now)
 
     def _room(self, now: float) -> bool:
         if len(self._stations) < MOST_PEERS:
             return True
-        oldest = max(self._stations, key=lambda address: self._stations[address].peer.silent(now))
+        oldest = max(self._stations, key=lambda address: self._stations[address].peer.silent_seconds(now))
         if not is_replaceable(self._stations[oldest].peer, now):
             self._link.refused["too many stations"] += 1
             return False
