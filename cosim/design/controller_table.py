@@ -72,6 +72,7 @@ def controller_table(design: Design) -> dict[str, Any]:
         misfit=round_gain(dynamics.misfit) if dynamics.unsure else None,
         unsure=[(round_gain(at), round_gain(misfit)) for at, misfit in dynamics.unsure] or None,
         requirements=design.need,
+        tolerances=design.tolerances or None,
         axes={
             axis: _record(axis_design.after, axis_design.candidates)
             for axis, axis_design in design.axes.items()

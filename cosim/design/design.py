@@ -15,6 +15,7 @@ from cosim.base.signals import AXES
 from cosim.base.storage.toml import merge, parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped_tuning
+from cosim.design.engine_uncertainty import engine_tolerances
 from cosim.design.levels import DESIGNED, THRUST_AXES, Level, follow, keeps, lead_there, levels, schedule, tunings_at
 from cosim.design.limits import Say, bandwidths_without_limits, find_allowances, tolerance_checks, why_not
 from cosim.design.loop.actuator import Actuator
@@ -75,6 +76,7 @@ class Design:
     allowing: Mapping[str, float]  # what would allow one: "delay_s", "lag_factor"
     proof: Proof | None = None  # of the measured response and in flight; None where it was not asked for
     firmware: Firmware | None = None  # in whose loop the gains are; None: ours
+    tolerances: str = ""  # where those are from that nobody stated; empty: the usual ones
 
     @property
     def ok(self) -> bool:
@@ -122,6 +124,8 @@ def design(
     from its model, in place of what the model leaves of the sweep.  ``firmware``: the gains are those of another
     autopilot's loop, with its filters, delays and whole numbers; the height is ours, and so is its loop.
 
+    Tolerances that ``need`` does not state are those of the engine's uncertainty, where its mapping file has one.
+
     Raises InputError for an unknown name, a vehicle that the engines do not lift, or an engine that does not answer.
     """
     need = need or Requirements()
@@ -142,6 +146,9 @@ def design(
     identified = identify_there(scenario, vehicle, spec, amplitude)
     dynamics = Actuator.of(spec.name, dynamics_of(identified, unsure))
     plants = channels(scenario, vehicle, spec, dynamics)
+    say(f"uncertainty of {spec.name}")
+    tolerances = engine_tolerances(need, scenario, vehicle, spec, plants.values())
+    need = tolerances.need
     models = read_models(model).get(spec.family, {}) if model else {}
     if model and not models:
         raise InputError(f"{model}: holds no model of {vehicle.name} with engine {spec.family!r}")
@@ -172,8 +179,9 @@ def design(
         there = _levels(scenario, vehicle, spec, dynamics, amplitude, unsure, say)
         plan, burning, reason = _design_levels(axes, there, need, begin, scheduled, say)
     return Design(
-        spec, vehicle, scenario, need, identified, source, axes, burning, plan, reason, allowing, firmware=firmware
-    )
+        spec, vehicle, scenario, need, identified, source, axes, burning, plan, reason, allowing,
+        firmware=firmware, tolerances=tolerances.words,
+    )  # fmt: skip
 
 
 def axis_requirements(axis: str, need: Requirements) -> Requirements:

@@ -74,6 +74,7 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
         "engine_parameters": dict(design.scenario.engine_parameters),
         "controller": design.controller,
         "requirements": design.need.model_dump(),
+        "tolerances": design.tolerances or None,
         "model_source": design.model_source,
         "identification": identification.to_dict() if identification else None,
         "axes": {axis: _axis_dict(axis_design) for axis, axis_design in design.axes.items()},
@@ -233,6 +234,7 @@ def _model_lines(design: Design) -> list[str]:
                 "what is tolerated are the worst among them"
             )
         lines += [f"note: {note}" for note in design.identification.notes]
+    lines += [design.tolerances] if design.tolerances else []
     delay = _delay_words(roll)
     if roll.unit == "share":
         room = f"{roll.room:.2f} of share to either side at hover"

@@ -34,8 +34,16 @@ class DesignOptions(opt.Output):
         min_open=True,
     )
     max_sensitivity = opt.number("--max-sensitivity", None, "Peak of |S|.", min=1.05, max=10.0, default=1.7)
-    delay_tolerance = opt.number("--delay-tolerance", None, "Of the delay, both ways.", min=0.0, max=1.0, default=0.3)
-    gain_tolerance = opt.number("--gain-tolerance", None, "Of the gain, both ways.", min=0.0, max=0.95, default=0.3)
+    delay_tolerance = opt.number(
+        "--delay-tolerance",
+        None,
+        "Of the delay, both ways.  [default: the engine's [uncertainty], or 0.3 without one]",
+        min=0.0,
+        max=1.0,
+    )
+    gain_tolerance = opt.number(
+        "--gain-tolerance", None, "Of the gain, both ways.  [default: as of the delay]", min=0.0, max=0.95
+    )
     min_bandwidth = opt.number("--min-bandwidth", "HZ", "Of roll and pitch.", min=0.0, default=0.16)
     noise_share = opt.number(
         "--noise-share",
@@ -107,10 +115,10 @@ def design(options: DesignOptions) -> int:
         options.lead = options.scheduled = options.proof = False
     offer_to_compile(engine)
     warn_of_fmu_defects(engine)
+    tolerances = options.chosen("delay_tolerance", "gain_tolerance")
     need = Requirements(
+        **{name: value for name, value in tolerances.items() if value is not None},
         max_sensitivity=options.max_sensitivity,
-        delay_tolerance=options.delay_tolerance,
-        gain_tolerance=options.gain_tolerance,
         min_bandwidth_hz=options.min_bandwidth,
         noise_share=options.noise_share,
     )

@@ -125,6 +125,11 @@ class Tap:
         limits = [abs(add) / USUAL_SHARE for add in self._adds] + [abs(move) / USUAL_TILT for move in self._moves]
         self.usual = float(f"{1.0 / max(limits):.2g}")
 
+    @property
+    def by_thrust(self) -> bool:
+        """Whether thrust alone turns the axis, and nothing that tilts."""
+        return not self.tilts and not any(self._moves)
+
     def read(self, actuation: Actuation) -> float:
         """Return the command of the axis: a fraction of thrust, rad of tilt, or rad/s^2."""
         if self.tilts:

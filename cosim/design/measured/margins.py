@@ -10,6 +10,12 @@ from typing import Any
 
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.signals import AXES
+from cosim.design.engine_uncertainty import (
+    EngineSensitivity,
+    LoopUncertainty,
+    delay_deviations,
+    gain_deviations,
+)
 from cosim.design.measured.computed import Computed, computed
 from cosim.design.measured.estimate import QUANTITIES, Response, measured, relative_difference, relative_differences
 from cosim.design.measured.excitation import Multisine, Record, Tap, fly_with, multisine, still
@@ -49,6 +55,7 @@ class AxisMargins:
     half: Response
     computed: Computed | None
     notes: tuple[str, ...]
+    uncertainty: LoopUncertainty | None = None  # of the engine at the crossover; None: not stated, or it does not turn
 
     @property
     def is_whole(self) -> bool:
@@ -60,6 +67,18 @@ class AxisMargins:
         """The lowest and the highest line that stands out of the noise."""
         heard = self.response.hertz[self.response.used]
         return float(heard[0]), float(heard[-1])
+
+    def in_deviations(self) -> tuple[float | None, float | None]:
+        """Return the margins of gain, the nearer of both, and of more delay in the engine's standard deviations."""
+        if self.uncertainty is None:
+            return None, None
+        gains = [self._margin(name) for name in ("gain_db", "gain_down_db")]
+        gain_db = min([abs(value) for value in gains if value is not None], default=None)
+        delay_s = self._margin("delay_s")
+        return gain_deviations(self.uncertainty, gain_db), delay_deviations(self.uncertainty, delay_s)
+
+    def _margin(self, name: str) -> float | None:
+        return self.response.margins[name].value if name in self.response.margins else None
 
     def off(self, name: str) -> float | None:
         """Return how far the measured number is off the computed, relative (of gains by factors); None without both."""
@@ -77,6 +96,7 @@ class MeasuredMargins:
     source: Source | None
     axes: Mapping[str, AxisMargins]
     uncomputed: str  # why nothing was computed; empty where it was
+    uncertainty_source: str | None = None  # of the engine's uncertainty; None: it states none
 
     @property
     def controller(self) -> str:
@@ -106,6 +126,7 @@ class MeasuredMargins:
             "step_s": scenario.step_s,
             "sensor_noise": scenario.sensor_noise,
             "not_computed": self.uncomputed or None,
+            "engine_uncertainty_source": self.uncertainty_source,
             "axes": {axis: _axis_dict(measured) for axis, measured in self.axes.items()},
         }
 
@@ -137,6 +158,12 @@ def _axis_dict(measured: AxisMargins) -> dict[str, Any]:
             name: measured.half.margins[name].value if name in measured.half.margins else None for name in QUANTITIES
         },
         "notes": list(measured.notes),
+        "engine_uncertainty": None
+        if measured.uncertainty is None
+        else {
+            **measured.uncertainty._asdict(),
+            **dict(zip(("gain_margin_deviations", "delay_margin_deviations"), measured.in_deviations(), strict=True)),
+        },
     }
 
 
@@ -206,6 +233,7 @@ def measure_margins(
         vehicle, spec = simulation.vehicle, simulation.engine
         taps = {axis: Tap(axis, scenario, vehicle, simulation.stations) for axis in axes}
         ledger = simulation.ledger
+    known = None if spec.uncertainty is None else EngineSensitivity(scenario, vehicle, spec)
     say("computing")
     computed_margins = computed(scenario, vehicle, spec, list(axes))
     by_axis = {}
@@ -222,10 +250,13 @@ def measure_margins(
             period_s,
             periods,
             None if late is None else late * scenario.step_s,
+            known if taps[axis].by_thrust else None,
             say,
         )
         by_axis[axis] = request.measure(None if isinstance(computed_margins, str) else computed_margins[axis])
-    return MeasuredMargins(scenario, own, by_axis, computed_margins if isinstance(computed_margins, str) else "")
+    source = None if known is None else known.table.source
+    uncomputed = computed_margins if isinstance(computed_margins, str) else ""
+    return MeasuredMargins(scenario, own, by_axis, uncomputed, source)
 
 
 @dataclass(frozen=True)
@@ -242,6 +273,7 @@ class _MarginRequest:
     period_s: float | None
     periods: int
     transport_s: float | None  # that the vehicle has from command to measured rate; None: not known
+    sensitivity: EngineSensitivity | None  # of the engine that turns the axis; None: none does, or it states none
     say: Say
 
     def measure(self, computed: Computed | None) -> AxisMargins:
@@ -255,8 +287,20 @@ class _MarginRequest:
         self.say(f"{self.axis}: half the amplitude")
         half = fly_with(self.scenario, self.axis, sine, 0.5 * size, LEAST_PERIODS, self.source)
         other = self._of(half, sine)
-        notes = _notes(response, other)
-        return AxisMargins(self.axis, self.tap.unit, sine, size, self.periods, response, other, computed, notes)
+        crossing = response.margins.get("crossover_hz")
+        known = None if self.sensitivity is None or crossing is None else self.sensitivity.at(crossing.value)
+        return AxisMargins(
+            self.axis,
+            self.tap.unit,
+            sine,
+            size,
+            self.periods,
+            response,
+            other,
+            computed,
+            _notes(response, other),
+            known,
+        )
 
     def _measured(self, period_s: float, to_hz: float, size: float) -> tuple[Multisine, float, Response]:
         step = self.scenario.step_s

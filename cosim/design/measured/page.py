@@ -73,6 +73,18 @@ def heading(measured: AxisMargins) -> str:
     )
 
 
+def uncertainty_line(measured: AxisMargins) -> str | None:
+    """Describe how well the engine is known, and the margins in multiples of that; None where it states nothing."""
+    if measured.uncertainty is None:
+        return None
+    gain, delay_s = measured.uncertainty
+    margins = zip(
+        (f"gain {100.0 * gain:.3g} %", f"delay {1e3 * delay_s:.3g} ms"), measured.in_deviations(), strict=True
+    )
+    parts = [text if count is None else f"{text}, the margin is {count:.3g} times that" for text, count in margins]
+    return f"engine, one standard deviation at the crossover: {'; '.join(parts)}"
+
+
 def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
     """Write ``margins.json``, ``response.csv`` and ``report.html``.  Raises FlightError if a file cannot be written."""
     paths = {"json": folder / "margins.json", "response": folder / "response.csv", "report": folder / "report.html"}
@@ -85,7 +97,10 @@ def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
             f"nyquist_{axis}": _nyquist(measured),
             f"peak_{axis}": _peak(measured),
         }
-    tables = [(axis, heading(measured), rows(measured), measured.notes) for axis, measured in margins.axes.items()]
+    tables = [
+        (axis, heading(measured), rows(measured), measured.notes, uncertainty_line(measured))
+        for axis, measured in margins.axes.items()
+    ]
     render(TEMPLATE, paths["report"], figures, found=margins, columns=COLUMNS, tables=tables)
     return paths
 

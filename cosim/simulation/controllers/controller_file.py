@@ -105,6 +105,7 @@ class Purpose(Model):
     misfit: float | None = None  # of the engine's model; None: below what a design carries, or an older file
     unsure: list[tuple[float, float]] | None = None  # (Hz, share), by which the engine may answer otherwise
     requirements: Requirements
+    tolerances: str | None = None  # the engine's uncertainty that they are from; None: the usual ones, or stated
     axes: dict[str, AxisRecord]
     levels: list[LevelRecord] = Field(default_factory=list)
     proof: ProofRecord | None = None  # None: it was left out, or a file from before it was stated
