@@ -23,7 +23,7 @@ from cosim.engine import EngineSpec, load_engine
 from cosim.engine.fmu.uncertainty import CUT
 from cosim.engine.fmu.variables import INTEGERS
 from cosim.simulation.controllers.controller_file import Requirements
-from cosim.simulation.engine_reference import around_trim
+from cosim.simulation.engine_reference import measure_small_steps
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
@@ -82,7 +82,7 @@ class EngineSensitivity:
         """Return N per throttle at a frequency, late by one control step less than it is."""
         curve = spec.rising
         throttle = float(np.interp(self._thrust, curve.thrust, curve.throttle))
-        course = around_trim(spec, throttle, self._step).course
+        course = measure_small_steps(spec, throttle, self._step).course
         if not course:
             raise InputError(f"engine {spec.name}: does not answer a small step around throttle {throttle:.2f}")
         low, high = max(0.0, throttle - SECANT), min(1.0, throttle + SECANT)
