@@ -59,12 +59,17 @@ MODULES = (
     "vehicle/effects/ground_effect.py",
     "control/autopilot/estimation/inertial.py",
     "control/autopilot/estimation/vertical.py",
+    "control/autopilot/estimation/position.py",
+    "control/autopilot/geometry.py",
+    "control/autopilot/guidance/tracker.py",
+    "control/autopilot/guidance/position_control.py",
     "vehicle/propulsion.py",
     "engine/rundown.py",
     "vehicle/sensors.py",
     "vehicle/servo.py",
     "base/signals.py",
     "simulation/step.py",
+    "simulation/with_places.py",
     "vehicle/effects/rotors.py",
 )
 # In the package's folder, one of each for every Python that it was compiled for:

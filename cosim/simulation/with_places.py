@@ -52,7 +52,6 @@ class GuidedPilot:
     read or that the law cannot lean for.
     """
 
-    engines: EngineState = EngineState.FLY
     seen: Measured  # what the loops fly with: the sensors as they are, as in any script
 
     def __init__(
@@ -63,6 +62,7 @@ class GuidedPilot:
         if gains is None or settings is None:
             missing = "position" if gains is None else "pilot"
             raise InputError(f"{where}: {vehicle.name} has no [control.{missing}] to fly to a place with")
+        self.engines = EngineState.FLY
         self._commander = commander
         self._speed = settings.speed_m_s
         self._step = scenario.step_s
@@ -131,7 +131,7 @@ class GuidedPilot:
         yaw = to_euler(measured.attitude)[2]
         roll, pitch = lean_from_acceleration(self._law.update(track, fix), yaw)
         heading, altitude = self._heading(command.attitude[2]), self._altitude(command.altitude)
-        return Command((roll, pitch, heading), altitude, None, command.collective, track.position)
+        return Command((roll, pitch, heading), altitude, None, command.collective, track.position, None)
 
     def _check_commands(self, where: str) -> None:
         """Raise InputError for guided commands that do not go together, or with the script's others."""

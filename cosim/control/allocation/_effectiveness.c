@@ -282,6 +282,23 @@ static PyObject *solver_linear(Solver *self, PyObject *const *args, Py_ssize_t g
     return made;
 }
 
+/* pitch_arms(angles) */
+static PyObject *solver_pitch_arms(Solver *self, PyObject *angles)
+{
+    const Effectors *const e = &self->known;
+    double angle[MOST_MOVERS], arms[MOST_JETS];
+    Turned whole[MOST_MOVERS], turned[MOST_LINKS];
+    if (!numbers_of(angles, e->movers, angle, true, "angles"))
+        return NULL;
+    turn_hinges(e, angle, whole);
+    for (int i = 0; i < e->jets; i++) {
+        Vector axis, place;
+        turn_jet(e, &e->jet[i], angle, whole, turned, &axis, &place);
+        arms[i] = place.z * axis.x - place.x * axis.z;
+    }
+    return list_of(arms, e->jets);
+}
+
 /* --- the linear problem alone --- */
 
 /* prioritise(rows, wanted, levels, start, low, high, along_first=False) */
@@ -323,6 +340,8 @@ static PyMethodDef solver_methods[] = {
      "angles for a wrench, and what is missing of it."},
     {"linear", CALLED(solver_linear), METH_FASTCALL,
      "linear(at, pressure): the wrench in the order of the rows, and its scaled change by each effector."},
+    {"pitch_arms", (PyCFunction)solver_pitch_arms, METH_O,
+     "pitch_arms(angles): each jet's pitching moment per thrust [m], its twist left out."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -64,6 +64,12 @@ class Solver:
     def linear(self, at: list[float], pressure: float, /) -> tuple[list[float], list[list[float]]]:
         """Return the wrench in the order of the rows, and its scaled change by each effector."""
 
+    def pitch_arms(self, angles: list[float], /) -> list[float]:
+        """Return each jet's pitching moment per thrust [m], its twist left out, with the hinges at ``angles`` [rad].
+
+        ``angles`` are those of the hinges and then the surfaces.
+        """
+
 def prioritise(
     rows: Sequence[list[float]],
     wanted: Sequence[float],

@@ -455,6 +455,37 @@ static void hinge_rows(const Effectors *e, const JetStation *jet, const Turned t
     rows_of(moment, force, row);
 }
 
+/* Cosine and sine of each hinge's own angle. */
+static void turn_hinges(const Effectors *e, const Real angles[], Turned whole[])
+{
+    for (int hinge = 0; hinge < e->hinges; hinge++) {
+        whole[hinge].cosine = COS(angles[hinge]);
+        whole[hinge].sine = SIN(angles[hinge]);
+    }
+}
+
+/* Thrust and station of a jet with the hinges at `angles`, and by what each of its own turns the thrust. */
+static void turn_jet(const Effectors *e, const JetStation *jet, const Real angles[], const Turned whole[],
+    Turned turned[], Vector *axis, Vector *place)
+{
+    *axis = jet->axis;
+    *place = jet->place;
+    for (int l = jet->links - 1; l >= 0; l--) {
+        const Link *const link = &jet->chain[l];
+        if (link->effect == R(1.0)) {
+            turned[l] = whole[link->hinge];
+        } else {
+            const Real angle = link->effect * angles[link->hinge];
+            turned[l].cosine = COS(angle);
+            turned[l].sine = SIN(angle);
+        }
+        *axis = rotated(e->mover[link->hinge].axis, turned[l], *axis);
+        if (link->carries) {
+            *place = carried(&e->mover[link->hinge], turned[l], *place);
+        }
+    }
+}
+
 /* The wrench of the jets at `at`, in the order of the rows, and its scaled change by each effector. */
 static void linearise_jets(const Effectors *e, const Real at[], Real total[ROWS], Real rows[][MOST_EFFECTORS])
 {
@@ -466,30 +497,14 @@ static void linearise_jets(const Effectors *e, const Real at[], Real total[ROWS]
             rows[row][j] = R(0.0);
         }
     }
-    for (int hinge = 0; hinge < e->hinges; hinge++) {
-        whole[hinge].cosine = COS(at[jets + hinge]);
-        whole[hinge].sine = SIN(at[jets + hinge]);
-    }
+    turn_hinges(e, &at[jets], whole);
     for (int number = 0; number < jets; number++) {
         const JetStation *const jet = &e->jet[number];
         Turned turned[MOST_LINKS];
-        Vector axis = jet->axis;
-        Vector place = jet->place;
+        Vector axis;
+        Vector place;
         Real each[ROWS];
-        for (int l = jet->links - 1; l >= 0; l--) {
-            const Link *const link = &jet->chain[l];
-            if (link->effect == R(1.0)) {
-                turned[l] = whole[link->hinge];
-            } else {
-                const Real angle = link->effect * at[jets + link->hinge];
-                turned[l].cosine = COS(angle);
-                turned[l].sine = SIN(angle);
-            }
-            axis = rotated(e->mover[link->hinge].axis, turned[l], axis);
-            if (link->carries) {
-                place = carried(&e->mover[link->hinge], turned[l], place);
-            }
-        }
+        turn_jet(e, jet, &at[jets], whole, turned, &axis, &place);
         rows_of(sum_of(cross_of(place, axis), times(jet->twist, axis)), axis, each);
         for (int row = 0; row < ROWS; row++) {
             total[row] += at[number] * each[row];

@@ -348,11 +348,7 @@ class EffectivenessAllocator:
 
         ``is_balanced``: the fraction of the equal parts' pitching moment that is taken out."""
         jets = self._jets
-        axes, places = self._layout.axes(self._neutral), self._layout.positions(self._neutral)
-        arms = []
-        for jet in range(jets):
-            (ex, _, ez), (px, _, pz) = axes[self._layout.groups[jet]], places[jet]
-            arms.append(pz * ex - px * ez)
+        arms = self._solver.pitch_arms(self._neutral)
         mean = sum(arms) / jets
         spread = sum([(arm - mean) * (arm - mean) for arm in arms])
         per_arm = balanced * mean / spread if spread else 0.0

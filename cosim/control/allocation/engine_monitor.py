@@ -8,7 +8,7 @@ estimate that an electronic speed controller makes from speed and current.  Inje
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import ceil, exp, floor
 from typing import NamedTuple
 
@@ -76,7 +76,10 @@ class EngineMonitor:
         sudden: bool = False,
     ) -> None:
         self._references = tuple(references)
-        self._thrust_at = [_curve(reference) for reference in references]
+        self._thrust_by_throttle = [_Curve(reference.throttle, reference.thrust) for reference in references]
+        self._thrust_by_speed = [
+            None if reference.speed is None else _Curve(reference.speed, reference.thrust) for reference in references
+        ]
         self._speeds = any(reference.speed is not None for reference in references)
         self._threshold = settings.threshold * hover
         self._limits = limits
@@ -118,18 +121,12 @@ class EngineMonitor:
 
     def update(self, throttle: PerJet, output: EngineOutput) -> bool:
         """Update by one step: its throttles, and the reports at its end.  Return whether a health changed."""
-        references = self._references
         past = self._past
-        past.append(tuple([at(throttle[i]) for i, at in enumerate(self._thrust_at)]))
+        past.append(tuple([curve.straight_at(throttle[i]) for i, curve in enumerate(self._thrust_by_throttle)]))
         del past[0]
         reports = output.thrust
         if self._speeds:
-            reports = tuple(
-                [
-                    reference.reported_to_thrust(f, w)
-                    for reference, f, w in zip(references, reports, output.spool_speed, strict=True)
-                ]
-            )
+            reports = self._reported_thrusts(output)
         self._reports.append(reports)
         del self._reports[0]
         suspects = []
@@ -164,6 +161,14 @@ class EngineMonitor:
                 suspects.append(i)
         changes = [self._assess(i, reports[i]) for i in suspects]
         return any(changes)
+
+    def _reported_thrusts(self, output: EngineOutput) -> PerJet:
+        """Return the thrusts [N] that the reports stand for, as :meth:`EngineReference.reported_to_thrust`."""
+        thrusts = []
+        for i, curve in enumerate(self._thrust_by_speed):
+            speed = output.spool_speed[i]
+            thrusts.append(output.thrust[i] if curve is None or speed != speed else curve.at(speed))
+        return tuple(thrusts)
 
     def _sudden_deficit(self, i: int, x: float) -> float:
         """Return how far ``x`` is below what a healthy engine can have reached, from its report a while ago."""
@@ -236,14 +241,31 @@ class EngineMonitor:
         return True
 
 
-def _curve(reference: EngineReference) -> Callable[[float], float]:
-    """Return the function from throttle to thrust at rest, without a search for a straight curve."""
-    start, slope = reference.thrust[0], reference.thrust[-1] - reference.thrust[0]
-    straight = all(
-        abs(start + u * slope - f) <= 1e-9 * abs(slope)
-        for u, f in zip(reference.throttle, reference.thrust, strict=True)
-    )
-    return (lambda u: start + u * slope) if straight else reference.thrust_at
+class _Curve:
+    """:func:`_interpolate` through fixed points, where it looks first between those of the last answer."""
+
+    def __init__(self, xs: Sequence[float], ys: Sequence[float]) -> None:
+        self._xs, self._ys = [float(x) for x in xs], [float(y) for y in ys]
+        self._last = 1
+        self._start, slope = self._ys[0], self._ys[-1] - self._ys[0]
+        self._slope = slope
+        self._straight = all(abs(self._start + x * slope - y) <= 1e-9 * abs(slope) for x, y in zip(xs, ys, strict=True))
+
+    def at(self, x: float) -> float:
+        """Return the value at ``x``."""
+        xs, ys = self._xs, self._ys
+        if x <= xs[0]:
+            return ys[0]
+        if x >= xs[-1]:
+            return ys[-1]
+        k = self._last
+        if not xs[k - 1] <= x < xs[k]:
+            k = self._last = bisect_right(xs, x)
+        return ys[k - 1] + (ys[k] - ys[k - 1]) * (x - xs[k - 1]) / (xs[k] - xs[k - 1])
+
+    def straight_at(self, u: float) -> float:
+        """Return the value at a throttle: by one line where the points from 0 to 1 are on it."""
+        return self._start + u * self._slope if self._straight else self.at(u)
 
 
 def _filter_gain(step: float, lag: float) -> float:

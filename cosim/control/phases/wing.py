@@ -188,7 +188,8 @@ class WingFlight(FlightLaw):
         path += clamp(self._lag * bend, MOST_LEAD * settings.alpha_rad[1])
         roll, pitch, heading = command.attitude
         bank = clamp(settings.aside_1_s * side_speed / GRAVITY, settings.bank_rad)
-        return command._replace(attitude=(roll - bank, pitch + path + self._alpha, heading))
+        attitude = (roll - bank, pitch + path + self._alpha, heading)
+        return Command(attitude, command.altitude, command.rate, command.collective, command.place, command.ahead)
 
     def actuator_demand(self, vertical: float, measured: Measured, burnt: float) -> WingDemand:
         """Return what jets, hinges and surfaces have to give beside the wing where ``vertical`` N are needed up."""
@@ -211,7 +212,7 @@ class WingFlight(FlightLaw):
         self._missing_ahead = ahead
         least = self._settings.alpha_rad[0]
         if unallocated.collective < 0.0 and self._alpha > least + ALPHA_MARGIN:
-            return unallocated._replace(collective=0.0)
+            return Unallocated(unallocated.roll, unallocated.pitch, unallocated.yaw, 0.0)
         return unallocated
 
     @property

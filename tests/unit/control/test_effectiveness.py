@@ -61,6 +61,20 @@ def hovers(seed: int, hinges: bool = True) -> tuple[EffectivenessAllocator, np.r
 
 @given(st.integers(0, 10**6))
 @settings(max_examples=40, deadline=None)
+def test_the_solvers_pitch_arms_are_those_of_the_layout(seed: int) -> None:
+    made = hovers(seed)
+    if made is None:
+        return
+    block, draw = made
+    layout = block._layout
+    angles = draw.uniform(-0.5, 0.5, len(layout.turns)).tolist()
+    axes, positions = layout.axes(angles), layout.positions(angles)
+    arms = [z * axes[group][0] - x * axes[group][2] for group, (x, _, z) in zip(layout.groups, positions, strict=True)]
+    assert block._solver.pitch_arms(angles) == pytest.approx(arms, abs=1e-15)
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=40, deadline=None)
 def test_what_it_gives_is_what_it_says(seed: int) -> None:
     made = hovers(seed)
     if made is None:

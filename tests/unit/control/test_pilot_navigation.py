@@ -15,7 +15,8 @@ from scipy.linalg import solve_discrete_are
 from cosim.base.constants import GRAVITY
 from cosim.base.frames import IDENTITY, from_euler, rotate
 from cosim.base.signals import Measured
-from cosim.control.autopilot.estimation.position import Estimator, Fix, kalman_gains
+from cosim.control.autopilot.estimation.position import Estimator, Fix
+from cosim.control.autopilot.estimation.position_gains import kalman_gains
 from cosim.control.autopilot.geometry import lean_acceleration, lean_from_acceleration, wrap
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker

@@ -8,22 +8,18 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from functools import lru_cache
-from math import hypot, inf, sqrt
+from math import hypot, inf
 from typing import NamedTuple
 
-import numpy as np
-
+from cosim.base._records import quick
 from cosim.base.signals import Measured, Vector3
 from cosim.control.autopilot.estimation.dead_reckoning import DeadReckoning
+from cosim.control.autopilot.estimation.position_gains import settling_gains
 from cosim.control.autopilot.geometry import Pair, lean_acceleration
 from cosim.spec.vehicle import PositionGains, PositionSensor
 
-_LEAST_POSITION_NOISE = 0.01  # m, m/s: a receiver stated as perfect is still not trusted beyond this
-_LEAST_VELOCITY_NOISE = 0.001
-_EPOCHS = 600  # after which the gains have settled: a minute at 10 Hz
 
-
+@quick
 class Fix(NamedTuple):
     """The estimated horizontal position, velocity, and acceleration that attitude does not explain: m, m/s, m/s^2."""
 
@@ -57,7 +53,7 @@ class Estimator:
         self._noisy = noisy
         self._reckoning = reckoning
         self._period, self._latency = sensor.period_samples, sensor.latency_samples
-        self._gains, self._deviations = _settling(gains, sensor, step)
+        self._gains, self._deviations = settling_gains(gains, sensor, step)
         self.reset((0.0, 0.0))
 
     def reset(self, position: Pair) -> None:
@@ -163,40 +159,3 @@ class Estimator:
                 un + vn + t * bn,
                 ue + ve + t * be,
             )
-
-
-def kalman_gains(gains: PositionGains, sensor: PositionSensor, step: float) -> list[list[list[float]]]:
-    """Return the gains (3 x 2) of each GNSS epoch: position, velocity, disturbance by position, velocity.
-
-    The last ones stay.  They vary from the first fix on, so that the noise of position is averaged away while the
-    vehicle stands, instead of staying for the half minute that the settled filter needs.
-    """
-    return _settling(gains, sensor, step)[0]
-
-
-@lru_cache
-def _settling(
-    gains: PositionGains, sensor: PositionSensor, step: float
-) -> tuple[list[list[list[float]]], list[tuple[float, float]]]:
-    """Return the gains of :func:`kalman_gains`, and by number of epochs the deviations of position and velocity."""
-    T = sensor.period_samples * step
-    F = np.array([[1.0, T, 0.5 * T * T], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
-    qa, qb = gains.acceleration_noise_m_s15**2, gains.disturbance_walk_m_s25**2
-    # integrals of the two white noises over the time between epochs
-    Q = qa * np.array([[T**3 / 3, T**2 / 2, 0.0], [T**2 / 2, T, 0.0], [0.0, 0.0, 0.0]])
-    Q += qb * np.array([[T**5 / 20, T**4 / 8, T**3 / 6], [T**4 / 8, T**3 / 3, T**2 / 2], [T**3 / 6, T**2 / 2, T]])
-    H = np.eye(2, 3)
-    noise = (
-        max(sensor.position_noise_m, _LEAST_POSITION_NOISE) ** 2,
-        max(sensor.velocity_noise_m_s, _LEAST_VELOCITY_NOISE) ** 2,
-    )
-    R = np.diag(noise)
-    P = np.diag([noise[0], noise[1], 0.0])
-    gains_by_epoch, deviations = [], [(sqrt(noise[0]), sqrt(noise[1]))]
-    for _ in range(_EPOCHS):
-        P = F @ P @ F.T + Q
-        K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
-        P = (np.eye(3) - K @ H) @ P
-        gains_by_epoch.append([[float(x) for x in row] for row in K])
-        deviations.append((float(sqrt(P[0, 0])), float(sqrt(P[1, 1]))))
-    return gains_by_epoch, deviations

@@ -6,12 +6,14 @@ from collections import deque
 from math import ceil, copysign, hypot, sqrt
 from typing import NamedTuple
 
+from cosim.base._records import quick
 from cosim.control.autopilot.geometry import Pair
 
 _LONGEST_MEAN = 10.0  # s: a set-point that answers later than this is of no use to a pilot
 BRAKE_FRACTION = 0.75  # fraction of the acceleration planned for braking, so that some is left to turn with
 
 
+@quick
 class Track(NamedTuple):
     """One instant of the set-point: m, m/s, m/s^2, horizontal NED."""
 
@@ -73,7 +75,7 @@ class Tracker:
 
     def at_velocity(self, velocity: Pair) -> Track:
         """Move one step towards a velocity, m/s."""
-        return self._move(*velocity)
+        return self._move(velocity[0], velocity[1])
 
     @property
     def point(self) -> Pair:
