@@ -125,7 +125,7 @@ def controller_numbers(ahead: bool, command: Command, measured: Measured, applie
     )
 
 
-def frame(count: int) -> struct.Struct:
+def frame_layout(count: int) -> struct.Struct:
     """Return the binary layout of a frame: the step's number and ``count`` others."""
     return struct.Struct(f"<{count + 1}d")
 

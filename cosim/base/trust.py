@@ -5,7 +5,7 @@ file says so here first (:func:`need_trust`).  It is run if the user named it hi
 program), if it is shipped, or if the very same bytes were run before with his consent: their SHA-256 is in the file
 ``trusted`` of his settings.  Of anything else he is asked on a terminal, and without one it is refused.
 
-While something is only looked at (:func:`looking`), no code is run, whoever trusts it.
+While something is only looked at (:func:`without_code`), no code is run, whoever trusts it.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Decision:
 _hashes_by_file: dict[Path, tuple[tuple[int, int], frozenset[str]]] = {}  # hash by file, with the file's size and time
 _decision = Decision()
 _ask: Callable[[Sequence[Code]], bool] | None = None  # on a terminal
-_looking: ContextVar[bool] = ContextVar("looking", default=False)
+_code_forbidden: ContextVar[bool] = ContextVar("code_forbidden", default=False)
 
 
 def code_of(path: Path, *named_by: Path | str, arguments: str = "") -> Code:
@@ -86,7 +86,7 @@ def need_trust(code: Iterable[Code], what: str) -> None:
     files = list(code)
     if not files:
         return
-    if _looking.get():
+    if _code_forbidden.get():
         names = _list_files(files)
         raise CodeRefusedError(f"{what}: {names}: is code, and nothing is run to look at something")
     unshipped = {file.sha256: file for file in files if not _is_shipped(file.path)}
@@ -199,18 +199,18 @@ def remember(code: Collection[Code]) -> None:
 
 
 @contextmanager
-def looking() -> Iterator[None]:
-    """Run no code within: something is looked at."""
-    token = _looking.set(True)
+def without_code() -> Iterator[None]:
+    """Run no user code within the block, which only displays something."""
+    token = _code_forbidden.set(True)
     try:
         yield
     finally:
-        _looking.reset(token)
+        _code_forbidden.reset(token)
 
 
-def is_looking() -> bool:
-    """Return whether something is only looked at."""
-    return _looking.get()
+def is_code_forbidden() -> bool:
+    """Return whether user code must not run, because something is only displayed."""
+    return _code_forbidden.get()
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from types import TracebackType
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import map_os_errors, one_line, open_without_links, try_lock, write_all
-from cosim.base.trust import looking
+from cosim.base.trust import without_code
 from cosim.campaign.columns import stored_kinds, write_columns
 from cosim.campaign.folder import (
     CAMPAIGN_FILES,
@@ -311,7 +311,7 @@ def open_campaign(folder: Path | str) -> Campaign:
     None of the code that it names is run.  Raises InputError if there is none, or a file cannot be read.
     """
     folder = Path(folder)
-    with looking():
+    with without_code():
         study = load(folder)
         of = flight_count(study)
         columns = stored_kinds(folder, study, lambda: _names_in_rows(folder, of))

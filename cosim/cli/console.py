@@ -87,7 +87,7 @@ def show_table(
     *,
     plain: bool = False,
     name_width: int | None = None,
-    **looks: Any,
+    **table_options: Any,
 ) -> None:
     """Print a table, nothing where it has no rows.
 
@@ -107,7 +107,7 @@ def show_table(
     from rich import box
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, **looks)
+    table = Table(box=box.SIMPLE_HEAD, **table_options)
     for number, title in enumerate(titles):
         table.add_column(
             title,

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-from cosim.base.trust import Code, looking, trust_everything
+from cosim.base.trust import Code, trust_everything, without_code
 from cosim.cli.console import without_bars
 
 R = TypeVar("R")
@@ -19,15 +19,15 @@ RUN_NONE = (  # commands that run nothing of what a file or a folder of the user
 _HELP = "Run what files name though you never flew it, Python, FMUs and programs, and remember it."
 
 
-def looks(command: Callable[..., R]) -> Callable[..., R]:
-    """Let a command run no code of what it looks at, whoever trusts that."""
+def display_only(command: Callable[..., R]) -> Callable[..., R]:
+    """Return a command that runs no user code of what it displays, trusted or not."""
 
     @functools.wraps(command)
-    def look(*arguments: Any, **options: Any) -> R:
-        with looking():
+    def display(*arguments: Any, **options: Any) -> R:
+        with without_code():
             return command(*arguments, **options)
 
-    return look
+    return display
 
 
 def with_trust(command: click.Command, name: str) -> click.Command:

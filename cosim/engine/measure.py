@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import cosim.engine._bank as _bank
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive
 from cosim.engine.fmu.instance import InstanceError
@@ -45,7 +45,7 @@ class EngineMeasurement(NamedTuple):
     others: tuple[EngineMeasurement, ...] = ()  # the second and further engines of one FMU
 
 
-_measured: Memory[EngineMeasurement] = Memory(256)
+_measured: RecentCache[EngineMeasurement] = RecentCache(256)
 
 
 def measure_once(

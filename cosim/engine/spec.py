@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cosim.base.errors import InputError, nearest
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.paths import data_folder
 from cosim.base.trust import Code
 from cosim.engine.fmu.air import STANDARD_AIR, Air
@@ -202,7 +202,7 @@ def _read(path: Path, ports: PortMap | None = None) -> Archive:
     return read_system(path, ports) if is_system(path) else read_archive(path, ports)
 
 
-_definitions: Memory[EngineDefinition] = Memory(64)
+_definitions: RecentCache[EngineDefinition] = RecentCache(64)
 
 
 def make_behaviour_key(archive: Archive, settings: tuple[Setting, ...], air: Air) -> tuple[Hashable, ...]:

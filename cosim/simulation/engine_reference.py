@@ -7,7 +7,7 @@ from math import exp
 from typing import NamedTuple
 
 from cosim.base.protocols import Engines
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 from cosim.control.allocation.engine_monitor import EngineReference
 from cosim.engine import EngineSpec, make_bank
 
@@ -30,9 +30,9 @@ class SmallStepResponse(NamedTuple):
     response: tuple[float, ...] = ()
 
 
-_references: Memory[EngineReference] = Memory(64)
-_flows: Memory[float] = Memory(64)
-_around: Memory[SmallStepResponse] = Memory(64)
+_references: RecentCache[EngineReference] = RecentCache(64)
+_flows: RecentCache[float] = RecentCache(64)
+_around: RecentCache[SmallStepResponse] = RecentCache(64)
 
 
 def make_engine_reference(spec: EngineSpec, step: float) -> EngineReference:

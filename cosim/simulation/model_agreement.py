@@ -31,7 +31,7 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.constants import GRAVITY
 from cosim.base.signals import AXES
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 from cosim.control.predictors.linear import delayed_response
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec
@@ -141,7 +141,7 @@ class _EngineResponse(NamedTuple):
     value: Complex
 
 
-_responses: Memory[_EngineResponse] = Memory(64)
+_responses: RecentCache[_EngineResponse] = RecentCache(64)
 
 
 def compare_flown_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[ModelAgreement]:

@@ -19,7 +19,7 @@ from typing import Final
 import jsbsim
 
 from cosim.base.errors import FlightError, InputError, Notice
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 from cosim.vehicle.model_file import ACTING, find_acting_property, find_line
 
 Property = jsbsim.FGPropertyNode
@@ -32,7 +32,7 @@ MOST_LINES: Final = 20  # lines of JSBSim's that are kept of one model
 _STEP: Final = r"(?:\.{1,2}|[A-Za-z_][A-Za-z0-9_.-]*(?:\[[0-9]{1,6}\])?)"
 _NAME: Final = re.compile(rf"/?{_STEP}(?:/{_STEP})*")
 _MISSING: Final = re.compile(r"property,? (\S+) (?:does not exist|specified for channel)")
-_property_cache: Memory[tuple[str, ...]] = Memory(64)
+_property_cache: RecentCache[tuple[str, ...]] = RecentCache(64)
 
 
 class _LogCapture(jsbsim.FGLogger):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES, Vector3
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, SLUG, SLUG_FT2
 from cosim.vehicle.model_file import find_line, parse, read_model
@@ -22,7 +22,7 @@ MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the rotors, body; a property of
 
 # the fields of a vehicle that its model depends on
 _MODEL_FIELDS = {"mass_kg", "inertia_kg_m2", "products_kg_m2", "aero", "jets", "contacts", "fuel"}
-_cache: Memory[bytes] = Memory(64)
+_cache: RecentCache[bytes] = RecentCache(64)
 PAYLOAD = "payload"
 PRODUCTS = ("ixy", "ixz", "iyz")
 # What JSBSim takes for the integrals of x y, x z and y z over the mass in body axes: it reads them as minus those in

@@ -18,7 +18,7 @@ from typing import Final
 from xml.parsers import expat
 
 from cosim.base.errors import InputError, Notice
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 
 # The parts of which JSBSim makes what flies, in the order in which it reads them
 FLOWN: Final = (
@@ -35,7 +35,7 @@ ACTING: Final = tuple(
 )  # fmt: skip
 MOST_BYTES: Final = 2**26  # most bytes of one file; the largest of JSBSim's own aircraft has 400 kB
 _NONE: Final = b"<fdm_config/>"
-_cache: Memory[bytes] = Memory(64)  # files that name no others, as they are handed on
+_cache: RecentCache[bytes] = RecentCache(64)  # files that name no others, as they are handed on
 
 
 def read_model(model: Path | None) -> bytes:

@@ -26,7 +26,7 @@ from types import CodeType, ModuleType
 
 from cosim.base.compiled import PACKAGE
 from cosim.base.errors import InputError, describe_error
-from cosim.base.trust import Code, CodeRefusedError, code_of, is_looking, need_trust, process_name
+from cosim.base.trust import Code, CodeRefusedError, code_of, is_code_forbidden, need_trust, process_name
 
 _PREFIX = "hexjet_controller_"  # modules that were made of files here
 _RUNNABLE = tuple(all_suffixes())
@@ -200,7 +200,7 @@ def _importing_from(folder: Path, finder: _Neighbours) -> Iterator[list[Path]]:
 
 def import_installed(module_name: str, where: str) -> tuple[ModuleType, Path, dict[str, Path]]:
     """Import an installed module; return it, its path, and its file by name where it has one.  Raises InputError."""
-    if is_looking():
+    if is_code_forbidden():
         raise CodeRefusedError(f"{where}: {module_name} is code, and nothing is run to look at something")
     try:
         import_trusted(module_name, where)

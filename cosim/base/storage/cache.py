@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Memory(Generic[T]):
+class RecentCache(Generic[T]):
     """The ``capacity`` results that were asked for last, each under a key that holds everything that it depends on.
 
     Of a file that is its contents, never its name or date alone.  A result is given out again and again: whoever gets

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from cosim.base.errors import InputError, nearest
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -78,7 +78,7 @@ _DOTTED_NAMES = re.compile(
     r"(?P<head>(?:mismatch\.)?engine_parameters|stations\.[^.]+\.parameters|mismatch\.stations\.[^.]+)\.(?P<name>.+)"
     r"|(?P<file>vehicle\.identified)\.(?P<family>.+)\.(?P<axis>roll|pitch|yaw)\.(?P<rest>.+)"
 )
-_parsed: Memory[dict[str, Any]] = Memory(64)
+_parsed: RecentCache[dict[str, Any]] = RecentCache(64)
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import map_os_errors, write_whole
 from cosim.base.storage.toml import toml_text
-from cosim.base.trust import CodeRefusedError, is_looking
+from cosim.base.trust import CodeRefusedError, is_code_forbidden
 from cosim.campaign.analysis.summary import SUCCESS, controller_indices, unmet_criteria
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.folder import CASES, SCENARIO
@@ -135,7 +135,7 @@ def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
     try:
         flight = flight_of(campaign.study, {name: campaign.columns[name][row] for name in names})
         name = f"flight-{flight.number:06d}"
-        if is_looking() and (existing := _existing_case(campaign.folder, name)):
+        if is_code_forbidden() and (existing := _existing_case(campaign.folder, name)):
             return existing, ""
         scenario = scenario_of(campaign.study, flight)
         return write_flight(scenario, campaign.folder, name), ""

@@ -24,7 +24,7 @@ from pydantic.fields import FieldInfo
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import merge, split_key
-from cosim.base.trust import CodeRefusedError, is_looking
+from cosim.base.trust import CodeRefusedError, is_code_forbidden
 from cosim.campaign.study.key import Key, Value, unit_of
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import list_engine_names
@@ -180,7 +180,7 @@ def custom_keys(scenario: Scenario) -> list[Key]:
             scenario.controller, scenario.folder, f"unknown controller {scenario.controller!r}"
         )
     except CodeRefusedError:
-        if is_looking():
+        if is_code_forbidden():
             return []
         raise
     values = scenario.controller_parameters

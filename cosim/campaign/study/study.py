@@ -19,7 +19,7 @@ from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.storage.files import write_whole
 from cosim.base.storage.paths import data_folder, files_in
 from cosim.base.storage.toml import Model, read_toml, set_path, split_key, toml_text, validate
-from cosim.base.trust import Code, code_of, is_looking, need_trust
+from cosim.base.trust import Code, code_of, is_code_forbidden, need_trust
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_vary, vary_tables
 from cosim.campaign.study.engine_draw import ENGINE, EngineDraw, engine_draw
@@ -240,7 +240,7 @@ class Study(Model):
         study._folder, study._where = folder, where
         files = [seen_from(name, folder) for name in study.controllers]
         study = study.model_copy(update={"controllers": files}) if files != study.controllers else study
-        if not is_looking():  # a displayed study was checked when it was flown
+        if not is_code_forbidden():  # a displayed study was checked when it was flown
             need_trust(study_code(study), where)
             check(study, where)
         return study

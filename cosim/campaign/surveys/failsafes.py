@@ -28,7 +28,7 @@ from cosim.campaign.surveys.failsafe_flight import (
     Task,
     fly_case,
 )
-from cosim.campaign.surveys.survey import Progress, Subject, choose, fly_all, load_subject
+from cosim.campaign.surveys.survey import Progress, Subject, fly_all, load_subject, select_cases
 from cosim.campaign.surveys.tipping import tip_speed
 from cosim.control.autopilot.requests import (
     Goto,
@@ -203,7 +203,7 @@ def _plan(
 ) -> tuple[str, list[Task]]:
     """Return the controller and the flights of one vehicle; wrong input is found here."""
     vehicle = subject.vehicle
-    chosen = choose(cases(vehicle, conditions.airborne), kinds, "failsafe", lambda case: case.name)
+    chosen = select_cases(cases(vehicle, conditions.airborne), kinds, "failsafe", lambda case: case.name)
     controller = controller or default_controller(subject)
     tasks = [
         Task(case, start, scenario_of(subject, controller, start.height, start.wind), number)

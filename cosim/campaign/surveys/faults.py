@@ -18,11 +18,11 @@ from cosim.base.storage.toml import merge
 from cosim.campaign.surveys.survey import (
     Progress,
     Subject,
-    choose,
     fly_all,
     judge_outcome,
     load_subject,
     measure_flight,
+    select_cases,
 )
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.predictors.registry import BASELINE
@@ -203,7 +203,7 @@ def survival(
     """
     subject = load_subject(aircraft, engine)
     vehicle = subject.vehicle
-    chosen = choose(cases(vehicle), kinds, "fault", lambda case: case.kind)
+    chosen = select_cases(cases(vehicle), kinds, "fault", lambda case: case.kind)
     controllers = controllers or subject.controllers()
     flights = [
         _Flight(case, start, controller, scenario_of(subject, case, start, controller))

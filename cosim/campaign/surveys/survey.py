@@ -55,7 +55,7 @@ def load_subject(aircraft: str, engine: str | None = None) -> Subject:
     return Subject(aircraft, vehicle, engine or engine_of(aircraft) or Scenario.model_fields["engine"].default)
 
 
-def choose(cases: Sequence[T], kinds: Sequence[str], subject: str, name_of: Callable[[T], str]) -> list[T]:
+def select_cases(cases: Sequence[T], kinds: Sequence[str], subject: str, name_of: Callable[[T], str]) -> list[T]:
     """Return the cases that begin as one of ``kinds``, all if there are none.  Raises InputError if none does."""
     chosen = [case for case in cases if not kinds or name_of(case).startswith(tuple(kinds))]
     if not chosen:

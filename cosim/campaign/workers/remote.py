@@ -15,7 +15,7 @@ from pathlib import Path
 from threading import Lock, Timer
 from typing import TYPE_CHECKING
 
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.paths import data_folder
 from cosim.base.trust import trust
 from cosim.campaign.folder import STUDY, FrozenStudy, load
@@ -31,7 +31,7 @@ IDLE_S = 60.0  # chosen by us: after which a process without flights ends
 PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy")  # packages that determine a flight's numbers
 FILES = "files of aircraft, engines and program"  # compared by their contents
 
-_studies: Memory[Study] = Memory(4)
+_studies: RecentCache[Study] = RecentCache(4)
 _unpacking = Lock()
 
 

@@ -15,7 +15,7 @@ from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, say, show_table, terminal
 from cosim.cli.options import DONE, example
 from cosim.cli.outputs import Out
-from cosim.cli.trust import looks
+from cosim.cli.trust import display_only
 
 if TYPE_CHECKING:
     from cosim.results.comparison import ComparedFlight, Pair
@@ -92,7 +92,7 @@ def compare(options: Compare) -> int:
     return DONE
 
 
-@looks
+@display_only
 def write_page(names: Sequence[str], folder: Path) -> Path:
     """Write the comparison of these flights as a page in a new folder and return its path; none is flown."""
     from cosim.results.comparison import pairs

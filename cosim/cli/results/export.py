@@ -12,7 +12,7 @@ from cosim.base.errors import InputError
 from cosim.cli import opt
 from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, offer_to_compile
 from cosim.cli.outputs import Out
-from cosim.cli.trust import looks
+from cosim.cli.trust import display_only
 
 if TYPE_CHECKING:
     from cosim.codegen.export import ExportedController
@@ -88,7 +88,7 @@ class Log(opt.Output):
 
 @click.command(_LOG, epilog=example("hexjet export runs/roll-doublet-smith-001 --to mcap --out flight.mcap"))
 @opt.takes(Log)
-@looks
+@display_only
 def log(options: Log) -> int:
     """Write the log of the run in DIR for other tools.
 

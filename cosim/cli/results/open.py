@@ -9,7 +9,7 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.cli.options import DONE, example
-from cosim.cli.trust import looks
+from cosim.cli.trust import display_only
 
 PORT = 8766
 
@@ -18,7 +18,7 @@ PORT = 8766
 @click.argument("folder", type=click.Path(path_type=Path), metavar="[DIR]", default=Path("runs"))
 @click.option("--port", type=click.IntRange(0, 65535), default=PORT, show_default=True, help="0: any that is free.")
 @click.option("--browser", is_flag=True, help="Open it in the browser, too.")
-@looks
+@display_only
 def open_(folder: Path, port: int, browser: bool) -> int:
     """Look through the runs in DIR: search, sort by any metric, tag, compare, delete.
 

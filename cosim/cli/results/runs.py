@@ -12,7 +12,7 @@ from cosim.base.storage.paths import data_folder, files_in, names_in
 from cosim.cli import opt
 from cosim.cli.console import say
 from cosim.cli.options import DONE, example
-from cosim.cli.trust import looks
+from cosim.cli.trust import display_only
 
 KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
 
@@ -26,7 +26,7 @@ class List(opt.Output):
 
 @click.command("list", epilog=example("hexjet list engines"))
 @opt.takes(List)
-@looks
+@display_only
 def list_(options: List) -> int:
     """List what can be flown: scenarios, studies, engines, aircraft, controllers."""
     catalogues = {name: catalogue(name) for name in ([options.kind] if options.kind else KINDS)}
@@ -43,7 +43,7 @@ class Report(opt.Record):
 
 @click.command(epilog=example("hexjet report runs/roll-doublet-smith-001"))
 @opt.takes(Report)
-@looks
+@display_only
 def report(options: Report) -> int:
     """Write the report of the run or the campaign in DIR again.
 

@@ -15,7 +15,7 @@ from cosim.cli import opt
 from cosim.cli.console import say, show_table
 from cosim.cli.options import DONE, example
 from cosim.cli.results.runs import KINDS, catalogue
-from cosim.cli.trust import looks
+from cosim.cli.trust import display_only
 from cosim.spec.controller_name import is_design
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class Show(opt.Output):
 
 @click.command(epilog=example("hexjet show hexjet-p220"))
 @opt.takes(Show)
-@looks
+@display_only
 def show(options: Show) -> int:
     """Show what NAME, of hexjet list, is: its numbers, their units and what they mean, from its files.
 

@@ -292,7 +292,7 @@ class EffectivenessAllocator:
         ``collective``: the thrust fraction at which each of the reference's engines gives its part of the lift;
         ``torque``: angular accelerations [rad/s^2]; ``added``: of a disturbance that the controller does not know.
         """
-        lift = self.force(collective)
+        lift = self.total_thrust(collective)
         found, missing = self._solve(self._wanted(lift, torque, added), lift, PASSES, True)
         return self._actuation(found, missing)
 
@@ -304,11 +304,11 @@ class EffectivenessAllocator:
         (a, b, c), (d, e, f), (g, h, i) = self._tensor
         return [a * x + b * y + c * z, d * x + e * y + f * z, lift, g * x + h * y + i * z, 0.0, 0.0]
 
-    def force(self, collective: float) -> float:
+    def total_thrust(self, collective: float) -> float:
         """Return the thrust [N] of all engines at this thrust fraction each."""
         return self._jets * (self._low + self._span * collective)
 
-    def ahead(
+    def allocate_forward(
         self, force: float, lift: float, pitch: float, torque: Vector3, tilts: Sequence[int]
     ) -> tuple[Actuation, float]:
         """Allocate ``force`` along body x and ``lift`` along -z [N], a pitching moment [N m] and angular accelerations.

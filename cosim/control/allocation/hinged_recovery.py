@@ -136,7 +136,7 @@ class HingedRecovery(EffectivenessAllocator):
             return super().allocate(collective, torque, added)
         # the pressure of the speed over the ground is wrong in wind, and far off where no heading is held
         self.pressure = 0.0
-        lift = self.force(collective)
+        lift = self.total_thrust(collective)
         wanted = self._wanted(lift, torque, added)
         jets, servos = self._jets, self._last[self._jets :]
         self._carrying, short = self._carried(lift)
@@ -155,12 +155,12 @@ class HingedRecovery(EffectivenessAllocator):
         missing[LIFT] = short[LIFT]
         return self._actuation([*self._carrying[:jets], *turning], missing)
 
-    def ahead(
+    def allocate_forward(
         self, force: float, lift: float, pitch: float, torque: Vector3, tilts: Sequence[int]
     ) -> tuple[Actuation, float]:
-        """Allocate as :meth:`EffectivenessAllocator.ahead`; the solution for hover is searched anew afterwards."""
+        """Allocate as :meth:`EffectivenessAllocator.allocate_forward`; hover is solved anew afterwards."""
         self._short, self._lifting, self.lean = True, [], (0.0, 0.0)
-        return super().ahead(force, lift, pitch, torque, tilts)
+        return super().allocate_forward(force, lift, pitch, torque, tilts)
 
     def _carried(self, lift: float) -> tuple[list[float], list[float]]:
         """Return thrusts [N] and servos for the lift in balance, and the residual; see the module's text."""

@@ -33,7 +33,7 @@ class HingedLean(FlightLaw):
         super().__init__(loops)
         self._allocator = allocator
 
-    def wants(self, demand: Demand) -> bool:
+    def applies(self, demand: Demand) -> bool:
         return self._allocator.is_leaning and self.loops.custom_attitude is None
 
     def steer(self, demand: Demand) -> Vector3:

@@ -131,7 +131,7 @@ class Loops:
 
 
 class FlightLaw:
-    """The law of one phase; this base class is the law of hover, which flies where no other law wants to."""
+    """The law of one phase; this base class is the law of hover, which flies where no other law applies."""
 
     def __init__(self, loops: Loops) -> None:
         self.loops = loops
@@ -145,7 +145,7 @@ class FlightLaw:
     def leave(self) -> None:
         """Hand over: another law flies from this step on."""
 
-    def wants(self, demand: Demand) -> bool:
+    def applies(self, demand: Demand) -> bool:
         """Return whether the law is to fly this step; laws are asked in their order, up to the first that does."""
         return True
 
@@ -189,10 +189,10 @@ class Selector:
             law.reset()
 
     def select(self, demand: Demand) -> FlightLaw:
-        """Return the first law that wants to fly the step; the one that flew until now leaves where it is another."""
+        """Return the first law that applies to the step; the one that flew until now leaves where it is another."""
         chosen = self.laws[-1]
         for law in self.laws:
-            if law.wants(demand):
+            if law.applies(demand):
                 chosen = law
                 break
         if chosen is not self._flying:

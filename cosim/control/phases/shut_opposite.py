@@ -26,7 +26,7 @@ class ShutOpposite(FlightLaw):
     def idle(self) -> None:
         self._is_recovering = False
 
-    def wants(self, demand: Demand) -> bool:
+    def applies(self, demand: Demand) -> bool:
         return self._is_recovering and demand.command.rate is None
 
     def update(self, demand: Demand) -> Actuation:

@@ -19,7 +19,7 @@ class SpunFlight(FlightLaw):
     def idle(self) -> None:
         self._reduced.end()
 
-    def wants(self, demand: Demand) -> bool:
+    def applies(self, demand: Demand) -> bool:
         return self._reduced.is_flying
 
     def update(self, demand: Demand) -> Actuation:

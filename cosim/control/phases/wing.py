@@ -130,7 +130,7 @@ class WingFlight(FlightLaw):
         self.is_flying = False
         self._lift = 0.0
 
-    def wants(self, demand: Demand) -> bool:
+    def applies(self, demand: Demand) -> bool:
         """Return whether a speed ahead is asked for, and neither rates nor a collective."""
         command = demand.command
         return command.ahead is not None and command.rate is None and command.collective is None and not demand.is_idle
@@ -148,10 +148,14 @@ class WingFlight(FlightLaw):
             return super().update(demand)
         allocator.pressure = dynamic_pressure(measured)
         # The height loop's output as a force up: it divides by the cosine of the lean, but this law turns the thrust.
-        remainder = self.actuator_demand(allocator.force(demand.collective) * demand.upright, measured, demand.burnt)
+        remainder = self.actuator_demand(
+            allocator.total_thrust(demand.collective) * demand.upright, measured, demand.burnt
+        )
         (roll, pitch, yaw), (a, b, c) = self.loops.inject(demand.torque, injected), injected.torque_command
         torque = (roll + a, pitch + b, yaw + c)
-        actuation, missing_ahead = allocator.ahead(remainder.ahead, remainder.lift, remainder.pitch, torque, self.tilts)
+        actuation, missing_ahead = allocator.allocate_forward(
+            remainder.ahead, remainder.lift, remainder.pitch, torque, self.tilts
+        )
         demand.unallocated = self.report_residual(missing_ahead, actuation.unallocated)
         demand.allocated = demand.collective - actuation.unallocated.collective
         return actuation

@@ -19,7 +19,7 @@ from zlib import crc32
 
 from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Predictor
-from cosim.base.trust import CodeRefusedError, is_looking
+from cosim.base.trust import CodeRefusedError, is_code_forbidden
 from cosim.control.predictors.smith import FilteredSmithPredictor, NoPredictor, SmithPredictor, robustness_filter
 from cosim.spec.vehicle import PredictorTuning, RateModel
 
@@ -215,7 +215,7 @@ class Registry(Mapping[str, PredictorSpec]):
             if not isinstance(spec, PredictorSpec) or spec.name != name:
                 raise InputError(f"{describe_entry(entry)}: must be a PredictorSpec of this name, not {spec!r}")
             self.register(spec)
-        if refused is not None and not is_looking():  # a display omits what is not installed
+        if refused is not None and not is_code_forbidden():  # a display omits what is not installed
             raise refused
 
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 from cosim.base.errors import InputError
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 from cosim.engine.fmu.clocks import InputClock, find_clocks
 from cosim.engine.fmu.container import (
     DAMAGE,
@@ -39,7 +39,7 @@ from cosim.engine.library import ADAPTER, ADAPTER_GENERATED, GENERATION_TOOL, pl
 TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}
 LARGEST_ARRAY = 10_000  # elements that are listed one by one
 
-_archives: Memory[Archive] = Memory(64)
+_archives: RecentCache[Archive] = RecentCache(64)
 
 
 class Feed(NamedTuple):
@@ -166,7 +166,7 @@ def read_archive(path: Path, ports: PortMap | None = None) -> Archive:
 
 
 def read_cached(
-    path: Path, ports: PortMap | None, cache: Memory[Archive], read: Callable[[Path, bytes, str, PortMap], Archive]
+    path: Path, ports: PortMap | None, cache: RecentCache[Archive], read: Callable[[Path, bytes, str, PortMap], Archive]
 ) -> Archive:
     """Return ``read`` of a file's path, bytes, SHA-256 and port map, taken from ``cache`` where possible.
 

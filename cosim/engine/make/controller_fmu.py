@@ -259,7 +259,7 @@ def serve(path: str) -> None:
     columns, servos_known = [_identifier(v) for v in fmu.column_outputs], fmu.servos
     if fmu.level == "controller":
         fmu = read_controller_fmu(Path(path), settings["servos"])
-    input_frame, output_frame = wire.frame(len(settings["inputs"])), wire.frame(len(settings["outputs"]))
+    input_frame, output_frame = wire.frame_layout(len(settings["inputs"])), wire.frame_layout(len(settings["outputs"]))
     try:
         with temporary("controller-") as folder:
             if settings["outputs"] != [*fmu.outputs, *columns] or columns != [

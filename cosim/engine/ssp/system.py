@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cosim.base.errors import nearest
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 from cosim.engine.fmu.archive import (
     Archive,
     Component,
@@ -44,7 +44,7 @@ from cosim.engine.ssp.structure import (
 from cosim.engine.ssp.structure import Path as At
 
 SUFFIX = ".ssp"
-_systems: Memory[Archive] = Memory(16)
+_systems: RecentCache[Archive] = RecentCache(16)
 
 
 def is_system(path: Path) -> bool:

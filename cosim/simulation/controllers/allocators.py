@@ -8,7 +8,7 @@ from math import inf
 from typing import Any, TypeVar
 
 from cosim.base.protocols import Allocator
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.allocation.effectiveness import AllocationModel, EffectivenessAllocator, Effector
 from cosim.control.allocation.hinged_recovery import EngineLag, HingedRecovery
@@ -22,7 +22,7 @@ from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.airframe import Airframe
 from cosim.vehicle.model_file import read_model
 
-_models: Memory[Any] = Memory(32)  # what those of vehicles say of their surfaces and wings
+_models: RecentCache[Any] = RecentCache(32)  # what those of vehicles say of their surfaces and wings
 T = TypeVar("T")
 
 

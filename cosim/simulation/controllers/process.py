@@ -31,7 +31,7 @@ START_S = 60.0  # chosen by us: until it says what it is; an interpreter on a bu
 END_S = 1.0  # until it has ended after its input has
 MOST_FRAMES = 50_000  # that are kept to be asked again: 200 s of steps of 4 ms
 _LINE = 1_000_000  # bytes that a line may have
-_STEP = wire.frame(0)  # what every frame begins with
+_STEP = wire.frame_layout(0)  # what every frame begins with
 
 Command = Callable[[], Sequence[str]]
 
@@ -165,7 +165,7 @@ class ProcessBlock:
         inputs = wire.input_names(self._level, jets, vehicle.actuators, self._ahead)
         outputs = wire.output_names(self._level, jets, moved, self._extras)
         self._outputs = len(outputs)
-        self._in, self._out = wire.frame(len(inputs)), wire.frame(len(outputs) + len(self.columns))
+        self._in, self._out = wire.frame_layout(len(inputs)), wire.frame_layout(len(outputs) + len(self.columns))
         belief_table = {
             "protocol": wire.PROTOCOL,
             "version": wire.VERSION,

@@ -28,7 +28,7 @@ from cosim.base.errors import InputError, describe_error, nearest
 from cosim.base.plugins.entry_points import describe_entry, find_entries, load_entry
 from cosim.base.plugins.execute import execute_file, import_installed, program_code
 from cosim.base.protocols import Column, Parameter
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 from cosim.base.trust import Code, CodeRefusedError, code_of, need_trust
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.simulation.controllers import recorded
@@ -246,7 +246,7 @@ def _source_text(cls: type) -> str:
     return ""
 
 
-_sources: Memory[Source] = Memory(32)
+_sources: RecentCache[Source] = RecentCache(32)
 
 
 def _from_file(kind: str, name: str, path: Path, attribute: str) -> Source:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError, nearest
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.paths import data_folder, names_in
 from cosim.base.storage.toml import Model, Positive, merge, read_toml, validate
 from cosim.spec.plausible import find_implausible
@@ -81,7 +81,7 @@ def find_aircraft(aircraft: str, folder: Path = Path()) -> Path:
     return path
 
 
-_vehicles: Memory[tuple[dict[str, Any], Vehicle]] = Memory(32)
+_vehicles: RecentCache[tuple[dict[str, Any], Vehicle]] = RecentCache(32)
 
 
 def load_vehicle(

@@ -304,7 +304,7 @@ def test_a_terminal_is_asked_once_for_all(
         asked.append(sorted(file.path.name for file in files))
         return next(answers)
 
-    monkeypatch.setattr("cosim.cli.main.asks", lambda: ask)
+    monkeypatch.setattr("cosim.cli.main.trust_prompt", lambda: ask)
     assert hexjet("fly", str(theirs / "scenario.toml")).status == 2
     assert not mark.exists()
     assert hexjet("fly", str(theirs / "scenario.toml")).status == 0

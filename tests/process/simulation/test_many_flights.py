@@ -27,7 +27,7 @@ import cosim
 from cosim import fly
 from cosim.base.errors import InputError
 from cosim.base.storage import toml as config
-from cosim.base.storage.cache import Memory
+from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.scratch import scratch
 from cosim.engine import build_engines, load_engine
@@ -374,7 +374,7 @@ def test_what_a_killed_process_leaves_is_removed_by_the_next(tmp_path: Path) -> 
 
 def test_a_memory_keeps_what_was_asked_for_last() -> None:
     made: list[int] = []
-    memory: Memory[int] = Memory(2)
+    memory: RecentCache[int] = RecentCache(2)
 
     def ask(key: int) -> int:
         return memory.get(key, lambda: made.append(key) or 10 * key)  # type: ignore[func-returns-value]
@@ -384,7 +384,7 @@ def test_a_memory_keeps_what_was_asked_for_last() -> None:
 
 
 def test_a_memory_forgets_failures() -> None:
-    memory: Memory[int] = Memory(2)
+    memory: RecentCache[int] = RecentCache(2)
     with pytest.raises(InputError):
         memory.get("key", raises)
     assert memory.get("key", lambda: 5) == 5

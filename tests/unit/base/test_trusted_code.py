@@ -109,7 +109,7 @@ def test_it_is_remembered_as_sha256sum_writes_it(file: Path) -> None:
 
 def test_nothing_runs_while_somebody_looks(file: Path) -> None:
     trust.trust(file)
-    with trust.looking(), pytest.raises(trust.CodeRefusedError, match="nothing is run to look at something"):
+    with trust.without_code(), pytest.raises(trust.CodeRefusedError, match="nothing is run to look at something"):
         trust.need_trust([trust.code_of(file)], "test")
     trust.need_trust([trust.code_of(file)], "test")
 
