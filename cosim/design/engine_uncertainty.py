@@ -57,7 +57,7 @@ class EngineSensitivity:
                     scenario.step_s,
                     unchecked=True,
                     air=spec.air,
-                    apart=spec.isolated,
+                    isolated=spec.isolated,
                 )
                 for value in (low, high)
             ]
@@ -80,9 +80,9 @@ class EngineSensitivity:
 
     def _answer(self, spec: EngineSpec, hertz: float) -> complex:
         """Return N per throttle at a frequency, late by one control step less than it is."""
-        curve = spec.rising
+        curve = spec.rising_curve
         throttle = float(np.interp(self._thrust, curve.thrust, curve.throttle))
-        course = measure_small_steps(spec, throttle, self._step).course
+        course = measure_small_steps(spec, throttle, self._step).response
         if not course:
             raise InputError(f"engine {spec.name}: does not answer a small step around throttle {throttle:.2f}")
         low, high = max(0.0, throttle - SECANT), min(1.0, throttle + SECANT)
