@@ -48,9 +48,9 @@ PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10
 # (ARMING_DELAY_SEC) after it was armed, and lets them go within 1 s (twice MOT_SPOOL_TIME) once throttle is raised.
 # Full stick: ANGLE_MAX, and PILOT_Y_RATE as it ships.
 HANDLING = StartTiming(before_s=40.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0)
-HOVER = 0.35  # MOT_THST_HOVER as it ships: it learns in modes that hold the height, and Stabilize is none
-_SERIALS = (0, 1, 2, 5, 6, 7, 8)  # those that are TCP ports by themselves; 3 and 4 are its simulated GNSS receivers
-_SPEEDUP = 100  # how much faster than real time it may go: the lockstep paces it
+HOVER = 0.35  # default of MOT_THST_HOVER; ArduPilot learns it in modes that hold the height, not in Stabilize
+_SERIALS = (0, 1, 2, 5, 6, 7, 8)  # serial ports that are TCP ports by default; 3 and 4 are the simulated GNSS receivers
+_SPEEDUP = 100  # upper limit of its speed over real time; the lockstep sets the pace
 # Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.
 _RATE_SETTLING = 2400
 MOST_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7)  # 5 chooses the mode, 7 arms
@@ -61,11 +61,11 @@ _STATE = (
     b'\n{"timestamp":%.6f,"imu":{"gyro":[%.9g, %.9g, %.9g],"accel_body":[%.9g, %.9g, %.9g]},'
     b'"position":[%.9g, %.9g, %.9g],"quaternion":[%.9g, %.9g, %.9g, %.9g],"velocity":[%.9g, %.9g, %.9g]}\n'
 )
-_START_S = 60.0  # until its first packet
+_START_S = 60.0  # time limit for its first packet, s
 # A packet that comes again this soon after it was answered was sent before that.  It is not answered again: ArduPilot
 # would take the second answer for that to its next packet, and be a step late from there on.  It waits for a second.
 _REPEAT_S = 0.5
-_LONGEST_STEP_S = 0.1  # a longer one does not move its clock
+_LONGEST_STEP_S = 0.1  # s; a longer step does not advance its clock
 
 
 class TransmitterChannel(NamedTuple):
@@ -95,11 +95,11 @@ class LaunchOptions:
     """Start-up options of an ArduPilot: instance, parameters, and transmitter channels beside the sticks."""
 
     instance: int = 0
-    limit_s: float = 5.0  # for an answer, of the clock
+    limit_s: float = 5.0  # wall-clock time limit of an answer
     parameters: Mapping[str, float] = field(default_factory=dict)  # those that it flies with, as far as they are known
-    defaults: Path | None = None  # the file of these that it is started with
+    defaults: Path | None = None  # parameter file that it is started with
     channels: Sequence[TransmitterChannel] = ()
-    station: int | None = None  # UDP port of this machine, to which it talks MAVLink; None: it talks to none
+    station: int | None = None  # local UDP port that it sends MAVLink to; None: it sends none
 
 
 class ArduPilot(Sitl):
@@ -119,9 +119,9 @@ class ArduPilot(Sitl):
         self._peer: tuple[str, int] | None = None
         self._pulses: list[int] = []
         self._sticks_every = max(1, round(STICKS_S / step))
-        self._count = -1  # frame count of the packet that was answered last, or is to be
-        self._earlier_logs: set[Path] = set()  # of another flight in the same folder
-        self._is_restarted = False  # its frame count began anew
+        self._count = -1  # frame count of the last packet, answered or about to be
+        self._earlier_logs: set[Path] = set()  # logs of earlier flights in the same folder
+        self._is_restarted = False  # whether its frame count has restarted
 
     @property
     def sticks_port(self) -> int:
@@ -183,13 +183,13 @@ class ArduPilot(Sitl):
                 counts.foreign += 1
                 continue
             count = servos[2]
-            if sender != peer:  # a second one, or it was started again: it is not answered, so it stands still
+            if sender != peer:  # a second or restarted program gets no answer, so it stands still
                 counts.foreign += 1
                 self._is_restarted = self._is_restarted or count < self._count
                 continue
             if count == self._count:
                 counts.repeated += 1
-                if monotonic() - sent_at > self.repeat_delay:  # it still waits, so the answer was lost
+                if monotonic() - sent_at > self.repeat_delay:  # the answer was lost, because it still waits
                     sock.sendto(state, peer)
                     sent_at = monotonic()
                 continue
@@ -247,7 +247,7 @@ class ArduPilot(Sitl):
         known_names = next((names for path in new_logs if (names := parameter_names(path)) is not None), None)
         if known_names is None:
             return f"the names of its parameters were not checked: no log in {self._folder / 'logs'} has all of them"
-        # it reads them in capitals or not
+        # ArduPilot ignores the case of parameter names
         if unknown := [name for name in self._launch.parameters if name.upper() not in known_names]:
             text = describe_unknown(unknown, known_names, "ArduCopter")
             raise FlightError(f"ardupilot: {text} (--param, --defaults; {new_logs[0].parent})")
@@ -299,4 +299,4 @@ class Transmitter:
         nearest = bisect_left(self._curve, fraction)
         if nearest > 0 and fraction - self._curve[nearest - 1] <= self._curve[nearest] - fraction:
             nearest -= 1
-        return 1000 + max(nearest, 1)  # at 1000 it is closed, and its motors idle
+        return 1000 + max(nearest, 1)  # a pulse of 1000 is a closed throttle, at which the motors idle

@@ -41,13 +41,13 @@ from cosim.base.storage.scratch import scratch
 from cosim.spec.vehicle import Jet, Vehicle
 from cosim.vehicle.atmosphere import standard_air
 
-STATE, RC, CONSOLE = 2, 3, 10  # from the first port on
-PORT = 9001  # of the raw outputs, as Betaflight has it
+STATE, RC, CONSOLE = 2, 3, 10  # offsets from the first port
+PORT = 9001  # port of the raw outputs, by Betaflight's convention
 _STATE = struct.Struct("<18d")  # time, rates, force, quaternion, velocity, position, pressure
 _STICKS = struct.Struct("<d16H")
 _RAW = struct.Struct("<H2x16f")
 _READY = b"HJREADY\0"
-_CONSOLE_S = 20.0  # chosen by us: until its console answers, on a busy machine
+_CONSOLE_S = 20.0  # time limit of the console's first answer, for a busy machine; chosen by us
 _CONFIGURE_TRIES = 3  # chosen by us: its console's threads share buffers without a lock, and it may hang
 _NEUTRAL = 1500
 # What would change the gains in flight is off, so that they are those designed: more P and I while the throttle
@@ -73,7 +73,7 @@ _CLOCK_FRAMES = 2
 # scenarios lean, with room.
 HANDLING = StartTiming(before_s=6.0, arming_s=1.5, throttle_s=0.5, lean_deg=45.0, turn_deg_s=90.0)
 TILT_WEIGHT = 0.1  # of pitch and yaw on the outputs that carry the tilts; chosen by us, see mixing()
-_FULL_SUM = 500.0  # of an axis, its pidsum_limit: the whole range of a servo
+_FULL_SUM = 500.0  # pidsum_limit of an axis, which is the whole range of a servo
 _SUM_TO_MOTOR = 1.0 / 1000.0  # PID_MIXER_SCALING
 # src/main/flight/pid.h: what one unit of a gain in the console is, per deg/s, per deg and per deg/s^2
 P_SCALE, I_SCALE, D_SCALE = 0.032029, 0.244381, 0.000529
@@ -136,7 +136,7 @@ def make_base_settings(vehicle: Vehicle) -> list[str]:
         "feature -TELEMETRY",
         "set motor_pwm_protocol = PWM",
         "set acc_calibration = 0,0,0,1",  # marked as calibrated: the simulated accelerometer has no zero to find
-        "set small_angle = 180",  # it may be armed at any lean
+        "set small_angle = 180",  # allow arming at any lean
         "set min_check = 1010",
         "set deadband = 0",
         "set yaw_deadband = 0",
@@ -148,9 +148,9 @@ def make_base_settings(vehicle: Vehicle) -> list[str]:
             for key, value in (("rc_rate", full), ("srate", full), ("expo", 0))
         ],
         f"set angle_limit = {HANDLING.lean_deg:g}",
-        "aux 0 0 0 1700 2100 0 0",  # armed by the first switch
-        "aux 1 1 1 1700 2100 0 0",  # levels itself by the second
-        "aux 2 28 1 1700 2100 0 0",  # and keeps its attitude at low throttle (air mode)
+        "aux 0 0 0 1700 2100 0 0",  # the first switch arms
+        "aux 1 1 1 1700 2100 0 0",  # the second switch selects the self-levelling mode
+        "aux 2 28 1 1700 2100 0 0",  # the second switch also selects air mode, which keeps the attitude at low throttle
         "set runaway_takeoff_prevention = OFF",
     ]
 
@@ -258,7 +258,7 @@ class Betaflight(Sitl):
     def _channels(self, frame: SensorFrame) -> list[int]:
         roll, pitch, yaw, throttle, armed = frame.sticks
         fraction = clip((throttle - self.idle) / (1.0 - self.idle), 0.0, 1.0)
-        low = 1010.0  # min_check, below which it is no throttle
+        low = 1010.0  # min_check: a pulse below it is no throttle
         sticks = [
             to_pulse(roll),
             to_pulse(pitch),

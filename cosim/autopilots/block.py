@@ -30,7 +30,7 @@ class ExternalRateLoop:
 
     def __init__(self, cascade: Cascade, gain: Vector3, has_gyro: bool = False) -> None:
         self._cascade, self._gain, self._has_gyro = cascade, gain, has_gyro
-        self.rate_setpoint = ZERO3  # rad/s, the autopilot's last
+        self.rate_setpoint = ZERO3  # last rate set-point of the autopilot, rad/s
         self._jets = len(cascade.reset(False, 0.0))
         self._torques = np.array(command_to_torque(self._jets, cascade.allocator))
         self._fractions = np.linspace(0.0, 1.0, 2001)

@@ -36,7 +36,7 @@ _IGRF = (
      (-0.9, 0.7, 1.2, -0.3, -1.3, -0.1, 0.2, -0.2, 0.5, 0.6, -0.6, -0.3, -0.5)),
 )
 # fmt: on
-_RADIUS = 6371200.0  # m, of the expansion
+_RADIUS = 6371200.0  # reference radius of the expansion, m
 
 
 def compute_earth_field(latitude_deg: float, longitude_deg: float, degree: int = len(_IGRF)) -> Vector3:

@@ -57,7 +57,7 @@ class SensorFrame(NamedTuple):
     altitude: float  # m above the ground, by the barometer
     sticks: StickPositions
     spool: PerJet = ()  # rad/s, where the engines report it
-    truth: State | None = None  # for the autopilot's own log; no estimator sees it
+    truth: State | None = None  # true state for the autopilot's log; no estimator reads it
 
 
 class ActuatorOutputs(NamedTuple):
@@ -92,9 +92,9 @@ class StartTiming:
     before_s: float  # from the autopilot's first frame to the flight's first step
     arming_s: float
     throttle_s: float
-    lean_deg: float  # of full stick
-    turn_deg_s: float  # of full stick
-    unarmed: str = ""  # end of the message for one that was not armed
+    lean_deg: float  # at full stick
+    turn_deg_s: float  # at full stick
+    unarmed: str = ""  # end of the message where the autopilot did not arm
 
 
 class Autopilot(Protocol):
@@ -217,7 +217,7 @@ class AnswerTimer:
     def receive_packet(self, sock: socket.socket) -> tuple[bytes, tuple[str, int]]:
         """Return the next packet and its sender's address.  Raises FlightError as :meth:`left`."""
         while True:
-            if self._has_checked:  # not before the first, which is all that most frames take
+            if self._has_checked:  # skip the check before the first wait, because most frames take only one
                 self.remaining()
             self._has_checked = True
             with suppress(BlockingIOError):
@@ -244,7 +244,7 @@ class Sitl:
 
     def __init__(self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, limit: float) -> None:
         self.counts = LockstepCounts()
-        self.limit = limit  # s of the clock, for an answer
+        self.limit = limit  # wall-clock time limit of an answer, s
         self._binary, self._folder, self._step = binary, folder, step
         self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
         self._program: Program | None = None

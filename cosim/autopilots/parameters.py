@@ -19,10 +19,10 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES, Vector3
 from cosim.spec.vehicle import RateGains, Vehicle
 
-_THRUST = 6.5  # CA_ROTOR_CT as it ships
+_THRUST = 6.5  # default of CA_ROTOR_CT
 _LEAST_OFFSET = 0.01  # m, to the left or right, below which PX4 gives a tilt no yaw
-_MOST_ROTORS = 12  # of its control allocation
-_LEAST_IMU_HZ, _MOST_IMU_HZ = 100, 1000  # of IMU_INTEG_RATE
+_MOST_ROTORS = 12  # limit of PX4's control allocation
+_LEAST_IMU_HZ, _MOST_IMU_HZ = 100, 1000  # range of IMU_INTEG_RATE
 
 
 def px4_torque_scale(vehicle: Vehicle) -> Vector3:

@@ -42,11 +42,11 @@ class Setup:
     Of what belongs to one autopilot the others see nothing.
     """
 
-    instance: int = 0  # which of several at the same time
-    limit_s: float = 5.0  # for an answer, of the clock
-    port: int | None = None  # Betaflight: its first; None: the instance's
+    instance: int = 0  # number of the instance, where several run at the same time
+    limit_s: float = 5.0  # wall-clock time limit of an answer
+    port: int | None = None  # Betaflight: its first port; None: that of the instance
     gains: str = "vehicle"  # whose are in the scenario's vehicle: its own, or a file's; "stock": as Betaflight ships
-    lines: Sequence[str] = ()  # Betaflight: for its console
+    lines: Sequence[str] = ()  # Betaflight: lines for its console
     parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: over those made from the vehicle
     magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: the Earth's at the place
     defaults: Path | None = None  # ArduPilot: its parameters; None: those made from the vehicle
@@ -61,7 +61,7 @@ class PreparedAutopilot:
     name: str
     autopilot: Autopilot
     program: Path | None  # None: started by hand
-    endpoint: str  # where one that is started by hand connects
+    endpoint: str  # address that a program started by hand connects to
     details: Mapping[str, Any]
     rates: ExternalRateLoop | None = None
 

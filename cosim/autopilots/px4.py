@@ -54,9 +54,9 @@ HANDLING = StartTiming(
 )
 _IMU, _MAG, _BARO = 7 | 56, 448, 6656  # fields_updated
 _MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
-_ARMED = 128  # of mode
-_START_S = 60.0  # until it connects; a start on a busy machine
-_MOST_NOISE = 64  # bytes that are no MAVLink, after which what is connected is no PX4
+_ARMED = 128  # flag in the mode field
+_START_S = 60.0  # time limit of its connection, for a start on a busy machine
+_MOST_NOISE = 64  # bytes without MAVLink after which the connection is refused as no PX4
 _ACCEPT_EVERY = 16  # frames between two checks for a second connection
 _UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
 _BOOT_TIMEOUT = 0.02  # s of the clock for an answer before there was one
@@ -84,7 +84,7 @@ class LaunchOptions:
     """Start-up options of a PX4."""
 
     instance: int = 0
-    limit_s: float = 5.0  # for an answer, of the clock
+    limit_s: float = 5.0  # wall-clock time limit of an answer
     parameters: Mapping[str, float] = field(default_factory=dict)  # over its airframe's, as PX4_PARAM_<NAME>
     magnetic_field: Vector3 | None = None  # gauss, NED; None: the Earth's at the place
 

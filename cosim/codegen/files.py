@@ -33,7 +33,7 @@ class Labels:
     name: str  # of files, functions and types: a C identifier
     title: str
     licence: str | None  # SPDX expression or a name
-    origin: tuple[str, ...]  # lines
+    origin: tuple[str, ...]  # lines on where the numbers come from
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,39}", self.name) or self.name in _RESERVED:

@@ -28,7 +28,7 @@ _CYCLES = re.compile(r"worst step (\d+), mean (\d+)")
 class Measurements:
     """Measurements of the compiled C; None where this machine's compiler does not report one."""
 
-    compiler: str  # its own first line
+    compiler: str  # first line of its version
     is_identical: bool  # every number of the flight to the last bit, in double
     float_throttle: float
     float_tilt: float  # rad

@@ -35,7 +35,7 @@ INPUT_QUANTITIES = (
     Quantity("collective_commanded", "1", "1: a mean throttle is asked for in place of a height"),
     Quantity("engines", "1", "0: as the loops ask; 1: idle; 2: off"),
     *(Quantity(f"{axis}_rate", "rad/s", f"Measured body rate: {axis}") for axis in AXES),
-    Quantity("attitude_w", "1", "Measured attitude, quaternion body to NED: w", 1.0),  # upright
+    Quantity("attitude_w", "1", "Measured attitude, quaternion body to NED: w", 1.0),  # the start value is upright
     *(Quantity(f"attitude_{part}", "1", f"Measured attitude, quaternion body to NED: {part}") for part in "xyz"),
     Quantity("velocity_down", "m/s", "Measured velocity downwards"),
     Quantity("altitude", "m", "Measured height above the ground"),
@@ -49,7 +49,7 @@ LOOP_OUTPUTS = (
     *(f"shown_torque_{axis}" for axis in AXES),
     "shown_collective",
     *(f"shown_{what}_{axis}" for what in ("rate_setpoint", "predicted") for axis in AXES),
-)  # of the loops alone
+)  # inputs of the loops alone
 
 
 def list_output_names(jets: int, servos: Sequence[str] = SERVOS) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ from cosim.results.run import scenario_toml
 from cosim.results.summary import versions
 from cosim.spec.scenario import Scenario
 
-MOST_SEED = 2**31 - 1  # FMI's integer
+MOST_SEED = 2**31 - 1  # largest integer of FMI
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def export_vehicle(
         raise InputError(
             f"export vehicle: how the FMU starts its process is made for Linux, and this is {sys.platform}"
         )
-    labels = Labels(name, f"{scenario.aircraft_name}: scenario {scenario.name}", None, ())  # it checks the name
+    labels = Labels(name, f"{scenario.aircraft_name}: scenario {scenario.name}", None, ())  # this checks the name
     if file:
         if (folder / file).exists():
             raise InputError(f"{folder / file}: is there already; name another with --out or remove it")

@@ -32,7 +32,7 @@ class _Socket:
     def __init__(self) -> None:
         self._file = os.dup(0)
         nothing = os.open(os.devnull, os.O_RDONLY)
-        os.dup2(nothing, 0)  # what this process starts is not to hold the socket
+        os.dup2(nothing, 0)  # keep the socket out of processes that this one starts
         os.close(nothing)
 
     def receive(self, frame: struct.Struct) -> tuple[float, ...]:

@@ -17,8 +17,8 @@ Hold = Callable[[float, int], Sequence[float]]
 CURVE_POINTS = 21
 LONGEST_S = 180.0  # to settle: a real turbojet, closed, creeps for 95 s until it stands still to NO_CHANGE
 LONGEST_DELAY_S = 10.0
-NO_CHANGE = 1e-10  # of the thrust, or of 1 N if that is more
-DRIFT = 0.1  # of what counts as still, by which a mean may move from window to window; chosen by us
+NO_CHANGE = 1e-10  # fraction of the thrust, or of 1 N if that is more
+DRIFT = 0.1  # change of the mean from window to window, as a fraction of what counts as still; chosen by us
 LITTLE_CHANGE = 1e-6  # the same, for an FMU whose own solver goes on trembling at rest: a usual tolerance of solvers
 
 

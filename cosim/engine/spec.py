@@ -57,29 +57,29 @@ class EngineSpec:
     path: Path
     fmi: str  # version
     sha256: str  # of the archive
-    parameters: Mapping[str, float]  # every one, as the engine will run
+    parameters: Mapping[str, float]  # value of every parameter
     curve: Curve  # steady thrust [N] over throttle
     internal_step: float | None  # s
     pole: float | None
     delay_samples: int | None
     start: str | None  # the parameter that starts the engine in equilibrium at a throttle
     rotor_inertia: float  # kg m^2, about the jet's axis; 0 where it is not known
-    flame_out: FlameOutLaw | None  # how it goes out; None where nobody knows
+    flame_out: FlameOutLaw | None  # law of the thrust after a flame-out; None where it is not known
     specified_delay: float | None  # s, from a mapping file
     mapping: Path | None  # the mapping file it was loaded by
     archive: Archive = field(repr=False)
     settings: tuple[Setting, ...] = field(repr=False)
     settling_window: int = field(repr=False)  # communication steps, longer than the engine's delay
-    quiet: float = field(default=NO_CHANGE, repr=False)  # to what share of itself the thrust stands still at rest
+    quiet: float = field(default=NO_CHANGE, repr=False)  # fraction of itself by which the thrust may move at rest
     air: Air = STANDARD_AIR  # in which the curve was measured
-    isolated: bool = False  # it asks for a process of its own
+    isolated: bool = False  # whether it needs a process of its own
     small_step: SmallStep | None = (
         None  # how late it is to a small step, as measured at the control step; None: see Measured
     )
-    logged_outputs: tuple[tuple[str, Variable], ...] = ()  # further outputs, by what they are called in the log
-    slot: int = 0  # which of the engines that its FMU holds, from 0
+    logged_outputs: tuple[tuple[str, Variable], ...] = ()  # further outputs by their names in the log
+    slot: int = 0  # index of the engine in its FMU, from 0
     siblings: tuple[Sibling, ...] = field(default=(), repr=False)  # of the first one: those that are held with it
-    misbehaviour: str = ""  # what a check found that it does to its process, for which it has one of its own
+    misbehaviour: str = ""  # reason why a check gave it a process of its own
     uncertainty: Uncertainty | None = field(default=None, repr=False)  # of its parameters, from a mapping file
 
     @property
@@ -216,7 +216,7 @@ def make_behaviour_key(archive: Archive, settings: tuple[Setting, ...], air: Air
 class EngineSource:
     """Source of an engine: the named file, its archive, and its definition or mapping file."""
 
-    path: Path  # of the archive, or of the mapping file that speaks of it
+    path: Path  # path of the archive, or of the mapping file that names it
     archive: Archive
     engine: EngineDefinition | None  # its definition, if it is one of the library
     mapping: MappingFile

@@ -27,7 +27,7 @@ _LONGEST_RESTART_S = 120.0
 class EngineEffect:
     """An effect on one engine: it changes the throttle before it, and thrust [N] and speed [rad/s] behind it."""
 
-    burns_fuel: bool = True  # False: it takes no fuel
+    burns_fuel: bool = True  # whether the engine takes fuel
 
     def change_throttle(self, command: float) -> float:
         return command
@@ -128,11 +128,11 @@ class _Rundown(EngineEffect):
     def __init__(self, law: FlameOutLaw, step: float, cold: bool = False) -> None:
         self._law = law
         self._step = step
-        self._steps_out = int(cold)  # without fire; an engine that has not run yet has none to lose
+        self._steps_out = int(cold)  # steps without fire; a cold engine starts without
         self._steps_since_start = -1  # steps since it was called to start; -1 while it is not
         self._thrust = 0.0
         self._speed = 0.0
-        self.burns_fuel = False  # has its command again
+        self.burns_fuel = False  # whether the command reaches the engine again
 
     def relight(self) -> None:
         """Start from the next step on; at once if the law has no time for it."""
@@ -200,10 +200,10 @@ class EngineChain:
         """Return to engines that are on and have no fault, as a bank that was reset."""
         self._acting: list[EngineFault] = []
         self._effects: list[tuple[int, EngineFault, EngineEffect]] = []
-        self._flamed_out: list[tuple[int, EngineFault]] = []  # by their port run
+        self._flamed_out: list[tuple[int, EngineFault]] = []  # engines that went out through their port run
         self.off: frozenset[int] = NO_JETS  # switched off
-        self._shut_off: dict[int, EngineEffect] = {}  # of these, the engines without a port run
-        self._restarts: dict[int, int] = {}  # engines that were switched on again, and the steps they still have for it
+        self._shut_off: dict[int, EngineEffect] = {}  # effects on the engines switched off that have no port run
+        self._restarts: dict[int, int] = {}  # steps that engines which were switched on again have left to start
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         """Reset to sound engines in equilibrium at the throttle, one for all or one each.  Raises EngineError."""

@@ -41,7 +41,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
 WAITING_PER_SENDER = 64  # requests that may wait; a mission is one.  Chosen by us: a quarter second of steps
-SENDERS = 32  # that may have something waiting at once
+SENDERS = 32  # most senders with waiting requests
 MESSAGE_HISTORY = 100
 ANSWER_TIMEOUT = 2.0  # s for an answer at a port: ground stations ask again after 1 to 3 s
 
@@ -75,10 +75,10 @@ class FlightInfo(NamedTuple):
     scenario: Scenario
     vehicle: Vehicle
     stations: tuple[EngineSpec, ...]  # jets 1 to 6
-    geodesy: Geodesy  # of the flight's origin
+    geodesy: Geodesy  # position of the flight's origin
     parameters: Parameters  # read only: SetParameter changes them
-    folder: Path | None  # of the run
-    factor: float | None  # of real time; None: as fast as it goes
+    folder: Path | None  # folder of the run
+    factor: float | None  # speed over real time; None: as fast as possible
     columns: tuple[Column, ...] = ()  # what the flight's blocks show beside the log's columns
 
 
@@ -227,7 +227,7 @@ class Port:
     """
 
     def __init__(self, exchange: Exchange, name: str) -> None:
-        self.name = name  # of the sender, where a request states none
+        self.name = name  # sender of requests that state none
         self.wake: Callable[[], None] = lambda: None
         self.snapshot: Snapshot | None = None  # the last one of a flight that has begun
         self._exchange = exchange

@@ -11,7 +11,7 @@ from cosim.results.export.output import LogLine
 
 RATE_1_S = 25  # chosen by us: a picture every 40 ms, as the exported arrows; every step is in the run's log
 REDRAW_S = 1.0  # between two drawings of what stands still: as long a viewer that comes later waits for it
-PORT = 8766  # beside the page's
+PORT = 8766  # next to the port of the page
 
 
 def parse_address(text: str, public: bool) -> tuple[str, int]:

@@ -10,9 +10,9 @@ from cosim.results.log.columns import log_columns, logged_vehicle
 from cosim.results.run import Recording
 
 MEGABYTE = 1e6
-BYTES = 8  # of a number in the log
+BYTES = 8  # size of a number in the log
 LIMIT_MB = 2000.0  # two hours of flight at 250 Hz; chosen by us
-_WARN_AT = 0.8  # of it
+_WARN_AT = 0.8  # fraction of the limit
 
 
 def estimate_hourly_mb(info: FlightInfo) -> float:

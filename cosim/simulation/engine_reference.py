@@ -14,7 +14,7 @@ from cosim.engine import EngineSpec, make_bank
 _HOVER_STEP = (0.4, 0.6)  # throttle; chosen by us: about hover, wide enough for the lag and not for the limits
 _OTHER_STEPS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # where a real engine's lag is another one
 _LONGEST_S = 20.0
-_BEGIN = 1e-6  # of the change: an answer has begun
+_BEGIN = 1e-6  # fraction of the change at which an answer has begun
 _SMALL = (0.001, 0.05)  # of throttle, either way: the second for an ECU that does not see the first
 _VISIBLE = 0.5  # least change of thrust by a small step, over that of the static curve
 _ENDED = 1e-6  # of the change: an answer has ended once it was within this for a second

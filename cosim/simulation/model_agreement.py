@@ -53,14 +53,14 @@ from cosim.simulation.engine_reference import measure_small_steps
 from cosim.spec.scenario import PayloadDisturbance, Scenario
 from cosim.spec.vehicle import RateModel, Vehicle
 
-NOTED = 0.15  # of gain, delay or lag
-LEAST_SAMPLES = 2.0  # of delay, from which it is noted
-UNFIT_GAIN = 1.5  # times, either way
-UNFIT_DELAY = 1.0 / 3.0  # of all delay of the vehicle
+NOTED = 0.15  # relative difference of gain, delay or lag
+LEAST_SAMPLES = 2.0  # least difference of delay that is noted, samples
+UNFIT_GAIN = 1.5  # ratio of the gains, either way
+UNFIT_DELAY = 1.0 / 3.0  # fraction of all delay of the vehicle
 UNFIT_LAG = 0.5
 
-_CLEAR = (0.05,)  # of the throttle: steps of engines that may tremble
-_GRID = 0.05  # of the throttle
+_CLEAR = (0.05,)  # step of the throttle for engines that tremble at rest
+_GRID = 0.05  # fraction of the throttle range
 _POINTS = 96
 _LOWEST = 0.02  # rad/s
 _HIGHEST = 0.8 * np.pi  # rad per step
@@ -72,15 +72,15 @@ class ModelAgreement:
 
     engine: str  # the family that the model is filed under
     axis: str
-    unit: str  # of the gain
-    state: str  # of the vehicle: "", or its fuel or payload
-    hertz: float  # at which both were taken
-    model_gain: float  # of the model, in the unit
+    unit: str  # unit of the gains
+    state: str  # state of the vehicle: "", or its fuel or payload
+    hertz: float  # frequency of the comparison
+    model_gain: float  # gain of the model
     vehicle_gain: float  # of the vehicle
     model_delay: float  # all delay of the model, samples
     vehicle_delay: float  # of the vehicle
     lag_misfit: float
-    is_opposite: bool = False  # the model's sign is the other one
+    is_opposite: bool = False  # whether the model has the opposite sign
 
     @property
     def ratio(self) -> float:
@@ -216,7 +216,7 @@ def _compare(
     omega = response.omega
     z = np.exp(1j * omega * step)
     own = gain * _actuators(parts, response, z, step) * _airframe(scenario, vehicle, damping, z)
-    # less the integral, which is 1 / (j omega + damping)
+    # without the integral, which is 1 / (j omega + damping)
     late = -np.unwrap(np.angle(own * (1j * omega + damping)))
     at = 0.5 * _first_radian(late, omega)
     ratio = delayed_response(model, z) / own

@@ -16,14 +16,14 @@ _WINDOW = 1.0  # s of wall time over which the factor that is reached is measure
 class PaceReport(NamedTuple):
     """The timing of a flight against the wall clock."""
 
-    factor: float | None = None  # asked for, of real time; None: as fast as it goes
+    factor: float | None = None  # requested speed over real time; None: as fast as possible
     steps: int = 0
     missed: int = 0  # steps that were not done when the next one was due
     longest_delay: float = 0.0  # s, how late the latest of them was
     stalls: int = 0  # times that the schedule was moved
-    postponed: float = 0.0  # s of wall time by which it was moved, in all
-    reached_factor: float | None = None  # factor of the last second of wall time; None before that
-    load: float | None = None  # share of that second that was not slept
+    postponed: float = 0.0  # s of wall time by which the schedule was moved, in total
+    reached_factor: float | None = None  # speed over real time in the last second; None before that
+    load: float | None = None  # fraction of that second spent stepping
 
 
 class Pace:

@@ -29,7 +29,7 @@ from cosim.spec.vehicle.sensor_profile import profile_names
 if TYPE_CHECKING:
     import numpy as np
 
-PREFIX = "own."  # of a metric of one's own, before its name
+PREFIX = "own."  # prefix of a custom metric's name
 TABLE = ("time_s", "north_m_s", "east_m_s", "down_m_s")
 _KEYS = {"observer": 2, "sensors": 3, "wind": 4}  # of the random numbers of each; 0 and 1 are the built-in sensors'
 
@@ -55,7 +55,7 @@ class CustomMetric:
     """A custom metric: its names, the columns that it reads (None: any), and itself."""
 
     source: Source
-    names: tuple[str, ...]  # with PREFIX
+    names: tuple[str, ...]  # names with PREFIX
     columns: tuple[str, ...] | None
 
     def compute(self, log: Columns, step_s: float) -> dict[str, float | None]:

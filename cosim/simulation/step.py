@@ -43,7 +43,7 @@ _START: Final = EngineState.START
 _NOTHING: Final[tuple[float, ...]] = ()
 _SAMPLE: Final = Sample  # compiled code finds this without looking in a dictionary
 
-Between = Callable[[int], Ending | None]  # gets the number of the step to come
+Between = Callable[[int], Ending | None]  # called with the number of the next step
 
 
 class Blocks(NamedTuple):

@@ -157,8 +157,8 @@ class GuidedPilot:
         self._yaw = 0.0
         self._last_point: tuple[Track, Pair | None] | None = None  # of a track; from there another goes on
         self._left = self._points
-        self._point = 0  # of the waypoints that are flown, the one flown to
-        self._reached: int | None = None  # the step at which it was
+        self._point = 0  # index of the waypoint that is flown to
+        self._reached: int | None = None  # step at which the waypoint was reached
 
     def _begin(self, number: int, aim: GuidedCommand, command: Command, fix: Fix) -> None:
         """Begin another command; what it leaves open goes on as it is."""
@@ -172,7 +172,7 @@ class GuidedPilot:
         elif self._number < 0:
             self._tracker.start(fix.position, fix.velocity)
         self._number = number
-        if self._climb is not None:  # comes to rest where it can
+        if self._climb is not None:  # the vehicle comes to rest as soon as it can
             self._to_altitude, self._climb = self._height.stop_position[0], None
         if isinstance(aim, PlaceCommand):
             north, east = self._tracker.stop_position

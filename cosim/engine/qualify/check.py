@@ -39,13 +39,13 @@ DEFAULT_STEP_S = 0.004  # of the Hex-Jet's control loop
 LIMITS = Limits()
 # A trial makes some 100,000 steps: an FMU that prints a line in each would fill a log with megabytes in every minute.
 MOST_PRINTED = 2**20  # bytes
-MOST_BLEMISHES = 10  # lines that are shown; a tool that makes one makes it in every variable
+MOST_BLEMISHES = 10  # most lines shown, because a tool repeats a violation in every variable
 
 PARTS = (
     "validate", "load", "start", "run", "repeat", "measure", "respond", "together", "reset", "restore", "serialize",
     "time", "grow",
 )  # fmt: skip
-NEEDED = ("load", "start", "run", "measure")  # without these there is nothing to judge by
+NEEDED = ("load", "start", "run", "measure")  # parts whose failure ends the check
 DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
 
 
@@ -164,7 +164,7 @@ class _TrialRunner:
             self._add_problems([apart.problem])
             if (apart.has_crashed or apart.has_hung) and apart.moment not in (STARTED, READ):
                 self._note_misbehaviour(apart.problem)
-        if apart.left_processes:
+        if apart.has_left_processes:
             self._add_problems(["leaves processes behind"])
             self._note_misbehaviour("leaves processes behind")
         self._printed_bytes += apart.printed_bytes
@@ -215,7 +215,7 @@ def _described(variables: Iterable[Variable]) -> list[dict[str, Any]]:
 
 def _described_port(label: str, port: Port, source: EngineSource) -> dict[str, Any]:
     v = port.variable
-    name = label.partition(" ")[0]  # without the engine's number
+    name = label.partition(" ")[0]  # port name without the engine's number
     mapped = source.engine.ports if source.engine else source.mapping.ports.model_dump(exclude_none=True)
     if name in mapped:
         origin = "in engine.toml" if source.engine else "in the mapping file"

@@ -21,8 +21,8 @@ def main(pipe: int) -> None:
     order = json.load(sys.stdin)
     die_with_parent()
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
-    signal.setitimer(signal.ITIMER_REAL, float(order["seconds"]))  # should the parent not look any more
-    tempfile.tempdir = os.getcwd()  # what the parent removes, however this ends
+    signal.setitimer(signal.ITIMER_REAL, float(order["seconds"]))  # end this process if the parent is gone
+    tempfile.tempdir = os.getcwd()  # the parent removes this folder, however this process ends
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
     os.close(nothing)

@@ -19,7 +19,7 @@ def read_process_state() -> dict[str, Any]:
         "the working directory": os.getcwd(),
         "how the processor rounds": (third[0] / third[1], -third[0] / third[1]),
         "how the processor handles tiny numbers (is it built with -ffast-math?)": (
-            # as text: where tiny numbers count as 0, they also compare equal to it
+            # as text, because numbers that are flushed to 0 also compare equal to it
             (smallest[0] * smallest[1]).hex()
         ),
         "the locale's decimal point": locale.localeconv()["decimal_point"],

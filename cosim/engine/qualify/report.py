@@ -44,7 +44,7 @@ class CheckReport:
     serialized_state_restores: bool | None = None
     microseconds_per_step: float | None = None
     bytes_per_instance: float | None = None  # resident, without the library itself
-    bytes_per_step: float | None = None  # that are not given back
+    bytes_per_step: float | None = None  # growth of resident memory
     apart: str | None = None  # what it does to the process that it runs in, for which flights give it one of its own
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)

@@ -41,7 +41,7 @@ class Limits:
     Seconds are those that the child had: of the processor where it computes, of the clock where it waits.
     """
 
-    seconds: float = 120.0  # all in all
+    seconds: float = 120.0  # total
     silence: float = 30.0  # s within one call to the FMU, or 250 steps; MATLAB's run time takes 20 to start
     megabytes: float = 1024.0  # resident
 
@@ -52,13 +52,13 @@ class ChildResult:
 
     messages: list[dict[str, Any]] = field(default_factory=list)
     problem: str | None = None
-    has_hung: bool = False  # did not answer, and was ended
-    has_crashed: bool = False  # or left by itself: another child may try what comes behind
-    moment: str = STARTED  # what the FMU was asked for last
+    has_hung: bool = False  # was ended because it did not answer
+    has_crashed: bool = False  # crashed or exited by itself; another child may run the remaining parts
+    moment: str = STARTED  # last call to the FMU, as a clause
     printed_bytes: int = 0  # bytes
     last_output: str = ""
-    left_processes: bool = False  # processes that it did not end
-    seconds: float = 0.0  # of its own time
+    has_left_processes: bool = False  # whether processes that it started are still running
+    seconds: float = 0.0  # s that the child had, see Limits
 
 
 def run_in_child(task: Mapping[str, Any], limits: Limits) -> ChildResult:
@@ -83,7 +83,7 @@ def run_in_child(task: Mapping[str, Any], limits: Limits) -> ChildResult:
                 result.problem += f'; it printed: "{result.last_output}"'
         if result.problem is not None:
             result.problem = result.problem.replace("{moment}", result.moment)
-        result.left_processes = result.problem is None and _is_alive(child.pid)
+        result.has_left_processes = result.problem is None and _is_alive(child.pid)
     return result
 
 
@@ -222,7 +222,7 @@ def _output_reader(result: ChildResult) -> Callable[[bytes], bool]:
         del kept[:-LAST_OUTPUT_BYTES]
         lines = [line for line in bytes(kept).decode(errors="replace").splitlines() if line.strip()]
         result.last_output = to_one_line(lines[-1])[:200] if lines else ""
-        return False  # printing is no sign of getting on
+        return False  # output is no sign of progress
 
     return take
 

@@ -51,15 +51,15 @@ from cosim.engine.spec import EngineSource, EngineSpec, find_source, resolve_par
 from cosim.engine.ssp.system_instance import make_instance
 
 Say = Callable[[dict[str, Any]], None]
-Findings = tuple[dict[str, Any], list[str]]  # of the report, and problems
+Findings = tuple[dict[str, Any], list[str]]  # entries of the report, and problems
 
-RUN_S = 20.0  # of simulated time under a throttle that keeps changing
+RUN_S = 20.0  # s of simulated time under a changing throttle
 TRIAL_STEPS = 500
 SAVED_AT = 37
-CHUNK = 250  # steps between two signs of life
+CHUNK = 250  # steps between two progress messages
 ENGINES = 6  # engines of a Hex-Jet
 TIMED_STEPS = 20_000
-GROWTH_STEPS = 10_000  # after which memory is read, three times
+GROWTH_STEPS = 10_000  # steps between two readings of memory, of which there are three
 WRONG_WAY = 0.02  # of the change of thrust, chosen by us: less is what a solver or a sample leaves
 UNEVEN = 2  # samples between the dead times up and down; a step of the throttle meets the FMU's own step anywhere
 LEAST_LEAK = 16.0  # bytes a step: the smallest block that malloc hands out, so that a leak in every step is more
@@ -112,7 +112,7 @@ class Trial:
             text = (
                 instance.explain(error, "while it was stepped") if isinstance(error, _bank.FailureError) else str(error)
             )
-            self.say({"problems": [text]})  # now, because freeing what has failed may well be the end
+            self.say({"problems": [text]})  # report it now, because freeing a failed instance may crash the process
             raise InstanceError(text) from error
         finally:
             self.say({"at": "when it was terminated and freed"})
@@ -197,13 +197,13 @@ def run_task(order: Mapping[str, Any], say: Say) -> None:
 def _validate(trial: Trial) -> Findings:
     trial.say({"at": "while its description was validated"})
     notes = note_unusual_names(trial.archive.path)
-    if trial.archive.system is not None:  # what a component's has to say was said when it was read
+    if trial.archive.system is not None:  # the components were validated when they were read
         return {
             "features": [f"{component.name}: {component.file}" for component in trial.archive.system.components],
             "notes": notes,
         }, []
     data = read_bytes(trial.archive.path)
-    # with blemishes it was judged when it was read
+    # an archive with harmless violations was validated when it was read
     complaints = [] if trial.archive.harmless_violations else validate(data)
     remarks = [text for text in complaints if is_harmless_violation(text)]
     features = _features(read_description(data)[0])
@@ -368,7 +368,7 @@ def _together(trial: Trial) -> Findings:
     for count in (most, count_per_fmu):
         with EngineBank(spec, count, trial.step) as bank:
             begin = measure_resident_bytes()
-            for _ in range(2):  # a second flight of the same bank
+            for _ in range(2):  # twice, as two flights of the same bank
                 trial.say({"at": f"while {count} of it were started"})
                 bank.reset(0.25)
                 trial.say({"at": f"while {count} of it were stepped"})

@@ -46,7 +46,7 @@ class Connection:
 
     start: Node
     transformation: tuple[float, float] | None
-    is_converted: bool  # units are
+    is_converted: bool  # whether units are converted
 
 
 @dataclass
@@ -57,7 +57,7 @@ class Structure:
     version: str
     components: dict[Path, str] = field(default_factory=dict)  # the file of each, in the order of the description
     connectors: dict[Node, Connector] = field(default_factory=dict)
-    connections: dict[Node, Connection] = field(default_factory=dict)  # by where they end
+    connections: dict[Node, Connection] = field(default_factory=dict)  # by target connector
     values: dict[Node, Value] = field(default_factory=dict)
     units: dict[str, Unit] = field(default_factory=dict)
 

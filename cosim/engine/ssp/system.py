@@ -296,7 +296,7 @@ def _variables(
                 if source == node
             ]
             if not at:
-                continue  # nobody listens
+                continue  # no component reads this input
         plain = (at[0].factor, at[0].offset) == (1.0, 0.0)
         same = at[0].variable if plain else None
         unit = connector.unit or (same.unit if same else None)

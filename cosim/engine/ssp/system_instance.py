@@ -56,7 +56,7 @@ class _SystemSlave:
 
     def __init__(self, system: System, folder: Path, name: str) -> None:
         self._system, self.problem = system, ""
-        self.component = 1  # nobody looks at it
+        self.component = 1  # placeholder, which is not read
         self._components: list[FmuInstance] = []
         self.dll = SimpleNamespace(
             fmi2DoStep=_DO_STEP(self._guarded_step),
@@ -83,7 +83,7 @@ class _SystemSlave:
             for component, variables in zip(self._components, read, strict=True)
         ]
         places = [list(variables) for variables in read]
-        self._given: list[list[float]] = [[] for _ in self._components]  # what each gave last
+        self._given: list[list[float]] = [[] for _ in self._components]  # last outputs of each component
         self._feeds = []
         for number, component in enumerate(self._components):
             feeds = [feed for feed in self._system.feeds if feed.component == number]
@@ -150,7 +150,7 @@ class _SystemSlave:
     def doStep(self, time: float, step: float) -> None:
         """Step all components once; raise InstanceError with the component's name on failure."""
         for number, stepper in enumerate(self._steppers):
-            self._feed(number)  # of what is stepped after it this is what that gave a step ago
+            self._feed(number)  # inputs from components that are stepped later are one step old
             with self._of(number):
                 stepper.step(time, step)
                 self._given[number] = self._outputs[number].get()

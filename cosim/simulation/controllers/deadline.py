@@ -12,14 +12,14 @@ import threading
 from time import monotonic
 from types import FrameType
 
-_CHECKS = 8  # in a limit
+_CHECKS = 8  # checks within one time limit
 
 
 class LateError(Exception):
     """The call was broken off."""
 
 
-_ACTIVE: list[Deadline] = []  # the deadlines whose calls the signal breaks off
+_ACTIVE: list[Deadline] = []  # deadlines whose calls the signal interrupts
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

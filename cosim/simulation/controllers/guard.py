@@ -66,7 +66,7 @@ class CallGuard:
             answer = method(*arguments)
             if deadline is not None:
                 deadline.end(begun)
-        except BaseException as error:  # Ctrl-C too: nothing is on that could be late
+        except BaseException as error:  # also on Ctrl-C: no call is running that could be late
             if deadline is not None:
                 deadline.cancel()
                 if isinstance(error, LateError):

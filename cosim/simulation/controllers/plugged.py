@@ -103,7 +103,7 @@ class PluggedController:
         """Return a new block that was given its beliefs.  Raises InputError if its ``prepare`` fails."""
         block = self._source.make()
         self._blocks.append(block)
-        if isinstance(block, ProcessBlock):  # it has limits of its own, and takes a while to start
+        if isinstance(block, ProcessBlock):  # a process has a time limit of its own
             block.set_limit(self._scenario.controller_limit_s)
             block.prepare(belief)
             return block

@@ -28,10 +28,10 @@ from cosim.base.storage.scratch import scratch
 from cosim.control.belief import Belief
 
 START_S = 60.0  # chosen by us: until it says what it is; an interpreter on a busy machine takes seconds
-END_S = 1.0  # until it has ended after its input has
-MOST_FRAMES = 50_000  # that are kept to be asked again: 200 s of steps of 4 ms
-_LINE = 1_000_000  # bytes that a line may have
-_STEP = wire.frame_layout(0)  # what every frame begins with
+END_S = 1.0  # time limit of its end after its input was closed
+MOST_FRAMES = 50_000  # frames that are kept for the check that answers repeat: 200 s of steps of 4 ms
+_LINE = 1_000_000  # limit of a line, bytes
+_STEP = wire.frame_layout(0)  # the step's number, with which every frame begins
 
 Command = Callable[[], Sequence[str]]
 
@@ -92,7 +92,7 @@ class Connection:
 
 def request_description(command: Command, folder: Path, label: str) -> dict[str, Any]:
     """Return a process's description of itself.  Raises InputError."""
-    with tempfile.TemporaryFile() as errors:  # it ends before it has begun, and need not like that
+    with tempfile.TemporaryFile() as errors:  # hides the errors of a program that is ended right after its description
         connection = _start_process(command, folder, label, errors)
         try:
             return _description(connection, label)

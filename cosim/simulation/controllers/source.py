@@ -72,13 +72,13 @@ class Source:
     level: str
     make: Callable[[], Any]
     files: Mapping[str, Path]
-    version: str = ""  # of the package that it is in
-    predictor: str = BASELINE.name  # ours, under a loop of its own above
+    version: str = ""  # name and version of its package
+    predictor: str = BASELINE.name  # built-in predictor that feeds a custom loop
     parameters: Sequence[Parameter] = ()
     columns: Sequence[Column] = ()
     is_copied: bool = True  # its files go into a run's folder
     is_in_process: bool = True  # it is code of this process; else it is found out whether it answers the same again
-    text: str = ""  # of a class that no file holds, where it is to be had
+    text: str = ""  # source text of a class without a file, where available
 
     @property
     def label(self) -> str:
@@ -208,7 +208,7 @@ def _copier(value: Any) -> Callable[[], Any]:
 def _is_default(value: Any, cls: type) -> bool:
     try:
         return pickle.dumps(vars(cls())) == pickle.dumps(vars(value))
-    except Exception:  # then it counts as changed
+    except Exception:  # an object that cannot be compared counts as changed
         return False
 
 
@@ -441,7 +441,7 @@ def check_method(block: Any, method: str, arguments: Sequence[str], where: str) 
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):
-        return  # it does not say
+        return  # the method has no signature
     try:
         signature.bind(*([None] if isinstance(block, type) else []), *arguments)
     except TypeError as error:

@@ -278,7 +278,7 @@ def _fail(command: MavCommand, context: Context) -> Plan:
     if not context.vehicle.can_fail:
         return Plan(result=CommandResult.UNSUPPORTED)
     if kind == _OK:
-        return _do(ClearFaults())  # there is no way to end one of several
+        return _do(ClearFaults())  # all faults are cleared, because a single one cannot be named
     faults: tuple[InjectFault, ...] = ()
     if unit == _MOTOR:
         if not 0 <= which <= context.vehicle.jets:

@@ -28,7 +28,7 @@ from cosim.groundstation.mavlink.wire.dialect import mav as wire
 from cosim.groundstation.mavlink.wire.peer import Peer
 
 MOST_EARLIER_LOGS = 20  # earlier runs that are listed, the newest; chosen by us, as each has to be converted
-MOST_LOGS = 200  # with those that come later
+MOST_LOGS = 200  # most logs in total
 RATE = 2500.0  # LOG_DATA a second and client: 225 kB/s, as fast as a flight at 250 Hz writes them; chosen by us
 SEARCH_INTERVAL = 2.0  # s before the folders are read again, however often somebody asks; chosen by us
 CONVERSION_TIMEOUT = 300.0  # s to make one log: thirty times what an hour of flight takes
@@ -301,7 +301,7 @@ def _start_time(run: Path) -> int:
         started = json.loads((run / "summary.json").read_text(encoding="utf-8"))["started"]
         moment = datetime.fromisoformat(started)
         seconds = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-        return min(2**32 - 1, max(0, int(seconds)))  # as its field
+        return min(2**32 - 1, max(0, int(seconds)))  # limits of the field
     except (OSError, ValueError, KeyError, TypeError):
         return 0
 

@@ -56,7 +56,7 @@ class Plan(NamedTuple):
     requests: tuple[Request, ...] = ()
     result: CommandResult = CommandResult.ACCEPTED
     text: str = ""
-    messages: tuple[Message, ...] = ()  # after the acknowledgement
+    messages: tuple[Message, ...] = ()  # messages after the acknowledgement
 
 
 class Context(NamedTuple):
@@ -66,7 +66,7 @@ class Context(NamedTuple):
     state: TelemetryState
     peer: Peer
     find_message: Callable[[int], Sequence[Message] | None]  # that is not telemetry, by its id; None: unknown
-    shutdown_requests: tuple[Any, ...] = ()  # for a reboot, and for a shutdown
+    shutdown_requests: tuple[Any, ...] = ()  # requests for a reboot and for a shutdown
 
 
 def parse_command(message: Message) -> MavCommand:

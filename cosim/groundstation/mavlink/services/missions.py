@@ -80,7 +80,7 @@ class _Upload:
     mission_type: int = MISSION
     items: list[Item] = field(default_factory=list)
     mission: list[MissionItem] = field(default_factory=list)
-    waiting: bool = False  # for the pilot's answer
+    waiting: bool = False  # whether the pilot's answer is pending
 
 
 class MissionService(Service):
@@ -118,7 +118,7 @@ class MissionService(Service):
         # The last upload: its client, number of items, type and result.
         self._last_upload: tuple[Client, int, int, int] | None = None
         self._mission: tuple[MissionItem, ...] = ()  # the last upload as the autopilot has it
-        self._sent_items: list[Item] = []  # the same as it came
+        self._sent_items: list[Item] = []  # its items as they were received
         self._progress_sent: tuple[int, ...] = ()
         self._progress_at = -REPEAT_INTERVAL
         self._reached = -1
