@@ -134,7 +134,7 @@ def list_figures(measurements: Measurements | None, loops: bool = False) -> list
         ("compiler", f"{measurements.compiler}, -O2 -ffp-contract=off"),
         (
             "double",
-            "every number of the flight to the last bit" if measurements.is_identical else "not the bits of the flight",
+            "every number of the flight to the last bit" if measurements.same else "not the bits of the flight",
         ),
         (
             "float",

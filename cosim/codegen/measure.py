@@ -29,7 +29,7 @@ class Measurements:
     """Measurements of the compiled C; None where this machine's compiler does not report one."""
 
     compiler: str  # first line of its version
-    is_identical: bool  # every number of the flight to the last bit, in double
+    same: bool  # every number of the flight to the last bit, in double
     float_throttle: float
     float_tilt: float  # rad
     float_passes: bool  # within half a step of a 12-bit command

@@ -180,7 +180,7 @@ def controller(options: ExportController) -> int:
     options.answer(
         lambda: asdict(exported) | {"folder": str(exported.folder)}, lambda: _print(exported, options.loops), nan=True
     )
-    return FLIGHT_FAILED if exported.measured is not None and not exported.measured.is_identical else DONE
+    return FLIGHT_FAILED if exported.measured is not None and not exported.measured.same else DONE
 
 
 def _warn_of_licences(licence: str | None, inside: tuple[str, ...]) -> None:

@@ -271,7 +271,7 @@ def test_single_precision_says_where_it_is_not_enough(tmp_path: Path) -> None:
     flight = scenario("full-scale-roll-doublet", controller="filtered-smith", duration_s=3.0)
     done = export_controller(flight, tmp_path / "out", "ours", fmus=False)
     assert done.measured is not None
-    assert (done.measured.is_identical, done.measured.float_passes) == (True, False)
+    assert (done.measured.same, done.measured.float_passes) == (True, False)
     assert "not within half a step of a 12-bit command" in (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
 
 
@@ -347,7 +347,7 @@ def test_a_folder_has_what_is_said_of_it(exported: ExportedController) -> None:
     assert {"ours.fmu", "ours-fmi2.fmu", "ours.c", "README.md"} <= set(exported.files)
     assert (exported.steps, exported.without_fmus) == (500, None)
     assert found is not None
-    assert found.is_identical
+    assert found.same
     assert found.float_passes
     assert found.stack is None or 0 < found.stack < 4096
     assert found.state is not None
