@@ -16,6 +16,7 @@ import numpy as np
 import plotly.graph_objects
 import pytest
 from campaigns import DELAY, GAIN, MASS, NOISE, TURBULENCE, WIND, campaign, loop, study
+from patience import PATIENCE
 from scipy import stats
 from scipy.stats import qmc
 
@@ -750,7 +751,10 @@ def opened(browser: Any, folder: Path, width: int) -> Iterator[Any]:
 def test_no_page_has_a_script_error(state: str, pages: dict[str, Path], browser: Any) -> None:
     with opened(browser, pages[state], 400) as tab:
         assert tab.evaluate("document.documentElement.scrollWidth") <= 400  # nothing sticks out of a narrow window
-        assert tab.evaluate("[...document.querySelectorAll('.plot')].every((plot) => plot.data)")
+        plots = tab.locator(".plot")
+        for n in range(plots.count()):  # each is drawn when it comes into view
+            plots.nth(n).scroll_into_view_if_needed()
+            tab.wait_for_function("(n) => document.querySelectorAll('.plot')[n].data", arg=n, timeout=1e3 * PATIENCE)
 
 
 MAP = "JSON.parse(JSON.stringify((({ data, layout }) => ({ data, layout }))(document.getElementById('map'))))"
