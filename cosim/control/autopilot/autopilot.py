@@ -253,7 +253,7 @@ class Autopilot:
             # The flight began in the air.
             self._landmarks.home = Home(*self._estimates.fix.position, 0.0)
         if self.landed is LandedState.IN_AIR:
-            self.energy.headway.update_wind()
+            self.energy.ground_speed.update_wind()
         self._course.begin(k, self._loses_heading and has_failed, self._is_pushed_by_hinges and has_failed)
         self._landing.update(report, self.landed is LandedState.IN_AIR and not self._course.descending)
         self.energy.consume(report, self.engines is EngineState.FLY, self.landed is LandedState.IN_AIR)

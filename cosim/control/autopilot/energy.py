@@ -28,9 +28,9 @@ class Energy:
 
     ``hover``: the collective at which the vehicle hovers."""
 
-    def __init__(self, course: Course, headway: GroundSpeed, hover: float, step: float) -> None:
+    def __init__(self, course: Course, ground_speed: GroundSpeed, hover: float, step: float) -> None:
         self._course, self._parameters, self._landmarks = course, course.parameters, course.landmarks
-        self._estimates, self.headway = course.estimates, headway
+        self._estimates, self.ground_speed = course.estimates, ground_speed
         self._hover, self._step = hover, step
         self.hover_burn: float | None = None  # 1/s, fraction of a full tank, by the engines' figures
         self.reset()
@@ -41,7 +41,7 @@ class Energy:
         self.name = "battery"
         self._spent = 0.0
         self._rate = self._weight = 0.0
-        self.headway.reset()
+        self.ground_speed.reset()
 
     def consume(self, report: Report, running: bool, flying: bool) -> None:
         """Update what remains, in the air and on the ground; ``running``: the engines fly.
@@ -95,7 +95,7 @@ class Energy:
         p = self._parameters
         up, down = min(p["HJ_CLIMB_AUTO"], p["HJ_SPEED_UP"]), min(p["HJ_DESC_AUTO"], p["HJ_SPEED_DN"])
         rate = up if climb > 0.0 else down
-        level = self.headway.travel_time(distance) if distance > 0.0 else 0.0
+        level = self.ground_speed.travel_time(distance) if distance > 0.0 else 0.0
         return max(level, abs(climb) / rate)
 
     def climb_time(self, height: float) -> float:

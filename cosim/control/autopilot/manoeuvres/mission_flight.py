@@ -73,7 +73,7 @@ class MissionFlight:
                 + item.hold_s
             )
             if item.kind is ItemKind.CIRCLE and item.radius is not None:
-                seconds += 2.0 * pi * item.radius * item.turns / energy.headway.speed
+                seconds += 2.0 * pi * item.radius * item.turns / energy.ground_speed.speed
             position, altitude = target, height
             if why := energy.describe_shortage(seconds, position, altitude):
                 return mission.current, why
