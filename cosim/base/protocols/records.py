@@ -21,6 +21,7 @@ class EngineState(Enum):
     START = "start"  # as idle, and some have yet to start
 
 
+@quick
 class Report(NamedTuple):
     """What the vehicle reports to its pilot beside its sensors at one instant."""
 

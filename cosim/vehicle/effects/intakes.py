@@ -25,8 +25,13 @@ class IntakeDrag(Effect):
     """
 
     def __init__(self, flow: Airflow | None, jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> None:
-        self._flows: list[Airflow | None] = [jet.airflow or flow for jet in jets]
-        self.is_active = any(flow is not None for flow in self._flows)
+        # kg/s, at N, exponent, intake and exhaust [m]: numbers, which a step reads sooner than a model's fields
+        self._flows: list[tuple[float, float, float, float, float] | None] = []
+        for jet in jets:
+            of = jet.airflow or flow
+            known = None if of is None else (of.kg_s, of.at_thrust_n, of.exponent, of.intake_m, of.exhaust_m)
+            self._flows.append(known)
+        self.is_active = any(known is not None for known in self._flows)
         self._stations: list[Vector3] = [jet.position_m for jet in jets]
         self._layout = layout_of(jets, hinges)
 
@@ -48,8 +53,8 @@ class IntakeDrag(Effect):
             fx, fy, fz = forces[i]
             x, y, z = positions[i]
             e = axes[groups[i]]
-            a, b = airflow.intake_m, airflow.exhaust_m
-            flow = airflow.kg_s * pow(newton / airflow.at_thrust_n, airflow.exponent) if newton > 0.0 else 0.0
+            kg_s, at_thrust, exponent, a, b = airflow
+            flow = kg_s * pow(newton / at_thrust, exponent) if newton > 0.0 else 0.0
             outlet = (x + b * e[0], y + b * e[1], z + b * e[2])
             air_velocity = through_air
             if gusts:
