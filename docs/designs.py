@@ -248,7 +248,7 @@ def heavier(name: str) -> str:
         if level.fuel not in DESIGNED:
             continue
         row = [f"{100.0 * level.fuel:.0f} %"]
-        for tuning in (full["roll"], tunings_at(plan, full, level.share, scenario.step_s)["roll"]):
+        for tuning in (full["roll"], tunings_at(plan, full, level.thrust_fraction, scenario.step_s)["roll"]):
             for inertia in (1.0, 1.25):
                 roll = level.channels["roll"]
                 closed = ClosedLoop(FrequencyGrid(replace(roll, gain=roll.gain / inertia), close=FINE), tuning)
