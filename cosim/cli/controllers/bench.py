@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from cosim.base.errors import InputError
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, say, show_table
 from cosim.cli.options import DONE, example
 
 if TYPE_CHECKING:
-    from cosim.identify.bench import BenchIdentification
+    from cosim.identify.bench import BenchIdentification, BenchRecord
+    from cosim.identify.bench.grey import GreyIdentification
 
 
 class Bench(opt.LogPart, opt.Output):
@@ -28,6 +31,9 @@ class Bench(opt.LogPart, opt.Output):
         "--between", ("auto", "held", "straight"), "What the command does between two rows.", default="auto"
     )
     longest_delay = opt.number("--longest-delay", "S", "Looked for.", min=0.0, max=4.0, min_open=True, default=2.0)
+    engine = opt.word("--engine", "NAME|FILE.fmu", "Fit parameters of this engine instead.")
+    fitted = opt.words("--fit", "PARAMETER", "One of them; beside the delay, which always is.")
+    settings = opt.words("--set", "PARAMETER=VALUE", "Set one of them, or say where to begin.")
     time_column, time_unit, begin, end = opt.LOG_PART
     out = opt.OUT
     as_json = opt.JSON
@@ -40,7 +46,8 @@ def identify_bench(options: Bench) -> int:
 
     Reads CSV and Parquet: steps, staircases, ramps, chirps, whatever moved the throttle.  Leaves a page,
     identification.json and, of a thrust in N, an engine with its uncertainty.  Says what the logs do not tell, and the
-    next test.  Several logs are taken for one engine's.  Status 1: the logs do not tell.
+    next test.  With --engine it fits the parameters of that one instead: a turbine and its ECU.  Several logs are taken
+    for one engine's.  Status 1: the logs do not tell.
     """
     from cosim.base.runtime.threads import one_thread
 
@@ -52,11 +59,53 @@ def identify_bench(options: Bench) -> int:
     columns = Columns(
         options.command_text, options.output_text, options.time_column, options.time_unit, options.begin, options.end
     )
+    if options.engine is None and (options.fitted or options.settings):
+        raise InputError("--fit and --set are for the parameters of an engine: --engine NAME")
+    if options.engine is not None:
+        return _fit_engine(read_records(options.logs, columns), options)
     with output_to_stderr(options.as_json):
         found = identify(read_records(options.logs, columns), Choices(*_choices(options)))
         paths = write(found, options.run_folder("identify-bench"))
     options.answer(found.to_dict, lambda: print_bench(found, paths))
     return DONE
+
+
+def _fit_engine(records: list[BenchRecord], options: Bench) -> int:
+    from cosim.base.storage.toml import parse_numbers
+    from cosim.identify.bench.grey import GreyChoices, fit_engine
+    from cosim.identify.bench.grey_result import write
+    from cosim.identify.bench.identify import is_straight, throttle_limits
+
+    notes: list[str] = []
+    limits = (0.0, 1.0)
+    if records[0].command_unit not in ("rpm", "krpm"):
+        limits, known = throttle_limits(records, options.limits, notes)
+        if not known:
+            raise InputError(f"{records[0].path}: what throttle 0 and 1 are is not known: --range LOW HIGH")
+    straight = is_straight(records, options.between, notes)
+    settings = parse_numbers(options.settings, "--set")
+    choices = GreyChoices(str(options.engine), options.fitted, settings, limits, straight, options.longest_delay)
+    with output_to_stderr(options.as_json):
+        found = fit_engine(records, choices)
+        found = replace(found, notes=(*found.notes, *notes))
+        paths = write(found, options.run_folder("identify-bench"))
+    options.answer(found.to_dict, lambda: print_fitted(found, paths))
+    return DONE
+
+
+def print_fitted(found: GreyIdentification, paths: dict[str, Path]) -> None:
+    """Print what was fitted of an engine, what is to be said of it, and where the files are."""
+    from cosim.identify.bench.grey_result import rows, summary
+
+    say(summary(found))
+    show_table(("with 95 % bounds", found.choices.engine), rows(found), (1,))
+    for note in found.notes:
+        say(f"note: {note}")
+    if "engine" not in paths:
+        say("no engine: with these parameters it does not explain the log")
+    for name in ("engine", "report"):
+        if name in paths:
+            say(f"{name}: {paths[name]}", wrap=False)
 
 
 def _choices(options: Bench) -> tuple[tuple[float, float] | None, str, float]:

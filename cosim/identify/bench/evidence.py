@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -44,19 +45,20 @@ class Misfit(NamedTuple):
         )
 
 
-def test_residuals(problem: Problem, estimate: Estimate) -> Misfit:
-    """Return whether the residuals, in blocks, belong to the command.
+def test_residuals(parts: Sequence[Part], residual: Array, delay: float, total: float) -> Misfit:
+    """Return whether the residuals of these logs, in blocks, belong to the command.
+
+    ``delay`` and ``total``, the delay and all lags together, are the model's, in s.
 
     Two tests: whether they follow its past, its square, or the way in which it moved; and whether they are larger
     while the output is on its way than at rest.  The one that fails, or the first.
     """
-    residual = problem.residual(estimate)
     blocks, signals, moving, quiet = [], [], [], []
     begin = 0
-    for part in problem.parts:
+    for part in parts:
         rows = slice(begin, begin + len(part.times))
         begin = rows.stop
-        means, command, active = _blocks(part, residual[rows], estimate)
+        means, command, active = _blocks(part, residual[rows], delay, total)
         memory = _memory(means)
         if len(means) > PAST + 1:
             features = _features(command)
@@ -64,9 +66,9 @@ def test_residuals(problem: Problem, estimate: Estimate) -> Misfit:
             signals.append((features[1:] - memory * features[:-1])[PAST - 1 :])
         moving.append(means[active])
         quiet.append(means[~active])
-    row = max(float(np.median(np.diff(part.command_times))) for part in problem.parts)
-    swing = float(np.ptp(problem.output))
-    least = max(LEAST_SIZE, ROW_SIZE * row / estimate.total[0])
+    row = max(float(np.median(np.diff(part.command_times))) for part in parts)
+    swing = float(np.ptp(np.concatenate([part.output for part in parts])))
+    least = max(LEAST_SIZE, ROW_SIZE * row / total)
     grown = _compare_noise(np.concatenate(moving), np.concatenate(quiet), swing)._replace(least_size=least)
     if grown.failed or not blocks:
         return grown
@@ -88,19 +90,19 @@ def _compare_noise(moving: Array, quiet: Array, swing: float) -> Misfit:
     return Misfit(p, max(1.0 - small / max(large, 1e-300), 0.0), float(np.sqrt(max(large - small, 0.0))) / swing)
 
 
-def _blocks(part: Part, residual: Array, estimate: Estimate) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _blocks(part: Part, residual: Array, delay: float, total: float) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return means of the residual over blocks, the delayed command there, and whether it has moved of late."""
-    width = max(part.step, estimate.total[0] / BLOCKS)
+    width = max(part.step, total / BLOCKS)
     number = ((part.times - part.times[0]) / width).astype(np.int64)
     count = int(number[-1]) + 1
     filled = np.bincount(number, minlength=count)
     means = np.bincount(number, residual, minlength=count) / np.maximum(filled, 1)
-    middle = part.times[0] + (np.arange(count) + 0.5) * width - estimate.delay
-    delayed = part.command_times + estimate.delay
+    middle = part.times[0] + (np.arange(count) + 0.5) * width - delay
+    delayed = part.command_times + delay
     moved = delayed[1:][np.diff(part.command) != 0.0]
-    last = np.searchsorted(moved, middle + estimate.delay + 0.5 * width, side="right") - 1
-    since = np.where(last >= 0, middle + estimate.delay - moved[np.maximum(last, 0)], np.inf)
-    active = since < ACTIVE * estimate.total[0]
+    last = np.searchsorted(moved, middle + delay + 0.5 * width, side="right") - 1
+    since = np.where(last >= 0, middle + delay - moved[np.maximum(last, 0)], np.inf)
+    active = since < ACTIVE * total
     return means[filled > 0], part.piecewise(1.0).lagged(0.05 * width, middle)[filled > 0], active[filled > 0]
 
 
@@ -136,31 +138,36 @@ def _regress(values: Array, signals: Array, swing: float, residual: Array) -> Mi
     return Misfit(p, share, float(np.sqrt(share * np.mean(residual**2))) / swing)
 
 
-def predict_held_back(problem: Problem, estimate: Estimate) -> tuple[float, float] | None:
-    """Return the rms in the first half of the command's movements, fitted alone, and in the second, foretold by it.
+def first_half(parts: Sequence[Part]) -> list[NDArray[np.bool_]] | None:
+    """Return the rows of each log before half of the command's movements are done.
 
     None where there is nothing to hold back: a single movement, or too few rows.
     """
     early: list[NDArray[np.bool_]] = []
-    late: list[NDArray[np.bool_]] = []
-    for part in problem.parts:
+    for part in parts:
         moved = np.abs(np.diff(part.command))
         total = np.cumsum(moved)
         at = int(np.searchsorted(total, 0.5 * total[-1], side="right"))
         if np.count_nonzero(moved) < 2 or at >= len(moved):
             return None
-        until = float(part.command_times[min(at + 1, len(moved))])
-        early.append(part.times < until)
-        late.append(part.times >= until)
-    before = np.concatenate(early)
-    if min(before.sum(), (~before).sum()) < LEAST_ROWS * 2 or any(use.sum() < LEAST_ROWS for use in (*early, *late)):
+        before = part.times < float(part.command_times[min(at + 1, len(moved))])
+        if min(before.sum(), (~before).sum()) < 2 * LEAST_ROWS:
+            return None
+        early.append(before)
+    return early
+
+
+def predict_held_back(problem: Problem, estimate: Estimate) -> tuple[float, float] | None:
+    """Return the rms in the first half of the command's movements, fitted alone, and in the second, foretold by it."""
+    early = first_half(problem.parts)
+    if early is None:
         return None
-    half = Problem(
-        [part.chosen(use) for part, use in zip(problem.parts, early, strict=True)], problem.longest_delay, problem.drift
-    )
+    parts = [part.chosen(use) for part, use in zip(problem.parts, early, strict=True)]
+    half = Problem(parts, problem.longest_delay, problem.drift)
     fitted = fit(half, estimate.form, estimate)
     linear = half.shares(fitted.form, fitted.x, fitted.memory)[0]
     off: Array = np.asarray(problem.output - _columns_from(problem, early, fitted) @ linear)
+    before = np.concatenate(early)
     return float(np.sqrt(np.mean(off[before] ** 2))), float(np.sqrt(np.mean(off[~before] ** 2)))
 
 

@@ -311,8 +311,8 @@ def _estimate(problem: Problem, form: Form, x: Array, memory: float) -> Estimate
     loss = max(float(white @ white), problem.floor)
     matrix = problem.whiten(problem.regressors(form, x), memory)
     jacobian = np.column_stack([_slopes(problem, form, x, memory, linear), matrix])
-    covariance = loss / max(rows - jacobian.shape[1], 1) * _inverse(jacobian.T @ jacobian)
-    wider = _robust_factor(jacobian, white, covariance, memory_rows(white))
+    covariance = loss / max(rows - jacobian.shape[1], 1) * invert(jacobian.T @ jacobian)
+    wider = robust_factor(jacobian, white, covariance, memory_rows(white))
     covariance = covariance * np.outer(wider, wider)
     keep = np.arange(len(x) + 1 + count)
     parameters = jacobian.shape[1] + 2
@@ -324,7 +324,7 @@ def _estimate(problem: Problem, form: Form, x: Array, memory: float) -> Estimate
     )  # fmt: skip
 
 
-def _inverse(matrix: Array) -> Array:
+def invert(matrix: Array) -> Array:
     """Return the inverse of normal equations whose columns are of very different size."""
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     return np.asarray(np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-13, hermitian=True) / np.outer(size, size))
@@ -357,7 +357,7 @@ def memory_rows(white: Array) -> int:
     return longest
 
 
-def _robust_factor(jacobian: Array, white: Array, covariance: Array, memory: int) -> Array:
+def robust_factor(jacobian: Array, white: Array, covariance: Array, memory: int) -> Array:
     """Return by how much what the residuals really do widens each deviation, at least 1 (Newey and West, 1987)."""
     if memory == 0:
         return np.ones(len(covariance))
@@ -366,7 +366,7 @@ def _robust_factor(jacobian: Array, white: Array, covariance: Array, memory: int
     for lag in range(1, 2 * memory + 1):
         part = (1.0 - lag / (2.0 * memory + 1.0)) * (scores[lag:].T @ scores[:-lag])
         spread += part + part.T
-    inverse = _inverse(jacobian.T @ jacobian)
+    inverse = invert(jacobian.T @ jacobian)
     robust = np.diag(inverse @ spread @ inverse)
     return np.asarray(np.sqrt(np.maximum(robust / np.maximum(np.diag(covariance), 1e-300), 1.0)))
 
@@ -377,7 +377,7 @@ def plain_factor(problem: Problem, estimate: Estimate) -> float:
     matrix = problem.whiten(problem.regressors(estimate.form, estimate.x), estimate.memory)
     slopes = _slopes(problem, estimate.form, estimate.x, estimate.memory, linear)
     jacobian = np.column_stack([slopes, matrix])
-    plain = estimate.loss / estimate.rows * _inverse(jacobian.T @ jacobian)[0, 0]
+    plain = estimate.loss / estimate.rows * invert(jacobian.T @ jacobian)[0, 0]
     return float(max(estimate.deviation(0) / np.sqrt(max(plain, 1e-300)), 1.0))
 
 

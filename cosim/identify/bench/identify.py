@@ -122,8 +122,8 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     for record in records:
         _check_moves(record)
     notes = list(dict.fromkeys(note for record in records for note in record.notes))
-    limits, known = _limits(records, choices.limits, notes)
-    straight = _is_straight(records, choices.between, notes)
+    limits, known = throttle_limits(records, choices.limits, notes)
+    straight = is_straight(records, choices.between, notes)
     parts = [part_of(record, limits, straight) for record in records]
     problem = Problem(parts, _longest(records, choices.longest_delay))
     base = fit(problem, Form())
@@ -138,7 +138,7 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     chosen = replace(estimates[0], delay_bounds=_delay_bounds(problem, estimates))
     estimates = (chosen, *estimates[1:])
     spread, doubts = _compare_logs(problem, chosen, records)
-    misfit = test_residuals(problem, chosen)
+    misfit = test_residuals(problem.parts, problem.residual(chosen), chosen.delay, chosen.total[0])
     held_back = predict_held_back(problem, chosen)
     found = BenchIdentification(
         tuple(records), problem, limits, known, straight, estimates, misfit, held_back, spread,
@@ -163,7 +163,7 @@ def _longest(records: Sequence[BenchRecord], longest: float) -> float:
     return min(longest, 0.5 * span)
 
 
-def _limits(
+def throttle_limits(
     records: Sequence[BenchRecord], given: tuple[float, float] | None, notes: list[str]
 ) -> tuple[tuple[float, float], bool]:
     """Return what throttle 0 and 1 are, and whether that is known: as given, by the unit, or by how far it goes."""
@@ -192,7 +192,8 @@ def _limits(
     return (low, high), False
 
 
-def _is_straight(records: Sequence[BenchRecord], between: str, notes: list[str]) -> bool:
+def is_straight(records: Sequence[BenchRecord], between: str, notes: list[str]) -> bool:
+    """Return whether commands go straight between rows; ``auto`` by how they move, which ``notes`` then says."""
     if between != "auto":
         return between == "straight"
     straight = any(moves_on(record.command) for record in records)

@@ -228,6 +228,60 @@ def test_an_output_that_does_not_move_is_refused(tmp_path: Path) -> None:
         identify_bench(read_records([path]))
 
 
+# ---- an engine's own parameters
+
+TURBINE = {"acceleration": 0.2, "deceleration": 0.4, "speed_gain": 0.025}
+
+
+def turbine_log(folder: Path, seed: int, speed: bool = False) -> Path:
+    times, command, _, _ = bench_log("stairs of 5 s", 50.0, seconds=45.0)
+    with EngineBank(load_engine("turbine-220", TURBINE | {"delay_samples": 40}, 0.02), 1, 0.02) as bank:
+        outputs = [bank.reset(float(command[0]))]
+        outputs += [bank.step(k, (float(u),)) for k, u in enumerate(command[:-1])]
+    noise = np.random.default_rng(seed).standard_normal(len(times))
+    if speed:
+        rpm = np.array([each.spool_speed[0] for each in outputs]) * 30.0 / np.pi
+        return write(folder / "turbine.csv", command, rpm + 50.0 * noise, times, "time_s,throttle,speed_rpm")
+    return write(folder / "turbine.csv", command, np.array([each.thrust[0] for each in outputs]) + 0.5 * noise, times)
+
+
+@pytest.mark.parametrize("speed", [False, True])
+def test_the_parameters_of_a_turbine_and_its_ecu_come_out(hexjet: Hexjet, tmp_path: Path, speed: bool) -> None:
+    """Where one lag cannot be: its own ramps, damping and delay, each within four standard deviations."""
+    path = turbine_log(tmp_path, 1, speed)
+    assert not identify_bench(read_records([path])).is_explained
+    fits = [text for name in TURBINE for text in ("--fit", name)]
+    done = hexjet("identify", "bench", "turbine.csv", "--engine", "turbine-220", *fits, "--out", "mine")
+    assert done.status == 0, done.err
+    told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
+    assert told["explained"]
+    for name, value in (TURBINE | {"delay_s": 0.16}).items():
+        assert abs(told["parameters"][name] - value) < 4.0 * told["standard_deviations"][name]
+    table = tomllib.loads((tmp_path / "mine" / "engine.toml").read_text(encoding="utf-8"))
+    assert table["uncertainty"]["parameters"] == ["delay_samples", *TURBINE]
+    assert load_engine(str(tmp_path / "mine" / "engine.toml"), {}, 0.004).thrust_at(1.0) == pytest.approx(
+        220.0, abs=0.1
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (("--fit", "acceleration"), 2, "--engine NAME"),
+        (("--engine", "turbine-220", "--fit", "accelration"), 2, "did you mean 'acceleration'"),
+        (("--engine", "turbine-220", "--fit", "command_dead_band"), 2, "is 0; set where to begin"),
+        (("--engine", "turbine-220", "--fit", "light_speed"), 1, "does not tell light_speed of turbine-220"),
+    ],
+)
+def test_what_cannot_be_fitted_is_told_in_a_line(
+    hexjet: Hexjet, tmp_path: Path, arguments: tuple[str, ...], status: int, words: str
+) -> None:
+    turbine_log(tmp_path, 1)
+    done = hexjet("identify", "bench", "turbine.csv", *arguments, "--out", "mine")
+    assert done.status == status
+    assert words in " ".join(done.err.split())
+
+
 # ---- a real one
 
 

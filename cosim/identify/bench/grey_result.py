@@ -1,0 +1,132 @@
+"""What a fit of an engine's own parameters leaves in a folder: numbers, page, engine; and what a terminal is told."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import FlightError
+from cosim.base.storage.toml import read_toml, toml_text
+from cosim.identify.bench.fit import Part
+from cosim.identify.bench.grey import DEVIATIONS_95, STEP_S, GreyIdentification
+from cosim.results.report.page import render
+from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, Figure, beneath, panels, trace
+
+TEMPLATE = Path(__file__).parent / "templates" / "grey.html"
+MOST_POINTS = 4000  # a curve
+DELAY = "delay_samples"  # the parameter of an engine's delay, in its internal steps
+
+
+def write(result: GreyIdentification, folder: Path) -> dict[str, Path]:
+    """Write ``identification.json``, ``report.html`` and, where the engine explains the log, ``engine.toml``, FMU.
+
+    Raises FlightError if a file cannot be written.
+    """
+    paths = {"json": folder / "identification.json"}
+    texts = {"json": json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"}
+    archive = result.spec.archive.path
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in ("engine.toml", "engine.fmu", "README.md"):  # of an earlier call that had one
+            (folder / name).unlink(missing_ok=True)
+        if not result.misfit.failed:
+            paths["engine"] = folder / "engine.toml"
+            texts["engine"] = toml_text(engine_table(result))
+            shutil.copyfile(archive, folder / f"engine{archive.suffix}")
+        for name, path in paths.items():
+            path.write_text(texts[name], encoding="utf-8")
+    except OSError as error:
+        raise FlightError(f"{folder}: {error.strerror or error}") from error
+    paths["report"] = folder / "report.html"
+    render(
+        TEMPLATE,
+        paths["report"],
+        {"signals": _draw(result)},
+        result=result,
+        rows=rows(result),
+        summary=summary(result),
+    )
+    return paths
+
+
+def engine_table(result: GreyIdentification) -> dict[str, object]:
+    """Return the mapping file's table: the engine's own, with what was set and fitted, and ``[uncertainty]``."""
+    spec, step = result.spec, result.spec.internal_step or STEP_S
+    table: dict[str, object] = dict(read_toml(spec.mapping)) if spec.mapping else {}
+    known = table.get("parameters")
+    parameters: dict[str, object] = dict(known) if isinstance(known, dict) else {}
+    parameters |= dict(result.choices.settings)
+    parameters |= dict(zip(result.choices.fitted, map(float, result.values[1:]), strict=True))
+    names, deviations = list(result.choices.fitted), list(result.deviations[1:])
+    keep = list(range(1, len(result.values)))
+    if DELAY in spec.parameters:
+        parameters[DELAY] = round(float(result.values[0]) / step)
+        names, deviations, keep = [DELAY, *names], [result.deviations[0] / step, *deviations], [0, *keep]
+    covariance = result.covariance[np.ix_(keep, keep)]
+    size = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)), 1e-300)
+    correlation = np.tril(np.round(np.clip(covariance / np.outer(size, size), -1.0, 1.0), 4), -1)
+    logs = ", ".join(record.path.name for record in result.records)
+    return table | {
+        "fmu": f"engine{spec.archive.path.suffix}",
+        "title": f"{spec.title}, fitted to {logs}",
+        "parameters": parameters,
+        "uncertainty": {
+            "source": f"{logs}: {', '.join(result.names)} of {result.choices.engine}",
+            "parameters": names,
+            "deviation": [float(f"{value:.6g}") for value in deviations],
+            "correlation": (correlation + correlation.T + np.eye(len(names))).tolist(),
+        },
+    }
+
+
+def summary(result: GreyIdentification) -> str:
+    """Describe in a line what was fitted to what, and what is left over."""
+    first = result.records[0]
+    names = ", ".join(record.path.name for record in result.records)
+    held = ""
+    if result.held_back is not None:
+        held = f"; fitted on the first half of the movements it is off by {result.held_back[1]:.3g} in the second"
+    unit = "rpm" if first.output_unit in ("rpm", "krpm") else "N"
+    share = 100.0 * result.residual_rms / result.swing
+    return (
+        f"{names}: {first.command_name} to {first.output_name}, {result.choices.engine}; left over "
+        f"{result.residual_rms:.3g} {unit} (rms), {share:.2g} % of its range{held}."
+    )
+
+
+def rows(result: GreyIdentification) -> list[list[str]]:
+    """Return the table of what was fitted, with 95 % bounds."""
+    return [
+        [name, f"{value:.4g} ±{DEVIATIONS_95 * deviation:.2g}"]
+        for name, value, deviation in zip(result.names, result.values, result.deviations, strict=True)
+    ]
+
+
+def _draw(result: GreyIdentification) -> Figure:
+    data: list[Figure] = []
+    begin, shift = 0, 0.0
+    for n, part in enumerate(result.parts):
+        residual = result.residual[begin : begin + len(part.times)]
+        data += _curves(part, residual, shift, n == 0)
+        begin, shift = begin + len(part.times), shift + float(part.times[-1]) + 5.0
+    layout = panels(
+        660, "time [s]", ("command", "output", "output"), log=False, domains=((0.72, 1.0), (0.3, 0.68), (0.0, 0.24))
+    )
+    return {"data": data, "layout": layout | HOVER}
+
+
+def _curves(part: Part, residual: Array, shift: float, named: bool) -> list[Figure]:
+    keep = np.arange(0, len(part.times), max(1, len(part.times) // MOST_POINTS))
+    rows_ = np.arange(0, len(part.command_times), max(1, len(part.command_times) // MOST_POINTS))
+    times, legend = part.times[keep] + shift, {"showlegend": named}
+    dots = {"mode": "markers", "marker": {"size": 3, "color": MAGENTA}}
+    return [
+        trace("command", GREY, part.command_times[rows_] + shift, part.command[rows_], 0, **legend),
+        trace("measured", ORANGE, times, part.output[keep], 1, **legend, **beneath(ORANGE)),
+        trace("engine, of the command alone", BLUE, times, (part.output - residual)[keep], 1, **legend),
+        trace("left over", MAGENTA, times, residual[keep], 2, **legend, **dots),
+    ]
