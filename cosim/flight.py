@@ -113,8 +113,8 @@ def fly(
         if replay is not None and replay.otherwise:
             reason += f"; {len(replay.otherwise)} requests were answered otherwise, the first: {replay.otherwise[0]}"
         if simulation.faults.commanded and replay is None:  # faults came by command
-            recording.restate(resolve(simulation)[0])
-        recording.repeats(simulation.check_repeatable())
+            recording.replace_scenario(resolve(simulation)[0])
+        recording.note_repeatable(simulation.check_repeatable())
         run = recording.finish(ending.outcome, reason, wall, pace.report if realtime_factor else None)
         return with_page(run, shared_assets) if report else run
 
@@ -184,13 +184,13 @@ def record(
     from cosim.results.log.columns import log_columns, logged_vehicle
     from cosim.results.resolved_scenario import resolve
     from cosim.results.run import begin_run
-    from cosim.results.setup import setup_of
+    from cosim.results.setup import make_setup
 
     resolved, files = resolve(simulation)
     columns = log_columns(logged_vehicle(simulation.vehicle), simulation.columns)
     files |= dict(contents or {})
     metrics = simulation.plugins.metrics
-    setup = setup_of(simulation, resolved, notes=sink is None)  # a sink is for flights by the thousand
+    setup = make_setup(simulation, resolved, notes=sink is None)  # a sink is for flights by the thousand
     if folder is None:  # nothing is copied: its parameter files are where they were
         scenario = simulation.scenario
         resolved = resolved.resolved(parameter_files=[f.seen_from(scenario.folder) for f in scenario.parameter_files])

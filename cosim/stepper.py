@@ -386,7 +386,7 @@ class Stepper:
         """
         if self._recording is None:
             raise InputError("log = False: nothing was recorded")
-        self._recording.stepped(self.k, self._steps_by_hand)
+        self._recording.note_steps(self.k, self._steps_by_hand)
         ending = self.ending or Ending("completed", f"stepped by a program to {self.time:.3f} s")
         return self._recording.finish(ending.outcome, ending.reason)
 

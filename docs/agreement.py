@@ -25,7 +25,7 @@ from cosim.base.errors import InputError  # noqa: E402
 from cosim.base.signals import AXES  # noqa: E402
 from cosim.control.predictors.registry import BASELINE  # noqa: E402
 from cosim.design.measured import measure_margins  # noqa: E402
-from cosim.design.measured.computed import plants_of  # noqa: E402
+from cosim.design.measured.computed import make_plants  # noqa: E402
 from cosim.identify.sweep import identify_axis  # noqa: E402
 from cosim.identify.sweep.fit import fit  # noqa: E402
 from cosim.identify.sweep.response import FrequencyResponse  # noqa: E402
@@ -95,7 +95,7 @@ def why_not(aircraft: str, axis: str, cells: Cells) -> Cells:
         vehicle, engine, ledger = simulation.vehicle, simulation.engine, select_axis(simulation.ledger, axis)
     leads = [row.samples for row in ledger if row.kind == "lead" and row.samples and -row.samples > LEDGER_SAMPLES]
     reasons += [f"the rotors' momentum leads by {-lead:.1f} samples: a zero, which the form lacks" for lead in leads]
-    plants = plants_of(scenario, vehicle, engine)
+    plants = make_plants(scenario, vehicle, engine)
     if isinstance(plants, str):
         return ["; ".join([*reasons, plants])]
     hertz = np.geomspace(float(lowest), float(highest), POINTS)

@@ -30,7 +30,7 @@ from cosim.base.storage.files import write_files
 from cosim.base.storage.toml import toml_text
 from cosim.design import design as make
 from cosim.design.as_flown import WORSE
-from cosim.design.controller_table import controller_table, proof_record
+from cosim.design.controller_table import make_controller_table, make_proof_record
 from cosim.design.design import Design
 from cosim.design.levels import DESIGNED, THRUST_AXES, tunings_at
 from cosim.design.loop.actuator import Actuator
@@ -165,7 +165,7 @@ def as_designed(name: str) -> Design:
     scenario, vehicle = make._scenario(made.engine, made.aircraft, ())
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
     found = make.identify_there(scenario, vehicle, spec, None)
-    plants = channels(scenario, vehicle, spec, Actuator.of(spec.name, make.dynamics_of(found)))
+    plants = channels(scenario, vehicle, spec, Actuator.of(spec.name, make.make_dynamics(found)))
     begin = make._read_start(path, plants, scenario.aircraft, vehicle, spec)
     axes = {}
     for axis, plant in plants.items():
@@ -174,7 +174,7 @@ def as_designed(name: str) -> Design:
         axes[axis] = make.AxisDesign(plant, before, {}, make.assess(plant, begin[axis][1.0], need), {}, {})
     plan = load_vehicle(made.aircraft, file.vehicle)[0].control.schedule or None
     design = make.Design(spec, vehicle, scenario, made.requirements, found, made.model, axes, [], plan, "", {})
-    again = tomllib.loads(toml_text(controller_table(design)))
+    again = tomllib.loads(toml_text(make_controller_table(design)))
     if (again["controller"], again["vehicle"]) != (file.controller, file.vehicle):
         raise ValueError(f"{name}: as it is read, it is not the design that the file holds")
     return design
@@ -185,7 +185,7 @@ def prove_again(name: str) -> None:
     path = DESIGNS / f"{name}.toml"
     proof = prove(as_designed(name), lambda text: print(f"{name}: {text}", flush=True))
     table = tomllib.loads(path.read_text(encoding="utf-8"))
-    table["design"]["proof"] = proof_record(proof).model_dump(mode="json", exclude_none=True)
+    table["design"]["proof"] = make_proof_record(proof).model_dump(mode="json", exclude_none=True)
     write_files({path: toml_text(table)})
     print(f"{name}: {proof.reason or 'passed'}", flush=True)
 
@@ -238,7 +238,7 @@ def heavier(name: str) -> str:
     made = read_controller(path).design
     scenario, vehicle = make._scenario(made.engine, made.aircraft, ())
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
-    actuator = Actuator.of(spec.name, make.dynamics_of(make.identify_there(scenario, vehicle, spec, None)))
+    actuator = Actuator.of(spec.name, make.make_dynamics(make.identify_there(scenario, vehicle, spec, None)))
     begin = make._read_start(path, channels(scenario, vehicle, spec, actuator), scenario.aircraft, vehicle, spec)
     plan = load_vehicle(made.aircraft, read_controller(path).vehicle)[0].control.schedule
     assert plan

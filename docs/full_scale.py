@@ -25,7 +25,7 @@ from cosim import Scenario, fly
 from cosim.base.runtime.threads import one_thread
 from cosim.base.storage.files import write_files
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.design.controller_table import controller_table
+from cosim.design.controller_table import make_controller_table
 from cosim.design.design import design
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.simulation.controllers.controller_file import NOISE_SHARE, Requirements, read_controller
@@ -83,8 +83,8 @@ def searched(case: Case, out: Path) -> dict[str, Any]:
         _axis,
         _AxisInputs,
         _scenario,
-        dynamics_of,
         identify_there,
+        make_dynamics,
     )
     from cosim.design.loop.actuator import Actuator
     from cosim.design.loop.channel import channels
@@ -93,7 +93,7 @@ def searched(case: Case, out: Path) -> dict[str, Any]:
     need = Requirements(noise_share=case.noise_share)
     flight, vehicle = _scenario(case.name, AIRCRAFT, ())
     spec = load_engine(case.name, {}, flight.step_s)
-    dynamics = Actuator.of(case.name, dynamics_of(identify_there(flight, vehicle, spec, None)))
+    dynamics = Actuator.of(case.name, make_dynamics(identify_there(flight, vehicle, spec, None)))
     channel = channels(flight, vehicle, spec, dynamics)["roll"]
     asked = _AxisInputs(vehicle, spec, TRIED, need, case.name, True, None, lambda text: None)
     roll = _axis(channel, asked, None)
@@ -101,7 +101,7 @@ def searched(case: Case, out: Path) -> dict[str, Any]:
         "limits_hz": dict(roll.limits),
         "candidates": {name: value if isfinite(value) else None for name, value in roll.candidates.items()},
         "bandwidth_hz": roll.after.bandwidth_hz if roll.after else None,
-        "dynamics": channel.actuator.dynamics.words(),
+        "dynamics": channel.actuator.dynamics.describe(),
     }
 
 
@@ -110,7 +110,7 @@ def plainly(out: Path) -> None:
     path, need = file_of(PLAIN, out), Requirements(min_bandwidth_hz=LEAST_PLAIN_HZ)
     if not path.is_file():
         made = design("p220", AIRCRAFT, controller="baseline", need=need, lead=False, scheduled=False)
-        write_files({path: toml_text(controller_table(made))})
+        write_files({path: toml_text(make_controller_table(made))})
 
 
 def file_of(name: str, out: Path) -> Path:
@@ -216,7 +216,7 @@ def dead_band(amplitude: float, samples: int = 4000) -> complex:
 def predicted(engine: str, out: Path) -> dict[str, Any]:
     """Amplitude in dead bands and frequency [Hz] of the limit cycle: where the roll loop times that function is -1."""
     from cosim.design.assessment import shipped_tuning
-    from cosim.design.design import _scenario, dynamics_of, identify_there
+    from cosim.design.design import _scenario, identify_there, make_dynamics
     from cosim.design.loop.actuator import Actuator
     from cosim.design.loop.channel import channels
     from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
@@ -224,7 +224,7 @@ def predicted(engine: str, out: Path) -> dict[str, Any]:
 
     flight, vehicle = _scenario(engine, AIRCRAFT, ())
     spec = load_engine(engine, {}, flight.step_s)
-    dynamics = Actuator.of(engine, dynamics_of(identify_there(flight, vehicle, spec, None)))
+    dynamics = Actuator.of(engine, make_dynamics(identify_there(flight, vehicle, spec, None)))
     channel = channels(flight, vehicle, spec, dynamics)["roll"]
     points = FrequencyGrid(channel)
     loop = ClosedLoop(points, shipped_tuning(channel, vehicle, spec)).open_loop

@@ -64,7 +64,7 @@ def run(channel: Channel, law: RateLoop, gain_1_s: float, samples: int, setpoint
         raise InputError(f"{channel.name}: a loop step by step needs an engine's delay of whole steps")
     a, b, c = (part.tolist() for part in cascade(model))
     order = range(len(b))
-    (now, before, earlier), pole = channel.turning
+    (now, before, earlier), pole = channel.rate_dynamics
     push, smooth, T = channel.gain * channel.step, channel.gyro_pole, channel.step
     index = AXES.index(channel.name)
     sent = [0.0] * late

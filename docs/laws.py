@@ -97,7 +97,7 @@ def roll() -> Channel:
     vehicle, _ = DOUBLET.resolved_vehicle()
     spec = load_engine(DOUBLET.engine, DOUBLET.engine_parameters, DOUBLET.step_s)
     found = make.identify_there(DOUBLET, vehicle, spec, None)
-    return channels(DOUBLET, vehicle, spec, Actuator.of(spec.name, make.dynamics_of(found)))["roll"]
+    return channels(DOUBLET, vehicle, spec, Actuator.of(spec.name, make.make_dynamics(found)))["roll"]
 
 
 def law(name: str, values: Mapping[str, float] | None = None) -> RateLoop:

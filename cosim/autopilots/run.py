@@ -146,7 +146,7 @@ def fly_autopilot(
             )
             writer = _AnswerWriter(folder / ACTUATORS, block, len(vehicle.jets), vehicle.servo is not None)
             recorded: dict[str, Any] = {"controller": ACTUATORS, "controller_sha256": None, "controller_parameters": {}}
-            recording.restate(resolve(simulation)[0].model_copy(update=recorded))
+            recording.replace_scenario(resolve(simulation)[0].model_copy(update=recorded))
             pace = Pace(simulation.dt, realtime_factor)
             begin = time.perf_counter()
             try:
@@ -163,7 +163,9 @@ def fly_autopilot(
             writer.close()
             ending = _close_and_check_names(ending, autopilot)
             digest = sha256((folder / ACTUATORS).read_bytes()).hexdigest()
-            recording.restate(resolve(simulation)[0].model_copy(update=recorded | {"controller_sha256": digest}))
+            recording.replace_scenario(
+                resolve(simulation)[0].model_copy(update=recorded | {"controller_sha256": digest})
+            )
             report = {"autopilot": label, "steps": simulation.k, **asdict(autopilot.counts), **(details or {})}
             (folder / LOCKSTEP).write_text(json.dumps(report, indent=2) + "\n")
             run = recording.finish(ending.outcome, ending.reason, wall, pace.report if realtime_factor else None)

@@ -99,7 +99,7 @@ def fmu_survey(options: Survey) -> int:
     """
     from dataclasses import asdict
 
-    from cosim.design.survey import COLUMNS, FAULT, MARK, add_to_page, rows_of, survey
+    from cosim.design.survey import COLUMNS, FAULT, MARK, add_to_page, read_rows, survey
     from cosim.results.report.marks import check_marks, table
 
     engines, page = options.engines, options.page
@@ -108,7 +108,7 @@ def fmu_survey(options: Survey) -> int:
     if page:
         check_marks(page, [MARK])
     if page and options.missing:
-        surveyed = rows_of(page)
+        surveyed = read_rows(page)
         engines = tuple(path for path in engines if path.stem not in surveyed)
     rows = []
     with part_progress("survey", quiet=options.as_json) as tell:

@@ -26,7 +26,7 @@ def firmware_for(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firm
     format_firmware_parameters(autopilot, vehicle, scenario.step_s)  # before minutes of searching
     if autopilot == "betaflight":
         return Firmware(
-            autopilot, units=compute_gain_units(vehicle), most=MOST_GAIN, common_filter=True, common_angle=True
+            autopilot, units=compute_gain_units(vehicle), max_gain=MOST_GAIN, common_filter=True, common_angle=True
         )
     return Firmware(autopilot, common_filter=autopilot == "px4")
 

@@ -22,11 +22,11 @@ class Measure:
     unit: str
     digits: int  # behind the point
     factor: float  # worse: by more than this factor ...
-    least: float  # ... and by more than this, its unit
+    min_difference: float  # ... and by more than this, its unit
 
     def is_worse(self, before: float, after: float) -> bool:
         """Return whether a flight with ``after`` is worse than one with ``before``."""
-        return after > self.factor * before and after - before > self.least
+        return after > self.factor * before and after - before > self.min_difference
 
 
 # Chosen by us: of two flights with the same noise, 5 % is no chance; twice the way is half the life of what wears.

@@ -97,7 +97,7 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
         margins(closed),
         closed.peak_sensitivity,
         closed.bandwidth,
-        closed.tolerated(need.delay_samples(channel.transport_samples), need.gain_tolerance),
+        closed.compute_tolerance(need.delay_samples(channel.transport_samples), need.gain_tolerance),
         closed.noise,
         closed.step_error,
         closed.load_error if settled else None,

@@ -19,7 +19,7 @@ from cosim.simulation.controllers.controller_file import AxisRecord, FlownRecord
 from cosim.spec.vehicle import RateModel
 
 
-def controller_table(design: Design) -> dict[str, Any]:
+def make_controller_table(design: Design) -> dict[str, Any]:
     """Return the content of a controller file as a table.  Raises InputError for a design that was not found."""
     if not design.ok:
         raise InputError(f"no acceptable design: {design.reason}")
@@ -91,7 +91,7 @@ def controller_table(design: Design) -> dict[str, Any]:
             )
             for level in design.levels
         ],
-        proof=proof_record(design.proof) if design.proof else None,
+        proof=make_proof_record(design.proof) if design.proof else None,
     )
     return {
         "controller": roll.controller,
@@ -100,7 +100,7 @@ def controller_table(design: Design) -> dict[str, Any]:
     }
 
 
-def proof_record(proof: Proof) -> ProofRecord:
+def make_proof_record(proof: Proof) -> ProofRecord:
     """Return what a controller file says of its proof."""
     return ProofRecord(
         flights=len(proof.flights),

@@ -16,15 +16,25 @@ from cosim.base.storage.toml import merge, parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped_tuning
 from cosim.design.engine_uncertainty import engine_tolerances
-from cosim.design.levels import DESIGNED, THRUST_AXES, Level, follow, keeps, lead_there, levels, schedule, tunings_at
-from cosim.design.limits import Say, bandwidths_without_limits, find_allowances, tolerance_checks, why_not
+from cosim.design.levels import (
+    DESIGNED,
+    THRUST_AXES,
+    Level,
+    follow,
+    lead_there,
+    make_levels,
+    make_schedule,
+    meets_requirements,
+    tunings_at,
+)
+from cosim.design.limits import Say, bandwidths_without_limits, explain_failure, find_allowances, tolerance_checks
 from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.channel import Channel, channels, engine_lead, hover_share
-from cosim.design.loop.dynamics import Dynamics, fit_dynamics, lags, with_misfit
+from cosim.design.loop.channel import Channel, channels, engine_lead, hover_fraction
+from cosim.design.loop.dynamics import Dynamics, fit_dynamics, make_lag_dynamics, with_misfit
 from cosim.design.loop.firmware import Firmware
 from cosim.design.loop.tuning import Tuning, candidates, designable
 from cosim.design.proof import Proof
-from cosim.design.tune import TuningResult, fine_loop, near, objective, settle, tune
+from cosim.design.tune import TuningResult, fine_loop, objective, settle, tune, tune_near
 from cosim.engine import EngineSpec, load_engine
 from cosim.identify.sweep import Identification, identify_engine
 from cosim.simulation.controllers.controller_file import Requirements, read_controller
@@ -135,7 +145,7 @@ def design(
     scenario, vehicle = _scenario(engine, aircraft, settings)
     engine, unchecked, apart = scenario.engine, scenario.engine_unchecked, scenario.engine_isolated
     spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
-    level = hover_share(vehicle, spec)
+    level = hover_fraction(vehicle, spec)
     limits = vehicle.control.allocation
     if not limits.throttle_min < level < limits.throttle_max:
         raise InputError(
@@ -144,7 +154,7 @@ def design(
         )
     say(f"identifying {spec.name}")
     identified = identify_there(scenario, vehicle, spec, amplitude)
-    dynamics = Actuator.of(spec.name, dynamics_of(identified, unsure))
+    dynamics = Actuator.of(spec.name, make_dynamics(identified, unsure))
     plants = channels(scenario, vehicle, spec, dynamics)
     say(f"uncertainty of {spec.name}")
     tolerances = engine_tolerances(need, scenario, vehicle, spec, plants.values())
@@ -156,7 +166,7 @@ def design(
         if not spec.matches_model(table.get("engine_sha256", "")):
             raise InputError(f"{model}: its model of {axis} is of another {spec.family}: its hash is another")
         plants[axis] = replace(plants[axis], identified=RateModel(**table))
-    if controller == "auto" and plants["roll"].by_servo and firmware is None:
+    if controller == "auto" and plants["roll"].is_by_servo and firmware is None:
         names = (BASELINE.name,)  # a predictor is for engines that answer late
     source = f"{identified.source}; with the airframe of {vehicle.name}"
     begin = None if start is None else _read_start(start, plants, scenario.aircraft, vehicle, spec)
@@ -169,7 +179,7 @@ def design(
             axes[axis] = _axis(plants[axis], inputs, chosen)
         else:
             axes[axis] = _resume_axis(plants[axis], inputs, chosen, begin[axis][1.0])
-    reason = why_not(axes, need)
+    reason = explain_failure(axes, need)
     allowing = (
         find_allowances(axes["roll"], names, need, say, lead) if reason and start is None and not firmware else {}
     )
@@ -202,9 +212,9 @@ def _levels(
         if there.mass_kg == vehicle.mass_kg:
             return full
         say(f"identifying {spec.name} at {there.mass_kg:.4g} kg")
-        return Actuator.of(spec.name, dynamics_of(identify_there(scenario, there, spec, amplitude), unsure))
+        return Actuator.of(spec.name, make_dynamics(identify_there(scenario, there, spec, amplitude), unsure))
 
-    return levels(scenario, vehicle, spec, dynamics)
+    return make_levels(scenario, vehicle, spec, dynamics)
 
 
 def _design_levels(
@@ -222,7 +232,9 @@ def _design_levels(
         if axis in THRUST_AXES and axis_design.after is not None
     }
     step, needs = axes["roll"].channel.step, {axis: axis_requirements(axis, need) for axis in THRUST_AXES}
-    fits = all(keeps(level.channels[axis], full[axis], needs[axis]) for level in levels for axis in THRUST_AXES)
+    fits = all(
+        meets_requirements(level.channels[axis], full[axis], needs[axis]) for level in levels for axis in THRUST_AXES
+    )
     unscheduled = [
         {axis: assess(level.channels[axis], full[axis], needs[axis]) for axis in THRUST_AXES} for level in levels
     ]
@@ -237,14 +249,16 @@ def _design_levels(
                 if followed is None:
                     return None, [], f"{axis}: no gains keep the requirements with less fuel"
                 level_tunings[axis] = followed
-            plan = schedule(levels, level_tunings)
+            plan = make_schedule(levels, level_tunings)
         burning = []
         for level, before in zip(levels, unscheduled, strict=True):
             acting, after = full, before
             if plan:
                 acting = tunings_at(plan, full, level.thrust_fraction, step)
                 after = {axis: assess(level.channels[axis], acting[axis], needs[axis]) for axis in THRUST_AXES}
-            is_kept = {axis: keeps(level.channels[axis], acting[axis], needs[axis]) for axis in THRUST_AXES}
+            is_kept = {
+                axis: meets_requirements(level.channels[axis], acting[axis], needs[axis]) for axis in THRUST_AXES
+            }
             burning.append(LevelDesign(level, level.fuel in designed, before, after, is_kept))
         missed = {level.level.fuel for level in burning if plan and not all(level.is_kept.values())}
         if missed <= designed:
@@ -282,7 +296,7 @@ def _resume_axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None, sta
     inputs.say(f"{axis}: {start.controller}")
     model, predictor = predictor_model(channel, inputs.source), roll.predictor if roll else start.predictor
     start = replace(start, model=model, lead=lead_there(start.lead, channel), predictor=predictor)
-    tuned = near(channel, start, need, not _follows_roll(axis, vehicle))
+    tuned = tune_near(channel, start, need, not _follows_roll(axis, vehicle))
     before = assess(channel, shipped_tuning(channel, vehicle, inputs.spec), need)
     key = start.controller + (WITH_LEAD if start.lead else "")
     if tuned is None:
@@ -317,11 +331,11 @@ def identify_there(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, ampli
     return identify_engine(spec, step=scenario.step_s, throttle=throttle, amplitude=amplitude)
 
 
-def dynamics_of(identified: Identification, unsure: tuple[tuple[float, float], ...] = ()) -> Dynamics:
+def make_dynamics(identified: Identification, unsure: tuple[tuple[float, float], ...] = ()) -> Dynamics:
     """Return the identified lag and delay, or larger dynamics with their misfit where these miss the response."""
     model = identified.chosen.model
     if identified.chosen.misfit <= MISFIT and model.rate > 0.0:
-        one = lags([1.0 / model.rate], model.delay_samples, model.step)
+        one = make_lag_dynamics([1.0 / model.rate], model.delay_samples, model.step)
         return replace(one, misfit=identified.chosen.misfit, unsure=unsure)
     fitted = fit_dynamics(identified.response, model.delay_samples, 1.0 / max(model.rate, 0.01))
     return replace(fitted, unsure=unsure) if unsure else with_misfit(fitted, identified.response)
@@ -330,7 +344,7 @@ def dynamics_of(identified: Identification, unsure: tuple[tuple[float, float], .
 def throttle_for(spec: EngineSpec, vehicle: Vehicle) -> float:
     """Return the throttle, 0 to 1, at which each engine carries its part of the weight."""
     curve = spec.curve
-    thrust = curve.thrust[0] + hover_share(vehicle, spec) * (curve.thrust[-1] - curve.thrust[0])
+    thrust = curve.thrust[0] + hover_fraction(vehicle, spec) * (curve.thrust[-1] - curve.thrust[0])
     return float(np.interp(thrust, curve.thrust, curve.throttle))
 
 

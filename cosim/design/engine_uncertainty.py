@@ -120,7 +120,7 @@ def engine_tolerances(
     Raises InputError as a flight.
     """
     unstated = [name for name in MOST if name not in need.model_fields_set]
-    acting = [plant for plant in plants if not plant.by_servo]
+    acting = [plant for plant in plants if not plant.is_by_servo]
     if spec.uncertainty is None or not unstated or not acting:
         return EngineTolerances(need)
     sensitivity = EngineSensitivity(scenario, vehicle, spec)

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 from cosim.control.schedule import Factors, GainSchedule
 from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.channel import Channel, channels, hover_share
+from cosim.design.loop.channel import Channel, channels, hover_fraction
 from cosim.design.loop.tuning import Tuning, round_gain
-from cosim.design.tune import acceptable, fine_loop, near
+from cosim.design.tune import fine_loop, is_acceptable, tune_near
 from cosim.engine import EngineSpec
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.scenario import Scenario
@@ -36,7 +36,7 @@ class Level:
     channels: Mapping[str, Channel]
 
 
-def levels(
+def make_levels(
     scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, dynamics: Callable[[Vehicle], Actuator]
 ) -> list[Level]:
     """Return the fuel levels at which a design is proved, a full tank first; ``dynamics`` gives a vehicle's engine.
@@ -49,14 +49,14 @@ def levels(
         there = vehicle.with_fuel(fuel)
         level_channels = channels(scenario, there, spec, dynamics(there))
         full = designed[0].channels if designed else level_channels
-        thrust_channels = {axis: full[axis] if full[axis].by_servo else level_channels[axis] for axis in THRUST_AXES}
-        designed.append(Level(fuel, there.mass_kg, hover_share(there, spec), thrust_channels))
+        thrust_channels = {axis: full[axis] if full[axis].is_by_servo else level_channels[axis] for axis in THRUST_AXES}
+        designed.append(Level(fuel, there.mass_kg, hover_fraction(there, spec), thrust_channels))
     return designed
 
 
-def keeps(channel: Channel, tuning: Tuning, need: Requirements) -> bool:
+def meets_requirements(channel: Channel, tuning: Tuning, need: Requirements) -> bool:
     """Return whether a tuning keeps the requirements on a channel."""
-    return acceptable(fine_loop(channel, tuning), need)
+    return is_acceptable(fine_loop(channel, tuning), need)
 
 
 def lead_there(lead: EngineLead | None, channel: Channel) -> EngineLead | None:
@@ -85,21 +85,21 @@ def follow(
         if level.fuel == 1.0 or level.fuel not in designed:
             continue
         channel = level.channels[axis]
-        if channel.by_servo:
+        if channel.is_by_servo:
             tunings[level.fuel] = full
             continue
         start = begin.get(level.fuel, last)
         # the derivative's filter, predictor and model stay those of a full tank
         gains = start.gains.model_copy(update={"d_filter_s": full.gains.d_filter_s})
         begun = replace(full, angle_gain=start.angle_gain, gains=gains, lead=lead_there(start.lead, channel))
-        tuned = near(channel, begun, need, level=True)
+        tuned = tune_near(channel, begun, need, level=True)
         if tuned is None:
             return None
         tunings[level.fuel] = last = tuned
     return tunings
 
 
-def schedule(levels: Sequence[Level], tunings: Mapping[str, Mapping[float, Tuning]]) -> Schedule:
+def make_schedule(levels: Sequence[Level], tunings: Mapping[str, Mapping[float, Tuning]]) -> Schedule:
     """Return the gain schedule of the tunings at each level, in the form of a vehicle's file."""
     rows = [level for level in reversed(levels) if all(level.fuel in of for of in tunings.values())]
     return Schedule(

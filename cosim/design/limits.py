@@ -62,7 +62,7 @@ def tolerance_checks(channel: Channel, tuning: Tuning, need: Requirements) -> di
 
 
 def _actuator_name(channel: Channel) -> str:
-    return SERVO if channel.by_servo else "engine"
+    return SERVO if channel.is_by_servo else "engine"
 
 
 def _whole_numbers(low: float, high: float) -> list[float]:
@@ -73,13 +73,13 @@ def _stable(channel: Channel, tuning: Tuning) -> bool:
     return ClosedLoop(FrequencyGrid(channel, close=2000), tuning).unstable_poles == 0
 
 
-def why_not(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
+def explain_failure(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
     for axis, axis_design in axes.items():
         if axis_design.after is None:
             bandwidth = f", {need.min_bandwidth_hz:g} Hz included" if axis in ("roll", "pitch") else ""
             unsure = axis_design.channel.actuator.dynamics.unsure_words()
             misfit = f", for every engine that differs from the model by {unsure}" if unsure else ""
-            if unsure and axis_design.channel.by_servo:
+            if unsure and axis_design.channel.is_by_servo:
                 left = unsure.removeprefix("what was measured, ")
                 misfit = f", whatever others and what its hinges turn add to it, {left}"
             return f"{axis}: no gains keep the requirements{bandwidth}{misfit}"

@@ -42,7 +42,7 @@ class Proof:
 
     reason: str
     measured_hz: float  # up to where the engine was measured
-    share: float  # of what stability allows, that the measured response takes: max |T (r - 1)|
+    stability_fraction: float  # of what stability allows, that the measured response takes: max |T (r - 1)|
     sensitivity: float  # the greatest of the measured loops
     above: float  # greatest loop gain where nothing was measured
     flights: Sequence[ProofFlight]
@@ -55,8 +55,9 @@ class Proof:
         lines = []
         if isfinite(self.measured_hz):
             lines.append(
-                f"measured to {self.measured_hz:.3g} Hz: the engine's own response takes {100.0 * self.share:.0f} % of "
-                f"what stability leaves it, peak |S| {self.sensitivity:.2f}; beyond, the loop's gain is at most "
+                f"measured to {self.measured_hz:.3g} Hz: the engine's own response takes "
+                f"{100.0 * self.stability_fraction:.0f} % of what stability leaves it, peak |S| {self.sensitivity:.2f}"
+                f"; beyond, the loop's gain is at most "
                 f"{self.above:.2g}"
             )
         if self.flights:

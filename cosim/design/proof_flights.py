@@ -16,7 +16,7 @@ import numpy as np
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import merge, read_toml
 from cosim.design.as_flown import FlownMeasures, FlownPair, measure_flight
-from cosim.design.controller_table import controller_table
+from cosim.design.controller_table import make_controller_table
 from cosim.design.design import Design
 from cosim.design.limits import Say
 from cosim.design.proof import ProofFlight
@@ -113,7 +113,7 @@ def fly_corner(design: Design, name: str, table: Mapping[str, Any], gain: float,
     changes = {"vehicle": {"inertia_kg_m2": inertia} if gain != 1.0 else {}, "mismatch": {"delay_samples": later}}
     run = _fly_designed(design, name, table, changes)
     wider = 1.0 if (gain, later) == (1.0, 0) else CORNER
-    fault = fault_of(name, run, _promised_overshoot(design), wider)
+    fault = describe_fault(name, run, _promised_overshoot(design), wider)
     return ProofFlight(name, gain, later, fault, "", measure_flight(run))
 
 
@@ -145,7 +145,7 @@ def fly_with_odd_engine(design: Design, tables: Mapping[str, dict[str, Any]], fa
     }
     run = _fly_designed(design, "odd-engine", table, changes)
     engine = f"engine {jet} with {factor:.2f} of its thrust and {1.0 + spread:.2f} times its lag"
-    fault = fault_of(name, run, _promised_overshoot(design), CORNER)
+    fault = describe_fault(name, run, _promised_overshoot(design), CORNER)
     return ProofFlight(name, 1.0, 0, fault, engine, measure_flight(run))
 
 
@@ -162,13 +162,13 @@ def _strongest_lever(vehicle: Vehicle) -> int:
 
 def _engine_lag(design: Design) -> float:
     """Return the engine's lag where a loop is closed, s: of an engine with a slow zero no more than the loop's pace."""
-    channel = design.axes["altitude" if design.axes["roll"].channel.by_servo else "roll"].channel
+    channel = design.axes["altitude" if design.axes["roll"].channel.is_by_servo else "roll"].channel
     lag = design.engine_dynamics.lag_s
     return lag if 0.0 < lag <= channel.pace_s else channel.pace_s
 
 
 def _fly_designed(design: Design, name: str, table: Mapping[str, Any], changes: Mapping[str, Any]) -> Run:
-    controller = controller_table(design)
+    controller = make_controller_table(design)
     vehicle = merge(merge(table.get("vehicle", {}), design.scenario.vehicle), controller["vehicle"])
     changes = {**changes, "vehicle": merge(vehicle, changes.get("vehicle", {}))}
     return fly(_scenario(design, name, table, controller["controller"], changes), report=False)
@@ -207,7 +207,7 @@ def _scenario(
     return Scenario.from_table({**table, **flown}, scenario.folder, f"proof: {name}")
 
 
-def fault_of(name: str, run: Run, promised: float, wider: float) -> str:
+def describe_fault(name: str, run: Run, promised: float, wider: float) -> str:
     """Return what a flight did that was not promised, or nothing; ``wider`` times the bounds are allowed."""
     if run.outcome != "completed":
         return f"{run.outcome}, {run.reason}"

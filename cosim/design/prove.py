@@ -107,7 +107,9 @@ def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
     loops = {
         axis: (axis_design.channel, axis_design.after.tuning)
         for axis, axis_design in design.axes.items()
-        if axis_design.after is not None and not axis_design.channel.by_servo and axis_design.channel.identified is None
+        if axis_design.after is not None
+        and not axis_design.channel.is_by_servo
+        and axis_design.channel.identified is None
     }
     wide = {axis: ClosedLoop(FrequencyGrid(channel), tuning) for axis, (channel, tuning) in loops.items()}
     crossing = max(_crossover(closed) for closed in wide.values())

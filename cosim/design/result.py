@@ -13,7 +13,7 @@ from cosim.base.storage.files import to_json_record, write_files
 from cosim.base.storage.toml import toml_text
 from cosim.design.as_flown import WORSE, WORSE_WORDS, comparison_columns, comparison_lines, comparison_rows, worse_lines
 from cosim.design.assessment import Assessment, AxisDesign
-from cosim.design.controller_table import controller_table
+from cosim.design.controller_table import make_controller_table
 from cosim.design.design import WITH_LEAD, Design
 from cosim.design.figures import design_figures
 from cosim.design.loop.channel import Channel
@@ -39,7 +39,7 @@ def write(design: Design, out: Path | None) -> dict[str, Path]:
     paths = {}
     file.parent.mkdir(parents=True, exist_ok=True)
     if design.ok:
-        write_files({file: toml_text(controller_table(design))})
+        write_files({file: toml_text(make_controller_table(design))})
         paths["controller"] = file
     paths["report"] = file.with_suffix(".html") if out is not None else file.parent / PAGE
     render(
@@ -91,7 +91,7 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
             for level in design.levels
         ],
         "schedule": design.schedule.model_dump(exclude_none=True) if design.schedule else None,
-        "file": controller_table(design) if design.ok else None,
+        "file": make_controller_table(design) if design.ok else None,
         "proof": to_json_record(design.proof) if design.proof else None,
         "worse": worse_lines(design.proof.compared) if design.proof else [],
         "paths": {name: str(path) for name, path in (paths or {}).items()},
@@ -221,7 +221,7 @@ def _model_lines(design: Design) -> list[str]:
     if design.identification is not None:
         dynamics = design.engine_dynamics
         lines.append(
-            f"engine {design.engine.name}: {dynamics.words()}, delay {dynamics.delay_samples:.4g} samples "
+            f"engine {design.engine.name}: {dynamics.describe()}, delay {dynamics.delay_samples:.4g} samples "
             f"({1e3 * dynamics.delay_samples * dynamics.step:.4g} ms); {design.identification.source}"
         )
         lines.append(
@@ -245,10 +245,10 @@ def _model_lines(design: Design) -> list[str]:
         delay = _delay_words(channel)
         room = f"{channel.room:.3g} rad/s^2 to either side at hover"
         by, dynamics = "thrust", channel.actuator.dynamics
-        if channel.by_servo:
+        if channel.is_by_servo:
             by, room = f"hinges, lag {1e3 * dynamics.lag_s:.4g} ms", f"{room} that their rates and ranges follow"
         line = f"by {by}, {delay}, {room}"
-        if channel.by_servo and dynamics.unsure:
+        if channel.is_by_servo and dynamics.unsure:
             at, most = max(dynamics.unsure, key=lambda point: point[1])
             line += f"; designed for what others and all that turns add, up to {100.0 * most:.2g} % at {at:.2g} Hz"
             if most > 1.0:

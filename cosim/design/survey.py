@@ -57,14 +57,14 @@ def add_to_page(page: Path, row: Row) -> None:
     Raises InputError for a page that cannot be read or written, or has no mark for the table.
     """
     marks.check_marks(page, [MARK])
-    rows = rows_of(page)
+    rows = read_rows(page)
     line = marks.row(row.cells)
     rows[line.split("|")[1].strip()] = line
     head = marks.table(COLUMNS, [], left=len(COLUMNS) - 1)
     marks.write_marks(page, {MARK: head + "".join(f"{row}\n" for row in rows.values())})
 
 
-def rows_of(page: Path) -> dict[str, str]:
+def read_rows(page: Path) -> dict[str, str]:
     """Return the rows of a page's table, by engine."""
     before = marks.parts_of(page.read_text(encoding="utf-8"), page)[MARK].splitlines()[2:]
     return {line.split("|")[1].strip(): line for line in before}

@@ -59,7 +59,7 @@ def excess(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> float:
     """Return by how much the requirements are missed, as a sum of relative parts; 0 where all are kept."""
     channel = closed.points.channel
     step = STEP_M if channel.name == "altitude" else need.step_rad
-    tolerated = closed.tolerated(need.delay_samples(channel.transport_samples), need.gain_tolerance)
+    tolerated = closed.compute_tolerance(need.delay_samples(channel.transport_samples), need.gain_tolerance)
     largest = need.max_sensitivity * (1.0 - spare)
     excesses = (
         # far from robust against a misfit there is no sensitivity, and a search still needs a slope
@@ -75,7 +75,7 @@ def excess(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> float:
     return sum(max(part, 0.0) for part in excesses)
 
 
-def acceptable(closed: ClosedLoop, need: Requirements) -> bool:
+def is_acceptable(closed: ClosedLoop, need: Requirements) -> bool:
     """Return whether a loop is stable and within the requirements."""
     return closed.unstable_poles == 0 and excess(closed, need) == 0.0
 
@@ -197,7 +197,7 @@ def tune(
     for point in (x, feasible[1]):
         if point is not None:
             closed = ClosedLoop(fine, bounds.tuning(point))
-            if acceptable(closed, need):
+            if is_acceptable(closed, need):
                 return TuningResult(closed.tuning, objective(closed), count)
     return TuningResult(bounds.tuning(x), inf, count)
 
@@ -252,7 +252,7 @@ def settle(
                 if (value := cost(trial)) < best - LEAST_GAIN:
                     values, best, moved = trial, value, True
     tuning = _written(start, values, channel.step, level)
-    return tuning if acceptable(fine_loop(channel, tuning), need) else None
+    return tuning if is_acceptable(fine_loop(channel, tuning), need) else None
 
 
 def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements) -> Tuning | None:
@@ -275,7 +275,7 @@ def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements
     def cost(values: Mapping[str, int]) -> float:
         return _cost(ClosedLoop(points, at(values)), need)
 
-    values = {name: min(max(1, round(gain_values[name] / units[name])), firmware.most) for name in names}
+    values = {name: min(max(1, round(gain_values[name] / units[name])), firmware.max_gain) for name in names}
     ways = [{name: way} for name in names for way in (1, -1)]
     ways += [{a: x, b: y} for k, a in enumerate(names) for b in names[k + 1 :] for x in (1, -1) for y in (1, -1)]
     best, moved = cost(values), True
@@ -283,13 +283,16 @@ def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements
         moved = False
         for way in ways:
             trial = {**values, **{name: values[name] + by for name, by in way.items()}}
-            if all(1 <= trial[name] <= firmware.most for name in way) and (value := cost(trial)) < best - LEAST_GAIN:
+            if (
+                all(1 <= trial[name] <= firmware.max_gain for name in way)
+                and (value := cost(trial)) < best - LEAST_GAIN
+            ):
                 values, best, moved = trial, value, True
     tuning = at(values)
-    return tuning if acceptable(fine_loop(channel, tuning), need) else None
+    return tuning if is_acceptable(fine_loop(channel, tuning), need) else None
 
 
-def near(
+def tune_near(
     channel: Channel, start: Tuning, need: Requirements, predictor: bool = True, level: bool = False
 ) -> Tuning | None:
     """Find the tuning in three digits by a simplex from ``start``, or ``start`` in three digits where that is no worse.

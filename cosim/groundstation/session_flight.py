@@ -110,7 +110,7 @@ class SessionFlight:
         if self.log_limit.is_full and self.log_limit.rows < steps:
             steps = self.log_limit.rows
             reason = f"{reason}; the log ends at {steps * self.simulation.dt:g} s, where it had its size"
-        self.recording.shorten(steps)
+        self.recording.shorten_scenario(steps)
         run = self.recording.finish(ending.outcome, reason, wall, self.pace.report)
         return with_page(run) if report else run
 

@@ -45,7 +45,7 @@ class Signal(NamedTuple):
     alone: int  # steps on which only one of both is a number
 
 
-class Pair(NamedTuple):
+class LogComparison(NamedTuple):
     """The second against the first, over the time that both flew."""
 
     first: str
@@ -61,13 +61,13 @@ class Pair(NamedTuple):
     only_second: tuple[str, ...]
 
 
-class Base(NamedTuple):
+class TimeBase(NamedTuple):
     """The steps on which two logs are compared: their times, and the row of each log that is in force."""
 
     times: Array
     first: NDArray[np.intp]
     second: NDArray[np.intp]
-    held: int  # 0: none; 1 or 2: which of both
+    held_log: int  # 0: none; 1 or 2: which of both
 
 
 def shift_times(flight: ComparedFlight, by: float) -> ComparedFlight:
@@ -78,23 +78,23 @@ def shift_times(flight: ComparedFlight, by: float) -> ComparedFlight:
     return flight._replace(log=log, remarks=(*flight.remarks, f"its times moved by {by:g} s"))
 
 
-def pairs(flights: Sequence[ComparedFlight]) -> list[Pair]:
+def compare_with_first(flights: Sequence[ComparedFlight]) -> list[LogComparison]:
     """Compare every other flight with the first."""
     return [_pair(flights[0], other) for other in flights[1:]]
 
 
-def base_of(first: Log, second: Log) -> Base:
+def make_time_base(first: Log, second: Log) -> TimeBase:
     """Return the time base of two logs: the steps of the log with the shorter ones, over the time that both cover.
 
     The other's values are held.  A row is in force from its time on, for as long as a step.  With equal steps both are
     taken as they are.
     """
     times = (first[TIME], second[TIME])
-    steps = tuple(step_of(series) for series in times)
+    steps = tuple(median_step(series) for series in times)
     which = 1 if steps[1] < (1.0 - _SLACK) * steps[0] else 0
     none = np.empty(0, np.intp)
     if not (times[0].size and times[1].size):
-        return Base(np.empty(0), none, none, 0)
+        return TimeBase(np.empty(0), none, none, 0)
     slack = _SLACK * min(steps)
     other = times[1 - which]
     begins = max(times[0][0], times[1][0]) - slack
@@ -102,20 +102,20 @@ def base_of(first: Log, second: Log) -> Base:
     latest = np.searchsorted(other, times[which][rows] + slack, side="right") - 1
     apart = rows.size > 0 and bool(np.max(np.abs(other[latest] - times[which][rows])) > slack)
     rows_first, rows_second = (rows, latest) if which == 0 else (latest, rows)
-    return Base(times[which][rows], rows_first, rows_second, 2 - which if apart else 0)
+    return TimeBase(times[which][rows], rows_first, rows_second, 2 - which if apart else 0)
 
 
-def difference(first: Log, second: Log, name: str, base: Base) -> Array:
+def difference(first: Log, second: Log, name: str, base: TimeBase) -> Array:
     """Return a column of the second less that of the first on a base, angles the short way round."""
     return _subtract(first[name][base.first], second[name][base.second], name, first)
 
 
-def step_of(times: Array) -> float:
+def median_step(times: Array) -> float:
     """Return the median step of a log [s]; 1 s for one of fewer than two rows."""
     return float(np.median(np.diff(times))) if times.size > 1 else 1.0
 
 
-def inputs_differ(first: Run, second: Run) -> list[tuple[str, str, str]]:
+def list_input_differences(first: Run, second: Run) -> list[tuple[str, str, str]]:
     """Return what differs between two runs' scenarios, versions and files: its key, and both values as texts."""
     try:
         left, right = (_flat(side) for side in (first, second))
@@ -132,22 +132,22 @@ def inputs_differ(first: Run, second: Run) -> list[tuple[str, str, str]]:
 # ---- pieces
 
 
-def _pair(first: ComparedFlight, second: ComparedFlight) -> Pair:
-    base = base_of(first.log, second.log)
+def _pair(first: ComparedFlight, second: ComparedFlight) -> LogComparison:
+    base = make_time_base(first.log, second.log)
     columns_first, columns_second = first.log.columns, second.log.columns
     common = [name for name in columns_first if name in columns_second and name != TIME]
     signals = tuple(_signals(first.log, second.log, common, base)) if base.times.size else ()
     is_whole = base.times.size == len(first.log) == len(second.log) and columns_first == columns_second
     times = is_whole and _bits(first.log[TIME]) == _bits(second.log[TIME])
-    finer = step_of(second.log[TIME]) < (1.0 - _SLACK) * step_of(first.log[TIME])
-    return Pair(
+    finer = median_step(second.log[TIME]) < (1.0 - _SLACK) * median_step(first.log[TIME])
+    return LogComparison(
         first.label,
         second.label,
         int(base.times.size),
         float(base.times[0]) if base.times.size else 0.0,
         float(base.times[-1]) if base.times.size else 0.0,
         second.label if finer else first.label,
-        ("", first.label, second.label)[base.held],
+        ("", first.label, second.label)[base.held_log],
         times and all(signal.same for signal in signals),
         signals,
         tuple(name for name in columns_first if name not in columns_second),
@@ -155,7 +155,7 @@ def _pair(first: ComparedFlight, second: ComparedFlight) -> Pair:
     )
 
 
-def _signals(first: Log, second: Log, names: Sequence[str], base: Base) -> Iterator[Signal]:
+def _signals(first: Log, second: Log, names: Sequence[str], base: TimeBase) -> Iterator[Signal]:
     units = {column.name: column.unit for log in (first, second) for column in log.described}
     for name in names:
         left, right = first[name][base.first], second[name][base.second]

@@ -45,7 +45,7 @@ class Event(Record):
         return self.kind in ("fault", "disturbance")
 
 
-def events_of(run: Run) -> list[Event]:
+def list_events(run: Run) -> list[Event]:
     """Return all events of a run, in the order of time."""
     log, step = run.log, run.summary.step_s
     if not len(log):
@@ -57,11 +57,11 @@ def events_of(run: Run) -> list[Event]:
         scenario = None
     end = len(log) * step
     events = [
-        *faults(log, step, scenario.fault if scenario else ()),
-        *verdicts(log, step),
-        *contacts(log, step),
-        *(disturbances(scenario, end) if scenario else ()),
-        *pilot_messages(run.folder, step),
+        *find_faults(log, step, scenario.fault if scenario else ()),
+        *find_verdicts(log, step),
+        *find_contacts(log, step),
+        *(find_disturbances(scenario, end) if scenario else ()),
+        *read_pilot_messages(run.folder, step),
     ]
     return sorted(events, key=lambda event: event.time_s)
 
@@ -88,7 +88,7 @@ def time_spans(
     ]
 
 
-def faults(log: Log, step: float, scheduled: Sequence[Fault] = ()) -> Iterator[Event]:
+def find_faults(log: Log, step: float, scheduled: Sequence[Fault] = ()) -> Iterator[Event]:
     """Yield every interval in which a fault acts, by jet, servo and sensor, described as in the scenario, if there."""
     logged = logged_vehicle_of(log.columns)
     subjects = [("jet", str(jet)) for jet in range(1, logged.jets + 1)]
@@ -126,7 +126,7 @@ def _acts(fault: Fault, start: float, end: float | None, step: float) -> bool:
     return (end is None or fault.start_s < end - half) and (end_s is None or end_s > start + half)
 
 
-def verdicts(log: Log, step: float) -> Iterator[Event]:
+def find_verdicts(log: Log, step: float) -> Iterator[Event]:
     """Yield every change of the engine monitor's estimate of a jet."""
     for jet in range(1, jets_in(log.columns) + 1):
         name = f"health_{jet}"
@@ -148,7 +148,7 @@ def _health_text(health: float) -> str:
     return "given up" if health <= 0.0 else f"taken for weak: {100.0 * health:.0f} % of what it is told"
 
 
-def contacts(log: Log, step: float) -> Iterator[Event]:
+def find_contacts(log: Log, step: float) -> Iterator[Event]:
     """Yield when the vehicle leaves the ground and stands on it again, bounces left out."""
     contact = (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
     edges = np.flatnonzero(np.diff(contact.astype(np.int8))) + 1
@@ -160,7 +160,7 @@ def contacts(log: Log, step: float) -> Iterator[Event]:
             yield Event(time_s=row * step, kind="contact", text="touches the ground" if last else "leaves the ground")
 
 
-def disturbances(scenario: Scenario, end: float) -> Iterator[Event]:
+def find_disturbances(scenario: Scenario, end: float) -> Iterator[Event]:
     """Yield what the scenario does to the vehicle from outside, as far as the flight lasts."""
     if any(scenario.environment.wind_ned_m_s):
         yield Event(time_s=0.0, kind="disturbance", text=f"wind of {_speed(scenario.environment.wind_ned_m_s)}")
@@ -195,7 +195,7 @@ def _speed(velocity: Iterable[float]) -> str:
     return f"{_size(velocity)} m/s"
 
 
-def pilot_messages(folder: Path | None, step: float) -> Iterator[Event]:
+def read_pilot_messages(folder: Path | None, step: float) -> Iterator[Event]:
     """Yield the messages of a run's autopilot, its modes among them."""
     for line in read_pilot_record(folder) if folder is not None else ():
         if line["kind"] == "message":

@@ -45,7 +45,7 @@ def _controllers_like(controller: str) -> list[str]:
     return [*PREDICTORS, *(name for name, _ in own_controllers())]
 
 
-def expectation(scenario: Scenario) -> Expectation | None:
+def find_expectation(scenario: Scenario) -> Expectation | None:
     """Return what the scenario expects of its controller with its engine on its aircraft, if it does."""
     configuration = (scenario.controller, scenario.engine, scenario.aircraft)
     return next((e for e in scenario.expect if (e.controller, e.engine, e.aircraft) == configuration), None)

@@ -19,7 +19,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES
 from cosim.results.metrics import POSITION_SETPOINT, Record, commands_position
-from cosim.results.steadiness import AxisYardstick, axis_limits
+from cosim.results.steadiness import AxisLimitInputs, axis_limits
 from cosim.results.wording import metric
 
 if TYPE_CHECKING:
@@ -59,27 +59,27 @@ LIMITED = {  # the keys of [limits] and the metrics that they limit
 NEVER_SETTLED = ".settling_time_s"  # the metric that is None where a step has not settled
 
 
-class Yardstick(Record):
+class LimitInputs(Record):
     """What the limits of a flight are made from, beside its log."""
 
     span_m: float
     height_law: tuple[float, float, float]  # gain 1/s, most climb and most descent m/s
     stated: dict[str, float | None]  # by the keys of LIMITED and AXIS_LIMITED; None: none
     piloted: bool  # by an autopilot that is asked things: where it flies is no drift
-    axes: tuple[AxisYardstick, ...] = ()  # roll, pitch, yaw; empty: of a run from before axes had limits
+    axes: tuple[AxisLimitInputs, ...] = ()  # roll, pitch, yaw; empty: of a run from before axes had limits
 
 
-def yardstick(scenario: Scenario, vehicle: Vehicle) -> Yardstick:
+def make_limit_inputs(scenario: Scenario, vehicle: Vehicle) -> LimitInputs:
     """Return the inputs of the limits of a flight of this scenario with this vehicle."""
     gains = vehicle.control.altitude
     limits = scenario.limits.model_dump(exclude_none=True)
-    return Yardstick(
+    return LimitInputs(
         span_m=vehicle.aero.span_m,
         height_law=(gains.position_1_s, gains.climb_limit_m_s, gains.descent_limit_m_s),
         stated={key: None if value is False else float(value) for key, value in limits.items()},
         piloted=scenario.requests is not None,
         axes=tuple(
-            AxisYardstick(
+            AxisLimitInputs(
                 gain_1_s=gain,
                 noise_rad=vehicle.sensors.attitude.noise_rad,
                 rate_noise_rad_s=vehicle.sensors.gyro.noise_rad_s,
@@ -89,7 +89,7 @@ def yardstick(scenario: Scenario, vehicle: Vehicle) -> Yardstick:
     )
 
 
-def flight_limits(measure: Yardstick, log: Columns, step_s: float) -> dict[str, float]:
+def flight_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str, float]:
     """Return the most that each limited metric may be in this flight, by the metric's name.
 
     The height's error may be ``HEIGHT_SPANS`` beyond what the height law leaves by itself, the drift ``DRIFT_SPANS``
@@ -173,7 +173,7 @@ def track_speed(north: Array, east: Array, step_s: float) -> float:
     return float(np.max(finite)) if finite.size else 0.0
 
 
-def beyond(limits: Mapping[str, float], flat: Mapping[str, float | None]) -> list[str]:
+def find_exceeded(limits: Mapping[str, float], flat: Mapping[str, float | None]) -> list[str]:
     """Return the names of the metrics that are beyond their limit.
 
     What a flight has not is within, but for the settling time: it has a limit only where a step could have settled.
@@ -185,7 +185,7 @@ def beyond(limits: Mapping[str, float], flat: Mapping[str, float | None]) -> lis
     ]
 
 
-def exceedance(name: str, limits: Mapping[str, float], flat: Mapping[str, float | None]) -> str:
+def describe_exceedance(name: str, limits: Mapping[str, float], flat: Mapping[str, float | None]) -> str:
     """Describe a metric and its limit: ``drift from the start 125.7 m, limit 10 m``."""
     of, value = metric(name), flat[name]
     value_text = "none, not settled" if value is None else f"{of.factor * value:.4g} {of.unit}"

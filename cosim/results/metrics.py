@@ -127,7 +127,7 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
 
     Without ``reach`` only what allocation refused counts as saturation.
     """
-    contact = touching(log)
+    contact = find_contact_rows(log)
     altitude = log["altitude_m"]
     return Metrics(
         axes={axis: _axis_of(log, axis, rate, step_s) for axis, rate in zip(AXES, RATES, strict=True)},
@@ -271,14 +271,14 @@ def speed_metrics(speed: Array) -> SpeedMetrics:
     return SpeedMetrics(max_m_s=_largest(speed), final_m_s=_at_end(speed))
 
 
-def touching(log: Columns) -> NDArray[np.bool_]:
+def find_contact_rows(log: Columns) -> NDArray[np.bool_]:
     """Return the rows on which a leg or the hull touches the ground."""
     return (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
 
 
 def saturation_in_flight(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
     """Return the rows of :func:`saturation` in the air: those that the metric counts and reports mark."""
-    return saturation(log, reach) & ~touching(log)
+    return saturation(log, reach) & ~find_contact_rows(log)
 
 
 def saturation(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:

@@ -130,28 +130,28 @@ class Recording:
         self.observe = self._recorder.observe
         self.columns = len(columns)
 
-    def restate(self, scenario: Scenario) -> None:
+    def replace_scenario(self, scenario: Scenario) -> None:
         """Take the scenario as it was flown in the end, with what came by command.  Raises FlightError."""
         self._scenario = scenario
         if isinstance(self._sink, StreamSink):
             self._scenario = scenario.seen_from(self._sink.path.parent)
             write_whole(self._sink.path.with_name(SCENARIO), scenario_toml(scenario), FlightError)
 
-    def repeats(self, same: bool | None) -> None:
+    def note_repeatable(self, same: bool | None) -> None:
         """Note whether a controller outside this process answers the same again; None: not asked."""
         custom = self._setup.own_controller
         if custom is not None and same is not None:
             changed = custom.model_copy(update={"repeatable": same})
             self._setup = self._setup.model_copy(update={"own_controller": changed})
 
-    def shorten(self, steps: int) -> None:
+    def shorten_scenario(self, steps: int) -> None:
         """End the scenario of a flight without a planned end after the steps that it flew.  Raises FlightError."""
         if steps:
             duration = steps * self._setup.step_s
             self._setup = self._setup.model_copy(update={"planned_s": duration})
-            self.restate(self._scenario.replace(duration_s=duration))
+            self.replace_scenario(self._scenario.replace(duration_s=duration))
 
-    def stepped(self, steps: int, by_hand: int) -> None:
+    def note_steps(self, steps: int, by_hand: int) -> None:
         """Note the steps so far and how many commands of them a program gave: nothing is expected of the flight."""
         changed = {"planned_s": steps * self._setup.step_s, "by_hand": by_hand, "expectation": None}
         self._setup = self._setup.model_copy(update=changed)

@@ -10,8 +10,8 @@ from pathlib import Path
 from cosim.base.runtime import kernels
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
-from cosim.results.expectations import expectation
-from cosim.results.limits import yardstick
+from cosim.results.expectations import find_expectation
+from cosim.results.limits import make_limit_inputs
 from cosim.results.metrics import Reach
 from cosim.results.summary import (
     DelayRow,
@@ -36,7 +36,7 @@ from cosim.spec.vehicle.sensor_profile import describe_profile
 from cosim.vehicle.airframe import IN_THE_AIR, METHODS, ON_THE_GROUND, POSITIONS
 
 
-def setup_of(simulation: Simulation, resolved: Scenario, notes: bool = True) -> Setup:
+def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -> Setup:
     """Return what is known of a run before its first step; ``resolved`` is its scenario as it flies.
 
     ``notes``: compare its models with the vehicle, for who reads what is found.
@@ -68,16 +68,16 @@ def setup_of(simulation: Simulation, resolved: Scenario, notes: bool = True) -> 
         seed=scenario.seed,
         sensors=describe_profile(scenario.sensor_profile),
         step_s=scenario.step_s,
-        integration=integration(scenario),
+        integration=describe_integration(scenario),
         planned_s=scenario.duration_s,
         started=now(),
         engine_curve=list(zip(engine.curve.throttle, engine.curve.thrust, strict=True)),
         stations=[_station(station, engine) for station in simulation.stations],
         jets_m=[jet.position_m for jet in simulation.vehicle.jets],
         delay_ledger=[DelayRow(**asdict(row)) for row in simulation.ledger],
-        reach=reach(simulation),
-        yardstick=yardstick(scenario, simulation.vehicle),
-        expectation=expectation(scenario),
+        reach=find_reach(simulation),
+        yardstick=make_limit_inputs(scenario, simulation.vehicle),
+        expectation=find_expectation(scenario),
         notes=_notes(simulation, files) if notes else [],
         versions=versions(),
         blas_kernels=kernels.find_kernels(),
@@ -123,7 +123,7 @@ def _own_controller(simulation: Simulation) -> OwnController | None:
     )
 
 
-def integration(scenario: Scenario) -> Integration:
+def describe_integration(scenario: Scenario) -> Integration:
     """Return how the airframe of a flight is integrated: see :mod:`cosim.vehicle.airframe`."""
     return Integration(
         runs=scenario.substeps,
@@ -136,7 +136,7 @@ def integration(scenario: Scenario) -> Integration:
     )
 
 
-def reach(simulation: Simulation) -> Reach:
+def find_reach(simulation: Simulation) -> Reach:
     """Return the range of the throttles and tilts of a flight: by the built-in allocation, or at all."""
     vehicle, limits = simulation.vehicle, simulation.vehicle.control.allocation
     jets = len(vehicle.jets)

@@ -25,9 +25,9 @@ from cosim.results.metrics import (
     WIND,
     Record,
     Step,
+    find_contact_rows,
     find_steps,
     settling_time,
-    touching,
     wrap,
 )
 
@@ -50,7 +50,7 @@ SWING_IN_WIND_RAD = radians(10.0)
 WIND_CHANGE = 0.05
 
 
-class AxisYardstick(Record):
+class AxisLimitInputs(Record):
     """What the limits of one axis are made from, beside the log."""
 
     gain_1_s: float  # of the attitude law
@@ -63,7 +63,7 @@ class Upsets:
 
     def __init__(self, log: Columns, wind_m_s: float) -> None:
         """Read the log; ``wind_m_s`` is the change of the wind that counts."""
-        acts = touching(log)
+        acts = find_contact_rows(log)
         for name in log.columns:
             if name.startswith(UPSETS):
                 changed = np.diff(log[name])
@@ -72,25 +72,25 @@ class Upsets:
         self._wind = [log[name] for name in WIND if name in log.columns]
         self._wind_m_s = wind_m_s
 
-    def within(self, first: int, end: int) -> bool:
+    def has_any(self, first: int, end: int) -> bool:
         """Return whether anything acted anew on rows ``first`` to ``end - 1``."""
-        return self.struck(first, end) or self.blown(first, end)
+        return self.has_any_but_wind(first, end) or self.has_wind_change(first, end)
 
-    def struck(self, first: int, end: int) -> bool:
+    def has_any_but_wind(self, first: int, end: int) -> bool:
         """Return whether anything but the wind acted anew on these rows."""
         return bool(self._count[end] > self._count[first])
 
-    def blown(self, first: int, end: int) -> bool:
+    def has_wind_change(self, first: int, end: int) -> bool:
         """Return whether the wind changed on these rows."""
         return any(np.ptp(wind[first:end]) > self._wind_m_s for wind in self._wind)
 
 
-def settling_limit(axis: AxisYardstick) -> float:
+def settling_limit(axis: AxisLimitInputs) -> float:
     """Return the time (s) in which a step of an axis is to settle: ``TIME_CONSTANTS`` of the attitude law, 1/K each."""
     return TIME_CONSTANTS / axis.gain_1_s
 
 
-def noise_floor(axis: AxisYardstick, step_s: float) -> float:
+def noise_floor(axis: AxisLimitInputs, step_s: float) -> float:
     """Return the half peak-to-peak (rad) of a second that cannot be told from the sensors' noise.
 
     ``DEVIATIONS`` of the root of the sum of the squares of the attitude's noise and of what the rate's noise moves an
@@ -101,7 +101,7 @@ def noise_floor(axis: AxisYardstick, step_s: float) -> float:
 
 
 def axis_limits(
-    axes: Sequence[AxisYardstick], log: Columns, step_s: float, span_m: float, chosen: Mapping[str, float | None]
+    axes: Sequence[AxisLimitInputs], log: Columns, step_s: float, span_m: float, chosen: Mapping[str, float | None]
 ) -> dict[str, float]:
     """Return the limits of every axis by metric; ``chosen`` are those of the scenario by key, None for no limit."""
     upsets = Upsets(log, WIND_CHANGE * sqrt(GRAVITY * span_m))
@@ -121,7 +121,9 @@ def axis_limits(
     return {name: value for name, value in limits.items() if value is not None}
 
 
-def _settling(axis: AxisYardstick, steps: Sequence[Step], error: Array, upsets: Upsets, step_s: float) -> float | None:
+def _settling(
+    axis: AxisLimitInputs, steps: Sequence[Step], error: Array, upsets: Upsets, step_s: float
+) -> float | None:
     """Return the limit on the settling time (s); None where no step can tell, or not all and none is late.
 
     A step of which 5 % are below the noise floor is settled within that floor.
@@ -133,7 +135,7 @@ def _settling(axis: AxisYardstick, steps: Sequence[Step], error: Array, upsets: 
     judged = [
         settling_time(error[step.first : step.end], max(abs(step.size), least_size), step_s)
         for step in steps
-        if (step.end - step.first) * step_s >= most and not upsets.within(step.first, step.end)
+        if (step.end - step.first) * step_s >= most and not upsets.has_any(step.first, step.end)
     ]
     if any(time is None or time > most for time in judged):
         return most
@@ -142,7 +144,7 @@ def _settling(axis: AxisYardstick, steps: Sequence[Step], error: Array, upsets: 
 
 
 def _oscillation(
-    axis: AxisYardstick, steps: Sequence[Step], setpoint: Array, upsets: Upsets, step_s: float
+    axis: AxisLimitInputs, steps: Sequence[Step], setpoint: Array, upsets: Upsets, step_s: float
 ) -> float | None:
     """Return the limit on the residual oscillation (rad); None where the end of the flight cannot tell.
 
@@ -155,10 +157,10 @@ def _oscillation(
     last = setpoint.size - round(FINAL_S / step_s)
     first = setpoint.size - round((settling_limit(axis) + FINAL_S) / step_s)
     recent = setpoint[max(first, 0) :]
-    if first < 0 or not np.all(np.isfinite(recent)) or upsets.struck(first, setpoint.size):
+    if first < 0 or not np.all(np.isfinite(recent)) or upsets.has_any_but_wind(first, setpoint.size):
         return None
     band = SETTLING_BAND * abs(steps[-1].size) if steps else 0.0
-    wind = SWING_IN_WIND_RAD if upsets.blown(first, setpoint.size) else 0.0
+    wind = SWING_IN_WIND_RAD if upsets.has_wind_change(first, setpoint.size) else 0.0
     if steps:
         rest = _residual_of_steps([step for step in steps if step.first > first], last, settling_limit(axis) / step_s)
     else:

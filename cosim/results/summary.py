@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from cosim.base.errors import FlightError, InputError
 from cosim.base.outcomes import Outcome, RunVerdict
 from cosim.base.storage.toml import Vector
-from cosim.results.limits import Yardstick, beyond, exceedance, flight_limits
+from cosim.results.limits import LimitInputs, describe_exceedance, find_exceeded, flight_limits
 from cosim.results.log.recorder import Log
 from cosim.results.metrics import (
     AltitudeMetrics,
@@ -144,7 +144,7 @@ class Setup(BaseModel):
     jets_m: list[Vector] = []  # engine stations, body
     delay_ledger: list[DelayRow] = []
     reach: Reach | None = None  # of throttles and tilts
-    yardstick: Yardstick | None = None  # what its limits are made from; None: it has none
+    yardstick: LimitInputs | None = None  # what its limits are made from; None: it has none
     expectation: Expectation | None = None  # what this controller with this engine must come to
     notes: list[
         str
@@ -261,7 +261,7 @@ class Summary(Setup):
     @property
     def exceeded(self) -> list[str]:
         """What is beyond its limit, in words and with both figures."""
-        return [exceedance(name, self.limits, self.flat_metrics) for name in self.beyond]
+        return [describe_exceedance(name, self.limits, self.flat_metrics) for name in self.beyond]
 
 
 def summarize(
@@ -280,7 +280,7 @@ def summarize(
     steps = len(log)
     duration = steps * setup.step_s
     limits = flight_limits(setup.yardstick, log, setup.step_s) if setup.yardstick is not None and steps else {}
-    above = beyond(limits, flat)
+    above = find_exceeded(limits, flat)
     complaints = _complaints(setup.expectation, outcome, flat)
     met = None if setup.expectation is None else not complaints
     return Summary(

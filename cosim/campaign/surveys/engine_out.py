@@ -22,7 +22,7 @@ from cosim.base.storage.toml import toml_text
 from cosim.campaign.surveys.faults import HEIGHT_M, SETTLED_S
 from cosim.campaign.surveys.lean_bound import STEP_S, Bound, RollAxis, make_roll_axis, measure_courses
 from cosim.campaign.surveys.survey import Progress, Subject, fly_all, judge_outcome, measure_flight
-from cosim.design.controller_table import controller_table
+from cosim.design.controller_table import make_controller_table
 from cosim.design.design import design
 from cosim.engine import list_engine_names, load_engine
 from cosim.flight import fly
@@ -184,7 +184,7 @@ def _controller(subject: Subject, designs: Path, progress: Progress) -> Controll
         return f"no controller keeps the requirements of hexjet design: {designed.reason}"
     with map_os_errors(InputError, path):
         designs.mkdir(parents=True, exist_ok=True)
-    write_files({path: toml_text(controller_table(designed))})
+    write_files({path: toml_text(make_controller_table(designed))})
     return read_controller(path, aircraft)
 
 

@@ -18,7 +18,7 @@ from cosim.cli.outputs import Out
 from cosim.cli.trust import display_only
 
 if TYPE_CHECKING:
-    from cosim.results.comparison import ComparedFlight, Pair
+    from cosim.results.comparison import ComparedFlight, LogComparison
 
 PAGE = "comparison.html"
 _OUT = Out(".html")
@@ -68,7 +68,7 @@ def compare(options: Compare) -> int:
     whatever differs; 2: wrong input.
     """
     from cosim.base.storage.files import map_os_errors
-    from cosim.results.comparison import pairs
+    from cosim.results.comparison import compare_with_first
     from cosim.results.report.comparison import write_comparison
 
     requested = _expand_campaigns(options.names, options.flights)
@@ -82,7 +82,7 @@ def compare(options: Compare) -> int:
         loaded = _shift_times(
             [_load_flight(letter, name) for letter, name in zip(LETTERS, requested, strict=False)], options.shifts
         )
-    compared = pairs(loaded)
+    compared = compare_with_first(loaded)
     chosen = _select_signals(compared, options.patterns)
     if page is not None:
         with map_os_errors(InputError, page.parent):
@@ -95,12 +95,12 @@ def compare(options: Compare) -> int:
 @display_only
 def write_page(names: Sequence[str], folder: Path) -> Path:
     """Write the comparison of these flights as a page in a new folder and return its path; none is flown."""
-    from cosim.results.comparison import pairs
+    from cosim.results.comparison import compare_with_first
     from cosim.results.report.comparison import write_comparison
 
     flights = [_load_flight(letter, name) for letter, name in zip(LETTERS, _expand_campaigns(names, ()), strict=False)]
     folder.mkdir(parents=True, exist_ok=True)
-    write_comparison(flights, pairs(flights), folder / PAGE)
+    write_comparison(flights, compare_with_first(flights), folder / PAGE)
     return folder / PAGE
 
 
@@ -176,7 +176,7 @@ def _load_flight(letter: str, name: str) -> ComparedFlight:
     )
 
 
-def _select_signals(compared: Sequence[Pair], patterns: Sequence[str]) -> list[list[str]]:
+def _select_signals(compared: Sequence[LogComparison], patterns: Sequence[str]) -> list[list[str]]:
     """Return the signals of each pair's table.  Raises InputError for a pattern that matches none."""
     from cosim.results.report.comparison import by_time
 
@@ -191,7 +191,7 @@ def _select_signals(compared: Sequence[Pair], patterns: Sequence[str]) -> list[l
     ]
 
 
-def _to_dict(flights: Sequence[ComparedFlight], compared: Sequence[Pair], page: Path | None) -> dict[str, Any]:
+def _to_dict(flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], page: Path | None) -> dict[str, Any]:
     """Return the comparison as data for JSON, everything in SI."""
     from cosim.results.report.comparison import inputs_between
 
@@ -216,7 +216,7 @@ def _to_dict(flights: Sequence[ComparedFlight], compared: Sequence[Pair], page: 
 
 
 def _print(
-    flights: Sequence[ComparedFlight], compared: Sequence[Pair], chosen: Sequence[list[str]], page: Path | None
+    flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], chosen: Sequence[list[str]], page: Path | None
 ) -> None:
     from cosim.results.report.comparison import describe_pair, inputs_between, signal_cells
 

@@ -8,7 +8,7 @@ from math import exp, prod
 
 import numpy as np
 
-from cosim.design.loop.dynamics import Dynamics, lags
+from cosim.design.loop.dynamics import Dynamics, make_lag_dynamics
 from cosim.simulation.axis_chain import AxisPart
 from cosim.spec.vehicle import Hinge, RateModel, Servo
 
@@ -37,10 +37,12 @@ class Actuator:
 
 def servo_actuator(servo: Servo | Hinge, step: float, slower: float = 1.0) -> Actuator:
     """Return a servo of a tilt or a hinge as it acts below its rate limit, its lag multiplied by ``slower``."""
-    return Actuator.of(SERVO, lags([slower * servo.lag_s], 0.0, step))
+    return Actuator.of(SERVO, make_lag_dynamics([slower * servo.lag_s], 0.0, step))
 
 
-def by_hinges(parts: Sequence[AxisPart], step: float, slower: float = 1.0) -> tuple[Actuator, tuple[float, ...]]:
+def make_hinge_actuator(
+    parts: Sequence[AxisPart], step: float, slower: float = 1.0
+) -> tuple[Actuator, tuple[float, ...]]:
     """Return hinges as one actuator, and how much of its answers makes the moment, as :attr:`Channel.shape`.
 
     Servos of lags ``T_i`` with poles ``a_i`` in z give, each by its share and with what it turns,

@@ -27,7 +27,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.control.predictors.linear import delayed_response
-from cosim.design.loop.actuator import SERVO, STILL, Actuator, by_hinges, servo_actuator
+from cosim.design.loop.actuator import SERVO, STILL, Actuator, make_hinge_actuator, servo_actuator
 from cosim.design.loop.dynamics import CARRIED
 from cosim.engine import EngineSpec
 from cosim.simulation.axis_chain import (
@@ -86,7 +86,7 @@ class Channel:
         return filter_pole(self.rate_filter_s, self.step)
 
     @property
-    def turning(self) -> tuple[tuple[float, ...], float]:
+    def rate_dynamics(self) -> tuple[tuple[float, ...], float]:
         """Weights of a moment and the rate's pole over one step, as :func:`.axis_chain.discretise_rate` has them."""
         return discretise_rate(self.damping_1_s, self.step, self.substeps, self.shape)
 
@@ -177,7 +177,7 @@ class Channel:
         if self.identified is not None:
             return self.identified
         body = self.actuator.model
-        weights, pole = self.turning
+        weights, pole = self.rate_dynamics
         first = next(weight for weight in weights if weight)
         gain = body.gain * self.gain * self.step * (1.0 - self.gyro_pole) * first
         zeros, poles, pairs = [*body.zeros], [*body.poles, pole], [*body.zero_pairs]
@@ -193,7 +193,7 @@ class Channel:
         if self.gyro_pole:
             zeros.append(0.0)
             poles.append(self.gyro_pole)
-        poles, zeros, more = without_instant(poles, zeros)
+        poles, zeros, more = remove_instant_dynamics(poles, zeros)
         delay += more
         return RateModel(
             gain=gain,
@@ -213,16 +213,16 @@ class Channel:
         if self.identified is not None:
             rate = delayed_response(self.identified, z) * late
             return rate, rate * integral * z**-self.angle_latency, rate * integral
-        weights, pole = self.turning
+        weights, pole = self.rate_dynamics
         body = rate_response(z, weights, pole)
         rate = self.gain * self.step * delayed_response(self.actuator.model, z) * body * late
         return (
-            np.asarray(rate * self.measuring(z)),
+            np.asarray(rate * self.measurement_response(z)),
             np.asarray(rate * integral * z**-self.angle_latency),
             np.asarray(rate * integral),
         )
 
-    def measuring(self, z: Complex) -> Complex:
+    def measurement_response(self, z: Complex) -> Complex:
         """Return the response from rate to measured rate: low-pass, latency, and the mean effect of a hold."""
         return measurement_response(z, self.gyro_pole, self.rate_latency, self.rate_hold)
 
@@ -240,13 +240,13 @@ class Channel:
             raise InputError("a response given as a whole does not say which of its lags are the engine's")
         if not self.hinged:
             return replace(self, actuator=Actuator.of(self.actuator.name, self.actuator.dynamics.slower(factor)))
-        actuator, shape = by_hinges(self.hinged, self.step, factor)
+        actuator, shape = make_hinge_actuator(self.hinged, self.step, factor)
         dynamics = replace(actuator.dynamics, unsure=self.actuator.dynamics.unsure)
         actuator = replace(actuator, dynamics=dynamics).with_delay(self.actuator_delay)
         return replace(self, actuator=actuator, shape=shape)
 
     @property
-    def by_servo(self) -> bool:
+    def is_by_servo(self) -> bool:
         """Whether its command tilts thrusts and leaves their size."""
         return self.actuator.name == SERVO
 
@@ -261,7 +261,7 @@ def thrust_span(engine: EngineSpec) -> float:
     return engine.curve.thrust[-1] - engine.curve.thrust[0]
 
 
-def hover_share(vehicle: Vehicle, engine: EngineSpec) -> float:
+def hover_fraction(vehicle: Vehicle, engine: EngineSpec) -> float:
     """Return the fraction of its range at which each engine carries its part of the weight."""
     thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
     return (thrust - engine.curve.thrust[0]) / thrust_span(engine)
@@ -312,7 +312,7 @@ def _by_effectiveness(
     hinged = tuple([part for part in hinges if any(part.compute_weights(step))])
     main, shape, others = dynamics, STILL, hinged
     if sum([part.fraction for part in hinged]) > engines.fraction:
-        main, shape = by_hinges(hinged, step)
+        main, shape = make_hinge_actuator(hinged, step)
         others = (engines,)
         # no step of the command may ask more of a hinge than its servo follows
         follows = [
@@ -378,7 +378,7 @@ def _gyro(sensors: Sensors) -> dict[str, float | int]:
 
 
 def _room(vehicle: Vehicle, engine: EngineSpec) -> float:
-    limits, thrust_fraction = vehicle.control.allocation, hover_share(vehicle, engine)
+    limits, thrust_fraction = vehicle.control.allocation, hover_fraction(vehicle, engine)
     return min(thrust_fraction - limits.throttle_min, limits.throttle_max - thrust_fraction)
 
 
@@ -420,7 +420,7 @@ def engine_lead(channel: Channel) -> EngineLead | None:
 
     Its own poles are where the engine's are, for the search to move.
     """
-    if channel.identified is not None or channel.by_servo:
+    if channel.identified is not None or channel.is_by_servo:
         return None
     poles = sorted(channel.actuator.dynamics.poles, key=abs)
     if channel.pace_s != channel.slowness_s:  # a zero beside a slow pole leaves nothing of it to be led
@@ -442,7 +442,7 @@ def angles(z: Complex) -> Array:
     return np.asarray(np.angle(z), np.float64)
 
 
-def without_instant(poles: Sequence[float], zeros: Sequence[float]) -> tuple[list[float], list[float], int]:
+def remove_instant_dynamics(poles: Sequence[float], zeros: Sequence[float]) -> tuple[list[float], list[float], int]:
     """Return poles and zeros in z without lags that are over within a step, and the samples of delay that these leave.
 
     ``1 / (z - p)`` with ``p`` below :data:`INSTANT` is a delay of a sample to rounding, which a zero at 0 takes back.

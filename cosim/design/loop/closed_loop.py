@@ -54,7 +54,7 @@ class FrequencyGrid:
         self.z: Complex = np.exp(1j * closely) if z is None else z
         self.theta: Array = angles(self.z)
         self.rate, self.measured_angle, self.angle = channel.responses(self.z)
-        self.measuring = channel.measuring(self.z) if channel.identified is None else np.ones_like(self.z)
+        self.measuring = channel.measurement_response(self.z) if channel.identified is None else np.ones_like(self.z)
         hertz = self.theta / (2.0 * pi * channel.step)
         self.unsure = channel.actuator.dynamics.uncertainty(hertz) if channel.identified is None else None
 
@@ -128,7 +128,7 @@ class ClosedLoop:
         unsure = 0.0 if self.points.unsure is None else self.points.unsure
         return float(np.max(unsure * np.abs(self.outer / self.characteristic))) - 1.0
 
-    def tolerated(self, delay: float, gain: float) -> float:
+    def compute_tolerance(self, delay: float, gain: float) -> float:
         """Return by what factor the tolerances could grow until a gain and delay inside put a pole on the unit circle.
 
         ``delay`` in samples, ``gain`` relative, either way.  ``1 + g e^(-j theta tau) L`` is 0 only where

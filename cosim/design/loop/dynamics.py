@@ -53,7 +53,7 @@ class Dynamics:
     def slower(self, factor: float) -> Dynamics:
         """Return dynamics as many times slower; with 0, a lag that a step leaves nothing of."""
         if factor == 0.0:
-            return lags([0.0], self.delay_samples, self.step)
+            return make_lag_dynamics([0.0], self.delay_samples, self.step)
         return replace(self, poles=tuple(p / factor for p in self.poles), zeros=tuple(z / factor for z in self.zeros))
 
     def hold_response(self, hertz: Array) -> Complex:
@@ -83,7 +83,7 @@ class Dynamics:
         at, most = max(self.unsure, key=lambda point: point[1])
         return f"what was measured, up to {100.0 * most:.2g} % at {at:.2g} Hz"
 
-    def words(self) -> str:
+    def describe(self) -> str:
         """Describe the lags, poles and zeros in words."""
         descriptions = [f"lag {-1e3 / p.real:.4g} ms" for p in self.poles if not p.imag]
         descriptions += [
@@ -137,7 +137,7 @@ def _in_z(poles: Sequence[complex], step: float) -> tuple[list[float], list[tupl
     return [exp(-decay * step) for decay in separate_equal([-p for p in real])], pairs
 
 
-def lags(constants: Sequence[float], delay: float, step: float) -> Dynamics:
+def make_lag_dynamics(constants: Sequence[float], delay: float, step: float) -> Dynamics:
     """Return lags, s, in a row; none is taken shorter than a fifth of a step, of which a step leaves 0.7 %."""
     return Dynamics(tuple(complex(-1.0 / max(lag, 0.2 * step)) for lag in constants), (), delay, step)
 

@@ -89,7 +89,7 @@ def _ardupilot(
 _STATES = {"betaflight": 8, "px4": 4, "ardupilot": 4}
 
 
-def law(name: str, axis: str) -> Loop:
+def find_law(name: str, axis: str) -> Loop:
     """Return an autopilot's rate loop on an axis as a function of one pass."""
     if name == "betaflight":
         return _betaflight(axis != "yaw", axis == "yaw")  # heading is held with the sticks, by whoever holds them
@@ -111,7 +111,7 @@ class Firmware:
     name: str
     axis: str = "roll"
     units: Mapping[str, Units] | None = None
-    most: int = 250
+    max_gain: int = 250
     common_filter: bool = False
     common_angle: bool = False
     d_filter_s: float | None = None
@@ -166,7 +166,7 @@ def _reached(a: Array, c: Array) -> list[int]:
 
 def matrices(name: str, axis: str, step: float, hertz: float) -> tuple[Array, Array, Array, Array]:
     """Return the law's A and B over a step of the flight, and C and D of the first loop's P, I and D part."""
-    size, loop = _STATES[name], law(name, axis)
+    size, loop = _STATES[name], find_law(name, axis)
     count = max(1, round(step / BETAFLIGHT_LOOP_S)) if name == "betaflight" else 1
     period = step / count
     columns = np.eye(size + 2)

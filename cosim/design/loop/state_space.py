@@ -55,7 +55,7 @@ class Space:
         if self._between:
             self._slot("loaded", 1)
         if channel.identified is None:
-            self._slot("force", len(channel.turning[0]) - 1)  # of the steps before
+            self._slot("force", len(channel.rate_dynamics[0]) - 1)  # of the steps before
             self._slot("rate", 1)
             self._slot("gyro", max(1, channel.rate_latency + channel.rate_hold))
         else:
@@ -141,7 +141,7 @@ class Space:
         self._keep("plant", state)
         force, before = plant.C @ state, x["rate"][0]
         if channel.identified is None:
-            (now, *late), pole = channel.turning
+            (now, *late), pole = channel.rate_dynamics
             acting = now * force
             for k, weight in enumerate(late):
                 acting = acting + weight * x["force"][k]

@@ -11,10 +11,10 @@ from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.assessment import shipped_tuning
-from cosim.design.design import dynamics_of, identify_there
+from cosim.design.design import identify_there, make_dynamics
 from cosim.design.levels import THRUST_AXES, tunings_at
 from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.channel import Channel, channels, hover_share
+from cosim.design.loop.channel import Channel, channels, hover_fraction
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.frequency import LoopMargins
 from cosim.design.loop.tuning import Tuning
@@ -42,7 +42,7 @@ class Plants:
     thrust_fraction: float  # of the engines' range, at which it hovers
 
 
-def plants_of(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants | str:
+def make_plants(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants | str:
     """Return the channels of a scenario's vehicle with the fuel that it begins with; or why there are none."""
     if scenario.controller not in PREDICTORS:
         return "a controller from outside: there is nothing to compute from"
@@ -51,13 +51,13 @@ def plants_of(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants 
     fuel = scenario.initial.fuel
     there = vehicle if fuel == 1.0 else vehicle.with_fuel(fuel)
     try:
-        engine = Actuator.of(spec.name, dynamics_of(identify_there(scenario, there, spec, None)))
-        return Plants(channels(scenario, there, spec, engine), spec, hover_share(there, spec))
+        engine = Actuator.of(spec.name, make_dynamics(identify_there(scenario, there, spec, None)))
+        return Plants(channels(scenario, there, spec, engine), spec, hover_fraction(there, spec))
     except InputError as error:
         return str(error)
 
 
-def tunings_of(plants: Plants, scenario: Scenario, vehicle: Vehicle, axes: Sequence[str]) -> dict[str, Tuning]:
+def find_tunings(plants: Plants, scenario: Scenario, vehicle: Vehicle, axes: Sequence[str]) -> dict[str, Tuning]:
     """Return what flies on the axes, with the schedule's gains where the vehicle has one."""
     tunings = {axis: _tuning(plants.channels[axis], scenario, vehicle, plants.spec) for axis in (*THRUST_AXES, *axes)}
     plan = vehicle.control.schedule
@@ -67,7 +67,9 @@ def tunings_of(plants: Plants, scenario: Scenario, vehicle: Vehicle, axes: Seque
     return tunings
 
 
-def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[str]) -> dict[str, Computed] | str:
+def compute_margins(
+    scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[str]
+) -> dict[str, Computed] | str:
     """Compute the margins by axis, or say why that fails.  What the scenario's mismatch changes is not in them.
 
     The engine is swept around the thrust that the vehicle hovers with.
@@ -75,10 +77,10 @@ def computed(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[
     chosen = PREDICTORS.get(scenario.controller)
     if chosen is not None and chosen.response is None:
         return f"controller {chosen.name} states no frequency response"
-    plants = plants_of(scenario, vehicle, spec)
+    plants = make_plants(scenario, vehicle, spec)
     if isinstance(plants, str):
         return plants
-    tunings, step = tunings_of(plants, scenario, vehicle, axes), scenario.step_s
+    tunings, step = find_tunings(plants, scenario, vehicle, axes), scenario.step_s
     margins = {}
     for axis in axes:
         closed = ClosedLoop(FrequencyGrid(plants.channels[axis], close=FINE), tunings[axis])

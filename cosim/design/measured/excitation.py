@@ -160,7 +160,7 @@ def _slope(spec: EngineSpec, thrust: float) -> float:
     return float((above - below) / (high - low) / span)
 
 
-class Tapped:
+class TappedController:
     """A controller behind which a signal is added; it records the command before and behind the addition."""
 
     def __init__(self, inner: Controller, tap: Tap, wave: Callable[[int], float]) -> None:
@@ -232,7 +232,7 @@ def still(scenario: Scenario) -> Scenario:
     )
 
 
-def fly_with(
+def fly_excitation(
     scenario: Scenario, axis: str, sine: Multisine, amplitude: float, periods: int, source: Source | None = None
 ) -> Record:
     """Fly one period for the loop to come to swing, and ``periods`` that are kept.  Fuel does not burn meanwhile.
@@ -252,11 +252,11 @@ def fly_with(
     return Record(sine, amplitude, before, behind, off > 1e-9 * amplitude + 1e-12 or tapped.refused > 0)
 
 
-def _tap_loop(simulation: Simulation, axis: str, sine: Multisine, amplitude: float) -> Tapped:
+def _tap_loop(simulation: Simulation, axis: str, sine: Multisine, amplitude: float) -> TappedController:
     wave = (amplitude * sine.wave).tolist()
     period = sine.period
     tap = Tap(axis, simulation.scenario, simulation.vehicle, simulation.stations)
-    tapped = Tapped(simulation.controller, tap, lambda k: wave[k % period])
+    tapped = TappedController(simulation.controller, tap, lambda k: wave[k % period])
     fuel = simulation.vehicle.fuel
     if fuel is not None:  # as full as it is at the start: with no step nothing is burnt
         simulation.propulsion.tank = Tank(fuel.mass_kg, 0.0, simulation.scenario.initial.fuel)

@@ -90,7 +90,7 @@ class LoopJudge:
 
     def _loops(self, values: Mapping[str, float], axes: list[str]) -> dict[str, _Loop]:
         """Return the loops of the axes, but not of those whose predictor states no frequency response."""
-        from cosim.design.measured.computed import tunings_of
+        from cosim.design.measured.computed import find_tunings
 
         plants = self._known_plants()
         if isinstance(plants, str):
@@ -103,7 +103,7 @@ class LoopJudge:
             samples = values["HJ_PRED_DELAY"] - scenario.added_delay_samples
             models["roll"] = models["roll"].model_copy(update={"delay_samples": max(0.0, samples)})
             vehicle = vehicle.model_copy(update={"identified": {**vehicle.identified, family: models}})
-        tunings = tunings_of(plants, scenario, vehicle, axes)
+        tunings = find_tunings(plants, scenario, vehicle, axes)
         linear = [axis for axis in axes if PREDICTORS[tunings[axis].controller].response is not None]
         return {axis: self._loop(plants, axis, tunings[axis]) for axis in linear}
 
@@ -111,14 +111,14 @@ class LoopJudge:
         return self._scenario.replace(controller=controller, controller_parameters={})
 
     def _known_plants(self) -> Plants | str:
-        from cosim.design.measured.computed import plants_of
+        from cosim.design.measured.computed import make_plants
         from cosim.engine import load_engine
 
         if self._plants is None:
             scenario = self._scenario if self._built_in else self._with(BASELINE.name)
             engine, unchecked, apart = scenario.engine, scenario.engine_unchecked, scenario.engine_isolated
             spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
-            self._plants = plants_of(scenario, self._vehicle, spec)
+            self._plants = make_plants(scenario, self._vehicle, spec)
         return self._plants
 
     def _loop(self, plants: Plants, axis: str, tuning: Tuning) -> _Loop:
@@ -142,8 +142,8 @@ class LoopJudge:
         return _Loop(True, min(sizes)[0], ", ".join(text for ratio, text in sizes if ratio < 1.0))
 
 
-def _fraction_of_bound(margin: float | None, least: float) -> float:
-    return inf if margin is None else abs(margin) / least
+def _fraction_of_bound(margin: float | None, bound: float) -> float:
+    return inf if margin is None else abs(margin) / bound
 
 
 def _size(margin: float | None) -> str:

@@ -16,9 +16,9 @@ from cosim.design.engine_uncertainty import (
     delay_deviations,
     gain_deviations,
 )
-from cosim.design.measured.computed import Computed, computed
+from cosim.design.measured.computed import Computed, compute_margins
 from cosim.design.measured.estimate import QUANTITIES, Response, measured, relative_difference, relative_differences
-from cosim.design.measured.excitation import Multisine, Record, Tap, fly_with, multisine, still
+from cosim.design.measured.excitation import Multisine, Record, Tap, fly_excitation, multisine, still
 from cosim.simulation.build import build
 from cosim.simulation.controllers.plugged import find_controller
 from cosim.simulation.controllers.source import Source, from_object
@@ -58,7 +58,7 @@ class AxisMargins:
     uncertainty: LoopUncertainty | None = None  # of the engine at the crossover; None: not stated, or it does not turn
 
     @property
-    def is_whole(self) -> bool:
+    def is_complete(self) -> bool:
         """Whether it was measured up to half the control rate, above which a sampled loop has nothing."""
         return self.band_hz[1] * self.sine.step >= NYQUIST_HZ * (1.0 - 1e-9)
 
@@ -143,7 +143,7 @@ def _axis_dict(measured: AxisMargins) -> dict[str, Any]:
         "period_s": measured.sine.period * measured.sine.step,
         "periods": measured.periods,
         "least_coherence": float(measured.response.coherence.min()),
-        "whole_band": measured.is_whole,
+        "whole_band": measured.is_complete,
         "measured": {
             name: {"value": bounded.value, "low": number(bounded.low), "high": number(bounded.high)}
             if bounded
@@ -235,7 +235,7 @@ def measure_margins(
         ledger = simulation.ledger
     known = None if spec.uncertainty is None else EngineSensitivity(scenario, vehicle, spec)
     say("computing")
-    computed_margins = computed(scenario, vehicle, spec, list(axes))
+    computed_margins = compute_margins(scenario, vehicle, spec, list(axes))
     by_axis = {}
     for axis in axes:
         late = sum_transport_samples(ledger, axis)
@@ -285,7 +285,7 @@ class _MarginRequest:
         if self.to_hz is None and _stays_up(response):
             sine, size, response = self._measured(period, NYQUIST_HZ / self.scenario.step_s, size)
         self.say(f"{self.axis}: half the amplitude")
-        half = fly_with(self.scenario, self.axis, sine, 0.5 * size, LEAST_PERIODS, self.source)
+        half = fly_excitation(self.scenario, self.axis, sine, 0.5 * size, LEAST_PERIODS, self.source)
         other = self._of(half, sine)
         crossing = response.margins.get("crossover_hz")
         known = None if self.sensitivity is None or crossing is None else self.sensitivity.at(crossing.value)
@@ -319,7 +319,7 @@ class _MarginRequest:
         for _ in range(TRIES):
             self.say(f"{self.axis}: amplitude {size:.2g}")
             try:
-                record = fly_with(self.scenario, self.axis, sine, size, self.periods, self.source)
+                record = fly_excitation(self.scenario, self.axis, sine, size, self.periods, self.source)
                 if not record.clipped:
                     return size, record
                 why = "an actuator comes to an end of its range"

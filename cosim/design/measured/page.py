@@ -56,8 +56,8 @@ def _none(name: str, measured: AxisMargins) -> str:
     least, most = measured.band_hz
     low, high = f"{least:.3g} Hz", f"{most:.4g} Hz"
     if name == "gain_db":
-        return "none" if measured.is_whole else f"none up to {high}"
-    return f"none from {low} on" if name == "gain_down_db" or measured.is_whole else f"none from {low} to {high}"
+        return "none" if measured.is_complete else f"none up to {high}"
+    return f"none from {low} on" if name == "gain_down_db" or measured.is_complete else f"none from {low} to {high}"
 
 
 def heading(measured: AxisMargins) -> str:
@@ -66,7 +66,7 @@ def heading(measured: AxisMargins) -> str:
     band = f"{measured.axis.capitalize()}: {sine.hertz[0]:.3g} to {sine.hertz[-1]:.3g} Hz"
     heard = measured.band_hz[1]
     why = "noise hides all" if heard < sine.hertz[-1] else "nothing was measured"
-    above = "" if measured.is_whole else f"; above {heard:.4g} Hz {why}"
+    above = "" if measured.is_complete else f"; above {heard:.4g} Hz {why}"
     return (
         f"{band}, {len(sine.bins)} lines, {measured.periods} "
         f"periods of {sine.period * sine.step:g} s, peak {measured.amplitude:g} {measured.unit}{above}"

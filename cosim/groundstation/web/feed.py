@@ -18,7 +18,7 @@ from cosim.control.autopilot.parameters import Parameters
 from cosim.groundstation.exchange import FlightInfo, Snapshot
 from cosim.results.log.columns import log_columns, logged_vehicle
 from cosim.results.log.recorder import OneRow
-from cosim.results.report.signals_data import shape
+from cosim.results.report.signals_data import describe_shape
 from cosim.spec.scenario import controller_shown
 
 Point = tuple[float | None, ...]  # of the strip chart: t [s], measured p, q, r, predicted p, q, r [deg/s]
@@ -43,7 +43,7 @@ def describe_flight(info: FlightInfo) -> dict[str, Any]:
         "takeoff_m": info.parameters["MIS_TAKEOFF_ALT"],
         "modes": [mode.value for mode in Mode if mode is not Mode.ORBIT],
         "direct": [mode.value for mode in Mode if mode in DIRECT],
-        "shape": shape(vehicle),
+        "shape": describe_shape(vehicle),
         "columns": [column[:4] for column in log_columns(logged_vehicle(vehicle), info.columns)],
     }
 

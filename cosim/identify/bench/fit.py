@@ -126,7 +126,7 @@ class Part:
         return Part(self.command_times, self.command, self.times[use], self.output[use], self.step, self.straight)
 
 
-def part_of(record: BenchRecord, limits: tuple[float, float], straight: bool) -> Part:
+def make_part(record: BenchRecord, limits: tuple[float, float], straight: bool) -> Part:
     """Return a log with its command as a share of a range."""
     low, high = limits
     command = (record.command - low) / (high - low)

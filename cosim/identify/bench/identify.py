@@ -11,7 +11,7 @@ import numpy as np
 from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.identify.bench.command import moves_on
 from cosim.identify.bench.evidence import Misfit, predict_held_back, test_residuals
-from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, part_of
+from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, make_part
 from cosim.identify.bench.record import BenchRecord
 from cosim.identify.bench.untold import say_untold
 
@@ -124,7 +124,7 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     notes = list(dict.fromkeys(note for record in records for note in record.notes))
     limits, known = throttle_limits(records, choices.limits, notes)
     straight = is_straight(records, choices.between, notes)
-    parts = [part_of(record, limits, straight) for record in records]
+    parts = [make_part(record, limits, straight) for record in records]
     problem = Problem(parts, _longest(records, choices.longest_delay))
     base = fit(problem, Form())
     _check_answer(problem, base, where)

@@ -200,7 +200,7 @@ def _average(times: Array, values: Array) -> tuple[Array, Array]:
     return times[:whole].reshape(-1, many).mean(axis=1), values[:whole].reshape(-1, many).mean(axis=1)
 
 
-def levels_of(record: BenchRecord) -> Mapping[float, float]:
+def find_levels(record: BenchRecord) -> Mapping[float, float]:
     """Return the levels at which the command stands, with the longest time [s] for which it does."""
     begins = np.flatnonzero(np.diff(record.command, prepend=np.inf) != 0.0)
     ends = np.append(record.command_times[begins[1:]], record.command_times[-1])

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cosim.identify.bench.fit import Estimate
-from cosim.identify.bench.record import BenchRecord, levels_of
+from cosim.identify.bench.record import BenchRecord, find_levels
 
 DEVIATIONS_95 = 1.96
 SETTLED = 3.0  # delay and lags, for which a hold has to last before its level is told
@@ -78,8 +78,10 @@ def _lags(chosen: Estimate, records: Sequence[BenchRecord], step: str) -> list[s
 def _levels(
     records: Sequence[BenchRecord], limits: tuple[float, float], ends: tuple[float, float], hold: float, total: float
 ) -> list[str]:
-    held = [seconds for record in records for seconds in levels_of(record).values()]
-    settled = {level for record in records for level, seconds in levels_of(record).items() if seconds > SETTLED * total}
+    held = [seconds for record in records for seconds in find_levels(record).values()]
+    settled = {
+        level for record in records for level, seconds in find_levels(record).items() if seconds > SETTLED * total
+    }
     span = limits[1] - limits[0]
     stairs = ", ".join(f"{limits[0] + part * span:.4g}" for part in (0.2, 0.4, 0.6, 0.8, 1.0))
     lines = []

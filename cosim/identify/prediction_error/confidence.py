@@ -15,19 +15,21 @@ MIXED_95 = 5.1383807853214485  # of an even mixture of chi-squared of one and of
 LEAST_BLOCKS = 3  # times the parameters: fewer blocks do not tell a covariance; chosen by us
 
 
-def identify(problem: Problem, engine: bool, keep: dict[str, float] | None = None, most: int = 2) -> list[Estimate]:
+def identify(
+    problem: Problem, engine: bool, keep: dict[str, float] | None = None, form_count: int = 2
+) -> list[Estimate]:
     """Return the estimates of so many forms, each with a lag more, the best by Akaike's criterion first.
 
     The bounds of the delay are of the best, and of the richest: which holds the others, and no data refute it.
     """
     fewest = 0 if engine else 1
     estimates: list[Estimate] = []
-    for lags in range(fewest, fewest + most):
+    for lags in range(fewest, fewest + form_count):
         estimates.append(fit(problem, Form(engine, lags), keep, estimates[-1] if estimates else None))
     richest = with_delay_bounds(problem, estimates.pop())
     ends = [richest.delay_bounds]
     for simpler in estimates:  # one that is not refuted is the richest with a lag of nothing, which Newton only nears
-        if "delay_s" not in simpler.held and simpler.deviance < richest.deviance + MIXED_95:
+        if "delay_s" not in simpler.fixed and simpler.deviance < richest.deviance + MIXED_95:
             ends.append(with_delay_bounds(problem, simpler, richest.deviance).delay_bounds)
     richest = replace(richest, delay_bounds=(min(low for low, _ in ends), max(high for _, high in ends)))
     bounded = [*(with_delay_bounds(problem, estimate) for estimate in estimates), richest]
@@ -44,7 +46,7 @@ def with_delay_bounds(problem: Problem, estimate: Estimate, best: float | None =
     estimate's form is the true one (Self and Liang, J. Am. Stat. Assoc. 82, 1987, p. 605), and may be 5.14.
     """
     last = len(estimate.x) - 1
-    if estimate.form.names[last] in estimate.held:
+    if estimate.form.names[last] in estimate.fixed:
         return replace(estimate, delay_bounds=(estimate.delay, estimate.delay))
     most = CHI2_95 if best is None else MIXED_95
     best = estimate.deviance if best is None else best
@@ -57,7 +59,7 @@ def profile(problem: Problem, estimate: Estimate, delay: float, near: Estimate |
     near = near or estimate
     x = near.x.copy()
     x[-1] = delay
-    fixed = [*(i for i in range(len(x)) if estimate.form.names[i] in estimate.held), len(x) - 1]
+    fixed = [*(i for i in range(len(x)) if estimate.form.names[i] in estimate.fixed), len(x) - 1]
     return solve(problem, estimate.form, x, near.ar, fixed, estimate.order)
 
 

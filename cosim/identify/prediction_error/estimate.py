@@ -48,7 +48,7 @@ class Estimate:
     count: int  # equations
     covariance: Array  # of (x, linear, terms of A), 0 for what is at its limit
     free: tuple[int, ...]  # of x
-    held: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
     delay_bounds: tuple[float, float] = (float("nan"), float("nan"))
 
     @property

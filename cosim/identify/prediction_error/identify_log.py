@@ -142,7 +142,7 @@ def estimate_dict(estimate: Estimate, sample: float) -> dict[str, Any]:
         "all_delay_s": value,
         "all_delay_deviation_s": deviation,
         "noise_order": estimate.order,
-        "held": list(estimate.held),
+        "held": list(estimate.fixed),
         "equations": estimate.count,
         "residual_rms": float(np.sqrt(estimate.loss / estimate.count)),
         "aic": estimate.aic,
@@ -242,7 +242,7 @@ def _refuse(problem: Problem, estimates: Sequence[Estimate], prepared: Prepared,
             f"{where}: this log does not tell {unknown}: the 95 % bounds exceed the value; fly doublets or a sweep, "
             "larger or longer, or state what is known by --hold"
         )
-    if "delay_s" in chosen.held:
+    if "delay_s" in chosen.fixed:
         return
     if chosen.delay > prepared.longest_delay - prepared.working_step:
         raise NotIdentifiedError(
@@ -269,7 +269,7 @@ def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
     if chosen.gain < 0.0:
         doubts.append("the gain is negative: the output moves against the command")
     half_stretches = halves(problem.stretches)
-    if half_stretches is not None and "delay_s" not in chosen.held:
+    if half_stretches is not None and "delay_s" not in chosen.fixed:
         try:
             ends = [
                 solve(half, chosen.form, chosen.x.copy(), chosen.ar.copy(), _fixed_indices(chosen), chosen.order)
@@ -291,7 +291,7 @@ def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
 
 
 def _fixed_indices(estimate: Estimate) -> list[int]:
-    return [estimate.form.names.index(name) for name in estimate.held]
+    return [estimate.form.names.index(name) for name in estimate.fixed]
 
 
 # ---- tests of what is left
@@ -469,7 +469,7 @@ def _band(estimate: Estimate, step: float) -> tuple[float, float]:
 def _advice(estimate: Estimate, ends: tuple[float, float], prepared: Prepared, band: tuple[float, float]) -> list[str]:
     low, high = ends
     target = TARGET_WIDTH * prepared.working_step
-    if "delay_s" in estimate.held or high - low <= 2.0 * target:
+    if "delay_s" in estimate.fixed or high - low <= 2.0 * target:
         return []
     more = 0.5 * (high - low) / target
     return [

@@ -82,13 +82,13 @@ class Problem:
         allowed = [n for n in ORDERS if self.equations(n).sum() >= LEAST_VALID * self.samples]
         return [n for n in allowed or ORDERS[:1] if n < self.samples // 10] or [1]
 
-    def best_order(self, error: Array, least: float) -> int:
-        """Return the order of A for this v: by Akaike's criterion on equal equations, and at least ``least`` [s].
+    def best_order(self, error: Array, min_span: float) -> int:
+        """Return the order of A for this v: by Akaike's criterion on equal equations, and at least ``min_span`` [s].
 
         As long as delay and lags it has to be in a loop: the command of that long before carries the noise of that time
         and earlier, and what a shorter A leaves of it in e would be taken for an answer to the command.
         """
-        long_enough = [n for n in self.orders if n * self.working_step >= least]
+        long_enough = [n for n in self.orders if n * self.working_step >= min_span]
         orders = long_enough or self.orders[-1:]
         use = self.equations(orders[-1])
         late = np.stack([shift(error, i) for i in range(1, orders[-1] + 1)], axis=1)[use]

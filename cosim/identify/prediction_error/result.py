@@ -149,7 +149,7 @@ def _order(name: str) -> int:
 
 
 def _mark_fixed(estimate: Estimate, name: str, value: float, text: str) -> str:
-    return f"{value:.4g} held" if name in estimate.held else text
+    return f"{value:.4g} held" if name in estimate.fixed else text
 
 
 def _slow_pole(value: float, deviation: float) -> str:
@@ -169,7 +169,7 @@ def _about(value: float, deviation: float) -> str:
 
 
 def _delay(estimate: Estimate) -> str:
-    if "delay_s" in estimate.held:
+    if "delay_s" in estimate.fixed:
         return f"{1e3 * estimate.delay:.4g} held"
     low, high = estimate.delay_bounds
     if not np.isfinite(low):

@@ -102,7 +102,7 @@ def fit(
     best = min(tried, key=lambda estimate: estimate.loss)
     # Two forms are compared on the same equations, which the order of A decides.
     order = None if near is None else near.order
-    return replace(solve(problem, form, best.x, best.ar, fixed, order), held=tuple(keep))
+    return replace(solve(problem, form, best.x, best.ar, fixed, order), fixed=tuple(keep))
 
 
 def solve(

@@ -233,12 +233,12 @@ def _find_movement(command: Channel, spans: Sequence[tuple[float, float]]) -> li
     return stretches
 
 
-def _bridge_pauses(moving: list[bool], most: int) -> list[bool]:
+def _bridge_pauses(moving: list[bool], longest: int) -> list[bool]:
     """Count pauses of at most so many windows between movement as movement."""
     bridged, last = list(moving), -1
     for n, yes in enumerate(moving):
         if yes:
-            if last >= 0 and n - last - 1 <= most:
+            if last >= 0 and n - last - 1 <= longest:
                 bridged[last:n] = [True] * (n - last)
             last = n
     return bridged

@@ -90,7 +90,7 @@ def _fits(response: FrequencyResponse, lags: int, hold: Mapping[str, float] | No
     """Fit the form: first with a whole delay, where a free one comes out whole, then with a free one."""
     free = fit(response, lags, "all free" if not hold else ", ".join(hold) + " held", hold)
     delay = round(free.model.delay_samples)
-    if "delay_samples" in free.held or abs(free.model.delay_samples - delay) > NEARLY_WHOLE:
+    if "delay_samples" in free.fixed or abs(free.model.delay_samples - delay) > NEARLY_WHOLE:
         return (free,)
     return (fit(response, lags, "whole delay", {**(hold or {}), "delay_samples": float(delay)}), free)
 

@@ -107,7 +107,7 @@ class Fit:
     label: str
     model: Model
     bounds: Mapping[str, tuple[float, float]]  # by the names of ``values``; held ones are left out
-    held: tuple[str, ...]
+    fixed: tuple[str, ...]
     misfit: float  # root mean square of |ln(model / response)| over the points that count: 0.01 is 1 % or 0.6 deg
     worst_db: float
     worst_deg: float

@@ -126,7 +126,7 @@ def fit_dict(fit: Fit, source: str, engine: bool) -> dict[str, Any]:
         "label": fit.label,
         "continuous": values | {"delay_s": model.delay_samples * model.step},
         "bounds_95": {name: list(ends) for name, ends in fit.bounds.items()},
-        "held": list(fit.held),
+        "held": list(fit.fixed),
         "discrete": model.discrete(source).model_dump(),
         **axis,
         "misfit": fit.misfit,
@@ -245,7 +245,7 @@ def _with_bounds(fit: Fit, name: str, scale: float, invert: bool) -> str:
         return f"{scale * inverted:.4g}" if abs(inverted) > 1e-9 else "0"
 
     value = fit.values[name]
-    if name in fit.held:
+    if name in fit.fixed:
         return f"{number(value)} held"
     if is_none(fit, name):
         return "none"

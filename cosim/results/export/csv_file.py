@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from cosim.results.export.output import ROWS, output
+from cosim.results.export.output import ROWS, open_output
 from cosim.results.run import open_run
 
 
@@ -15,7 +15,7 @@ def export_csv(folder: Path, path: Path) -> None:
     Raises InputError if there is no run or the file cannot be written.
     """
     run = open_run(folder)
-    with output(run, path) as temporary, open(temporary, "w", encoding="ascii", newline="") as file:
+    with open_output(run, path) as temporary, open(temporary, "w", encoding="ascii", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(run.log.columns)
         for block in run.log.blocks(run.log.columns, ROWS):

@@ -41,7 +41,7 @@ class FlightGear:
     """An observer that sends; nothing waits for FlightGear, and nobody need listen."""
 
     def __init__(self, address: str, latitude_deg: float, longitude_deg: float, ground_m: float) -> None:
-        self._to = parse(address)
+        self._to = parse_address(address)
         self._map = Geodesy(latitude_deg, longitude_deg, ground_m)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -53,14 +53,14 @@ class FlightGear:
             return
         self._sent += 1
         with suppress(OSError):  # nobody there, or nobody reads
-            self._socket.sendto(packet(sample, self._map), self._to)
+            self._socket.sendto(pack_state(sample, self._map), self._to)
 
     def close(self) -> None:
         """Send no more."""
         self._socket.close()
 
 
-def parse(address: str) -> tuple[str, int]:
+def parse_address(address: str) -> tuple[str, int]:
     """Parse ``[HOST:]PORT``, on this machine without a host.  Raises InputError."""
     host, _, port = address.rpartition(":")
     if not port.isdigit() or not 1 <= int(port) <= 65535:
@@ -73,7 +73,7 @@ def parse(address: str) -> tuple[str, int]:
     return str(name), int(number)
 
 
-def packet(sample: Sample, where: Geodesy) -> bytes:
+def pack_state(sample: Sample, where: Geodesy) -> bytes:
     """Return the state of one step as the packet that FlightGear reads.
 
     The speed of the instruments is the true air speed; fuel, gear and controls are left at zero.

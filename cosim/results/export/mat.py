@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.errors import InputError
 from cosim.results.autopilot.autopilot_record import read_pilot_record
-from cosim.results.export.output import describe_columns, log_lines, output, run_properties
+from cosim.results.export.output import describe_columns, log_lines, open_output, run_properties
 from cosim.results.run import open_run
 
 _LONGEST = 63  # MATLAB's namelengthmax
@@ -65,7 +65,7 @@ def export_mat(folder: Path, path: Path) -> None:
         "metadata": run_properties(run.summary),
     }
     flight = {name: part for name, part in flight.items() if not (isinstance(part, dict) and not part)}
-    with output(run, path) as temporary, open(temporary, "wb") as file:
+    with open_output(run, path) as temporary, open(temporary, "wb") as file:
         savemat(file, {"flight": flight}, long_field_names=True, do_compression=True, oned_as="column")
 
 

@@ -23,12 +23,12 @@ from cosim.results.export.output import (
     Block,
     LogLine,
     Timed,
+    describe_column,
     describe_columns,
     log_lines,
-    meaning,
-    output,
+    open_output,
+    read_flown_scenario,
     run_properties,
-    scenario_of,
 )
 from cosim.results.log.columns import custom_columns
 from cosim.results.run import SCENARIO, SUMMARY, open_run
@@ -82,20 +82,22 @@ def export_mcap(folder: Path, path: Path) -> None:
         ) from None
 
     run = open_run(folder)
-    with output(run, path) as temporary, open(temporary, "wb") as file:
+    with open_output(run, path) as temporary, open(temporary, "wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(profile="", library="hexjet-cosim")
         writer.add_metadata("hexjet", run_properties(run.summary))
-        writer.add_metadata("hexjet.columns", {column.name: meaning(column) for column in describe_columns(run)})
+        writer.add_metadata(
+            "hexjet.columns", {column.name: describe_column(column) for column in describe_columns(run)}
+        )
         for name, kind in ((SCENARIO, "application/toml"), (SUMMARY, "application/json")):
             if (folder / name).is_file():
                 writer.add_attachment(0, 0, name, kind, (folder / name).read_bytes())
-        channels = channels_of(writer, describe_columns(run))
-        drawing = scene.Scene(writer, run.summary.step_s, scenario_of(run))
+        channels = register_channels(writer, describe_columns(run))
+        drawing = scene.Scene(writer, run.summary.step_s, read_flown_scenario(run))
         texts = _texts(writer, log_lines(run, read_pilot_record(folder)))
         done, first, last = 0, 0, len(run.log) - 1
         for block in run.log.blocks(run.log.columns, ROWS):
-            messages = [*messages_of(channels, block, first), *drawing.messages(block, first, last)]
+            messages = [*iterate_messages(channels, block, first), *drawing.messages(block, first, last)]
             first += len(block["time_s"])
             while done < len(texts) and texts[done][0] < first:
                 messages.append(texts[done])
@@ -110,7 +112,7 @@ def _write(writer: Any, messages: Sequence[Timed]) -> None:
         writer.add_message(channel, time, content, time, k)
 
 
-def subjects(columns: Sequence[Column]) -> dict[str, list[Column]]:
+def group_by_channel(columns: Sequence[Column]) -> dict[str, list[Column]]:
     """Return the columns of a log by the channel that has them; ``time_s`` is in one of its own."""
     custom = {column.name for column in custom_columns(columns)}
     groups: dict[str, list[Column]] = {}
@@ -123,12 +125,12 @@ def subjects(columns: Sequence[Column]) -> dict[str, list[Column]]:
     return groups
 
 
-def channels_of(writer: Any, columns: Sequence[Column]) -> list[Channel]:
+def register_channels(writer: Any, columns: Sequence[Column]) -> list[Channel]:
     """Register and return the channels of a log's columns."""
     from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 
     channels = []
-    for topic, of in subjects(columns).items():
+    for topic, of in group_by_channel(columns).items():
         files = FileDescriptorSet()
         file = files.file.add(name=f"hexjet{topic}.proto", package="hexjet", syntax="proto3")
         message = file.message_type.add(name=topic.strip("/").title().replace("_", ""))
@@ -141,7 +143,7 @@ def channels_of(writer: Any, columns: Sequence[Column]) -> list[Channel]:
                 label=FieldDescriptorProto.LABEL_OPTIONAL,
             )
         schema = writer.register_schema(f"hexjet.{message.name}", "protobuf", files.SerializeToString())
-        meanings = {column.name: meaning(column) for column in of}
+        meanings = {column.name: describe_column(column) for column in of}
         tags = tuple(_varint(number << 3 | _DOUBLE) for number in range(1, len(of) + 1))
         layout = [part for n, tag in enumerate(tags) for part in ((f"tag{n}", "u1", (len(tag),)), (f"value{n}", "<f8"))]
         channels.append(
@@ -164,9 +166,9 @@ def _varint(number: int) -> bytes:
     return bytes([*encoded, number])
 
 
-def messages_of(channels: Sequence[Channel], block: Block, first: int) -> Iterator[Timed]:
+def iterate_messages(channels: Sequence[Channel], block: Block, first: int) -> Iterator[Timed]:
     """Yield a message a row and channel: each field is its tag and eight bytes, so that all rows are of one layout."""
-    times = nanoseconds(block)
+    times = to_nanoseconds(block)
     for channel in channels:
         messages = np.zeros(len(times), dtype=channel.kind)
         for n, (name, tag) in enumerate(zip(channel.columns, channel.tags, strict=True)):
@@ -177,17 +179,17 @@ def messages_of(channels: Sequence[Channel], block: Block, first: int) -> Iterat
             yield first + row, time, channel.number, content[row * size : (row + 1) * size]
 
 
-def nanoseconds(block: Block) -> list[int]:
+def to_nanoseconds(block: Block) -> list[int]:
     """Return the times of a block's rows, ns from the start."""
     return [round(1e9 * time) for time in block["time_s"].tolist()]
 
 
 def _texts(writer: Any, lines: Sequence[LogLine]) -> list[Timed]:
-    channel = log_channel(writer)
-    return [text_of(channel, line) for line in lines]
+    channel = register_log_channel(writer)
+    return [make_text_message(channel, line) for line in lines]
 
 
-def log_channel(writer: Any) -> int:
+def register_log_channel(writer: Any) -> int:
     """Register the channel for lines of text and return its number."""
     from foxglove_schemas_protobuf.Log_pb2 import Log
     from mcap_protobuf.schema import register_schema
@@ -196,7 +198,7 @@ def log_channel(writer: Any) -> int:
     return channel
 
 
-def text_of(channel: int, line: LogLine) -> Timed:
+def make_text_message(channel: int, line: LogLine) -> Timed:
     """Return a line of text as a message."""
     from foxglove_schemas_protobuf.Log_pb2 import Log
 

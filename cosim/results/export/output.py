@@ -14,7 +14,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.outcomes import Verdict
 from cosim.base.protocols import Column
 from cosim.base.storage.files import one_line, replace_on_success
-from cosim.results.events import events_of
+from cosim.results.events import list_events
 from cosim.results.export import ulog_autopilot
 from cosim.results.log.columns import COLUMNS
 from cosim.results.run import RUN_FILES, Run
@@ -49,7 +49,7 @@ def log_lines(run: Run, lines: Sequence[ulog_autopilot.Line]) -> list[LogLine]:
     worth = "" if summary.verdict in (None, Verdict.NOT_COMPLETED) else f"; {summary.verdict}"
     texts.append(LogLine(end, last, level, "outcome", f"{summary.outcome}: {summary.reason}{worth}"))
     texts += [LogLine(end, last, ERROR, "limit", f"beyond its limit: {text}") for text in summary.exceeded]
-    for event in events_of(run):
+    for event in list_events(run):
         if event.kind != "pilot":
             texts.append(LogLine(round(event.time_s / step), event.time_s, event.severity, event.kind, event.text))
             if event.end_s is not None:
@@ -87,12 +87,12 @@ def describe_columns(run: Run) -> list[Column]:
     ]
 
 
-def meaning(column: Column) -> str:
+def describe_column(column: Column) -> str:
     """Return unit, frame and meaning in a line, for formats whose fields have no units."""
     return f"[{column.unit}] {f'{column.frame}: ' if column.frame else ''}{column.meaning}"
 
 
-def scenario_of(run: Run) -> Scenario | None:
+def read_flown_scenario(run: Run) -> Scenario | None:
     """Return the scenario as flown; None where it is of another version or gone, while the log is still there."""
     try:
         scenario = run.scenario
@@ -102,7 +102,7 @@ def scenario_of(run: Run) -> Scenario | None:
     return scenario
 
 
-def settings(scenario: Scenario | None) -> dict[str, float]:
+def list_numbers(scenario: Scenario | None) -> dict[str, float]:
     """Return every number of the vehicle, with its gains, and of the scenario: under its key, parted by ``/``.
 
     Of the identified models only that of the engine that is flown.  What is whole is whole, truth is 0 or 1.
@@ -144,7 +144,7 @@ def quaternions(roll: Array, pitch: Array, yaw: Array) -> Array:
 
 
 @contextmanager
-def output(run: Run, path: Path) -> Iterator[Path]:
+def open_output(run: Run, path: Path) -> Iterator[Path]:
     """Yield a temporary file that becomes ``path`` if all goes well.  Raises InputError if it cannot be written."""
     if path.name in RUN_FILES and run.folder is not None and path.resolve().parent == run.folder.resolve():
         raise InputError(f"{path}: belongs to the run itself; choose another name")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cosim.base.errors import FlightError, InputError
-from cosim.results.export.output import describe_columns, output, run_properties
+from cosim.results.export.output import describe_columns, open_output, run_properties
 from cosim.results.log.arrow import write_log
 from cosim.results.run import LOG, open_run
 
@@ -20,7 +20,7 @@ def export_parquet(folder: Path, path: Path) -> None:
     run = open_run(folder)
     if path.resolve() == (folder / LOG).resolve():
         raise InputError(f"{path}: the log is Parquet already; --out FILE makes a copy that says what was flown")
-    with output(run, path) as temporary:
+    with open_output(run, path) as temporary:
         try:
             write_log(temporary, describe_columns(run), run.log.blocks(run.log.columns), run_properties(run.summary))
         except FlightError as error:

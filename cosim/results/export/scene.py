@@ -82,7 +82,7 @@ class Scene:
         for row, seconds in enumerate(block["time_s"].tolist()):
             k, time = first + row, round(1e9 * seconds)
             if k == 0 and self._vehicle is not None:
-                yield k, time, self._channels["/scene"], drawing(self._vehicle, time).SerializeToString()
+                yield k, time, self._channels["/scene"], draw_vehicle(self._vehicle, time).SerializeToString()
             for topic, make in made.items():
                 if topic in self._channels and (k % self._every[topic] == 0 or k == last):
                     yield k, time, self._channels[topic], make(block, row, q, time).SerializeToString()
@@ -119,7 +119,7 @@ class Scene:
     def _arrows(self, block: Block, row: int, q: Array, time: int) -> SceneUpdate:
         assert self._vehicle is not None
         update = SceneUpdate()
-        size = reach(self._vehicle)
+        size = vehicle_reach(self._vehicle)
         newton_m = hover_n(self._vehicle) / size
         for number in range(1, len(self._vehicle.jets) + 1):
             thrust = float(block[f"thrust_{number}_N"][row])
@@ -131,13 +131,13 @@ class Scene:
         entity = _entity(update, "wind", "ned", time)
         entity.frame_locked = False
         entity.metadata.add(key="speed_m_s", value=repr(hypot(*wind)))
-        _arrow(entity, _position(block, row), along(*wind), WIND_S * hypot(*wind), 0.04 * size, _WIND)
+        _arrow(entity, _position(block, row), direction_quaternion(*wind), WIND_S * hypot(*wind), 0.04 * size, _WIND)
         return update
 
 
-def drawing(vehicle: Vehicle, time: int) -> SceneUpdate:
+def draw_vehicle(vehicle: Vehicle, time: int) -> SceneUpdate:
     """Draw hull, legs and jets: positions from ``vehicle.toml``, thicknesses as fractions of its size."""
-    update, size = SceneUpdate(), reach(vehicle)
+    update, size = SceneUpdate(), vehicle_reach(vehicle)
     body = _entity(update, "body", "body", time)
     # from the points that the hull touches with, or else the stations, to the centre of gravity
     positions = [contact.position_m for contact in vehicle.contacts if contact.kind == "hull"]
@@ -165,7 +165,7 @@ def drawing(vehicle: Vehicle, time: int) -> SceneUpdate:
     return update
 
 
-def reach(vehicle: Vehicle) -> float:
+def vehicle_reach(vehicle: Vehicle) -> float:
     """Return how far the farthest station or contact is from the centre of gravity along any axis, m."""
     positions = [*(jet.position_m for jet in vehicle.jets), *(contact.position_m for contact in vehicle.contacts)]
     return max(max(map(abs, position)) for position in positions) or 1.0
@@ -176,7 +176,7 @@ def hover_n(vehicle: Vehicle) -> float:
     return vehicle.mass_kg * GRAVITY / len(vehicle.jets)
 
 
-def along(x: float, y: float, z: float) -> tuple[float, float, float, float]:
+def direction_quaternion(x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Return the quaternion that turns +x to a direction by a yaw and a pitch; the identity for no direction at all."""
     yaw, pitch = 0.5 * atan2(y, x), -0.5 * atan2(z, hypot(x, y))
     return cos(yaw) * cos(pitch), -sin(yaw) * sin(pitch), cos(yaw) * sin(pitch), sin(yaw) * cos(pitch)

@@ -21,7 +21,16 @@ from numpy.typing import NDArray
 
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.export import ulog_autopilot
-from cosim.results.export.output import ROWS, Block, log_lines, meaning, output, run_properties, scenario_of, settings
+from cosim.results.export.output import (
+    ROWS,
+    Block,
+    describe_column,
+    list_numbers,
+    log_lines,
+    open_output,
+    read_flown_scenario,
+    run_properties,
+)
 from cosim.results.export.ulog_topics import BY_AUTOPILOT, CUSTOM, EVERY_S, STATES, Field, column, topics
 from cosim.results.log.columns import custom_columns, logged_vehicle_of
 from cosim.results.run import open_run
@@ -52,12 +61,12 @@ def export_ulog(folder: Path, path: Path, rates: Rates = "all") -> None:
     }
     pilot = ulog_autopilot.states(lines, run.summary.steps, step)
     at_start, changes = ulog_autopilot.parameters(lines)
-    at_start = _by_parameter_name(settings(scenario_of(run))) | at_start
-    with output(run, path) as temporary, open(temporary, "wb") as file:
+    at_start = _by_parameter_name(list_numbers(read_flown_scenario(run))) | at_start
+    with open_output(run, path) as temporary, open(temporary, "wb") as file:
         file.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0))
         file.write(_message(b"B", bytes(40)))
         file.writelines(_message(b"I", _info(key, value)) for key, value in _properties(run.summary).items())
-        file.writelines(_message(b"I", _info(f"{CUSTOM}_{column.name}", meaning(column))) for column in custom)
+        file.writelines(_message(b"I", _info(f"{CUSTOM}_{column.name}", describe_column(column))) for column in custom)
         file.writelines(_message(b"P", ulog_autopilot.parameter(name, value)) for name, value in at_start.items())
         file.writelines(_message(b"F", _format(name, topic.fields)) for name, topic in topics_held.items())
         file.writelines(_message(b"F", _series_format(name, series)) for name, series in pilot.items())

@@ -10,14 +10,21 @@ from typing import Any
 import numpy as np
 
 from cosim.base.signals import AXES
-from cosim.results.comparison import ComparedFlight, Pair, Signal, inputs_differ, pairs, step_of
-from cosim.results.events import events_of
+from cosim.results.comparison import (
+    ComparedFlight,
+    LogComparison,
+    Signal,
+    compare_with_first,
+    list_input_differences,
+    median_step,
+)
+from cosim.results.events import list_events
 from cosim.results.log.tables import TIME
 from cosim.results.report.flight import axis_cell, verdict, verdict_badge
 from cosim.results.report.flight_figures import comparison_figures, subtract_first
 from cosim.results.report.page import TEMPLATES, Flights, render
 from cosim.results.report.plot import run_colour
-from cosim.results.report.signals_data import FlightData, run_data, vehicle_of
+from cosim.results.report.signals_data import FlightData, read_vehicle, run_data
 from cosim.results.run import REPORT, Run
 from cosim.results.summary import Summary
 from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, display_unit, metric, show_value
@@ -27,10 +34,10 @@ def compare_report(runs: Sequence[Run], path: Path) -> None:
     """Write one page with several runs laid over each other.  Raises FlightError if the file cannot be written."""
     labels = run_labels([run.summary for run in runs])
     flights = [ComparedFlight(label, run.log, run) for label, run in zip(labels, runs, strict=True)]
-    write_comparison(flights, pairs(flights), path)
+    write_comparison(flights, compare_with_first(flights), path)
 
 
-def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[Pair], path: Path) -> None:
+def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], path: Path) -> None:
     """Write the page of flights and of what :func:`cosim.results.comparison.pairs` says of them.
 
     Raises FlightError if the file cannot be written.
@@ -43,7 +50,7 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[Pair]
     data = [flight_data(flight, number) for number, flight in enumerate(flights)]
     for number, log in less.items():
         label, times = f"{flights[number].label} less {flights[0].label}", log[TIME]
-        step = step_of(times)
+        step = median_step(times)
         even = bool(np.allclose(times, step * np.arange(times.size), rtol=0.0, atol=1e-6 * step))
         data.append(run_data(FlightData(log, label, run_colour(number), step_s=step, times=None if even else times)))
     render(
@@ -98,7 +105,7 @@ def flight_data(flight: ComparedFlight, number: int) -> tuple[dict[str, Any], di
     colour = run_colour(number)
     if flight.run is None:
         times = flight.log[TIME]
-        return run_data(FlightData(flight.log, flight.label, colour, step_s=step_of(times), times=times))
+        return run_data(FlightData(flight.log, flight.label, colour, step_s=median_step(times), times=times))
     summary = flight.run.summary
     return run_data(
         FlightData(
@@ -106,8 +113,8 @@ def flight_data(flight: ComparedFlight, number: int) -> tuple[dict[str, Any], di
             flight.label,
             colour,
             step_s=summary.step_s,
-            events=events_of(flight.run),
-            vehicle=vehicle_of(flight.run),
+            events=list_events(flight.run),
+            vehicle=read_vehicle(flight.run),
             jets_m=summary.jets_m,
             reach=summary.reach,
         )
@@ -117,7 +124,7 @@ def flight_data(flight: ComparedFlight, number: int) -> tuple[dict[str, Any], di
 # ---- words and tables
 
 
-def describe_pair(pair: Pair) -> list[str]:
+def describe_pair(pair: LogComparison) -> list[str]:
     """Describe on which steps two flights were compared, and what is the same."""
     if not pair.steps:
         return [f"{pair.first} and {pair.second} have no time in common."]
@@ -156,7 +163,7 @@ def signal_cells(signal: Signal) -> tuple[str, str, str, str, str, str]:
 
 def inputs_between(first: ComparedFlight, second: ComparedFlight) -> list[tuple[str, str, str]]:
     """Return what differs between two flights' inputs; nothing where one is a log alone."""
-    return [] if first.run is None or second.run is None else inputs_differ(first.run, second.run)
+    return [] if first.run is None or second.run is None else list_input_differences(first.run, second.run)
 
 
 def comparison_rows(summaries: Sequence[Summary | None]) -> list[dict[str, Any]]:

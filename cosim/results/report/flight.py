@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.outcomes import Verdict
-from cosim.results.events import Event, events_of
+from cosim.results.events import Event, list_events
 from cosim.results.log.columns import custom_columns
 from cosim.results.metrics import AxisMetrics
 from cosim.results.report.flight_figures import run_figures
 from cosim.results.report.log_reader import Reader
 from cosim.results.report.page import TEMPLATES, Flights, render
-from cosim.results.report.panels import at_rest
+from cosim.results.report.panels import make_rest_columns
 from cosim.results.report.plot import BLUE
-from cosim.results.report.signals_data import FlightData, run_data, vehicle_of
+from cosim.results.report.signals_data import FlightData, read_vehicle, run_data
 from cosim.results.run import LOG, SCENARIO, Run
 from cosim.results.summary import DelayRow, Summary
 from cosim.results.verdict import BADGES
@@ -44,10 +44,10 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
 
 def _write(run: Run, path: Path, shared_assets: bool) -> None:
     summary = run.summary
-    events = events_of(run)
+    events = list_events(run)
     flights = None
     if summary.steps:
-        vehicle = vehicle_of(run)
+        vehicle = read_vehicle(run)
         data = run_data(
             FlightData(
                 run.log,
@@ -57,7 +57,7 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
                 events=events,
                 vehicle=vehicle,
                 jets_m=summary.jets_m,
-                derived=at_rest(run.log, summary),
+                derived=make_rest_columns(run.log, summary),
                 upsets=Reader(run.log, summary.step_s).upsets(),
                 reach=summary.reach,
             )

@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.base.protocols import Column
 from cosim.base.signals import AXES
-from cosim.results.comparison import ComparedFlight, base_of, difference
+from cosim.results.comparison import ComparedFlight, difference, make_time_base
 from cosim.results.log.columns import custom_columns
 from cosim.results.log.recorder import Log, MemoryLog
 from cosim.results.log.tables import TIME
@@ -72,7 +72,7 @@ def run_figures(log: Log, summary: Summary) -> dict[str, Figure]:
         reader.has_values(trace.column) for panel in POSITION for trace in panel.traces if trace.label == "set-point"
     ):
         figures["place"] = strips(reader, POSITION)
-    outside = [panel for panel in OUTSIDE if any(reader.moves(trace.column) for trace in panel.traces)]
+    outside = [panel for panel in OUTSIDE if any(reader.is_moving(trace.column) for trace in panel.traces)]
     if outside:
         figures["outside"] = strips(reader, outside)
     custom = [column for column in custom_columns(log.described) if reader.has_values(column.name)]
@@ -91,7 +91,8 @@ def strips(reader: Reader, panels: Sequence[Panel]) -> Figure:
     return {
         "panels": [
             _strip(
-                panel, [(0, trace) for trace in panel.traces if not trace.only_if_moving or reader.moves(trace.column)]
+                panel,
+                [(0, trace) for trace in panel.traces if not trace.only_if_moving or reader.is_moving(trace.column)],
             )
             for panel in panels
         ]
@@ -112,7 +113,7 @@ def _strip(panel: Panel, traces: Sequence[tuple[int, Trace]]) -> dict[str, Any]:
                 "colour": trace.colour,
                 "dash": trace.dash,
                 "width": trace.width,
-                "held": trace.held,
+                "held": trace.is_staircase,
                 "scale": panel.scale,
                 "shown": panel.unit,
             }
@@ -168,7 +169,7 @@ def subtract_first(flights: Sequence[ComparedFlight]) -> dict[int, MemoryLog]:
     level = ("north_m", "east_m")
     sources = [((name.removesuffix(_LESS),), name) for name in LESS_NAMES[:-1]] + [(level, LESS_NAMES[-1])]
     for number, flight in enumerate(flights[1:], 1):
-        base = base_of(first, flight.log)
+        base = make_time_base(first, flight.log)
         common = {*first.columns} & {*flight.log.columns}
         columns = {TIME: base.times}
         for names, name in sources:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.signals import AXES
-from cosim.results.comparison import ComparedFlight, step_of
+from cosim.results.comparison import ComparedFlight, median_step
 from cosim.results.events import row_spans
 from cosim.results.log.recorder import Log
 from cosim.results.log.tables import TIME
@@ -39,11 +39,11 @@ class Reader:
         if flight.run is not None:
             return cls(flight.log, flight.run.summary.step_s)
         times = flight.log[TIME]
-        return cls(flight.log, step_of(times), times)
+        return cls(flight.log, median_step(times), times)
 
     def xy(self, values: Array) -> Figure:
         """Return the x and y of a trace for one value a row."""
-        rows = thin(values)
+        rows = choose_rows(values)
         if self._times is not None:
             x, y = (self._times, values) if rows is None else (self._times[rows], values[rows])
             return {"x": x.astype(np.float64), "y": y.astype(np.float32)}
@@ -51,7 +51,7 @@ class Reader:
             return {"x0": 0.0, "dx": self.step_s, "y": values.astype(np.float32)}
         return {"x": rows * self.step_s, "y": values[rows].astype(np.float32)}
 
-    def moves(self, column: str) -> bool:
+    def is_moving(self, column: str) -> bool:
         """Return whether a column is ever anything but 0."""
         return bool(np.any(np.abs(self.log[column]) > 0.0))
 
@@ -76,16 +76,16 @@ class Reader:
         return pairs if len(pairs) <= MOST_SHADES else []
 
 
-def thin(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp] | None:
-    """Return the rows to draw, at most ``most``, so that no peak is lost; None for all rows.
+def choose_rows(values: Array, limit: int = MOST_POINTS) -> NDArray[np.intp] | None:
+    """Return the rows to draw, at most ``limit``, so that no peak is lost; None for all rows.
 
     They are the first, the last, and the least and the greatest of each of many equal stretches.  A stretch without a
     number stays a gap.
     """
-    if values.size <= most:
+    if values.size <= limit:
         return None
     inner = values[1:-1]
-    length = ceil(inner.size / (most // 2 - 1))
+    length = ceil(inner.size / (limit // 2 - 1))
     padded = np.full(ceil(inner.size / length) * length, np.nan)
     padded[: inner.size] = inner
     stretches = padded.reshape(-1, length)

@@ -30,7 +30,7 @@ class Trace(NamedTuple):
     colour: str = BLUE
     dash: str = "solid"
     width: float = 1.8
-    held: bool = False  # drawn as a staircase: what is asked for is held over a control step
+    is_staircase: bool = False  # drawn as a staircase: what is asked for is held over a control step
     only_if_moving: bool = False  # left out where it is 0 throughout
 
 
@@ -45,7 +45,7 @@ class Panel(NamedTuple):
 
 
 def _setpoint(column: str) -> Trace:
-    return Trace(column, "set-point", GREY, "dash", 1.5, held=True)
+    return Trace(column, "set-point", GREY, "dash", 1.5, is_staircase=True)
 
 
 def _tracking_panel(name: str, si: str, unit: str, scale: float, least_span: float) -> Panel:
@@ -60,14 +60,14 @@ def _tracking_panel(name: str, si: str, unit: str, scale: float, least_span: flo
 
 def _demand(column: str, label: str) -> Trace:
     """Return the trace of a demand of a controller: noisy, so a thin line behind the others."""
-    return Trace(column, label, GREY, width=1.1, held=True)
+    return Trace(column, label, GREY, width=1.1, is_staircase=True)
 
 
 def _effort(name: str) -> list[Trace]:
     return [
-        Trace(f"torque_{name}", "asked for", BLUE, width=1.5, held=True),
-        Trace(f"disturbance_torque_{name}", "disturbance", MAGENTA, "dot", held=True, only_if_moving=True),
-        Trace(f"refused_{name}", "refused", RED, held=True, only_if_moving=True),
+        Trace(f"torque_{name}", "asked for", BLUE, width=1.5, is_staircase=True),
+        Trace(f"disturbance_torque_{name}", "disturbance", MAGENTA, "dot", is_staircase=True, only_if_moving=True),
+        Trace(f"refused_{name}", "refused", RED, is_staircase=True, only_if_moving=True),
     ]
 
 
@@ -129,8 +129,8 @@ EFFORT = [
         "Collective",
         "throttle",
         [
-            Trace("collective", "asked for", BLUE, width=1.5, held=True),
-            Trace("refused_collective", "refused", RED, held=True, only_if_moving=True),
+            Trace("collective", "asked for", BLUE, width=1.5, is_staircase=True),
+            Trace("refused_collective", "refused", RED, is_staircase=True, only_if_moving=True),
         ],
         least_span=0.2,
     ),
@@ -147,7 +147,7 @@ OUTSIDE = [  # a panel is left out where it is 0 throughout
     Panel("Force", "N", _vector("disturbance_force_{}_N", ("x", "y", "z"))),
     Panel("Moment", "N m", _vector("disturbance_moment_{}_N_m", ("x", "y", "z"))),
     Panel("Wind", "m/s", _vector("wind_{}_m_s", ("north", "east", "down"))),
-    Panel("Payload", "kg", [Trace("payload_kg", "mass", held=True)]),
+    Panel("Payload", "kg", [Trace("payload_kg", "mass", is_staircase=True)]),
 ]
 ENGINES = (  # a panel is left out where no engine says anything
     ("Spool speed", "rpm", "spool_speed_{}_rad_s", 30.0 / pi),
@@ -194,7 +194,7 @@ def thrust_panels(summary: Summary) -> list[Panel]:
     ]
 
 
-def at_rest(log: Log, summary: Summary) -> dict[str, Callable[[], Array]]:
+def make_rest_columns(log: Log, summary: Summary) -> dict[str, Callable[[], Array]]:
     """Return what makes the columns that a page has beside the log's: each engine's thrust at rest for its throttle."""
     columns: dict[str, Callable[[], Array]] = {}
     for jet, curve in enumerate(thrust_curves(summary), 1):

@@ -63,7 +63,7 @@ def pack(values: Array) -> Packed | None:
     low, high = float(values_filled.min()), float(values_filled.max())
     if low == high and not gaps:
         return Packed(low, 1.0, 0, 0, False, "")
-    step = step_of(values_filled, low, high)
+    step = quantisation_step(values_filled, low, high)
     base = 0.0 if max(abs(low), abs(high)) / step < _MOST else step * floor(low / step)
     numbers = np.rint((values_filled - base) / step).astype(np.int64)
     middle = max(0, numbers.size // 2 - _TRIED // 2)
@@ -77,7 +77,7 @@ def pack(values: Array) -> Packed | None:
     return Packed(base, step, order, bytes_used, gaps, base64.b64encode(zlib.compress(raw, _LEVEL)).decode())
 
 
-def step_of(values: Array, low: float, high: float) -> float:
+def quantisation_step(values: Array, low: float, high: float) -> float:
     """Return the power of two that a column of numbers between ``low`` and ``high`` is rounded to."""
     if max(abs(low), abs(high)) < _MOST and np.array_equal(values, np.rint(values)):
         return 1.0
@@ -151,7 +151,7 @@ class FlightData(NamedTuple):
 def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
     """Return what a page says of a run, as JSON has it, and its columns' data by name."""
     log = flight.log
-    group = group_of(len(log)) if flight.times is None else 1
+    group = group_length(len(log)) if flight.times is None else 1
     columns, data, empty = _pack_columns(flight, group)
     described = {
         "label": flight.label,
@@ -170,12 +170,12 @@ def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
         ],
         "upsets": flight.upsets,
         "saturated": _saturation_times(log, flight.reach, flight.step_s) if len(log) and flight.times is None else [],
-        "vehicle": shape(flight.vehicle) if flight.vehicle is not None else _jets_only(flight.jets_m),
+        "vehicle": describe_shape(flight.vehicle) if flight.vehicle is not None else _jets_only(flight.jets_m),
     }  # fmt: skip
     return described, data
 
 
-def group_of(steps: int) -> int:
+def group_length(steps: int) -> int:
     """Return of how many steps a page has the least and the greatest; 1: it has them all."""
     return 1 if steps <= MOST_ROWS else 2 * ceil(steps / MOST_ROWS)
 
@@ -243,7 +243,7 @@ def _is_banded(event: Event) -> bool:
     return event.banded and (event.kind == "fault" or wind)
 
 
-def vehicle_of(run: Run) -> Vehicle | None:
+def read_vehicle(run: Run) -> Vehicle | None:
     """Return the vehicle of a run; None where its scenario is of another version, or gone."""
     try:
         vehicle: Vehicle = run.scenario.resolved_vehicle()[0]
@@ -252,7 +252,7 @@ def vehicle_of(run: Run) -> Vehicle | None:
     return vehicle
 
 
-def shape(vehicle: Vehicle) -> dict[str, Any]:
+def describe_shape(vehicle: Vehicle) -> dict[str, Any]:
     """Return what is drawn of a vehicle, m and rad in the body frame: from ``vehicle.toml``.
 
     A jet has its place and its thrust's direction, both with all hinges at zero, and what turns it from the body

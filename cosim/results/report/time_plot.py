@@ -70,7 +70,7 @@ def stack_panels(reader: Reader, panels: Sequence[Panel]) -> Figure:
         _line(reader, panel, number, trace)
         for number, panel in enumerate(panels)
         for trace in panel.traces
-        if not trace.only_if_moving or reader.moves(trace.column)
+        if not trace.only_if_moving or reader.is_moving(trace.column)
     ]
     return {"data": _show_once(data), "layout": _layout_of_panels(panels, data)}
 
@@ -98,7 +98,7 @@ def _values(reader: Reader, values: Array, panel: Panel, trace: Trace) -> Figure
             "color": trace.colour,
             "width": trace.width,
             "dash": trace.dash,
-            "shape": "hv" if trace.held else "linear",
+            "shape": "hv" if trace.is_staircase else "linear",
         },
         **reader.xy(values),
     }
@@ -144,9 +144,9 @@ def _time_axis(data: Sequence[Mapping[str, Any]]) -> Figure:
     }
 
 
-def _span(values: Sequence[Array], least: float) -> list[float]:
-    """Return the range from least to greatest with a margin, widened to ``least`` around the middle."""
+def _span(values: Sequence[Array], min_span: float) -> list[float]:
+    """Return the range from least to greatest with a margin, widened to ``min_span`` around the middle."""
     finite = np.concatenate([np.empty(0), *(part[np.isfinite(part)] for part in values)])
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
-    margin = max(0.06 * (high - low), 0.5 * (least - (high - low)))
+    margin = max(0.06 * (high - low), 0.5 * (min_span - (high - low)))
     return [low - margin, high + margin]

@@ -35,7 +35,7 @@ from cosim.design.assessment import shipped_tuning
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.loop.dynamics import lags
+from cosim.design.loop.dynamics import make_lag_dynamics
 from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.spec.scenario import Scenario
@@ -317,9 +317,9 @@ def first_unstable(controller: str) -> int:
     vehicle, _ = load_vehicle("hexjet")
     engine = load_engine("edf-as-flown", {}, scenario.step_s)
     assert engine.lag is not None
-    channel = channels(scenario, vehicle, engine, Actuator.of("engine", lags([engine.lag], 25.0, scenario.step_s)))[
-        "roll"
-    ]
+    channel = channels(
+        scenario, vehicle, engine, Actuator.of("engine", make_lag_dynamics([engine.lag], 25.0, scenario.step_s))
+    )["roll"]
     tuning = replace(shipped_tuning(channel, vehicle, engine), controller=controller)
     return next(
         later

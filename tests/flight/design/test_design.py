@@ -30,12 +30,12 @@ from cosim.control.predictors.state import ModalPredictor, Modes, modal_observer
 from cosim.design import limits
 from cosim.design import tune as search
 from cosim.design.assessment import margins
-from cosim.design.controller_table import controller_table
+from cosim.design.controller_table import make_controller_table
 from cosim.design.design import Design, design
 from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.channel import Channel, channels, without_instant
+from cosim.design.loop.channel import Channel, channels, remove_instant_dynamics
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.loop.dynamics import lags
+from cosim.design.loop.dynamics import make_lag_dynamics
 from cosim.design.loop.frequency import (
     grid,
     impulse_response,
@@ -68,7 +68,7 @@ def parts(engine: str, **changes: Any) -> tuple[Scenario, Any, Any, dict[str, Ch
     vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle)
     spec = load_engine(engine, scenario.engine_parameters, scenario.step_s)
     pole, delay, _ = LINEAR[engine]
-    dynamics = Actuator.of(engine, lags([-scenario.step_s / np.log(pole)], float(delay), scenario.step_s))
+    dynamics = Actuator.of(engine, make_lag_dynamics([-scenario.step_s / np.log(pole)], float(delay), scenario.step_s))
     return scenario, vehicle, spec, channels(scenario, vehicle, spec, dynamics)
 
 
@@ -148,12 +148,12 @@ def test_a_lag_that_is_over_within_a_step_is_no_state_of_a_predictor() -> None:
         seen = np.eye(len(gain)) - np.outer(gain, modes.residues)
         return float(np.abs(np.linalg.eigvals(seen @ F)).max())
 
-    fewer, left, delay = without_instant(poles, zeros)
+    fewer, left, delay = remove_instant_dynamics(poles, zeros)
     assert (fewer, left, delay) == (poles[:4], [-0.14, 0.13, 0.0], 0)
     # a fourfold pole moves with the fourth root of the rounding
     assert farthest(fewer, left) == pytest.approx(exp(-43.0 * 0.004), abs=1e-2)
-    assert without_instant([0.9, 1e-12], [0.5]) == ([0.9], [0.5], 1)
-    assert without_instant([0.9, 0.0], [0.0]) == ([0.9, 0.0], [0.0], 0)  # a delay that is meant stays
+    assert remove_instant_dynamics([0.9, 1e-12], [0.5]) == ([0.9], [0.5], 1)
+    assert remove_instant_dynamics([0.9, 0.0], [0.0]) == ([0.9, 0.0], [0.0], 0)  # a delay that is meant stays
 
 
 def test_the_roll_channel_is_the_ledger() -> None:
@@ -270,7 +270,7 @@ def test_what_is_tolerated_is_where_eigenvalues_reach_the_circle(controller: str
     )
     closed = ClosedLoop(FrequencyGrid(roll, close=4000), chosen)
     assert closed.unstable_poles == 0
-    factor = closed.tolerated(10.0, 0.3)
+    factor = closed.compute_tolerance(10.0, 0.3)
     inside = [by_hand("edf-as-flown", roll, chosen, g, d).stable for g, d in box(0.97 * factor)]
     assert all(inside)
     beyond = [by_hand("edf-as-flown", roll, chosen, g, d).stable for g, d in box(1.25 * factor)]
@@ -419,7 +419,7 @@ def test_a_later_engine_gets_a_model_as_much_later_and_a_slower_loop() -> None:
     assert second.tuning.model.poles == pytest.approx(first.tuning.model.poles, abs=1e-9)
     assert second.bandwidth_hz < 0.9 * first.bandwidth_hz  # type: ignore[operator]
     assert second.step_error > 1.1 * first.step_error  # type: ignore[operator]
-    table = controller_table(other)
+    table = make_controller_table(other)
     assert table["vehicle"]["identified"]["edf-as-flown"]["roll"]["delay_samples"] == pytest.approx(40.0)
 
 
@@ -427,7 +427,7 @@ def test_a_later_engine_gets_a_model_as_much_later_and_a_slower_loop() -> None:
 def test_a_design_keeps_what_it_states_and_is_the_same_again() -> None:
     found = short()
     again = short.__wrapped__()
-    assert controller_table(found) == controller_table(again)
+    assert make_controller_table(found) == make_controller_table(again)
     for axis, each in found.axes.items():
         after = each.after
         assert after is not None
@@ -451,7 +451,7 @@ def test_where_there_is_no_design_it_says_which_delay_would_allow_one(monkeypatc
     allowed = found.allowing["delay_s"]
     assert 0.0 < allowed < 0.1
     with pytest.raises(InputError, match="no acceptable design"):
-        controller_table(found)
+        make_controller_table(found)
     samples = round(allowed / 0.004)
     assert short(f"engine_parameters.delay_samples={samples}", least=2.0).axes["roll"].after is not None
 

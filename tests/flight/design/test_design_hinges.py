@@ -17,11 +17,11 @@ from cosim.base.arrays import Array
 from cosim.base.constants import GRAVITY
 from cosim.base.signals import AXES
 from cosim.design.assessment import assess, shipped_tuning
-from cosim.design.design import _axis, _AxisInputs, _scenario, axis_requirements, dynamics_of, identify_there
+from cosim.design.design import _axis, _AxisInputs, _scenario, axis_requirements, identify_there, make_dynamics
 from cosim.design.loop.actuator import SERVO, Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response
-from cosim.design.loop.dynamics import lags
+from cosim.design.loop.dynamics import make_lag_dynamics
 from cosim.design.tune import settle
 from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.flight import fly
@@ -40,7 +40,7 @@ def plants(aircraft: str) -> tuple[Vehicle, EngineSpec, dict[str, Channel]]:
     """The vehicle, its engine and its channels in hover."""
     scenario, vehicle = _scenario(engine_of(aircraft), aircraft, ())
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
-    engine = Actuator.of(spec.name, dynamics_of(identify_there(scenario, vehicle, spec, None)))
+    engine = Actuator.of(spec.name, make_dynamics(identify_there(scenario, vehicle, spec, None)))
     return vehicle, spec, channels(scenario, vehicle, spec, engine)
 
 
@@ -133,7 +133,7 @@ def test_rotors_that_thrust_speeds_up_lead_by_what_the_ledger_has() -> None:
     scenario = Scenario.from_table({**table, "step_s": T, "vehicle": {"mass_kg": 6.0}}, Path(), "x")
     with build(scenario) as simulation:
         vehicle, engine, ledger = simulation.vehicle, simulation.engine, simulation.ledger
-    of = channels(scenario, vehicle, engine, Actuator.of("engine", lags([0.2], 0.0, T)))
+    of = channels(scenario, vehicle, engine, Actuator.of("engine", make_lag_dynamics([0.2], 0.0, T)))
     (row,) = [row for row in ledger if row.kind == "lead"]
     assert (row.axis, row.samples) == ("yaw", pytest.approx(-29.7, abs=0.05))
     assert of["yaw"].shape == pytest.approx((1.0 - row.samples, row.samples, 0.0), rel=1e-9)
@@ -189,7 +189,7 @@ def test_what_is_given_beside_is_carried() -> None:
     """The trijet's pitch: servo 86 %, with a notch of the reaction, and thrust 14 %; of that at each frequency as much."""
     vehicle, spec, of = plants("trijet")
     channel = of["pitch"]
-    assert channel.by_servo
+    assert channel.is_by_servo
     scenario, _, _ = _hover("trijet")
     moves, effects = make_effectiveness(scenario, vehicle, spec).unit_changes(1)
     jets = len(vehicle.jets)

@@ -20,14 +20,14 @@ from cosim.design import proof_flights as flying
 from cosim.design import prove as proving
 from cosim.design import tune as search
 from cosim.design.as_flown import FlownMeasures, FlownPair, comparison_lines, comparison_rows, worse_lines
-from cosim.design.controller_table import controller_table
+from cosim.design.controller_table import make_controller_table
 from cosim.design.design import Design, design
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import bounds, fit_dynamics, with_misfit
 from cosim.design.proof import Proof
-from cosim.design.proof_flights import CORNER, fault_of
+from cosim.design.proof_flights import CORNER, describe_fault
 from cosim.design.prove import add_proof, prove
 from cosim.design.result import summary_lines, to_dict
 from cosim.engine import load_engine
@@ -95,7 +95,7 @@ def test_a_zero_in_the_right_half_plane_is_found_as_one() -> None:
     assert [z.real for z in found.zeros] == pytest.approx([1.0 / 0.35], rel=1e-3)
     assert sorted(-1.0 / p.real for p in found.poles) == pytest.approx([0.03, 0.3], rel=1e-3)
     assert found.delay_samples == 5.0
-    assert "right half plane at 2.857 rad/s" in found.words()
+    assert "right half plane at 2.857 rad/s" in found.describe()
     assert found.lag_s == pytest.approx(0.3 + 0.03 + 0.35, rel=1e-3)  # the zero is late at low frequency
     other = fit_dynamics(response(0.1), 5.0, 0.3)
     assert all(z.real < 0.0 for z in other.zeros)
@@ -109,7 +109,7 @@ def test_an_engine_that_trembles_is_swept_by_more_than_it_moves_itself(place: Pa
     spec = load_engine(str(path), {}, STEP, unchecked=True)
     found = making.identify_there(scenario, vehicle, spec, None)
     assert found.sweep.amplitude == pytest.approx(2.0 * 0.5 / 20.0, rel=0.01)
-    dynamics = making.dynamics_of(found)
+    dynamics = making.make_dynamics(found)
     assert dynamics.lag_s + dynamics.delay_samples * STEP == pytest.approx(0.14, rel=0.05)
 
 
@@ -142,8 +142,8 @@ def test_a_misfit_is_the_worst_engine_that_it_allows(sound: Design) -> None:
     assert wide.peak_sensitivity > 1.05 * plain.peak_sensitivity
     assert wide.distance == pytest.approx(1.0 / wide.peak_sensitivity)
     assert plain.distance == pytest.approx(1.0 / plain.peak_sensitivity)
-    assert wide.tolerated(3.0, 0.3) < plain.tolerated(3.0, 0.3)
-    assert not search.acceptable(wide, sound.need)  # what the search keeps to
+    assert wide.compute_tolerance(3.0, 0.3) < plain.compute_tolerance(3.0, 0.3)
+    assert not search.is_acceptable(wide, sound.need)  # what the search keeps to
     lost = replace(changed, dynamics=replace(actuator.dynamics, unsure=((1.0, 5.0),)))
     beyond = ClosedLoop(FrequencyGrid(replace(channel, actuator=lost)), roll.after.tuning)
     assert beyond.distance < 0.0
@@ -173,13 +173,13 @@ def test_what_a_model_leaves_of_the_response_is_carried_into_the_controller_file
     middle = np.exp(np.mean(np.log(np.geomspace(1.0, 1.3, 60))))
     assert carried.uncertainty(np.array([50.0]))[0] == pytest.approx(1.3 / middle - 1.0, rel=0.01)  # type: ignore[index]
     assert "up to 14 %" in carried.unsure_words()
-    assert controller_table(sound)["design"].get("unsure") is None
+    assert make_controller_table(sound)["design"].get("unsure") is None
     axes = {
         axis: replace(each, channel=replace(each.channel, actuator=replace(each.channel.actuator, dynamics=carried)))
         for axis, each in sound.axes.items()
     }
     made = replace(sound, axes=axes)
-    assert len(controller_table(made)["design"]["unsure"]) == 60
+    assert len(make_controller_table(made)["design"]["unsure"]) == 60
     assert any("designed for every engine that differs" in line for line in summary_lines(made))
     assert len(to_dict(made)["axes"]["roll"]["actuator_unsure"]) == 60
 
@@ -220,12 +220,12 @@ def test_a_sound_engine_is_proved_and_the_proof_is_told(lively: Design) -> None:
     assert sum("with 0.70 of its thrust and 1.30 times its lag" in each.words for each in found.proof.flights) == 1
     assert {(each.gain, each.later) for each in found.proof.flights} >= {(0.7, 3), (1.3, 3), (1.0, 0)}
     assert found.proof.sensitivity <= 1.7 * 1.02  # the measured loop's, an engine whose model is exact
-    assert found.proof.share < 0.05
+    assert found.proof.stability_fraction < 0.05
     assert any("22 of 22 flights" in line for line in summary_lines(found))
     assert to_dict(found)["proof"]["flights"][0]["fault"] == ""
     # the same flights with the gains that ship, in the file too, which still is one
     assert [each.flight for each in found.proof.compared] == ["hover", "doublet", "doublet to 20 deg"]
-    written = ControllerFile.model_validate(controller_table(found)).design.proof
+    written = ControllerFile.model_validate(make_controller_table(found)).design.proof
     assert written is not None
     assert (written.flights, written.lean_deg) == (22, 20.0)
     flown = found.proof.flights[1].flown
@@ -322,7 +322,7 @@ def test_what_is_worse_as_flown_is_the_first_thing_said(sound: Design) -> None:
     made = replace(sound, proof=proof)
     assert summary_lines(made)[1:3] == lines
     assert to_dict(made)["worse"] == lines
-    assert controller_table(made)["design"]["proof"]["worse"] == lines
+    assert make_controller_table(made)["design"]["proof"]["worse"] == lines
     never = FlownPair("doublet", before, flight_of(settling_s=None))
     assert "settling, to 5 % 1.84 -> never s" in worse_lines([never])[0]
     assert worse_lines([FlownPair("doublet", before, before)]) == []
@@ -386,10 +386,10 @@ def flown(**changes: Any) -> Any:
     ],
 )
 def test_what_a_flight_does_that_was_not_promised(name: str, changes: dict[str, Any], said: str) -> None:
-    assert fault_of(name, flown(**dict(changes)), 0.08, 1.0).startswith(said)
-    assert bool(fault_of(name, flown(**dict(changes)), 0.08, 1.0)) == bool(said)
+    assert describe_fault(name, flown(**dict(changes)), 0.08, 1.0).startswith(said)
+    assert bool(describe_fault(name, flown(**dict(changes)), 0.08, 1.0)) == bool(said)
     if "log" in changes and name == "gust":
-        assert fault_of(name, flown(**dict(changes)), 0.08, CORNER) == ""
+        assert describe_fault(name, flown(**dict(changes)), 0.08, CORNER) == ""
 
 
 OVERSHOOT_AND_BACK = "lag=0.15,delay=0.048,over=0.1,over_s=4"
@@ -436,7 +436,7 @@ def test_what_is_no_lag_is_a_model_all_the_same(made_of: str, place: Path) -> No
     """A gain, a delay, two equal lags and six of them: sampled, closed and followed in time."""
     scenario, vehicle = making._scenario(str(foreign(place, "odd", made_of)), "hexjet", ["engine_unchecked=true"])
     spec = load_engine(scenario.engine, {}, STEP, unchecked=True)
-    dynamics = making.dynamics_of(making.identify_there(scenario, vehicle, spec, None))
+    dynamics = making.make_dynamics(making.identify_there(scenario, vehicle, spec, None))
     roll = channels(scenario, vehicle, spec, Actuator.of("odd", dynamics))["roll"]
     for channel in (roll, roll.with_delay(roll.actuator_delay + 0.4), roll.with_lags(0.7), roll.with_lags(0.0)):
         closed = ClosedLoop(FrequencyGrid(channel), making.shipped_tuning(channel, vehicle, spec))

@@ -27,11 +27,11 @@ from cosim.design.design import (
     _simplest,
     axis_requirements,
     design,
-    dynamics_of,
     identify_there,
     lead_there,
+    make_dynamics,
 )
-from cosim.design.levels import THRUST_AXES, keeps, tunings_at
+from cosim.design.levels import THRUST_AXES, meets_requirements, tunings_at
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead
 from cosim.design.loop.tuning import Tuning
@@ -57,7 +57,7 @@ def today(name: str) -> tuple[Any, ...]:
     scenario, vehicle = _scenario(made.engine, made.aircraft, ())
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
     found = identify_there(scenario, vehicle, spec, None)
-    actuator = Actuator.of(spec.name, dynamics_of(found))
+    actuator = Actuator.of(spec.name, make_dynamics(found))
     wanted = channels(scenario, vehicle, spec, actuator)
     return (
         made,
@@ -160,7 +160,7 @@ def test_a_stored_schedule_is_what_todays_command_makes(name: str) -> None:
                 assert record.axes[axis].peak_sensitivity == pytest.approx(told.peak_sensitivity, rel=1e-3)
             assert record.axes[axis].peak_sensitivity <= made.requirements.max_sensitivity
             # what acts in flight, between the levels too, keeps every requirement: noise, saturation and tolerance as well
-            assert keeps(
+            assert meets_requirements(
                 level.channels[axis], tunings_at(plan, full, level.thrust_fraction, scenario.step_s)[axis], asked
             )
 

@@ -23,9 +23,18 @@ from cosim.base.signals import Actuation, Ambient, Unallocated
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.frequency import LoopMargins, loop_margins
 from cosim.design.measured import margins, measure_margins
-from cosim.design.measured.computed import computed, plants_of, tunings_of
+from cosim.design.measured.computed import compute_margins, find_tunings, make_plants
 from cosim.design.measured.estimate import measured
-from cosim.design.measured.excitation import LINES, USUAL_SHARE, USUAL_TILT, Record, Tap, fly_with, multisine, still
+from cosim.design.measured.excitation import (
+    LINES,
+    USUAL_SHARE,
+    USUAL_TILT,
+    Record,
+    Tap,
+    fly_excitation,
+    multisine,
+    still,
+)
 from cosim.design.measured.page import heading, rows
 from cosim.design.tune import FINE
 from cosim.engine import EngineSpec, load_engine
@@ -106,12 +115,12 @@ def test_the_computed_margins_are_those_of_a_count_of_the_encirclements(aircraft
     table = {"name": "x", "duration_s": 1.0, "aircraft": aircraft, "engine": engine, "controller": "smith"}
     scenario = Scenario.from_table(table, Path(), "x")
     vehicle, _ = scenario.resolved_vehicle()
-    plants = plants_of(scenario, vehicle, load_engine(engine, {}, scenario.step_s))
+    plants = make_plants(scenario, vehicle, load_engine(engine, {}, scenario.step_s))
     assert not isinstance(plants, str)
     theta = np.unique(np.concatenate([np.geomspace(1e-5, pi, 40000), np.linspace(1e-3, pi, 40000)]))
     z = np.exp(1j * theta)
     z[-1] = -1.0
-    for axis, tuning in tunings_of(plants, scenario, vehicle, ["roll", "pitch", "yaw"]).items():
+    for axis, tuning in find_tunings(plants, scenario, vehicle, ["roll", "pitch", "yaw"]).items():
         channel = plants.channels[axis]
         found = ClosedLoop(FrequencyGrid(channel, close=FINE), tuning).margins
         loop = ClosedLoop(FrequencyGrid(channel, z=z), tuning).open_loop
@@ -146,7 +155,7 @@ def test_the_gain_that_the_tilts_of_the_full_scale_allow_is_measured_at_half_the
     scenario = Scenario.load("full-scale-hover").replace(sensor_noise=False, expect=[])
     found = measure_margins(scenario, ["pitch"], **SHORT)
     pitch = found.axes["pitch"]
-    assert pitch.is_whole
+    assert pitch.is_complete
     assert pitch.response.margins["gain_db"].value == pytest.approx(7.83, abs=0.1)
     off = pitch.off("gain_db")
     assert off is not None
@@ -204,7 +213,7 @@ def test_where_noise_hides_the_top_of_the_band_none_is_said_of_what_is_below_alo
     for sensitivity in (true, noisy):
         response = measured(sensitivity, sine.hertz)
         found = margins.AxisMargins("pitch", "rad of tilt", sine, 0.06, 4, response, response, None, ())
-        said.append((found.is_whole, {row[0]: row[1] for row in rows(found)}["gain up"], heading(found)))
+        said.append((found.is_complete, {row[0]: row[1] for row in rows(found)}["gain up"], heading(found)))
     (whole, up, _), (hidden_whole, hidden_up, head) = said
     assert (whole, up) == (True, "none")
     top = f"{sine.hertz[-4]:.4g} Hz"
@@ -282,7 +291,7 @@ def computed_roll(
     damped = vehicle.aero.model_copy(update={"damping_n_m_s": (roll + more, *others)})
     found = []
     for each in (vehicle, vehicle.model_copy(update={"aero": damped})):
-        known = computed(scenario, each, spec, ["roll"])
+        known = compute_margins(scenario, each, spec, ["roll"])
         assert not isinstance(known, str), known
         found.append(known["roll"].margins)
     return found[0], found[1]
@@ -302,7 +311,7 @@ def test_what_is_off_of_hexjet_p220s_roll_is_the_air_it_takes_along_and_its_roto
     )
     sine = multisine(10.0, scenario.step_s, 0.2, 25.0)
     flown, silent = (
-        measured(fly_with(each, "roll", sine, 0.004, 2).sensitivity(), sine.hertz).margins
+        measured(fly_excitation(each, "roll", sine, 0.004, 2).sensitivity(), sine.hertz).margins
         for each in (scenario, without)
     )
     vehicle, _ = scenario.resolved_vehicle()
@@ -342,7 +351,7 @@ def test_what_is_off_of_hexjet_100s_roll_is_the_air_it_takes_along_and_what_its_
     changes = ['engine="turbine-100"', 'controller="state-disturbance"', "sensor_noise=false"]
     scenario = still(Scenario.read("hover", ['aircraft="hexjet-100"', *changes]))
     sine = multisine(20.0, scenario.step_s, 0.1, 25.0)
-    flown = measured(fly_with(scenario, "roll", sine, 0.004, 2).sensitivity(), sine.hertz).margins
+    flown = measured(fly_excitation(scenario, "roll", sine, 0.004, 2).sensitivity(), sine.hertz).margins
     with build(scenario) as simulation:
         vehicle, spec = simulation.vehicle, simulation.engine
     thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
@@ -422,7 +431,7 @@ def test_a_whole_controller_that_repeats_ours_has_its_margins_to_the_last_bit(tm
     flown = []
     for controller in ("smith", f"{tmp_path / 'cascade.py'}:Cascade"):
         held = still(QUIET.replace(controller=controller))
-        flown.append(fly_with(held, "pitch", multisine(1.0, held.step_s, 2.0, 25.0), 0.03, 1))
+        flown.append(fly_excitation(held, "pitch", multisine(1.0, held.step_s, 2.0, 25.0), 0.03, 1))
     assert flown[0].behind.tobytes() == flown[1].behind.tobytes()
     assert flown[0].before.tobytes() == flown[1].before.tobytes()
     assert np.abs(flown[0].before).max() > 1e-3
@@ -447,7 +456,7 @@ def test_fuel_does_not_burn_meanwhile_and_commands_are_left_out() -> None:
     scenario = Scenario.load("full-scale-roll-doublet")
     held = still(scenario)
     assert (held.command, held.fault, held.monitored) == ([], [], False)
-    record = fly_with(held.replace(sensor_noise=False), "roll", multisine(2.0, held.step_s, 1.0, 25.0), 0.005, 1)
+    record = fly_excitation(held.replace(sensor_noise=False), "roll", multisine(2.0, held.step_s, 1.0, 25.0), 0.005, 1)
     drift = record.behind[0].mean() - record.before[0].mean()
     assert abs(drift) < 1e-12
 

@@ -8,7 +8,7 @@ import pytest
 
 from cosim.control.autopilot.parameters import table
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.design.measured.computed import computed
+from cosim.design.measured.computed import compute_margins
 from cosim.design.measured.judge import LoopJudge
 from cosim.engine import load_engine
 from cosim.spec.scenario import Scenario
@@ -75,7 +75,7 @@ def test_the_verdict_turns_at_the_gain_margin_of_the_loop(axis: str) -> None:
     judge, default, _ = judged("hexjet")
     scenario = Scenario.load("hover")
     vehicle, _ = scenario.resolved_vehicle()
-    known = computed(scenario, vehicle, load_engine(scenario.engine, {}, scenario.step_s), [axis])
+    known = compute_margins(scenario, vehicle, load_engine(scenario.engine, {}, scenario.step_s), [axis])
     assert isinstance(known, dict)
     margin = known[axis].margins.gain_db
     assert margin is not None

@@ -9,7 +9,7 @@ import pytest
 from places import ROOT
 
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.design.measured.computed import plants_of
+from cosim.design.measured.computed import make_plants
 from cosim.engine import load_engine
 from cosim.identify.sweep import Identification, identify_axis
 from cosim.identify.sweep.result import low_frequency_delay
@@ -81,7 +81,7 @@ def test_roll_by_turbines_is_as_late_as_their_engine_is_swept(aircraft: str) -> 
     with build(scenario) as simulation:
         ledger = simulation.ledger
     vehicle, _ = scenario.resolved_vehicle()
-    plants = plants_of(scenario, vehicle, load_engine(scenario.engine, {}, scenario.step_s))
+    plants = make_plants(scenario, vehicle, load_engine(scenario.engine, {}, scenario.step_s))
     assert not isinstance(plants, str)
     engines = [row.samples for row in select_axis(ledger, "roll") if row.owner.startswith("engine")]
     dynamics = plants.channels["roll"].actuator.dynamics

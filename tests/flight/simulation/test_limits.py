@@ -24,8 +24,8 @@ from cosim.results.limits import (
     LIMITED,
     SATURATED_PERCENT,
     SPEEDS,
-    beyond,
-    exceedance,
+    describe_exceedance,
+    find_exceeded,
     height_lag,
     lean_motion,
     track_speed,
@@ -111,9 +111,9 @@ def test_the_speed_of_a_track() -> None:
 def test_beyond_is_above_and_is_told_with_both_figures() -> None:
     limits = {"position.drift_m": 10.0, "speed.max_m_s": 4.0, "effort.tilt_rad_s": pi, "fuel_burnt_kg": 1.0}
     flat = {"position.drift_m": 125.71, "speed.max_m_s": 4.0, "effort.tilt_rad_s": 2 * pi, "fuel_burnt_kg": None}
-    found = beyond(limits, flat)
+    found = find_exceeded(limits, flat)
     assert found == ["position.drift_m", "effort.tilt_rad_s"]
-    assert [exceedance(name, limits, flat) for name in found] == [
+    assert [describe_exceedance(name, limits, flat) for name in found] == [
         "drift from the start 125.7 m, limit 10 m",
         "tilt activity 360 deg/s, limit 180 deg/s",
     ]

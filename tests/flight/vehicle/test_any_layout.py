@@ -14,7 +14,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import channels
-from cosim.design.loop.dynamics import lags
+from cosim.design.loop.dynamics import make_lag_dynamics
 from cosim.engine import load_engine
 from cosim.results.report.flight_figures import run_figures
 from cosim.simulation.build import build
@@ -119,7 +119,7 @@ def test_where_two_lags_share_an_axis_the_lesser_is_an_uncertainty_of_the_greate
             update={"hinges": [hinge.model_copy(update={"effort": effort}) for hinge in vehicle.hinges]}
         )
 
-    answer = Actuator.of("engine", lags([0.05], 0.0, scenario.step_s))
+    answer = Actuator.of("engine", make_lag_dynamics([0.05], 0.0, scenario.step_s))
     shared = {axis: plant.actuator for axis, plant in channels(scenario, with_effort(1.0), engine, answer).items()}
     assert (shared["roll"].name, shared["yaw"].name) == ("engine", "tilt servo")
     assert all(max(share for _, share in shared[axis].dynamics.unsure) > 0.1 for axis in ("roll", "yaw"))

@@ -21,7 +21,7 @@ from cosim.campaign.study.plan import flights
 from cosim.campaign.surveys.survey import measure_flight
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.flight import fly
-from cosim.results.events import events_of
+from cosim.results.events import list_events
 from cosim.results.export.csv_file import export_csv
 from cosim.results.export.ulog import export_ulog
 from cosim.results.metrics import activity, fuel_burnt
@@ -98,7 +98,7 @@ def test_a_fault_is_flagged_where_it_acts(run: Run) -> None:
     assert np.array_equal(run.log["fault_barometer"], (time > 0.3 - 1e-6).astype(float))
     for other in (*(f"fault_jet_{jet}" for jet in range(1, 8)), "fault_servo_left", "fault_gyro", "fault_gnss"):
         assert not np.any(run.log[other]), other
-    assert any(event.text == "jet 8: 30 % of the thrust lost" for event in events_of(run))
+    assert any(event.text == "jet 8: 30 % of the thrust lost" for event in list_events(run))
 
 
 def test_a_survey_of_faults_hears_of_the_last_of_them(run: Run) -> None:

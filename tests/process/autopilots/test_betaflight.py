@@ -27,7 +27,7 @@ from cosim.design.assessment import margins
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.loop.dynamics import lags
+from cosim.design.loop.dynamics import make_lag_dynamics
 from cosim.design.loop.firmware import Firmware, matrices
 from cosim.design.loop.tuning import Tuning
 from cosim.engine import load_engine
@@ -248,7 +248,10 @@ def test_its_margin_of_delay_is_the_designs(tmp_path: Path) -> None:
     doublet = Scenario.load("roll-doublet").replace(vehicle=IN_ITS_LOOP)
     vehicle, _ = doublet.resolved_vehicle()
     channel = channels(
-        doublet, vehicle, load_engine("edf-as-flown", {}, 0.004), Actuator.of("fan", lags([0.0299], 25.0, 0.004))
+        doublet,
+        vehicle,
+        load_engine("edf-as-flown", {}, 0.004),
+        Actuator.of("fan", make_lag_dynamics([0.0299], 25.0, 0.004)),
     )["roll"]
     tuning = Tuning(
         "baseline",

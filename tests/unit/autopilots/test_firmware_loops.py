@@ -20,7 +20,7 @@ from cosim.design.assessment import assess
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.loop.dynamics import lags
+from cosim.design.loop.dynamics import make_lag_dynamics
 from cosim.design.loop.firmware import Firmware
 from cosim.design.loop.tuning import Tuning
 from cosim.design.tune import settle
@@ -40,7 +40,7 @@ ANGLE = 1.6
 def place() -> tuple[Vehicle, Channel]:
     scenario = Scenario.load("hover")
     vehicle, _ = scenario.resolved_vehicle()
-    actuator = Actuator.of("fan", lags([0.0299], 25.0, STEP))
+    actuator = Actuator.of("fan", make_lag_dynamics([0.0299], 25.0, STEP))
     return vehicle, channels(scenario, vehicle, load_engine("edf-as-flown", {}, STEP), actuator)["roll"]
 
 

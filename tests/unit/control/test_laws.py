@@ -33,7 +33,7 @@ from cosim.control.rate import RateController
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels
 from cosim.design.loop.closed_loop import WINDOW, ClosedLoop, FrequencyGrid
-from cosim.design.loop.dynamics import lags
+from cosim.design.loop.dynamics import make_lag_dynamics
 from cosim.design.loop.tuning import Tuning
 from cosim.engine import EngineSpec, load_engine
 from cosim.results.report.marks import parts_of
@@ -81,7 +81,7 @@ def place() -> tuple[Vehicle, EngineSpec, Belief, Channel]:
     belief = make_scenario_belief(ROLL, {})
     vehicle, engine = belief.vehicle, load_engine("edf-as-flown", {}, STEP)
     # the fan's pole is the paper's 0.8748 and its delay 25 samples: engines/edf/README.md
-    actuator = Actuator.of("fan", lags([-STEP / np.log(0.8748)], 25.0, STEP))
+    actuator = Actuator.of("fan", make_lag_dynamics([-STEP / np.log(0.8748)], 25.0, STEP))
     return vehicle, engine, belief, channels(ROLL, vehicle, engine, actuator)["roll"]
 
 

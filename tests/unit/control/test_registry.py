@@ -187,14 +187,14 @@ def test_a_ground_station_is_offered_it(mine: PredictorSpec) -> None:
 def loop() -> tuple[Channel, Tuning]:
     """The roll channel with EDF engines, and the aircraft's own gains on it."""
     from cosim.design.assessment import predictor_model, shipped_tuning
-    from cosim.design.design import _scenario, dynamics_of, identify_there
+    from cosim.design.design import _scenario, identify_there, make_dynamics
     from cosim.design.loop.actuator import Actuator
     from cosim.design.loop.channel import channels
     from cosim.engine import load_engine
 
     scenario, vehicle = _scenario("edf", "hexjet", [])
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
-    actuator = Actuator.of(spec.name, dynamics_of(identify_there(scenario, vehicle, spec, None)))
+    actuator = Actuator.of(spec.name, make_dynamics(identify_there(scenario, vehicle, spec, None)))
     channel = channels(scenario, vehicle, spec, actuator)["roll"]
     return channel, replace(shipped_tuning(channel, vehicle, spec), model=predictor_model(channel, "test"))
 

@@ -16,7 +16,7 @@ from cosim.base.errors import InputError
 from cosim.cli.results.compare import compare
 from cosim.flight import with_page
 from cosim.identify.logs.as_columns import read_log
-from cosim.results.comparison import ComparedFlight, Signal, base_of, inputs_differ, pairs
+from cosim.results.comparison import ComparedFlight, Signal, compare_with_first, list_input_differences, make_time_base
 from cosim.results.log.arrow import write_table
 from cosim.results.log.columns import COLUMNS
 from cosim.results.log.recorder import MemoryLog
@@ -32,7 +32,7 @@ def log(step: float, rows: int, **columns: Any) -> MemoryLog:
 
 
 def only(first: MemoryLog, second: MemoryLog) -> Signal:
-    (pair,) = pairs([ComparedFlight("A", first), ComparedFlight("B", second)])
+    (pair,) = compare_with_first([ComparedFlight("A", first), ComparedFlight("B", second)])
     (signal,) = pair.signals
     return signal
 
@@ -55,7 +55,7 @@ def test_angles_differ_the_short_way_round_and_numbers_that_are_alone_are_counte
 
 @pytest.mark.parametrize(("left", "right", "same"), [(nan, -nan, True), (0.0, -0.0, False), (1.0, 1.0 + 1e-15, False)])
 def test_the_same_is_the_same_to_the_last_bit(left: float, right: float, same: bool) -> None:
-    (pair,) = pairs(
+    (pair,) = compare_with_first(
         [ComparedFlight("A", log(0.1, 5, altitude_m=left)), ComparedFlight("B", log(0.1, 5, altitude_m=right))]
     )
     assert pair.same is same
@@ -68,19 +68,19 @@ def test_where_steps_differ_the_longer_ones_are_held(finer: int) -> None:
     coarse = np.arange(20.0)
     logs = [log(0.004, 100, altitude_m=np.repeat(coarse, 5)), log(0.02, 20, altitude_m=coarse)]
     first, second = logs[:: 1 - 2 * finer]
-    (pair,) = pairs([ComparedFlight("A", first), ComparedFlight("B", second)])
+    (pair,) = compare_with_first([ComparedFlight("A", first), ComparedFlight("B", second)])
     assert (pair.steps, pair.steps_of, pair.held) == (100, "AB"[finer], "BA"[finer])
     assert pair.signals[0].same
     assert not pair.same  # the logs are not
-    assert base_of(logs[0], logs[0]).held == 0
+    assert make_time_base(logs[0], logs[0]).held_log == 0
 
 
 def test_a_shorter_flight_is_compared_as_far_as_it_goes() -> None:
     one, other = log(0.1, 50, altitude_m=1.0), log(0.1, 20, altitude_m=1.0)
-    (pair,) = pairs([ComparedFlight("A", one), ComparedFlight("B", other)])
+    (pair,) = compare_with_first([ComparedFlight("A", one), ComparedFlight("B", other)])
     assert (pair.steps, pair.ends_s, pair.signals[0].same, pair.same) == (20, pytest.approx(1.9), True, False)
     late = MemoryLog([np.stack([100.0 + np.arange(3.0), np.zeros(3)])], ("time_s", "altitude_m"))
-    (pair,) = pairs([ComparedFlight("A", one), ComparedFlight("B", late)])
+    (pair,) = compare_with_first([ComparedFlight("A", one), ComparedFlight("B", late)])
     assert describe_pair(pair) == ["A and B have no time in common."]
 
 
@@ -98,7 +98,7 @@ def test_a_page_of_runs_and_a_log_of_another_tool(tmp_path: Path) -> None:
     assert other.columns == ("time_s", "roll_rad", "on_ground")
     assert remarks == ("t is taken for the time in seconds", "left out, being no numbers: note")
     runs = [ComparedFlight("A: a", flown().log, flown()), ComparedFlight("B: x", other, None, "x", remarks)]
-    compared = pairs(runs)
+    compared = compare_with_first(runs)
     assert compared[0].begins_s == pytest.approx(0.2)
     write_comparison(runs, compared, tmp_path / "page.html")
     page = text(tmp_path / "page.html")
@@ -118,9 +118,9 @@ def test_the_least_is_marked_only_where_the_scenario_is_the_same() -> None:
 def test_what_went_in_and_is_not_the_same_is_named(tmp_path: Path) -> None:
     run = flown(10)
     heavier = run.__class__(run.summary, run.log, None, run.scenario.replace(seed=7, vehicle={"mass_kg": 6.0}))
-    assert ("seed", "1", "7") in inputs_differ(run, heavier)
-    assert ("vehicle.mass_kg", "-", "6.0") in inputs_differ(run, heavier)
-    assert inputs_differ(run, run) == []
+    assert ("seed", "1", "7") in list_input_differences(run, heavier)
+    assert ("vehicle.mass_kg", "-", "6.0") in list_input_differences(run, heavier)
+    assert list_input_differences(run, run) == []
 
 
 def test_a_figure_of_logs_has_the_panels_that_there_are_and_the_times_of_each() -> None:

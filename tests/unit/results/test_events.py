@@ -11,12 +11,12 @@ from pyulog import ULog
 
 from cosim.flight import fly
 from cosim.results.events import (
-    contacts,
-    disturbances,
-    events_of,
-    faults,
+    find_contacts,
+    find_disturbances,
+    find_faults,
+    find_verdicts,
+    list_events,
     spans,
-    verdicts,
 )
 from cosim.results.export.ulog import export_ulog
 from cosim.results.log.recorder import MemoryLog
@@ -54,7 +54,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def test_everything_is_there_in_the_order_of_time(run: Run) -> None:
-    found = [(event.kind, event.text) for event in events_of(run)]
+    found = [(event.kind, event.text) for event in list_events(run)]
     assert found == [
         ("disturbance", "wind of 3 m/s"),
         ("fault", "jet 6: flame-out"),
@@ -62,7 +62,7 @@ def test_everything_is_there_in_the_order_of_time(run: Run) -> None:
         ("disturbance", "gust of 5 m/s"),
         ("fault", "left servo: jammed"),
     ]
-    by_text = {event.text: event for event in events_of(run)}
+    by_text = {event.text: event for event in list_events(run)}
     assert (by_text["jet 6: flame-out"].time_s, by_text["jet 6: flame-out"].end_s) == (1.0, 2.0)
     assert (by_text["gust of 5 m/s"].time_s, by_text["gust of 5 m/s"].end_s) == (2.5, 3.0)
     assert by_text["left servo: jammed"].end_s is None
@@ -72,7 +72,7 @@ def test_everything_is_there_in_the_order_of_time(run: Run) -> None:
 
 def test_the_log_alone_tells_of_faults(run: Run) -> None:
     """A flight that was killed has not written down the faults that came by command."""
-    assert [(each.time_s, each.end_s, each.text) for each in faults(run.log, STEP)] == [
+    assert [(each.time_s, each.end_s, each.text) for each in find_faults(run.log, STEP)] == [
         (1.0, 2.0, "jet 6: a fault acts"),
         (3.0, None, "left servo: a fault acts"),
     ]
@@ -88,14 +88,14 @@ def test_contacts_without_bounces() -> None:
     second = round(1.0 / STEP)
     ground = np.repeat([1.0, 0.0, 1.0, 0.0, 1.0], [second, second, 10, 10, second])
     log = MemoryLog([np.stack((ground, np.zeros_like(ground)))], ("on_ground", "hull_contact"))
-    found = [(each.time_s, each.text) for each in contacts(log, STEP)]
+    found = [(each.time_s, each.text) for each in find_contacts(log, STEP)]
     assert found == [(1.0, "leaves the ground"), (pytest.approx(2.08), "touches the ground")]
 
 
 def test_what_the_monitor_believes_in_words() -> None:
     health = np.array([1.0, 1.0, 0.5, 0.5, 1.0, 0.0])
     log = MemoryLog([health[None, :]], ("health_2",))
-    assert [(each.time_s, each.text) for each in verdicts(log, 1.0)] == [
+    assert [(each.time_s, each.text) for each in find_verdicts(log, 1.0)] == [
         (2.0, "jet 2 taken for weak: 50 % of what it is told"),
         (4.0, "jet 2 taken for healthy again"),
         (5.0, "jet 2 given up"),
@@ -127,7 +127,7 @@ def test_every_fault_and_disturbance_has_words() -> None:
     )
     assert {type(fault) for fault in scenario.fault} == set(get_args(Fault))
     assert [fault.describe() for fault in scenario.fault] == [text for _, text in stated]
-    found = [(each.text, each.end_s) for each in disturbances(scenario, 20.0)]
+    found = [(each.text, each.end_s) for each in find_disturbances(scenario, 20.0)]
     assert found == [
         ("force of 5 N", 2.0),
         ("moment of 2 N m", 2.0),
@@ -138,7 +138,7 @@ def test_every_fault_and_disturbance_has_words() -> None:
 
 
 def test_the_strips_have_their_bands(run: Run) -> None:
-    said, _ = run_data(FlightData(run.log, "one", BLUE, step_s=run.summary.step_s, events=events_of(run)))
+    said, _ = run_data(FlightData(run.log, "one", BLUE, step_s=run.summary.step_s, events=list_events(run)))
     bands = {(each["t"], each["end"]) for each in said["events"] if each["banded"]}
     bands |= set(Reader(run.log, run.summary.step_s).upsets())
     assert {(start, 4.0 if end is None else end) for start, end in bands} == {(1.0, 2.0), (2.5, 3.0), (3.0, 4.0)}
@@ -150,7 +150,7 @@ def test_the_page_tells_of_them(run: Run) -> None:
     write_report(open_run(run.folder), run.folder / "again.html")
     page = (run.folder / "again.html").read_text()
     assert "What happened" in page
-    for event in events_of(run):
+    for event in list_events(run):
         assert event.text in page
     assert "Nothing disturbed" not in page
 

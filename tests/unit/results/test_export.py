@@ -16,7 +16,7 @@ from cosim.base.errors import InputError
 from cosim.base.frames import from_euler, to_euler
 from cosim.base.signals import Command, EngineOutput
 from cosim.results.export.csv_file import export_csv
-from cosim.results.export.output import quaternions, settings
+from cosim.results.export.output import list_numbers, quaternions
 from cosim.results.export.ulog import export_ulog
 from cosim.results.export.ulog_topics import TOPICS
 from cosim.results.log.columns import NAMES
@@ -218,7 +218,7 @@ def test_parameters_are_the_numbers_of_vehicle_and_scenario_under_their_keys(run
     assert not [name for name in found if not name.replace("/", "").replace("-", "").replace("_", "").isalnum()]
     # of the engine that is flown alone, in either FMI version
     for engine, family in (("edf-as-flown", "edf-as-flown"), ("edf-fmi2", "edf")):
-        numbers = settings(scenario(engine=engine))
+        numbers = list_numbers(scenario(engine=engine))
         assert {name.split("/")[2] for name in numbers if "/identified/" in name} == {family}
 
 

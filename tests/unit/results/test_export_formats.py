@@ -23,7 +23,7 @@ from cosim.base.frames import jet_axis
 from cosim.base.protocols import Column
 from cosim.base.signals import EngineOutput
 from cosim.results.export.mat import export_mat, fields
-from cosim.results.export.mcap_file import CUSTOM, SUBJECTS, TIME, export_mcap, subjects
+from cosim.results.export.mcap_file import CUSTOM, SUBJECTS, TIME, export_mcap, group_by_channel
 from cosim.results.export.parquet import export_parquet
 from cosim.results.export.scene import hover_n
 from cosim.results.log.columns import COLUMNS, NAMES, log_columns
@@ -81,20 +81,20 @@ def mcap(run: Run, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 def test_every_column_of_every_flight_has_a_subject() -> None:
-    found = subjects(COLUMNS)
+    found = group_by_channel(COLUMNS)
     assert set(found) == {*SUBJECTS, TIME}
     assert sorted(column.name for columns in found.values() for column in columns) == sorted(NAMES)
 
 
 def test_mcap_has_every_digit_of_every_column_with_its_unit(run: Run, mcap: dict[str, Any]) -> None:
-    for topic, columns in subjects(run.log.described).items():
+    for topic, columns in group_by_channel(run.log.described).items():
         rows = mcap["messages"][topic]
         assert [time for time, _ in rows] == [4_000_000 * k for k in range(STEPS)]
         for column in columns:
             found = [getattr(message, column.name) for _, message in rows]
             np.testing.assert_array_equal(found, run.log[column.name], err_msg=column.name)  # NaN equals NaN here
             assert mcap["channels"][topic].metadata[column.name].startswith(f"[{column.unit}] ")
-    assert [column.name for column in subjects(run.log.described)[CUSTOM]] == [LONG.name]
+    assert [column.name for column in group_by_channel(run.log.described)[CUSTOM]] == [LONG.name]
     assert mcap["compression"] == {"zstd"}
 
 

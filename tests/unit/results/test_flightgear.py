@@ -15,7 +15,7 @@ from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Sample
 from cosim.results.export import flightgear
-from cosim.results.export.flightgear import FORMAT, RATE_1_S, SIZE, FlightGear, packet, parse
+from cosim.results.export.flightgear import FORMAT, RATE_1_S, SIZE, FlightGear, pack_state, parse_address
 
 # Where fields begin, counted by hand from FGNetFDM in net_fdm.hxx: types and array lengths as they stand there.
 PLACES = {
@@ -55,7 +55,7 @@ def samples() -> list[Sample]:
 def test_what_stands_in_a_packet(samples: list[Sample]) -> None:
     sample = samples[50]
     state, where = sample.state, Geodesy(22.35, 113.59, 100.0)
-    found = decoded(packet(sample, where))
+    found = decoded(pack_state(sample, where))
     assert found["version"] == 24
     latitude, longitude, height = where.to_geodetic(state.position[0], state.position[1], state.altitude)
     assert (degrees(found["latitude"]), degrees(found["longitude"])) == pytest.approx((latitude, longitude), abs=1e-12)
@@ -75,7 +75,7 @@ def test_the_rates_are_those_of_the_angles(samples: list[Sample]) -> None:
     where = Geodesy(22.35, 113.59)
     before, at, after = samples[49], samples[50], samples[51]
     step = after.time - before.time
-    found = decoded(packet(at, where))
+    found = decoded(pack_state(at, where))
     for name, axis in (("phidot", 0), ("psidot", 2)):
         slope = (after.state.euler[axis] - before.state.euler[axis]) / step
         assert found[name] == pytest.approx(slope, abs=2e-3)
@@ -85,13 +85,13 @@ def test_the_air_comes_from_where_the_wind_does(samples: list[Sample]) -> None:
     """At rest with the nose to the east in air that moves east: from behind, 3 m/s, without a slip."""
     sample = samples[5]
     assert sample.state.wind == pytest.approx((0.0, 3.0, 0.0), abs=1e-6)
-    found = decoded(packet(sample, Geodesy(22.35, 113.59)))
+    found = decoded(pack_state(sample, Geodesy(22.35, 113.59)))
     assert found["vcas"] == pytest.approx(3.0 * 3600.0 / 1852.0, rel=0.01)
     assert abs(found["beta"]) < 0.02
     assert abs(found["psi"] - pi / 2.0) < 0.02
     # another reader of the same packets
     other = pytest.importorskip("pymavlink.fgFDM").fgFDM()
-    other.parse(packet(sample, Geodesy(22.35, 113.59)))
+    other.parse(pack_state(sample, Geodesy(22.35, 113.59)))
     for name in PLACES:
         if name not in ("eng_state", "rpm", "egt", "wow", "v_body_v"):  # arrays, and one that is called otherwise there
             assert other.get(name) == pytest.approx(found[name], rel=1e-9), name
@@ -116,7 +116,7 @@ def test_a_flight_sends_sixty_packets_a_second(samples: list[Sample]) -> None:
 @pytest.mark.parametrize("address", ["", "x", "0", "70000", "host:", "5550:udp"])
 def test_an_address_that_is_none(address: str) -> None:
     with pytest.raises(InputError, match="must be PORT or HOST:PORT"):
-        parse(address)
+        parse_address(address)
 
 
 def test_the_command_flies_with_nobody_there(hexjet: Hexjet) -> None:

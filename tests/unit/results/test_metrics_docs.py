@@ -42,7 +42,7 @@ def test_every_limit_and_its_default_are_there() -> None:
 
 
 ROLL = load_vehicle("hexjet")[0].control.attitude.gain_1_s[0]
-NOISE = steadiness.AxisYardstick(gain_1_s=ROLL, noise_rad=0.001, rate_noise_rad_s=0.005)
+NOISE = steadiness.AxisLimitInputs(gain_1_s=ROLL, noise_rad=0.001, rate_noise_rad_s=0.005)
 
 
 @pytest.mark.parametrize(

@@ -33,25 +33,25 @@ from cosim.results.report import signals_data
 from cosim.results.report.comparison import compare_report, run_labels
 from cosim.results.report.flight import verdict, write_report
 from cosim.results.report.flight_figures import comparison_figures, run_figures
-from cosim.results.report.log_reader import Reader, thin
+from cosim.results.report.log_reader import Reader, choose_rows
 from cosim.results.report.page import ASSETS, SCRIPTS, STYLES, THREE, deflate, figure_json
-from cosim.results.report.panels import ATTITUDE, at_rest, jet_rows
+from cosim.results.report.panels import ATTITUDE, jet_rows, make_rest_columns
 from cosim.results.report.plot import BLUE
 from cosim.results.report.signals_data import (
     FlightData,
     Packed,
+    describe_shape,
     extremes,
-    group_of,
+    group_length,
     pack,
+    quantisation_step,
     run_data,
-    shape,
-    step_of,
     unpack,
 )
 from cosim.results.report.three_views import three_views
 from cosim.results.report.time_plot import stack_panels
 from cosim.results.run import Run, begin_run
-from cosim.results.setup import integration
+from cosim.results.setup import describe_integration
 from cosim.results.summary import DelayRow
 from cosim.spec.vehicle import load_vehicle
 
@@ -132,7 +132,7 @@ def signals(figure: dict[str, Any]) -> dict[str, dict[str, Any]]:
 def test_every_strip_names_columns_that_are_there(run: Run) -> None:
     figures = run_figures(run.log, run.summary)
     assert set(figures) == {"attitude", "rate", "thrust", "tilt", "height", "effort", "track", "outside"}
-    there = {*run.log.columns, *at_rest(run.log, run.summary)}
+    there = {*run.log.columns, *make_rest_columns(run.log, run.summary)}
     for name, figure in figures.items():
         assert figure["panels"], name
         assert {each["column"] for each in signals(figure).values()} <= there
@@ -223,7 +223,7 @@ def test_thrust_is_drawn_where_the_jet_sits(run: Run) -> None:
     figure = run_figures(run.log, run.summary)["thrust"]
     assert [panel["title"] for panel in figure["panels"]] == [f"Jet {jet}" for jet in (3, 1, 6, 5, 2, 4)]
     assert figure["shared"]  # one scale
-    resting = at_rest(run.log, run.summary)
+    resting = make_rest_columns(run.log, run.summary)
     for panel, jet in zip(figure["panels"], (3, 1, 6, 5, 2, 4), strict=True):
         told, delivered = panel["signals"]
         # the curve of the made-up engine is a line through 0 with 20 N per unit of throttle
@@ -233,7 +233,7 @@ def test_thrust_is_drawn_where_the_jet_sits(run: Run) -> None:
 
 def test_a_wing_is_drawn_with_what_turns_its_surfaces_and_thrust_where_it_points() -> None:
     vehicle, _ = load_vehicle("jetwing")
-    panels = shape(vehicle)["panels"]
+    panels = describe_shape(vehicle)["panels"]
     assert {panel["column"] for panel in panels} == {
         None, "deflection_aileron", "deflection_elevator", "deflection_rudder"
     }  # fmt: skip
@@ -285,7 +285,7 @@ def test_thinning_keeps_every_peak() -> None:
     values = random.normal(size=900_001)
     peaks = random.choice(values.size, size=40, replace=False)
     values[peaks] = 50.0 + np.arange(40)
-    rows = thin(values)
+    rows = choose_rows(values)
     assert rows is not None
     assert rows.size <= 4000
     assert rows[0] == 0
@@ -302,7 +302,7 @@ def test_thinning_keeps_every_peak() -> None:
 @pytest.mark.parametrize("size", [3999, 4000, 4001, 4003, 7999, 8001, 12_345])
 def test_thinning_of_any_length(size: int) -> None:
     values = np.sin(np.arange(size) * 0.1)
-    rows = thin(values)
+    rows = choose_rows(values)
     if size <= 4000:
         assert rows is None
     else:
@@ -314,11 +314,11 @@ def test_thinning_of_any_length(size: int) -> None:
 def test_thinning_keeps_gaps() -> None:
     values = np.ones(10_000)
     values[3000:6000] = nan
-    rows = thin(values)
+    rows = choose_rows(values)
     assert rows is not None
     assert np.isnan(values[rows]).any()
     assert np.isfinite(values[rows]).sum() > 1000
-    assert thin(np.full(10_000, nan)) is not None
+    assert choose_rows(np.full(10_000, nan)) is not None
 
 
 def test_a_long_flight_is_drawn_with_its_times() -> None:
@@ -374,7 +374,7 @@ def test_the_extremes_of_a_group_come_in_their_order() -> None:
 
 @pytest.mark.parametrize(("steps", "group"), [(1, 1), (150_000, 1), (150_001, 4), (300_000, 4), (900_000, 12)])
 def test_a_page_has_at_most_so_many_rows(steps: int, group: int) -> None:
-    assert group_of(steps) == group
+    assert group_length(steps) == group
     assert 2 * -(-steps // group) <= 150_000 + 1 or group == 1
 
 
@@ -402,7 +402,7 @@ def test_a_long_flight_says_what_its_page_leaves_out(monkeypatch: pytest.MonkeyP
     for row, value in enumerate(drawn):
         near = values[8 * (row // 2) : 8 * (row // 2) + 8]
         assert np.min(np.abs(near - value)) <= tolerance
-    assert step_of(np.array([0.0, 2.0, 5.0]), 0.0, 5.0) == 1.0
+    assert quantisation_step(np.array([0.0, 2.0, 5.0]), 0.0, 5.0) == 1.0
 
 
 # ---- the page
@@ -465,7 +465,7 @@ def test_the_page_says_what_there_is_to_say(run: Run, tmp_path: Path) -> None:
 def test_the_page_says_how_the_airframe_was_integrated(run: Run, tmp_path: Path) -> None:
     """Where the step is; a run from before it was written down says nothing of it."""
     assert "integration" not in page_of(run, tmp_path).text
-    text = page_of(flown(10, integration=integration(scenario(substeps=5))), tmp_path).text
+    text = page_of(flown(10, integration=describe_integration(scenario(substeps=5))), tmp_path).text
     assert "steps of 4 ms, 5 JSBSim runs each" in text
     assert (
         "rates and velocities Adams-Bashforth 2 (rectangular rule while anything touches the ground), "

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from cosim.base.arrays import Array
-from cosim.results.limits import ALTERNATING_PERCENT, beyond, exceedance
+from cosim.results.limits import ALTERNATING_PERCENT, describe_exceedance, find_exceeded
 from cosim.results.metrics import REVERSAL, alternating_percent, settling_time
-from cosim.results.steadiness import AxisYardstick, axis_limits, noise_floor, settling_limit
+from cosim.results.steadiness import AxisLimitInputs, axis_limits, noise_floor, settling_limit
 
 STEP, SPAN = 0.004, 0.4
-AXIS = AxisYardstick(gain_1_s=2.5, noise_rad=0.001, rate_noise_rad_s=0.005)  # a step is to settle in 4 s
+AXIS = AxisLimitInputs(gain_1_s=2.5, noise_rad=0.001, rate_noise_rad_s=0.005)  # a step is to settle in 4 s
 FLOOR = noise_floor(AXIS, STEP)
 ROLL = ("roll.settling_time_s", "roll.oscillation_rad")
 
@@ -52,7 +52,7 @@ def limits(log: Rows, **stated: float | None) -> dict[str, float]:
 
 def test_the_noise_floor_is_what_the_sensors_noise_moves() -> None:
     assert noise_floor(AXIS, STEP) == pytest.approx(6.0 * hypot(0.001, 0.005 * sqrt(STEP / 5.0)))
-    assert noise_floor(AxisYardstick(gain_1_s=2.5, noise_rad=0.0, rate_noise_rad_s=0.0), STEP) == 1e-3
+    assert noise_floor(AxisLimitInputs(gain_1_s=2.5, noise_rad=0.0, rate_noise_rad_s=0.0), STEP) == 1e-3
     # what it states of the rate's noise: a first-order lag, driven by it
     noise, moved, sums = np.random.default_rng(1).normal(0.0, 0.005, 400_000), 0.0, 0.0
     for each in noise.tolist():
@@ -166,16 +166,16 @@ def test_an_axis_without_a_set_point_and_a_short_flight_have_none() -> None:
     assert limits(flight(np.full(at(10.0), np.nan), np.zeros(at(10.0)))) == {}
     assert limits(flight(np.zeros(at(4.9)))) == {}
     assert axis_limits((), flight(np.zeros(at(10.0))), STEP, SPAN, {}) == {}
-    idle = AxisYardstick(gain_1_s=0.0, noise_rad=0.001, rate_noise_rad_s=0.005)
+    idle = AxisLimitInputs(gain_1_s=0.0, noise_rad=0.001, rate_noise_rad_s=0.005)
     assert axis_limits((idle,), flight(step(10.0)), STEP, SPAN, {}) == {}
 
 
 def test_none_is_beyond_where_a_step_could_have_settled() -> None:
     flat: dict[str, float | None] = {"roll.settling_time_s": None, "position.drift_m": None}
     most = {"roll.settling_time_s": 4.0, "position.drift_m": 10.0}
-    assert beyond(most, flat) == ["roll.settling_time_s"]
-    assert exceedance("roll.settling_time_s", most, flat) == "roll settling time none, not settled, limit 4 s"
-    assert beyond(most, {"roll.settling_time_s": 4.0, "position.drift_m": 10.0}) == []
+    assert find_exceeded(most, flat) == ["roll.settling_time_s"]
+    assert describe_exceedance("roll.settling_time_s", most, flat) == "roll settling time none, not settled, limit 4 s"
+    assert find_exceeded(most, {"roll.settling_time_s": 4.0, "position.drift_m": 10.0}) == []
 
 
 # ---- commands that alternate

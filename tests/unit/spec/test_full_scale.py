@@ -26,7 +26,7 @@ from cosim.cli.main import cli
 from cosim.cli.options import load_scenario
 from cosim.engine import load_engine
 from cosim.flight import fly
-from cosim.results.expectations import check_expected, expectation
+from cosim.results.expectations import check_expected, find_expectation
 from cosim.results.report.marks import parts_of
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import read_controller
@@ -384,12 +384,12 @@ def test_an_expectation_is_of_one_aircraft() -> None:
     """Of the scenario's where it does not say, also after another aircraft was written over the scenario."""
     hover = Scenario.load("hover")
     assert [entry.aircraft for entry in hover.expect] == ["hexjet"]
-    assert expectation(hover) == hover.expect[0]
-    assert expectation(hover.replace(aircraft="hexjet-p220")) is None
-    assert expectation(hover.replace(aircraft="hexjet-p220").replace(aircraft="hexjet")) == hover.expect[0]
+    assert find_expectation(hover) == hover.expect[0]
+    assert find_expectation(hover.replace(aircraft="hexjet-p220")) is None
+    assert find_expectation(hover.replace(aircraft="hexjet-p220").replace(aircraft="hexjet")) == hover.expect[0]
     own = {"controller": "smith", "engine": "edf-as-flown", "metrics": {}}
     other = hover.replace(aircraft="hexjet-p220", expect=[own])
-    assert expectation(other) == other.expect[0]
+    assert find_expectation(other) == other.expect[0]
     with pytest.raises(InputError, match=r"expect\.0\.aircraft: unknown 'hexjt'; did you mean 'hexjet'"):
         check_expected(hover.replace(expect=[own | {"aircraft": "hexjt"}]))
 

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from cosim.base.errors import FlightError, InputError
 from cosim.base.frames import jet_axis
 from cosim.base.signals import ZERO3, Disturbance, State, Vector3
-from cosim.results.setup import integration
+from cosim.results.setup import describe_integration
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle._properties import Properties
@@ -336,7 +336,7 @@ def test_stands_still_on_its_legs() -> None:
 
 def test_what_a_run_says_of_its_integration_is_what_jsbsim_does() -> None:
     """Its properties read back, in the air and once the vehicle stands; the runs by JSBSim's own clock."""
-    said = integration(Scenario(name="x", duration_s=1.0, step_s=STEP, substeps=7))
+    said = describe_integration(Scenario(name="x", duration_s=1.0, step_s=STEP, substeps=7))
     with airframe(substeps=7) as (frame, _):
 
         def methods_now() -> list[str]:

@@ -19,7 +19,7 @@ from cosim.base.signals import (
 )
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels
-from cosim.design.loop.dynamics import lags
+from cosim.design.loop.dynamics import make_lag_dynamics
 from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.identify.sweep import identify_axis
@@ -152,7 +152,7 @@ def pitch_of(aircraft: str, engine: str, **servo: float) -> tuple[Vehicle, Chann
     scenario = Scenario.from_table(table, Path(), "x")
     vehicle, _ = load_vehicle(aircraft, scenario.vehicle)
     spec = load_engine(engine, {}, scenario.step_s)
-    none = Actuator.of(engine, lags([0.0], 0.0, scenario.step_s))
+    none = Actuator.of(engine, make_lag_dynamics([0.0], 0.0, scenario.step_s))
     return vehicle, channels(scenario, vehicle, spec, none)["pitch"]
 
 
