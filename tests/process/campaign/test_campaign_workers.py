@@ -193,7 +193,7 @@ def test_flights_are_taken_as_they_are_flown(study: Study) -> None:
             next(found)
         assert 30 <= len(taken) <= 30 + 2 * 10  # one under way and at most eight waiting in each, one to look ahead
         found.close()  # type: ignore[attr-defined]
-        assert not any(process.given for process in workers._processes)  # one that had just answered waits for more
+        assert not any(process.queued for process in workers._processes)  # one that had just answered waits for more
     assert all_gone()
 
 
