@@ -111,7 +111,7 @@ class _Server:
             self._steps_left -= 1
             return
         if self._answer_due:
-            self._socket.send(self._out.pack(0.0, *self._flight.values()))
+            self._socket.send(self._out.pack(0.0, *self._flight.read_outputs()))
         self._listen()
 
     def _listen(self) -> None:

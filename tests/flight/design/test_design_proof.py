@@ -283,7 +283,7 @@ def test_an_engine_that_is_off_is_flown_as_such(sound: Design, monkeypatch: pyte
     """Thrust comes to 0.7 and 1.3 times in steps, the lag is longer by 0.3 of the engine's, and nothing has failed."""
     flown: list[Scenario] = []
     monkeypatch.setattr(flying, "fly", lambda scenario, **_: flown.append(scenario))
-    monkeypatch.setattr(flying, "fault_of", lambda *_: "")
+    monkeypatch.setattr(flying, "describe_fault", lambda *_: "")
     monkeypatch.setattr(flying, "measure_flight", lambda *_: None)
     tables = flying.flight_tables(sound)
     for factor in (0.7, 1.3):
@@ -351,7 +351,7 @@ def test_an_aircraft_of_a_folder_is_proved_as_what_it_is(
     design = replace(sound, scenario=given, vehicle=given.resolved_vehicle()[0])
     flown: list[Scenario] = []
     monkeypatch.setattr(flying, "fly", lambda scenario, **_: flown.append(scenario))
-    monkeypatch.setattr(flying, "fault_of", lambda *_: "")
+    monkeypatch.setattr(flying, "describe_fault", lambda *_: "")
     monkeypatch.setattr(flying, "measure_flight", lambda *_: None)
     assert flying.fly_corner(design, "hover", read_toml(find_scenario("hover")), 1.0, 0).fault == ""
     assert flown[0].resolved_vehicle()[0].name == "mine"
