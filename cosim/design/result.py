@@ -19,6 +19,7 @@ from cosim.design.figures import design_figures
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import window_s
 from cosim.design.loop.firmware import Firmware
+from cosim.design.proof import Proof
 from cosim.flight import new_folder
 from cosim.results.report.page import render
 from cosim.spec.vehicle import EngineLead
@@ -92,7 +93,7 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
         ],
         "schedule": design.schedule.model_dump(exclude_none=True) if design.schedule else None,
         "file": make_controller_table(design) if design.ok else None,
-        "proof": to_json_record(design.proof) if design.proof else None,
+        "proof": _proof_record(design.proof) if design.proof else None,
         "worse": worse_lines(design.proof.compared) if design.proof else [],
         "paths": {name: str(path) for name, path in (paths or {}).items()},
     }
@@ -117,6 +118,15 @@ def _axis_dict(axis_design: AxisDesign) -> dict[str, Any]:
         "bandwidth_without_hz": dict(axis_design.limits),
         "checks": dict(axis_design.checks),
     }
+
+
+def _proof_record(proof: Proof) -> dict[str, Any]:
+    """Return a proof as a table, by the keys that its readers know."""
+    record = {"share" if key == "stability_fraction" else key: value for key, value in to_json_record(proof).items()}
+    for pair in record["compared"]:
+        for measures in (pair["shipped"], pair["designed"]):
+            measures["lost"] = measures.pop("failure")
+    return record
 
 
 def _assessment_dict(assessment: Assessment | None) -> dict[str, Any] | None:

@@ -496,4 +496,5 @@ def _coherence(problem: Problem) -> tuple[Array, Array]:
 
 
 def _clock(clock: Any) -> dict[str, float | None]:
-    return {name: (value if np.isfinite(value) else None) for name, value in clock._asdict().items()}
+    record = {"lost" if name == "lost_fraction" else name: value for name, value in clock._asdict().items()}
+    return {name: value if np.isfinite(value) else None for name, value in record.items()}

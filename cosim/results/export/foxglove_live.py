@@ -79,9 +79,9 @@ class LiveExport:
         self._vehicle = scenario.resolved_vehicle()[0]
         columns = log_columns(logged_vehicle(self._vehicle), custom)
         self._row = OneRow(columns)
-        self._columns = self._mcap.channels_of(self, columns)
+        self._columns = self._mcap.register_channels(self, columns)
         self._drawn = self._scene.Scene(self, scenario.step_s, scenario)
-        self._log = self._mcap.log_channel(self)
+        self._log = self._mcap.register_log_channel(self)
         self._still = next(number for number, channel in enumerate(self._channels) if channel.topic() == "/scene")
 
     def tell(self, sample: Sample) -> None:
@@ -91,7 +91,7 @@ class LiveExport:
             return
         block = dict(zip(self._row.names, self._row(sample), strict=True))
         columns = [channel for channel in self._columns if channel.number in looked_at]
-        messages = list(self._mcap.messages_of(columns, block, sample.k))
+        messages = list(self._mcap.iterate_messages(columns, block, sample.k))
         if len(columns) < len(looked_at):
             messages += self._drawn.messages(block, sample.k, sample.k)
         for _, time, number, content in messages:
@@ -102,13 +102,13 @@ class LiveExport:
         if self._row is not None and self._channels[self._still].has_sinks():
             stamp = round(1e9 * time)
             self._channels[self._still].log(
-                self._scene.drawing(self._vehicle, stamp).SerializeToString(), log_time=stamp
+                self._scene.draw_vehicle(self._vehicle, stamp).SerializeToString(), log_time=stamp
             )
 
     def say(self, lines: Iterable[LogLine]) -> None:
         """Send the lines of text of the flight."""
         for line in lines:
-            _, time, number, content = self._mcap.text_of(self._log, line)
+            _, time, number, content = self._mcap.make_text_message(self._log, line)
             self._channels[number].log(content, log_time=time)
 
     def close(self) -> None:

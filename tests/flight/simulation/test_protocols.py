@@ -106,7 +106,7 @@ def test_a_controller_of_ones_own_flies_and_shuts_engines_off() -> None:
         assert lit == [True, not sample.command.attitude[0]] + [True] * 2 + [not sample.command.attitude[0], True]
 
 
-@pytest.mark.parametrize("part", ["controller", "disturber"])
+@pytest.mark.parametrize("part", ["controller", "disturbances"])
 def test_a_block_from_outside_is_the_built_in_one_to_the_last_bit(part: str) -> None:
     assert repr(flown(lambda simulation: setattr(simulation, part, Delegate(getattr(simulation, part))))) == repr(
         flown()

@@ -413,7 +413,7 @@ def test_a_console_that_falls_silent_is_asked_in_another_life(tmp_path: Path, mo
     try:
         autopilot.start()
         first, second = (given[0] for given in asked)
-        assert first.ended
+        assert first.end_description
         assert first is not second
         assert autopilot.process is not None
         assert autopilot.process.poll() is None

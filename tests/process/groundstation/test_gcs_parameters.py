@@ -115,7 +115,7 @@ def test_after_a_crash_a_parameter_is_set_and_a_reboot_tells_what_is_kept(tmp_pa
         pilot.until(lambda s: s.status.mode is Mode.HOLD and s.measured.position[0] > 3.0)
         pilot.land()
 
-    session = flown(tmp_path / "run", script, judge=judge, parameters=kept)
+    session = flown(tmp_path / "run", script, judge=judge, parameter_file=kept)
     assert [run.outcome == "completed" for run in session.runs] == [False, False, True]
     assert not tomllib.loads(kept.read_text()).get("parameters")
 
@@ -190,5 +190,5 @@ def test_what_is_forced_is_not_kept(tmp_path: Path, judge: LoopJudge) -> None:
         assert second.info.parameters["HJ_FORCE"] == 0.0
         assert second.info.parameters["MPC_XY_VEL_MAX"] == 3.0
 
-    flown(tmp_path / "run", script, judge=judge, parameters=kept)
+    flown(tmp_path / "run", script, judge=judge, parameter_file=kept)
     assert tomllib.loads(kept.read_text())["parameters"] == {"MPC_XY_VEL_MAX": 3.0}

@@ -419,12 +419,12 @@ def test_parameters_are_kept_for_the_vehicle_and_are_part_of_the_next_run(tmp_pa
         assert not pilot.ask(rq.SetParameter("HJ_ATT_ROLL", 1e6)).accepted
         assert not pilot.ask(rq.SetParameter("NO_SUCH", 1.0)).accepted
 
-    flown(tmp_path / "one", change, parameters=kept)
+    flown(tmp_path / "one", change, parameter_file=kept)
     assert tomllib.loads(kept.read_text())["parameters"] == {"HJ_ATT_ROLL": 3.0, "MPC_XY_VEL_MAX": 2.5}
 
     seen = []
     script = lambda pilot, session: seen.append(pilot.until(lambda s: s.k > 0).info.parameters["HJ_ATT_ROLL"])  # noqa: E731
-    session = flown(tmp_path / "two", script, parameters=kept)
+    session = flown(tmp_path / "two", script, parameter_file=kept)
     assert seen == [3.0]
     entries = read_requests(tmp_path / "two" / REQUESTS)
     assert [(e.step, e.sender, e.request) for e in entries] == [
@@ -463,7 +463,7 @@ def test_a_kept_parameter_that_is_not_allowed_is_told_and_left_out(tmp_path: Pat
         parameters = pilot.until(lambda s: s.k > 0).info.parameters
         seen.extend([parameters["HJ_ATT_ROLL"], parameters["HJ_ATT_YAW"]])
 
-    session = flown(tmp_path / "run", look, parameters=kept)
+    session = flown(tmp_path / "run", look, parameter_file=kept)
     assert seen == [3.5, 2.5]
     texts = [message.text for message in session.exchange.messages]
     assert sum("HJ_ATT_ROLL" in text or "NO_SUCH" in text for text in texts) == 2
