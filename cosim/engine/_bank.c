@@ -1000,7 +1000,7 @@ static PyMethodDef bank_methods[] = {
 };
 
 static PyType_Slot bank_slots[] = {
-    {Py_tp_doc, "Bank(engines, step, record): engines are as cosim.engine.fmu.instance.Slave.row() makes them."},
+    {Py_tp_doc, "Bank(engines, step, record): engines are as cosim.engine.fmu.instance.FmuInstance.make_row() makes them."},
     {Py_tp_new, SLOT(PyType_GenericNew)},
     {Py_tp_init, SLOT(bank_init)},
     {Py_tp_dealloc, SLOT(bank_dealloc)},

@@ -72,7 +72,7 @@ class ParameterGuard:
     def take_verdicts(self, parameters: Parameters, now: float) -> list[tuple[PendingRequest, list[Caution] | None]]:
         """Return the next changes, each with its verdict: None where it is too late for one, and it is to be refused.
 
-        ``now`` [s] is of the clock of :attr:`Waiting.until`.
+        ``now`` [s] is of the clock of :attr:`PendingRequest.deadline`.
         """
         if late := [waiting for waiting in self._deferred if now > waiting.deadline]:
             self._deferred = deque(waiting for waiting in self._deferred if now <= waiting.deadline)

@@ -30,11 +30,11 @@ SMALL = 1e-6  # rad/s^2, by which the rotors' momentum is seen to change
 
 @dataclass(frozen=True)
 class AxisPart:
-    """Actuators of one lag that give a share of an axis: the engines, or tilt servos and hinges.
+    """Actuators of one lag that give a fraction of an axis: the engines, or tilt servos and hinges.
 
-    The share acts as ``share + lead_s (1 - 1/z) / T + kick_s2 ((1 - 1/z) / T)^2`` times the actuators' response:
+    They act as ``fraction + lead_s (1 - 1/z) / T + reaction_s2 ((1 - 1/z) / T)^2`` times the actuators' response:
     ``lead_s`` [s] is the momentum of rotors that they turn or speed up, which acts by the rate at which it changes, and
-    ``kick_s2`` [s^2] the reaction of what the servos turn, which follows its angular acceleration.
+    ``reaction_s2`` [s^2] the reaction of what the servos turn, which follows its angular acceleration.
     """
 
     servos: tuple[Servo | Hinge, ...]  # () for the engines

@@ -18,8 +18,9 @@ The angular momentum of rotors that hinges turn, or that change their speed with
 command and takes delay away.  The reaction of what hinges and banks turn acts by its acceleration, and has no part.
 
 An engine that states no pole has its lag measured: one of the library with a small step either way around the throttle
-that it hovers with, any other with one around half throttle when it is loaded (:class:`cosim.engine.measure.Small`).
-The rows say so; a stated delay goes before the measured one, of which what is left counts as lag.
+that it hovers with, any other with one around half throttle when it is loaded
+(:class:`cosim.engine.response.SmallStep`).  The rows say so; a stated delay goes
+before the measured one, of which what is left counts as lag.
 """
 
 from __future__ import annotations

@@ -190,7 +190,7 @@ def short_names(paths: Sequence[str]) -> list[str]:
 
 
 def choose_metrics(values: Mapping[str, Array], required: Sequence[str]) -> list[str]:
-    """Return the names of the metrics to show: at most ``MOST_METRICS``, and those of ``OF_THE_WHOLE``.
+    """Return the names of the metrics to show: at most ``MAX_METRICS``, and those of ``OF_THE_WHOLE``.
 
     First those of the study's success, then the custom ones, then those of axes that were commanded in steps, then the
     errors of the other axes and of height.  ``OF_THE_WHOLE`` says where the vehicles went and by what means.  A metric

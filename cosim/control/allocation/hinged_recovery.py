@@ -18,7 +18,7 @@ thrusts cannot hold the weight in balance, the angles that come nearest to it ar
 for at first with each of those hinges at either end, and no such hinge goes further from them than ``ASTRAY``.
 
 Surfaces stay at zero: how fast the air comes is not known.  The heading is not held, its turning is only stopped
-(:meth:`cosim.control.attitude.AttitudeController.thrust_first`): to turn back costs lift.
+(:meth:`cosim.control.attitude.AttitudeController.update_tilt_first`): to turn back costs lift.
 
 What such hinges push aside the vehicle leans against: :attr:`HingedRecovery.lean` brings the reported force, whose
 direction in the body is ``(X, Y, -L)``, to where the thrust of an even vehicle would point, by ``atan(-Y / L)`` of roll

@@ -311,7 +311,7 @@ _unjudged_measurements: dict[Path, EngineMeasurement] = {}  # measured in this p
 def measure_unchecked(
     name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR
 ) -> EngineMeasurement:
-    """Measure as :func:`measure_apart` in another process, without a verdict on the engine.
+    """Measure as :func:`measure_in_child` in another process, without a verdict on the engine.
 
     Raises InputError if it cannot be measured at all.
     """

@@ -38,7 +38,7 @@ def compare_report(runs: Sequence[Run], path: Path) -> None:
 
 
 def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], path: Path) -> None:
-    """Write the page of flights and of what :func:`cosim.results.comparison.pairs` says of them.
+    """Write the page of flights and of what :func:`cosim.results.comparison.compare_with_first` says of them.
 
     Raises FlightError if the file cannot be written.
     """
