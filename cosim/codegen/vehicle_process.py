@@ -14,6 +14,8 @@ import sys
 from pathlib import Path
 from typing import Any, NoReturn
 
+from cosim.base.storage.files import write_all
+
 START = 0.0  # the request to start; 1.0 is one to step
 MANIFEST = "vehicle.json"  # what the archive says of itself, beside the flight
 FLIGHT = "flight"  # the folder with the scenario and its files
@@ -47,8 +49,7 @@ class _Socket:
 
     def send(self, data: bytes) -> None:
         try:
-            while data:
-                data = data[os.write(self._file, data) :]
+            write_all(self._file, data)
         except OSError:
             raise _DisconnectedError from None
 

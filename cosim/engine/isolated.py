@@ -104,7 +104,7 @@ class IsolatedBank:
 
     def close(self) -> None:
         """End the child, by force if it takes long.  May be called again."""
-        self._child.close_pipes()
+        self._pipes.close()
         self._child.end(CLOSE_S)
 
     def __enter__(self) -> IsolatedBank:

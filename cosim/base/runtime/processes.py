@@ -66,7 +66,6 @@ class Child(subprocess.Popen[bytes]):
 
     def __init__(self, command: Sequence[str], environ: Mapping[str, str] | None = None, **how: Any) -> None:
         self._mark = f"{os.environ.get(_MARK, '')}/{token_hex(8)}"
-        self._pipes: tuple[int, ...] = ()
         inherited = child_environment() if environ is None else environ
         super().__init__(command, env={**inherited, _MARK: self._mark}, process_group=0, **how)
 
@@ -95,28 +94,19 @@ class Child(subprocess.Popen[bytes]):
     def open_pipes(cls, code: str) -> tuple[Child, Pipes]:
         """Start Python code with nothing to read or print; return the process and the pipes to it.
 
-        The code finds the file descriptors of its own ends in ``sys.argv``, that to read from first.  Those of this
-        process are closed by :meth:`close_pipes`.  Raises OSError where it cannot be started.
+        The code finds the file descriptors of its own ends in ``sys.argv``, that to read from first.  Raises OSError
+        where it cannot be started.
         """
         down, up = os.pipe(), os.pipe()
-        mine, other = (up[0], down[1]), (down[0], up[1])
+        pipes, other = Pipes(up[0], down[1]), (down[0], up[1])
         try:
-            child = cls(python_command(code, *map(str, other)), None, pass_fds=other, **_SILENT)
+            return cls(python_command(code, *map(str, other)), None, pass_fds=other, **_SILENT), pipes
         except BaseException:
-            for number in mine:
-                os.close(number)
+            pipes.close()
             raise
         finally:
             for number in other:
                 os.close(number)
-        child._pipes = mine
-        return child, Pipes(*mine)
-
-    def close_pipes(self) -> None:
-        """Close the pipes of :meth:`open_pipes`; may be called twice."""
-        numbers, self._pipes = self._pipes, ()
-        for number in numbers:
-            os.close(number)
 
     def finish(self, limit: float) -> tuple[bytes, bytes]:
         """Return what it prints until its end, and leave nothing of it behind.

@@ -33,6 +33,7 @@ from cosim.base.constants import SERVOS
 from cosim.base.errors import InputError, nearest
 from cosim.base.runtime.processes import python_command
 from cosim.base.signals import MOST_JETS
+from cosim.base.storage.files import write_all
 from cosim.base.storage.scratch import temporary
 from cosim.base.storage.toml import read_toml
 from cosim.engine.fmu.archive import parse_number
@@ -251,7 +252,7 @@ def serve(path: str) -> None:
     out = os.dup(1)
     os.dup2(2, 1)  # what the FMU prints is for people
     fmu = read_controller_fmu(Path(path))
-    _write(out, json.dumps(describe_controller(fmu)).encode() + b"\n")
+    write_all(out, json.dumps(describe_controller(fmu)).encode() + b"\n")
     line = sys.stdin.buffer.readline()
     if not line:
         return
@@ -273,9 +274,9 @@ def serve(path: str) -> None:
             read = sys.stdin.buffer.read
             while len(frame := read(input_frame.size)) == input_frame.size:
                 k, *values = input_frame.unpack(frame)
-                _write(out, output_frame.pack(k, *instance.step(int(k), values)))
+                write_all(out, output_frame.pack(k, *instance.step(int(k), values)))
     except Exception as error:
-        _write(out, output_frame.pack(-1.0, *[0.0] * len(settings["outputs"])) + f"{to_one_line(error)}\n".encode())
+        write_all(out, output_frame.pack(-1.0, *[0.0] * len(settings["outputs"])) + f"{to_one_line(error)}\n".encode())
 
 
 class _Group:
@@ -319,12 +320,6 @@ def _by_type(instance: Any, positions: Sequence[int], variables: Sequence[Any]) 
         pairs = [(i, v.valueReference) for i, v in zip(positions, variables, strict=True) if v.type == kind]
         groups.append(_Group(instance, kind, [i for i, _ in pairs], [reference for _, reference in pairs]))
     return groups
-
-
-def _write(file: int, data: bytes) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[os.write(file, view) :]
 
 
 class _Instance:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from cosim.base.runtime.processes import die_with_parent
+from cosim.base.storage.files import write_all
 
 Say = Callable[[dict[str, Any]], None]
 
@@ -28,9 +29,7 @@ def main(pipe: int) -> None:
     os.close(nothing)
 
     def say(message: dict[str, Any]) -> None:
-        data = json.dumps(message, allow_nan=False).encode() + b"\n"
-        while data:
-            data = data[os.write(pipe, data) :]
+        write_all(pipe, json.dumps(message, allow_nan=False).encode() + b"\n")
 
     from cosim.engine.qualify.trial import run_task
 

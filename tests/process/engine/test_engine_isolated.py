@@ -246,7 +246,8 @@ def test_what_a_child_answers_runs_nothing_here(head: bytes, answer: Callable[[P
     bank = IsolatedBank([load_engine("turbine-20", {}, STEP)], STEP, in_flight=True)
     reader, writer = os.pipe()
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    bank._pipes, sender = Pipes(reader, nowhere), Pipes(reader, writer)
+    real, bank._pipes = bank._pipes, Pipes(reader, nowhere)
+    sender = Pipes(reader, writer)
     data, calls = (
         head + answer(tmp_path / "ran"),
         (
@@ -268,6 +269,7 @@ def test_what_a_child_answers_runs_nothing_here(head: bytes, answer: Callable[[P
         bank.step(0, (0.5,))
     for number in (reader, writer, nowhere):
         os.close(number)
+    bank._pipes = real
     bank.close()
     assert not (tmp_path / "ran").exists()
 

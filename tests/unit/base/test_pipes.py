@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from itertools import count
 from threading import Thread
+from types import SimpleNamespace
 
 import pytest
 from patience import PATIENCE
 
+from cosim.base.runtime import pipes
 from cosim.base.runtime.pipes import Pipes
 
 SHORT = 0.01  # s, waited for what does not come
@@ -71,3 +74,27 @@ def test_a_closed_end_is_named(ends: tuple[Pipes, Pipes]) -> None:
     os.close(one._reader)
     with pytest.raises(BrokenPipeError):
         other.send(b"x")
+
+
+class Waiting:
+    """A poll that finds something as long as it may wait for it."""
+
+    def poll(self, milliseconds: float) -> bool:
+        return milliseconds > 0.0
+
+
+@pytest.mark.parametrize("limit", [10.0, 3.0])
+def test_the_limit_is_of_the_whole_answer(
+    limit: float, ends: tuple[Pipes, Pipes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And not of each piece that comes of it: here the clock goes on by 1 s whenever it is looked at."""
+    _, other = ends
+    clock, pieces = count(), iter((b"\3\0\0", b"\0a", b"b", b"c"))
+    monkeypatch.setattr(pipes, "monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr(pipes, "os", SimpleNamespace(read=lambda *_: next(pieces)))  # for this module alone
+    monkeypatch.setattr(other, "_poll", Waiting())
+    if limit > 5.0:
+        assert other.receive_message(10, limit) == b"abc"
+    else:
+        with pytest.raises(TimeoutError):
+            other.receive_message(10, limit)
