@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import FlightError
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.identify.bench.fit import Part
 from cosim.identify.bench.grey import DEVIATIONS_95, STEP_S, GreyIdentification
+from cosim.identify.files import write_identification
 from cosim.results.report.page import render
 from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, Figure, beneath, panels, trace
 
@@ -27,20 +26,12 @@ def write(result: GreyIdentification, folder: Path) -> dict[str, Path]:
     Raises FlightError if a file cannot be written.
     """
     paths = {"json": folder / "identification.json"}
-    texts = {"json": json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"}
-    archive = result.spec.archive.path
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in ("engine.toml", "engine.fmu", "README.md"):  # of an earlier call that had one
-            (folder / name).unlink(missing_ok=True)
-        if not result.misfit.failed:
-            paths["engine"] = folder / "engine.toml"
-            texts["engine"] = toml_text(engine_table(result))
-            shutil.copyfile(archive, folder / f"engine{archive.suffix}")
-        for name, path in paths.items():
-            path.write_text(texts[name], encoding="utf-8")
-    except OSError as error:
-        raise FlightError(f"{folder}: {error.strerror or error}") from error
+    texts = {paths["json"]: json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"}
+    archive = None
+    if not result.misfit.failed:
+        paths["engine"], archive = folder / "engine.toml", result.spec.archive.path
+        texts[paths["engine"]] = toml_text(engine_table(result))
+    write_identification(folder, texts, archive, remove_engine=True)
     paths["report"] = folder / "report.html"
     render(
         TEMPLATE,

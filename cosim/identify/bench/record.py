@@ -138,7 +138,6 @@ def _clean(
     """Return a record without repeated frames and clipped rows, averaged where there are very many."""
     (command_name, given), (output_name, measured) = command, output
     _check(path, output_name, measured)
-    commands = given.times, given.values
     fresh = np.diff(given.times, prepend=-np.inf) > 0.0
     commands = given.times[fresh], given.values[fresh]
     times, values = measured.times, measured.values

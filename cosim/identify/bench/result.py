@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import FlightError
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import toml_text
 from cosim.identify.bench.fit import Estimate
 from cosim.identify.bench.identify import BenchIdentification
+from cosim.identify.files import write_identification
 from cosim.results.report.page import render
 from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, beneath, panels, trace
 
@@ -47,20 +46,13 @@ def write(result: BenchIdentification, folder: Path) -> dict[str, Path]:
     Raises FlightError if a file cannot be written.
     """
     paths = {"json": folder / "identification.json"}
-    texts = {"json": json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"}
-    if not why_no_engine(result):
+    texts = {paths["json"]: json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"}
+    no_engine = why_no_engine(result)
+    if not no_engine:
         paths |= {"engine": folder / "engine.toml", "readme": folder / "README.md"}
-        texts |= {"engine": toml_text(engine_table(result)), "readme": readme(result)}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in ("engine.toml", "engine.fmu", "README.md"):  # of an earlier call that had one
-            (folder / name).unlink(missing_ok=True)
-        for name, path in paths.items():
-            path.write_text(texts[name], encoding="utf-8")
-        if "engine" in paths:
-            shutil.copyfile(data_folder("fmus") / f"{ENGINE}.fmu", folder / "engine.fmu")
-    except OSError as error:
-        raise FlightError(f"{folder}: {error.strerror or error}") from error
+        texts |= {paths["engine"]: toml_text(engine_table(result)), paths["readme"]: readme(result)}
+    archive = None if no_engine else data_folder("fmus") / f"{ENGINE}.fmu"
+    write_identification(folder, texts, archive, remove_engine=True)
     paths["report"] = folder / "report.html"
     render(
         TEMPLATE,
@@ -71,7 +63,7 @@ def write(result: BenchIdentification, folder: Path) -> dict[str, Path]:
         columns=[estimate.form.label for estimate in result.estimates],
         rows=rows(result),
         summary=summary(result),
-        no_engine=why_no_engine(result),
+        no_engine=no_engine,
     )
     return paths
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.base.errors import FlightError
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import toml_text
+from cosim.identify.files import write_identification
 from cosim.identify.prediction_error.estimate import Estimate
 from cosim.identify.prediction_error.identify_log import DEVIATIONS_95, LogIdentification, information
 from cosim.results.report.page import render
@@ -28,22 +27,16 @@ def write(result: LogIdentification, folder: Path, step: float, family: str) -> 
     ``family`` is the engine under which an axis' model is filed.  Raises FlightError if a file cannot be written.
     """
     paths = {"json": folder / "identification.json"}
-    texts = {"json": json.dumps(result.to_dict(step), indent=2, allow_nan=False) + "\n"}
+    texts = {paths["json"]: json.dumps(result.to_dict(step), indent=2, allow_nan=False) + "\n"}
+    archive = None
     if not result.engine:
         paths["model"] = folder / "model.toml"
         table = {"identified": {family: {result.what: result.rate_model(step).model_dump()}}}
-        texts["model"] = toml_text(table)
+        texts[paths["model"]] = toml_text(table)
     if result.engine and result.signals.output_unit == "N":
-        paths["engine"] = folder / "engine.toml"
-        texts["engine"] = toml_text(engine_table(result))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, path in paths.items():
-            path.write_text(texts[name], encoding="utf-8")
-        if "engine" in paths:
-            shutil.copyfile(data_folder("fmus") / f"{ENGINE}.fmu", folder / "engine.fmu")
-    except OSError as error:
-        raise FlightError(f"{folder}: {error.strerror or error}") from error
+        paths["engine"], archive = folder / "engine.toml", data_folder("fmus") / f"{ENGINE}.fmu"
+        texts[paths["engine"]] = toml_text(engine_table(result))
+    write_identification(folder, texts, archive)
     paths["report"] = folder / "report.html"
     render(
         TEMPLATE,
