@@ -5,8 +5,9 @@ What is found goes into ``aircraft/substeps.toml``, by which a scenario's ``subs
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+import json
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from cosim.spec.scenario import scenario_names
 RUNS = (1, 2, 3, 4, 6, 8)
 FINE = 16  # what they are compared with
 # shipped vehicles without scenarios of their own
-_ELSEWHERE: dict[str, dict[str, Any]] = {
+_ELSEWHERE: dict[str, dict[str, str]] = {
     "hexjet-100": {"engine": "turbine-100", "controller": "filtered-smith"},
     "quadrotor": {"engine": "motor", "controller": "baseline"},
 }
@@ -38,6 +39,8 @@ class Flight(NamedTuple):
 
     aircraft: str
     name: str
+    engine: str
+    controller: str
     touches: bool
     apart: dict[int, Apart]
 
@@ -62,7 +65,7 @@ def measure_flight(scenario: Scenario, runs: tuple[int, ...] = RUNS, fine: int =
     reference = fly(scenario.replace(substeps=fine)).log
     apart = {each: compare(fly(scenario.replace(substeps=each)).log, reference) for each in runs}
     touches = bool(np.any(reference["on_ground"] > 0.0))
-    return Flight(scenario.aircraft, scenario.name, touches, apart)
+    return Flight(scenario.aircraft, scenario.name, scenario.engine, scenario.controller, touches, apart)
 
 
 def compare(one: Log, other: Log) -> Apart:
@@ -121,6 +124,15 @@ def flight_rows(flights: list[Flight]) -> list[list[str]]:
     ]
 
 
+def provenance(aircraft: str, flights: Sequence[Flight]) -> Iterator[str]:
+    """Yield the lines of TOML that say which flights of a vehicle were measured, and how they were set."""
+    yield f"scenarios = {json.dumps([flight.name for flight in flights])}"
+    if aircraft in _ELSEWHERE:
+        yield "settings = { " + ", ".join(f'{key} = "{value}"' for key, value in _ELSEWHERE[aircraft].items()) + " }"
+    yield f"engines = {json.dumps(sorted({flight.engine for flight in flights}))}"
+    yield f"controllers = {json.dumps(sorted({flight.controller for flight in flights}))}"
+
+
 def as_toml(flights: list[Flight]) -> str:
     """Return what ``aircraft/substeps.toml`` says."""
     lines = [
@@ -129,11 +141,12 @@ def as_toml(flights: list[Flight]) -> str:
         "# by python -m benchmarks.accuracy --only runs; docs/accuracy.md has every flight.",
     ]
     for aircraft, by_runs in worst(flights).items():
-        number = sum(flight.aircraft == aircraft for flight in flights)
+        own = [flight for flight in flights if flight.aircraft == aircraft]
         lines += [
             "",
             f"[{aircraft}]",
-            f"flights = {number}",
+            f"flights = {len(own)}",
+            *provenance(aircraft, own),
             f"runs = {list(by_runs)}",
             f"attitude_deg = [{', '.join(f'{each.attitude_deg:.2g}' for each in by_runs.values())}]",
             f"place_mm = [{', '.join(f'{each.place_mm:.2g}' for each in by_runs.values())}]",

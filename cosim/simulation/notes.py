@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 
 from cosim.engine import EngineSpec
-from cosim.spec.scenario import SUBSTEPS, Scenario, measured_errors
+from cosim.spec.scenario import SUBSTEPS, Scenario, StepErrors, list_differing_keys, measured_errors
 from cosim.spec.vehicle import Vehicle
 
 BY_WIND_M = 300.0  # JSBSim's MIL-F-8785C takes its strength from the wind below, from the severity well above
@@ -16,22 +16,50 @@ def note_settings_without_effect(scenario: Scenario, vehicle: Vehicle, engines: 
     return [*note_incomplete_turbulence(scenario), *note_missing_fuel_flow(vehicle, engines)]
 
 
-def note_few_substeps(scenario: Scenario) -> list[str]:
-    """Return a line on what fewer JSBSim runs a step than usual cost in accuracy; empty with as many or more."""
-    runs = scenario.substeps
-    if runs >= SUBSTEPS:
+def note_few_substeps(scenario: Scenario, varied: Collection[str] = ()) -> list[str]:
+    """Return a line on the accuracy of a flight with fewer JSBSim runs a step than usual, or as many as an error asks.
+
+    It has what was measured of the aircraft, and what of this flight, or of the keys ``varied`` by a study, was not.
+    Empty where a scenario states as many runs as usual, or more.
+    """
+    runs, error = scenario.substeps, scenario.step_error
+    if runs >= SUBSTEPS and error is None:
         return []
     measured = measured_errors(scenario.aircraft)
-    fewer, usual = (measured.errors_at(each) for each in (runs, SUBSTEPS)) if measured else (None, None)
-    if fewer is None or usual is None:
+    flown, usual = (measured.errors_at(each) for each in (runs, SUBSTEPS)) if measured else (None, None)
+    if measured is None or flown is None or usual is None:
         what = f"what fewer than {SUBSTEPS} cost {scenario.aircraft_name} in accuracy has not been measured"
     else:
         what = (
-            f"shipped flights of {scenario.aircraft} then differ by up to {fewer[0]:g} deg and {fewer[1]:g} mm from "
+            f"shipped flights of {scenario.aircraft} then differ by up to {flown[0]:g} deg and {flown[1]:g} mm from "
             f"those with 16, with {SUBSTEPS} by {usual[0]:g} deg and {usual[1]:g} mm"
         )
+        others = list_unmeasured(scenario, measured, varied)
+        what += f"; not measured here: {_enumerate(others)}" if others else ""
     gusts = "; the turbulence is another than with other numbers" if scenario.environment.turbulence_severity else ""
-    return [f"substeps = {runs}: {what}{gusts}"]
+    return [f"substeps = {runs}{f', for {error!r}' if error else ''}: {what}{gusts}"]
+
+
+def list_unmeasured(scenario: Scenario, measured: StepErrors, varied: Collection[str] = ()) -> list[str]:
+    """Return how a flight differs from those whose errors were measured: keys, or that it is none of them."""
+    if scenario.name in measured.scenarios:
+        shipped = Scenario.load(scenario.name).replace(aircraft=scenario.aircraft, **measured.settings)
+        differing = list_differing_keys(scenario, shipped)
+        if "duration_s" in differing and scenario.duration_s < shipped.duration_s:
+            differing.remove("duration_s")
+        return list(dict.fromkeys([*differing, *varied]))
+    bare = Scenario(name="bare", duration_s=scenario.duration_s, aircraft=scenario.aircraft)
+    as_shipped = bare.resolved(step_s=bare.resolved_vehicle()[0].control_step)
+    own = [key for key in list_differing_keys(scenario, as_shipped) if key == "step_s" or key.startswith("vehicle.")]
+    named = {"engine": (scenario.engine, measured.engines), "controller": (scenario.controller, measured.controllers)}
+    own = [*(key for key, (name, flown) in named.items() if name not in flown), *own]
+    return ["this flight, which is none of them", *dict.fromkeys([*own, *varied])]
+
+
+def _enumerate(names: Sequence[str], most: int = 4) -> str:
+    """Return names in a row, the first few where there are many."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def note_incomplete_turbulence(scenario: Scenario) -> list[str]:

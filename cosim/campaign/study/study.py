@@ -180,7 +180,7 @@ class Study(Model):
         base, keys = self.base(), [vary.key for vary in self.vary]
         lines = note_varied_turbulence(base, keys)
         if "substeps" not in keys and "aircraft" not in keys:
-            lines += note_few_substeps(base)
+            lines += note_few_substeps(base, keys)
         if self.design == "sobol" and self.draws & (self.draws - 1):
             below = 1 << (self.draws.bit_length() - 1)
             lines.append(

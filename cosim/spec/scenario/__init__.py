@@ -51,10 +51,11 @@ from cosim.spec.scenario.provenance import (
     copy_parameters,
     flown_parameters,
     list_changes,
+    list_differing_keys,
 )
 from cosim.spec.scenario.scenario import Scenario
 from cosim.spec.scenario.sections import Environment, Expectation, FlightLimits, Initial, Range, Station
-from cosim.spec.scenario.substeps import SUBSTEPS, measured_errors
+from cosim.spec.scenario.substeps import SUBSTEPS, StepErrors, measured_errors
 
 __all__ = [
     "SIGNALS",
@@ -89,6 +90,7 @@ __all__ = [
     "SlowSpool",
     "Station",
     "StepCommand",
+    "StepErrors",
     "SticksCommand",
     "StuckThrottle",
     "SweepCommand",
@@ -105,6 +107,7 @@ __all__ = [
     "find_scenario",
     "flown_parameters",
     "list_changes",
+    "list_differing_keys",
     "measured_errors",
     "parameter_files",
     "scenario_names",

@@ -107,6 +107,23 @@ def list_changes(scenario: Scenario, parameters: list[FlownParameters]) -> list[
     return [texts[key] for key in dict.fromkeys([*first, *texts])]
 
 
+def list_differing_keys(scenario: Scenario, other: Scenario) -> list[str]:
+    """Return the keys by which the flights of two scenarios differ, those of the vehicle as it flies.
+
+    The number of JSBSim runs and the seed are none of them.
+    """
+    now, before = (dict(_leaves(_as_flown(one))) for one in (scenario, other))
+    return [key for key in dict.fromkeys([*now, *before]) if now.get(key) != before.get(key)]
+
+
+def _as_flown(scenario: Scenario) -> dict[str, Any]:
+    """Return the keys that affect the flight, with the whole vehicle in place of what is stated of it."""
+    table = _comparable(scenario) | {"vehicle": scenario.resolved_vehicle()[0].model_dump(mode="json")}
+    return {key: value for key, value in table.items() if key not in ("substeps", "step_s")} | {
+        "step_s": scenario.step_s
+    }
+
+
 def _differing(scenario: Scenario, origin: Scenario, parameters: list[FlownParameters]) -> Iterator[tuple[str, Any]]:
     """Yield keys and values that differ from the scenario's file and are not set by a parameter file."""
     now, before = (dict(_leaves(_comparable(one))) for one in (scenario, origin))

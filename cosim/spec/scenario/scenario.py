@@ -16,7 +16,7 @@ from cosim.spec.scenario.files import find_scenario
 from cosim.spec.scenario.mismatch import Mismatch
 from cosim.spec.scenario.parameter_file import ParameterFile
 from cosim.spec.scenario.sections import Environment, Expectation, FlightLimits, Initial, Station
-from cosim.spec.scenario.substeps import SUBSTEPS, runs_for
+from cosim.spec.scenario.substeps import SUBSTEPS, check_measured_step, runs_for
 from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_aircraft_path
 from cosim.spec.vehicle.sensor_profile import STATED, load_with_profile, profile_names, refuse_restated
 
@@ -317,7 +317,11 @@ class Scenario(Model):
         scenario._folder = folder
         scenario._origin = origin
         scenario._step_error = error if isinstance(error, str) else None
-        return scenario if "step_s" in data else scenario._with_aircraft_step()
+        if "step_s" not in data:
+            scenario = scenario._with_aircraft_step()
+        if isinstance(error, str):
+            check_measured_step(error, scenario.aircraft, scenario.step_s, where)
+        return scenario
 
     def _with_aircraft_step(self) -> Self:
         """Return the scenario with its aircraft's control step; an unreadable aircraft is reported where it is used."""

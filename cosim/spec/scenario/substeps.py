@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from functools import cache
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -19,15 +19,25 @@ from cosim.spec.vehicle import is_aircraft_path, load_vehicle
 
 SUBSTEPS = 4  # of who states none
 CAMPAIGN = "campaign"
-CAMPAIGN_DEG = 0.1  # over that with SUBSTEPS; chosen by us: twice the noise with which shipped vehicles see attitude
+# over those with SUBSTEPS; chosen by us: twice the noise with which shipped vehicles see attitude and height
+CAMPAIGN_DEG = 0.1
+CAMPAIGN_MM = 20.0
 _FORM = re.compile(r"\s*(?P<size>[0-9]+(?:\.[0-9]+)?(?:e-?[0-9]+)?)\s*(?P<unit>deg|mm)\s*")
 _POSITIVE = Annotated[float, Field(gt=0.0)]
 
 
 class StepErrors(Model):
-    """What was measured of one vehicle: the greatest differences of its shipped flights by ``runs`` a step."""
+    """What was measured of one vehicle: the greatest differences of its shipped flights by ``runs`` a step.
+
+    ``scenarios``: these flights by name; ``settings``: what was set over them, where they are another vehicle's.
+    ``engines`` and ``controllers`` are those that flew.
+    """
 
     flights: int
+    scenarios: list[str] = []
+    settings: dict[str, Any] = {}
+    engines: list[str] = []
+    controllers: list[str] = []
     runs: list[int]
     attitude_deg: list[_POSITIVE]
     place_mm: list[_POSITIVE]
@@ -42,10 +52,12 @@ class StepErrors(Model):
         return kept
 
     def for_campaigns(self) -> int:
-        """Return the fewest runs, two or more, that are off by at most CAMPAIGN_DEG more than SUBSTEPS runs are."""
-        rows = dict(zip(self.runs, self.attitude_deg, strict=True))
-        most = rows[SUBSTEPS] + CAMPAIGN_DEG
-        return min(runs for runs, error in rows.items() if runs > 1 and error <= most)
+        """Return the fewest runs, two or more, off by at most CAMPAIGN_DEG and CAMPAIGN_MM more than SUBSTEPS are."""
+        rows = {
+            runs: (turned, off) for runs, turned, off in zip(self.runs, self.attitude_deg, self.place_mm, strict=True)
+        }
+        most_deg, most_mm = rows[SUBSTEPS][0] + CAMPAIGN_DEG, rows[SUBSTEPS][1] + CAMPAIGN_MM
+        return min(runs for runs, (turned, off) in rows.items() if runs > 1 and turned <= most_deg and off <= most_mm)
 
     def smallest_error(self, unit: str) -> float:
         """Return the error with the most runs that were measured."""
@@ -76,7 +88,8 @@ def runs_for(error: str, aircraft: str, where: str) -> int:
     Parameters
     ----------
     error : str
-        ``"0.01 deg"`` of attitude or ``"1 mm"`` of place; ``"campaign"``: 0.1 deg more than with :data:`SUBSTEPS`.
+        ``"0.01 deg"`` of attitude or ``"1 mm"`` of place; ``"campaign"``: 0.1 deg and 20 mm more than with
+        :data:`SUBSTEPS`.
     aircraft : str
         The vehicle's name.
     where : str
@@ -114,3 +127,13 @@ def runs_for(error: str, aircraft: str, where: str) -> int:
             "the most that is measured; state a number"
         )
     return runs
+
+
+def check_measured_step(error: str, aircraft: str, step: float, where: str) -> None:
+    """Raise InputError where a scenario states an error and a control step [s] at which none was measured."""
+    usual = load_vehicle(aircraft)[0].control_step
+    if step != usual:
+        raise InputError(
+            f"{where}: substeps = {error!r}: errors of {aircraft} are measured at its control step of {usual:g} s, and "
+            f"not at {step:g} s; state a number, and compare a flight with it with one with 16"
+        )

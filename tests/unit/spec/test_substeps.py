@@ -13,6 +13,7 @@ from cosim.base.storage.paths import data_folder
 from cosim.campaign.folder import freeze
 from cosim.campaign.study.options import open_study
 from cosim.results.resolved_scenario import resolve
+from cosim.results.setup import make_setup
 from cosim.simulation.build import build
 from cosim.simulation.notes import note_few_substeps
 from cosim.spec.scenario import measured_errors
@@ -58,6 +59,12 @@ def test_an_error_that_is_kept_to_by_chance_does_not_count() -> None:
 )
 def test_campaigns_take_the_fewest_that_are_hardly_worse_than_the_usual(degrees: tuple[float, ...], runs: int) -> None:
     assert errors(*degrees).for_campaigns() == runs
+
+
+def test_campaigns_keep_to_the_place_as_well() -> None:
+    attitude = [5.0, 0.1, 0.1, 0.1, 0.1, 0.1]
+    place = [100.0, 40.1, 40.0, 20.0, 5.0, 5.0]  # 20 mm more than with four
+    assert StepErrors(flights=1, runs=RUNS, attitude_deg=attitude, place_mm=place).for_campaigns() == 3
 
 
 def test_every_shipped_aircraft_is_measured() -> None:
@@ -120,6 +127,68 @@ def test_what_fewer_runs_cost_is_said() -> None:
     )
     (note,) = note_few_substeps(Scenario.load("gust").replace(substeps=2))
     assert note.endswith("the turbulence is another than with other numbers")
+
+
+def note_of(scenario: str, *settings: str) -> str:
+    (note,) = note_few_substeps(Scenario.load(scenario, list(settings)))
+    return note
+
+
+@pytest.mark.parametrize("substeps", ["2", "campaign", "'0.02 deg'"])
+def test_a_flight_as_it_was_measured_has_no_reservation(substeps: str) -> None:
+    assert "not measured" not in note_of("roll-doublet", f"substeps={substeps}", "seed=7", "duration_s=5")
+
+
+@pytest.mark.parametrize(
+    ("settings", "what"),
+    [
+        (["vehicle.mass_kg=6"], "vehicle.mass_kg"),
+        (["controller=baseline"], "controller"),
+        (["engine=motor", "controller=baseline"], "engine, controller"),
+        (["environment.turbulence_severity=3"], "environment.turbulence_severity; the turbulence is another"),
+        (["sensor_noise=false"], "sensor_noise"),
+        (["duration_s=600"], "duration_s"),
+    ],
+)
+def test_what_was_not_measured_is_said(settings: list[str], what: str) -> None:
+    for substeps in ("2", "campaign", "'0.02 deg'"):
+        assert f"; not measured here: {what}" in note_of("roll-doublet", f"substeps={substeps}", *settings)
+
+
+def test_a_number_at_another_step_is_not_what_was_measured() -> None:
+    assert note_of("roll-doublet", "substeps=2", "step_s=0.002").endswith("; not measured here: step_s")
+
+
+def test_an_error_at_another_step_is_refused() -> None:
+    with pytest.raises(InputError, match=r"hexjet are measured at its control step of 0\.004 s, and not at 0\.002 s"):
+        Scenario.load("roll-doublet", ["substeps='0.02 deg'", "step_s=0.002"])
+    with pytest.raises(InputError, match=r"not at 0\.002 s"):
+        Scenario.load("roll-doublet", ["substeps=campaign", "vehicle.step_s=0.002"])
+    assert Scenario.load("roll-doublet", ["substeps=campaign", "step_s=0.004"]).substeps == 2
+
+
+def test_a_flight_that_is_not_shipped_says_so(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'name = "mine"\nduration_s = 1.0\nsubsteps = "5 mm"\ncontroller = "baseline"\n[vehicle]\nmass_kg = 6.0\n'
+    )
+    assert note_of(str(file)).endswith(
+        "; not measured here: this flight, which is none of them, controller, vehicle.mass_kg"
+    )
+
+
+def test_a_study_says_that_what_it_varies_was_not_measured() -> None:
+    study = open_study("roll-doublet", vary=["vehicle.mass_kg=5:6:2"], settings=["substeps=campaign"])
+    (note,) = (note for note in study.notes() if note.startswith("substeps"))
+    assert note.endswith("; not measured here: vehicle.mass_kg")
+
+
+def test_the_record_of_a_flight_says_it() -> None:
+    settings = ["substeps='0.02 deg'", "vehicle.mass_kg=6", "duration_s=0.1", "command=[]"]
+    with build(Scenario.load("roll-doublet", settings)) as simulation:
+        notes = make_setup(simulation, resolve(simulation)[0]).notes
+    (note,) = (note for note in notes if note.startswith("substeps = 6, for '0.02 deg'"))
+    assert note.endswith("; not measured here: command, vehicle.mass_kg")
 
 
 def test_what_fewer_runs_cost_an_aircraft_of_ones_own_is_not_known(tmp_path: Path) -> None:
