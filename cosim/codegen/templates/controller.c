@@ -730,6 +730,33 @@ static void reset_allocation(const [[ n ]]_Parameters *p, [[ n ]]_State *s, Real
 }
 {% endif %}
 
+static bool are_finite(const Real values[], int count)
+{
+    bool finite = true;
+    for (int i = 0; i < count; i++) {
+        finite = finite && (isfinite(values[i]) != 0);
+    }
+    return finite;
+}
+
+/* Whether all that a step computes with is finite; what it does not look at may be anything. */
+static bool is_usable(const [[ n ]]_Input *in)
+{
+    bool usable = are_finite(in->rate, 3);
+    if (in->rates_commanded) {
+        usable = usable && are_finite(in->rate_setpoint, 3);
+    } else {
+        usable = usable && are_finite(in->attitude_setpoint, 3) && are_finite(in->attitude, 4);
+    }
+    if (in->collective_commanded) {
+        usable = usable && are_finite(&in->collective_setpoint, 1);
+    } else {
+        const Real height[4] = {in->altitude_setpoint, in->altitude, in->velocity_down, in->fuel_burnt};
+        usable = usable && are_finite(height, 4) && are_finite(in->attitude, 4);
+    }
+    return usable[[ " && are_finite(in->unallocated, 4)" if f.loops ]];
+}
+
 static void reset_loops([[ n ]]_State *s)
 {
     s->altitude_integral = R(0.0);
@@ -823,6 +850,8 @@ void [[ n ]]_reset(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, b
     state->setpoint[0] = R(1.0);
     clear(state->unallocated, 4);
     reset_loops(state);
+    const [[ n ]]_Output nothing = {0};
+    state->held = nothing;
 {% if f.loops %}
     state->collective = R(0.0);
     state->begun = false;
@@ -855,6 +884,14 @@ void [[ n ]]_reset(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, b
 {% if not f.thrust.identity %}
     throttles_of(parameters, throttle);
 {% endif %}
+    for (int i = 0; i < [[ N ]]_JETS; i++) {
+        state->held.throttle[i] = throttle[i];
+    }
+{% if hinged %}
+    for (int i = 0; i < [[ N ]]_SERVOS; i++) {
+        state->held.tilt[i] = parameters->rest[i];
+    }
+{% endif %}
 {% endif %}
 }
 {% endif %}
@@ -862,9 +899,16 @@ void [[ n ]]_reset(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, b
 void [[ n ]]_step(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, const [[ n ]]_Input *input,
     [[ n ]]_Output *output)
 {
+    const bool usable = is_usable(input);
+    if (!usable && (input->engines == [[ N ]]_FLY)) {
+        *output = state->held;
+        output->held = true;
+        return;
+    }
+    output->held = !usable;
 {% if f.loops %}
     for (int i = 0; i < 4; i++) {
-        state->unallocated[i] = input->unallocated[i];
+        state->unallocated[i] = usable ? input->unallocated[i] : R(0.0);
     }
 {% if f.schedule %}
     if (state->begun) {
@@ -873,7 +917,9 @@ void [[ n ]]_step(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, co
 {% endif %}
     state->begun = true;
 {% endif %}
-    if (input->rates_commanded) {
+    if (!usable) {
+        clear(output->rate_setpoint, 3);
+    } else if (input->rates_commanded) {
         for (int i = 0; i < 3; i++) {
             output->rate_setpoint[i] = input->rate_setpoint[i];
         }
@@ -890,6 +936,7 @@ void [[ n ]]_step(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, co
     output->rate_predicted[2] = state->yaw.predicted;
 {% if f.loops %}
     state->collective = output->collective;
+    state->held = *output;
 }
 {%- else %}
     for (int i = 0; i < 4; i++) {
@@ -904,6 +951,7 @@ void [[ n ]]_step(const [[ n ]]_Parameters *parameters, [[ n ]]_State *state, co
 {% if not f.thrust.identity %}
     throttles_of(parameters, output->throttle);
 {% endif %}
+    state->held = *output;
 }
 {%- endif %}
 

@@ -4,11 +4,12 @@
  * Made by hexjet export controller ([[ maker ]]); parameters and origin are in [[ n ]]_parameters.c.
 {% if f.accelerations %}
  * Body axes are forward-right-down, angles in rad, everything else in SI units; the rate loop's output is angular
- * accelerations, a collective a share of an engine's range of thrust, 0 to 1. Every input must be a finite number.
+ * accelerations, a collective a share of an engine's range of thrust, 0 to 1.
 {% else %}
  * Body axes are forward-right-down, angles in rad, everything else in SI units; a command of roll and a collective are
- * shares of an engine's range of thrust, 0 to 1. Every input must be a finite number.
+ * shares of an engine's range of thrust, 0 to 1.
 {% endif %}
+ * Where an input that a step needs is not finite, outputs and state stay as they are, and `held` says so.
  * Call [[ n ]]_reset once, then [[ n ]]_step every [[ step ]] s.
  *
  * Compile with -ffp-contract=off (no fused multiply-add) and without -ffast-math to get the bits of the simulation.
@@ -99,6 +100,7 @@ typedef struct {
     [[ n ]]_Real collective;        /* asked for */
     [[ n ]]_Real allocated;         /* given */
 {% endif %}
+    bool held;                      /* an input was not finite: all else is that of the step before */
 } [[ n ]]_Output;
 {% if f.allocation.kind == "effectiveness" %}
 
@@ -249,6 +251,7 @@ typedef struct {
     bool begun;
 {% endif %}
     [[ n ]]_Real unallocated[4];
+    [[ n ]]_Output held; /* of the step before */
 } [[ n ]]_State;
 
 /* As designed; in read-only memory. */
