@@ -289,6 +289,8 @@ class Simulation:
                 sample = self.step()
             except FlightError as error:
                 return self.make_failure(error)
+            except ArithmeticError as error:  # a gain or a speed beyond what a number holds
+                return self.make_failure(FlightError(f"a number is out of range: {error}"))
             for look in observe:
                 look(sample)
             ending = self.check_end(sample, observe)

@@ -23,7 +23,7 @@ from math import atan2, cos, hypot, inf, sqrt
 from typing import Final, NamedTuple
 
 from cosim.base.constants import GRAVITY
-from cosim.base.errors import InputError
+from cosim.base.errors import FlightError, InputError
 from cosim.base.layout import Layout
 from cosim.base.signals import (
     NO_JETS,
@@ -117,7 +117,7 @@ class Constants(NamedTuple):
 class EffectivenessAllocator:
     """Throttles and servo angles of a vehicle of any layout.
 
-    Raises InputError where the vehicle cannot be held in hover.
+    Raises InputError where the vehicle cannot be held in hover, or a number of it is nothing to compute with.
     """
 
     def __init__(self, model: AllocationModel) -> None:
@@ -139,7 +139,10 @@ class EffectivenessAllocator:
             (most - least) * span / effort for (least, most), effort in zip(shares, efforts, strict=True)
         ] + [(effector.upper - effector.lower) / effector.effort for effector in effectors]
         self._described = _describe_effectors(model)
-        self._solver = Solver(*self._described, self._scales, self._norms, self._weight, GIVEN)
+        try:
+            self._solver = Solver(*self._described, self._scales, self._norms, self._weight, GIVEN)
+        except ValueError as error:
+            raise InputError(f"{name}: jets, hinges, surfaces, control.allocation: {error}") from error
         self.rest: PerServo = tuple([effector.rest for effector in effectors]) or (0.0, 0.0)
         self.pressure = 0.0  # dynamic pressure at the surfaces, Pa
         self._servo_limits = [(effector.lower, effector.upper) for effector in effectors]
@@ -391,21 +394,24 @@ class EffectivenessAllocator:
     def _solve_by(
         self, wanted: list[float], lift: float, passes: int, rated: bool, levels: list[tuple[int, ...]]
     ) -> tuple[list[float], list[float]]:
-        """Solve as :meth:`_solve`, with the rows in these levels."""
-        return self._solver.solve(
-            wanted,
-            lift,
-            self.pressure,
-            passes,
-            rated,
-            False,
-            self._last,
-            self._thrust_limits,
-            levels,
-            self._preferred,
-            self._servo_limits,
-            self._neutral,
-        )
+        """Solve as :meth:`_solve`, with the rows in these levels.  Raises FlightError for what is not finite."""
+        try:
+            return self._solver.solve(
+                wanted,
+                lift,
+                self.pressure,
+                passes,
+                rated,
+                False,
+                self._last,
+                self._thrust_limits,
+                levels,
+                self._preferred,
+                self._servo_limits,
+                self._neutral,
+            )
+        except ValueError as error:
+            raise FlightError(f"the allocation cannot be solved: {error}") from error
 
 
 def _describe_effectors(model: AllocationModel) -> tuple[list[StationOf], list[HingeOf], list[SurfaceOf]]:

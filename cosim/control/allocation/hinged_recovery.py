@@ -31,6 +31,7 @@ from collections.abc import Sequence
 from math import atan2
 from typing import Final, NamedTuple
 
+from cosim.base.errors import FlightError
 from cosim.base.limits import clamp
 from cosim.base.signals import ZERO3, Actuation, PerJet, Vector3
 from cosim.control.allocation.effectiveness import (
@@ -219,12 +220,18 @@ class HingedRecovery(EffectivenessAllocator):
     def _solve_within(
         self, options: SolverOptions, wanted: list[float], lift: float, passes: int, rated: bool
     ) -> tuple[list[float], list[float]]:
-        """Solve as :meth:`_solve`, by ``options``; ``rated``: as far as servos move in a step, with their lead."""
-        last, thrust_limits, levels, servo_limits, neutral = options
+        """Solve as :meth:`_solve`, by ``options``; ``rated``: as far as servos move in a step, with their lead.
+
+        Raises FlightError for what is not finite.
+        """
+        last, limits, levels, servo_limits, neutral = options
         pressure, preferred = self.pressure, self._preferred
-        return self._solver.solve(
-            wanted, lift, pressure, passes, rated, rated, last, thrust_limits, levels, preferred, servo_limits, neutral
-        )
+        try:
+            return self._solver.solve(
+                wanted, lift, pressure, passes, rated, rated, last, limits, levels, preferred, servo_limits, neutral
+            )
+        except ValueError as error:
+            raise FlightError(f"the allocation cannot be solved: {error}") from error
 
     def _turns_on(self, wanted: Sequence[float], missing: Sequence[float], servos: Sequence[float]) -> bool:
         """Return whether saturated hinges and the coming thrusts turn the vehicle against the demand."""

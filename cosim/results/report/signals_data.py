@@ -34,6 +34,7 @@ from cosim.spec.vehicle import Vehicle
 
 BITS = 16  # of the usual range, chosen by us: sixteen times finer than a screen of 4000 pixels shows
 NOISE_BITS = 5  # of the roughness, chosen by us: half a step is 1/64 of it
+_HUGE = 1e300
 _MOST = 2.0**28  # steps from zero; second differences of such numbers still are 32 bits
 _TRIED = 20_000  # rows in the middle of a flight, by which the order of differences is chosen
 _LEVEL = 6  # of deflate
@@ -81,6 +82,8 @@ def quantisation_step(values: Array, low: float, high: float) -> float:
     """Return the power of two that a column of numbers between ``low`` and ``high`` is rounded to."""
     if max(abs(low), abs(high)) < _MOST and np.array_equal(values, np.rint(values)):
         return 1.0
+    if max(abs(low), abs(high)) > _HUGE:
+        return 2.0**1000  # differences of such numbers would overflow
     first, last = _ranked(values, ceil(0.01 * (values.size - 1)), floor(0.99 * (values.size - 1)))
     usual = abs(last - first) or (high - low) or abs(high) or 1.0
     rough = _ranked(np.abs(np.diff(values, 2)), (values.size - 3) // 4)[0] if values.size > 2 else 0.0
