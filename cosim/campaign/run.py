@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,11 +13,12 @@ from typing import Any
 from cosim.autopilots.prepare import require_program
 from cosim.base.errors import FlightError, InputError
 from cosim.base.trust import need_trust
-from cosim.campaign.folder import is_campaign
+from cosim.campaign.folder import STUDY, is_campaign
 from cosim.campaign.store import Campaign, Store, Tally, open_campaign
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.options import open_study
-from cosim.campaign.study.plan import Flight, scenario_of
+from cosim.campaign.study.plan import Flight, scenario_of, stopping_rule
+from cosim.campaign.study.sequential import default_runs
 from cosim.campaign.study.study import Study, study_code, study_names
 from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256, with_autopilot
 from cosim.campaign.workers.local import LocalWorkers
@@ -47,21 +48,23 @@ def run_campaign(
     >>> campaign.columns["outcome"], len(campaign.columns["vehicle.mass_kg"])
     (['completed', 'completed'], 2)
 
-    A flight that fails is a row.  Raises InputError if the study or the folder is not usable (another study's, in use,
-    or of a campaign that is not resumed): nothing is overwritten then.  Raises FlightError if no more can be flown or
-    written; this and KeyboardInterrupt lose at most the flights under way.
+    A study with a claim stops when that is shown or refuted: its rows are then those of the draws up to there, however
+    many workers flew them.  A flight that fails is a row.  Raises InputError if the study or the folder is not usable
+    (another study's, in use, or of a campaign that is not resumed): nothing is overwritten then.  Raises FlightError if
+    no more can be flown or written; this and KeyboardInterrupt lose at most the flights under way.
     """
     folder = Path(out)
     is_begun = study is None or (resume and folder.is_dir() and any(folder.iterdir()))
     if study is not None and study.autopilot is not None:
         _check_autopilot(study, study.autopilot, workers)
+    if study is not None:
+        stopping_rule(study)
     with Store.resume(folder, study) if is_begun else Store.create(folder, study) as store:  # type: ignore[arg-type]
         tell = progress or (lambda tally, done, of: None)
         tell(store.tally, store.stored, len(store.flights))
-        remaining = (flight for flight in store.flights if flight.number not in store.done)
         with _open_workers(workers) as flying:
             try:
-                for row in flying.fly(store.study, remaining):
+                for row in _fly_remaining(store, flying):
                     store.add(row)
                     tell(store.tally, store.stored, len(store.flights))
             except FlightError as error:
@@ -70,6 +73,38 @@ def run_campaign(
                 tell(store.tally, store.stored, len(store.flights))
                 raise
     return open_campaign(folder)
+
+
+def _fly_remaining(store: Store, workers: Workers) -> Iterator[Row]:
+    """Yield the rows of the flights that are not finished yet, up to where the study stops."""
+    rule = stopping_rule(store.study)
+    if rule is None:
+        yield from workers.fly(store.study, (flight for flight in store.flights if flight.number not in store.done))
+        return
+    finished = open_campaign(store.folder).columns if store.stored else {"flight": [], "success": []}
+    for number, success in zip(finished["flight"], finished["success"], strict=True):
+        rule.add(int(number or 0), bool(success))
+    if rule.is_finished:
+        return
+    remaining = [number for number in range(len(store.flights)) if number not in store.done]
+    rows = workers.fly(store.study, (store.flights[number] for number in remaining))
+    with closing(rows):  # type: ignore[type-var]  # both kinds of workers end what is under way when they are closed
+        for row in _in_order(rows, remaining):
+            yield row
+            if rule.add(row["flight"], bool(row["success"])):  # type: ignore[arg-type]
+                return
+
+
+def _in_order(rows: Iterator[Row], numbers: list[int]) -> Iterator[Row]:
+    """Yield rows in the order of their flights' numbers, in which a study is judged."""
+    waiting: dict[int, Row] = {}
+    following = iter(numbers)
+    awaited = next(following, None)
+    for row in rows:
+        waiting[row["flight"]] = row  # type: ignore[index]
+        while awaited in waiting:
+            yield waiting.pop(awaited)
+            awaited = next(following, None)
 
 
 def _check_autopilot(study: Study, autopilot: StudyAutopilot, workers: Workers | int | None) -> None:
@@ -84,21 +119,46 @@ def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) 
 
     ``name`` is a scenario's, a study's or a campaign's folder; ``options`` are those of
     :func:`cosim.campaign.study.options.open_study`.  A folder that is called as what is shipped is meant where it
-    is written as a path (``./hover``), and where there is nothing else to go on with.  Raises InputError.
+    is written as a path (``./hover``), and where there is nothing else to go on with.  A folder's campaign goes on as
+    it began, with ``until`` and more ``runs`` alone.  Raises InputError.
     """
     is_shipped = name in (*study_names(), *scenario_names()) and (out is not None or not resume)
     if not is_shipped and is_campaign(Path(name)):
         if not resume:
             raise InputError(f"{name}: already holds a campaign; --resume goes on with it")
+        longer = {key: options.pop(key, None) for key in ("until", "runs")}
         refused = next((option for option, value in options.items() if value not in (None, (), [])), None)
         if refused is not None or out is not None:
             flag = {None: "out", "controllers": "controller", "settings": "set"}.get(refused, refused)
             raise InputError(f"{name}: is a campaign and goes on as it began; leave out --{flag}")
+        if any(value is not None for value in longer.values()):
+            extend_campaign(Path(name), **longer)
         return None, Path(name)
     if resume and out is None:
         raise InputError("--resume: give the folder of the campaign, as in hexjet sweep DIR --resume")
     study = open_study(name, **options)
     return study, out if out is not None else new_folder(Path("runs"), study.name)
+
+
+def extend_campaign(folder: Path, until: str | None = None, runs: int | None = None) -> None:
+    """Give the study of a campaign more draws, or a claim to stop at, before it goes on.
+
+    Raises InputError if its design has no longer form, the claim does not fit, or another process is at work there.
+    """
+    with Store.resume(folder) as store:
+        study = store.study
+        if runs is not None and (study.design not in ("random", "sobol") or runs < study.draws):
+            raise InputError(
+                f"{folder}: runs = {runs}: its {study.design} has {study.draws} draws; only a random or a sobol study "
+                "goes on with more"
+            )
+        changes = {"until": until or study.until, "runs": runs or study.runs}
+        if until is not None and runs is None and study.design == "random":
+            changes["runs"] = max(study.draws, default_runs(until))
+        table = study.table() | {key: value for key, value in changes.items() if value is not None}
+        longer = Study.from_table(table, folder.absolute(), str(folder / STUDY))
+        stopping_rule(longer)
+        longer.save(folder / STUDY)
 
 
 def choose_workers(count: int | None, cluster: str | None, time_limit_s: float | None) -> Workers:

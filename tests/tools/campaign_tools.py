@@ -17,7 +17,7 @@ from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers import local
-from cosim.campaign.workers.flight_row import Row, fly_one
+from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
 
 NOTES = "HEXJET_TEST_NOTES"  # a folder for what workers leave, by environment
 TROUBLED = 2  # the number of the flight that goes wrong
@@ -48,6 +48,14 @@ def noted(study: Study, flight: Flight) -> Row:
     with open(Path(os.environ[NOTES]) / str(os.getpid()), "a") as file:
         file.write(f"{flight.number}\n")
     return row
+
+
+def light(study: Study, flight: Flight) -> Row:
+    """A flight of known truth, which is not flown: a success where the mass is above 5.42 kg, of 5.4 to 5.8."""
+    row = failed_row(study, flight, "too heavy")
+    mass = flight.values["vehicle.mass_kg"]
+    assert isinstance(mass, float)
+    return row | {"success": mass > 5.42, "outcome": "completed"}
 
 
 def lost_once(study: Study, flight: Flight) -> Row:

@@ -12,6 +12,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
+from cosim.campaign.analysis.claim import judge_claim
 from cosim.campaign.analysis.figures import KIND_COLOURS, campaign_figures
 from cosim.campaign.analysis.sensitivity import Ranking, joint
 from cosim.campaign.analysis.stability_map import MAP_KEYS, map_tables
@@ -58,6 +59,10 @@ INTERVALS = {
         "approximation, as a rule too wide."
     ),
 }
+STOPPED = (
+    "Both suppose a number of flights that was fixed before. This study stops by its rule: what holds is what is said "
+    "of its claim above."
+)
 NONE = "–"
 TEMPLATE = Path(__file__).parent / "templates" / "campaign.html"
 
@@ -84,6 +89,7 @@ def report_contents(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]
     leading = next((name for name in names if any(rankings[name])), SUCCESS)
     order = order_by_influence(table, rankings[leading])
     figures = campaign_figures(table, proportions, rankings, order)
+    claim = judge_claim(campaign)
     if len(table.keys) > 1 and table.flight.size:
         mapped = order[:MAP_KEYS]
         figures["map-tables"] = map_tables(
@@ -101,10 +107,12 @@ def report_contents(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]
             for controller, (name, proportion) in enumerate(zip(table.controllers, proportions, strict=True))
         ],
         "table": table,
+        "finished": claim.is_finished if claim is not None else table.flight.size == campaign.of,
         "planned": campaign.of,
+        "claims": [] if claim is None else list(claim.lines()),
         "facts": head_rows(campaign, table),
         "success_is": describe_criterion(study.success),
-        "interval_note": INTERVALS.get(study.design, ""),
+        "interval_note": INTERVALS.get(study.design, "") if claim is None else STOPPED,
         "kind_colours": KIND_COLOURS,
         "keys": key_rows(study, table),
         "correlations": [describe_correlation(correlation) for correlation in study.correlate],
@@ -113,7 +121,7 @@ def report_contents(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]
         "rankings": ranking_tables(table, rankings),
         "reasons": reason_rows(campaign, table),
         "cases": case_rows(campaign, table),
-        "warnings": warnings(campaign, table),
+        "warnings": warnings(campaign, table, stops=claim is not None),
         "most_curves": len([name for name in figures if name.startswith("key-")]),
         "python": python_lines(campaign.folder),
         "made_from": collect_sources(campaign),
@@ -238,11 +246,14 @@ def describe_correlation(correlation: Correlation) -> str:
     return f"{correlation.keys[0]} with {correlation.keys[1]}: {correlation.rank:g}"
 
 
-def warnings(campaign: Campaign, table: FlightTable) -> list[str]:
-    """Return the reasons for which a reader should doubt a number of the report."""
+def warnings(campaign: Campaign, table: FlightTable, stops: bool = False) -> list[str]:
+    """Return the reasons for which a reader should doubt a number of the report.
+
+    ``stops``: by a rule of its study, so that missing flights are none.
+    """
     lines = []
     finished, planned = table.flight.size, campaign.of
-    if finished < planned:
+    if finished < planned and not stops:
         lines.append(
             f"The study is not finished: {finished:,} of {planned:,} flights ({finished / planned:.1%}). "
             "Flights that are lost early end early, so that the finished ones may look worse than all will."

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.campaign.analysis.claim import judge_claim
 from cosim.campaign.analysis.sensitivity import Ranking, rank_effects
 from cosim.campaign.analysis.statistics import (
     Interval,
@@ -173,17 +174,19 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
     """Return everything that a program may need of a campaign, ready for JSON; a fraction of nothing is null."""
     table = read_flight_table(campaign)
     study = campaign.study
+    claim = judge_claim(campaign)
     return {
         "study": study.name,
         "design": study.design,
         "seed": study.seed,
         "flights": int(table.flight.size),
         "planned": campaign.of,
-        "finished": int(table.flight.size) == campaign.of,
+        "finished": int(table.flight.size) == campaign.of if claim is None else claim.is_finished,
+        "until": None if claim is None else claim.to_dict() | {"says": list(claim.lines())},
         "success_is": describe_criterion(study.success),
         "share_is": "share of the grid" if table.grid else "estimated probability",
         "controllers": {
-            name: _controller(table, controller, proportion)
+            name: _controller(table, controller, proportion, fixed_sample=claim is None and not table.grid)
             for controller, (name, proportion) in enumerate(
                 zip(table.controllers, success_fractions(table), strict=True)
             )
@@ -200,14 +203,14 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
     }
 
 
-def _controller(table: FlightTable, controller: int, success: Proportion) -> dict[str, Any]:
+def _controller(table: FlightTable, controller: int, success: Proportion, fixed_sample: bool) -> dict[str, Any]:
     spreads = {metric_spec.name: find_spread(table, controller, metric_spec.name) for metric_spec in table.metrics}
     return {
         "flights": success.of,
         "outcomes": count_kinds(table, controller),
         "success": success.value,
-        "wilson_95": None if table.grid or not success.of else list(success.wilson),
-        "clopper_pearson_95": None if table.grid or not success.of else list(success.exact),
+        "wilson_95": list(success.wilson) if fixed_sample and success.of else None,
+        "clopper_pearson_95": list(success.exact) if fixed_sample and success.of else None,
         "metrics": {
             name: {
                 "flights": quartiles.flights, "without": quartiles.none, "of": quartiles.of,
@@ -265,6 +268,8 @@ def success_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     """Return lines for a terminal: how often each controller succeeds, and how the other flights ended."""
     whole = "" if summary["finished"] else f" of {summary['planned']}: not finished"
     yield f"{summary['flights']} flights{whole}; success: {summary['success_is']}"
+    for line in (summary["until"] or {"says": []})["says"]:
+        yield f"  {line}"
     for name, entry in summary["controllers"].items():
         yield f"  {name}: {_probability(entry)}{_describe_losses(entry['outcomes'])}"
 

@@ -13,6 +13,7 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import parse_setting, read_toml, validate
 from cosim.base.trust import mention
 from cosim.campaign.study.distributions import parse_number, parse_vary, vary_tables
+from cosim.campaign.study.sequential import default_runs
 from cosim.campaign.study.study import DESIGNS, Correlation, Study, flatten_settings, study_names
 from cosim.spec.controller_name import seen_from, short_name
 from cosim.spec.scenario import Range, Scenario, scenario_names
@@ -31,12 +32,15 @@ def open_study(
     runs: int | None = None,
     repeats: int | None = None,
     seed: int | None = None,
+    until: str | None = None,
 ) -> Study:
     """Return a study, or a scenario as one, with a command line's options written over it.
 
     ``vary``, ``correlate``, ``success`` and ``settings`` are texts; what is given for a key replaces what the study has
     for it, and ``controllers`` replace the study's.  Without a ``design`` a scenario is flown over a grid if every key
-    has levels or values and no ``runs`` are given, and else over a Latin hypercube.  Raises InputError.
+    has levels or values and no ``runs`` are given, and else over a Latin hypercube.  ``until`` is a claim such as
+    ``99.9%@95%``, at which the study stops; without a ``design`` its draws are random, and without ``runs`` it has ten
+    times as many as the claim needs at least.  Raises InputError.
     """
     mention([*controllers, *settings, *vary], Path())
     data, folder, where = _read_source(name)
@@ -58,12 +62,14 @@ def open_study(
     }
     if controllers:
         data["controllers"] = [seen_from(controller, Path()) for controller in controllers]
-    chosen = {"design": design, "runs": runs, "repeats": repeats, "seed": seed}
+    chosen = {"design": design, "runs": runs, "repeats": repeats, "seed": seed, "until": until}
     data |= {key: value for key, value in chosen.items() if value is not None}
     if "title" in data and (vary or settings or controllers or design or runs or repeats):
         data |= _retitle(data, settings, controllers)
     if not data["vary"]:
         raise InputError(f"{where}: nothing varies; --vary KEY=LO:HI says what does")
+    if data.get("until") is not None:
+        data = {"design": "random", "runs": default_runs(str(data["until"]))} | data
     data.setdefault("design", _default_design(data))
     if data["design"] not in DESIGNS:
         raise InputError(f"--design {data['design']}: {nearest(str(data['design']), DESIGNS)}")

@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
+from cosim.base.errors import InputError, nearest
 from cosim.campaign.study.draws import draws
 from cosim.campaign.study.key import Value
 from cosim.campaign.study.keys import with_values
+from cosim.campaign.study.sequential import StoppingRule, parse_claim
 from cosim.campaign.study.study import Study
 from cosim.spec.controller_name import file_name, seen_from
 
@@ -74,6 +76,24 @@ def flight_count(study: Study) -> int:
 def controllers(study: Study) -> list[str]:
     """Return each draw's controllers as rows name them: a file by its name relative to the study's folder."""
     return [_relative_name(study.folder, name) for name in study.controller_names]
+
+
+def stopping_rule(study: Study) -> StoppingRule | None:
+    """Return the rule by which ``study`` stops, with no flight counted; None for one that flies all of its draws.
+
+    Raises InputError if the claim names a controller that the study does not have.
+    """
+    if study.until is None:
+        return None
+    claim, names = parse_claim(study.until), controllers(study)
+    if claim.pair is not None:
+        by_file_name = {Path(name).name: name for name in names}
+        for name in claim.pair:
+            if Path(name).name not in by_file_name:
+                raise InputError(f"until = {study.until}: no controller {name!r} flies here; {nearest(name, names)}")
+        first, second = (by_file_name[Path(name).name] for name in claim.pair)
+        claim = claim._replace(pair=(first, second))
+    return StoppingRule(claim, names, study.draws)
 
 
 def scenario_of(study: Study, flight: Flight) -> Scenario:

@@ -25,6 +25,7 @@ from cosim.campaign.study.distributions import Vary, first_repeated, parse_vary,
 from cosim.campaign.study.engine_draw import ENGINE, EngineDraw, engine_draw
 from cosim.campaign.study.key import Key
 from cosim.campaign.study.keys import CUSTOM_PARAMETERS, custom_keys, find_key, with_values
+from cosim.campaign.study.sequential import MAX_TESTED, parse_claim
 from cosim.campaign.study.values import check_vary
 from cosim.results.metrics import metric_names
 from cosim.simulation.code import list_aircraft_code, list_block_code, list_engine_code, list_scenario_code
@@ -85,6 +86,7 @@ class Study(Model):
     vary: Annotated[list[Vary], Field(min_length=1), BeforeValidator(vary_tables)]
     correlate: list[Correlation] = Field(default_factory=list)
     success: dict[str, Range] = Field(default_factory=dict)  # metrics that must hold beside a completed flight
+    until: str | None = None  # the claim that ends the study when it is shown or refuted: 99.9%@95%
     autopilot: StudyAutopilot | None = None  # flies in the place of the controller, whose gains go into it
 
     _folder: Path = PrivateAttr(default_factory=Path)
@@ -281,6 +283,26 @@ class Study(Model):
             raise ValueError("runs: a grid has as many draws as it has points; repeats flies it more than once")
         if self.draws > MAX_DRAWS:
             raise ValueError(f"a grid of {self.draws} draws; at most {MAX_DRAWS}")
+        return self
+
+    @model_validator(mode="after")
+    def _claim_fits(self) -> Study:
+        """Refuse a claim that this study could not show, or whose error would not be what it says."""
+        if self.until is None:
+            return self
+        try:
+            claim = parse_claim(self.until)
+        except InputError as error:
+            raise ValueError(str(error)) from error
+        if self.design != "random":
+            raise ValueError(f"until = {self.until}: counts independent draws; design must be random (--design random)")
+        if self.draws > MAX_TESTED:
+            raise ValueError(f"until = {self.until}: at most {MAX_TESTED:,} runs")
+        if claim.fewest > self.draws:
+            raise ValueError(
+                f"until = {self.until}: {self.draws} flights do not show it, even if all succeed; that takes "
+                f"{claim.fewest:,} without a failure, and more with one (--runs)"
+            )
         return self
 
     @model_validator(mode="after")

@@ -64,6 +64,12 @@ class Sweep(CampaignOptions):
     aircraft, settings, metrics, wind = _AIRCRAFT, opt.SETTINGS, _METRICS, _WIND
     success = opt.words("--success", "METRIC<=X", "What a completed flight must keep to count.")
     seed = opt.whole("--seed", None, "Of the draws.")
+    until = opt.word(
+        "--until",
+        "P%@C%",
+        "Stop when this probability of success is shown or refuted at this confidence, as 99.9%@95%; or that one "
+        "controller does better, as 'smith>baseline@95%'.",
+    )
     workers = _WORKERS
     cluster = opt.word("--cluster", "ADDRESS|local", "A Dask scheduler, such as tcp://HOST:8786, or one made here.")
     time_limit = opt.positive("--time-limit", "S", "For a flight.  [default: 60, or ten of its lengths]")
@@ -92,7 +98,7 @@ def sweep(options: Sweep) -> int:
     settings = options.study_settings()
     if options.keys is not None:
         return _list_keys(settings, options.keys, options)
-    varied = options.chosen("vary", "runs", "repeats", "design", "controllers", "correlate", "success", "seed")
+    varied = options.chosen("vary", "runs", "repeats", "design", "controllers", "correlate", "success", "seed", "until")
     study, folder = resolve_campaign(options.name, options.out, options.resume, settings=settings, **varied)
     notes = (*study.notes(), *design_warnings(study), *model_notes(study)) if study is not None else ()
     with output_to_stderr(options.as_json), sweep_progress(folder, quiet=options.as_json) as tell:

@@ -23,6 +23,7 @@ from patience import PATIENCE
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.paths import data_folder
 from cosim.campaign.folder import freeze, load
+from cosim.campaign.run import run_campaign
 from cosim.campaign.store import Store
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
@@ -143,6 +144,17 @@ def test_the_rows_are_those_of_this_machine_though_no_file_is_shared(processes: 
     assert in_order(there) == in_order(here)
     assert in_order(again) == in_order(here)[3:4]
     wait_for(lambda: not any(each.children() for each in processes.workers))  # at once, and not after a minute
+
+
+def test_a_study_that_stops_by_its_rule_leaves_the_same_rows(processes: Processes, tmp_path: Path) -> None:
+    claimed = study(runs=None, controllers=["baseline"], until="50%@90%", duration=0.1)
+    here = run_campaign(claimed, tmp_path / "here", 1)
+    with DaskWorkers(str(processes.file)) as workers:
+        there = run_campaign(claimed, tmp_path / "there", workers)
+    assert len(here) == len(there) == 5  # 0.5^5 < 0.05 < 0.5^4
+    assert [without_chance(there.row(number)) for number in range(5)] == [
+        without_chance(here.row(number)) for number in range(5)
+    ]
 
 
 def test_a_worker_unpacks_a_study_again_after_somebody_cleared_up(tmp_path: Path) -> None:

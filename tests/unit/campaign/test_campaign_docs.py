@@ -33,7 +33,7 @@ COMMANDS = [
     if line.startswith("hexjet ")
 ]
 PYTHON = [text for language, text in BLOCKS if language == "python"]
-OF_A_SWEEP = ("vary", "correlate", "success", "settings", "controllers", "design", "runs", "repeats", "seed")
+OF_A_SWEEP = ("vary", "correlate", "success", "settings", "controllers", "design", "runs", "repeats", "seed", "until")
 SWING, LEAN = "roll.oscillation_rad", "roll.final_error_rad"
 
 
@@ -88,7 +88,8 @@ def test_the_study_on_the_page_is_one(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(text.replace(', "designed.toml"', ""))
     study = Study.load(tmp_path / "mine.toml")
     unsaid = set(Study.model_fields) - set(study.table())
-    assert unsaid <= {"description", "repeats", "autopilot"}, "the page leaves out a key of a study's file"
+    assert unsaid <= {"description", "repeats", "autopilot", "until"}, "the page leaves out a key of a study's file"
+    assert all(f"`{key} = " in PAGE or f"`{key}`" in PAGE or f"[{key}]" in PAGE for key in unsaid - {"description"})
     for key in unsaid:
         assert key in PAGE
 

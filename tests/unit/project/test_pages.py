@@ -73,7 +73,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/bench.md": ("test_identify_bench.py",),
     "docs/autopilots.md": ("test_adapters.py", "test_arducopter.py", "test_betaflight.py", "test_lockstep.py"),
     "docs/benchmarks.md": ("marks", "test_bench.py", "test_flight_page.py"),
-    "docs/campaigns.md": ("test_pages.py", "test_campaign_docs.py", "test_campaign_limits.py"),
+    "docs/campaigns.md": ("test_pages.py", "test_campaign_docs.py", "test_campaign_limits.py", "test_sequential.py"),
     "docs/control-design.md": ("marks", "test_pages.py"),
     "docs/controller-export.md": ("test_codegen.py",),
     "docs/export-vehicle.md": ("test_vehicle_export.py",),

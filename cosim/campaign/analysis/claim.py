@@ -1,0 +1,88 @@
+"""What a campaign shows of the claim at which its study stops."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import ceil, floor, log10
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from cosim.campaign.study.plan import stopping_rule
+from cosim.campaign.study.sequential import Claim, Verdict
+from cosim.spec.controller_name import short_name
+
+if TYPE_CHECKING:
+    from cosim.campaign.store import Campaign
+
+WORDS = {"shown": "shown", "refuted": "refuted", "open": "not decided"}
+
+
+class ClaimResult(NamedTuple):
+    """A claim and what became of it; ``verdicts`` are by controller, or by the one pair."""
+
+    claim: Claim
+    text: str
+    is_finished: bool  # False: flights are missing, and nothing can be said of it yet
+    verdicts: dict[str, Verdict]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result for JSON; bounds and interval are null where nothing can be said yet."""
+        return {
+            "claim": self.text,
+            "finished": self.is_finished,
+            "tests": {
+                name: {
+                    "decision": verdict.decision, "flights": verdict.flights, "failures": verdict.failures,
+                    "bound": verdict.bound if self.is_finished else None,
+                    "bound_is": "at most" if verdict.decision == "refuted" else "at least",
+                    "confidence": self.claim.confidence,
+                    "interval_95": list(verdict.interval) if self.is_finished else None,
+                }
+                for name, verdict in self.verdicts.items()
+            },
+        }  # fmt: skip
+
+    def lines(self) -> Iterator[str]:
+        """Yield what can be said of each controller, or of the pair, in words."""
+        for name, verdict in self.verdicts.items():
+            yield f"{name}: {self._describe(verdict)}"
+
+    def _describe(self, verdict: Verdict) -> str:
+        counted = self._counted(verdict)
+        if not self.is_finished and verdict.decision == "open":
+            return f"{self.text} is not decided yet: {counted} so far"
+        probability = "probability of success" if self.claim.pair is None else "share of these"
+        side = "at most" if verdict.decision == "refuted" else "at least"
+        low, high = verdict.interval
+        bound = format_percent(verdict.bound, up=verdict.decision == "refuted")
+        return (
+            f"{self.text} is {WORDS[verdict.decision]} by {counted}; {probability} {side} {bound} "
+            f"({100.0 * self.claim.confidence:g} %, one-sided), {format_percent(low, up=False)} to "
+            f"{format_percent(high, up=True)} (95 %)"
+        )
+
+    def _counted(self, verdict: Verdict) -> str:
+        if self.claim.pair is not None:
+            won = verdict.flights - verdict.failures
+            return f"{verdict.flights:,} draws that one of the two alone succeeds in, {won:,} of them the first"
+        flights = f"{verdict.flights:,} flight{'s' if verdict.flights != 1 else ''}"
+        return f"{flights} with {verdict.failures:,} failure{'s' if verdict.failures != 1 else ''}"
+
+
+def judge_claim(campaign: Campaign) -> ClaimResult | None:
+    """Return what the flights of a campaign show of its claim; None where its study has none."""
+    rule = stopping_rule(campaign.study)
+    if rule is None:
+        return None
+    columns = campaign.columns
+    for number, success in zip(columns.get("flight", []), columns.get("success", []), strict=True):
+        rule.add(int(number or 0), bool(success))
+    verdicts = {short_name(name): test.verdict() for name, test in rule.tests.items() if test.flights}
+    return ClaimResult(rule.claim, str(campaign.study.until), rule.is_finished, verdicts)
+
+
+def format_percent(probability: float, up: bool) -> str:
+    """Return a bound as text in %, rounded to the side of its error, with two digits of what it leaves to 0 or 1."""
+    rest = min(probability, 1.0 - probability)
+    digits = 1 if rest <= 0.0 else max(1, 1 - floor(log10(100.0 * rest)))
+    scale = 10.0 ** (digits + 2)
+    return f"{(ceil if up else floor)(probability * scale) / scale * 100.0:.{digits}f} %"
