@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from test_codegen import CASES, CC, LOOPS, STRICT, driven, made, written
+from exported_controllers import CASES, CC, LOOPS, STRICT, driven, made, written
 
 from cosim.codegen import measure
 from cosim.codegen.form import make_form
