@@ -92,16 +92,20 @@ class EngineSpec:
         """Identity of a file's engine in an identified model: a hash of archive and mapping file; empty: library.
 
         The name alone does not distinguish one ``kestrel.toml`` from another.  How well its parameters are known is no
-        part of it.
+        part of it, and neither is how the file is written.
         """
-        if self.library:
-            return ""
-        stated = without_uncertainty(self.mapping.read_bytes()) if self.mapping else b""
-        return hashlib.sha256(self.identity.encode() + stated).hexdigest()
+        return self._fingerprints()[0]
 
     def matches_model(self, model_sha256: str) -> bool:
         """Return whether a model with this engine hash, or an empty one, may be of this engine."""
-        return self.library or model_sha256 in ("", self.fingerprint)
+        return self.library or model_sha256 in ("", *self._fingerprints())
+
+    def _fingerprints(self) -> tuple[str, ...]:
+        """Return the fingerprint, and that of older versions."""
+        if self.library:
+            return ("",)
+        stated = without_uncertainty(self.mapping) if self.mapping else (b"",)
+        return tuple(hashlib.sha256(self.identity.encode() + each).hexdigest() for each in stated)
 
     @property
     def source_key(self) -> tuple[Hashable, ...]:

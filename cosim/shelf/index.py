@@ -10,6 +10,7 @@ import json
 import os
 import re
 import shutil
+import tomllib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -180,31 +181,27 @@ def _summary_details(summary: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _study(path: Path) -> dict[str, str]:
-    """Return title and scenario of a campaign; for a scenario file in its own folder, the name that the file states."""
-    details = _read_head(path, "title", "scenario")
+    """Return title and scenario of a campaign; for a scenario file in its own folder, the name that the file states.
+
+    A scenario over whose own file something was written has no title: what flies is another.
+    """
+    study = _read_head(path)
+    details = {key: study[key] for key in ("title", "scenario") if isinstance(study.get(key), str)}
     if details.get("scenario") == SCENARIO:
-        scenario = _read_head(path.parent / SCENARIO, "title", "name")
-        if _is_changed(path.parent / SCENARIO):
-            scenario.pop("title", None)
-        details = scenario | details | {"scenario": scenario.pop("name", SCENARIO)}
-        details.pop("name", None)
+        scenario = _read_head(path.parent / SCENARIO)
+        if isinstance(scenario.get("title"), str) and not scenario.get("changed"):
+            details.setdefault("title", scenario["title"])
+        details["scenario"] = str(scenario.get("name", SCENARIO))
     return details
 
 
-def _is_changed(path: Path) -> bool:
-    """Return whether something was written over a scenario's own file, so that its title is not of what flies."""
-    with suppress(OSError, ValueError):
-        return re.search(r'^changed = \[\s*"', path.read_text(encoding="utf-8"), re.MULTILINE) is not None
-    return False
-
-
-def _read_head(path: Path, *keys: str) -> dict[str, str]:
-    """Return the strings of these keys that a TOML file has before its first table."""
-    with suppress(OSError, ValueError):
-        head = path.read_text(encoding="utf-8").partition("\n[")[0]
-        return {
-            str(key): str(text) for key, text in re.findall(r'^(\w+) = "([^"\n]*)"', head, re.MULTILINE) if key in keys
-        }
+def _read_head(path: Path) -> dict[str, Any]:
+    """Return what a TOML file has before its first table, all of it where that alone cannot be read; else nothing."""
+    with suppress(OSError, ValueError, RecursionError):
+        text = path.read_text(encoding="utf-8")
+        with suppress(tomllib.TOMLDecodeError):  # a line of a text or of a list may begin like a table
+            return tomllib.loads(text.partition("\n[")[0])
+        return tomllib.loads(text)
     return {}
 
 

@@ -9,18 +9,19 @@ import re
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from math import sqrt
+from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from cosim.base.errors import InputError, nearest
-from cosim.base.storage.toml import Model, NotNegative
+from cosim.base.storage.toml import Model, NotNegative, read_toml, toml_text
 from cosim.engine.fmu.variables import LEVERS, Variable
 
 CUT = 3.0  # standard deviations, of the format: beyond them no identification is normal
 ROUNDING = 1e-3  # of an eigenvalue: correlations are written with some three digits
-_TABLE = re.compile(rb"^\s*\[uncertainty\].*?(?=^\s*\[[\"'A-Za-z_]|\Z)", re.MULTILINE | re.DOTALL)
+_OLDER_CUT = re.compile(rb"^\s*\[uncertainty\].*?(?=^\s*\[[\"'A-Za-z_]|\Z)", re.MULTILINE | re.DOTALL)
 SETTABLE = ("", "fixed", "tunable")  # variabilities of a parameter that can be set before a flight
 
 Matrix = list[list[Annotated[float, Field(ge=-1.0, le=1.0)]]]
@@ -131,6 +132,11 @@ def lower_factor(matrix: Sequence[Sequence[float]]) -> list[list[float]]:
     return lower
 
 
-def without_uncertainty(content: bytes) -> bytes:
-    """Return the content of a mapping file without its table ``[uncertainty]``."""
-    return _TABLE.sub(b"", content)
+def without_uncertainty(path: Path) -> tuple[bytes, bytes]:
+    """Return what a mapping file states besides ``[uncertainty]``: as a table, and as its text was cut before.
+
+    The second belongs to models identified by older versions.
+    """
+    table = read_toml(path)
+    table.pop("uncertainty", None)
+    return toml_text(table).encode(), _OLDER_CUT.sub(b"", path.read_bytes())

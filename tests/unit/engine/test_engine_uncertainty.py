@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from engine_tools import archive
 from cosim.base.errors import InputError
 from cosim.cli.results.show import show
 from cosim.engine import load_engine
-from cosim.engine.fmu.uncertainty import lower_factor
+from cosim.engine.fmu.uncertainty import lower_factor, without_uncertainty
 from cosim.engine.spec import find_source
 
 TABLE = """[uncertainty]
@@ -95,6 +96,40 @@ def test_the_table_is_no_part_of_the_engine(tmp_path: Path) -> None:
     assert len(set(prints)) == 1
     other = mapping(tmp_path, TABLE, "[rotor]\ninertia_kg_m2 = 2e-4\n")
     assert load_engine(str(other), {}, 0.004, unchecked=True).fingerprint != prints[0]
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        TABLE.replace("[uncertainty]", "[ uncertainty ]"),
+        TABLE.replace("[uncertainty]", '["uncertainty"]  # of the bench'),
+        TABLE.replace("[uncertainty]", "[ 'uncertainty' ]"),
+        "uncertainty.parameters = ['pole']\nuncertainty.deviation = [0.1]\n",
+        "uncertainty = { parameters = ['pole'], deviation = [0.1] }\n",
+    ],
+)
+def test_the_table_is_no_part_of_the_engine_however_it_is_written(written: str, tmp_path: Path) -> None:
+    path = tmp_path / "fan.toml"
+    stated = "fmu = 'fan.fmu'\n"
+    following = "\n[[stage]]\nblades = 3\n[[stage]]\nblades = 5\n"
+    path.write_text(stated + following)
+    without = without_uncertainty(path)
+    path.write_text(stated + written + following)
+    assert without_uncertainty(path)[0] == without[0]
+    assert b"blades = 5" in without[0]
+    path.write_text(stated + written + following.replace("5", "7"))
+    assert without_uncertainty(path)[0] != without[0]
+
+
+def test_a_model_of_an_older_version_still_is_of_its_engine(tmp_path: Path) -> None:
+    path = mapping(tmp_path, TABLE, "[rotor]\ninertia_kg_m2 = 1e-4  # weighed\n")
+    engine = load_engine(str(path), {}, 0.004, unchecked=True)
+    text = path.read_bytes().replace(TABLE.encode(), b"")
+    older = sha256(engine.identity.encode() + text).hexdigest()
+    assert engine.matches_model(older)
+    assert engine.matches_model(engine.fingerprint)
+    assert engine.fingerprint != older
+    assert not engine.matches_model("0" * 64)
 
 
 def test_show_prints_a_mapping_file_with_its_uncertainty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

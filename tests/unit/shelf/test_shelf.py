@@ -21,7 +21,7 @@ from websockets.sync.client import connect
 from cosim.base.errors import InputError
 from cosim.groundstation.web.loopback import WRONG_TOKEN
 from cosim.shelf import index
-from cosim.shelf.index import CAMPAIGN, INDEX, LOG, PAGE, RUN, UNFINISHED, Shelf
+from cosim.shelf.index import CAMPAIGN, INDEX, LOG, PAGE, RUN, UNFINISHED, Shelf, read_entry
 from cosim.shelf.server import ALLOWED, ShelfServer
 
 
@@ -352,3 +352,32 @@ def test_the_browser_is_told_the_way_by_a_file_that_nobody_else_may_read(
     page = Path(address.removeprefix("file://"))
     assert f"url={printed[0]}" in page.read_text()
     assert page.parent.stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.parametrize(
+    ("study", "scenario", "details"),
+    [
+        ('scenario = "hover"\ntitle = "of the study"\n[settings]\ntitle = "no"\n', "", ("of the study", "hover")),
+        ("scenario = 'scenario.toml'\n", 'name = "mine"\ntitle = "Mine"\n[initial]\n', ("Mine", "mine")),
+        (
+            'scenario = "scenario.toml"\n',
+            'name = "mine"\ntitle = "Mine"\nchanged = [\n  "seed = 2",\n]\n',
+            (None, "mine"),
+        ),
+        (
+            'description = """\n[not a table]\nchanged = [ "no" ]\n"""\nscenario = "scenario.toml"\n',
+            'name = "mine"\ndescription = """\nchanged = [ "a word" ]\n"""\ntitle = "Mine"\n[vehicle]\n',
+            ("Mine", "mine"),
+        ),
+        ("scenario = ", "", (None, None)),
+    ],
+)
+def test_a_campaign_is_named_as_its_files_say(
+    study: str, scenario: str, details: tuple[str | None, str | None], tmp_path: Path
+) -> None:
+    (tmp_path / "flights").mkdir()
+    (tmp_path / "study.toml").write_text(study)
+    (tmp_path / "scenario.toml").write_text(scenario)
+    row = read_entry(tmp_path)
+    assert row.kind == CAMPAIGN
+    assert (row.details.get("title"), row.details.get("scenario")) == details
