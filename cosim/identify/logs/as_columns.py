@@ -48,7 +48,7 @@ def as_columns(log: FlightLog) -> tuple[MemoryLog, tuple[str, ...]]:
     Slower ones hold their values, NaN before the first.  Times count from its first row.  Raises InputError where it
     has none.
     """
-    columns = _match_columns(log)
+    columns = match_columns(log)
     if not columns:
         raise InputError(f"{log.path}: the {log.kind} log has no rates, attitude, position or throttles that are known")
     clock = max(columns.values(), key=lambda channel: len(channel.times)).times
@@ -93,7 +93,8 @@ def read_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
     return MemoryLog([np.stack([times, *columns.values()])], names, described), tuple(remarks)
 
 
-def _match_columns(log: FlightLog) -> dict[str, Channel]:
+def match_columns(log: FlightLog) -> dict[str, Channel]:
+    """Return what a log of another flight controller has, by our column names and in their units."""
     columns = _rates(log)
     true, estimated = (log.has(_ATTITUDE.format(suffix, 3)) for suffix in (_TRUTH, ""))
     for there, suffix, name in ((true, _TRUTH, "{}_rad"), (estimated, "", "{}_measured_rad" if true else "{}_rad")):

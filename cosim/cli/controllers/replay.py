@@ -1,0 +1,121 @@
+"""hexjet replay: a recorded flight flown again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from cosim.base.errors import InputError
+from cosim.cli import opt
+from cosim.cli.console import output_to_stderr, part_progress, say, show_table
+from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, is_given, offer_to_compile
+
+if TYPE_CHECKING:
+    from cosim.identify.replay import Replay, ThrottleChannels
+
+
+class Replayed(opt.LogPart, Flight, opt.Output):
+    """Options of ``hexjet replay``."""
+
+    log: Path = opt.argument(metavar="LOG", type=click.Path(path_type=Path))
+    aircraft = opt.word(
+        "--aircraft", "NAME", "What flies again, with the engine that it is made for.  [default: the scenario's]"
+    )
+    engines = opt.words("--engine", "[N=]NAME|FILE", "As in hexjet fly.  [default: the one it is made for]")
+    scenario = opt.word(
+        "--scenario",
+        "NAME|FILE",
+        "With aircraft, air and mass where they are not given; of a run's folder its own.",
+        "hover",
+    )
+    settings = opt.SETTINGS
+    throttles = opt.words(
+        "--throttle", "N=SUM", "The command of engine N in the log.  [default: the channel called so]"
+    )
+    limits: tuple[float, float] | None = opt.option(
+        "--throttle-range",
+        type=(opt.Number(), opt.Number()),
+        metavar="LOW HIGH",
+        help="What throttle 0 and 1 are in the log.",
+    )
+    window = opt.number("--window", "S", "The model starts anew after so long.", min=0.2, max=10.0, default=1.0)
+    draws = opt.whole("--draws", None, "Of the vehicle within its tolerances.", min=1, max=1000, default=20)
+    inertia = opt.number("--inertia-tolerance", "%", "Standard deviation.", min=0.0, max=50.0, default=5.0)
+    mass = opt.number("--mass-tolerance", "%", "The same.", min=0.0, max=50.0, default=2.0)
+    thrust = opt.number(
+        "--thrust-tolerance", "%", "The same, of an engine without [uncertainty].", min=0.0, max=50.0, default=3.0
+    )
+    drawn = opt.whole("--seed", None, "Of the draws.", min=0, default=1)
+    time_column, time_unit, begin, end = opt.LOG_PART
+    out = opt.OUT
+    as_json = opt.JSON
+
+
+@click.command(epilog=example("hexjet replay flight.ulg --aircraft ./mine --engine bench/engine.toml"))
+@opt.takes(Replayed)
+def replay(options: Replayed) -> int:
+    """Fly a recorded flight again, in six degrees of freedom, and judge the model by it.
+
+    LOG is what hexjet identify log reads: ULog, DataFlash, blackbox, Crazyflie, tables, a run's folder. Its engines'
+    commands drive the vehicle in short windows, each started from the recorded state; the vehicle is drawn within its
+    tolerances. Says what the model explains, and names what is wrong with it where the log tells: an inertia, a
+    delay, swapped engines. Leaves a page, replay.json and replay.csv. Status 0: explained; 1: not, or not told.
+    """
+    from cosim.base.runtime.threads import one_thread
+
+    one_thread()
+    from cosim.identify.logs import read_flight_log
+    from cosim.identify.replay import Choices, record_flight
+    from cosim.identify.replay import replay as fly_again
+    from cosim.identify.replay.page import write
+    from cosim.results.run import SCENARIO
+
+    offer_to_compile(*options.engines)
+    with output_to_stderr(options.as_json), part_progress("replay", quiet=options.as_json) as tell:
+        log = read_flight_log(options.log, options.time_column, options.time_unit)
+        if options.log.is_dir() and not is_given("scenario"):
+            options.scenario = str(options.log / SCENARIO)
+        scenario = options.load()
+        vehicle, _ = scenario.resolved_vehicle()
+        part = (options.begin, options.end)
+        flight = record_flight(log, vehicle, scenario.step_s, _channels(options), part)
+        tolerances = (0.01 * options.inertia, 0.01 * options.mass, 0.01 * options.thrust)
+        choices = Choices(options.window, options.draws, *tolerances, options.drawn)
+        result = fly_again(options.log.name, scenario, flight, choices, tell)
+        paths = write(result, options.run_folder("replay"))
+    options.answer(result.to_dict, lambda: print_replay(result, paths))
+    return DONE if result.verdict == "explained" else FLIGHT_FAILED
+
+
+def _channels(options: Replayed) -> ThrottleChannels:
+    """Return what the options say of the engines' commands.  Raises InputError."""
+    from cosim.identify.replay import ThrottleChannels
+
+    channels = {}
+    for text in options.throttles:
+        number, equals, name = text.partition("=")
+        if not equals or not number.strip().isdecimal() or not name.strip():
+            raise InputError(f"--throttle {text}: must be N=CHANNEL, N the engine from 1")
+        channels[int(number)] = name.strip()
+    if options.limits is not None and not options.limits[0] < options.limits[1]:
+        low, high = options.limits
+        raise InputError(f"--throttle-range {low:g} {high:g}: the second must be the larger")
+    return ThrottleChannels(channels, options.limits)
+
+
+def print_replay(result: Replay, paths: dict[str, Path]) -> None:
+    """Print the verdict, what it rests on, the channels, what may be wrong, and where the page is."""
+    from cosim.identify.replay.page import channel_rows
+
+    say(f"{result.verdict}: {result.aircraft} with {result.engine} beside {result.log}")
+    if result.fault:
+        say(result.fault)
+    for line in result.evidence:
+        say(f"  {line}")
+    titles = ("channel", "within", "error rms", "movement", "Theil's U", "bias / var / cov %", "told")
+    show_table(titles, channel_rows(result), range(1, 6))
+    for note in result.notes:
+        say(f"note: {note}")
+    say(f"report: {paths['report']}", wrap=False)

@@ -1,0 +1,196 @@
+"""What a replay leaves in a folder: ``replay.json``, ``replay.csv`` and ``report.html``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.storage.files import write_files
+from cosim.identify.replay.replay import EXPLAINED, NOT_EXPLAINED, Replay
+from cosim.identify.replay.windows import CHANNELS
+from cosim.results.log.columns import COLUMNS
+from cosim.results.log.recorder import MemoryLog
+from cosim.results.log.tables import TIME
+from cosim.results.report.page import Flights, render
+from cosim.results.report.plot import BLUE, GREY, HOVER, ORANGE, Figure, axis_name, beneath, panels, trace
+from cosim.results.report.signals_data import FlightData, run_data
+
+TEMPLATE: Final = Path(__file__).parent / "templates" / "replayed.html"
+_GROUPS: Final = (("rates", "rate_"), ("forces", "specific_force_"), ("angles", ""))
+_MOST: Final = 6000  # points a curve
+_BADGES: Final = {EXPLAINED: "met", NOT_EXPLAINED: "unmet"}
+
+
+def write(result: Replay, folder: Path) -> dict[str, Path]:
+    """Write page, JSON and CSV.  Raises FlightError if a file cannot be written."""
+    paths = {name: folder / file for name, file in (("json", "replay.json"), ("csv", "replay.csv"))}
+    text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
+    write_files({paths["json"]: text, paths["csv"]: _csv(result)})
+    paths["report"] = folder / "report.html"
+    render(
+        TEMPLATE,
+        paths["report"],
+        figures(result),
+        Flights("replay", _flights(result), {}),
+        result=result,
+        badge=_BADGES.get(result.verdict, "none"),
+        channels=channel_rows(result),
+        bands=band_rows(result),
+        causes=[(one.text, f"{100.0 * one.removed:.0f} %", f"{one.sure:.1f}") for one in result.causes.tried],
+        two=True,
+    )
+    return paths
+
+
+def channel_rows(result: Replay) -> list[tuple[str, ...]]:
+    """Return the channels as texts: name, time within, error, movement, Theil's U and its split, whether it is told."""
+    return [
+        (
+            f"{c.name} [{c.unit}]",
+            f"{100.0 * c.within:.1f} %",
+            f"{c.rms:.3g}",
+            f"{c.measured_rms:.3g}",
+            f"{c.theil.u:.3f}",
+            " / ".join(f"{100.0 * share:.0f}" for share in c.theil[1:]),
+            "yes" if c.excited else "no more than its noise",
+        )
+        for c in result.channels
+    ]
+
+
+def band_rows(result: Replay) -> list[tuple[str, ...]]:
+    """Return the bands in which a channel moves, as texts."""
+    return [
+        (
+            c.name,
+            f"{b.low_hz:.2g} to {b.high_hz:.2g}",
+            f"{b.u:.3f}",
+            f"{b.coherence:.2f}",
+            "" if b.gain_db is None else f"{b.gain_db:+.1f}",
+            "" if b.phase_deg is None else f"{b.phase_deg:+.0f}",
+        )
+        for c in result.channels
+        for b in c.bands
+        if b.excited
+    ]
+
+
+def _csv(result: Replay) -> str:
+    """Return the compared rows: time, window, and of each channel what was measured, modelled, and the envelope."""
+    flying = result.flying
+    rows = flying.rows
+    columns: list[tuple[str, Array]] = [
+        ("time_s", flying.flight.times[rows].ravel()),
+        ("window", np.repeat(np.arange(len(rows)), rows.shape[1]).astype(float)),
+    ]
+    measured = flying.measured()
+    for name, unit, c in _shown(result):
+        label = f"{name}_{unit.replace('/', '_').replace('^', '')}"
+        for kind, values in (("", measured), ("_model", result.modelled), ("_low", result.low), ("_high", result.high)):
+            columns.append((label + kind, values[:, :, c].ravel()))
+    head = ",".join(name for name, _ in columns)
+    table = np.stack([values for _, values in columns], axis=1)
+    return "\n".join([head, *(",".join(f"{value:.9g}" for value in row) for row in table.tolist())]) + "\n"
+
+
+def _shown(result: Replay) -> list[tuple[str, str, int]]:
+    present = {channel.name for channel in result.channels}
+    return [(name, unit, c) for c, (name, unit) in enumerate(CHANNELS) if name in present]
+
+
+def figures(result: Replay) -> dict[str, Figure]:
+    """Return the page's figures: the signals of each kind, and measured over modelled by frequency."""
+    drawn, groups = {}, _grouped(result)
+    for name, shown in groups.items():
+        if shown:
+            drawn[name] = _signals(result, shown)
+    drawn["ratio"] = _ratio(result)
+    return drawn
+
+
+def _grouped(result: Replay) -> dict[str, list[tuple[str, str, int]]]:
+    groups: dict[str, list[tuple[str, str, int]]] = {name: [] for name, _ in _GROUPS}
+    for entry in _shown(result):
+        group = next(name for name, prefix in _GROUPS if entry[0].startswith(prefix))
+        groups[group].append(entry)
+    return groups
+
+
+def _broken(values: Array) -> Array:
+    """Return windows (w, n) as one curve that breaks where a window ends."""
+    return np.concatenate([values, np.full((len(values), 1), np.nan)], axis=1).ravel()
+
+
+def _signals(result: Replay, shown: Sequence[tuple[str, str, int]]) -> Figure:
+    flying = result.flying
+    rows, measured = flying.rows, flying.measured()
+    every = slice(None, None, max(1, rows.size // _MOST))
+    times = _broken(flying.flight.times[rows])[every]
+    times = np.where(np.isfinite(times), times, np.nan)
+    data = []
+    for panel, (_, _, c) in enumerate(shown):
+        curves: tuple[tuple[str, str, Array, dict[str, Any]], ...] = (
+            ("envelope", GREY, result.low, {"line": {"color": GREY, "width": 1.0}}),
+            ("envelope", GREY, result.high, {"line": {"color": GREY, "width": 1.0}, "showlegend": False}),
+            ("measured", ORANGE, measured, beneath(ORANGE)),
+            ("model", BLUE, result.modelled, {}),
+        )
+        data += [
+            trace(label, colour, times, _broken(values[:, :, c])[every], panel, **how)
+            for label, colour, values, how in curves
+        ]
+    titles = [f"{name} [{unit}]" for name, unit, _ in shown]
+    return {"data": data, "layout": panels(220 * len(shown) + 60, "time of the log [s]", titles, log=False) | HOVER}
+
+
+def _ratio(result: Replay) -> Figure:
+    """Return measured over modelled: gain, phase and coherence of the channels that move."""
+    data = []
+    colours = iter((ORANGE, BLUE, "#2f9e44", "#c2339b", "#e03131", "#7048e8", "#1098ad", "#a0522d", GREY))
+    moved = [channel.name for channel in result.channels if channel.excited] or [c.name for c in result.channels[:3]]
+    for name in moved:
+        ratio, colour = result.ratios[name], next(colours)
+        use = (ratio.hertz > 0.0) & (ratio.hertz <= 0.4 / result.flying.flight.step) & ratio.excited
+        value = ratio.value[use]
+        gain = 20.0 * np.log10(np.maximum(np.abs(value), 1e-6))
+        for panel, values in enumerate((gain, np.degrees(np.angle(value)), ratio.coherence[use])):
+            data.append(trace(name, colour, ratio.hertz[use], values, panel, mode="lines+markers", marker={"size": 4}))
+    layout = panels(560, "frequency [Hz]", ("gain [dB]", "phase [deg]", "coherence"), log=True) | HOVER
+    layout[axis_name("yaxis", 2)]["range"] = [0.0, 1.05]
+    return {"data": data, "layout": layout}
+
+
+def _flights(result: Replay) -> list[tuple[dict[str, Any], dict[str, str]]]:
+    """Return the recorded and the modelled motion for the replay in three dimensions, in the windows."""
+    flying, flown = result.flying, result.flown
+    flight = flying.flight
+    inside = np.zeros(len(flight.times), bool)
+    inside[flying.rows.ravel()] = True
+    first, last = flying.windows[0].first, flying.windows[-1].last + 1
+    rows = slice(first, last)
+    described = {column.name: column for column in COLUMNS}
+    shared = {TIME: flight.times[rows] - flight.times[first], "altitude_m": _place(flight.altitude)[rows]}
+    logs = []
+    for label, colour, angles, rate in (
+        ("recorded", ORANGE, flight.angles, flight.rate),
+        ("model", BLUE, flown.angles, flown.rate),
+    ):
+        columns = dict(shared)
+        for c, axis in enumerate(("roll", "pitch", "yaw")):
+            columns[f"{axis}_rad"] = np.where(inside, angles[:, c], np.nan)[rows]
+        for c, axis in enumerate("pqr"):
+            columns[f"rate_{axis}_rad_s"] = np.where(inside, rate[:, c], np.nan)[rows]
+        columns |= {"north_m": np.zeros(last - first), "east_m": np.zeros(last - first)}
+        names = tuple(columns)
+        log = MemoryLog([np.stack(list(columns.values()))], names, tuple(described[name] for name in names))
+        logs.append(run_data(FlightData(log, label, colour, step_s=flight.step, vehicle=result.vehicle)))
+    return logs
+
+
+def _place(altitude: Array) -> Array:
+    return np.where(np.isfinite(altitude), altitude, 0.0)

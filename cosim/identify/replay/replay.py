@@ -1,0 +1,268 @@
+"""A recorded flight flown again: the model with its uncertainty, what it explains, and what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.signals import Disturbance, Vector3
+from cosim.engine import EngineSpec
+from cosim.identify.replay.causes import Causes, find_causes, without_windows
+from cosim.identify.replay.flown import Change, Flown, Model, Starts
+from cosim.identify.replay.measures import ChannelMeasures, Ratio, measure_channels, measure_ratio
+from cosim.identify.replay.recorded import RecordedFlight
+from cosim.identify.replay.wind import Wind, estimate_wind
+from cosim.identify.replay.windows import CHANNELS, Flying, common_ramp, cut
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle
+
+NEEDED: Final = 0.9  # share of the time within the envelope with which a channel is explained
+FORCE: Final = 3  # where the specific force begins among the channels
+SPREAD: Final = 2.0  # standard deviations of the noise around the draws
+CUT: Final = 3.0  # standard deviations at which draws of tolerances end
+
+EXPLAINED, NOT_EXPLAINED, NOT_TOLD = "explained", "not explained", "not told"
+
+
+@dataclass(frozen=True)
+class Choices:
+    """How a flight is replayed; tolerances are standard deviations, as shares of the value."""
+
+    window_s: float = 1.0
+    draws: int = 20
+    inertia: float = 0.05
+    mass: float = 0.02
+    thrust: float = 0.03  # of engines that state no uncertainty
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What a replay says."""
+
+    log: str
+    vehicle: Vehicle
+    engine: str
+    choices: Choices
+    flying: Flying
+    modelled: Array  # (w, n, 9), by CHANNELS
+    low: Array  # the envelope
+    high: Array
+    flown: Flown
+    channels: tuple[ChannelMeasures, ...]
+    ratios: dict[str, Ratio]
+    moment: Vector3  # N m, body, constant over the log, that the model needs beside
+    wind: Wind
+    causes: Causes
+    tolerances: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def aircraft(self) -> str:
+        """The vehicle's name."""
+        return self.vehicle.name
+
+    @property
+    def verdict(self) -> str:
+        """Whether the model explains what the log excites: every such channel is inside the envelope."""
+        moved = [channel for channel in self.channels if channel.excited]
+        if not moved:
+            return NOT_TOLD
+        return EXPLAINED if all(channel.within >= NEEDED for channel in moved) else NOT_EXPLAINED
+
+    @property
+    def evidence(self) -> tuple[str, ...]:
+        """What the verdict rests on, and what the log does not tell, one line each."""
+        flying = self.flying
+        count, window = len(flying.windows), self.choices.window_s
+        lines = [f"{flying.seconds:.1f} s in {count} windows of {window:g} s, each started from the recorded state"]
+        outside = [c for c in self.channels if c.excited and c.within < NEEDED]
+        lines += [f"{c.name}: {100.0 * c.within:.0f} % of the time within, Theil's U {c.theil.u:.2f}" for c in outside]
+        coherent = [
+            f"{c.name} {b.low_hz:.2g} to {b.high_hz:.2g} Hz"
+            for c in self.channels
+            for b in c.bands
+            if b.gain_db is not None
+        ]
+        lines.append(f"coherent: {', '.join(coherent)}" if coherent else "no band in which both are coherent")
+        still = [c.name for c in self.channels if not c.excited]
+        if still:
+            lines.append(f"not told, for it moves no more than its noise: {', '.join(still)}")
+        missing = [name for name, _ in CHANNELS if name not in {c.name for c in self.channels}]
+        if missing:
+            lines.append(f"not in the log: {', '.join(missing)}")
+        return tuple(lines)
+
+    @property
+    def fault(self) -> str:
+        """What is at fault, in a line."""
+        if self.verdict != NOT_EXPLAINED:
+            return ""
+        causes = self.causes
+        if not causes.named:
+            return f"no fault is named: {causes.reason}"
+        texts, share = " or ".join(one.text for one in causes.named), 100.0 * causes.named[0].removed
+        if causes.named[1:]:
+            return f"{texts}: one of these removes up to {share:.0f} % of the misfit; the log does not tell which"
+        return f"{texts}: alone it removes {share:.0f} % of the misfit"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the signals, for JSON."""
+        return {
+            "log": self.log,
+            "aircraft": self.aircraft,
+            "engine": self.engine,
+            "way": "engines' commands, in windows",
+            "verdict": self.verdict,
+            "fault": self.fault,
+            "evidence": list(self.evidence),
+            "seconds": self.flying.seconds,
+            "windows": len(self.flying.windows),
+            "window_s": self.choices.window_s,
+            "step_s": self.flying.flight.step,
+            "draws": self.choices.draws,
+            "seed": self.choices.seed,
+            "tolerances": list(self.tolerances),
+            "channels": [channel.to_dict() for channel in self.channels],
+            "constant_moment_n_m": list(self.moment),
+            "wind": self.wind.to_dict(),
+            "causes": self.causes.to_dict(),
+            "notes": list(self.notes),
+        }
+
+
+def replay(
+    log: str,
+    scenario: Scenario,
+    flight: RecordedFlight,
+    choices: Choices,
+    tell: Callable[[str, int, int], None] = lambda part, done, of: None,
+) -> Replay:
+    """Fly a recorded flight again with its engines' commands.
+
+    Each window is flown twice: what the first pass is off by in the mean of the rates and angles corrects the start,
+    what it is off by in their common slope is a constant moment, such as that of a centre of gravity that stands
+    elsewhere.  Then the vehicle is drawn, and what may be wrong with it is tried.  Raises InputError and FlightError.
+    """
+    model = Model(scenario)
+    flying = cut(model, flight, choices.window_s)
+    tell("start", 0, choices.draws + 2)
+    wind = estimate_wind(model, flying)
+    flying, moment = _correct(model, flying, wind.velocity)
+    flying, further = _correct(model, flying, wind.velocity, moment)
+    moment = (moment[0] + further[0], moment[1] + further[1], moment[2] + further[2])
+    disturbance = Disturbance(moment=moment, wind=wind.velocity)
+    flown = model.fly(flight, flying.windows, flying.starts, None, disturbance)
+    modelled = flying.modelled(flown)
+    zero = _accelerometer_zero(flying, modelled)
+    modelled = modelled + zero
+    low, high = modelled, modelled
+    for number, change in enumerate(draw(model, choices)):
+        tell("draws", number + 1, choices.draws + 2)
+        drawn = flying.modelled(model.fly(flight, flying.windows, flying.starts, change, disturbance)) + zero
+        low, high = np.minimum(low, drawn), np.maximum(high, drawn)
+    margin = SPREAD * flying.scale
+    low, high = low - margin, high + margin
+    channels = measure_channels(flying, modelled, low, high)
+    ratios = {
+        channel.name: measure_ratio(flying.measured()[:, :, c], modelled[:, :, c], flight.step, float(flying.scale[c]))
+        for c, (name, _) in enumerate(CHANNELS)
+        for channel in channels
+        if channel.name == name
+    }
+    tell("causes", choices.draws + 1, choices.draws + 2)
+    causes = without_windows(find_causes(model, flying, disturbance))
+    engine = model.engine
+    assert engine is not None
+    return Replay(
+        log, model.vehicle, engine.name, choices, flying, modelled, low, high, flown, channels, ratios, moment, wind,
+        causes, _tolerances(engine, choices), _notes(flight),
+    )  # fmt: skip
+
+
+def _correct(model: Model, flying: Flying, wind: Vector3, moment: Vector3 = (0.0, 0.0, 0.0)) -> tuple[Flying, Vector3]:
+    """Return the flight with better starts, and the constant moment [N m, body] that it lacks."""
+    flight, starts = flying.flight, flying.starts
+    flown = model.fly(flight, flying.windows, starts, None, Disturbance(moment=moment, wind=wind))
+    error = np.nan_to_num(flying.measured() - flying.modelled(flown))
+    slope = common_ramp(error[:, :, :3], flight.step)
+    half = 0.5 * flight.step * error.shape[1]
+    rate = error[:, :, :3].mean(axis=1) - half * slope  # at the start, with the moment in place
+    # what a wrong rate and the moment have made of the angles, about level, is not their own error
+    own = error[:, :, 6:].mean(axis=1) - half * rate - slope * (2.0 * half) ** 2 / 6.0
+    better = Starts(starts.rate + rate, starts.angles + (own if flight.has_angles else 0.0))
+    x, y, z = (float(j * a) for j, a in zip(model.vehicle.inertia_kg_m2, slope, strict=True))
+    return Flying(flight, flying.windows, better, flying.noise), (x, y, z)
+
+
+def _accelerometer_zero(flying: Flying, modelled: Array) -> Array:
+    """Return what is added to the modelled channels, (9,): the accelerometer's zero across the thrust, m/s^2."""
+    zero = np.zeros(len(CHANNELS))
+    error = (flying.measured() - modelled)[:, :, FORCE : FORCE + 2]
+    if flying.flight.has_force:
+        zero[FORCE : FORCE + 2] = error.mean(axis=(0, 1))
+    return zero
+
+
+def draw(model: Model, choices: Choices) -> Iterator[Change]:
+    """Return the vehicles that are drawn: inertia and mass by their tolerances, engines by their ``[uncertainty]``."""
+    rng = np.random.default_rng(choices.seed)
+    engine = model.engine
+    for _ in range(choices.draws):
+        x, y, z, mass, thrust = np.clip(rng.standard_normal(5), -CUT, CUT).tolist()
+        parameters = _drawn_parameters(engine, rng) if engine is not None and engine.uncertainty else {}
+        yield Change(
+            inertia=(1.0 + choices.inertia * x, 1.0 + choices.inertia * y, 1.0 + choices.inertia * z),
+            mass=1.0 + choices.mass * mass,
+            thrust=1.0 if parameters else 1.0 + choices.thrust * thrust,
+            parameters=parameters,
+        )
+
+
+def _drawn_parameters(engine: EngineSpec, rng: np.random.Generator) -> dict[str, float]:
+    """Return the parameters of the engines, drawn by their uncertainty; what each has by itself is left out."""
+    table = engine.uncertainty
+    assert table is not None
+    normal = np.clip(rng.standard_normal(len(table.parameters)), -CUT, CUT)
+    deviations = np.array(table.deviation) * (np.array(table.factor) @ normal)
+    values = {}
+    known = {variable.name: variable for variable in engine.archive.parameters}
+    for name, deviation in zip(table.parameters, deviations.tolist(), strict=True):
+        variable, value = known[name], engine.parameters[name] + deviation
+        if variable.type.lower().startswith("int"):
+            value = round(value)
+        low = -np.inf if variable.min is None else variable.min
+        high = np.inf if variable.max is None else variable.max
+        values[name] = float(np.clip(value, low, high))
+    return values
+
+
+def _tolerances(engine: EngineSpec, choices: Choices) -> tuple[str, ...]:
+    """Return what was drawn, in words."""
+    lines = [
+        f"each moment of inertia: standard deviation {100.0 * choices.inertia:g} %",
+        f"mass: {100.0 * choices.mass:g} %",
+    ]
+    table = engine.uncertainty
+    if table is not None:
+        lines.append(
+            f"engines: {', '.join(table.parameters)} by the engine's [uncertainty] ({table.source or 'no source'})"
+        )
+    else:
+        lines.append(f"thrust of all engines: {100.0 * choices.thrust:g} %; {engine.name} states no [uncertainty]")
+    return tuple(lines)
+
+
+def _notes(flight: RecordedFlight) -> tuple[str, ...]:
+    notes = list(flight.notes)
+    if not flight.has_angles:
+        notes.append(
+            "no attitude in the log: windows start level, which only drag and a measured velocity could notice"
+        )
+    if not flight.has_force:
+        notes.append("no accelerometer in the log: thrust and mass are not told from inertia")
+    return tuple(notes)
