@@ -152,6 +152,7 @@ def fmu_check(options: Check) -> int:
     engine = options.engine
     if is_controller(Path(engine)):
         return _check_controller(Path(engine), options)
+    options.check_out("check.json", "report.html")
     offer_to_compile(engine)
     report = check_fmu(engine, options.step, parse_numbers(options.settings, "--set"), make_limits(options.time_limit))
     page = write_check(report, options.run_folder(f"check-{Path(engine).stem}"))

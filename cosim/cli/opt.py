@@ -169,6 +169,16 @@ class Output(Record):
 
         return self.out if self.out is not None else new_folder(Path("runs"), name)
 
+    def check_out(self, record: str, *files: str) -> None:
+        """Raise InputError where the folder named with --out has ``files`` that are of no earlier call.
+
+        ``record`` is the file that a call always leaves.  Call it before the work.
+        """
+        from cosim.base.storage.files import check_results_folder
+
+        if self.out is not None:
+            check_results_folder(self.out, record, *files)
+
     def answer(self, data: Callable[[], Any], show: Callable[[], None], *, nan: bool = False) -> None:
         """Print ``data`` as one JSON object where that is asked for, ``nan``: which may hold NaN; else ``show`` it."""
         if self.as_json:

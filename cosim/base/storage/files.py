@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import stat
 from collections.abc import Iterable, Iterator, Mapping
@@ -82,6 +83,29 @@ def map_os_errors(failure: type[Exception], path: Path | str) -> Iterator[None]:
         yield
     except OSError as error:
         raise failure(f"{path}: {one_line(error)}") from error
+
+
+def check_results_folder(folder: Path, record: str, *files: str) -> None:
+    """Raise InputError where ``folder`` holds one of ``files``, or ``record``, that no earlier call left there.
+
+    An earlier call is told by its ``record``; one in JSON must be an object.
+    """
+    present = [name for name in (*files, record) if os.path.lexists(folder / name)]
+    if present and not holds_record(folder / record):
+        raise InputError(
+            f"{folder / present[0]}: is there already, and no {record} beside it says that it is of an earlier call; "
+            "name another folder with --out"
+        )
+
+
+def holds_record(path: Path) -> bool:
+    """Return whether a command's results are there, by the file that it always leaves."""
+    try:
+        return (
+            isinstance(json.loads(path.read_text(encoding="utf-8")), dict) if path.suffix == ".json" else path.is_file()
+        )
+    except (OSError, ValueError, RecursionError):
+        return False
 
 
 def write_files(files: Mapping[Path, str | bytes]) -> None:

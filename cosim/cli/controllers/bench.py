@@ -55,7 +55,9 @@ def identify_bench(options: Bench) -> int:
     from cosim.identify.bench import Choices, Columns, read_records
     from cosim.identify.bench import identify_bench as identify
     from cosim.identify.bench.result import write
+    from cosim.identify.files import FILES, RECORD
 
+    options.check_out(RECORD, *FILES)
     columns = Columns(
         options.command_text, options.output_text, options.time_column, options.time_unit, options.begin, options.end
     )

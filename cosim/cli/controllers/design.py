@@ -151,9 +151,20 @@ def design(options: DesignOptions) -> int:
 
 
 def _prepare(out: Path) -> None:
-    """Make the folder of a controller file.  Raises InputError for a name that is none, or where it cannot be made."""
+    """Make the folder of a controller file.
+
+    Raises InputError for a name that is none, where it cannot be made, and for a file that no design left there.
+    """
     if out.suffix.lower() != ".toml":
         raise InputError(f"--out {out}: must end in .toml, by which --controller knows it")
+    from cosim.base.storage.files import read_text
+    from cosim.base.storage.toml import read_toml
+
+    page = out.with_suffix(".html")
+    if out.exists() and not {"controller", "design"} <= read_toml(out).keys():
+        raise InputError(f"--out {out}: is there already, and is no file of hexjet design; choose another name")
+    if page.exists() and " control design</title>" not in read_text(page)[:4096]:
+        raise InputError(f"--out {out}: {page} is there already, and is no page of hexjet design; choose another name")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -63,8 +63,10 @@ def identify_engine(options: SweptEngine) -> int:
     Band, amplitude and duration are chosen to suit the engine where they are not given.
     """
     from cosim.base.storage.toml import parse_numbers
+    from cosim.identify.files import FILES, RECORD
     from cosim.identify.sweep import identify_engine as identify
 
+    options.check_out(RECORD, *FILES)
     with output_to_stderr(options.as_json):
         numbers, hold = parse_numbers(options.settings, "--set"), parse_numbers(options.holds, "--hold")
         identification = identify(options.name, numbers, hold=hold, **options.chosen("throttle", "step", *_SWEPT))
@@ -92,8 +94,10 @@ def _axis_command(axis: str) -> None:
     @opt.takes(SweptAxis)
     def command(options: SweptAxis) -> int:
         from cosim.base.storage.toml import parse_numbers
+        from cosim.identify.files import FILES, RECORD
         from cosim.identify.sweep import identify_axis
 
+        options.check_out(RECORD, *FILES)
         with output_to_stderr(options.as_json):
             hold = parse_numbers(options.holds, "--hold")
             choices = options.chosen("aircraft", "engine", "controller", "substeps", "seed", "settings", *_SWEPT)
@@ -158,8 +162,11 @@ def identify_from_log(options: FromLog) -> int:
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
+    from cosim.identify.files import FILES, RECORD
     from cosim.identify.logs import read_flight_log
 
+    if not options.channels:
+        options.check_out(RECORD, *FILES)
     log = read_flight_log(options.log, options.time_column, options.time_unit)
     if options.channels:
         options.answer(log.to_dict, lambda: print_channels(log))

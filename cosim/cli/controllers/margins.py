@@ -52,6 +52,7 @@ def margins(options: Margins) -> int:
     from cosim.design.measured import measure_margins, write
     from cosim.spec.controller_name import folder_name
 
+    options.check_out("margins.json", "response.csv", "report.html")
     offer_to_compile(*options.engines)
     loaded, axes = options.load(), options.axes or AXES
     warn_of_fmu_defects(loaded.engine, folder=loaded.folder)

@@ -39,6 +39,7 @@ def validate(options: Validate) -> int:
     from cosim.identify.prediction_error.validate import read_model, rows, write
     from cosim.identify.prediction_error.validate import validate as compare
 
+    options.check_out("validation.json", "report.html")
     model = read_model(options.model, options.axis)
     log = read_flight_log(options.log, options.time_column, options.time_unit)
     comparison = compare(model, log, options.begin, options.end)

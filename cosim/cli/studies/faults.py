@@ -74,6 +74,7 @@ def faults(options: Faults) -> int:
         refuse_others(why, "docs", "limits", "workers", "out", "as_json")
         check_marks(page, MARKS)
 
+    options.check_out("survival.csv", "survival.html", "cases")
     limits = options.limits or page is not None
     with output_to_stderr(options.as_json), part_progress("faults", quiet=options.as_json) as tell:
         named = [seen_from(controller, Path()) for controller in options.controllers]

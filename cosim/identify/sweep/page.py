@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
-from cosim.base.storage.files import write_files
+from cosim.base.storage.files import check_results_folder, write_files
 from cosim.base.storage.toml import toml_text
+from cosim.identify.files import FILES, RECORD
 from cosim.identify.sweep.result import Identification, equations, fit_rows, rate_response
 from cosim.results.report.page import render
 from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, Figure, axis_name, panels, trace
@@ -32,9 +33,10 @@ def write(identification: Identification, folder: Path) -> dict[str, Path]:
     """Write ``identification.json``, ``response.csv``, ``report.html`` and, for an axis, ``model.toml``.
 
     Where the fit is refused there is no ``model.toml``, and one that an earlier call left in the folder is removed.
-    Raises FlightError if a file cannot be written.
+    Raises InputError for somebody else's files of these names, FlightError if a file cannot be written.
     """
-    paths = {"json": folder / "identification.json", "response": folder / "response.csv"}
+    check_results_folder(folder, RECORD, *FILES)
+    paths = {"json": folder / RECORD, "response": folder / "response.csv"}
     texts = {
         "json": json.dumps(identification.to_dict(), indent=2, allow_nan=False) + "\n",
         "response": _csv(identification),

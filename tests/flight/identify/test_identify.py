@@ -277,6 +277,7 @@ def test_bounds_above_the_value_are_refused_and_not_printed(tmp_path: Path) -> N
     assert cells["gain, rad/s^2 per throttle"] == cells["lag, ms"] == "not determined"
     assert cells["all delay, samples"] == "not determined"
     (tmp_path / "model.toml").write_text("left by an earlier call")
+    (tmp_path / "identification.json").write_text("{}")  # by which it is known as one
     paths = write(axis, tmp_path)
     assert "model" not in paths
     assert not (tmp_path / "model.toml").exists()
@@ -585,7 +586,7 @@ def test_a_model_is_not_inherited_by_another_file_of_the_same_name(tmp_path: Pat
     files = [tmp_path / name / "kestrel.toml" for name in ("one", "two")]
     for file in files:
         file.parent.mkdir()
-        file.write_text(f"fmu = 'edf.fmu'  # {file.parent.name}")
+        file.write_text(f"fmu = 'edf.fmu'\ntitle = '{file.parent.name}'\n")
     kestrel, other = (replace(load_engine("edf", {}, STEP), library=False, mapping=file) for file in files)
     found = replace(AN_AXIS, engine=kestrel.family, fits=(fit(AN_AXIS.response, 1, "1 lag"),))
     found = replace(found, engine_sha256=kestrel.fingerprint)
