@@ -127,10 +127,12 @@ def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) 
         if not resume:
             raise InputError(f"{name}: already holds a campaign; --resume goes on with it")
         longer = {key: options.pop(key, None) for key in ("until", "runs")}
-        refused = next((option for option, value in options.items() if value not in (None, (), [])), None)
+        given = (option for option, value in options.items() if value not in (None, (), []) and value is not False)
+        refused = next(given, None)
         if refused is not None or out is not None:
             flag = {None: "out", "controllers": "controller", "settings": "set"}.get(refused, refused)
-            raise InputError(f"{name}: is a campaign and goes on as it began; leave out --{flag}")
+            option = str(flag).replace("_", "-")
+            raise InputError(f"{name}: is a campaign and goes on as it began; leave out --{option}")
         if any(value is not None for value in longer.values()):
             extend_campaign(Path(name), **longer)
         return None, Path(name)

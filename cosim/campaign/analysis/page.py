@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -142,12 +143,20 @@ def head_rows(campaign: Campaign, table: FlightTable) -> list[tuple[str, str]]:
         ("draws", f"{study.draws:,}" + (f", {study.repeats} at each point" if study.repeats > 1 else "")),
         ("controllers", ", ".join(table.controllers)),
         ("seed", str(study.seed)),
+        ("engine", engine_note(study)),
         ("simulated", format_duration(simulated)),
     ]
     if wall.sum() > 0.0:
         lines.append(("work", f"{format_duration(float(wall.sum()))}, {1e3 * float(wall.mean()):.0f} ms a flight"))
         lines.append(("workers", str(len(set(campaign.columns.get("worker", []))))))
     return [line for line in lines if line[1] not in ("", "0")]
+
+
+def engine_note(study: Study) -> str:
+    """Return whether an uncertain engine is drawn, in words; empty where that is not known."""
+    with suppress(InputError):  # flown elsewhere: the scenario or one of its files is not here
+        return study.engine_note
+    return ""
 
 
 def scenario_name(study: Study) -> str:

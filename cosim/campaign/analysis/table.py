@@ -143,6 +143,8 @@ def key_columns(campaign: Campaign) -> list[KeyColumn]:
     varied = [name for name in campaign.study.drawn if name in campaign.columns]
     varied = [name for name in varied if not (name.startswith(FLOWN_STATIONS) and name.endswith(tuple(common)))]
     by_key = {vary.key: vary for vary in campaign.study.vary}
+    if campaign.study.design == "grid":  # what is drawn for its points is no side of it
+        varied = [name for name in varied if name in by_key]
     columns = []
     for name, label in zip(varied, short_names(varied), strict=True):
         column, vary = campaign.columns[name], by_key.get(name)

@@ -25,6 +25,7 @@ from cosim.campaign.search.result import Case, SavedSearch, plan_table
 from cosim.campaign.search.search import Edge, JointResult, Plan, SearchResult, SecondKey, describe_flight, search
 from cosim.campaign.search.span import span
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_number, parse_vary
+from cosim.campaign.study.engine_draw import default_draw, engine_draw
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import scenario_of
 from cosim.campaign.study.study import Study
@@ -59,12 +60,15 @@ def resolve_search(
 ) -> tuple[Study, Plan]:
     """Return the study and the plan that a command line states; ``options`` are those of ``open_study``.
 
-    ``seeds`` flights a point have the scenario's seed, or ``seed``, and those that follow it.  Raises InputError.
+    ``seeds`` flights a point have the scenario's seed, or ``seed``, and those that follow it.  An engine that states
+    its uncertainty is drawn by it in all of them but the first, unless ``nominal_engine`` is among the options.
+    Raises InputError.
     """
     varied = [parse_vary(text) for text in vary]
     if any(entry.uncertainty for entry in varied):
         raise InputError(
-            "--vary engine: an engine's [uncertainty] is drawn, hexjet sweep does; a search needs KEY=LO:HI"
+            "--vary engine: an engine's [uncertainty] is drawn with --seeds N, or by hexjet sweep; a search needs "
+            "KEY=LO:HI"
         )
     over_entries = _parse_over(over)
     keys = [entry.key for entry in (*varied, *over_entries)]
@@ -76,7 +80,8 @@ def resolve_search(
     if over_entries and len(varied) > 1:
         raise InputError(f"--over {over}: goes with one --vary, and there are {len(varied)}")
     plain = [entry.model_copy(update={"levels": None}).text for entry in (*varied, *over_entries)]
-    study = open_study(name, vary=plain, design="random", runs=1, **options)
+    study = open_study(name, vary=plain, design="random", runs=1, **options | {"nominal_engine": True})
+    study = study.changed(nominal_engine=bool(options.get("nominal_engine")))
     if len(study.vary) > len(keys):
         raise InputError(f"{name}: is a study, which draws; a search takes its scenario, {study.scenario}")
     fine = _tolerances(tolerance, [entry.key for entry in varied])
@@ -90,6 +95,7 @@ def resolve_search(
         seeds=tuple(range(first, first + seeds)),
         share=share,
         budget=budget,
+        draws_engine=seeds > 1 and default_draw(study.base(), study.nominal_engine, keys)[0] is not None,
     )
     if over_entries:
         check_vary(over_entries[0], study.key(over_entries[0].key))
@@ -136,7 +142,9 @@ def run_search(
         if not _holds_search(out, frozen, plan, resume):
             _begin(out, frozen, plan)
         with lock_file(out / JOURNAL, f"{out}: another search is at work there"):
-            prober = Prober(load_study(out / STUDY), plan.seeds, plan.share, workers, Journal(out / JOURNAL), progress)
+            flown = load_study(out / STUDY)
+            engine = engine_draw(flown.base()) if plan.draws_engine else None
+            prober = Prober(flown, plan.seeds, plan.share, workers, Journal(out / JOURNAL), progress, engine)
             result = search(plan, prober)
             shutil.rmtree(out / CASES, ignore_errors=True)  # left by a search stopped while it flew them
             cases = tuple(_cases(result, prober, out / CASES))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from cosim.base.errors import FlightError
 from cosim.base.storage.files import map_os_errors, one_line, open_without_links
+from cosim.campaign.study.engine_draw import EngineDraw
 from cosim.campaign.study.key import Value
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
@@ -66,7 +67,9 @@ class Prober:
         workers: Workers,
         journal: Journal | None = None,
         progress: Callable[[int], None] = lambda count: None,
+        engine: EngineDraw | None = None,
     ) -> None:
+        self._engine = engine
         self.study = study
         self.seeds = tuple(seeds)
         self.needed = count_needed(fraction, len(self.seeds))
@@ -103,8 +106,10 @@ class Prober:
         return self._rows[point, seed]
 
     def flight(self, point: Point, seed: int, number: int = 0) -> Flight:
-        """Return the flight of a point with a seed."""
-        return Flight(number, number // len(self.seeds), point.controller, seed, dict(point.values))
+        """Return the flight of a point with a seed; all but the first seed bring a draw of an uncertain engine."""
+        drawn = self._engine if seed != self.seeds[0] else None
+        engine = {} if drawn is None else drawn.named(str(seed))
+        return Flight(number, number // len(self.seeds), point.controller, seed, engine | dict(point.values))
 
     def _fly(self, points: Sequence[Point]) -> None:
         new = [(p, seed) for p in dict.fromkeys(points) for seed in self.seeds if (p, seed) not in self._requests]

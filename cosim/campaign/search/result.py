@@ -55,6 +55,7 @@ class SavedSearch:
             "controllers": result.study.controller_names,
             "controller_sha256": {name: _sha256(base, name) for name in result.study.controller_names},
             "criterion": result.criterion,
+            **({"engine_note": result.engine_note} if result.engine_note else {}),
             **plan_table(result.plan),
             "flights": result.flights,
             "alone": [asdict(edge) | {"comes_back": edge.comes_back} for edge in result.edges],
@@ -92,6 +93,8 @@ def plan_table(plan: Plan) -> dict[str, Any]:
             for span in plan.spans
         ],
     }
+    if plan.draws_engine:
+        table["draws_engine"] = True
     if plan.over:
         table["over"] = {"key": plan.over.key.path, "unit": plan.over.key.unit, "levels": list(plan.over.levels)}
     return table

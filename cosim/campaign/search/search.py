@@ -19,6 +19,7 @@ from cosim.base.arrays import Array
 from cosim.campaign.search.line_search import Between, Scan, run_walks, scan_outward
 from cosim.campaign.search.probe import BudgetSpentError, Point, Prober, count_needed
 from cosim.campaign.search.span import Span
+from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row
@@ -53,6 +54,7 @@ class Plan:
     seeds: tuple[int, ...] = (1,)
     share: float = 0.0  # fraction of the flights of a point that have to break; 0: any of them
     budget: int = 1000  # flights of a search of several keys together, for each controller
+    draws_engine: bool = False  # by its uncertainty, in all flights of a point but the first
 
     def point(self, controller: str, changed: Mapping[str, Value], level: Value | None = None) -> Point:
         """Return the point where every key is at its start but the ``changed`` ones; ``level``: of the second key."""
@@ -136,6 +138,19 @@ class SearchResult:
         some = "any" if needed == 1 else "all" if needed == count else f"at least {needed}"
         do = "does" if needed == 1 else "do"
         return f"a flight breaks if {condition}; a point if {some} of its {count} flights {do}"
+
+    @property
+    def engine_note(self) -> str:
+        """Whether the engine is drawn by its uncertainty, in words; empty where it states none."""
+        over = [] if self.plan.over is None else [self.plan.over.key.path]
+        keys = [*(span.key.path for span in self.plan.spans), *over]
+        draw, text = default_draw(self.study.base(), self.study.nominal_engine, keys)
+        if draw is None:
+            return text
+        where = f"{draw.description} in all flights of a point but the first"
+        if self.plan.draws_engine:
+            return f"the engine is {where}; --nominal-engine flies it as it is stated"
+        return f"the engine flies as it is stated; with --seeds N it is {where}"
 
     def smallest(self, controller: str) -> Edge | None:
         """Return the edge of a controller with the smallest deviation, over all keys, sides and levels."""

@@ -22,14 +22,13 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.campaign.study.distributions import Normal, Vary
-from cosim.campaign.study.engine_draw import EngineDraw
+from cosim.campaign.study.engine_draw import SMALLEST, EngineDraw
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study
 from cosim.campaign.study.values import absolute_support, levels, quantum, round_to_steps, whole_bounds
 
 BLOCK = 1024  # draws made at a time: a power of two, for Sobol's sake
 POINTS, SEEDS = 0, 1  # indices of the random streams of a study's seed
-SMALLEST = 2.0**-54  # a point at 0 would be minus infinity under a normal distribution
 
 
 @dataclass(frozen=True)
@@ -114,14 +113,19 @@ class Points(Protocol):
 
 
 class Grid:
-    """Every combination of the levels, by their indices; the last key's changes fastest, a repeat begins anew."""
+    """Every combination of the levels, by their indices; the last key's changes fastest, a repeat begins anew.
+
+    The sides of an uncertain engine are drawn for each point.
+    """
 
     def __init__(self, study: Study, sides: int) -> None:
-        self._sides = [len(levels(vary, study.key(vary.key))) for vary in study.vary]
+        self._sides = [1 if vary.uncertainty else len(levels(vary, study.key(vary.key))) for vary in study.vary]
+        self._seed, self._drawn = study.seed, sides - len(self._sides)
 
     def __call__(self, first: int, end: int) -> Array:
         indices = np.unravel_index(np.arange(first, end) % prod(self._sides), self._sides)
-        return np.stack(indices, axis=1).astype(np.float64)
+        points = np.stack(indices, axis=1).astype(np.float64)
+        return np.hstack([points, _independent(self._seed, first, end, self._drawn)]) if self._drawn else points
 
 
 class Random:
@@ -132,8 +136,7 @@ class Random:
         self._correlate = _copula(study)
 
     def __call__(self, first: int, end: int) -> Array:
-        random = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(POINTS, first // BLOCK)))
-        return self._correlate(np.maximum(random.random((end - first, self._sides)), SMALLEST))
+        return self._correlate(_independent(self._seed, first, end, self._sides))
 
 
 class Sobol:
@@ -182,6 +185,12 @@ DESIGNS: dict[str, Callable[[Study, int], Points]] = {
     "random": Random,
     "sobol": Sobol,
 }
+
+
+def _independent(seed: int, first: int, end: int, sides: int) -> Array:
+    """Return independent points of the block that begins with the draw ``first``."""
+    random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(POINTS, first // BLOCK)))
+    return np.maximum(random.random((end - first, sides)), SMALLEST)
 
 
 def _generator(seed: int) -> np.random.Generator:

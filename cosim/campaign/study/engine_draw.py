@@ -7,8 +7,9 @@ common deviations are correlated through normal variables (a Gaussian copula), s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from math import ceil, floor, inf, isfinite
 
 import numpy as np
@@ -16,12 +17,13 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.campaign.study.key import Key, Value
-from cosim.campaign.study.keys import FLOWN_PARAMETERS, FLOWN_STATIONS, all_keys, engine_source
+from cosim.campaign.study.keys import FLOWN_PARAMETERS, FLOWN_STATIONS, engine_source, flown_engine_keys
 from cosim.engine.fmu.uncertainty import CUT, Uncertainty
 from cosim.spec.scenario import Scenario
 
 ENGINE = "engine"  # the key that is varied so
 DRAWN_BY = "by the engine's [uncertainty]"
+SMALLEST = 2.0**-54  # a point at 0 would be minus infinity under a normal distribution
 HOW = (
     "hexjet identify bench writes one, docs/own-engine.md says how; or list engines, --vary engine=A,B, or vary single "
     "parameters, --vary mismatch.engine_parameters.NAME=LO:HI"
@@ -45,10 +47,25 @@ class EngineDraw:
     """
 
     def __init__(self, table: Uncertainty, parameters: Sequence[_Parameter]) -> None:
-        self._parameters = parameters
+        self._table, self._parameters = table, parameters
         self._factor = table.factor
         self.keys = [key for of in parameters for key in (*([of.common] if of.deviation else []), *of.stations)]
         self.sides = len(parameters) + sum(len(of.stations) for of in parameters)
+
+    @property
+    def description(self) -> str:
+        """Which parameters are drawn, how, and where the numbers are from."""
+        each = ", each engine by itself too" if any(self._table.spreads) else ""
+        return (
+            f"drawn {DRAWN_BY} ({', '.join(self._table.parameters)}{each}; "
+            f"source: {self._table.source or 'not stated'})"
+        )
+
+    def named(self, name: str) -> dict[str, Value]:
+        """Return the draw of this name by key: the same on every machine, of another name another one."""
+        seed = int.from_bytes(sha256(name.encode()).digest())
+        points = np.maximum(np.random.default_rng(seed).random((1, self.sides)), SMALLEST)
+        return {key.path: column[0] for key, column in zip(self.keys, self.values(points), strict=True)}
 
     def values(self, points: Array) -> list[list[Value]]:
         """Return a column of values for each key from ``points``, a row a draw and a column a side."""
@@ -76,8 +93,8 @@ def engine_draw(scenario: Scenario) -> EngineDraw:
     table = engine_source(scenario, scenario.engine).mapping.uncertainty
     if table is None:
         raise InputError(f"vary engine: {scenario.engine} has no [uncertainty] in a mapping file; {HOW}")
-    keys = {key.path: key for key in all_keys(scenario)}
     vehicle, _ = scenario.resolved_vehicle()
+    keys = {key.path: key for key in flown_engine_keys(scenario, len(vehicle.jets))}
     stated = {number: station for number, station in scenario.stations.items() if station.engine is not None}
     stations = [
         str(number)
@@ -92,6 +109,28 @@ def engine_draw(scenario: Scenario) -> EngineDraw:
         single = tuple(key for key in own if spread or key.nominal != common.nominal)
         parameters.append(_Parameter(deviation, spread, common, single))
     return EngineDraw(table, parameters)
+
+
+def default_draw(scenario: Scenario, nominal: bool, varied: Collection[str] = ()) -> tuple[EngineDraw | None, str]:
+    """Return the draws of a scenario's engine that flights have unless told otherwise, and a line on it.
+
+    None, and no line, for an engine that states no uncertainty; None where ``nominal`` says so, and where a key of
+    ``varied`` is drawn with it or brings another engine.  Raises InputError.
+    """
+    if engine_source(scenario, scenario.engine).mapping.uncertainty is None:
+        return None, ""
+    draw = engine_draw(scenario)
+    drawn = {key.path for key in draw.keys}
+    other = next((key for key in varied if key in drawn or brings_engine(key)), None)
+    if nominal or other is not None:
+        why = "" if other is None else f": {other} is varied"
+        return None, f"the engine flies as it is stated and is not {draw.description}{why}"
+    return draw, f"the engine of each flight is {draw.description}; --nominal-engine flies it as it is stated"
+
+
+def brings_engine(key: str) -> bool:
+    """Return whether a key may bring another engine than the one that is drawn."""
+    return key in (ENGINE, "aircraft") or (key.startswith("stations.") and key.endswith(f".{ENGINE}"))
 
 
 def _nominal(key: Key) -> float:

@@ -103,9 +103,16 @@ def all_keys(scenario: Scenario) -> list[Key]:
         *(key for key in _table_keys("vehicle", vehicle) if not key.path.startswith(CUSTOM_TUNING)),
         *_predictor_keys(vehicle.control.predictor),
         *_parameters("engine_parameters", source, scenario.engine_parameters),
-        *_parameters(FLOWN_PARAMETERS, source, {**scenario.engine_parameters, **scenario.mismatch.engine_parameters}),
-        *_station_keys(scenario, len(vehicle.jets)),
+        *flown_engine_keys(scenario, len(vehicle.jets)),
     ]
+
+
+def flown_engine_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
+    """Yield the keys of the engine as no controller knows it, and those of each of the ``jets`` stations."""
+    source = engine_source(scenario, scenario.engine)
+    flown = {**scenario.engine_parameters, **scenario.mismatch.engine_parameters}
+    yield from _parameters(FLOWN_PARAMETERS, source, flown)
+    yield from _station_keys(scenario, jets)
 
 
 def matching(keys: Iterable[Key], pattern: str) -> list[Key]:

@@ -12,7 +12,8 @@ from cosim.base.errors import InputError, nearest, similar
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import parse_setting, read_toml, validate
 from cosim.base.trust import mention
-from cosim.campaign.study.distributions import parse_number, parse_vary, vary_tables
+from cosim.campaign.study.distributions import UNCERTAIN, parse_number, parse_vary, vary_tables
+from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.study.sequential import default_runs
 from cosim.campaign.study.study import DESIGNS, Correlation, Study, flatten_settings, study_names
 from cosim.spec.controller_name import seen_from, short_name
@@ -33,6 +34,7 @@ def open_study(
     repeats: int | None = None,
     seed: int | None = None,
     until: str | None = None,
+    nominal_engine: bool = False,
 ) -> Study:
     """Return a study, or a scenario as one, with a command line's options written over it.
 
@@ -40,7 +42,8 @@ def open_study(
     for it, and ``controllers`` replace the study's.  Without a ``design`` a scenario is flown over a grid if every key
     has levels or values and no ``runs`` are given, and else over a Latin hypercube.  ``until`` is a claim such as
     ``99.9%@95%``, at which the study stops; without a ``design`` its draws are random, and without ``runs`` it has ten
-    times as many as the claim needs at least.  Raises InputError.
+    times as many as the claim needs at least.  An engine that states its uncertainty is drawn by it unless
+    ``nominal_engine``.  Raises InputError.
     """
     mention([*controllers, *settings, *vary], Path())
     data, folder, where = _read_source(name)
@@ -66,6 +69,9 @@ def open_study(
     data |= {key: value for key, value in chosen.items() if value is not None}
     if "title" in data and (vary or settings or controllers or design or runs or repeats):
         data |= _retitle(data, settings, controllers)
+    data |= {"nominal_engine": True} if nominal_engine else {}
+    if _is_engine_drawn(data, folder, where):
+        data["vary"] = [*data["vary"], {"key": UNCERTAIN, "uncertainty": True}]
     if not data["vary"]:
         raise InputError(f"{where}: nothing varies; --vary KEY=LO:HI says what does")
     if data.get("until") is not None:
@@ -74,6 +80,17 @@ def open_study(
     if data["design"] not in DESIGNS:
         raise InputError(f"--design {data['design']}: {nearest(str(data['design']), DESIGNS)}")
     return Study.from_table(data, folder, where)
+
+
+def _is_engine_drawn(data: Mapping[str, Any], folder: Path, where: str) -> bool:
+    """Return whether the engine is to be drawn by its uncertainty though no key of the study says it."""
+    keys = [table.get("key", "") for table in data["vary"] if isinstance(table, dict)]
+    if UNCERTAIN in keys or data.get("nominal_engine"):
+        return False
+    left_out = ("correlate", "controllers", "repeats", "until")
+    kept = {key: value for key, value in data.items() if key not in left_out}
+    study = Study.unchecked({**kept, "vary": [UNCERTAIN], "design": "random", "runs": 1}, folder, where)
+    return default_draw(study.base(), False, keys)[0] is not None
 
 
 def _retitle(data: Mapping[str, Any], settings: Sequence[str], controllers: Sequence[str]) -> dict[str, str]:
@@ -118,8 +135,9 @@ def _resolve_files(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _default_design(data: Mapping[str, Any]) -> str:
-    discrete = all("levels" in table or "values" in table for table in data["vary"])
-    return "grid" if discrete and data.get("runs") is None else "latin-hypercube"
+    sides = [table for table in data["vary"] if not table.get("uncertainty")]
+    discrete = all("levels" in table or "values" in table for table in sides)
+    return "grid" if sides and discrete and data.get("runs") is None else "latin-hypercube"
 
 
 def _merge_by_key(tables: Any, new: list[dict[str, Any]], key_of: Any) -> list[Any]:

@@ -22,7 +22,7 @@ from cosim.base.storage.toml import Model, read_toml, set_path, split_key, toml_
 from cosim.base.trust import Code, code_of, is_code_forbidden, need_trust
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_vary, vary_tables
-from cosim.campaign.study.engine_draw import ENGINE, EngineDraw, engine_draw
+from cosim.campaign.study.engine_draw import EngineDraw, brings_engine, default_draw, engine_draw
 from cosim.campaign.study.key import Key
 from cosim.campaign.study.keys import CUSTOM_PARAMETERS, custom_keys, find_key, with_values
 from cosim.campaign.study.sequential import MAX_TESTED, parse_claim
@@ -84,6 +84,7 @@ class Study(Model):
     repeats: Annotated[int, Field(ge=1, le=MAX_DRAWS)] = 1  # repeats of a whole grid with other seeds
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 1
     vary: Annotated[list[Vary], Field(min_length=1), BeforeValidator(vary_tables)]
+    nominal_engine: bool = False  # flown as it is stated; else hexjet sweep draws one that states its uncertainty
     correlate: list[Correlation] = Field(default_factory=list)
     success: dict[str, Range] = Field(default_factory=dict)  # metrics that must hold beside a completed flight
     until: str | None = None  # the claim that ends the study when it is shown or refuted: 99.9%@95%
@@ -181,6 +182,7 @@ class Study(Model):
         """Return notes on settings that are allowed but that a user should know of before flying."""
         base, keys = self.base(), [vary.key for vary in self.vary]
         lines = note_varied_turbulence(base, keys)
+        lines += [self.engine_note] if self.engine_note else []
         if "substeps" not in keys and "aircraft" not in keys:
             lines += note_few_substeps(base, keys)
         if self.design == "sobol" and self.draws & (self.draws - 1):
@@ -189,6 +191,13 @@ class Study(Model):
                 f"sobol: {self.draws} runs are no power of two; Sobol's points are balanced at {below} and {2 * below}"
             )
         return lines
+
+    @property
+    def engine_note(self) -> str:
+        """Whether the engine is drawn by its uncertainty, in words; empty where it states none."""
+        if any(vary.uncertainty for vary in self.vary):
+            return default_draw(self.base(), False)[1]
+        return default_draw(self.base(), True, [vary.key for vary in self.vary])[1]
 
     def __eq__(self, other: object) -> bool:
         """Whether both state the same, wherever they were read."""
@@ -238,14 +247,19 @@ class Study(Model):
     @classmethod
     def from_table(cls, data: Mapping[str, Any], folder: Path, where: str) -> Study:
         """Validate a parsed table and check it against its scenario; ``where`` names its source in the error."""
-        study = validate(cls, data, where)
-        study._folder, study._where = folder, where
-        files = [seen_from(name, folder) for name in study.controllers]
-        study = study.model_copy(update={"controllers": files}) if files != study.controllers else study
+        study = cls.unchecked(data, folder, where)
         if not is_code_forbidden():  # a displayed study was checked when it was flown
             need_trust(study_code(study), where)
             check(study, where)
         return study
+
+    @classmethod
+    def unchecked(cls, data: Mapping[str, Any], folder: Path, where: str) -> Study:
+        """Validate a parsed table alone, and look at no scenario; ``where`` names its source in the error."""
+        study = validate(cls, data, where)
+        study._folder, study._where = folder, where
+        files = [seen_from(name, folder) for name in study.controllers]
+        return study.model_copy(update={"controllers": files}) if files != study.controllers else study
 
     @model_validator(mode="after")
     def _autopilot_flies_alone(self) -> Study:
@@ -272,7 +286,7 @@ class Study(Model):
             if self.repeats != 1:
                 raise ValueError(f"repeats: only a grid is repeated; a {self.design} has more runs instead")
             return self
-        for vary in self.vary:
+        for vary in [vary for vary in self.vary if not vary.uncertainty] or self.vary:
             if not vary.discrete:
                 example = "engine=A,B" if vary.uncertainty else f"{vary.key}=LO:HI:5"
                 raise ValueError(
@@ -385,7 +399,7 @@ def _check_uncertain_engine(study: Study) -> None:
     for key in [vary.key for vary in study.vary if not vary.uncertainty]:
         if drawn.count(key) > 1:
             raise InputError(f"vary {key}: engine draws it by its [uncertainty] already; leave one of them out")
-        if key == "aircraft" or (key.startswith("stations.") and key.endswith(f".{ENGINE}")):
+        if brings_engine(key):
             raise InputError(f"vary {key}: brings another engine than the one that is drawn; leave one of them out")
 
 

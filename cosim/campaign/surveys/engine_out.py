@@ -19,9 +19,10 @@ from cosim.base.errors import InputError
 from cosim.base.outcomes import Verdict
 from cosim.base.storage.files import map_os_errors, to_json_record, write_files, write_records
 from cosim.base.storage.toml import toml_text
+from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.surveys.faults import HEIGHT_M, SETTLED_S
 from cosim.campaign.surveys.lean_bound import STEP_S, Bound, RollAxis, make_roll_axis, measure_courses
-from cosim.campaign.surveys.survey import Progress, Subject, fly_all, judge_outcome, measure_flight
+from cosim.campaign.surveys.survey import Progress, Subject, draw_engine, fly_all, judge_outcome, measure_flight
 from cosim.design.controller_table import make_controller_table
 from cosim.design.design import design
 from cosim.engine import list_engine_names, load_engine
@@ -89,6 +90,7 @@ class EngineOut:
     flights: list[Flight]
     left: list[SkippedFlight]
     levers: list[Lever]
+    engine_notes: tuple[str, ...] = ()  # whether uncertain engines are drawn
 
     def to_dict(self) -> dict[str, Any]:
         """Return the table for JSON; a bound beyond the furthest that is followed is null."""
@@ -96,6 +98,7 @@ class EngineOut:
             "flights": [to_json_record(flight) for flight in self.flights],
             "left": [asdict(skipped) for skipped in self.left],
             "levers": [to_json_record(lever) for lever in self.levers],
+            **({"engine_notes": list(self.engine_notes)} if self.engine_notes else {}),
         }
 
 
@@ -124,15 +127,18 @@ def engine_out(
     designs: Path = Path("runs/engine-out-designs"),
     workers: int = 2,
     progress: Progress = lambda part, finished, total: None,
+    nominal_engine: bool = False,
 ) -> EngineOut:
     """Fly every engine on every aircraft that it lifts, out at every station, with both means, and bound each.
 
     ``designs``: where the controllers are, ``ENGINE.toml`` as ``hexjet design`` writes it; one that is missing, or made
     for another aircraft, is designed and written to ``ENGINE-AIRCRAFT.toml`` there.
+    An engine that states its uncertainty is drawn by it for each station, the same for all means, unless
+    ``nominal_engine``.
     Raises InputError for an unknown name or a file that cannot be read.
     """
     tasks: list[tuple[Scenario, int, Means]] = []
-    skipped, levers = [], []
+    skipped, levers, notes = [], [], []
     for name in aircraft or AIRCRAFT:
         vehicle, _ = load_vehicle(name)
         if vehicle.servo is None:
@@ -145,12 +151,14 @@ def engine_out(
                 continue
             jets = range(1, len(vehicle.jets) + 1)
             flights = [(_scenario(subject, controller, jet, means), jet, means) for jet in jets for means in MEANS]
-            tasks += flights
             levers.append(_compute_lever(flights[0][0]))
+            draw, note = default_draw(flights[0][0], nominal_engine)
+            notes += [f"{name}, {engine}: {note}"] if note else []
+            tasks += [(draw_engine(scenario, draw, f"jet {jet}"), jet, means) for scenario, jet, means in flights]
     results = fly_all(
         _fly, tasks, workers, progress, lambda flight: f"{flight.aircraft}, {flight.engine}, jet {flight.jet}"
     )
-    return EngineOut(list(results), skipped, levers)
+    return EngineOut(list(results), skipped, levers, tuple(notes))
 
 
 def find_obstacle(subject: Subject) -> str:

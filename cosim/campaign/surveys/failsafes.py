@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import InputError
 from cosim.base.storage.files import to_json_record
+from cosim.campaign.study.engine_draw import EngineDraw, default_draw
 from cosim.campaign.surveys.failsafe_flight import (
     LONGEST_S,
     LONGEST_SETTLING_S,
@@ -28,7 +29,7 @@ from cosim.campaign.surveys.failsafe_flight import (
     Task,
     fly_case,
 )
-from cosim.campaign.surveys.survey import Progress, Subject, fly_all, load_subject, select_cases
+from cosim.campaign.surveys.survey import Progress, Subject, draw_engine, fly_all, load_subject, select_cases
 from cosim.campaign.surveys.tipping import tip_speed
 from cosim.control.autopilot.requests import (
     Goto,
@@ -71,6 +72,7 @@ class Failsafes:
     trip_m_s: float  # from which it tips over legs that catch: what touches faster sideways has slid
     flights: list[FailsafeFlight]
     airborne: bool = False  # they began in the air
+    engine_note: str = ""  # whether an uncertain engine is drawn
 
     @property
     def rows(self) -> list[Row]:
@@ -83,6 +85,7 @@ class Failsafes:
             "aircraft": self.aircraft,
             "engine": self.engine,
             "controller": self.controller,
+            **({"engine_note": self.engine_note} if self.engine_note else {}),
             "limit_m_s": self.limit_m_s,
             "trip_m_s": self.trip_m_s,
             "rows": [to_json_record(row) for row in self.rows],
@@ -119,7 +122,8 @@ class Conditions:
 
     ``heights`` empty: 3, 10 and 30 m, and for what waits for the fuel 100 and 300 m too; ``speed`` 0: nothing moves.
     ``flights``: of a cell, each in another of the winds, at a moment drawn by ``seed`` and its place in the table.
-    ``airborne``: one flight for each height and wind, which begins in the air, trimmed.
+    ``airborne``: one flight for each height and wind, which begins in the air, trimmed.  ``nominal_engine``: an engine
+    that states its uncertainty is not drawn by it for each flight.
     """
 
     heights: Sequence[float] = ()
@@ -128,6 +132,7 @@ class Conditions:
     flights: int = 3
     airborne: bool = False
     seed: int = 0
+    nominal_engine: bool = False
 
     def check(self) -> None:
         """Raise InputError for what cannot be flown."""
@@ -185,13 +190,13 @@ def failsafes(
     for name in aircraft:
         subject = load_subject(name, engine)
         plans.append((subject, *_plan(subject, controller, kinds, conditions)))
-    finished, total = 0, sum(len(tasks) for *_, tasks in plans)
-    for subject, flown, tasks in plans:
+    finished, total = 0, sum(len(tasks) for *_, tasks, _ in plans)
+    for subject, flown, tasks, note in plans:
         label = aircraft_name(subject.aircraft)
         flights = list(fly_all(fly_case, tasks, workers, progress, partial(_describe, label), finished, total))
         finished += len(flights)
         limits = subject.vehicle.limits.touchdown_m_s, tip_speed(subject.aircraft, subject.engine)
-        yield Failsafes(label, subject.engine, flown, *limits, flights, conditions.airborne)
+        yield Failsafes(label, subject.engine, flown, *limits, flights, conditions.airborne, note)
 
 
 def _describe(aircraft: str, flight: FailsafeFlight) -> str:
@@ -200,8 +205,8 @@ def _describe(aircraft: str, flight: FailsafeFlight) -> str:
 
 def _plan(
     subject: Subject, controller: str | None, kinds: Sequence[str], conditions: Conditions
-) -> tuple[str, list[Task]]:
-    """Return the controller and the flights of one vehicle; wrong input is found here."""
+) -> tuple[str, list[Task], str]:
+    """Return the controller, the flights of one vehicle, and a line on its engine; wrong input is found here."""
     vehicle = subject.vehicle
     chosen = select_cases(cases(vehicle, conditions.airborne), kinds, "failsafe", lambda case: case.name)
     controller = controller or default_controller(subject)
@@ -212,9 +217,14 @@ def _plan(
     ]
     with build(tasks[0].scenario) as simulation:
         energy = attach_autopilot(simulation, airborne=True).energy
-        return controller, [
-            draw_flight(task, vehicle, energy, conditions.seed) if task.number else task for task in tasks
-        ]
+    draw, note = default_draw(tasks[0].scenario, conditions.nominal_engine)
+    tasks = [draw_flight(task, vehicle, energy, conditions.seed) if task.number else task for task in tasks]
+    return controller, [_with_engine(task, draw, conditions.seed) for task in tasks], note
+
+
+def _with_engine(task: Task, draw: EngineDraw | None, seed: int) -> Task:
+    name = f"{seed} {task.case.name} {task.start} {task.number}"
+    return task._replace(scenario=draw_engine(task.scenario, draw, name))
 
 
 def draw_flight(task: Task, vehicle: Vehicle, energy: Energy, seed: int) -> Task:

@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from cosim.base.constants import GRAVITY
 from cosim.base.outcomes import Verdict
 from cosim.base.storage.toml import merge
+from cosim.campaign.study.engine_draw import EngineDraw, default_draw
 from cosim.campaign.surveys.survey import (
     Progress,
     Subject,
+    draw_engine,
     fly_all,
     judge_outcome,
     load_subject,
@@ -112,6 +114,7 @@ class Survival:
     custom_controllers: tuple[Source, ...] = ()  # the controllers from outside
     warnings: tuple[str, ...] = ()  # where a design is not flown as what it was made for
     scenarios: tuple[Scenario, ...] = ()  # of the rows
+    engine_note: str = ""  # whether an uncertain engine is drawn
 
     @property
     def unmonitored_controllers(self) -> list[str]:
@@ -127,6 +130,7 @@ class Survival:
         return {
             "aircraft": self.aircraft,
             "engine": self.engine,
+            **({"engine_note": self.engine_note} if self.engine_note else {}),
             "warnings": list(self.warnings),
             "own_controllers": [
                 {
@@ -193,12 +197,15 @@ def survival(
     workers: int = 2,
     progress: Progress = lambda part, finished, total: None,
     limits: bool = False,
+    nominal_engine: bool = False,
 ) -> Survival:
     """Fly every case; ``kinds`` are the beginnings of those to be flown, all if there are none.
 
     ``limits`` asks for more: how large a loss of thrust, and how long a confirmation of a flame-out, may be.
     ``engine`` None is the one that the aircraft is made for.  ``progress`` is told what was flown, how many flights
     are, and of how many.
+    An engine that states its uncertainty is drawn by it for each case and start, the same for every controller, unless
+    ``nominal_engine``.
     Raises InputError for an unknown kind, aircraft, engine or controller.
     """
     subject = load_subject(aircraft, engine)
@@ -219,17 +226,20 @@ def survival(
         if is_design(flight.controller)
         for text in list_differences(flight.scenario, Path(flight.controller))
     )
-    flights = [flight._replace(scenario=_pin_controller(flight, custom)) for flight in flights]
+    draw, note = default_draw(flights[0].scenario, nominal_engine)
     with build(flights[0].scenario.replace(controller=BASELINE.name)) as simulation:
         hover, idle = simulation.cascade.allocator.hover, simulation.cascade.thrust_map.idle
         moments = _moments(vehicle, simulation.stations[0].transport_delay)
+    flights = [flight._replace(scenario=_finish(flight, custom, draw)) for flight in flights]
     rows = list(fly_all(_fly, flights, workers, progress, lambda row: f"{row.kind}, {row.place}"))
-    scans = [(subject, name, start, controller) for name in SCANS for start in STARTS for controller in controllers]
+    scans = [
+        (subject, name, start, controller, draw) for name in SCANS for start in STARTS for controller in controllers
+    ]
     reached = list(fly_all(_scan, scans, workers, progress, lambda limit: limit.quantity)) if limits else []
     sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
     scenarios = tuple(flight.scenario for flight in flights)
     return Survival(
-        vehicle.name, subject.engine, rows, sets, moments, reached, tuple(custom.values()), warnings, scenarios
+        vehicle.name, subject.engine, rows, sets, moments, reached, tuple(custom.values()), warnings, scenarios, note
     )
 
 
@@ -243,10 +253,12 @@ def _custom_controllers(flights: Sequence[_Flight]) -> dict[str, Source]:
     return sources
 
 
-def _pin_controller(flight: _Flight, sources: dict[str, Source]) -> Scenario:
-    """Return the scenario with the hash of its controller: another file than that is refused by whoever flies it."""
-    source = sources.get(flight.controller)
-    return flight.scenario if source is None else flight.scenario.replace(controller_sha256=source.sha256)
+def _finish(flight: _Flight, sources: dict[str, Source], draw: EngineDraw | None) -> Scenario:
+    """Return the scenario with its engine drawn and its controller's hash: another file is refused by who flies it."""
+    case, start, controller, scenario = flight
+    scenario = draw_engine(scenario, draw, f"{case.kind} {case.place} {start}")
+    source = sources.get(controller)
+    return scenario if source is None else scenario.replace(controller_sha256=source.sha256)
 
 
 def scenario_of(subject: Subject, case: Case, start: str, controller: str, step: float | None = None) -> Scenario:
@@ -290,9 +302,9 @@ def _fly(flight: _Flight) -> Row:
     )
 
 
-def _scan(task: tuple[Subject, str, str, str]) -> Limit:
-    """Fly along a grid until the vehicle is lost; the fault is jet 1's."""
-    subject, quantity, start, controller = task
+def _scan(task: tuple[Subject, str, str, str, EngineDraw | None]) -> Limit:
+    """Fly along a grid until the vehicle is lost; the fault is jet 1's, the engine the same all along."""
+    subject, quantity, start, controller, draw = task
     passed: dict[Verdict, list[float]] = {Verdict.HELD: [], Verdict.AIRBORNE: []}
     lost_at = None
     for value in SCANS[quantity]:
@@ -300,7 +312,7 @@ def _scan(task: tuple[Subject, str, str, str]) -> Limit:
         scenario = scenario_of(subject, Case("", "", kind | {"jet": 1}), start, controller)
         if quantity != LOSS:
             scenario = scenario.replace(vehicle=merge(scenario.vehicle, {"control": {"monitor": {"confirm_s": value}}}))
-        run = fly(scenario)
+        run = fly(draw_engine(scenario, draw, f"{quantity} {start}"))
         verdict = judge_outcome(run.outcome, run.log, scenario.step_s)
         if verdict is Verdict.LOST:
             lost_at = value

@@ -12,6 +12,8 @@ import numpy as np
 from cosim.base.errors import InputError
 from cosim.base.outcomes import Verdict
 from cosim.base.signals import AXES
+from cosim.campaign.study.engine_draw import EngineDraw
+from cosim.campaign.study.keys import with_values
 from cosim.campaign.workers.tasks import run_in_order
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import load_engine
@@ -53,6 +55,11 @@ def load_subject(aircraft: str, engine: str | None = None) -> Subject:
     aircraft = aircraft_seen_from(aircraft, Path())
     vehicle, _ = load_vehicle(aircraft)
     return Subject(aircraft, vehicle, engine or engine_of(aircraft) or Scenario.model_fields["engine"].default)
+
+
+def draw_engine(scenario: Scenario, draw: EngineDraw | None, name: str) -> Scenario:
+    """Return a flight with its engine drawn under this name; without draws as it is."""
+    return scenario if draw is None else with_values(scenario, draw.named(name))
 
 
 def select_cases(cases: Sequence[T], kinds: Sequence[str], subject: str, name_of: Callable[[T], str]) -> list[T]:

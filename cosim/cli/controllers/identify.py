@@ -224,14 +224,14 @@ def print_channels(log: FlightLog) -> None:
 
 def print_from_log(identified: LogIdentification, paths: dict[str, Path]) -> None:
     """Print the forms side by side, what is to be said of them, and where the files are."""
-    from cosim.identify.prediction_error.result import rows, summary
+    from cosim.identify.prediction_error.result import rows, summary, why_no_engine
 
     say(summary(identified))
     _show_side_by_side([estimate.form.label for estimate in identified.estimates], rows(identified))
     for note in identified.notes:
         say(f"note: {note}")
-    if identified.engine and "engine" not in paths:
-        say(f"no engine: the output is in {identified.signals.output_unit}, and an engine's is a thrust in N")
+    if identified.engine and (reason := why_no_engine(identified)):
+        say(f"no engine: {reason}")
     for name in ("model", "engine", "report"):
         if name in paths:
             say(f"{name}: {paths[name]}", wrap=False)

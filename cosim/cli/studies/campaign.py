@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -33,13 +34,19 @@ class CampaignOptions(opt.Output):
     cluster: str | None
     time_limit: float | None
     resume: bool
+    engine: str | None
+    nominal_engine: bool
 
     def study_settings(self) -> list[str]:
-        """Return the settings of the study, with aircraft and blocks of the user's."""
-        return [*aircraft_settings(self.aircraft), *self.settings, *plugin_settings(self.metrics, self.wind)]
+        """Return the settings of the study, with aircraft, engine and blocks of the user's."""
+        from cosim.spec.vehicle import file_seen_from
+
+        engine = [f"engine={json.dumps(file_seen_from(self.engine, Path()))}"] if self.engine else []
+        return [*aircraft_settings(self.aircraft), *engine, *self.settings, *plugin_settings(self.metrics, self.wind)]
 
 
 _AIRCRAFT = opt.word("--aircraft", "NAME|DIR", "Overrides the scenario's, with the engine that it is made for.")
+_ENGINE = opt.word("--engine", "NAME|FILE", "Overrides the scenario's; drawn by its [uncertainty], where it has one.")
 _METRICS = opt.words("--metric", "NAME", "One of yours, as in hexjet fly.")
 _WIND = opt.word("--wind", "NAME|FILE.csv", "Yours, as in hexjet fly.")
 _WORKERS = opt.whole("--workers", "N", "Processes.  [default: one a processor]", min=1)
@@ -61,7 +68,8 @@ class Sweep(CampaignOptions):
     design = opt.word("--design", "NAME", "grid, latin-hypercube, random or sobol.")
     controllers = opt.words("--controller", "NAME|FILE", "Each draw is flown with every one.")
     correlate = opt.words("--correlate", "KEY,KEY=R", "Rank correlation of what is drawn for two keys.")
-    aircraft, settings, metrics, wind = _AIRCRAFT, opt.SETTINGS, _METRICS, _WIND
+    aircraft, engine, nominal_engine = _AIRCRAFT, _ENGINE, opt.NOMINAL_ENGINE
+    settings, metrics, wind = opt.SETTINGS, _METRICS, _WIND
     success = opt.words("--success", "METRIC<=X", "What a completed flight must keep to count.")
     seed = opt.whole("--seed", None, "Of the draws.")
     until = opt.word(
@@ -98,7 +106,8 @@ def sweep(options: Sweep) -> int:
     settings = options.study_settings()
     if options.keys is not None:
         return _list_keys(settings, options.keys, options)
-    varied = options.chosen("vary", "runs", "repeats", "design", "controllers", "correlate", "success", "seed", "until")
+    drawn = ("vary", "runs", "repeats", "design", "controllers", "correlate", "success", "seed", "until")
+    varied = options.chosen(*drawn, "nominal_engine")
     study, folder = resolve_campaign(options.name, options.out, options.resume, settings=settings, **varied)
     notes = (*study.notes(), *design_warnings(study), *model_notes(study)) if study is not None else ()
     with output_to_stderr(options.as_json), sweep_progress(folder, quiet=options.as_json) as tell:
@@ -147,7 +156,8 @@ class Search(CampaignOptions):
     )
     success = opt.words("--success", "METRIC<=X", "What a completed flight must keep too.")
     budget = opt.whole("--budget", None, "Flights for keys together.", min=1, default=1000)
-    aircraft, settings, metrics, wind = _AIRCRAFT, opt.SETTINGS, _METRICS, _WIND
+    aircraft, engine, nominal_engine = _AIRCRAFT, _ENGINE, opt.NOMINAL_ENGINE
+    settings, metrics, wind = opt.SETTINGS, _METRICS, _WIND
     seed = opt.whole("--seed", None, "Of the first flight of a point.  [default: the scenario's]")
     workers = _WORKERS
     cluster = opt.word("--cluster", "ADDRESS|local", "As in hexjet sweep.")
@@ -168,8 +178,10 @@ def search(options: Search) -> int:
     from cosim.campaign.run import choose_workers
     from cosim.campaign.search.folder import resolve_search, run_search
 
-    searching = ("vary", "over", "controllers", "tolerance", "seeds", "share", "success", "budget", "seed")
-    study, plan = resolve_search(options.name, settings=options.study_settings(), **options.chosen(*searching))
+    searching = options.chosen(
+        "vary", "over", "controllers", "tolerance", "seeds", "share", "success", "budget", "seed", "nominal_engine"
+    )
+    study, plan = resolve_search(options.name, settings=options.study_settings(), **searching)
     if options.resume and options.out is None:
         raise InputError("--resume: give the folder of the search with --out")
     folder = options.run_folder(f"search-{study.name}")
@@ -273,7 +285,8 @@ def print_search(searched: SavedSearch) -> None:
     result = searched.result
     base = result.study.base()
     say(f"{base.name}: {base.aircraft_name}, engine {base.engine}; {result.flights} flights")
-    say(result.criterion, wrap=False)
+    for text in (result.criterion, *([result.engine_note] if result.engine_note else [])):
+        say(text, wrap=False)
     show_table(*edges(result), plain=True, pad_edge=False)
     for line in [*joint_lines(result), *map(describe_resolution, result.plan.spans)]:
         say(line, wrap=False)

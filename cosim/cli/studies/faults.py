@@ -47,6 +47,7 @@ class Faults(opt.Output):
         exists=True,
         file_okay=False,
     )
+    nominal_engine = opt.NOMINAL_ENGINE
     workers: int = opt.WORKERS
     out = opt.OUT
     as_json = opt.JSON
@@ -78,7 +79,10 @@ def faults(options: Faults) -> int:
     limits = options.limits or page is not None
     with output_to_stderr(options.as_json), part_progress("faults", quiet=options.as_json) as tell:
         named = [seen_from(controller, Path()) for controller in options.controllers]
-        result = survival(options.aircraft, options.engine, named, options.kinds, options.workers, tell, limits)
+        result = survival(
+            options.aircraft, options.engine, named, options.kinds, options.workers, tell, limits,
+            options.nominal_engine,
+        )  # fmt: skip
     paths = write(result, options.run_folder(f"faults-{result.aircraft}"))
     for text in result.warnings:
         click.echo(f"hexjet: warning: {text}", err=True)
@@ -91,7 +95,9 @@ def faults(options: Faults) -> int:
 def _engine_out(options: Faults) -> int:
     from cosim.campaign.surveys.engine_out import check_pages, engine_out, write, write_pages
 
-    allowed = ("aircraft", "engine", "engine_out", "designs", "docs", "workers", "out", "as_json")
+    allowed = (
+        "aircraft", "engine", "engine_out", "designs", "docs", "nominal_engine", "workers", "out", "as_json",
+    )  # fmt: skip
     refuse_others("does not go with --engine-out", *allowed)
     aircraft = (options.aircraft,) if is_given("aircraft") else ()
     engines = (options.engine,) if options.engine else ()
@@ -101,7 +107,8 @@ def _engine_out(options: Faults) -> int:
             raise InputError("--docs: the pages hold every aircraft and engine; leave out --aircraft and --engine")
         check_pages(docs)
     with output_to_stderr(options.as_json), part_progress("engine out", quiet=options.as_json) as tell:
-        result = engine_out(aircraft, engines, options.designs or folder / "designs", options.workers, tell)
+        designs = options.designs or folder / "designs"
+        result = engine_out(aircraft, engines, designs, options.workers, tell, options.nominal_engine)
     path = write(result, folder)
     pages = write_pages(result, docs) if docs is not None else []
     options.answer(result.to_dict, lambda: print_engine_out(result, [path, *pages]))
@@ -138,6 +145,7 @@ class FailsafeOptions(opt.Output):
     )
     seed = opt.whole("--seed", None, "Of the moments and the noise.", min=0, default=0)
     airborne = opt.flag("--airborne", "Begin in the air, trimmed, from every height in every wind once.")
+    nominal_engine = opt.NOMINAL_ENGINE
     moving: float = opt.option(
         "--moving",
         type=float,
@@ -180,8 +188,9 @@ def failsafes(options: FailsafeOptions) -> int:
             raise InputError("--page: the page has flights after a take-off; leave out --airborne")
         check_marks(page, [mark(aircraft_name(name)) for name in aircraft])
     conditions = Conditions(
-        options.heights, options.winds or WINDS_M_S, options.moving, options.flights, options.airborne, options.seed
-    )
+        options.heights, options.winds or WINDS_M_S, options.moving, options.flights, options.airborne, options.seed,
+        options.nominal_engine,
+    )  # fmt: skip
     results: list[Failsafes] = []
     folder: Path | None = None
     with output_to_stderr(options.as_json), part_progress("failsafes", quiet=options.as_json) as tell:
@@ -214,6 +223,8 @@ def print_survival(result: Survival, report: Path) -> None:
         rows.append((kind, start, *columns, f"{min(times):.3f} to {max(times):.3f}" if times else "-"))
     titles = ("fault", "from", *map(label, controllers), "detected, s")
     show_table(titles, rows, range(2, len(titles)))
+    if result.engine_note:
+        say(result.engine_note, wrap=False)
     say("held at so many of the places where it can happen; the largest lean and the most height lost there")
     for name in result.unmonitored_controllers:
         say(f"no engine monitor with {name}: a whole controller sees to lost engines itself")
@@ -249,8 +260,8 @@ def print_engine_out(result: EngineOut, paths: Sequence[Path]) -> None:
         "and while it does not spin no tilts either, told of it at once; the second table: the bound for throttles "
         "alone with one thing changed, and when the opposite engine has to be shut off for a bound at the limit"
     )
-    for path in paths:
-        say(str(path), wrap=False)
+    for text in (*result.engine_notes, *map(str, paths)):
+        say(text, wrap=False)
 
 
 def print_failsafes(result: Failsafes, table: Path) -> None:
@@ -275,4 +286,6 @@ def print_failsafes(result: Failsafes, table: Path) -> None:
         f"{'heights' if result.airborne else 'flights of a cell'}; a leg that touches faster than "
         f"{result.limit_m_s:.2f} m/s counts as a crash; faster than {result.trip_m_s:.2f} m/s sideways it has slid"
     )
+    if result.engine_note:
+        say(result.engine_note, wrap=False)
     say(f"every flight: {table}", wrap=False)

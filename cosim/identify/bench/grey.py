@@ -15,6 +15,7 @@ from cosim.engine.fmu.variables import Variable
 from cosim.identify.bench.evidence import Misfit, first_half, test_residuals
 from cosim.identify.bench.fit import Part, Problem, invert, memory_rows, robust_factor
 from cosim.identify.bench.record import BenchRecord
+from cosim.identify.engine_file import DEVIATIONS_95
 
 STEP_S = 0.004  # of the simulation, in which a command is the mean of what it is
 UNIT_DELAY_S = 0.1  # of the delay among parameters that are all near 1
@@ -23,7 +24,6 @@ RPM = 60.0 / (2.0 * np.pi)
 LEVELS = 41  # at which the engine's speed at rest is taken
 FINE = 1e-4  # of a parameter, to see what it does
 ROUNDS = 2  # of fit and memory of the noise in turn
-DEVIATIONS_95 = 1.96
 POOR_PREDICTION = 1.5
 HORIZON_S = 3.0  # for which the output counts as on its way after a movement
 

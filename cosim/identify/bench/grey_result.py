@@ -10,7 +10,8 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.identify.bench.fit import Part
-from cosim.identify.bench.grey import DEVIATIONS_95, STEP_S, GreyIdentification
+from cosim.identify.bench.grey import STEP_S, GreyIdentification
+from cosim.identify.engine_file import DEVIATIONS_95, uncertainty_table
 from cosim.identify.files import write_identification
 from cosim.results.report.page import render
 from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, Figure, beneath, panels, trace
@@ -58,19 +59,14 @@ def engine_table(result: GreyIdentification) -> dict[str, object]:
         parameters[DELAY] = round(float(result.values[0]) / step)
         names, deviations, keep = [DELAY, *names], [result.deviations[0] / step, *deviations], [0, *keep]
     covariance = result.covariance[np.ix_(keep, keep)]
-    size = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)), 1e-300)
-    correlation = np.tril(np.round(np.clip(covariance / np.outer(size, size), -1.0, 1.0), 4), -1)
     logs = ", ".join(record.path.name for record in result.records)
     return table | {
         "fmu": f"engine{spec.archive.path.suffix}",
         "title": f"{spec.title}, fitted to {logs}",
         "parameters": parameters,
-        "uncertainty": {
-            "source": f"{logs}: {', '.join(result.names)} of {result.choices.engine}",
-            "parameters": names,
-            "deviation": [float(f"{value:.6g}") for value in deviations],
-            "correlation": (correlation + correlation.T + np.eye(len(names))).tolist(),
-        },
+        "uncertainty": uncertainty_table(
+            f"{logs}: {', '.join(result.names)} of {result.choices.engine}", names, covariance, np.array(deviations)
+        ),
     }
 
 

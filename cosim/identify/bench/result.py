@@ -13,13 +13,18 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import toml_text
 from cosim.identify.bench.fit import Estimate
 from cosim.identify.bench.identify import BenchIdentification
+from cosim.identify.engine_file import (
+    DEVIATIONS_95,
+    FITTED,
+    FITTED_STEP_S,
+    LARGEST_SAMPLES,
+    engine_readme,
+    uncertainty_table,
+)
 from cosim.identify.files import write_identification
 from cosim.results.report.page import render
 from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, beneath, panels, trace
 
-ENGINE, ENGINE_STEP_S = "fitted", 0.004  # the library's engine that is filled in, and its internal step
-DEVIATIONS_95 = 1.96
-LARGEST_SAMPLES = 1000  # of that engine's delay
 TEMPLATE = Path(__file__).parent / "templates" / "bench.html"
 MOST_POINTS = 4000  # a curve
 
@@ -35,8 +40,8 @@ def why_no_engine(result: BenchIdentification) -> str:
         return "the model does not explain the log"
     if not result.chosen.gain > 0.0:
         return "the thrust falls where the throttle rises"
-    if result.chosen.delay > LARGEST_SAMPLES * ENGINE_STEP_S:
-        return f"its delay is longer than {LARGEST_SAMPLES * ENGINE_STEP_S:g} s"
+    if result.chosen.delay > LARGEST_SAMPLES * FITTED_STEP_S:
+        return f"its delay is longer than {LARGEST_SAMPLES * FITTED_STEP_S:g} s"
     return ""
 
 
@@ -51,7 +56,7 @@ def write(result: BenchIdentification, folder: Path) -> dict[str, Path]:
     if not no_engine:
         paths |= {"engine": folder / "engine.toml", "readme": folder / "README.md"}
         texts |= {paths["engine"]: toml_text(engine_table(result)), paths["readme"]: readme(result)}
-    archive = None if no_engine else data_folder("fmus") / f"{ENGINE}.fmu"
+    archive = None if no_engine else data_folder("fmus") / f"{FITTED}.fmu"
     write_identification(folder, texts, archive, remove_engine=True)
     paths["report"] = folder / "report.html"
     render(
@@ -76,7 +81,7 @@ def engine_table(result: BenchIdentification) -> dict[str, object]:
         "gain": unit * chosen.gain,
         "offset": unit * result.offset,
         "lag": lag,
-        "delay_samples": round(chosen.delay / ENGINE_STEP_S),
+        "delay_samples": round(chosen.delay / FITTED_STEP_S),
     }
     parameters |= {"lag_2": ratio * lag} if chosen.form.lags == 2 else {}
     parameters |= {"exponent": exponent} if chosen.form.curve else {}
@@ -94,7 +99,7 @@ def uncertainty(result: BenchIdentification) -> dict[str, object]:
     The delay's deviation is that of its bounds, and of the row within which a held command moved.
     """
     chosen, unit = result.chosen, result.records[0].newtons or 1.0
-    names, slope = ["delay_samples", "lag"], [np.eye(1, len(chosen.covariance), 0)[0] / ENGINE_STEP_S]
+    names, slope = ["delay_samples", "lag"], [np.eye(1, len(chosen.covariance), 0)[0] / FITTED_STEP_S]
     slope.append(np.eye(1, len(chosen.covariance), 1)[0])
     if chosen.form.lags == 2:
         names.append("lag_2")
@@ -111,16 +116,8 @@ def uncertainty(result: BenchIdentification) -> dict[str, object]:
     matrix = np.array(slope)
     covariance = matrix @ chosen.covariance @ matrix.T
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    size = np.where(deviation > 0.0, deviation, 1.0)
-    correlation = np.round(np.clip(covariance / np.outer(size, size), -1.0, 1.0), 4)
-    correlation = np.tril(correlation, -1) + np.tril(correlation, -1).T + np.eye(len(names))
     deviation[0] = max(deviation[0], _delay_deviation(result))
-    table: dict[str, object] = {
-        "source": _describe_logs(result),
-        "parameters": names,
-        "deviation": [float(f"{value:.6g}") for value in deviation],
-        "correlation": correlation.tolist(),
-    }
+    table = uncertainty_table(_describe_logs(result), names, covariance, deviation)
     if result.spread:
         table["spread"] = [_spread_of(result, name) for name in names]
     return table
@@ -130,7 +127,7 @@ def _delay_deviation(result: BenchIdentification) -> float:
     """Return the deviation of the delay in the engine's steps, of its bounds and of the command's row."""
     low, high = result.chosen.delay_bounds
     row = max(float(np.median(np.diff(record.command_times))) for record in result.records)
-    return float(np.hypot((high - low) / (2.0 * DEVIATIONS_95), row / np.sqrt(12.0)) / ENGINE_STEP_S)
+    return float(np.hypot((high - low) / (2.0 * DEVIATIONS_95), row / np.sqrt(12.0)) / FITTED_STEP_S)
 
 
 def _spread_of(result: BenchIdentification, name: str) -> float:
@@ -138,7 +135,7 @@ def _spread_of(result: BenchIdentification, name: str) -> float:
     known = result.spread
     lag, ratio = float(result.chosen.x[1]), result.chosen.form.split(result.chosen.x)[2]
     values = {
-        "delay_samples": known["delay_s"] / ENGINE_STEP_S,
+        "delay_samples": known["delay_s"] / FITTED_STEP_S,
         "lag": known["lag_s"],
         "lag_2": float(np.hypot(ratio * known["lag_s"], lag * known.get("ratio", 0.0))),
         "exponent": known.get("exponent", 0.0),
@@ -160,18 +157,15 @@ def readme(result: BenchIdentification) -> str:
     first = result.records[0]
     low = min(float(record.command.min()) for record in result.records)
     high = max(float(record.command.max()) for record in result.records)
-    table = "\n".join(f"| {row[0]} | {row[1]} |" for row in rows(result))
-    lines = [
-        "# Engine from a bench log",
-        f"**Source.** {summary(result)} `hexjet identify bench`; the engine is the library's `{ENGINE}`.",
-        f"| with 95 % bounds | |\n| --- | --- |\n{table}",
-        f"**Validity.** {first.command_name} from {low:.4g} to {high:.4g}, with throttle 0 at {result.limits[0]:g} and "
-        f"1 at {result.limits[1]:g}; nothing was seen outside, nor in other air, nor with air speed.",
-        f"**Residuals.** {result.residual_rms:.3g} {first.output_unit} (rms); they "
-        + ("no longer follow the command." if result.is_explained else "still follow the command."),
-        "**Not told by the log**\n\n" + "\n".join(f"- {line}" for line in result.untold or ("nothing that was asked",)),
-    ]
-    return "\n\n".join(lines) + "\n"
+    return engine_readme(
+        "bench log",
+        rows(result),
+        f"{summary(result)} `hexjet identify bench`",
+        f"{first.command_name} from {low:.4g} to {high:.4g}, with throttle 0 at {result.limits[0]:g} and "
+        f"1 at {result.limits[1]:g}",
+        f"{result.residual_rms:.3g} {first.output_unit} (rms); they no longer follow the command.",
+        result.untold,
+    )
 
 
 def summary(result: BenchIdentification) -> str:

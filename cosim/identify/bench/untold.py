@@ -8,8 +8,8 @@ import numpy as np
 
 from cosim.identify.bench.fit import Estimate
 from cosim.identify.bench.record import BenchRecord, find_levels
+from cosim.identify.engine_file import DEVIATIONS_95
 
-DEVIATIONS_95 = 1.96
 SETTLED = 3.0  # delay and lags, for which a hold has to last before its level is told
 SUGGESTED = 5.0  # and which are asked for
 FINE = 5.0  # rows that a lag should have

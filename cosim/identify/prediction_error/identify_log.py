@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import NotIdentifiedError
+from cosim.identify.engine_file import DEVIATIONS_95
 from cosim.identify.logs import Channel, FlightLog, LogSignals
 from cosim.identify.prediction_error.confidence import identify, robust, with_delay_bounds
 from cosim.identify.prediction_error.estimate import SEPARATE, Estimate, Form
@@ -28,7 +29,6 @@ SMALL_MISFIT = 1e-3  # of what the command explains: less left over is little, h
 FED_BACK = 0.25  # of what the command explains: if more than that follows it, it is no misfit; chosen by us
 ENOUGH = 0.2  # of what is left over, that the command explains in flights whose delay comes out (docs/logs.py)
 NOISELESS = 1e-6  # of the output's standard deviation: residuals below it are rounding, and no test says anything
-DEVIATIONS_95 = 1.96  # standard deviations of a 95 % bound
 SIGNIFICANCE = 1e-3  # p-value below which a test is said to have failed
 TEST_LAGS = 12  # of the set-point and of the command, that the residuals are tested against
 TEST_S = 0.6  # over which they are spread

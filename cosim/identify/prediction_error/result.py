@@ -10,13 +10,21 @@ import numpy as np
 
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import toml_text
+from cosim.identify.engine_file import (
+    DEVIATIONS_95,
+    FITTED,
+    FITTED_STEP_S,
+    LARGEST_SAMPLES,
+    engine_readme,
+    uncertainty_table,
+)
 from cosim.identify.files import write_identification
 from cosim.identify.prediction_error.estimate import Estimate
-from cosim.identify.prediction_error.identify_log import DEVIATIONS_95, LogIdentification, information
+from cosim.identify.prediction_error.identify_log import LogIdentification, information
 from cosim.results.report.page import render
 from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, beneath, panels, trace
 
-ENGINE, ENGINE_STEP_S = "turbojet", 0.004  # the library's first-order engine, and its internal step
+THROTTLE = (-0.01, 1.05)  # that a log's command may have, to be taken for an engine's
 TEMPLATE = Path(__file__).parent / "templates" / "logged.html"
 _MOST = 4000  # points a curve
 
@@ -33,10 +41,11 @@ def write(result: LogIdentification, folder: Path, step: float, family: str) -> 
         paths["model"] = folder / "model.toml"
         table = {"identified": {family: {result.what: result.rate_model(step).model_dump()}}}
         texts[paths["model"]] = toml_text(table)
-    if result.engine and result.signals.output_unit == "N":
-        paths["engine"], archive = folder / "engine.toml", data_folder("fmus") / f"{ENGINE}.fmu"
-        texts[paths["engine"]] = toml_text(engine_table(result))
-    write_identification(folder, texts, archive)
+    elif not why_no_engine(result):
+        paths |= {"engine": folder / "engine.toml", "readme": folder / "README.md"}
+        archive = data_folder("fmus") / f"{FITTED}.fmu"
+        texts |= {paths["engine"]: toml_text(engine_table(result)), paths["readme"]: readme(result)}
+    write_identification(folder, texts, archive, remove_engine=True)
     paths["report"] = folder / "report.html"
     render(
         TEMPLATE,
@@ -50,26 +59,70 @@ def write(result: LogIdentification, folder: Path, step: float, family: str) -> 
     return paths
 
 
-def engine_table(result: LogIdentification) -> dict[str, object]:
-    """Return a mapping file's table: the library's first-order engine (a lag behind a whole delay) as identified.
+def why_no_engine(result: LogIdentification) -> str:
+    """Return why an engine's log leaves no engine, or an empty string where it leaves one."""
+    unit, (low, high) = result.signals.output_unit, _command_range(result)
+    if unit != "N":
+        return f"the output is in {unit or 'no unit'}, and an engine's is a thrust in N"
+    if low < THROTTLE[0] or high > THROTTLE[1]:
+        return (
+            f"{result.signals.command} goes from {low:.4g} to {high:.4g}, and an engine's throttle from 0 to 1: "
+            "hexjet identify bench --range LOW HIGH"
+        )
+    return "" if result.chosen.gain > 0.0 else "the thrust falls where the throttle rises"
 
-    Its internal step is 4 ms, which the delay is rounded to; the shorter lag of two is added to the delay, which is
-    what low frequencies see of it.
+
+def _command_range(result: LogIdentification) -> tuple[float, float]:
+    commands = [stretch.command for stretch in result.problem.stretches]
+    return min(float(each.min()) for each in commands), max(float(each.max()) for each in commands)
+
+
+def engine_table(result: LogIdentification) -> dict[str, object]:
+    """Return a mapping file's table: the library's engine ``fitted`` as identified, with ``[uncertainty]``.
+
+    Its internal step is 4 ms, which the delay is rounded to; lags beyond the two slowest are added to the delay, which
+    is what low frequencies see of them.  The delay's deviation is that of its bounds.
     """
-    step = ENGINE_STEP_S
-    x = result.chosen.x
-    *shorter, slowest = sorted([1.0 / float(x[0]), *map(float, x[1:-1])])
-    delay, pole = float(x[-1]) + sum(shorter), float(np.exp(-step / slowest))
+    x, size = result.chosen.x, len(result.chosen.covariance)
+    lags = [1.0 / float(x[0]), *map(float, x[1:-1])]
+    by_parameter = np.eye(size)
+    slopes = [by_parameter[0] * -(lags[0] ** 2), *by_parameter[1 : len(lags)]]
+    order = np.argsort(lags)[::-1]
+    delay = float(x[-1]) + sum(lags[n] for n in order[2:])
+    values = {
+        "delay_samples": (delay, sum((slopes[n] for n in order[2:]), by_parameter[len(x) - 1])),
+        **{name: (lags[n], slopes[n]) for name, n in zip(("lag", "lag_2"), order, strict=False)},
+        "gain": (result.chosen.gain, by_parameter[len(x)]),
+    }
+    matrix = np.array([slope for _, slope in values.values()])
+    matrix[0] /= FITTED_STEP_S
+    covariance = matrix @ result.chosen.covariance @ matrix.T
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    low, high = result.delay_bounds
+    if np.isfinite(low):
+        deviation[0] = max(deviation[0], (high - low) / (2.0 * DEVIATIONS_95) / FITTED_STEP_S)
+    samples = min(round(delay / FITTED_STEP_S), LARGEST_SAMPLES)
+    known = uncertainty_table(summary(result), list(values), covariance, deviation)
     return {
         "fmu": "engine.fmu",
         "title": f"Engine identified from {result.path.name}",
-        "parameters": {
-            "gain": result.chosen.gain * (1.0 - pole),
-            "pole": pole,
-            "delay_samples": round(delay / step),
-            "newton_per_unit": 1.0,
-        },
+        "parameters": {name: value for name, (value, _) in values.items()} | {"delay_samples": samples},
+        **({"uncertainty": known} if deviation.any() else {}),
     }
+
+
+def readme(result: LogIdentification) -> str:
+    """Return the page of the engine in Markdown."""
+    low, high = _command_range(result)
+    white, use = result.problem.residuals(result.chosen)
+    return engine_readme(
+        "log",
+        rows(result),
+        f"{summary(result)}. `hexjet identify log`",
+        f"{result.signals.command} from {low:.4g} to {high:.4g}",
+        f"{float(np.sqrt(np.mean(white[use] ** 2))):.3g} {result.signals.output_unit} (rms, made white).",
+        result.notes,
+    )
 
 
 def summary(result: LogIdentification) -> str:

@@ -13,6 +13,10 @@ from cosim.campaign.run import fly_again, run_campaign
 from cosim.campaign.store import Campaign
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study
+from cosim.campaign.surveys.failsafes import Conditions, failsafes
+from cosim.campaign.surveys.faults import survival
+
+DESIGN = str(Path(__file__).parents[2] / "designs" / "edf.toml")
 
 
 def study(file: Path, runs: int, duration: float) -> Study:
@@ -56,3 +60,24 @@ def test_the_same_flights_on_any_number_of_workers_resumed_and_again(tmp_path: P
     assert len({row["mismatch.stations.3.gain"] for row in rows(alone)}) == 4
     again = fly_again(alone, 2, tmp_path / "again")
     assert again.same
+
+
+def test_surveys_draw_the_engine_for_each_case_the_same_for_every_controller(tmp_path: Path) -> None:
+    file = str(fan(tmp_path, [3.0, 0.006, 0.02], [1.0, 0.002, 0.01]))
+    chosen: dict[str, Any] = {"controllers": ("baseline", DESIGN), "kinds": ("none", "gyro bias"), "workers": 1}
+    drawn = survival("hexjet", file, **chosen)
+    assert drawn.engine_note.startswith("the engine of each flight is drawn by the engine's [uncertainty]")
+    assert "; --nominal-engine flies it as it is stated" in drawn.to_dict()["engine_note"]
+    engines = [tuple(scenario.mismatch.engine_parameters.values()) for scenario in drawn.scenarios]
+    assert engines[::2] == engines[1::2]
+    assert len(set(engines)) == len(engines) / 2 == 4
+    assert all(len(scenario.mismatch.stations) == 6 for scenario in drawn.scenarios)
+    part = survival("hexjet", file, **chosen | {"kinds": ("gyro bias",)})
+    assert part.rows == [row for row in drawn.rows if row.kind.startswith("gyro bias")]
+    nominal = survival("hexjet", file, **chosen | {"kinds": ("none",)}, nominal_engine=True)
+    assert "is not drawn" in nominal.engine_note
+    assert not nominal.scenarios[0].mismatch.engine_parameters
+    conditions = Conditions((3.0,), (0.0,), airborne=True)
+    (survey,) = failsafes(["hexjet"], file, "baseline", ["barometer"], conditions, workers=1)
+    assert survey.to_dict()["engine_note"] == drawn.engine_note
+    assert survey.flights[0].scenario.mismatch.engine_parameters

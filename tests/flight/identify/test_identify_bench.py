@@ -170,7 +170,20 @@ def test_channels_that_are_given_leave_an_engine_where_the_output_is_a_thrust(he
     assert done.status == 0
     assert "engine: " in done.out
     table = tomllib.loads((tmp_path / "mine" / "engine.toml").read_text(encoding="utf-8"))
-    assert table["parameters"]["pole"] == pytest.approx(np.exp(-0.004 / 0.4), abs=2e-4)
+    assert table["parameters"]["lag"] == pytest.approx(0.4, rel=0.02)
+    known = dict(zip(table["uncertainty"]["parameters"], table["uncertainty"]["deviation"], strict=True))
+    assert list(known) == ["delay_samples", "lag", "gain"]
+    told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
+    best, (low, high) = told["estimates"][0], told["delay_bounds_95_s"]
+    assert known["lag"] == pytest.approx(best["standard_deviations"]["rate_1_s"] / best["rate_1_s"] ** 2, rel=1e-4)
+    assert known["gain"] == pytest.approx(best["standard_deviations"]["gain"], rel=1e-4)
+    assert known["delay_samples"] >= (high - low) / (2.0 * 1.96 * 0.004) * 0.999
+    assert load_engine(str(tmp_path / "mine" / "engine.toml"), {}, 0.004).uncertainty is not None
+    assert "hexjet identify log" in (tmp_path / "mine" / "README.md").read_text(encoding="utf-8")
+    write(tmp_path / "bench.csv", 100.0 * command, thrust, times, "t_ms,throttle,thrust_N")
+    done = hexjet("identify", "log", "bench.csv", *given, "--output", "thrust_N", "--out", "mine")
+    assert "an engine's throttle from 0 to 1: hexjet identify bench --range" in " ".join(done.out.split())
+    assert not (tmp_path / "mine" / "engine.toml").exists()
     write(tmp_path / "bench.csv", command, thrust, times, "t_ms,throttle,speed_rpm")
     done = hexjet("identify", "log", "bench.csv", *given, "--output", "speed_rpm", "--out", "none")
     assert "no engine: the output is in rpm, and an engine's is a thrust in N" in " ".join(done.out.split())

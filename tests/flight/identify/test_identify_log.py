@@ -248,17 +248,17 @@ def test_what_is_wrong_with_a_log_is_said(logs: list[Log]) -> None:
 
 @pytest.mark.long
 def test_an_engines_log_becomes_an_engine(hexjet: Hexjet, tmp_path: Path) -> None:
-    """The thrust of the engine that is written rests at the gain, and its pole is that of the truth."""
+    """The thrust of the engine that is written rests at the gain, and its lag is that of the truth."""
     truth = Truth(gain=46.03, rate=1.0 / 0.3286, lags=())
     (log,) = closed_loops(1, 10.0, truth=truth, flaws=Flaws(0.01, 0.0, lost=0.0), size=0.0, sweep=0.2, loop=False)
-    rows = np.column_stack([log.times, log.command, log.output])
+    rows = np.column_stack([log.times, 0.5 + log.command, 0.5 * truth.gain / truth.rate + log.output])
     np.savetxt(tmp_path / "bench.csv", rows, delimiter=",", header="t,throttle_1,thrust_1_N", comments="")
     done = hexjet("identify", "log", "bench.csv", "--engine", "1", "--lags", "0", "--out", "engine")
     assert done.status == 0
     stated = tomllib.loads((tmp_path / "engine" / "engine.toml").read_text(encoding="utf-8"))["parameters"]
     assert stated["delay_samples"] == 25
-    assert stated["pole"] == pytest.approx(np.exp(-truth.rate * 0.004), abs=2e-4)
-    assert stated["gain"] / (1.0 - stated["pole"]) == pytest.approx(truth.gain / truth.rate, rel=0.01)
+    assert stated["lag"] == pytest.approx(1.0 / truth.rate, rel=0.02)
+    assert stated["gain"] == pytest.approx(truth.gain / truth.rate, rel=0.01)
     flown = hexjet(
         "fly", "hover", "--set", "duration_s=0.1", "--engine", "engine/engine.toml", "--controller", "baseline"
     )

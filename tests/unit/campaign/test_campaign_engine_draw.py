@@ -12,10 +12,13 @@ from uncertain_engines import CORRELATION, NOMINAL, fan
 
 from cosim.base.errors import InputError
 from cosim.campaign.search.folder import resolve_search
-from cosim.campaign.study.draws import draws
+from cosim.campaign.search.probe import Prober
+from cosim.campaign.study.draws import draws, flight_seed
+from cosim.campaign.study.engine_draw import engine_draw
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights, scenario_of
 from cosim.campaign.study.study import Study
+from cosim.campaign.workers.local import LocalWorkers
 
 DEVIATION, SPREAD = [1.2, 0.006, 0.02], [0.0, 0.002, 0.01]
 RUNS = 6000
@@ -23,7 +26,7 @@ CUT = float(stats.truncnorm(-3.0, 3.0).std())  # 0.9866: what is left of a devia
 COMMON, STATION = "mismatch.engine_parameters.", "mismatch.stations."
 
 
-def study(file: Path, runs: int = RUNS, **options: Any) -> Study:
+def study(file: Path, runs: int | None = RUNS, **options: Any) -> Study:
     settings = [f"engine={file}", "controller=baseline", *options.pop("settings", [])]
     return open_study("roll-doublet", **({"vary": ["engine"], "settings": settings, "runs": runs} | options))
 
@@ -150,5 +153,75 @@ def test_what_cannot_be_drawn_is_one_line(tmp_path: Path, options: dict[str, Any
 
 
 def test_a_search_does_not_draw(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="is drawn, hexjet sweep does"):
+    with pytest.raises(InputError, match="is drawn with --seeds N, or by hexjet sweep"):
         resolve_search("hover", vary=["engine"], settings=[f"engine={fan(tmp_path, DEVIATION)}"])
+
+
+def keys(made: Study) -> list[str]:
+    return [vary.key for vary in made.vary]
+
+
+def test_an_uncertain_engine_is_drawn_by_default_and_said_so(tmp_path: Path) -> None:
+    file = fan(tmp_path, DEVIATION, SPREAD)
+    mass = ["vehicle.mass_kg=5:6"]
+    by_default = study(file, 5, vary=mass)
+    assert keys(by_default) == ["vehicle.mass_kg", "engine"]
+    assert by_default.notes()[-1] == (
+        "the engine of each flight is drawn by the engine's [uncertainty] (delay_samples, pole, gain, each engine by "
+        "itself too; source: bench.csv: 6 steps, 2 holds); --nominal-engine flies it as it is stated"
+    )
+    assert [draw.values for draw in draws(by_default)] == [draw.values for draw in draws(study(file, 5, vary=mass))]
+    nominal = study(file, 5, vary=mass, nominal_engine=True)
+    assert keys(nominal) == ["vehicle.mass_kg"]
+    assert "flies as it is stated" in nominal.notes()[-1]
+    assert Study.from_table(nominal.table(), Path(), "again").nominal_engine
+    assert keys(study(file, 5, vary=[])) == ["engine"]
+
+
+def test_what_is_stated_is_not_drawn_over(tmp_path: Path) -> None:
+    file = fan(tmp_path, DEVIATION, SPREAD)
+    pole = study(file, 5, vary=[f"{COMMON}pole=0.85:0.9"])
+    assert keys(pole) == [f"{COMMON}pole"]
+    assert pole.notes()[-1].endswith(f": {COMMON}pole is varied")
+    assert keys(study(file, None, vary=["engine=turbojet,edf"], settings=["controller=baseline"])) == ["engine"]
+    library = open_study("roll-doublet", vary=["vehicle.mass_kg=5:6"], runs=2)  # whose engine has no table
+    assert keys(library) == ["vehicle.mass_kg"]
+    assert not library.notes()
+
+
+def test_each_point_of_a_grid_has_an_engine_of_its_own(tmp_path: Path) -> None:
+    file = fan(tmp_path, DEVIATION, SPREAD)
+    grid = study(file, None, vary=["vehicle.mass_kg=5,6"], repeats=3)
+    assert (grid.design, grid.draws) == ("grid", 6)
+    drawn = columns(grid)
+    assert drawn["vehicle.mass_kg"].tolist() == [5.0, 6.0] * 3
+    assert len(set(drawn[f"{COMMON}gain"])) == 6
+    nominal = columns(study(file, None, vary=["vehicle.mass_kg=5,6"], repeats=3, nominal_engine=True))
+    assert drawn["vehicle.mass_kg"].tolist() == nominal["vehicle.mass_kg"].tolist()
+    assert [draw.seed for draw in draws(grid)] == [flight_seed(1, number) for number in range(6)]
+
+
+def test_a_search_draws_in_all_flights_of_a_point_but_the_first(tmp_path: Path) -> None:
+    file = fan(tmp_path, DEVIATION, SPREAD)
+    options: dict[str, Any] = {"settings": [f"engine={file}", "controller=baseline"], "seed": 5}
+    searched, plan = resolve_search("roll-doublet", vary=["mismatch.mass_factor=0.8:1.2"], seeds=3, **options)
+    assert plan.draws_engine
+    prober = Prober(searched, plan.seeds, 0.0, LocalWorkers(1), engine=engine_draw(searched.base()))
+    point = plan.point("baseline", {})
+    flown = [prober.flight(point, seed).values for seed in plan.seeds]
+    assert list(flown[0]) == ["mismatch.mass_factor"]
+    gains = [values[f"{COMMON}gain"] for values in flown[1:]]
+    assert len(set(gains)) == 2
+    assert [prober.flight(point, seed).values for seed in plan.seeds] == flown
+    for more in ({"nominal_engine": True}, {"seeds": 1}):
+        assert not resolve_search(
+            "roll-doublet", vary=["mismatch.mass_factor=0.8:1.2"], **({"seeds": 3} | options | more)
+        )[1].draws_engine
+
+
+def test_a_named_draw_is_the_same_everywhere(tmp_path: Path) -> None:
+    draw = engine_draw(study(fan(tmp_path, DEVIATION, SPREAD), 2).base())
+    assert draw.named("flame-out jet 1 hover") == draw.named("flame-out jet 1 hover")
+    values = np.array([draw.named(str(number))[f"{COMMON}gain"] for number in range(2000)])
+    assert np.mean(values) == pytest.approx(NOMINAL["gain"], abs=4.0 * 0.02 / np.sqrt(2000))
+    assert np.std(values) == pytest.approx(CUT * 0.02, rel=4.0 / np.sqrt(4000))

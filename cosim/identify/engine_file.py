@@ -1,0 +1,47 @@
+"""The engine that an identification leaves: its mapping file with ``[uncertainty]``, and its page in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from cosim.base.arrays import Array
+
+FITTED, FITTED_STEP_S = "fitted", 0.004  # the library's engine of a fitted form, and its internal step
+LARGEST_SAMPLES = 1000  # of its delay
+DEVIATIONS_95 = 1.96  # standard deviations of a 95 % bound
+
+
+def uncertainty_table(
+    source: str, names: Sequence[str], covariance: Array, deviation: Array | None = None
+) -> dict[str, object]:
+    """Return the table ``[uncertainty]`` of parameters with this covariance.
+
+    ``deviation``: standard deviations in place of the covariance's own, whose correlation is kept.
+    """
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    positive = np.where(size > 0.0, size, 1.0)
+    correlation = np.tril(np.round(np.clip(covariance / np.outer(positive, positive), -1.0, 1.0), 4), -1)
+    return {
+        "source": source,
+        "parameters": list(names),
+        "deviation": [float(f"{value:.6g}") for value in (size if deviation is None else deviation)],
+        "correlation": (correlation + correlation.T + np.eye(len(names))).tolist(),
+    }
+
+
+def engine_readme(
+    origin: str, rows: Iterable[Sequence[str]], source: str, validity: str, residuals: str, untold: Sequence[str]
+) -> str:
+    """Return the page of an engine in Markdown: where it comes from, where it holds, what was left over."""
+    table = "\n".join(f"| {row[0]} | {row[1]} |" for row in rows)
+    lines = [
+        f"# Engine from a {origin}",
+        f"**Source.** {source}; the engine is the library's `{FITTED}`.",
+        f"| with 95 % bounds | |\n| --- | --- |\n{table}",
+        f"**Validity.** {validity}; nothing was seen outside, nor in other air, nor with air speed.",
+        f"**Residuals.** {residuals}",
+        "**Not told by the log**\n\n" + "\n".join(f"- {line}" for line in untold or ("nothing that was asked",)),
+    ]
+    return "\n\n".join(lines) + "\n"
