@@ -32,6 +32,7 @@ MOST_LINES: Final = 20  # lines of JSBSim's that are kept of one model
 _STEP: Final = r"(?:\.{1,2}|[A-Za-z_][A-Za-z0-9_.-]*(?:\[[0-9]{1,6}\])?)"
 _NAME: Final = re.compile(rf"/?{_STEP}(?:/{_STEP})*")
 _MISSING: Final = re.compile(r"property,? (\S+) (?:does not exist|specified for channel)")
+_NUMBER: Final = re.compile(rb">-?[0-9][0-9.e+-]*<")
 _property_cache: RecentCache[tuple[str, ...]] = RecentCache(64)
 
 
@@ -122,7 +123,8 @@ class Executive:
 
     def _check_properties(self, xml: bytes) -> None:
         """Refuse a model whose functions, tables and components read a property that is not there."""
-        names = _property_cache.get(xml, lambda: tuple(dict.fromkeys(_property_names(ET.fromstring(xml)))))
+        without_numbers = _NUMBER.sub(b"><", xml)  # no property is a number, and models of a campaign differ in those
+        names = _property_cache.get(without_numbers, lambda: tuple(dict.fromkeys(_property_names(ET.fromstring(xml)))))
         missing = [name for name in names if not (_NAME.fullmatch(name) and self._manager.get_node(name))]
         if missing:
             raise self._refusal_for("", missing)

@@ -9,7 +9,9 @@ them where the file has no aerodynamics.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Hashable
 from pathlib import Path
+from typing import NamedTuple
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES, Vector3
@@ -20,9 +22,19 @@ from cosim.vehicle.model_file import find_line, parse, read_model
 
 MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the rotors, body; a property of our own in the model
 
-# the fields of a vehicle that its model depends on
-_MODEL_FIELDS = {"mass_kg", "inertia_kg_m2", "products_kg_m2", "aero", "jets", "contacts", "fuel"}
-_cache: RecentCache[bytes] = RecentCache(64)
+
+class _Template(NamedTuple):
+    """A model without the vehicle's numbers, for flights of vehicles that differ in those alone.
+
+    Every second of ``pieces`` is the place of a number in :func:`_numbers`; the others stand as they are.
+    """
+
+    pieces: list[bytes]
+    has_aerodynamics: bool  # of its own
+
+
+_templates: RecentCache[_Template] = RecentCache(64)
+_CONSTANT, _POSITION = "constant", "position"  # in place of units: of a property of the model, of a part of a location
 PAYLOAD = "payload"
 PRODUCTS = ("ixy", "ixz", "iyz")
 # What JSBSim takes for the integrals of x y, x z and y z over the mass in body axes: it reads them as minus those in
@@ -49,86 +61,119 @@ def render(vehicle: Vehicle, model: Path | None, rotors: bool = False) -> bytes:
     Raises InputError if the file cannot be read or has what a vehicle here cannot have.
     """
     text = read_model(model)
-    return _cache.get(
-        (model, text, vehicle.model_dump_json(include=_MODEL_FIELDS), rotors),
-        lambda: _render(vehicle, model or Path(vehicle.name), text, rotors),
+    template = _templates.get(
+        (model, text, _structure(vehicle), rotors),
+        lambda: _make_template(vehicle, model or Path(vehicle.name), text, rotors),
     )
+    numbers = [number.encode() for _, _, number in _numbers(vehicle, template.has_aerodynamics)]
+    pieces = list(template.pieces)
+    pieces[1::2] = [numbers[int(at)] for at in pieces[1::2]]
+    return b"".join(pieces)
 
 
-def _render(vehicle: Vehicle, model: Path, text: bytes, rotors: bool) -> bytes:
+def _structure(vehicle: Vehicle) -> tuple[Hashable, ...]:
+    """Return what a model without the numbers depends on, of a vehicle."""
+    names = tuple(contact.name for contact in vehicle.contacts)
+    return vehicle.name, names, len(vehicle.jets), any(vehicle.products_kg_m2), vehicle.fuel is not None
+
+
+def _make_template(vehicle: Vehicle, model: Path, text: bytes, rotors: bool) -> _Template:
     root = parse(model, text)
     if root.tag != "fdm_config":
         raise InputError(f"{model}: is no JSBSim model: its root is {root.tag}, not fdm_config")
     has_aerodynamics = add_missing_parts(root, vehicle, model)
-
-    _write_mass(root, vehicle)
-    for number, jet in enumerate(vehicle.jets, 1):
-        _write_position(root, f"external_reactions/force[@name='jet{number}']/location", jet.position_m)
-    for contact in vehicle.contacts:
-        path = f"ground_reactions/contact[@name='{contact.name}']"
-        _write_position(root, f"{path}/location", contact.position_m)
-        _write(root, f"{path}/spring_coeff", contact.spring_n_m, "N/M")
-        _write(root, f"{path}/damping_coeff", contact.damping_n_s_m, "N/M/SEC")
-        _child(root, f"{path}/static_friction").text = repr(contact.friction_static)
-        _child(root, f"{path}/dynamic_friction").text = repr(contact.friction_dynamic)
-    if not has_aerodynamics:
-        _write_aerodynamics(root, vehicle, model)
+    _complete_mass(_child(root, "mass_balance"), vehicle)
+    constants = {element.text: element for element in root.findall("flight_control/property")}
+    for at, (path, unit, _) in enumerate(_numbers(vehicle, has_aerodynamics)):
+        mark = f"\0{at}\0"  # no XML has this character
+        if unit == _CONSTANT:
+            if path not in constants:
+                raise InputError(f"{model}: the model has no constant {path}")
+            constants[path].set("value", mark)
+            continue
+        element, _, axis = path.rpartition("/") if unit == _POSITION else (path, "", "")
+        found = _child(root, element)
+        if unit:
+            found.set("unit", "IN" if axis else unit)
+        (_child(found, axis) if axis else found).text = mark
     if rotors:
         for axis in "xyz":
             ET.SubElement(_child(root, "flight_control"), "property", value="0").text = MOMENTUM.format(axis)
         for axis, turn in zip(("ROLL", "PITCH", "YAW"), ("xyz", "yzx", "zxy"), strict=True):
             _child(root, f"aerodynamics/axis[@name='{axis}']").append(_gyroscopic(*turn))
-    return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+    xml = bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))
+    return _Template(xml.split(b"\0"), has_aerodynamics)
 
 
-def _write(root: ET.Element, path: str, value: float, unit: str) -> None:
-    element = _child(root, path)
-    element.text = repr(float(value))
-    element.set("unit", unit)
+def _numbers(vehicle: Vehicle, has_aerodynamics: bool) -> list[tuple[str, str, str]]:
+    """Return a vehicle's numbers: the path of the element that each is in, its unit, and the number."""
+    numbers = [
+        *_mass_numbers(vehicle),
+        *[
+            entry
+            for number, jet in enumerate(vehicle.jets, 1)
+            for entry in _position(f"external_reactions/force[@name='jet{number}']/location", jet.position_m)
+        ],
+    ]
+    for contact in vehicle.contacts:
+        path = f"ground_reactions/contact[@name='{contact.name}']"
+        numbers += [
+            *_position(f"{path}/location", contact.position_m),
+            (f"{path}/spring_coeff", "N/M", repr(float(contact.spring_n_m))),
+            (f"{path}/damping_coeff", "N/M/SEC", repr(float(contact.damping_n_s_m))),
+            (f"{path}/static_friction", "", repr(contact.friction_static)),
+            (f"{path}/dynamic_friction", "", repr(contact.friction_dynamic)),
+        ]
+    if not has_aerodynamics:
+        numbers += _aerodynamic_numbers(vehicle)
+    return numbers
 
 
-def _write_position(root: ET.Element, path: str, body: Vector3) -> None:
-    """Write a body-frame position (m, FRD) in inches of the structural frame."""
-    _child(root, path).set("unit", "IN")
-    for axis, value in zip("xyz", to_structural(body), strict=True):
-        _child(root, f"{path}/{axis}").text = repr(value + 0.0)
+def _position(path: str, body: Vector3) -> list[tuple[str, str, str]]:
+    """Return a body-frame position (m, FRD) in inches of the structural frame."""
+    values = zip("xyz", to_structural(body), strict=True)
+    return [(f"{path}/{axis}", _POSITION, repr(value + 0.0)) for axis, value in values]
 
 
-def _write_mass(root: ET.Element, vehicle: Vehicle) -> None:
-    """Write mass and moments of inertia, and add a point mass for the burnt fuel where there is a tank."""
-    balance = _child(root, "mass_balance")
-    _write(balance, "emptywt", vehicle.mass_kg / SLUG * JSBSIM_POUNDS_PER_SLUG, "LBS")
+def _mass_numbers(vehicle: Vehicle) -> list[tuple[str, str, str]]:
+    """Return mass and moments of inertia, and where the burnt fuel is where there is a tank."""
+    pounds = vehicle.mass_kg / SLUG * JSBSIM_POUNDS_PER_SLUG
+    numbers = [("mass_balance/emptywt", "LBS", repr(float(pounds)))]
     for axis, inertia in zip(("ixx", "iyy", "izz"), vehicle.inertia_kg_m2, strict=True):
-        _write(balance, axis, inertia / SLUG_FT2, "SLUG*FT2")
+        numbers.append((f"mass_balance/{axis}", "SLUG*FT2", repr(float(inertia / SLUG_FT2))))
     if any(vehicle.products_kg_m2):  # zero products keep those of the file
-        balance.set("negated_crossproduct_inertia", "true")
         for axis, product in zip(PRODUCTS, vehicle.products_kg_m2, strict=True):
+            size = PRODUCT_SIGN[axis] * product / SLUG_FT2
+            numbers.append((f"mass_balance/{axis}", "SLUG*FT2", repr(float(size))))
+    if vehicle.fuel:
+        numbers += _position("mass_balance/pointmass[last()]/location", vehicle.fuel.position_m)
+    return numbers
+
+
+def _complete_mass(balance: ET.Element, vehicle: Vehicle) -> None:
+    """Add elements for products of inertia and the burnt fuel, a point mass, where the vehicle has them."""
+    if any(vehicle.products_kg_m2):
+        balance.set("negated_crossproduct_inertia", "true")
+        for axis in PRODUCTS:
             if balance.find(axis) is None:
                 ET.SubElement(balance, axis)
-            _write(balance, axis, PRODUCT_SIGN[axis] * product / SLUG_FT2, "SLUG*FT2")
     if vehicle.fuel:
         burnt = ET.SubElement(balance, "pointmass", name="burnt fuel")
         ET.SubElement(burnt, "weight", unit="LBS").text = "0"
-        at = ET.SubElement(burnt, "location", unit="IN")
-        for axis, inches in zip("xyz", to_structural(vehicle.fuel.position_m), strict=True):
-            ET.SubElement(at, axis).text = repr(inches + 0.0)
+        _ensure_location(burnt)
 
 
-def _write_aerodynamics(root: ET.Element, vehicle: Vehicle, model: Path) -> None:
-    """Write drag and damping into the model's constants.  Raises InputError for one that it does not have."""
-    _write(root, "metrics/wingspan", vehicle.aero.span_m, "M")
-    _write_position(root, "metrics/location[@name='AERORP']", vehicle.aero.centre_m)
-    constants = {element.text: element for element in root.findall("flight_control/property")}
-    values = {
-        f"aero/drag-area-{axis}-ft2": area / FOOT**2
-        for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True)
-    }
-    for axis, damping in zip(AXES, vehicle.aero.damping_n_m_s, strict=True):
-        values[f"aero/damping-{axis}-lbf_ft_s"] = damping / POUND_FOOT
-    for name, value in values.items():
-        if name not in constants:
-            raise InputError(f"{model}: the model has no constant {name}")
-        constants[name].set("value", repr(value))
+def _aerodynamic_numbers(vehicle: Vehicle) -> list[tuple[str, str, str]]:
+    """Return the numbers of drag and damping, which are constants of the model."""
+    numbers = [
+        ("metrics/wingspan", "M", repr(float(vehicle.aero.span_m))),
+        *_position("metrics/location[@name='AERORP']", vehicle.aero.centre_m),
+    ]
+    for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True):
+        numbers.append((f"aero/drag-area-{axis}-ft2", _CONSTANT, repr(area / FOOT**2)))
+    for name, damping in zip(AXES, vehicle.aero.damping_n_m_s, strict=True):
+        numbers.append((f"aero/damping-{name}-lbf_ft_s", _CONSTANT, repr(damping / POUND_FOOT)))
+    return numbers
 
 
 def add_missing_parts(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:

@@ -35,6 +35,9 @@ ACTING: Final = tuple(
 )  # fmt: skip
 MOST_BYTES: Final = 2**26  # most bytes of one file; the largest of JSBSim's own aircraft has 400 kB
 _NONE: Final = b"<fdm_config/>"
+# may name other files, or has an encoding or definitions that hide it
+_HIDES: Final = re.compile(rb"\sfile\s*=|\0|<!DOCTYPE")
+_names_others: RecentCache[bool] = RecentCache(64)
 _cache: RecentCache[bytes] = RecentCache(64)  # files that name no others, as they are handed on
 
 
@@ -47,7 +50,7 @@ def read_model(model: Path | None) -> bytes:
     if model is None:
         return _NONE
     text = _read(model)
-    if re.search(rb"\sfile\s*=|\0|<!DOCTYPE", text):  # may name others, or has an encoding or definitions that hide it
+    if _names_others.get(text, lambda: _HIDES.search(text) is not None):
         return _strip_model(model, text)
     return _cache.get((model, text), lambda: _strip_model(model, text))
 
