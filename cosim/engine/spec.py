@@ -7,6 +7,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -254,7 +255,7 @@ def find_source(name_or_path: str) -> EngineSource:
             mapping.uncertainty.check_parameters(archive.parameters, archive.start, str(path))
         return EngineSource(path, archive, None, mapping)
     if path.suffix.lower() in (".fmu", SUFFIX) or len(path.parts) > 1 or path.is_file():
-        return EngineSource(path, _read(path), None, MappingFile.model_construct(fmu=path.name))
+        return EngineSource(path, _read(path), None, _without_mapping(path.name))
     name = name_or_path.removesuffix(FMI2_SUFFIX)
     folder = data_folder("engines") / name
     if not (folder / "engine.toml").is_file():
@@ -267,7 +268,13 @@ def find_source(name_or_path: str) -> EngineSource:
     if not path.is_file():
         raise InputError(f"engine {name_or_path}: {path} has not been built; run: hexjet fmu build")
     known = PortMap(ports=engine.ports, search=False)
-    return EngineSource(path, read_archive(path, known), engine, MappingFile.model_construct(fmu=path.name))
+    return EngineSource(path, read_archive(path, known), engine, _without_mapping(path.name))
+
+
+@lru_cache(64)
+def _without_mapping(fmu: str) -> MappingFile:
+    """Return a mapping file that states nothing: pydantic looks at the signature of every default as it makes one."""
+    return MappingFile.model_construct(fmu=fmu)
 
 
 def _definition(folder: Path) -> EngineDefinition:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
 
@@ -74,7 +73,7 @@ def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -
         engine_curve=list(zip(engine.curve.throttle, engine.curve.thrust, strict=True)),
         stations=[_station(station, engine) for station in simulation.stations],
         jets_m=[jet.position_m for jet in simulation.vehicle.jets],
-        delay_ledger=[DelayRow(**asdict(row)) for row in simulation.ledger],
+        delay_ledger=[DelayRow(**vars(row)) for row in simulation.ledger],
         reach=find_reach(simulation),
         yardstick=make_limit_inputs(scenario, simulation.vehicle),
         expectation=find_expectation(scenario),

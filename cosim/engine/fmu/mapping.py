@@ -177,6 +177,9 @@ class MappingFile(Model):
     parameter_set: str | None = Field(default=None, min_length=1)  # a file (SSV) beside it; [parameters] go before it
 
 
+_NO_START = _Start.model_construct()
+
+
 @dataclass(frozen=True)
 class PortMap:
     """Specified ports of an FMU; all others are found by name and unit."""
@@ -187,7 +190,7 @@ class PortMap:
     search: bool = True  # look for the ports that are not stated
     scale: Mapping[str, float] = field(default_factory=dict)  # the port is so many times the variable
     inputs: Mapping[str, ConstantValue] = field(default_factory=dict)  # that are constant
-    start: _Start = field(default_factory=_Start.model_construct)
+    start: _Start = field(default_factory=lambda: _NO_START)
     rest_n: float = 0.0  # N, peak to peak, within which a thrust stands still
 
 

@@ -86,7 +86,8 @@ def find_step_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -
 
 def make_thrust_map(vehicle: Vehicle, engine: EngineSpec, stations: Sequence[EngineSpec]) -> tuple[ThrustMap, float]:
     """Return the way from shares of thrust to throttles, and the share in hover."""
-    curves = {id(station): StaticCurve(station.name, *station.rising_curve) for station in (engine, *stations)}
+    distinct = {id(station): station for station in (engine, *stations)}
+    curves = {number: StaticCurve(station.name, *station.rising_curve) for number, station in distinct.items()}
     thrust_map = ThrustMap(curves[id(engine)], [curves[id(station)] for station in stations])
     return thrust_map, thrust_map.fraction(vehicle.mass_kg * GRAVITY / len(vehicle.jets))
 

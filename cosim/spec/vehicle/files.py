@@ -82,6 +82,7 @@ def find_aircraft(aircraft: str, folder: Path = Path()) -> Path:
 
 
 _vehicles: RecentCache[tuple[dict[str, Any], Vehicle]] = RecentCache(32)
+_bases: RecentCache[str | None] = RecentCache(32)
 
 
 def load_vehicle(
@@ -136,10 +137,19 @@ def _without_bank_inertia(overrides: dict[str, Any]) -> dict[str, Any]:
 
 def _source_texts(path: Path) -> list[bytes]:
     """Return the contents of an aircraft's file and of the file that it is scaled from, where there is one."""
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    base = _bases.get((path, text), lambda: _find_base(path))
+    return [text] if base is None else [text, (data_folder("aircraft") / base / VEHICLE).read_bytes()]
+
+
+def _find_base(path: Path) -> str | None:
+    """Return the shipped aircraft that a ``vehicle.toml`` is scaled from; None where it is not."""
     law = read_toml(path).get("scaled")
     base = law.get("base") if isinstance(law, dict) else None
-    files = [path, *([data_folder("aircraft") / base / VEHICLE] if base in aircraft_names() else [])]
-    return [file.read_bytes() for file in files]
+    return base if base in aircraft_names() else None
 
 
 def _read(path: Path) -> tuple[dict[str, Any], Vehicle]:
