@@ -1,5 +1,8 @@
 /* The rows of a flight's log: what a Sample holds, read in one go, and handed over as columns.
  *
+ * Columns are made of a few rows at a time, which are in the processor's nearest cache then: a block of rows that is
+ * turned when it is full would push out of it what the flight needs.
+ *
  * What is read, and where it goes, is a program: see cosim.results.log.row_program.Program, whose fields these are.
  *
  * A row is read completely before any of it is kept, so that a sample of a wrong kind is refused (TypeError) and leaves
@@ -16,6 +19,7 @@
 #include <time.h>
 
 enum { MOST_NODES = 64, MOST_NUMBERS = 4096 }; /* of a program: they stand on the stack while a row is read */
+enum { TILE = 8 }; /* rows made columns at once: so many numbers are a line of the processor's cache */
 
 /* --- the program --- */
 
@@ -155,13 +159,16 @@ static bool read_sample(const Program *p, PyObject *sample, double *row)
         if (!tuple || (r.unless >= 0 && PyTuple_GET_ITEM(opened[r.unless], r.other) != Py_None))
             continue;
         PyObject *const *item = ((PyTupleObject *)tuple)->ob_item + r.first, *const *const behind = item + r.count;
-        for (double *to = row + r.column; item < behind; item++, to++) {
-            double value;
+        double *to = row + r.column;
+        for (; !r.add && item < behind; item++, to++)
             if (PyFloat_CheckExact(*item))
-                value = PyFloat_AS_DOUBLE(*item);
-            else if (!as_double(*item, &value))
+                *to = PyFloat_AS_DOUBLE(*item);
+            else if (!as_double(*item, to))
                 return false;
-            *to = r.add ? *to + value : value;
+        for (double value; item < behind; item++, to++) {
+            if (!as_double(*item, &value))
+                return false;
+            *to += value;
         }
     }
     return true;
@@ -172,8 +179,9 @@ static bool read_sample(const Program *p, PyObject *sample, double *row)
 typedef struct {
     PyObject_HEAD
     Program program;
-    Py_ssize_t capacity, count;
-    double *rows;      /* count rows of the program's width */
+    Py_ssize_t capacity, count, shape[2], strides[2];
+    double *tile;      /* the last rows, of the program's width, that are no columns yet or not all of a tile */
+    double *columns;   /* of capacity rows each */
     double patience;   /* s */
     double since;      /* s: when it was cleared */
     PyObject *hand_on; /* called with the rows when they are to be taken */
@@ -195,7 +203,7 @@ static int rows_init(Rows *self, PyObject *args, PyObject *kwargs)
     if (!PyArg_ParseTuple(args, "ndOnO!O!", &capacity, &patience, &hand_on, &width, &PyList_Type, &nodes, &PyList_Type,
                           &reads))
         return -1;
-    if (self->rows || capacity < 1 || capacity > PY_SSIZE_T_MAX / (Py_ssize_t)(MOST_NUMBERS * sizeof(double))) {
+    if (self->columns || capacity < 1 || capacity > PY_SSIZE_T_MAX / (Py_ssize_t)(MOST_NUMBERS * sizeof(double))) {
         PyErr_SetString(PyExc_ValueError, "Rows: made once, for at least one row");
         return -1;
     }
@@ -203,13 +211,21 @@ static int rows_init(Rows *self, PyObject *args, PyObject *kwargs)
         forget(&self->program);
         return -1;
     }
-    self->rows = PyMem_Malloc((size_t)(capacity * width) * sizeof(double));
-    if (!self->rows) {
+    self->tile = PyMem_Malloc((size_t)(TILE * width) * sizeof(double));
+    self->columns = PyMem_Calloc((size_t)(capacity * width), sizeof(double));
+    if (!self->tile || !self->columns) {
+        PyMem_Free(self->tile);
+        PyMem_Free(self->columns);
+        self->tile = self->columns = NULL;
         forget(&self->program);
         PyErr_NoMemory();
         return -1;
     }
     self->capacity = capacity;
+    self->shape[0] = width;
+    self->shape[1] = capacity;
+    self->strides[0] = capacity * (Py_ssize_t)sizeof(double);
+    self->strides[1] = sizeof(double);
     self->patience = patience;
     self->since = now();
     Py_INCREF(hand_on);
@@ -236,7 +252,8 @@ static void rows_dealloc(Rows *self)
     PyObject_GC_UnTrack(self);
     rows_clear(self);
     forget(&self->program);
-    PyMem_Free(self->rows);
+    PyMem_Free(self->tile);
+    PyMem_Free(self->columns);
     PyObject_GC_Del(self);
     Py_DECREF(type);
 }
@@ -252,11 +269,21 @@ static bool hand_on(Rows *self)
     return answer != NULL;
 }
 
+/* The last rows of the tile, columns of which are complete up to them afterwards. */
+static void turn(Rows *self)
+{
+    const Py_ssize_t width = self->program.width, rows = self->count ? (self->count - 1) % TILE + 1 : 0;
+    double *to = self->columns + self->count - rows;
+    for (Py_ssize_t c = 0; c < width; c++, to += self->capacity)
+        for (Py_ssize_t r = 0; r < rows; r++)
+            to[r] = self->tile[r * width + c];
+}
+
 /* add(sample) */
 static PyObject *rows_add(Rows *self, PyObject *sample)
 {
     double row[MOST_NUMBERS];
-    if (!self->rows) {
+    if (!self->columns) {
         PyErr_SetString(PyExc_ValueError, "Rows: not initialised");
         return NULL;
     }
@@ -269,44 +296,32 @@ static PyObject *rows_add(Rows *self, PyObject *sample)
         PyErr_SetString(PyExc_BufferError, "the rows were not cleared");
         return NULL;
     }
-    memcpy(self->rows + self->count * width, row, (size_t)width * sizeof(double));
+    memcpy(self->tile + self->count % TILE * width, row, (size_t)width * sizeof(double));
     self->count++;
+    if (self->count % TILE == 0 || self->count == self->capacity)
+        turn(self);
     if ((self->count == self->capacity || now() - self->since >= self->patience) && !hand_on(self))
         return NULL;
     Py_RETURN_NONE;
 }
 
-/* Columns of ``count`` rows; in tiles, because a line of the processor's cache holds eight numbers. */
-static void transpose(const double *rows, Py_ssize_t width, Py_ssize_t count, Py_ssize_t columns, double *to)
+/* The columns as they are, of as many rows as there is room for; rows behind the last are of earlier blocks. */
+static int rows_buffer(Rows *self, Py_buffer *view, int flags)
 {
-    enum { TILE = 8 };
-    for (Py_ssize_t c = 0; c < columns; c += TILE)
-        for (Py_ssize_t r = 0; r < count; r += TILE)
-            for (Py_ssize_t i = c; i < columns && i < c + TILE; i++)
-                for (Py_ssize_t j = r; j < count && j < r + TILE; j++)
-                    to[i * count + j] = rows[j * width + i];
-}
-
-/* read(first, out) */
-static PyObject *rows_read(Rows *self, PyObject *args)
-{
-    Py_ssize_t first;
-    PyObject *out;
-    Py_buffer to;
-    if (!PyArg_ParseTuple(args, "nO", &first, &out))
-        return NULL;
-    if (PyObject_GetBuffer(out, &to, PyBUF_WRITABLE | PyBUF_FORMAT | PyBUF_C_CONTIGUOUS) < 0)
-        return NULL;
-    const Py_ssize_t columns = to.ndim == 2 ? to.shape[0] : 0, width = self->program.width;
-    const bool good = columns && to.shape[1] == self->count && to.itemsize == sizeof(double) && to.format &&
-                      strcmp(to.format, "d") == 0 && first >= 0 && columns <= width && first <= width - columns;
-    if (good)
-        transpose(self->rows + first, width, self->count, columns, to.buf);
-    PyBuffer_Release(&to);
-    if (!good)
-        return PyErr_Format(PyExc_ValueError, "read: needs float64, at most %zd columns of %zd rows", width,
-                            self->count);
-    Py_RETURN_NONE;
+    if (!self->columns) {
+        PyErr_SetString(PyExc_BufferError, "Rows: not initialised");
+        return -1;
+    }
+    turn(self);
+    const Py_ssize_t bytes = self->shape[0] * self->strides[0];
+    if (PyBuffer_FillInfo(view, (PyObject *)self, self->columns, bytes, false, flags) < 0)
+        return -1;
+    view->itemsize = sizeof(double);
+    view->ndim = 2;
+    view->format = flags & PyBUF_FORMAT ? "d" : NULL;
+    view->shape = self->shape;
+    view->strides = self->strides;
+    return 0;
 }
 
 /* clear() */
@@ -327,14 +342,14 @@ static Py_ssize_t rows_length(Rows *self)
 
 static PyMethodDef rows_methods[] = {
     {"add", (PyCFunction)rows_add, METH_O, "add(sample): one more row."},
-    {"read", (PyCFunction)rows_read, METH_VARARGS, "read(first, out): columns from ``first`` on into an array."},
     {"clear", (PyCFunction)rows_forget, METH_NOARGS, "clear(): forget the rows; patience begins anew."},
     {NULL, NULL, 0, NULL},
 };
 
 static PyType_Slot rows_slots[] = {
     {Py_tp_doc, "Rows(capacity, patience, hand_on, width, nodes, reads): hand_on(rows) is called for so many rows, or "
-                "after so many seconds; the rest is the program."},
+                "after so many seconds; the rest is the program.  Its buffer is the columns, of shape (width, capacity), "
+                "the first len(rows) of each filled; it is good until the next row."},
     {Py_tp_new, SLOT(PyType_GenericNew)},
     {Py_tp_init, SLOT(rows_init)},
     {Py_tp_traverse, SLOT(rows_traverse)},
@@ -342,6 +357,7 @@ static PyType_Slot rows_slots[] = {
     {Py_tp_dealloc, SLOT(rows_dealloc)},
     {Py_tp_methods, rows_methods},
     {Py_sq_length, SLOT(rows_length)},
+    {Py_bf_getbuffer, SLOT(rows_buffer)},
     {0, NULL},
 };
 

@@ -29,7 +29,7 @@ WALL_FLUSH_S = 1.0  # a slow flight is handed on this often too
 
 
 class Sink(Protocol):
-    """Takes blocks of the log, shape (columns, rows), each good until the next: who keeps one copies it."""
+    """Takes blocks of the log, shape (columns, rows), each good until it returns: who keeps one copies it."""
 
     def write(self, table: Array) -> None: ...
 
@@ -100,21 +100,18 @@ class Recorder:
 
 
 class _Blocks:
-    """Makes rows a block of columns, each in the memory of the one before, which is in the processor's cache."""
+    """Hands the rows' columns to a sink, with the angles that are made of others."""
 
     def __init__(self, sink: Sink, columns: int, run: Program) -> None:
         self._sink = sink
         self._columns, self._angles = columns, run.angles
-        self._memory = np.empty((run.width, 0))
         self.handed_on = 0  # rows
 
     def hand_on(self, rows: Rows) -> None:
         count = len(rows)
         if count:
-            if self._memory.shape[1] != count:
-                self._memory = np.empty((self._memory.shape[0], count))
-            memory, table = self._memory, self._memory[: self._columns]
-            rows.read(0, memory)
+            memory = np.asarray(rows)[:, :count]
+            table = memory[: self._columns]
             for angle in self._angles:
                 table[angle.column] = angle.law(*memory[angle.of : angle.of + 4])
             self._sink.write(table)

@@ -369,25 +369,29 @@ def test_a_block_belongs_to_who_gets_it() -> None:
     assert all(table.flags.c_contiguous and table.base is None for table in sink.tables)
 
 
-def test_nothing_is_read_into_what_does_not_fit() -> None:
+@pytest.mark.parametrize("capacity", [1, 2, 7, 8, 9, 16, 19])
+def test_the_columns_are_there_after_any_number_of_rows(capacity: int) -> None:
+    """However often they are looked at, and again after the rows were cleared."""
+    rows, flight = rows_of(capacity, 1000.0, len), list(samples(capacity))
+    for _ in range(2):
+        for count, sample in enumerate(flight[:-1], 1):
+            rows.add(sample)
+            columns = np.asarray(rows)
+            assert columns.shape == (len(COLUMNS) + 4, capacity)  # and the measured quaternion
+            assert columns[0, :count].tolist() == [each.time for each in flight[:count]]
+            assert (
+                columns[NAMES.index("fuel_kg"), :count].tobytes()
+                == np.array([e.fuel for e in flight[:count]]).tobytes()
+            )
+        rows.clear()
+
+
+def test_columns_are_of_whole_numbers_in_two_dimensions() -> None:
     rows = rows_of(5, 1000.0, len)
-    width = len(COLUMNS) + 4  # and the measured quaternion
-    rows.add(good())
-    rows.add(good())
-    fitting = np.empty((3, 2))
-    rows.read(1, fitting)
-    readonly = np.empty((3, 2))
-    readonly.flags.writeable = False
-    for first, out in [
-        (-1, fitting), (width - 2, fitting), (sys.maxsize, fitting), (0, np.empty((3, 3))), (0, np.empty(6)),
-        (0, np.empty((3, 2), dtype=np.float32)), (0, np.empty((3, 2), dtype=np.int64)), (0, np.empty((0, 2))),
-        (0, np.empty((width + 1, 2))), (0, np.empty((2, 3)).T), (0, readonly), (0, np.empty((3, 1, 2))),
-    ]:  # fmt: skip
-        with pytest.raises((ValueError, BufferError)):
-            rows.read(first, out)
-    for wrong in [(), (0,), ("0", fitting), (0, None), (0, b"123456")]:
-        with pytest.raises((TypeError, BufferError)):
-            rows.read(*wrong)
+    view = memoryview(rows)
+    assert (view.format, view.itemsize, view.shape, view.contiguous) == ("d", 8, (len(COLUMNS) + 4, 5), True)
+    with pytest.raises(BufferError):
+        memoryview(Rows.__new__(Rows))
 
 
 def test_rows_are_made_once_and_for_at_least_one() -> None:
