@@ -27,7 +27,7 @@ RESOLVE := build/lock/bin/uv pip compile --quiet --universal --python-version 3.
 # half a gigabyte for MAVProxy's maps and three-dimensional views; the tests run it without
 NOT_NEEDED := opencv-python vtk shapely quantized-mesh-tile
 # what the set-up leaves outside .venv; if any of it was deleted, it is made again
-EXTENSIONS := engine/_bank results/_rows base/_records control/allocation/_effectiveness vehicle/_noise vehicle/_properties
+EXTENSIONS := engine/_bank results/_rows base/_records base/_turning control/allocation/_effectiveness vehicle/_noise vehicle/_properties
 MISSING := $(if $(strip $(foreach file,fmus/*.fmu $(EXTENSIONS:%=cosim/%.*.so),$(if $(wildcard $(file)),,$(file)))),missing)
 UNCOMPILED := $(if $(or $(HEXJET_PURE),$(and $(wildcard cosim/_compiled.*.sha256),$(wildcard cosim/_native__mypyc.*.so))),,missing)
 

@@ -259,6 +259,7 @@ setup(
             depends=["cosim/control/allocation/effectiveness.h"],
             extra_compile_args=c_flags("-O3"),
         ),
+        Extension("cosim.base._turning", sources=["cosim/base/_turning.c"], extra_compile_args=c_flags("-O2")),
         Extension("cosim.base._records", sources=["cosim/base/_records.c"], extra_compile_args=c_flags("-O2")),
         Extension(
             "cosim.vehicle._properties", sources=["cosim/vehicle/_properties.c"], extra_compile_args=c_flags("-O2")

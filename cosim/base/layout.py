@@ -13,10 +13,11 @@ its thrust alone, by ``effect`` of its own angle: a nozzle or a vane behind the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import atan2, cos, sin, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from cosim.base._turning import Turning
 from cosim.base.frames import cross
 from cosim.base.signals import Vector3
 
@@ -72,8 +73,7 @@ def rotate_about(axis: Vector3, angle: float, vector: Vector3) -> Vector3:
 class Layout:
     """The stations and hinges of one vehicle.
 
-    Jets whose thrust points the same way whatever the hinges do are a group: ``groups[i]`` is that of jet ``i``,
-    ``members[j]`` are the jets of group ``j``.
+    Jets whose thrust points the same way whatever the hinges do are a group: ``groups[i]`` is that of jet ``i``.
     ``moves``: some hinge carries a jet, so that stations move.
     """
 
@@ -105,25 +105,23 @@ class Layout:
                 kinds.append(kind)
             self.groups.append(kinds.index(kind))
         self._kinds = kinds
-        self.members = [[jet for jet, of in enumerate(self.groups) if of == group] for group in range(len(kinds))]
-        # of each group the hinges from the outermost inwards: axis, number, effect
-        self._turning: list[list[tuple[Vector3, int, float]]] = [
-            [(self.turns[number].axis, number, effect) for number, effect in reversed(chain)] for _, chain in kinds
-        ]
         self._still: list[Vector3] = [axis for axis, _ in kinds]
+        direction_chains: list[Any] = [
+            [(self.turns[number].axis, number, effect, None) for number, effect in reversed(chain)]
+            for _, chain in kinds
+        ]
+        self._turn_axes: Callable[[Sequence[float]], list[Vector3]] = Turning(self._still, direction_chains).turned
+        position_chains: list[Any] = [
+            [(self.turns[number].axis, number, 1.0, self.turns[number].point) for number in reversed(carriers)]
+            for carriers in self._carriers
+        ]
+        self._carry: Callable[[Sequence[float]], list[Vector3]] = Turning(self.rest_positions, position_chains).turned
 
     def axes(self, angles: Sequence[float]) -> list[Vector3]:
         """Return the unit thrust, body, of each group, with the hinges at ``angles`` rad."""
         if not self.turns:
             return self._still
-        return [self.axis(group, angles) for group in range(len(self._still))]
-
-    def axis(self, group: int, angles: Sequence[float]) -> Vector3:
-        """Return the unit thrust, body, of one group, as :meth:`axes` of all."""
-        axis = self._still[group]
-        for about, number, effect in self._turning[group]:
-            axis = rotate_about(about, effect * angles[number], axis)
-        return axis
+        return self._turn_axes(angles)
 
     def frames(self, angles: Sequence[float]) -> list[tuple[Vector3, Vector3, Vector3]]:
         """Return thrust, forward and right of each group, body: the body's axes turned with the thrust.
@@ -157,16 +155,7 @@ class Layout:
         """Return the position of each jet [m, body]."""
         if not self.moves:
             return self.rest_positions
-        result: list[Vector3] = []
-        for position, carriers in zip(self.rest_positions, self._carriers, strict=True):
-            for number in reversed(carriers):
-                turn = self.turns[number]
-                px, py, pz = turn.point
-                arm = (position[0] - px, position[1] - py, position[2] - pz)
-                x, y, z = rotate_about(turn.axis, angles[number], arm)
-                position = (px + x, py + y, pz + z)
-            result.append(position)
-        return result
+        return self._carry(angles)
 
     def hinge_axes(self, angles: Sequence[float], jet: int) -> list[TurnedHinge]:
         """Return the hinges of a jet at ``angles`` rad, from the body outwards."""

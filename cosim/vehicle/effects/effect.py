@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import nan
-from typing import Any, Final
+from typing import Any
 
+from cosim.base._turning import along
 from cosim.base.layout import Layout
 from cosim.base.signals import UNKNOWN3, ZERO3, EngineOutput, PerJet, PerServo, State, Vector3
 
 NO_OUTPUT = EngineOutput((), (), (), ())
-_NO_FORCE: Final[Any] = ZERO3  # as one object
 _STILL = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 0.0, ZERO3, 0.0, False, False)
 
 
@@ -52,19 +51,7 @@ class Load:
 
     def along_axes(self, thrust: PerJet) -> list[Vector3]:
         """Return each jet's thrust along its own turned axis: N, body."""
-        layout = self.layout
-        forces: list[Any] = [_NO_FORCE] * len(layout.groups)  # equal ones as one object
-        for group, jets in enumerate(layout.members):
-            x, y, z = self.axes[group]
-            last = nan
-            force: Any = _NO_FORCE
-            for jet in jets:
-                newton = thrust[jet]
-                if newton != last or newton == 0.0:  # zeros have signs
-                    last = newton
-                    force = (newton * x, newton * y, newton * z)
-                forces[jet] = force
-        return forces
+        return along(self.axes, self.layout.groups, thrust)
 
     def begin_step(self, output: EngineOutput, engine_forces: list[Vector3]) -> None:
         """Begin a step with the thrust of each jet [N, body] and no moment."""
