@@ -180,7 +180,7 @@ def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], o
         MEMORY: (partial(measure_memory, plan.memory_minutes, plan.starts, folder), plan.starts),
         CAMPAIGN: (
             partial(measure_campaign, plan.campaign, folder),
-            plan.campaign.rounds + bool(plan.campaign.study),
+            plan.campaign.rounds + plan.campaign.fixed_rounds + bool(plan.campaign.study),
         ),
     }
     return measures[part]

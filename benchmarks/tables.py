@@ -284,6 +284,11 @@ def _campaign(cost: CampaignCost) -> Iterator[Table]:
         ("gain of the campaign by bare JSBSim's", "", "", spread(cost.share)),
     ]
     yield Table("from one process to two", (f"{one} process", f"{two} processes", "gain"), rows)
+    beside = [
+        (f"a flight of {cost.flight_s:g} s by its steps alone, times", spread(cost.flight.by_steps)),
+        ("a campaign without its flights, s", spread(cost.flight.fixed_s)),
+    ]
+    yield Table("beside the steps: processor time", ("",), beside)
     if cost.study:
         study = cost.study
         held = [

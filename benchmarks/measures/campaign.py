@@ -15,6 +15,7 @@ from pathlib import Path
 from subprocess import Popen
 from typing import TYPE_CHECKING, NamedTuple
 
+from benchmarks.measures.campaign_flight import FlightCost, measure_flight_cost
 from benchmarks.measures.long_flight import resident_of
 from benchmarks.measures.process import start_python
 from benchmarks.timing import Spread
@@ -72,6 +73,7 @@ class CampaignCost:
     bare: Scaling  # JSBSim runs
     flown: Scaling  # flights
     share: Spread
+    flight: FlightCost
     study: LongStudy | None
 
 
@@ -115,13 +117,15 @@ class CampaignPlan:
     """How much of a campaign is measured.
 
     ``rounds``, seconds of JSBSim alone, flights of a worker in a round, the first and last few of them not timed, how
-    long they are, and how many flights the ``study`` after the rounds has (0: none).
+    long they are, in how many rounds whole campaigns are flown to find what one costs without its flights, and how many
+    flights the ``study`` after the rounds has (0: none).
     """
 
     rounds: int = 5
     bare_s: float = 1.5
     flights: int = 30
     flight_s: float = 10.0
+    fixed_rounds: int = 3
     study: int = 0
 
 
@@ -142,6 +146,9 @@ def measure_campaign(plan: CampaignPlan, folder: Path, on_round: Callable[[], ob
                     looks = fly_study(study, workers[count], folder / f"{number}-{count}")
                     rates[count].append(rate(looks, count))
             on_round()
+    cost = measure_flight_cost(
+        make_study(plan.flights, plan.flight_s), plan.flight_s, plan.fixed_rounds, folder, on_round
+    )
     long = None
     if plan.study:
         with _workers(PROCESSES[-1]) as fresh:
@@ -156,6 +163,7 @@ def measure_campaign(plan: CampaignPlan, folder: Path, on_round: Callable[[], ob
         _scaling(bare, gains[0]),
         _scaling(rates, gains[1]),
         Spread.of([ours / theirs for theirs, ours in zip(*gains, strict=True)]),
+        cost,
         long,
     )
 

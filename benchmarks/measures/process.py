@@ -35,7 +35,7 @@ main()
 # Processes of a user's, by what is typed; and the one that they are compared with.
 UNIT = "import numpy, pydantic"
 HELP, IMPORT, FLY = "hexjet --help", "from cosim import fly", "hexjet fly roll-doublet, with its page"
-_COMMAND = "from cosim.cli.start import main; main()"
+COMMAND = "from cosim.cli.start import main; main()"
 _LONG_FLIGHT = "from benchmarks.measures.long_flight import main; main(*sys.argv[1:])"
 
 
@@ -115,9 +115,9 @@ def measure_commands(times: int, folder: Path, on_round: Callable[[], object]) -
         out = folder / f"command-{number}"
         seconds = {
             UNIT: processor_seconds(UNIT),
-            HELP: processor_seconds(_COMMAND, "--help"),
+            HELP: processor_seconds(COMMAND, "--help"),
             IMPORT: processor_seconds(IMPORT),
-            FLY: processor_seconds(_COMMAND, "fly", "roll-doublet", "--out", str(out)),
+            FLY: processor_seconds(COMMAND, "fly", "roll-doublet", "--out", str(out)),
         }
         rmtree(out)
         if number:

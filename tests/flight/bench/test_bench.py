@@ -83,7 +83,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Result:
         others_s=0.2,
         pages=PagesPlan((1,), flights=2, look_s=0.2),
         memory_minutes=0.1,
-        campaign=CampaignPlan(rounds=2, bare_s=0.02, flights=11, flight_s=0.1, study=24),
+        campaign=CampaignPlan(rounds=2, bare_s=0.02, flights=11, flight_s=0.1, fixed_rounds=1, study=24),
         folder=str(folder),
     )
     found = measure(plan, lambda *progress: told.append(progress))
@@ -474,6 +474,7 @@ def test_a_second_worker_beside_a_second_process(result: dict[str, Any]) -> None
     for each in (found["bare"], found["flown"]):
         assert list(each["rate"]) == ["1", "2"]
         assert each["gain"]["repeats"] == 2
+    assert found["flight"]["by_steps"]["median"] > 1.0
     study = found["study"]
     assert study["flights"] == 24 == sum(each["flights"] for each in study["workers"])
     assert len(study["workers"]) == 2
@@ -492,6 +493,7 @@ def test_the_campaigns_gain_is_held_against_bare_jsbsims(monkeypatch: pytest.Mon
     monkeypatch.setattr(campaign, "Bare", Alone)
     monkeypatch.setattr(campaign, "fly_study", lambda study, workers, folder: [])
     monkeypatch.setattr(campaign, "rate", lambda looks, count: {1: 10.0, 2: 18.0}[count])
+    monkeypatch.setattr(campaign, "measure_flight_cost", lambda *_: None)
     found = campaign.measure_campaign(CampaignPlan(rounds=2), tmp_path, lambda: None)
     assert (found.bare.gain.median, found.flown.gain.median) == pytest.approx((1.5, 1.8))
     assert found.share.median == pytest.approx(1.2)
