@@ -12,13 +12,13 @@ from cosim.commands import DONE, FLIGHT_FAILED, example, is_given, opt
 class Bench(opt.Output):
     """Options of ``hexjet bench``."""
 
-    full = opt.flag("--full", "Everything, with longer flights and a campaign: some ten minutes.")
+    full = opt.flag("--full", "Everything, with longer flights and a campaign: twelve minutes on a quiet machine.")
     campaign = opt.flag("--campaign", "What a second worker brings to a campaign, too: a minute more.")
     parts = opt.words(
         "--only",
         "PART",
-        "This part alone, or these: step, blocks, others, own, peers, rotorpy, time, engines, log, pages, start, "
-        "memory, campaign.",
+        "This part alone, or these: step, blocks, others, own, peers, pathsim, rotorpy, time, engines, log, pages, "
+        "start, memory, campaign.",
     )
     steps = opt.whole("--steps", None, "Steps of a timed flight.  [2500, with --full 5000]", min=250)
     rounds = opt.whole("--rounds", None, "Repetitions.  [5, with --full 9]", min=1)
@@ -34,8 +34,8 @@ class Bench(opt.Output):
 def bench(options: Bench) -> int:
     """Measure what a flight costs on this machine, in microseconds and in JSBSim runs.
 
-    Beside bare JSBSim, and beside ecos, libcosim, FMPy and RotorPy as far as they are installed.  Times belong to the
-    machine: however long anything takes, the exit status is 0.
+    Beside bare JSBSim, and beside ecos, libcosim, FMPy, PathSim and RotorPy as far as they are installed.  Times belong
+    to the machine: however long anything takes, the exit status is 0.
     """
     from benchmarks.page import check_page, write_page
     from benchmarks.show import print_result, progress

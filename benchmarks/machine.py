@@ -11,7 +11,7 @@ from importlib import import_module, metadata
 from importlib.util import find_spec
 from pathlib import Path
 
-PEERS = ("ecospy", "libcosimpy", "tbb", "rotorpy")
+PEERS = ("ecospy", "libcosimpy", "pathsim", "rotorpy", "tbb")
 COMPILED = ("cosim", "jsbsim", "numpy")
 _COMPILER = re.compile(rb"(GCC: \([^)\0]{1,60}\) [\d.]+|clang version [\d.]+)")
 

@@ -26,6 +26,7 @@ from benchmarks.measures.own_blocks import OwnBlocks, measure_own_blocks
 from benchmarks.measures.pages import Pages, PagesPlan, measure_pages
 from benchmarks.measures.process import Memory, Startup, measure_memory, measure_startup
 from benchmarks.measures.speed import RECORDED, measure_speed, warm_up
+from benchmarks.peers.block_diagram import BlockDiagram, measure_block_diagram
 from benchmarks.peers.multirotor import Multirotor, measure_multirotor
 from benchmarks.peers.peers import Peers, measure_peers
 from benchmarks.timing import Cost
@@ -33,20 +34,21 @@ from cosim import FlightError, InputError
 from cosim.commands import nearest
 from cosim.files import scratch
 
-STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY = "step", "blocks", "others", "own", "peers", "rotorpy"
+STEP, BLOCKS, OTHERS, OWN = "step", "blocks", "others", "own"
+PEERS, PATHSIM, ROTORPY = "peers", "pathsim", "rotorpy"
 TIME, ENGINES, LOG, PAGES = "time", "engines", "log", "pages"
 START, MEMORY, CAMPAIGN = "start", "memory", "campaign"
-PARTS = (STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, PAGES, START, MEMORY, CAMPAIGN)
-QUICK = (STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, PAGES, START)  # less than a minute
+PARTS = (STEP, BLOCKS, OTHERS, OWN, PEERS, PATHSIM, ROTORPY, TIME, ENGINES, LOG, PAGES, START, MEMORY, CAMPAIGN)
+QUICK = (STEP, BLOCKS, OTHERS, OWN, PEERS, PATHSIM, ROTORPY, TIME, ENGINES, LOG, PAGES, START)  # less than a minute
 
 
 @dataclass(frozen=True)
 class Plan:
     """What to measure, and how much of it.
 
-    ``steps`` of a flight, ``rounds`` through the jobs, ``starts`` of processes; ``lengths_s`` of flights compared and
-    ``hover_s`` of those beside RotorPy; ``others_s`` of other flights; ``pages`` that are written and
-    looked at; ``memory_minutes`` of the long flight.
+    ``steps`` of a flight, ``rounds`` through the jobs, of the dear ones ``dear_rounds`` at most; ``starts`` of
+    processes; ``lengths_s`` of flights compared and ``hover_s`` of those beside RotorPy; ``others_s`` of other flights;
+    ``pages`` that are written and looked at; ``memory_minutes`` of the long flight, flown ``long_flights`` times.
 
     ``folder``: where flights are recorded; None is the system's place for temporary files.
     """
@@ -54,12 +56,14 @@ class Plan:
     parts: tuple[str, ...] = QUICK
     steps: int = 2500
     rounds: int = 5
+    dear_rounds: int = 3
     starts: int = 5
     lengths_s: tuple[int, ...] = (10, 60)
     hover_s: float = 1.0
     others_s: float = 6.0
     pages: PagesPlan = field(default_factory=PagesPlan)
     memory_minutes: float = 5.0
+    long_flights: int = 1
     campaign: CampaignPlan = field(default_factory=CampaignPlan)
     folder: str | None = None
 
@@ -69,10 +73,10 @@ FULL = Plan(
     steps=5000,
     rounds=9,
     lengths_s=(10, 60, 600),
-    hover_s=10.0,
-    pages=PagesPlan((20, 600), flights=1000, look_s=5.0),
+    hover_s=2.0,
+    pages=PagesPlan((20, 600), flights=1000, look_s=2.0),
     memory_minutes=60.0,
-    campaign=CampaignPlan(rounds=7, flights=50, study=2000),
+    campaign=CampaignPlan(rounds=3, study=2000),
 )
 
 
@@ -110,6 +114,7 @@ class Result:
     others: Others | None = None
     own: OwnBlocks | None = None
     peers: Peers | None = None
+    pathsim: BlockDiagram | None = None
     rotorpy: Multirotor | None = None
     time: Lengths | None = None
     engines: EngineCounts | None = None
@@ -161,23 +166,21 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
 
 def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], object]], object], int]:
     """Return what measures a part, and how often it says that it has got further."""
-    steps, rounds = plan.steps, plan.rounds
+    steps, rounds, dear = plan.steps, plan.rounds, min(plan.rounds, plan.dear_rounds)
     measures: dict[str, tuple[Callable[[Callable[[], object]], object], int]] = {
         STEP: (partial(measure_speed, steps, rounds, folder), rounds),
         BLOCKS: (partial(measure_blocks, steps, rounds, folder), rounds),
         OTHERS: (partial(measure_others, plan.others_s, rounds, folder), rounds),
         OWN: (partial(measure_own_blocks, plan.others_s, rounds, folder), rounds),
         PEERS: (partial(measure_peers, steps, rounds, folder), rounds),
-        ROTORPY: (partial(measure_multirotor, plan.hover_s, rounds, folder), rounds),
-        TIME: (
-            partial(measure_lengths, plan.lengths_s, rounds, plan.starts, folder),
-            rounds + len(plan.lengths_s) * plan.starts,
-        ),
+        PATHSIM: (partial(measure_block_diagram, steps, rounds, folder), rounds),
+        ROTORPY: (partial(measure_multirotor, plan.hover_s, dear, folder), dear),
+        TIME: (partial(measure_lengths, plan.lengths_s, dear, dear, folder), dear + len(plan.lengths_s) * dear),
         ENGINES: (partial(measure_engine_counts, steps, rounds, folder), rounds),
         LOG: (partial(measure_log_rates, steps, rounds, folder), rounds),
-        PAGES: (partial(measure_pages, plan.pages, rounds, folder), rounds * len(plan.pages.seconds) + 1),
+        PAGES: (partial(measure_pages, plan.pages, dear, folder), dear * len(plan.pages.seconds) + 1),
         START: (partial(measure_startup, plan.starts, folder), 2 * (plan.starts + 1)),
-        MEMORY: (partial(measure_memory, plan.memory_minutes, plan.starts, folder), plan.starts),
+        MEMORY: (partial(measure_memory, plan.memory_minutes, plan.long_flights, folder), plan.long_flights),
         CAMPAIGN: (
             partial(measure_campaign, plan.campaign, folder),
             plan.campaign.rounds + plan.campaign.fixed_rounds + bool(plan.campaign.study),

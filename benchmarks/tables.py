@@ -15,9 +15,10 @@ from benchmarks.measures.others import Others
 from benchmarks.measures.own_blocks import BASELINE, OwnBlocks
 from benchmarks.measures.pages import Pages
 from benchmarks.measures.process import UNIT, Memory, Startup
-from benchmarks.measures.speed import BARE
-from benchmarks.peers.multirotor import Multirotor
-from benchmarks.peers.peers import ALONE, EXCHANGE, Peers
+from benchmarks.measures.speed import BARE, RECORDED
+from benchmarks.peers.block_diagram import LABEL, SUBSTEPS, BlockDiagram
+from benchmarks.peers.multirotor import WHOLE_FLIGHT, Multirotor
+from benchmarks.peers.peers import ALONE, EXCHANGE, OURS, Peers
 from benchmarks.suite import (
     BLOCKS,
     CAMPAIGN,
@@ -27,6 +28,7 @@ from benchmarks.suite import (
     OTHERS,
     OWN,
     PAGES,
+    PATHSIM,
     PEERS,
     ROTORPY,
     START,
@@ -38,7 +40,10 @@ from benchmarks.targets import judge_targets, runs_a_step
 from benchmarks.timing import Cost, Spread
 
 ASKED, MACHINE = "asked", "machine"
-KEYS = (ASKED, STEP, BLOCKS, OTHERS, OWN, PEERS, ROTORPY, TIME, ENGINES, LOG, PAGES, START, MEMORY, CAMPAIGN, MACHINE)
+KEYS = (
+    *(ASKED, STEP, BLOCKS, OTHERS, OWN, PEERS, PATHSIM, ROTORPY, TIME, ENGINES, LOG, PAGES, START, MEMORY, CAMPAIGN),
+    MACHINE,
+)
 
 Row = tuple[str, ...]
 
@@ -61,6 +66,7 @@ def tables(result: Result) -> dict[str, list[Table]]:
         OTHERS: (result.others, _others),
         OWN: (result.own, lambda part: [_own_blocks(part)]),
         PEERS: (result.peers, lambda part: [_peers(part)]),
+        PATHSIM: (result.pathsim, lambda part: [_pathsim(part)]),
         ROTORPY: (result.rotorpy, lambda part: [_rotorpy(part)]),
         TIME: (result.time, lambda part: [_time(part)]),
         ENGINES: (result.engines, _engines),
@@ -71,7 +77,7 @@ def tables(result: Result) -> dict[str, list[Table]]:
         CAMPAIGN: (result.campaign, _campaign),
     }
     tables_by_part = {key: list(make(part)) for key, (part, make) in measured.items() if part}
-    return {ASKED: [_options(result)], **tables_by_part, MACHINE: list(_machine(result))}
+    return {ASKED: [_options(result), *_others_beside(result)], **tables_by_part, MACHINE: list(_machine(result))}
 
 
 def spread(value: Spread) -> str:
@@ -90,8 +96,36 @@ def _options(result: Result) -> Table:
     rows = []
     for judged in judge_targets(result):
         bound = f"at {'least' if judged.least else 'most'} {judged.bound:g} {judged.unit}"
-        rows.append((judged.name, spread(judged.measured), bound, "yes" if judged.met else "no"))
-    return Table("asked for", ("measured", "asked for", "met"), rows)
+        rows.append((judged.name, bound, judged.before or "-", spread(judged.measured), "yes" if judged.met else "no"))
+    return Table("asked for", ("goal", "before", "after", "met"), rows)
+
+
+def _others_beside(result: Result) -> Iterator[Table]:
+    """Yield what others cost in this run, each beside what of ours does the same or more."""
+    rows: list[Row] = []
+    for runs, costs in (result.step or {}).items():
+        ours = costs[RECORDED].units.median
+        rows.append(_beside(f"bare JSBSim, {runs_a_step(runs)}", float(runs), "a recorded step", ours))
+    if result.pathsim and result.pathsim.cost:
+        theirs, ours = result.pathsim.cost.units.median, result.pathsim.ours.units.median
+        rows.append(_beside(f"{LABEL}, {runs_a_step(SUBSTEPS)}", theirs, "a recorded step", ours))
+    if result.peers:
+        ours = result.peers.costs[OURS][EXCHANGE].units_process.median
+        for name, tasks in result.peers.costs.items():
+            if name != OURS:
+                rows.append(_beside(f"{name}, six FMUs", tasks[EXCHANGE].units_process.median, "six FMUs", ours))
+    if result.rotorpy:
+        for name, hover in result.rotorpy.hovers.items():
+            if WHOLE_FLIGHT in name:
+                ours = hover.cost.units.median / hover.ratio.median
+                rows.append(_beside(name, hover.cost.units.median, "a recorded step", ours))
+    if rows:
+        yield Table("others in the same run, units a step", ("theirs", "ours", "ours is", "theirs by ours"), rows)
+
+
+def _beside(name: str, theirs: float, what: str, ours: float) -> Row:
+    values = [f"{value:.{_digits(value)}f}" for value in (theirs, ours, theirs / ours)]
+    return (name, values[0], values[1], what, values[2])
 
 
 def _cost(cost: Cost) -> Row:
@@ -154,6 +188,15 @@ def _peers(peers: Peers) -> Table:
 
 def _missing(name: str, why: str) -> str:
     return f"{name} not measured: {why}"
+
+
+def _pathsim(diagram: BlockDiagram) -> Table:
+    rows = [("ours, recorded to disk", *_cost(diagram.ours), "1")]
+    if diagram.cost and diagram.ratio:
+        rows.append((f"{LABEL} {diagram.version}", *_cost(diagram.cost), spread(diagram.ratio)))
+    notes = [] if diagram.missing is None else [_missing("PathSim", diagram.missing)]
+    title = f"a hover of {diagram.steps} steps in a block diagram, {SUBSTEPS} JSBSim runs in a step"
+    return Table(title, (*US, "by ours"), rows, notes)
 
 
 def _rotorpy(multirotor: Multirotor) -> Table:
@@ -263,7 +306,8 @@ def _memory(memory: Memory) -> Table:
         where = f"{mark.where} of the flight" if "/" in mark.where else mark.where
         resident = "-" if mark.resident_mb is None else spread(mark.resident_mb)
         rows.append((where, resident, spread(mark.peak_mb)))
-    note = f"Each flight with its files took {spread(memory.wall_s)} s; its folder has {memory.log_mb:.0f} MB."
+    page = "" if memory.page_mb is None else f", its page {memory.page_mb:.2f} MB"
+    note = f"Each flight with its files took {spread(memory.wall_s)} s; its folder has {memory.log_mb:.0f} MB{page}."
     title = f"{memory.minutes:g} min flown, {memory.steps} steps"
     return Table(title, ("resident MB", "peak so far MB"), rows, [note])
 
@@ -324,7 +368,8 @@ def _machine(result: Result) -> Iterator[Table]:
     rows.append(
         (
             "repeats",
-            f"{plan.rounds} rounds, {plan.starts} processes started, {plan.campaign.rounds} rounds of the campaign",
+            f"{plan.rounds} rounds, {min(plan.rounds, plan.dear_rounds)} of what is dear, "
+            f"{plan.starts} processes started, {plan.campaign.rounds} rounds of the campaign",
         )
     )
     rows.append(("steps of a timed flight", str(plan.steps)))

@@ -16,6 +16,7 @@ from benchmarks.measures.long_flight import INTERVALS, MEGABYTE, REPORTED, WRITT
 from benchmarks.timing import Spread
 from cosim import FlightError
 from cosim.base.runtime.processes import python_command
+from cosim.results.run import REPORT
 
 # `hexjet fly`, stopped where its log is begun and its first step comes next; stamped against the time of its start.
 _FIRST_STEP = """
@@ -81,6 +82,7 @@ class Memory:
     steps: int
     wall_s: Spread
     log_mb: float  # of the run's folder in the end
+    page_mb: float | None  # None: no page was made
     landmarks: list[Landmark]
     growth_mb: Spread | None
     peak_mb: Spread
@@ -164,6 +166,7 @@ def measure_memory(
         steps=flights[0].marks[-1].steps,
         wall_s=Spread.of([flight.wall for flight in flights]),
         log_mb=flights[0].log,
+        page_mb=flights[0].page,
         landmarks=landmarks,
         growth_mb=Spread.of(growths) if growths else None,
         peak_mb=landmarks[-1].peak_mb,
@@ -183,6 +186,7 @@ class _Long(NamedTuple):
     marks: list[_Mark]
     wall: float
     log: float
+    page: float | None
 
     @property
     def growth(self) -> float | None:
@@ -204,8 +208,9 @@ def _fly_long(out: Path, minutes: float, report: bool) -> _Long:
     if child.returncode or not marks or marks[-1].where != (REPORTED if report else WRITTEN):
         raise FlightError(f"the long flight ended early, with status {child.returncode}")
     size = sum(file.stat().st_size for file in out.iterdir()) / MEGABYTE
+    page = (out / REPORT).stat().st_size / MEGABYTE if report else None
     rmtree(out)
-    return _Long(marks, time.perf_counter() - begin, size)
+    return _Long(marks, time.perf_counter() - begin, size, page)
 
 
 def start_python(code: str, *arguments: str, ask: bool = False) -> subprocess.Popen[str]:

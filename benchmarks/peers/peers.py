@@ -30,6 +30,7 @@ STEP = 0.004
 SUBSTEPS = 4  # as the shipped scenarios have it; decides how long a step the unit takes
 MOST_STEPS = 1000  # the slowest takes a quarter of a millisecond a step
 
+OURS = "ours"
 EXCHANGE = "throttles in, step, thrusts out"
 ALONE = "step alone"
 
@@ -73,7 +74,7 @@ def inputs(steps: int) -> list[tuple[float, ...]]:
 
 def find_peers() -> tuple[list[Peer], dict[str, str]]:
     """Those that can be used here, us first, and for the others what is in the way."""
-    peers = [Peer("ours", "hexjet-cosim", _hexjet), Peer("FMPy's wrappers", "FMPy", _fmpy)]
+    peers = [Peer(OURS, "hexjet-cosim", _hexjet), Peer("FMPy's wrappers", "FMPy", _fmpy)]
     missing = {}
     for name, package, prepare in (("ecos", "ecospy", _prepare_ecos), ("libcosim", "libcosimpy", _prepare_libcosim)):
         try:

@@ -37,7 +37,7 @@ from benchmarks.page import (
     check_page,
     write_page,
 )
-from benchmarks.peers import multirotor, peers
+from benchmarks.peers import block_diagram, multirotor, peers
 from benchmarks.show import print_result
 from benchmarks.suite import (
     CAMPAIGN,
@@ -51,7 +51,7 @@ from benchmarks.suite import (
     measure,
 )
 from benchmarks.tables import spread
-from benchmarks.targets import TargetResult, judge_targets, to_dict, vehicle_targets
+from benchmarks.targets import OUTSIDE_UNITS, TargetResult, judge_targets, to_dict, values_before, vehicle_targets
 from benchmarks.timing import (
     Clocked,
     Cost,
@@ -220,7 +220,7 @@ def test_what_is_asked_for(measured: Result) -> None:
         in_it = f"{runs} run{'s' if runs > 1 else ''} a step"
         costs = measured.step[runs]
         outside = rows[f"not JSBSim, recorded in full, {in_it}"]
-        assert (outside.measured, outside.bound) == (costs[speed.OUTSIDE].units, 1.5)
+        assert (outside.measured, outside.bound) == (costs[speed.OUTSIDE].units, OUTSIDE_UNITS)
         whole = rows[f"whole flight by bare JSBSim, {in_it}"]
         assert whole.bound == most
         assert whole.measured.median == pytest.approx(costs[speed.RECORDED].units.median / runs)
@@ -235,6 +235,47 @@ def test_what_is_asked_for(measured: Result) -> None:
 @pytest.mark.parametrize(("median", "least", "met"), [(1.9, False, True), (2.1, False, False), (1.9, True, False)])
 def test_the_median_decides(median: float, least: bool, met: bool) -> None:
     assert TargetResult("a", Spread.of([median - 1.0, median, median + 1.0]), 2.0, "times", least).met is met
+
+
+@pytest.mark.long
+def test_what_it_came_to_before_stands_beside_it(measured: Result) -> None:
+    """No number of before is for a row that there is not."""
+    rows = judge_targets(measured)
+    keys = [row.key for row in rows if row.key]
+    assert len(set(keys)) == len(keys)
+    assert {row.key: row.before for row in rows}["outside-1"] == "1.32"
+    not_here = (
+        "page-",
+        "campaign-page-",
+        "study",
+        "memory-",
+        "process",
+        "isolated",
+        "fmu",
+    )  # of longer flights, or no compiler
+    assert {key for key in values_before() if not key.startswith(not_here)} <= set(keys)
+    assert (TargetResult("a", Spread.of([1.0]), 2.0, "s").before, len(values_before())) == (None, 37)
+
+
+def test_a_hover_in_a_block_diagram_is_one(tmp_path: Path) -> None:
+    pytest.importorskip("pathsim", exc_type=ImportError)
+    found = block_diagram.find_pathsim()
+    assert not isinstance(found, str)
+    with build(speed.hover(500, block_diagram.SUBSTEPS)) as simulation:
+        begin = simulation.airframe._fdm.get_sim_time()
+        found.hover(simulation, 500)()
+        assert simulation.airframe._fdm.get_sim_time() - begin == pytest.approx(500 * 0.004, abs=0.01)
+
+
+def test_without_pathsim_ours_is_measured_and_the_reason_given(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def absent(name: str) -> object:
+        raise ModuleNotFoundError(f"No module named {name!r}")
+
+    monkeypatch.setattr(block_diagram, "import_module", absent)
+    found = block_diagram.measure_block_diagram(250, 1, tmp_path, lambda: None)
+    assert (found.cost, found.ratio, found.version) == (None, None, None)
+    assert found.missing == "No module named 'pathsim'; it comes with: pip install pathsim"
+    assert found.ours.units.median > block_diagram.SUBSTEPS
 
 
 def test_all_engines_answer_alike_to_the_last_bit() -> None:
@@ -791,8 +832,8 @@ def test_what_a_flight_gains_in_memory() -> None:
     """From the first quarter, when everything is loaded, to the end; nothing where the system does not tell."""
     held = {"start": 50.0, "1/4": 101.0, "2/4": 104.0, "3/4": 102.0, "4/4": 103.5, "log and summary": 140.0}
     marks = [process._Mark(where, resident, resident, 0) for where, resident in held.items()]
-    assert process._Long(marks, 1.0, 1.0).growth == pytest.approx(2.5)
-    assert process._Long([mark._replace(resident=None) for mark in marks], 1.0, 1.0).growth is None
+    assert process._Long(marks, 1.0, 1.0, None).growth == pytest.approx(2.5)
+    assert process._Long([mark._replace(resident=None) for mark in marks], 1.0, 1.0, None).growth is None
 
 
 def test_memory_grows_with_what_is_held() -> None:
