@@ -27,6 +27,7 @@ from cosim.campaign import open_campaign
 from cosim.campaign.analysis.summary import controller_indices, success_fractions
 from cosim.campaign.analysis.table import FlightTable, read_flight_table
 from cosim.design import design as make
+from cosim.design.limit import Bounds, Limit, find_limit
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels
 from cosim.engine import load_engine
@@ -69,7 +70,7 @@ BOX = {
 }
 STUDY = "equal-sensitivity"
 ACTIVITY = "effort.throttle_1_s"
-MARKS = ("answer", "parameters", "loops", "horizons", "flights", "robustness", "robustness by delay")
+MARKS = ("answer", "parameters", "loops", "limits", "horizons", "flights", "robustness", "robustness by delay")
 HORIZONS_S = (2.0, 3.0, 5.0, 7.0, 14.0)  # over which errors are integrated; parameters are tuned for 7 s
 SECONDS = 20.0  # for which impulses are followed on the page; a design's 7 s for the errors
 DOUBLET = Scenario.load("roll-doublet").replace(expect=[])
@@ -158,6 +159,45 @@ def mean(each: LawLoop, other: LawLoop) -> float:
 def within(each: LawLoop) -> tuple[float, float]:
     """Errors of the delay with which the peak stays within twice what it is; less than none there is not."""
     return each.delays_within(2.0 * ROBUST, roll().transport_samples)
+
+
+@cache
+def least(peak: float, noise: float, step_error: float, delay_error: float = 0.0) -> Limit:
+    """The loop of the least load error within these bounds, of all linear ones."""
+    return find_limit(roll(), Bounds(peak, noise, step_error, delay_error))
+
+
+def reachable(noise: float, step_error: float) -> float:
+    """The least load error at the page's peak sensitivity; NaN where no controller keeps both bounds."""
+    try:
+        return least(ROBUST, noise, step_error).load_error
+    except InputError:
+        return float("nan")
+
+
+def beside(each: LawLoop) -> list[str]:
+    """Cells: the least load error at the law's own peak, noise and step error, the law's by it; the same as tolerant."""
+    low, high = within(each)
+    kept = (each.peak_sensitivity, each.noise, each.step_error)
+    best, tolerant = least(*kept), least(*kept, min(-low, high))
+    return [
+        f"{best.load_error:.1f}",
+        f"{each.load_error / best.load_error:.2f}",
+        f"{tolerant.load_error:.1f}",
+        f"{each.load_error / tolerant.load_error:.2f}",
+    ]
+
+
+def limits(found: Mapping[str, LawLoop]) -> str:
+    """Every law beside the best of all linear controllers."""
+    rows = []
+    for name, each in found.items():
+        low, high = within(each)
+        rows.append(
+            [LAWS[name], f"{each.load_error:.1f}", *beside(each)[:2], f"{min(-low, high):.2f}", *beside(each)[2:]]
+        )
+    head = ("law", "load", "least", "times the least", "delay error held", "least, as tolerant", "times that")
+    return table(head, rows)
 
 
 def loops(found: Mapping[str, LawLoop]) -> str:
@@ -344,6 +384,13 @@ def draw(found: Mapping[str, LawLoop]) -> None:
     left.set_title("What an error of the delay does to a peak of 1.7", fontsize=9)
     left.axhline(ROBUST, color="#c8ced4", lw=0.8, zorder=0)
     left.legend(fontsize=7, ncols=1, loc="lower right")
+    for name, style in (("pid", ":"), ("indi", "--")):
+        noise = found[name].noise
+        steps = np.array([0.14, 0.18, 0.25, 0.35, 0.5, 0.75])
+        curve = [reachable(noise, float(step)) for step in steps]
+        label = f"the limit, with {LAWS[name]}'s noise"
+        right.plot(steps, curve, style, color="#1c2329", lw=1.2, label=label)
+    right.legend(fontsize=7, loc="upper right")
     right.set(xlabel="integrated error after a step [rad s per rad]", ylabel="after a load [rad s per unit of command]")
     right.set_yscale("log")
     right.set_yticks([10.0, 20.0, 50.0, 100.0], ["10", "20", "50", "100"])
@@ -359,7 +406,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/laws"))
     parser.add_argument("--runs", type=int, default=60)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--only", choices=("horizons",), help="this table alone")
+    parser.add_argument("--only", choices=("horizons", "limits"), help="this table alone, limits with the picture")
     parser.add_argument("--tune", nargs="*", metavar="LAW", help="none: all")
     asked = parser.parse_args()
     if asked.tune is not None:
@@ -371,12 +418,22 @@ def main() -> None:
             print(f"{name}: {value:+.4f} {values} peak {loop(name, values, SECONDS).peak_sensitivity:.4f}", flush=True)
         return
     check_marks(PAGE, MARKS)
-    if asked.only:
+    if asked.only == "horizons":
         write_marks(PAGE, {"horizons": horizons()})
         return
     found = {name: loop(name) for name in LAWS}
+    if asked.only:
+        draw(found)
+        write_marks(PAGE, {"limits": limits(found)})
+        return
     draw(found)
-    parts = {"parameters": given(), "loops": loops(found), "horizons": horizons(), "flights": flown()}
+    parts = {
+        "parameters": given(),
+        "loops": loops(found),
+        "limits": limits(found),
+        "horizons": horizons(),
+        "flights": flown(),
+    }
     write_marks(PAGE, parts)
     folder = asked.out / f"{STUDY}-{asked.runs}"
     run(f"hexjet sweep {STUDY} --runs {asked.runs}", folder, asked.workers)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from cosim.design.levels import (
     meets_requirements,
     tunings_at,
 )
+from cosim.design.limit import AxisLimit, axis_limit, need_solver
 from cosim.design.limits import Say, bandwidths_without_limits, explain_failure, find_allowances, tolerance_checks
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead, hover_fraction
@@ -87,6 +89,7 @@ class Design:
     proof: Proof | None = None  # of the measured response and in flight; None where it was not asked for
     firmware: Firmware | None = None  # in whose loop the gains are; None: ours
     tolerances: str = ""  # where those are from that nobody stated; empty: the usual ones
+    performance: Mapping[str, AxisLimit] = field(default_factory=dict)  # by axis, where it was asked for
 
     @property
     def ok(self) -> bool:
@@ -192,6 +195,22 @@ def design(
         spec, vehicle, scenario, need, identified, source, axes, burning, plan, reason, allowing,
         firmware=firmware, tolerances=tolerances.words,
     )  # fmt: skip
+
+
+def add_limits(design: Design, say: Say = lambda text: None) -> Design:
+    """Return the design with each attitude axis beside the limit of performance, where it has one.
+
+    Raises InputError where the solver is not installed.
+    """
+    need_solver()
+    limits = {}
+    for axis in AXES:
+        after = design.axes[axis].after
+        if after is not None and after.load_error is not None:
+            say(f"{axis}: the limit of performance")
+            with suppress(InputError):  # an axis without a limit of this kind
+                limits[axis] = axis_limit(fine_loop(design.axes[axis].channel, after.tuning), after.load_error)
+    return replace(design, performance=limits)
 
 
 def axis_requirements(axis: str, need: Requirements) -> Requirements:

@@ -79,6 +79,7 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
         "model_source": design.model_source,
         "identification": identification.to_dict() if identification else None,
         "axes": {axis: _axis_dict(axis_design) for axis, axis_design in design.axes.items()},
+        "limit": {axis: limit.to_dict() for axis, limit in design.performance.items()},
         "levels": [
             {
                 "fuel": level.level.fuel,
@@ -176,6 +177,7 @@ def detail_lines(design: Design) -> list[str]:
         for axis, axis_design in design.axes.items()
         if axis_design.after is not None and axis_design.after.tuning.lead is not None
     ]
+    lines += [f"{axis}: {limit.describe()}" for axis, limit in design.performance.items()]
     lines.append(_reach(design))
     lines += _level_lines(design)
     checks = [

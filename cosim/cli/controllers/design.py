@@ -76,6 +76,7 @@ class DesignOptions(opt.Output):
         help="End with the proof: measured past the crossover, flown at the corners of the tolerances.  [default: "
         "--proof]",
     )
+    limit = opt.flag("--limit", "Compare each axis with the best that any linear controller could do; half a minute.")
     settings = opt.words("--set", "KEY=VALUE", "As in hexjet fly, over a plain hover.")
     out = opt.path("--out", "FILE.toml", "[default: a new folder in runs/]", dir_okay=False, writable=True)
     as_json = opt.JSON
@@ -95,13 +96,17 @@ def design(options: DesignOptions) -> int:
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
+    from cosim.design.design import add_limits
     from cosim.design.design import design as make
+    from cosim.design.limit import need_solver
     from cosim.design.prove import add_proof
     from cosim.design.result import to_dict, write
     from cosim.simulation.controllers.controller_file import Requirements
 
     if options.out is not None:  # before minutes of searching
         _prepare(options.out)
+    if options.limit:
+        need_solver()
     engine = engine_for(options.aircraft, options.engine)
     autopilot, aircraft, firmware = options.autopilot, options.aircraft, None
     if autopilot is not None:
@@ -141,6 +146,8 @@ def design(options: DesignOptions) -> int:
         designed = search()
         if options.proof:
             designed = add_proof(designed, lambda text: tell(text, 0, 1), lambda unsure: search(unsure=unsure))
+        if options.limit and designed.ok:
+            designed = add_limits(designed, lambda text: tell(text, 0, 1))
     paths = write(designed, options.out)
     if autopilot is not None and designed.ok:
         from cosim.cli.firmware import write_parameters

@@ -1,0 +1,410 @@
+"""The limit of performance: the least error after a load that any stabilising linear controller leaves on a channel.
+
+The controller measures rate and angle.  With ``q = 1 / z`` and ``H`` from command to rate, every loop that it can make
+is stable and is made by two finite responses ``t`` and ``y`` (the affine parametrisation of D. C. Youla, H. A. Jabr and
+J. J. Bongiorno, IEEE Trans. Automatic Control 21 (1976) 319-338, here for a plant that can be inverted behind its
+delay of ``N`` steps):
+
+    H = q^N b(q) / a(q),  G = H T/2 (1 + q) / (1 - q)          to the angle; T the step
+    T_i = q^(N + l) t                                          complementary sensitivity at the plant's input
+    angle / set-point = q^(N + s) (1 + q) / 2 y
+    command / set-point = a / b (1 - q) / T y,  command / gyro noise = -a / b (t - q^(m + s - l) (1 + q) / 2 y)
+    angle / load = G (1 - T_i)
+
+``l`` and ``m`` are the steps by which rate and angle are measured late, ``s = max(l - m, 0)``; zeros of ``b`` on or
+outside the unit circle stay in ``t`` and ``y``.  At rest both are 1, and where the rate has a pole at 1 the ramp that
+``T_i`` follows is exact too.  The set-point enters where the angle is measured (one degree of freedom).
+
+Errors in time, noise, and the sensitivity at each frequency are convex in ``t`` and ``y`` (S. Boyd and C. Barratt,
+Linear Controller Design: Limits of Performance, 1991), which are cubic splines in time.  A coarser spline can only miss
+the least from above.  So that the optimum is no fragile one, an error ``|e| <= E`` of the delay may be held too:
+
+    |S| + 2 M w |T_i| <= 2 M,   w = max |1 - exp(-j theta e)|   sufficient for a peak below 2 M at every such delay
+
+which is a little pessimistic: what it finds is then at most too high.  The programme is solved by Clarabel
+(P. J. Goulart and Y. Chen, 2024): ``pip install 'hexjet-cosim[limit]'``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib.util import find_spec
+from math import pi
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.interpolate import BSpline
+from scipy.signal import lfilter
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.errors import InputError
+from cosim.design.loop.channel import Channel
+from cosim.design.loop.closed_loop import ClosedLoop, window_s
+
+DEGREE = 3  # of the splines
+KNOTS_A_DELAY = 3.25  # knots within the time that the plant is late by
+EVEN_DELAYS = 24  # for so many delays knots are as close; behind them their distance grows
+GROWTH, FARTHEST = 1.08, 8.0  # from knot to knot, up to so many times the first distance
+FREQUENCIES = 620  # of the sensitivity, even in the logarithm
+LOWEST = 2e-3  # rad per sample, the first of them
+ON_CIRCLE = 1e-6  # zeros so near to the unit circle are not inverted, and a pole of the rate as near to 1 is at 1
+QUARTER = 0.25  # of a sample, by which a loop's own tolerance of the delay is found
+FACTOR = 2.0  # by which the peak sensitivity may grow with an error of the delay
+HINT = "pip install 'hexjet-cosim[limit]'"
+
+
+class Bounds(NamedTuple):
+    """What a controller has to keep: those of another loop, say, that it is compared with."""
+
+    peak_sensitivity: float
+    noise: float  # standard deviation of the command, its unit
+    step_error: float  # integrated absolute error after a unit step of the set-point, rad s per rad
+    delay_error: float = 0.0  # samples either way, with which the peak may become FACTOR times as high; 0: not held
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The least error after a load, and the closed loop that reaches it, computed without the spline's shortcuts."""
+
+    bounds: Bounds
+    load_error: float  # integrated absolute error of the angle after a unit step of load, rad s per unit of the command
+    step_error: float
+    noise: float
+    peak_sensitivity: float
+    complementary: Array  # t, sample by sample from its first
+    setpoint: Array  # y, the same
+
+
+@dataclass(frozen=True)
+class AxisLimit:
+    """A closed loop beside the best that any linear controller does within what the loop keeps."""
+
+    load_error: float  # of the loop
+    least: Limit
+    tolerant: Limit | None  # with the loop's own tolerance of the delay too; None where it has none
+
+    @property
+    def times(self) -> float:
+        """The loop's load error by the least."""
+        return self.load_error / self.least.load_error
+
+    @property
+    def times_tolerant(self) -> float | None:
+        """The same by the least of those that tolerate as much: at least this, for the condition is sufficient."""
+        return None if self.tolerant is None else self.load_error / self.tolerant.load_error
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers, for JSON."""
+        bounds = (self.tolerant or self.least).bounds
+        return {
+            "load_error": self.load_error,
+            "least": self.least.load_error,
+            "times": self.times,
+            "least_as_tolerant": None if self.tolerant is None else self.tolerant.load_error,
+            "times_as_tolerant": self.times_tolerant,
+            "delay_error_samples": bounds.delay_error,
+            "peak_sensitivity": bounds.peak_sensitivity,
+            "noise": bounds.noise,
+            "step_error": bounds.step_error,
+        }
+
+    def describe(self) -> str:
+        """Return the comparison in words."""
+        text = (
+            f"its error after a load is {self.times:.2f} times the least that any linear controller leaves with the "
+            "same peak sensitivity, noise and step error"
+        )
+        if self.tolerant is None:
+            return text
+        return (
+            f"{text}, and {self.times_tolerant:.2f} times where its tolerance of the delay, "
+            f"{self.tolerant.bounds.delay_error:g} samples either way, is kept too"
+        )
+
+
+def axis_limit(closed: ClosedLoop, load_error: float) -> AxisLimit:
+    """Return a closed loop, with this load error, beside the limit.  Raises InputError as :func:`find_limit`."""
+    channel, bounds = closed.points.channel, loop_bounds(closed)
+    least = find_limit(channel, bounds)
+    error = _delay_error(closed)
+    return AxisLimit(load_error, least, find_limit(channel, bounds._replace(delay_error=error)) if error else None)
+
+
+def loop_bounds(closed: ClosedLoop) -> Bounds:
+    """Return what a closed loop of the nominal channel keeps, its tolerance of the delay left out."""
+    peak = float(np.max(np.abs(closed.inner / closed.characteristic)))
+    return Bounds(peak, closed.noise, closed.step_error)
+
+
+def _delay_error(closed: ClosedLoop) -> float:
+    """Return the largest error of the delay, samples, up to which the peak stays below FACTOR times what it is."""
+    theta, open_loop = closed.points.theta, closed.open_loop
+    allowed, most = FACTOR * loop_bounds(closed).peak_sensitivity, closed.points.channel.transport_samples
+    error = 0.0
+    while error + QUARTER <= most:
+        turns = np.exp(-1j * theta * (error + QUARTER))
+        peaks = [float(np.abs(1.0 / (1.0 + open_loop * turn)).max()) for turn in (turns, turns.conj())]
+        if max(peaks) > allowed:
+            break
+        error += QUARTER
+    return error
+
+
+def find_limit(channel: Channel, bounds: Bounds, window: float | None = None) -> Limit:
+    """Return the least load error within ``bounds``, integrated over ``window`` s, by default that of a design.
+
+    Raises InputError where Clarabel is not installed, the channel has no such limit (a delay of no whole steps,
+    measurements that are held), or no linear controller keeps the bounds.
+    """
+    need_solver()
+    plant = _Plant(channel, round((window or window_s(channel)) / channel.step))
+    solution = _Programme(plant, bounds).solve()
+    return plant.evaluate(bounds, *solution)
+
+
+def need_solver() -> None:
+    """Raise InputError where Clarabel is not installed."""
+    if find_spec("clarabel") is None:
+        raise InputError(f"the limit of performance is computed with Clarabel, which is not installed: {HINT}")
+
+
+class _Plant:
+    """A channel as polynomials in ``q``, and its answers in time."""
+
+    def __init__(self, channel: Channel, samples: int) -> None:
+        self.channel, self.samples, self.step = channel, samples, channel.step
+        if channel.rate_hold != 1:
+            raise InputError(f"{channel.name}: no limit is computed where measurements are held")
+        self.rate_late, self.angle_late = (
+            (0, 0) if channel.identified else (channel.rate_latency, channel.angle_latency)
+        )
+        model = replace(channel, rate_filter_s=0.0, rate_latency=0).model("limit")
+        if model.delay_samples != int(model.delay_samples):
+            raise InputError(f"{channel.name}: a limit needs a delay of whole steps, not {model.delay_samples:g}")
+        zeros = [*model.zeros, *_pairs(model.zero_pairs)]
+        poles = [*model.poles, *_pairs(model.pole_pairs)]
+        self.late = int(model.delay_samples) + channel.added_delay + len(poles) - len(zeros)
+        self.denominator = _polynomial(poles)
+        kept = _polynomial([zero for zero in zeros if abs(zero) > 1.0 - ON_CIRCLE])
+        self.kept = kept / kept.sum()
+        inside = _polynomial([zero for zero in zeros if abs(zero) <= 1.0 - ON_CIRCLE])
+        self.inverted = model.gain * float(kept.sum()) * inside
+        self.is_double = any(abs(pole - 1.0) < ON_CIRCLE for pole in poles)
+        self.shift = max(self.rate_late - self.angle_late, 0)
+        self.length = samples - self.late - max(self.rate_late, self.shift)
+        if self.length < 8 * self.late:
+            raise InputError(f"{channel.name}: {samples} samples are too few for a limit; its delay is {self.late}")
+
+    def to_command(self, response: Array) -> Array:
+        """Return ``a / b`` of columns of responses."""
+        return np.asarray(lfilter(self.denominator, self.inverted, response, axis=0))
+
+    def angle_of_setpoint(self, y: Array) -> Array:
+        """Return the angle after a unit step of the set-point."""
+        return np.asarray(lfilter([0.5, 0.5], [1.0, -1.0], self._delayed(y, self.late + self.shift), axis=0))
+
+    def angle_of_load(self, t: Array | None = None) -> Array:
+        """Return the angle after a unit step of load without any control, or what ``t`` takes off it."""
+        acts, late = (np.ones(1), self.late) if t is None else (t, 2 * self.late + self.rate_late)
+        numerator = 0.5 * self.step * np.convolve(np.convolve(self.inverted, self.kept), [1.0, 1.0])
+        integrals = np.convolve(self.denominator, [1.0, -2.0, 1.0])
+        return np.asarray(lfilter(numerator, integrals, self._delayed(acts, late), axis=0))
+
+    def noise_of(self, t: Array, y: Array) -> tuple[Array, Array, Array]:
+        """Return the command after impulses of noise of its size: the gyro's by ``t`` and by ``y``, and the angle's."""
+        pad = np.zeros((EVEN_DELAYS * self.late, *t.shape[1:]))
+        t, y = np.concatenate([t, pad]), np.concatenate([y, pad])
+        late = self.angle_late + self.shift - self.rate_late
+        of_rate = self.channel.rate_noise
+        by_y = self.to_command(lfilter(np.r_[np.zeros(late), 0.5, 0.5], [1.0], y, axis=0))
+        of_angle = lfilter([1.0, -1.0], [1.0], self.to_command(y), axis=0) / self.step
+        return of_rate * self.to_command(t), -of_rate * by_y, self.channel.angle_noise * np.asarray(of_angle)
+
+    def evaluate(self, bounds: Bounds, t: Array, y: Array) -> Limit:
+        """Return the loop that ``t`` and ``y`` make, from every sample and a fine grid of frequencies."""
+        by_t, by_y, of_angle = self.noise_of(t, y)
+        load = self.angle_of_load() - self.angle_of_load(t)
+        sensitivity = 1.0 - np.fft.rfft(self._delayed(t, self.late + self.rate_late), 1 << 17)
+        return Limit(
+            bounds,
+            float(np.abs(load).sum()) * self.step,
+            float(np.abs(1.0 - self.angle_of_setpoint(y)).sum()) * self.step,
+            float(np.sqrt(np.square(by_t + by_y).sum() + np.square(of_angle).sum())),
+            float(np.abs(sensitivity).max()),
+            t,
+            y,
+        )
+
+    def _delayed(self, response: Array, samples: int) -> Array:
+        """Return a response as late as this, cut off at the end of what is looked at."""
+        late = np.zeros((self.samples, *response.shape[1:]))
+        inside = response[: max(self.samples - samples, 0)]
+        late[samples : samples + len(inside)] = inside
+        return late
+
+
+class _Cone(NamedTuple):
+    """Rows ``b - A x`` of a programme that lie in a cone: ``zero``, ``nonnegative`` or ``second-order``."""
+
+    kind: str
+    matrix: Any  # sparse
+    offset: Array
+
+
+class _Programme:
+    """The convex programme: coefficients of ``t`` and ``y``, and bounds on the absolute errors in time.
+
+    minimise sum w e  subject to  |angle after load| <= e,  |1 - angle after a step| <= f,  sum w f <= step error,
+    |noise| <= bound,  |1 - T_i| <= M at every frequency, or the same with a tolerance of the delay.
+    """
+
+    def __init__(self, plant: _Plant, bounds: Bounds) -> None:
+        self.plant, self.bounds = plant, bounds
+        if plant.late * plant.step >= bounds.step_error:
+            raise InputError(f"{plant.channel.name}: no controller has a step error below the delay itself")
+        self.basis = _splines(plant.length - len(plant.kept) + 1, plant.late)
+        self.basis = np.asarray(
+            lfilter(plant.kept, [1.0], np.pad(self.basis, ((0, len(plant.kept) - 1), (0, 0))), axis=0)
+        )
+        self.count = self.basis.shape[1]
+        step = max(1, plant.late // 6)
+        near = np.arange(plant.late, min(10 * plant.late, plant.samples), max(1, step // 2))
+        self.times = np.r_[near, np.arange(near[-1] + step, plant.samples, step)]
+        self.weights = np.gradient(self.times.astype(float)) * plant.step
+        self.columns = 2 * self.count + 2 * len(self.times)
+        self.tolerant = bounds.delay_error > 0.0
+
+    @cached_property
+    def _theta(self) -> Array:
+        return np.geomspace(LOWEST, pi, FREQUENCIES)
+
+    def _rows(self, t: Any = None, y: Any = None, load: Any = None, step: Any = None, sizes: Any = None) -> Any:
+        """Return rows of the matrix from the blocks that they have; ``sizes`` are bounds on |S| and |T_i|, if any."""
+        blocks = [t, y, load, step, *([sizes] if self.tolerant else [])]
+        widths = [self.count, self.count, len(self.times), len(self.times), 2 * FREQUENCIES]
+        height = next(block.shape[0] for block in blocks if block is not None)
+        return sparse.hstack(
+            [
+                sparse.csr_matrix((height, width)) if block is None else sparse.csr_matrix(block)
+                for block, width in zip(blocks, widths, strict=False)
+            ]
+        )
+
+    def solve(self) -> tuple[Array, Array]:
+        """Return ``t`` and ``y`` of the optimum.  Raises InputError where there is none."""
+        import clarabel
+
+        cones = [*self._at_rest(), *self._errors(), self._noise(), *self._sensitivity()]
+        kinds = {
+            "zero": clarabel.ZeroConeT,
+            "nonnegative": clarabel.NonnegativeConeT,
+            "second-order": clarabel.SecondOrderConeT,
+        }
+        matrix = sparse.vstack([cone.matrix for cone in cones]).tocsc()
+        width = matrix.shape[1]
+        cost = np.zeros(width)
+        cost[2 * self.count : 2 * self.count + len(self.times)] = self.weights
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        solution = clarabel.DefaultSolver(
+            sparse.csc_matrix((width, width)), cost, matrix, np.concatenate([cone.offset for cone in cones]),
+            [kinds[cone.kind](len(cone.offset)) for cone in cones], settings,
+        ).solve()  # fmt: skip
+        if str(solution.status) not in ("Solved", "AlmostSolved"):
+            bounds = self.bounds
+            raise InputError(
+                f"{self.plant.channel.name}: no linear controller was found with a peak sensitivity of at most "
+                f"{bounds.peak_sensitivity:.3g}, noise {bounds.noise:.3g} and step error {bounds.step_error:.3g} "
+                f"({solution.status})"
+            )
+        x = np.array(solution.x)
+        return self.basis @ x[: self.count], self.basis @ x[self.count : 2 * self.count]
+
+    def _at_rest(self) -> list[_Cone]:
+        """At rest ``t`` and ``y`` are 1; where the rate has a pole at 1, ``T_i`` has no slope there."""
+        sums = self.basis.sum(0)[None]
+        cones = [
+            _Cone("zero", self._rows(t=sums), np.ones(1)),
+            _Cone("zero", self._rows(y=sums), np.ones(1)),
+        ]
+        if self.plant.is_double:
+            late = self.plant.late + self.plant.rate_late
+            moments = ((np.arange(len(self.basis)) + late) @ self.basis)[None]
+            cones.append(_Cone("zero", self._rows(t=moments / late), np.zeros(1)))
+        return cones
+
+    def _errors(self) -> list[_Cone]:
+        plant, identity = self.plant, -sparse.identity(len(self.times), format="csr")
+        free = plant.angle_of_load()
+        scale = abs(float(free[2 * plant.late + 1]))  # what a load does before any control can answer
+        load, free = plant.angle_of_load(self.basis)[self.times] / scale, free[self.times] / scale
+        step = plant.angle_of_setpoint(self.basis)[self.times]
+        before = plant.late * plant.step
+        return [
+            _Cone("nonnegative", self._rows(t=-load, load=identity), -free),
+            _Cone("nonnegative", self._rows(t=load, load=identity), free),
+            _Cone("nonnegative", self._rows(y=-step, step=identity), -np.ones(len(self.times))),
+            _Cone("nonnegative", self._rows(y=step, step=identity), np.ones(len(self.times))),
+            _Cone("nonnegative", self._rows(step=self.weights[None]), np.array([self.bounds.step_error - before])),
+        ]
+
+    def _noise(self) -> _Cone:
+        by_t, by_y, of_angle = self.plant.noise_of(self.basis, self.basis)
+        stacked = np.vstack([np.hstack([by_t, by_y]), np.hstack([np.zeros_like(of_angle), of_angle])])
+        root = np.linalg.qr(stacked, mode="r") / self.bounds.noise
+        rows = np.vstack([np.zeros(root.shape[1]), -root])
+        return _Cone("second-order", self._rows(t=rows[:, : self.count], y=rows[:, self.count :]), np.eye(len(rows))[0])
+
+    def _sensitivity(self) -> list[_Cone]:
+        late = self.plant.late + self.plant.rate_late
+        responses: Complex = np.exp(-1j * np.outer(self._theta, np.arange(len(self.basis)) + late)) @ self.basis
+        peak = self.bounds.peak_sensitivity
+        if not self.tolerant:
+            return [
+                _Cone("second-order", self._rows(t=_plane(response)), np.array([peak, 1.0, 0.0]))
+                for response in responses
+            ]
+        identity, ones = sparse.identity(FREQUENCIES, format="csr"), np.ones(FREQUENCIES)
+        turned = 2.0 * np.sin(0.5 * np.minimum(self._theta * self.bounds.delay_error, pi))
+        nothing = sparse.csr_matrix((FREQUENCIES, FREQUENCIES))
+        both = sparse.hstack([identity, sparse.diags(FACTOR * peak * turned)])
+        cones = [
+            _Cone("nonnegative", self._rows(sizes=sparse.hstack([identity, nothing])), peak * ones),
+            _Cone("nonnegative", self._rows(sizes=both), FACTOR * peak * ones),
+        ]
+        for k, response in enumerate(responses):
+            for offset, index in ((1.0, k), (0.0, FREQUENCIES + k)):
+                size = sparse.csr_matrix(([-1.0], ([0], [index])), shape=(3, 2 * FREQUENCIES))
+                cones.append(
+                    _Cone("second-order", self._rows(t=_plane(response), sizes=size), np.array([0.0, offset, 0.0]))
+                )
+        return cones
+
+
+def _plane(response: Complex) -> Array:
+    """Return rows with nothing, the real and the imaginary part."""
+    return np.vstack([np.zeros(len(response)), response.real, response.imag])
+
+
+def _polynomial(roots: Sequence[complex]) -> Array:
+    """Return the coefficients in ``q`` of a polynomial with these roots in ``z``, which is 1 at ``q = 0``."""
+    return np.atleast_1d(np.real(np.poly(roots)))
+
+
+def _pairs(pairs: Sequence[tuple[float, float]]) -> list[complex]:
+    return [complex(real, side * imaginary) for real, imaginary in pairs for side in (1.0, -1.0)]
+
+
+def _splines(samples: int, late: int) -> Array:
+    """Return cubic splines sample by sample, a column each: close together first, farther apart behind."""
+    distance = max(1.0, round(late / KNOTS_A_DELAY))
+    knots = [*np.arange(0.0, min(samples, EVEN_DELAYS * late) + 1.0, distance)]
+    apart = distance
+    while knots[-1] < samples:
+        apart = min(apart * GROWTH, FARTHEST * distance)
+        knots.append(min(float(samples), knots[-1] + apart))
+    clamped = np.r_[[0.0] * DEGREE, knots, [knots[-1]] * DEGREE]
+    return np.asarray(BSpline.design_matrix(np.arange(samples, dtype=float), clamped, DEGREE).toarray())
