@@ -176,7 +176,7 @@ def reachable(noise: float, step_error: float) -> float:
 
 
 def beside(each: LawLoop) -> list[str]:
-    """Cells: the least load error at the law's own peak, noise and step error, the law's by it; the same as tolerant."""
+    """Cells: the least load error at the law's own peak, noise and step error, the law's by it; both as tolerant."""
     low, high = within(each)
     kept = (each.peak_sensitivity, each.noise, each.step_error)
     best, tolerant = least(*kept), least(*kept, min(-low, high))
@@ -390,7 +390,7 @@ def draw(found: Mapping[str, LawLoop]) -> None:
         curve = [reachable(noise, float(step)) for step in steps]
         label = f"the limit, with {LAWS[name]}'s noise"
         right.plot(steps, curve, style, color="#1c2329", lw=1.2, label=label)
-    right.legend(fontsize=7, loc="upper right")
+    right.legend(fontsize=7, loc="lower left")
     right.set(xlabel="integrated error after a step [rad s per rad]", ylabel="after a load [rad s per unit of command]")
     right.set_yscale("log")
     right.set_yticks([10.0, 20.0, 50.0, 100.0], ["10", "20", "50", "100"])
