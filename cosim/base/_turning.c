@@ -161,7 +161,13 @@ static PyObject *turning_turned(Turning *self, PyObject *angles)
         const Item *const item = self->item + i;
         double v[] = {item->start[0], item->start[1], item->start[2]};
         for (const Turn *t = self->turn + item->first; t < self->turn + item->first + item->count; t++) {
-            const double angle = PyFloat_AsDouble(PySequence_Fast_GET_ITEM(given, t->number));
+            PyObject *const number = PySequence_Fast_GET_ITEM(given, t->number);
+            if (!PyFloat_Check(number) && !PyLong_Check(number)) { /* whose value takes no code that could change the list */
+                PyErr_Format(PyExc_TypeError, "turned: angles are numbers, not %s", Py_TYPE(number)->tp_name);
+                Py_CLEAR(made);
+                goto done;
+            }
+            const double angle = PyFloat_Check(number) ? PyFloat_AS_DOUBLE(number) : PyLong_AsDouble(number);
             if (angle == -1.0 && PyErr_Occurred()) {
                 Py_CLEAR(made);
                 goto done;

@@ -52,11 +52,14 @@ class Commands(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return all names, those of installed packages among them."""
+        _note_taken_names(ctx, *COMMANDS)
         return sorted({*COMMANDS, *_added(ctx).names})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return the command, or None; nothing but its own module is imported for it."""
         if cmd_name in COMMANDS:
+            if sys.stderr.isatty():  # to read what is installed takes time, which nobody else has to pay
+                _note_taken_names(ctx, cmd_name)
             module, _, name = COMMANDS[cmd_name].partition(":")
             command: click.Command = getattr(import_module(f"cosim.cli.{module}"), name)
             return with_trust(command, cmd_name)
@@ -72,6 +75,17 @@ def _added(ctx: click.Context) -> EntryPoints:
         ctx.meta[ADDED] = entry_points(group=ADDED)
     added: EntryPoints = ctx.meta[ADDED]
     return added
+
+
+def _note_taken_names(ctx: click.Context, *names: str) -> None:
+    """Say once which installed packages add a command of a name that is taken: theirs is not reached."""
+    noted: set[str] = ctx.meta.setdefault(f"{ADDED}.noted", set())
+    for entry in _added(ctx):
+        if entry.name in names and entry.name not in noted:
+            noted.add(entry.name)
+            click.echo(
+                f"hexjet: note: {entry.name} of {_package(entry)} is not reached: hexjet has that command", err=True
+            )
 
 
 def _load_added(entries: Sequence[EntryPoint]) -> click.Command:

@@ -36,15 +36,26 @@ static bool has_items(PyObject *given, Py_ssize_t count, const char *name)
     return true;
 }
 
-/* A number; NaN is refused, infinite ones where `bounded`. */
+/* A float or an int, whose value takes no code of anybody's, which could change the list that it stands in; NaN is
+ * refused, infinite ones where `bounded`. */
 static bool number_of(PyObject *item, double *to, bool bounded, const char *name)
 {
-    *to = PyFloat_CheckExact(item) ? PyFloat_AS_DOUBLE(item) : PyFloat_AsDouble(item);
-    if (*to == -1.0 && PyErr_Occurred())
+    if (PyFloat_Check(item))
+        *to = PyFloat_AS_DOUBLE(item);
+    else if (PyLong_Check(item)) {
+        *to = PyLong_AsDouble(item);
+        if (*to == -1.0 && PyErr_Occurred())
+            return false;
+    } else {
+        PyErr_Format(PyExc_TypeError, "%s: takes numbers, not %s", name, Py_TYPE(item)->tp_name);
         return false;
+    }
     if (bounded ? isfinite(*to) : !isnan(*to))
         return true;
-    PyErr_Format(PyExc_ValueError, "%s: %R is not a %snumber", name, item, bounded ? "finite " : "");
+    PyObject *const value = PyFloat_FromDouble(*to);
+    if (value)
+        PyErr_Format(PyExc_ValueError, "%s: %R is not a %snumber", name, value, bounded ? "finite " : "");
+    Py_XDECREF(value);
     return false;
 }
 
@@ -90,6 +101,10 @@ static int levels_of(PyObject *given, RowLevel *levels, int rows)
         }
         levels[i].rows = (int)size;
         for (int j = 0; j < size; j++) {
+            if (!PyLong_Check(PyTuple_GET_ITEM(level, j))) {
+                PyErr_SetString(PyExc_TypeError, "levels: rows are whole numbers");
+                return -1;
+            }
             const long row = PyLong_AsLong(PyTuple_GET_ITEM(level, j));
             if (row == -1 && PyErr_Occurred())
                 return -1;

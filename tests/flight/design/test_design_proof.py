@@ -322,6 +322,11 @@ def test_what_is_worse_as_flown_is_the_first_thing_said(sound: Design) -> None:
     made = replace(sound, proof=proof)
     assert summary_lines(made)[1:3] == lines
     assert to_dict(made)["worse"] == lines
+    record = to_dict(made)["proof"]  # by the keys that older readers know
+    assert record["share"] == proof.stability_fraction
+    assert "stability_fraction" not in record
+    assert [record["compared"][0][which]["lost"] for which in ("shipped", "designed")] == ["", ""]
+    assert "failure" not in record["compared"][0]["shipped"]
     assert make_controller_table(made)["design"]["proof"]["worse"] == lines
     never = FlownPair("doublet", before, flight_of(settling_s=None))
     assert "settling, to 5 % 1.84 -> never s" in worse_lines([never])[0]

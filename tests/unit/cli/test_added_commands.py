@@ -94,3 +94,17 @@ assert call("list", "engines") == []
 assert call("--help") == ["hexjet_paper", "hexjet_paper.command"], call("--help")
 """
     subprocess.run([sys.executable, "-P", "-c", script], check=True, stdout=subprocess.DEVNULL)
+
+
+def test_a_name_that_is_taken_is_said_once() -> None:
+    said = "hexjet: note: fly of added-commands is not reached: hexjet has that command\n"
+    assert CliRunner().invoke(cli, ["--help"]).stderr == said
+
+
+@pytest.mark.parametrize("at_a_terminal", [True, False])
+def test_it_is_said_where_it_is_used_at_a_terminal(at_a_terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    with CliRunner().isolation() as (_, err, _):
+        monkeypatch.setattr(sys.stderr, "isatty", lambda: at_a_terminal)
+        cli.main(["fly", "--help"], standalone_mode=False)
+        sys.stderr.flush()
+        assert (b"fly of added-commands is not reached" in err.getvalue()) == at_a_terminal

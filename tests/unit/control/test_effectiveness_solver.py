@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 
 from cosim.base.layout import UP, HingeAxis, Layout, Station
 from cosim.base.signals import Vector3
-from cosim.control.allocation._effectiveness import Solver
+from cosim.control.allocation._effectiveness import Solver, prioritise
 
 ELEVON = (0.0, 0.004, -0.01, 0.003, -0.006, 0.001)  # force and moment per unit and Pa
 WEIGHT, GIVEN = 60.0, 1e-10
@@ -208,3 +208,23 @@ def test_a_vehicle_that_is_none_is_refused() -> None:
     for message, case in cases:
         with pytest.raises(ValueError, match=message):
             Solver(*case)
+
+
+def test_a_number_that_changes_the_list_it_stands_in_is_refused() -> None:
+    """Reading it would run its code while the list is gone through."""
+    rows: list[Any] = [[1.0, 0.0, 0.0]]
+
+    class Number:
+        def __float__(self) -> float:
+            rows[0].clear()
+            return 1.0
+
+        __index__ = None
+
+    rows[0][0] = Number()
+    with pytest.raises(TypeError, match="rows: takes numbers, not Number"):
+        prioritise(rows, [1.0], [(0,)], [0.0] * 3, [0.0] * 3, [1.0] * 3)
+    assert len(rows[0]) == 3
+    with pytest.raises(TypeError, match="levels: rows are whole numbers"):
+        prioritise([[1.0, 0.0, 0.0]], [1.0], [(Number(),)], [0.0] * 3, [0.0] * 3, [1.0] * 3)  # type: ignore[list-item]
+    assert prioritise([[np.float64(1.0), 1, True]], [1], [(0,)], [0.0] * 3, [0.0] * 3, [1.0] * 3)

@@ -1,5 +1,6 @@
 """Logs of others: each kind is read as what was written, by an independent reader or writer, and refused where it is none."""
 
+import math
 import struct
 from pathlib import Path
 from zlib import crc32
@@ -12,6 +13,8 @@ from cosim.base.errors import InputError
 from cosim.identify.logs import FlightLog, is_flight_log, read_flight_log, signals_of
 from cosim.identify.logs.as_columns import ESTIMATED, as_columns
 from cosim.identify.logs.flight_log import Channel, terms
+from cosim.identify.prediction_error.identify_log import _clock
+from cosim.identify.prediction_error.stretches import Clock
 from cosim.results.export.csv_file import export_csv
 from cosim.results.run import begin_run, open_run
 
@@ -317,3 +320,7 @@ def test_the_shared_flights_are_read() -> None:
     assert not log.remarks
     assert {len(channel.values) for channel in log.channels.values()} == {50496}
     assert abs(float(np.median(log.channels["acc.z"].values[:1000])) - 1.0) < 0.02  # at rest: 1 g, up
+
+
+def test_a_clock_keeps_the_keys_that_its_readers_know() -> None:
+    assert _clock(Clock(0.004, math.nan, 0.25)) == {"step": 0.004, "jitter": None, "lost": 0.25}
