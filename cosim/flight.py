@@ -78,9 +78,9 @@ def fly(
     from cosim.results.expectations import check_expected
     from cosim.results.resolved_scenario import resolve
     from cosim.simulation.build import build
-    from cosim.simulation.code import check_scenario_trust
     from cosim.simulation.ending import Ending
     from cosim.simulation.pacing import Pace
+    from cosim.simulation.user_code import check_scenario_trust
 
     scenario, own = opened(scenario, controller)
     check_scenario_trust(scenario)  # before its metrics are asked for their names
@@ -122,7 +122,7 @@ def fly(
 def _replay(simulation: Simulation) -> Replay:
     """Put an autopilot in place of the commands, with the requests of the scenario's file to it.  Raises InputError."""
     from cosim.results.autopilot.request_log import Replay, read_requests
-    from cosim.simulation.with_autopilot import attach_autopilot
+    from cosim.simulation.autopilot_setup import attach_autopilot
 
     scenario = simulation.scenario
     assert scenario.requests is not None

@@ -29,14 +29,14 @@ from cosim import Scenario, fly
 from cosim.base.storage.files import write_files
 from cosim.base.storage.toml import toml_text
 from cosim.design import design as make
-from cosim.design.as_flown import WORSE
 from cosim.design.controller_table import make_controller_table, make_proof_record
 from cosim.design.design import Design
 from cosim.design.levels import DESIGNED, THRUST_AXES, tunings_at
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.prove import NOT_KEPT, prove
+from cosim.design.proof import NOT_KEPT, prove
+from cosim.design.shipped_comparison import WORSE
 from cosim.design.tune import FINE
 from cosim.engine import load_engine
 from cosim.results.report.marks import table, write_marks

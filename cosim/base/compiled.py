@@ -25,7 +25,7 @@ MODULES = (
     "vehicle/effects/intakes.py",
     "vehicle/effects/banks.py",
     "vehicle/effects/hinges.py",
-    "simulation/script/commander.py",
+    "simulation/script/command_script.py",
     "simulation/controllers/deadline.py",
     "simulation/controllers/guard.py",
     "control/allocation/allocation.py",
@@ -48,7 +48,7 @@ MODULES = (
     "control/schedule.py",
     "control/predictors/state.py",
     "control/allocation/thrust_map.py",
-    "simulation/script/disturber.py",
+    "simulation/script/disturbance_script.py",
     "simulation/ending.py",
     "engine/wrappers.py",
     "simulation/script/fault_schedule.py",
@@ -69,7 +69,7 @@ MODULES = (
     "vehicle/servo.py",
     "base/signals.py",
     "simulation/step.py",
-    "simulation/with_places.py",
+    "simulation/guided_pilot.py",
     "vehicle/effects/rotors.py",
 )
 # In the package's folder, one of each for every Python that it was compiled for:

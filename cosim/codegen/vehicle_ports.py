@@ -33,7 +33,7 @@ from cosim.codegen.quantity import Quantity
 from cosim.engine.fmu.air import Air
 from cosim.engine.fmu.port_kinds import AMBIENT, OUTPUTS
 from cosim.simulation.build import build
-from cosim.simulation.script.commander import CommandScript
+from cosim.simulation.script.command_script import CommandScript
 from cosim.spec.scenario import EngineFault, Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.propulsion import Propulsion

@@ -9,12 +9,12 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.design.as_flown import FlownMeasures, worse_lines
 from cosim.design.assessment import Assessment
 from cosim.design.design import Design
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.tuning import round_gain
-from cosim.design.proof import Proof
+from cosim.design.proof_result import Proof
+from cosim.design.shipped_comparison import FlownMeasures, worse_lines
 from cosim.simulation.controllers.controller_file import AxisRecord, FlownRecord, LevelRecord, ProofRecord, Purpose
 from cosim.spec.vehicle import RateModel
 

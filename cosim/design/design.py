@@ -35,7 +35,7 @@ from cosim.design.loop.channel import Channel, channels, engine_lead, hover_frac
 from cosim.design.loop.dynamics import Dynamics, fit_dynamics, make_lag_dynamics, with_misfit
 from cosim.design.loop.firmware import Firmware
 from cosim.design.loop.tuning import Tuning, candidates, designable
-from cosim.design.proof import Proof
+from cosim.design.proof_result import Proof
 from cosim.design.tune import TuningResult, fine_loop, objective, settle, tune, tune_near
 from cosim.engine import EngineSpec, load_engine
 from cosim.identify.sweep import Identification, identify_engine

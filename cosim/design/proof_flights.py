@@ -15,11 +15,11 @@ import numpy as np
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import merge, read_toml
-from cosim.design.as_flown import FlownMeasures, FlownPair, measure_flight
 from cosim.design.controller_table import make_controller_table
 from cosim.design.design import Design
 from cosim.design.limits import Say
-from cosim.design.proof import ProofFlight
+from cosim.design.proof_result import ProofFlight
+from cosim.design.shipped_comparison import FlownMeasures, FlownPair, measure_flight
 from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario, find_scenario

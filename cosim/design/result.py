@@ -11,7 +11,6 @@ from typing import Any
 from cosim.base.signals import AXES
 from cosim.base.storage.files import to_json_record, write_files
 from cosim.base.storage.toml import toml_text
-from cosim.design.as_flown import WORSE, WORSE_WORDS, comparison_columns, comparison_lines, comparison_rows, worse_lines
 from cosim.design.assessment import Assessment, AxisDesign
 from cosim.design.controller_table import make_controller_table
 from cosim.design.design import WITH_LEAD, Design
@@ -19,7 +18,15 @@ from cosim.design.figures import design_figures
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import window_s
 from cosim.design.loop.firmware import Firmware
-from cosim.design.proof import Proof
+from cosim.design.proof_result import Proof
+from cosim.design.shipped_comparison import (
+    WORSE,
+    WORSE_WORDS,
+    comparison_columns,
+    comparison_lines,
+    comparison_rows,
+    worse_lines,
+)
 from cosim.flight import new_folder
 from cosim.results.report.page import render
 from cosim.spec.vehicle import EngineLead

@@ -43,10 +43,10 @@ from cosim.groundstation.parameter_guard import (
 from cosim.groundstation.parameter_store import make_vehicle_key
 from cosim.groundstation.session_flight import Publisher, SessionFlight, forward_messages, make_flight_info
 from cosim.results.run import REQUESTS, Run, claim_folder
+from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
 from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace
-from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 
 LONGEST_S = 86_400.0  # of one flight that has no planned end: a day

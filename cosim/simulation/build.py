@@ -10,20 +10,20 @@ from cosim.base.frames import from_euler, rotate
 from cosim.base.protocols import Sensors
 from cosim.base.runtime import kernels
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.simulation.code import check_scenario_trust
 from cosim.simulation.controllers.built_in import make_cascade
-from cosim.simulation.controllers.plugged import PluggedController, find_controller, resolve_parameters
+from cosim.simulation.controllers.external_controller import ExternalController, find_controller, resolve_parameters
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.delay_ledger import make_delay_ledger
 from cosim.simulation.ending import TerminationCheck
 from cosim.simulation.engines import flown_engines, load_engines, make_engines
+from cosim.simulation.guided_pilot import make_guided_pilot
 from cosim.simulation.plugins import load_plugins
-from cosim.simulation.script.commander import CommandScript
-from cosim.simulation.script.disturber import DisturbanceScript
+from cosim.simulation.script.command_script import CommandScript
+from cosim.simulation.script.disturbance_script import DisturbanceScript
 from cosim.simulation.script.fault_schedule import FaultSchedule
 from cosim.simulation.script.mismatch import apply_mismatch
 from cosim.simulation.step import Blocks, Simulation
-from cosim.simulation.with_places import make_guided_pilot
+from cosim.simulation.user_code import check_scenario_trust
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.airframe import Airframe, standing_height, start_height
@@ -57,7 +57,7 @@ def build(scenario: Scenario, controller: Source | None = None) -> Simulation:
     with ExitStack() as stack:
         plugged = None
         if controller is not None:
-            plugged = PluggedController(controller, parameters, scenario, vehicle, engine, stations)
+            plugged = ExternalController(controller, parameters, scenario, vehicle, engine, stations)
             stack.callback(plugged.close)
             plugged.make_block()
         cascade = make_cascade(scenario, vehicle, engine, stations, plugged)

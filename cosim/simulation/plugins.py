@@ -20,7 +20,7 @@ from cosim.base.protocols import Column, Columns, Sensors
 from cosim.base.signals import Measured, Sample, State, Vector3
 from cosim.simulation.controllers.guard import CallGuard, columns_from
 from cosim.simulation.controllers.source import NAME, Source, check_method, find_python
-from cosim.simulation.script.commander import read_columns
+from cosim.simulation.script.command_script import read_columns
 from cosim.simulation.script.wind import FieldWind
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle

@@ -20,14 +20,14 @@ from cosim.base.protocols import (
 from cosim.base.signals import ZERO3, Actuation, Command, Disturbance, Measured, PerJet, Sample, State
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
-from cosim.simulation.controllers.plugged import PluggedController
+from cosim.simulation.controllers.external_controller import ExternalController
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.delay_ledger import LedgerRow
 from cosim.simulation.ending import Ending, TerminationCheck
 from cosim.simulation.pacing import Pace
 from cosim.simulation.plugins import Plugins
-from cosim.simulation.script.commander import CommandScript
-from cosim.simulation.script.disturber import DisturbanceScript
+from cosim.simulation.script.command_script import CommandScript
+from cosim.simulation.script.disturbance_script import DisturbanceScript
 from cosim.simulation.script.fault_schedule import FaultSchedule
 from cosim.simulation.script.wind import FieldWind
 from cosim.spec.scenario import Fault, Scenario
@@ -66,7 +66,7 @@ class Blocks(NamedTuple):
     sensors: FaultySensors
     faults: FaultSchedule
     termination: TerminationCheck
-    plugged: PluggedController | None
+    plugged: ExternalController | None
     plugins: Plugins
     wind: FieldWind | None
 

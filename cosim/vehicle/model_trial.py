@@ -33,7 +33,7 @@ def check_model_loads(xml: bytes, model: Path, text: bytes) -> None:
     ``xml``: what JSBSim loads; ``model`` and ``text``: the user's file, and its contents with those of files it names.
     """
     from cosim.base.storage.user import cache_folder
-    from cosim.engine.qualify.remembered import write_if_possible
+    from cosim.engine.qualify.misbehaviour_record import write_if_possible
 
     if model.resolve().is_relative_to(data_folder("aircraft").resolve()):
         return

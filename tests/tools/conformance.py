@@ -24,9 +24,9 @@ from cosim.results.autopilot.autopilot_record import PilotRecord
 from cosim.results.log.recorder import Recorder
 from cosim.results.run import Recording
 from cosim.simulation.controllers.guard import GuardedController, GuardedPredictor
+from cosim.simulation.guided_pilot import GuidedPilot
 from cosim.simulation.plugins import GuardedObserver, WindTable
-from cosim.simulation.script.disturber import DisturbanceScript
-from cosim.simulation.with_places import GuidedPilot
+from cosim.simulation.script.disturbance_script import DisturbanceScript
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
 
 METRICS: list[protocols.Metric] = [metrics.flight_metrics]

@@ -17,8 +17,8 @@ from cosim.results.log.columns import log_columns, logged_vehicle
 from cosim.results.log.digest import DigestSink, log_digest
 from cosim.results.log.recorder import Recorder
 from cosim.results.run import Run
+from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
-from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 
 

@@ -33,7 +33,7 @@ class Kind:
 
 def _log(path: Path) -> None:
     from cosim.identify.logs import read_flight_log, ulog
-    from cosim.identify.logs.as_columns import as_columns
+    from cosim.identify.logs.log_columns import as_columns
 
     ulog.MOST_S = 3.0
     log = read_flight_log(path)

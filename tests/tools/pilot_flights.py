@@ -11,10 +11,10 @@ from cosim.base.signals import Sample
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.modes import Mode
+from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
 from cosim.simulation.ending import Ending
 from cosim.simulation.step import Simulation
-from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 
 

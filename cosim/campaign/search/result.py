@@ -11,7 +11,7 @@ from cosim.campaign.search.probe import Point
 from cosim.campaign.search.search import Plan, SearchResult
 from cosim.campaign.study.key import Value
 from cosim.campaign.study.keys import with_values
-from cosim.simulation.controllers.plugged import find_controller
+from cosim.simulation.controllers.external_controller import find_controller
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario
 

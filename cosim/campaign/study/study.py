@@ -28,10 +28,10 @@ from cosim.campaign.study.keys import CUSTOM_PARAMETERS, custom_keys, find_key, 
 from cosim.campaign.study.sequential import MAX_TESTED, parse_claim
 from cosim.campaign.study.values import check_vary
 from cosim.results.metrics import metric_names
-from cosim.simulation.code import list_aircraft_code, list_block_code, list_engine_code, list_scenario_code
 from cosim.simulation.controllers.source import find_controller_source
 from cosim.simulation.notes import note_few_substeps, note_varied_turbulence
 from cosim.simulation.plugins import load_metrics
+from cosim.simulation.user_code import list_aircraft_code, list_block_code, list_engine_code, list_scenario_code
 from cosim.spec.controller_name import is_design, seen_from
 from cosim.spec.scenario import Range, Scenario, find_scenario
 

@@ -41,8 +41,8 @@ from cosim.control.autopilot.requests import (
     Sticks,
 )
 from cosim.control.predictors.registry import BASELINE, SMITH
+from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
-from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_name
 

@@ -15,7 +15,7 @@ from cosim.cli.options import DONE, example
 
 if TYPE_CHECKING:
     from cosim.identify.bench import BenchIdentification, BenchRecord
-    from cosim.identify.bench.grey import GreyIdentification
+    from cosim.identify.bench.grey_box import GreyIdentification
 
 
 class Bench(opt.LogPart, opt.Output):
@@ -74,8 +74,8 @@ def identify_bench(options: Bench) -> int:
 
 def _fit_engine(records: list[BenchRecord], options: Bench) -> int:
     from cosim.base.storage.toml import parse_numbers
-    from cosim.identify.bench.grey import GreyChoices, fit_engine
-    from cosim.identify.bench.grey_result import write
+    from cosim.identify.bench.grey_box import GreyChoices, fit_engine
+    from cosim.identify.bench.grey_box_result import write
     from cosim.identify.bench.identify import is_straight, throttle_limits
 
     notes: list[str] = []
@@ -97,7 +97,7 @@ def _fit_engine(records: list[BenchRecord], options: Bench) -> int:
 
 def print_fitted(found: GreyIdentification, paths: dict[str, Path]) -> None:
     """Print what was fitted of an engine, what is to be said of it, and where the files are."""
-    from cosim.identify.bench.grey_result import rows, summary
+    from cosim.identify.bench.grey_box_result import rows, summary
 
     say(summary(found))
     show_table(("with 95 % bounds", found.choices.engine), rows(found), (1,))

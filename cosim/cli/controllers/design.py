@@ -99,7 +99,7 @@ def design(options: DesignOptions) -> int:
     from cosim.design.design import add_limits
     from cosim.design.design import design as make
     from cosim.design.limit import need_solver
-    from cosim.design.prove import add_proof
+    from cosim.design.proof import add_proof
     from cosim.design.result import to_dict, write
     from cosim.simulation.controllers.controller_file import Requirements
 
@@ -185,8 +185,8 @@ NAME_WIDTH = 32  # "altitude, 75% of fuel, scheduled"
 
 def print_design(design: Design, paths: dict[str, Path]) -> None:
     """Print the answer and the files, the margins of the linear loops, what they rest on, and the flights compared."""
-    from cosim.design.as_flown import WORSE_WORDS, comparison_columns, comparison_rows
     from cosim.design.result import COLUMNS, answer_lines, channel_rows, detail_lines, level_rows, row_lines
+    from cosim.design.shipped_comparison import WORSE_WORDS, comparison_columns, comparison_rows
 
     def say_all(lines: Iterable[str]) -> None:
         for line in lines:

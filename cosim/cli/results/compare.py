@@ -144,7 +144,7 @@ def _load_flight(letter: str, name: str) -> ComparedFlight:
     from cosim.campaign.folder import is_campaign
     from cosim.flight import fly
     from cosim.identify.logs import is_flight_log, read_flight_log
-    from cosim.identify.logs.as_columns import as_columns, read_log
+    from cosim.identify.logs.log_columns import as_columns, read_log
     from cosim.results.comparison import ComparedFlight
     from cosim.results.run import finish_killed, open_run
     from cosim.spec.scenario import Scenario, scenario_names

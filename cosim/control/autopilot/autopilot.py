@@ -25,10 +25,10 @@ from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.ground import Landing, TakeOff
-from cosim.control.autopilot.manoeuvres.homeward import Homeward
 from cosim.control.autopilot.manoeuvres.mission import Mission
 from cosim.control.autopilot.manoeuvres.mission_flight import MissionFlight
 from cosim.control.autopilot.manoeuvres.remote import Remote
+from cosim.control.autopilot.manoeuvres.return_flight import ReturnFlight
 from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import BY_STICK, DIRECT, Home, LandedState, Message, Mode, Severity
 from cosim.control.autopilot.parameters import LAND, Parameters, table
@@ -95,12 +95,12 @@ class Autopilot:
         self._take_off = TakeOff(course, hover, least_throttle, step)
         touchdown = Touchdown(hover, step, idle, settings.spool_s)
         self._landing = Landing(course, touchdown, hover, least_throttle, step)
-        self._homeward = Homeward(course)
+        self._return_flight = ReturnFlight(course)
         self._circle = Circle(course, watch)
-        self._mission = MissionFlight(course, self._circle, self._homeward, step)
+        self._mission = MissionFlight(course, self._circle, self._return_flight, step)
         components = AutopilotComponents(
             parameters, live, estimates, self._envelope, landmarks, course, watch, self._remote, self._arming,
-            self._take_off, self._landing, self._homeward, self._circle, self._mission,
+            self._take_off, self._landing, self._return_flight, self._circle, self._mission,
         )  # fmt: skip
         airborne = engines is EngineState.FLY
         self._state = FlightState(components, airborne)
@@ -129,7 +129,7 @@ class Autopilot:
         self._arming.reset(self._engines)
         self._take_off.reset()
         self._landing.reset()
-        self._homeward.reset()
+        self._return_flight.reset()
         self._circle.reset()
         self._mission.reset()
         self._envelope.reset(self._airborne)
@@ -417,7 +417,7 @@ class Autopilot:
         elif mode is Mode.LAND:
             command = self._course.descend()
         elif mode is Mode.RTL:
-            command = self._homeward.fly()
+            command = self._return_flight.fly()
         elif mode is Mode.ORBIT:
             command = self._circle.fly()
             if self._circle.complete:

@@ -12,9 +12,9 @@ from cosim.control.autopilot.guidance.course import Course, Landmarks
 from cosim.control.autopilot.guidance.envelope import Envelope
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.ground import Landing, TakeOff
-from cosim.control.autopilot.manoeuvres.homeward import Homeward
 from cosim.control.autopilot.manoeuvres.mission_flight import MissionFlight
 from cosim.control.autopilot.manoeuvres.remote import Remote
+from cosim.control.autopilot.manoeuvres.return_flight import ReturnFlight
 from cosim.control.autopilot.modes import Home, LandedState, Mode, Severity
 from cosim.control.autopilot.parameters import HOLD, LAND, RETURN, Parameters
 from cosim.control.autopilot.status import Messages
@@ -38,7 +38,7 @@ class AutopilotComponents:
     arming: Arming
     take_off: TakeOff
     landing: Landing
-    homeward: Homeward
+    return_flight: ReturnFlight
     circle: Circle
     mission: MissionFlight
 
@@ -49,7 +49,11 @@ class FlightState:
     def __init__(self, components: AutopilotComponents, airborne: bool) -> None:
         self._estimates, self._landmarks, self._course = components.estimates, components.landmarks, components.course
         self._remote, self._arming, self._take_off = components.remote, components.arming, components.take_off
-        self._landing, self._homeward, self._mission = components.landing, components.homeward, components.mission
+        self._landing, self._return_flight, self._mission = (
+            components.landing,
+            components.return_flight,
+            components.mission,
+        )
         self._airborne = airborne
         self.reset()
 
@@ -74,7 +78,7 @@ class FlightState:
         self.failsafe = ""
         self._landing.abort()
         self._take_off.reset()
-        self._homeward.reset()
+        self._return_flight.reset()
         self._mission.abort()
         self._course.aim(None, None, None)
         if self.landed is LandedState.LANDING:

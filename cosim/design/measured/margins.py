@@ -20,7 +20,7 @@ from cosim.design.measured.computed import Computed, compute_margins
 from cosim.design.measured.estimate import QUANTITIES, Response, measured, relative_difference, relative_differences
 from cosim.design.measured.excitation import Multisine, Record, Tap, fly_excitation, multisine, still
 from cosim.simulation.build import build
-from cosim.simulation.controllers.plugged import find_controller
+from cosim.simulation.controllers.external_controller import find_controller
 from cosim.simulation.controllers.source import Source, from_object
 from cosim.simulation.delay_ledger import sum_transport_samples
 from cosim.spec.controller_name import label, seen_from

@@ -29,7 +29,7 @@ from cosim.engine.fmu.ports import normalise_name
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.fmu.variables import Port, Variable
 from cosim.engine.measure import EngineMeasurement, measure_once
-from cosim.engine.qualify.remembered import read_misbehaviour, record_misbehaviour, write_if_possible
+from cosim.engine.qualify.misbehaviour_record import read_misbehaviour, record_misbehaviour, write_if_possible
 from cosim.engine.qualify.report import CheckReport
 from cosim.engine.qualify.supervisor import READ, STARTED, ChildResult, Limits, run_in_child
 from cosim.engine.response import NO_CHANGE, Response, find_curve_problems

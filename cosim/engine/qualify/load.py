@@ -11,7 +11,7 @@ from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import EngineMeasurement
 from cosim.engine.qualify.check import measure_in_child, measure_unchecked
-from cosim.engine.qualify.remembered import read_misbehaviour
+from cosim.engine.qualify.misbehaviour_record import read_misbehaviour
 from cosim.engine.spec import EngineSpec, find_source
 
 

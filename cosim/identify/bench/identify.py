@@ -12,8 +12,8 @@ from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.identify.bench.command import moves_on
 from cosim.identify.bench.evidence import Misfit, predict_held_back, test_residuals
 from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, make_part
+from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
-from cosim.identify.bench.untold import say_untold
 
 LONGEST_DELAY_S = 2.0
 LEAST_DEVIANCE_FALL = 30.0  # that the command is worth, as of a flight's log
@@ -144,7 +144,9 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
         tuple(records), problem, limits, known, straight, estimates, misfit, held_back, spread,
         (*notes, *doubts, *_doubts(chosen, misfit, held_back, records[0])), (),
     )  # fmt: skip
-    return replace(found, untold=tuple(say_untold(chosen, records, limits, problem.longest_delay, straight)))
+    return replace(
+        found, untold=tuple(describe_missing_evidence(chosen, records, limits, problem.longest_delay, straight))
+    )
 
 
 def _check_moves(record: BenchRecord) -> None:

@@ -14,7 +14,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.identify.logs import Channel, FlightLog
-from cosim.identify.logs.as_columns import LEFT_AND_UP, match_columns
+from cosim.identify.logs.log_columns import LEFT_AND_UP, match_columns
 from cosim.results.log.columns import RATES
 from cosim.spec.vehicle import Vehicle
 

@@ -20,7 +20,7 @@ from cosim.identify.sweep.result import (
     need_coherence,
     suitable_duration,
 )
-from cosim.simulation.script.commander import make_sweep as chirp
+from cosim.simulation.script.command_script import make_sweep as chirp
 
 LEAD_STEPS = 10
 STILL = 1e-9  # of the thrust's swing: what is left of the sweep when the record ends

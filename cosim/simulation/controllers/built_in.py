@@ -28,8 +28,8 @@ from cosim.control.rate import RateController
 from cosim.control.schedule import GainSchedule
 from cosim.engine import EngineSpec
 from cosim.simulation.controllers.allocators import make_allocator, query_model
+from cosim.simulation.controllers.external_controller import ExternalController
 from cosim.simulation.controllers.models import make_predictors, make_thrust_map
-from cosim.simulation.controllers.plugged import PluggedController
 from cosim.simulation.engine_reference import make_engine_reference
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import EngineLead, Vehicle, WingControl
@@ -44,7 +44,7 @@ def make_cascade(
     vehicle: Vehicle,
     engine: EngineSpec,
     stations: Sequence[EngineSpec],
-    plugged: PluggedController | None,
+    plugged: ExternalController | None,
 ) -> Cascade:
     step = scenario.step_s
     gains = vehicle.control

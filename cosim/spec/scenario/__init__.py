@@ -1,7 +1,7 @@
 """Models of a scenario's TOML: vehicle, controller, commands, disturbances, faults and expected results.
 
 Angles in the file are in degrees where the key says ``_deg``; everything behind
-:mod:`cosim.simulation.script.commander` and :mod:`cosim.simulation.script.disturber` is in rad and SI.
+:mod:`cosim.simulation.script.command_script` and :mod:`cosim.simulation.script.disturbance_script` is in rad and SI.
 """
 
 from cosim.spec.scenario.commands import (

@@ -17,8 +17,8 @@ from cosim.base.signals import Sample
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.control.autopilot.requests import MissionItem
+from cosim.simulation.autopilot_setup import attach_autopilot, make_fault
 from cosim.simulation.build import build
-from cosim.simulation.with_autopilot import attach_autopilot, make_fault
 from cosim.spec.scenario import FlameOut, Scenario, SensorBias
 from cosim.spec.vehicle import load_vehicle
 

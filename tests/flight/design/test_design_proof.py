@@ -16,20 +16,20 @@ from foreign_engines import foreign, mapped
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
 from cosim.design import design as making
+from cosim.design import proof as proving
 from cosim.design import proof_flights as flying
-from cosim.design import prove as proving
 from cosim.design import tune as search
-from cosim.design.as_flown import FlownMeasures, FlownPair, comparison_lines, comparison_rows, worse_lines
 from cosim.design.controller_table import make_controller_table
 from cosim.design.design import Design, design
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import bounds, fit_dynamics, with_misfit
-from cosim.design.proof import Proof
+from cosim.design.proof import add_proof, prove
 from cosim.design.proof_flights import CORNER, describe_fault
-from cosim.design.prove import add_proof, prove
+from cosim.design.proof_result import Proof
 from cosim.design.result import summary_lines, to_dict
+from cosim.design.shipped_comparison import FlownMeasures, FlownPair, comparison_lines, comparison_rows, worse_lines
 from cosim.engine import load_engine
 from cosim.identify.sweep.response import FrequencyResponse
 from cosim.simulation.controllers.controller_file import ControllerFile, Requirements

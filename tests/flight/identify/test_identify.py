@@ -35,7 +35,7 @@ from cosim.identify.sweep.response import FrequencyResponse
 from cosim.identify.sweep.result import equation, fit_rows, low_frequency_delay, note_off_ledger, rate_response
 from cosim.identify.sweep.verdict import MISFIT, why_refused
 from cosim.simulation.controllers.models import find_models
-from cosim.simulation.script.commander import make_sweep
+from cosim.simulation.script.command_script import make_sweep
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import RateModel, load_vehicle, read_models
 

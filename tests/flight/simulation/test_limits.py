@@ -33,7 +33,7 @@ from cosim.results.limits import (
 from cosim.results.metrics import metric_names
 from cosim.results.report.flight import write_report
 from cosim.results.run import open_run
-from cosim.simulation.script.commander import CommandScript
+from cosim.simulation.script.command_script import CommandScript
 from cosim.spec.scenario import FlightLimits, Scenario
 
 LAW = (0.8, 2.0, 1.0)

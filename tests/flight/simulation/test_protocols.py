@@ -33,9 +33,9 @@ from cosim.base.signals import (
 )
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineBank
+from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
-from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 from cosim.vehicle.sensors import FaultySensors
 

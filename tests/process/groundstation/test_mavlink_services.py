@@ -26,8 +26,8 @@ from cosim.groundstation.mavlink.vehicle import MavlinkVehicle
 from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.transports.endpoint import parse_endpoint
+from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
-from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 
 PLACE = Geodesy(22.35, 113.59)

@@ -36,9 +36,9 @@ from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.control.attitude import AttitudeController
 from cosim.control.rate import RateController
+from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
 from cosim.simulation.controllers.deadline import Deadline, LateError
-from cosim.simulation.with_autopilot import attach_autopilot
 
 PAGE = ROOT / "docs" / "own-controller.md"
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.2}

@@ -31,8 +31,8 @@ from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.autopilot.request_log import RequestLog
 from cosim.results.export.ulog import export_ulog
 from cosim.results.run import REQUESTS
+from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
-from cosim.simulation.with_autopilot import attach_autopilot
 from cosim.spec.scenario import Scenario
 
 GYRO, ACCEL, MAG, BARO, GPS, AHRS = 1, 2, 4, 8, 32, 1 << 21

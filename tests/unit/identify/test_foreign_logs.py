@@ -12,8 +12,8 @@ from flights import exported, samples, scenario, setup
 
 from cosim.base.errors import InputError
 from cosim.identify.logs import FlightLog, read_flight_log, signals_of, ulog
-from cosim.identify.logs.as_columns import as_columns
 from cosim.identify.logs.flight_log import Channel
+from cosim.identify.logs.log_columns import as_columns
 from cosim.results.run import begin_run
 
 TIMES = np.arange(50) * 0.01

@@ -11,8 +11,8 @@ from flights import STEP, exported, samples, scenario, setup
 
 from cosim.base.errors import InputError
 from cosim.identify.logs import FlightLog, is_flight_log, read_flight_log, signals_of
-from cosim.identify.logs.as_columns import ESTIMATED, as_columns
 from cosim.identify.logs.flight_log import Channel, terms
+from cosim.identify.logs.log_columns import ESTIMATED, as_columns
 from cosim.identify.prediction_error.identify_log import _clock
 from cosim.identify.prediction_error.stretches import Clock
 from cosim.results.export.csv_file import export_csv

@@ -11,7 +11,7 @@ from cosim.base.errors import InputError
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, prepare_message
 from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
 from cosim.identify.logs import FlightLog, is_flight_log, read_flight_log, signals_of, tlog
-from cosim.identify.logs.as_columns import as_columns
+from cosim.identify.logs.log_columns import as_columns
 
 BEGIN = 1_700_000_000.0  # s since 1970
 ROWS = 100

@@ -15,7 +15,7 @@ from stated_figures import text
 from cosim.base.errors import InputError
 from cosim.cli.results.compare import compare
 from cosim.flight import with_page
-from cosim.identify.logs.as_columns import read_log
+from cosim.identify.logs.log_columns import read_log
 from cosim.results.comparison import ComparedFlight, Signal, compare_with_first, list_input_differences, make_time_base
 from cosim.results.log.arrow import write_table
 from cosim.results.log.columns import COLUMNS

@@ -10,8 +10,8 @@ from cosim.control.autopilot.energy import Energy
 from cosim.control.autopilot.failsafes import Watch
 from cosim.control.autopilot.guidance.course import ABOVE_M, REACHED_M, Course
 from cosim.control.autopilot.manoeuvres.circle import Circle
-from cosim.control.autopilot.manoeuvres.homeward import Homeward
 from cosim.control.autopilot.manoeuvres.mission import Mission, find_endless_jump
+from cosim.control.autopilot.manoeuvres.return_flight import ReturnFlight
 from cosim.control.autopilot.requests import ItemKind, MissionItem, MissionUpload, Orbit
 
 _MOST_ITEMS = 1000  # of a mission, jumps included, for which energy is estimated; chosen by us
@@ -20,12 +20,12 @@ _MOST_ITEMS = 1000  # of a mission, jumps included, for which energy is estimate
 class MissionFlight:
     """Flies :attr:`mission` along the course; circle and return are flown by their own classes."""
 
-    def __init__(self, course: Course, circle: Circle, homeward: Homeward, step: float) -> None:
+    def __init__(self, course: Course, circle: Circle, return_flight: ReturnFlight, step: float) -> None:
         self.mission = Mission()
         self._parameters, self._estimates, self._landmarks = course.parameters, course.estimates, course.landmarks
         self._course = course
         self._circle = circle
-        self._homeward = homeward
+        self._return_flight = return_flight
         self._step = step
         self.reset()
 
@@ -117,7 +117,7 @@ class MissionFlight:
             course.aim(position, course.height, item.yaw)
         elif item.kind is ItemKind.RETURN:
             course.aim(None, None, None)
-            self._homeward.reset()
+            self._return_flight.reset()
 
     def _set_speeds(self) -> MissionItem | None:
         """Take the speeds of the items before the next that is flown, and return that; None: there is none."""
@@ -144,7 +144,7 @@ class MissionFlight:
             if self._is_in_position:
                 return course.descend(course.position)
         elif item.kind is ItemKind.RETURN:
-            return self._homeward.fly()
+            return self._return_flight.fly()
         elif item.kind is ItemKind.CIRCLE:
             return self._fly_circle()
         elif item.kind is ItemKind.ALTITUDE and not self._is_in_position:

@@ -24,7 +24,7 @@ from cosim.control.autopilot.guidance.descent import descent_rate, height_limits
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
 from cosim.control.cascade import Cascade
-from cosim.simulation.script.commander import CommandScript, read_columns
+from cosim.simulation.script.command_script import CommandScript, read_columns
 from cosim.spec.scenario import (
     GuidedCommand,
     PlaceCommand,

@@ -35,7 +35,7 @@ class CommandScript:
     body rate replaces the attitude loop for the whole flight (the other rates are 0); a command of the collective
     replaces the altitude hold from its own start on.  Any command of a speed ahead has that law fly the whole flight,
     from the initial speed.  Places and velocities are not its own: see
-    :mod:`cosim.simulation.with_places`.
+    :mod:`cosim.simulation.guided_pilot`.
     """
 
     def __init__(self, scenario: Scenario, height: float) -> None:

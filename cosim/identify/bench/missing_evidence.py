@@ -18,7 +18,7 @@ NARROW = 0.6  # of the throttle's range: a log that stays within less says nothi
 STEP = 0.2  # of the throttle's range, that a next test steps
 
 
-def say_untold(
+def describe_missing_evidence(
     chosen: Estimate,
     records: Sequence[BenchRecord],
     limits: tuple[float, float],

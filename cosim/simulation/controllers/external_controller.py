@@ -46,7 +46,7 @@ def resolve_parameters(scenario: Scenario, source: Source | None) -> dict[str, f
     return {}
 
 
-class PluggedController:
+class ExternalController:
     """A controller from outside, made and told what it may believe, in the place of its level."""
 
     def __init__(

@@ -10,7 +10,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.identify.bench.fit import Part
-from cosim.identify.bench.grey import STEP_S, GreyIdentification
+from cosim.identify.bench.grey_box import STEP_S, GreyIdentification
 from cosim.identify.engine_file import DEVIATIONS_95, uncertainty_table
 from cosim.identify.files import write_identification
 from cosim.results.report.page import render

@@ -11,7 +11,7 @@ from cosim.control.autopilot.guidance.course import ABOVE_M, REACHED_M, SLOW, Co
 _CLIMB, _CRUISE, _DESCENT = range(3)
 
 
-class Homeward:
+class ReturnFlight:
     """The return to home or to a nearer rally point."""
 
     def __init__(self, course: Course) -> None:

@@ -6,7 +6,7 @@ from operator import sub
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES, ZERO3, Disturbance, Vector3
-from cosim.simulation.script.commander import Waveform, make_doublet, make_pulse, make_sweep
+from cosim.simulation.script.command_script import Waveform, make_doublet, make_pulse, make_sweep
 from cosim.spec.scenario import (
     ForceDisturbance,
     GustDisturbance,
