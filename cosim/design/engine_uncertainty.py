@@ -3,12 +3,13 @@
 At a frequency ``w`` the engine's answer to a small change of throttle around the thrust of hover is ``G(jw)``.  Each
 parameter is moved by a standard deviation either way, and the answers are compared: ``|G|`` is the gain, relative to
 the mean of both, ``-arg G / w`` the delay, lags in it included.  Of parameters with the covariance ``D R D`` and a
-spread ``s`` the two have, to first order, the variances ``J D R D J' + J s^2 J'``: of one engine of the vehicle.
+spread ``s`` the two have, to first order, the covariance ``J D R D J' + J s^2 J'``: of one engine of the vehicle.  The
+first part is that of all engines together, the second that of one beside the others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import ceil, inf, log, pi
 from typing import NamedTuple
@@ -20,7 +21,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.design.loop.channel import Channel
 from cosim.engine import EngineSpec, load_engine
-from cosim.engine.fmu.uncertainty import CUT
+from cosim.engine.fmu.uncertainty import CUT, Uncertainty
 from cosim.engine.fmu.variables import INTEGERS
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.simulation.engine_reference import measure_small_steps
@@ -28,6 +29,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
 SECANT = 0.02  # of throttle, over which the static curve's slope is taken: a step of its measured points
+UNKNOWN_SPREAD = 0.3  # of gain and lag between engines of which one alone was measured, as without a table; ours
 MOST = {"gain_tolerance": 0.95, "delay_tolerance": 1.0}  # as the command line takes them
 
 
@@ -65,6 +67,15 @@ class EngineSensitivity:
 
     def at(self, hertz: float) -> LoopUncertainty:
         """Return the standard deviations at a frequency.  Raises InputError where the engine does not answer."""
+        common, single = self.covariances(hertz)
+        gain, delay_s = np.sqrt(np.diag(common + single))
+        return LoopUncertainty(float(gain), float(delay_s))
+
+    def covariances(self, hertz: float) -> tuple[Array, Array]:
+        """Return the covariances of gain and delay, 2 by 2: of all engines together, and of one beside the others.
+
+        Raises InputError where the engine does not answer.
+        """
         derivatives = np.zeros((len(self._moved), 2))
         for row, moved in enumerate(self._moved):
             if moved is not None:
@@ -75,8 +86,7 @@ class EngineSensitivity:
                 derivatives[row] = np.array([gain, delay]) / width
         common = (derivatives.T * np.array(self.table.deviation)) @ np.array(self.table.factor)
         single = derivatives.T * np.array(self.table.spreads)
-        gain, delay_s = np.sqrt(np.sum(common**2, axis=1) + np.sum(single**2, axis=1))
-        return LoopUncertainty(float(gain), float(delay_s))
+        return common @ common.T, single @ single.T
 
     def _answer(self, spec: EngineSpec, hertz: float) -> complex:
         """Return N per throttle at a frequency, late by one control step less than it is."""
@@ -116,35 +126,58 @@ def engine_tolerances(
     """Return the requirements with the tolerances that are not stated in them as the engine's uncertainty has them.
 
     They are :data:`~cosim.engine.fmu.uncertainty.CUT` standard deviations at the frequency of each channel's pace, the
-    largest of the channels that thrust turns.  Without a table, or with both stated, the requirements are as they were.
-    Raises InputError as a flight.
+    largest of the channels that thrust turns: the box around the ellipsoid of gain and delay.  Without a table, or with
+    all stated, the requirements are as they were.  Raises InputError as a flight.
     """
     unstated = [name for name in MOST if name not in need.model_fields_set]
     acting = [plant for plant in plants if not plant.is_by_servo]
     if spec.uncertainty is None or not unstated or not acting:
         return EngineTolerances(need)
     sensitivity = EngineSensitivity(scenario, vehicle, spec)
-    found = [(plant, sensitivity.at(1.0 / (2.0 * pi * plant.pace_s))) for plant in acting]
-    gain = max(deviation.gain for _, deviation in found)
-    delay_s = max(deviation.delay_s for _, deviation in found)
-    relative = max(deviation.delay_s / (max(1.0, plant.transport_samples) * plant.step) for plant, deviation in found)
-    values = {"gain_tolerance": CUT * gain, "delay_tolerance": CUT * relative}
-    said = {
-        "gain_tolerance": f"gain {100.0 * CUT * gain:.3g} %",
-        "delay_tolerance": f"delay {1e3 * CUT * delay_s:.3g} ms",
-    }
+    found = [(plant, *sensitivity.covariances(1.0 / (2.0 * pi * plant.pace_s))) for plant in acting]
+    of_one = [(plant, CUT * np.sqrt(np.diag(common + single)), common + single) for plant, common, single in found]
+    gain, delay_s = np.max([deviations for _, deviations, _ in of_one], axis=0)
+    relative = max(both[1] / (max(1.0, plant.transport_samples) * plant.step) for plant, both, _ in of_one)
+    values = {"gain_tolerance": float(gain), "delay_tolerance": float(relative)}
+    said = {"gain_tolerance": f"gain {100.0 * gain:.3g} %", "delay_tolerance": f"delay {1e3 * delay_s:.3g} ms"}
     parts = [
         said[name] + (f", of which {100.0 * most:.0f} % are taken" if values[name] > most else "")
         for name, most in MOST.items()
         if name in unstated
     ]
+    if len(parts) > 1:
+        both = of_one[0][2]
+        parts.append(
+            f"the box around their ellipsoid of correlation {both[0, 1] / np.sqrt(both[0, 0] * both[1, 1]):.2g}"
+        )
     options = " and ".join(f"--{name.replace('_', '-')}" for name in unstated)
+    taken = {name: min(ceil(1e4 * values[name]) * 1e-4, MOST[name]) for name in unstated}
+    spread, uneven = _engine_spread(need, spec.uncertainty, found)
     words = (
         f"tolerances from the engine's uncertainty, {CUT:g} standard deviations of its parameters: {', '.join(parts)}; "
-        f"source: {spec.uncertainty.source or 'not stated'}; {options} would state others"
+        f"source: {spec.uncertainty.source or 'not stated'}; {options} would state others{uneven}"
     )
-    taken = {name: min(ceil(1e4 * values[name]) * 1e-4, MOST[name]) for name in unstated}
-    return EngineTolerances(need.model_copy(update=taken), words)
+    return EngineTolerances(need.model_copy(update=taken | spread), words)
+
+
+def _engine_spread(
+    need: Requirements, table: Uncertainty, found: Sequence[tuple[Channel, Array, Array]]
+) -> tuple[dict[str, float], str]:
+    """Return by how much one engine of the proof is off, where nobody states it, and the words for that.
+
+    It is the table's spread, in gain or in delay over the channel's pace; a table that states none was made of one
+    engine, which says nothing of six.
+    """
+    if "engine_spread" in need.model_fields_set or "gain_tolerance" in need.model_fields_set:
+        return {}, ""
+    if not any(table.spreads):
+        return {"engine_spread": UNKNOWN_SPREAD}, (
+            f"; it states no spread between engines, so one is off by {100.0 * UNKNOWN_SPREAD:.0f} % of gain and lag "
+            "in the proof: --engine-spread would state it"
+        )
+    ends = [CUT * np.sqrt(np.diag(single)) / (1.0, plant.pace_s) for plant, _, single in found]
+    spread = min(ceil(1e4 * float(np.max(ends))) * 1e-4, MOST["gain_tolerance"])
+    return {"engine_spread": spread}, f"; by its spread one engine is off by {100.0 * spread:.3g} % in the proof"
 
 
 def gain_deviations(deviation: LoopUncertainty, gain_db: float | None) -> float | None:

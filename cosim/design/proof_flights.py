@@ -34,7 +34,7 @@ CORNER = 2.0  # times these, at a corner of the tolerances, where stability alon
 LARGE_KG = 20.0  # from here on the gust is that of the full scale
 HOVER_S = 20.0
 
-ENGINE_SPREAD = 0.3  # of gain and lag, by which one engine is off; less where less is asked for as tolerance of gain
+ENGINE_SPREAD = 0.3  # of gain and lag, by which one engine is off; less where less is stated as tolerance of gain
 ONSET_STEPS = 6  # in which that comes about: such an engine is off from the ground up, and jolts nobody in hover
 STATIONS_WITH_FACTOR = 6  # that have a thrust factor of their own
 
@@ -58,7 +58,7 @@ def fly_all(design: Design, say: Say) -> list[ProofFlight]:
             flights.append(fly_corner(design, name, table, gain, steps))
         if any(flight.fault for flight in flights[-len(tables) :]):
             return flights  # one corner that fails is enough
-    spread = min(ENGINE_SPREAD, need.gain_tolerance)
+    spread = min(ENGINE_SPREAD, need.gain_tolerance) if need.engine_spread is None else need.engine_spread
     for factor in (1.0 - spread, 1.0 + spread) if spread else ():
         say(f"flight: one engine with {factor:.2f} of its thrust")
         flights.append(fly_with_odd_engine(design, tables, factor))

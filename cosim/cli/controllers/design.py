@@ -44,6 +44,14 @@ class DesignOptions(opt.Output):
     gain_tolerance = opt.number(
         "--gain-tolerance", None, "Of the gain, both ways.  [default: as of the delay]", min=0.0, max=0.95
     )
+    engine_spread = opt.number(
+        "--engine-spread",
+        None,
+        "Of gain and lag, by which one engine is off in the proof.  [default: that of the engine's [uncertainty], or "
+        "0.3, at most the gain's tolerance where that is not the engine's]",
+        min=0.0,
+        max=0.95,
+    )
     min_bandwidth = opt.number("--min-bandwidth", "HZ", "Of roll and pitch.", min=0.0, default=0.16)
     noise_share = opt.number(
         "--noise-share",
@@ -120,7 +128,7 @@ def design(options: DesignOptions) -> int:
         options.lead = options.scheduled = options.proof = False
     offer_to_compile(engine)
     warn_of_fmu_defects(engine)
-    tolerances = options.chosen("delay_tolerance", "gain_tolerance")
+    tolerances = options.chosen("delay_tolerance", "gain_tolerance", "engine_spread")
     need = Requirements(
         **{name: value for name, value in tolerances.items() if value is not None},
         max_sensitivity=options.max_sensitivity,

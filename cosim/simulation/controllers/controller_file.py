@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -29,6 +29,8 @@ class Requirements(Model):
     max_sensitivity: float = 1.7
     delay_tolerance: NotNegative = 0.3  # of the transport delay, at least one sample
     gain_tolerance: NotNegative = 0.3
+    # of gain and lag, by which one engine of the proof is off; None: the least of 0.3 and the gain's tolerance
+    engine_spread: Annotated[float | None, Field(ge=0.0, lt=1.0, exclude_if=lambda value: value is None)] = None
     min_bandwidth_hz: NotNegative = 0.16  # of roll and pitch: 1 rad/s, within 5 % in 3 s, a side of the roll doublet
     max_overshoot: float = MAX_OVERSHOOT
     noise_share: float = NOISE_SHARE

@@ -87,6 +87,9 @@ def test_another_table_is_another_design(designed: dict[str, Design], tmp_path: 
     assert (filed["tolerances"], filed["requirements"]["gain_tolerance"]) == (line, unsure.gain_tolerance)
     assert "bench.csv: 6 steps, 2 holds" in paths["report"].read_text(encoding="utf-8")
     assert to_dict(made)["tolerances"] == line
+    assert "the box around their ellipsoid of correlation -0." in line or "of correlation 0." in line
+    assert "it states no spread between engines, so one is off by 30 % of gain and lag in the proof" in line
+    assert filed["requirements"]["engine_spread"] == 0.3
 
 
 def test_what_is_stated_is_not_taken_from_the_engine(designed: dict[str, Design]) -> None:
@@ -98,6 +101,7 @@ def test_what_is_stated_is_not_taken_from_the_engine(designed: dict[str, Design]
         return found.need.delay_tolerance, found.need.gain_tolerance, found.words
 
     assert asked(Requirements(delay_tolerance=0.2, gain_tolerance=0.1)) == (0.2, 0.1, "")
+    assert "engine_spread" not in Requirements().model_dump()
     delay, gain, words = asked(Requirements(delay_tolerance=0.2))
     assert (delay, gain) == (0.2, made.need.gain_tolerance)
     assert "--gain-tolerance would state others" in words
@@ -105,6 +109,22 @@ def test_what_is_stated_is_not_taken_from_the_engine(designed: dict[str, Design]
     plain = load_engine("edf", {}, STEP)
     found = engine_tolerances(Requirements(), made.scenario, made.vehicle, plain, plants)
     assert (found.need, found.words) == (Requirements(), "")
+
+
+def test_the_spread_of_the_table_is_that_of_one_engine_in_the_proof(
+    designed: dict[str, Design], tmp_path: Path
+) -> None:
+    """A gain that is 2 % of 0.2554 apart between engines: three deviations are 6 %, whatever all have in common."""
+    made = designed["unsure"]
+    roll = [made.axes["roll"].channel]
+    for deviation in ([1.0, 0.001, 0.002], [6.2, 0.001, 0.07]):
+        spec = load_engine(str(fan(tmp_path, deviation, [0.0, 0.0, 0.02 * 0.2554])), {}, STEP, unchecked=True)
+        found = engine_tolerances(Requirements(), made.scenario, made.vehicle, spec, roll)
+        assert found.need.engine_spread == pytest.approx(0.06, abs=2e-4)
+        assert "; by its spread one engine is off by 6" in found.words
+    stated = engine_tolerances(Requirements(engine_spread=0.1), made.scenario, made.vehicle, spec, roll)
+    assert stated.need.engine_spread == 0.1
+    assert "one engine is off" not in stated.words
 
 
 def test_more_than_a_design_takes_is_said(designed: dict[str, Design], tmp_path: Path) -> None:

@@ -11,26 +11,33 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from known_benches import Truth, bench_log
 from places import DOCS
 
 PAGE = (DOCS / "tutorial.md").read_text(encoding="utf-8")
 FILE = re.compile(r"<!-- file: (\S+) -->\n```\w*\n(.*?)^```$|^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
+def run(line: str, folder: Path) -> str:
+    """What a line of a shell prints, which must succeed."""
+    here = Path(sys.executable).parent
+    environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "80"}
+    done = subprocess.run(line, shell=True, cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
 @pytest.mark.long
 def test_the_tutorial_as_written(tmp_path: Path) -> None:
     pytest.importorskip("pythonfmu3", reason="no pythonfmu3, with which the tutorial makes its engine")
-    here = Path(sys.executable).parent
-    environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "80"}
     said = {}
     for name, text, commands in FILE.findall(PAGE):
         if name:
             (tmp_path / name).write_text(text, encoding="utf-8")
         for line in commands.splitlines():
-            done = subprocess.run(line, shell=True, cwd=tmp_path, env=environment, capture_output=True, text=True)
-            assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
-            said[line] = done.stdout
+            said[line] = run(line, tmp_path)
     assert "fit to fly" in next(out for line, out in said.items() if line.startswith("hexjet fmu check"))
     for page in ("designed/report.html", "verdict/report.html", "check-mine/aircraft.svg"):
         assert (tmp_path / "runs" / page).stat().st_size > 1000
@@ -38,3 +45,25 @@ def test_the_tutorial_as_written(tmp_path: Path) -> None:
     verdict = next(out for line, out in said.items() if line.startswith("hexjet sweep"))
     assert "\n  mine: " in verdict  # the designed one, by its file
     assert "my_controller.py:Mine" in verdict
+
+
+@pytest.mark.long
+def test_from_a_bench_log_to_a_proven_design_in_one_line(tmp_path: Path) -> None:
+    """Twice the same engine, logged well and badly: another log is another verdict, and no number is typed."""
+    (line,) = re.findall(r"^hexjet identify bench bench.csv .*$", PAGE, re.MULTILINE)
+    truth = Truth(delay=0.06, lags=(0.05,), gain=20.0, offset=1.0)
+    kept = {}
+    for name, rate, noise in (("well", 100.0, 0.1), ("badly", 12.5, 0.8)):
+        folder = tmp_path / name
+        folder.mkdir()
+        times, command, thrust, _ = bench_log("stairs of 2 s", rate, truth, noise=noise, seconds=40.0)
+        rows = np.column_stack([times, command, thrust])
+        np.savetxt(folder / "bench.csv", rows, "%.9g", ",", header="time_s,throttle,thrust_N", comments="")
+        said = " ".join(run(line, folder).split())
+        assert "22 of 22 flights kept what was promised" in said
+        assert "tolerances from the engine's uncertainty, 3 standard deviations of its parameters" in said
+        assert "source: bench.csv: 39.9" in said
+        (share,) = re.findall(r"my-design: (\S+) % of 10 ", said)
+        kept[name] = float(share)
+    assert kept["well"] == 100.0
+    assert kept["badly"] < 50.0
