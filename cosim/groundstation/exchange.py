@@ -61,7 +61,7 @@ class Shutdown:
 
 GroundRequest = Request | Restart | Shutdown
 AnswerCallback = Callable[[Answer], None]
-Claim = Callable[[], bool]  # takes a request over; False: its sender has already been answered that it is not done
+Claim = Callable[[], bool]  # takes a request over; False where its sender has already been told that it was not done
 
 
 def ignore_answer(answer: Answer) -> None:
@@ -91,7 +91,7 @@ class Snapshot(NamedTuple):
     time: float  # k dt [s]
     sample: Sample | None  # the step that led here; None before the first
     state: State  # true
-    measured: Measured  # input of the controller's next update
+    measured: Measured  # what the sensors tell the controller at its next update
     status: Status
     pace: PaceReport
     ending: Ending | None  # once the flight is over
@@ -195,7 +195,7 @@ class Exchange:
         now = self.clock()
         with self._lock:
             while self._queues and len(taken) < limit:
-                # one request of the first sender, which goes to the end of the row
+                # One request of the first sender is taken, then this sender goes to the end of the queue.
                 sender = next(iter(self._queues))
                 queue = self._queues.pop(sender)
                 waiting, claim = queue.popleft()
@@ -227,14 +227,15 @@ class Port:
     """
 
     def __init__(self, exchange: Exchange, name: str) -> None:
-        self.name = name  # sender of requests that state none
+        self.name = name  # name of the sender where a request states none
         self.wake: Callable[[], None] = lambda: None
-        self.snapshot: Snapshot | None = None  # the last one of a flight that has begun
+        self.snapshot: Snapshot | None = None  # the newest one; None before the first flight begins
         self._exchange = exchange
         self._messages: tuple[Message, ...] = ()
         self._last_message = 0
-        self._replies: dict[int, AnswerCallback] = {}  # by number of the request
-        # Deadlines [s]: whoever takes a number out first, the flight or the loop, decides on the request.
+        self._replies: dict[int, AnswerCallback] = {}  # callbacks for answers, by number of the request
+        # Deadlines [s] by number of the request: whichever removes a number first, the flight or the event loop,
+        # answers it.
         self._deadlines: dict[int, float] = {}
         self._request_count = 0
         self._answered: deque[tuple[int, Answer]] = deque()

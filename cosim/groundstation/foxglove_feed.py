@@ -10,7 +10,8 @@ from cosim.results.export.foxglove_live import LiveExport
 from cosim.results.export.output import LogLine
 
 RATE_1_S = 25  # chosen by us: a picture every 40 ms, as the exported arrows; every step is in the run's log
-REDRAW_S = 1.0  # between two drawings of what stands still: as long a viewer that comes later waits for it
+# Seconds between two drawings of what does not move; a viewer that connects later waits at most this long for it.
+REDRAW_S = 1.0
 PORT = 8766  # next to the port of the page
 
 

@@ -235,5 +235,5 @@ def make_vehicle_constants(info: FlightInfo, personality: Personality, system: i
 def _version() -> str:
     try:
         return version("hexjet-cosim")
-    except PackageNotFoundError:  # the clone itself, not installed
+    except PackageNotFoundError:  # the program runs from a clone and is not installed
         return "0.0.0"

@@ -31,7 +31,7 @@ class LogLimit:
         self._recording, self._say = recording, say
         self._limit_mb = limit_mb
         self._most = None if limit_mb is None else max(1, int(limit_mb * MEGABYTE / (BYTES * recording.columns)))
-        self.rows = 0  # recorded so far
+        self.rows = 0  # number of rows that were recorded so far
 
     @property
     def is_full(self) -> bool:

@@ -49,7 +49,7 @@ class ParameterGuard:
     def __init__(self, checker: StabilityChecker | None = None) -> None:
         self.checker = checker
         self._deferred: deque[PendingRequest] = deque()
-        self._batch: list[PendingRequest] = []  # the first of the deferred ones, whose verdict is being computed
+        self._batch: list[PendingRequest] = []  # the first deferred changes, whose verdict is being computed
         self._verdict: Future[list[list[Caution]]] | None = None
         self._thread: ThreadPoolExecutor | None = None
 
@@ -78,7 +78,7 @@ class ParameterGuard:
             self._deferred = deque(waiting for waiting in self._deferred if now <= waiting.deadline)
             if any(
                 now > waiting.deadline for waiting in self._batch
-            ):  # the other verdicts assume that this one is taken
+            ):  # the verdicts on the others assume that this change is made
                 self._batch, self._verdict = [], None
             return [(waiting, None) for waiting in late]
         if self._verdict is None and self._deferred:

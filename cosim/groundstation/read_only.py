@@ -19,7 +19,7 @@ from cosim.groundstation.session_flight import PUBLISH_EVERY, forward_messages, 
 from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 
-_REQUESTS_PER_SAMPLE = 8  # that are refused together
+_REQUESTS_PER_SAMPLE = 8  # requests that are refused at one sample
 
 
 class ReadOnlyObserver:

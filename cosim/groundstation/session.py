@@ -49,7 +49,7 @@ from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace
 from cosim.spec.scenario import Scenario
 
-LONGEST_S = 86_400.0  # of one flight that has no planned end: a day
+LONGEST_S = 86_400.0  # s: the longest flight without a planned end, a day
 # Chosen by us: a request costs some 10 us, a new predictor 3 ms, a step has 4 ms of which stepping takes a tenth.
 _REQUESTS_PER_STEP = 8  # requests
 _REQUEST_TIME = 0.5e-3  # s of a step after which the next request waits for the next step
@@ -104,8 +104,9 @@ class Session:
         self._guard = ParameterGuard()
         self._stopping = ""
         self._restart = False
-        self._folder_number = 1  # of the last folder beside ``out``
-        self._next: SessionFlight | None = self._build()  # now, so that wrong input is reported before a link opens
+        self._folder_number = 1  # number of the last folder that was made beside ``out``
+        # Built here, so that wrong input is reported before a link opens.
+        self._next: SessionFlight | None = self._build()
 
     @property
     def info(self) -> FlightInfo:
@@ -184,7 +185,7 @@ class Session:
         simulation, exchange = flight.simulation, self.exchange
         recording = flight.begin(self._records.log_mb)
         assert flight.pilot_record is not None
-        # These requests were meant for the previous flight.
+        # Requests that still wait here were meant for the previous flight.
         while flight.info.number > 1 and (late := [*self._guard.take_remaining(), *exchange.take_requests(1)]):
             for waiting in late:
                 waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "a new flight begins"))
@@ -194,7 +195,8 @@ class Session:
         parameters = flight.pilot.parameters
         report_saved(exchange.say, self._guard.checker, parameters, parameters.changed())
         flight.publish(None, None)
-        self._guard.prepare()  # when every file is open: while a library loads the process may be in another folder
+        # After every file was opened, because the current folder may change while a library loads.
+        self._guard.prepare()
         with steady_timing():
             started = time.perf_counter()
             try:
@@ -250,7 +252,8 @@ class Session:
         if isinstance(request, SetParameter) and answer.accepted:
             self._parameters.save(flight.pilot.parameters.changed())
         elif isinstance(request, (MissionUpload, MissionClear)):
-            flight.publish(None, None)  # now, as a client that has the answer may read the mission back
+            # Publish at once, because a client may read the mission back as soon as it has the answer.
+            flight.publish(None, None)
         return answer
 
     def _serve_judged(
@@ -352,7 +355,7 @@ def steady_timing() -> Iterator[None]:
     previous = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)
     gc.collect()
-    gc.freeze()  # what exists now stays, so the collector need not visit it again
+    gc.freeze()  # what exists now is kept for the whole flight, so the garbage collector can skip it
     try:
         yield
     finally:

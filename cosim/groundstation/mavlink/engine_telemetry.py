@@ -11,7 +11,7 @@ from cosim.groundstation.mavlink.telemetry_state import TelemetryState
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 
 KELVIN = 273.15
-# kg/m^3: in the middle of what Jet A-1 may be at 15 degC (775 to 840, ASTM D1655); the fields have fuel by volume
+# kg/m^3: the middle of the range of Jet A-1 at 15 degC (775 to 840, ASTM D1655), because the fields hold fuel by volume
 KEROSENE = 808.0
 _RPM = 30.0 / pi
 _LIQUID = 1  # MAV_FUEL_TYPE

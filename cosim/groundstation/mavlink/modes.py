@@ -12,7 +12,7 @@ from cosim.control.autopilot.modes import BY_STICK, LandedState, Mode
 from cosim.groundstation.mavlink.vehicle_constants import Personality
 
 AUTOPILOT: dict[Personality, int] = {"px4": 12, "ardupilot": 3, "generic": 0}  # MAV_AUTOPILOT
-GENERIC_MULTIROTOR = 43  # MAV_TYPE: of a number of engines that has no name of its own
+GENERIC_MULTIROTOR = 43  # MAV_TYPE for a number of engines that has no name of its own
 _TYPES = {3: 15, 4: 2, 6: 13, 8: 14, 10: 35, 12: 29}  # tricopter, quadrotor, hexarotor, octo-, deca-, dodecarotor
 
 
@@ -33,9 +33,9 @@ _PX4: dict[Mode, tuple[int, int]] = {
     Mode.LAND: (_AUTO, 6),
     Mode.OFFBOARD: (6, 0),
     Mode.STABILIZED: (7, 0),
-    Mode.ORBIT: (3, 1),  # a sub mode of position control there
+    Mode.ORBIT: (3, 1),  # PX4 has it as a sub mode of position control
 }
-# What flies to places on request is GUIDED there; it is also where a take-off is flown.
+# ArduPilot flies to requested positions, and takes off, in GUIDED.
 _COPTER: dict[Mode, int] = {
     Mode.STABILIZED: 0,
     Mode.MANUAL: 0,
@@ -50,7 +50,7 @@ _COPTER: dict[Mode, int] = {
     Mode.ORBIT: 7,  # CIRCLE
 }
 _FROM_PX4 = {value: mode for mode, value in _PX4.items()}
-UNSUPPORTED = {  # of PX4, by main and sub mode: what a station may ask for, and is refused by name
+UNSUPPORTED = {  # modes of PX4 by main and sub mode: a station may ask for them, and the refusal names the mode
     (_AUTO, 8): "follow-me",
     (_AUTO, 9): "precision landing",
     (_AUTO, 10): "VTOL take-off",

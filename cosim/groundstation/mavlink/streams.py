@@ -27,7 +27,7 @@ class Stream:
     make_messages: Build
 
 
-# A new one goes to the end: the slots of each depend on its place.
+# Add a new stream at the end, because the time slots of each stream depend on its place in this list.
 STREAMS = (
     Stream("HEARTBEAT", 1.0, telemetry.heartbeat),
     Stream("SYS_STATUS", 2.0, telemetry.sys_status),
@@ -71,15 +71,15 @@ STREAMS = (
     Stream("CURRENT_MODE", 0.5, telemetry.current_mode),
 )
 
-FASTEST = 0.004  # s: a control step; nothing is new more often
+FASTEST = 0.004  # s: one control step; nothing changes more often
 BY_ID: dict[int, Stream] = {BY_NAME[stream.name].id: stream for stream in STREAMS}
 DEFAULT: dict[int, float] = {number: 1.0 / stream.rate if stream.rate else 0.0 for number, stream in BY_ID.items()}
 
 HEARTBEAT = BY_NAME["HEARTBEAT"].id
-_STRETCH = 1.1  # by which intervals are stretched, so that they do not change all the time; chosen by us
-_MOST_STRETCH = 256.0  # chosen by us: what is so rare is no telemetry any more
-_FIT_INTERVAL = 1.0  # s between two looks at what a line carries
-# where in its interval each message has its slots: steps of the golden ratio are never close together
+_STRETCH = 1.1  # margin in lengthened intervals, so that they do not change all the time; chosen by us
+_MOST_STRETCH = 256.0  # chosen by us: a message that is rarer than this is of no use as telemetry
+_FIT_INTERVAL = 1.0  # s between two computations of the intervals that fit the line
+# The phase of each message in its interval: multiples of the golden ratio spread evenly, so no two are close together.
 _PHASE = {number: index * (sqrt(5.0) - 1.0) / 2.0 % 1.0 for index, number in enumerate(BY_ID)}
 
 
@@ -99,7 +99,7 @@ class Streams:
         self._start = start
         self._next: dict[tuple[int, float], float] = {}
         self._next_due = start
-        self._sizes: dict[int, tuple[int, int]] = {}  # of all that belong to one message, as it was last: bytes, frames
+        self._sizes: dict[int, tuple[int, int]] = {}  # by message, the bytes and frames of its last transmission
 
     def note_size(self, stream: Stream, packets: Sequence[Message]) -> None:
         """Note the size of a message as it was last sent, in bytes and frames."""
@@ -127,7 +127,7 @@ class Streams:
         stretch = min(_MOST_STRETCH, _STRETCH**steps)
         if stretch > peer.stretch or stretch * _STRETCH < peer.stretch or (steps == 0 and peer.stretch > 1.0):
             peer.stretch = stretch
-            for number in BY_ID:  # what has just been sent is not due again because it comes more seldom
+            for number in BY_ID:  # a longer interval must not make a message due that was sent just now
                 if every := stream_interval(peer, number):
                     self._next.setdefault((number, every), self._slot(now, number, every))
 

@@ -22,7 +22,8 @@ from cosim.vehicle.atmosphere import standard_density
 _GYRO, _ACCEL, _MAG, _BARO, _GPS = 1, 2, 4, 8, 32
 _RATE, _ATTITUDE, _YAW, _HEIGHT, _POSITION, _MOTORS = 1024, 2048, 4096, 8192, 16384, 32768
 _GEOFENCE, _AHRS, _BATTERY, _PREARM, _PROPULSION = 1 << 20, 1 << 21, 1 << 25, 1 << 28, 1 << 30
-# no magnetometer: the heading is measured as attitude is, and MAVSDK is never content without the bit
+# The vehicle has no magnetometer, because attitude is measured with the heading; but MAVSDK never reports ready without
+# this bit.
 _SENSORS = _GYRO | _ACCEL | _MAG | _BARO | _GPS | _RATE | _ATTITUDE | _YAW | _HEIGHT | _POSITION | _MOTORS | _AHRS
 
 # MAV_PROTOCOL_CAPABILITY
@@ -47,7 +48,8 @@ def sys_status(v: TelemetryState) -> list[Message]:
     has_tank = not isnan(v.vehicle.fuel_capacity)
     battery = 0 if has_tank or status.remaining is None else _BATTERY
     present = _SENSORS | _GEOFENCE | _PREARM | _PROPULSION | battery
-    enabled = present & ~_GEOFENCE  # healthy and off: MAVProxy takes a fence that is not healthy for a breach
+    # The fence is reported healthy and off, because MAVProxy treats an unhealthy fence as breached.
+    enabled = present & ~_GEOFENCE
     lost = any(health == 0.0 for health in v.sample.health[: v.vehicle.jets])
     bad = (_PREARM if not (status.ready or status.armed) else 0) | (_PROPULSION if lost else 0) | _unhealthy(v)
     health = present & ~bad
@@ -135,14 +137,14 @@ def vfr_hud(v: TelemetryState) -> list[Message]:
     heading = to_field(degrees(v.euler[2]) % 360.0, 0, 360) % 360
     throttle = to_field(100.0 * v.sample.control.collective, 0, 100)
     speed = hypot(*v.status.fix.velocity)
-    # nothing on board measures the speed through the air
+    # No sensor on board measures the airspeed.
     return [mav.MAVLink_vfr_hud_message(nan, speed, heading, throttle, v.altitude_above_sea, -v.estimate.velocity[2])]
 
 
 def attitude_target(v: TelemetryState) -> list[Message]:
     command = v.sample.command
     quaternion = from_euler(*command.attitude)
-    mask = 0 if command.rate is None else 128  # the attitude is not what is followed
+    mask = 0 if command.rate is None else 128  # 128: ignore the attitude, because the body rates are controlled
     return [
         mav.MAVLink_attitude_target_message(
             v.ms, mask, quaternion, *v.sample.control.rate_setpoint, v.sample.control.collective
@@ -150,7 +152,7 @@ def attitude_target(v: TelemetryState) -> list[Message]:
     ]
 
 
-_POSITION_ONLY = 0b1101_1111_1000  # of a target: velocity, acceleration and turn rate are missing
+_POSITION_ONLY = 0b1101_1111_1000  # mask of a target without velocity, acceleration and turn rate
 
 
 def position_target_local_ned(v: TelemetryState) -> list[Message]:
@@ -438,6 +440,6 @@ def statustext(severity: int, text: str, number: int) -> list[Message]:
         return [mav.MAVLink_statustext_message(severity, data)]
     pieces = [data[i : i + 50] for i in range(0, len(data), 50)]
     if len(pieces[-1]) == 50 and len(pieces) < 256:
-        pieces.append(b"")  # a piece that is full says that there is more
+        pieces.append(b"")  # a full piece means that another follows, so an empty one ends the text
     number = number % U16 + 1
     return [mav.MAVLink_statustext_message(severity, piece, number, i) for i, piece in enumerate(pieces)]

@@ -49,22 +49,24 @@ class TelemetryState:
         self.snapshot = snapshot
         self.events = events
         self.time = snapshot.time
-        self.measured = snapshot.measured  # what the sensors say
+        self.measured = snapshot.measured  # measurements of the sensors
         # The state is that after the step, with the actuation that acted until then.
         self.sample = snapshot.sample._replace(
             k=snapshot.k, time=snapshot.time, state=snapshot.state, measured=snapshot.measured
         )
         self.status, ending = snapshot.status, snapshot.ending
-        if self.status.engines is EngineState.OFF:  # their inputs are at the least throttle, which has no effect
+        # Engines that are off have the least throttle as input, which has no effect.
+        if self.status.engines is EngineState.OFF:
             still = self.sample.actuation._replace(throttle=(0.0,) * len(self.sample.actuation.throttle))
             control = self.sample.control._replace(collective=0.0)
             self.sample = self.sample._replace(actuation=still, control=control)
         if ending is not None and ending.outcome != "completed":
             self.status = self.status._replace(failsafe=ending.reason)
-        self.estimate = self.status.seen or self.measured  # of the vehicle's motion
+        # The motion that the autopilot flies with, or else as measured.
+        self.estimate = self.status.seen or self.measured
         self.euler = to_euler(self.estimate.attitude)
         self.position_deg = vehicle.geodesy.to_geodetic(*self.status.fix.position, self.altitude)[:2]
-        self.ms = round(snapshot.time * 1e3) & U32  # a field of 32 bits
+        self.ms = round(snapshot.time * 1e3) & U32  # the field has 32 bits
         self.us = round(snapshot.time * 1e6)
 
     @property

@@ -42,15 +42,15 @@ from cosim.groundstation.mavlink.wire.frames import Frame
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import Peer, Priority
 
-LINK_LOST = 3.5  # s without a heartbeat of any ground station; QGroundControl gives the vehicle as long
+LINK_LOST = 3.5  # s without a heartbeat of any ground station; QGroundControl waits as long for the vehicle's
 _REPEAT_WINDOW = 5.0  # s within which the same command again means that its acknowledgement was lost
 _REPORT_INTERVAL = 5.0  # s between two lines about set-points that are not understood
 _GCS = 6  # MAV_TYPE_GCS
 NO_FOLLOWING = "follow-me is not flown here: the place to follow is not used"
-_MOST_STATIONS = 64  # of which is remembered when they were heard; chosen by us: more than anybody connects
-# Lists and files: long, not urgent, and repeated by the client where they were lost.
+_MOST_STATIONS = 64  # ground stations whose last heartbeat is stored; chosen by us, more than are ever connected
+# Lists and files are long and not urgent, and the client asks again for what was lost.
 _BULK = frozenset({"FILE_TRANSFER_PROTOCOL", "LOG_DATA", "LOG_ENTRY", "PARAM_VALUE"})
-_PAGE = (0, 0)  # ids that no system has
+_PAGE = (0, 0)  # ids for local pages, which no MAVLink system has
 _SERVICE_INTERVAL = 0.01  # s between two polls of a service that has much to send
 
 
@@ -78,7 +78,8 @@ class MavlinkVehicle:
         self.shutdown_requests = shutdown_requests
         # ground stations by their ids, with the time when each was last heard; the longest silent comes first
         self.stations: dict[tuple[int, int], float] = {}
-        self.page_count: Callable[[], int] = lambda: 0  # local pages that are open: each is a ground station too
+        # Number of local pages that are open, each of which counts as a ground station.
+        self.page_count: Callable[[], int] = lambda: 0
         self.acknowledged = 0
         self._streams = Streams(link.now())
         self._events = FlightEvents()
@@ -161,7 +162,8 @@ class MavlinkVehicle:
             self._streams.note_size(stream, packets)
             for peer in peers:
                 for index, packed in enumerate(packets):
-                    if stream.name == "HEARTBEAT":  # whatever the line carries, it tells that the vehicle is there
+                    # The heartbeat is sent however slow the line is, because it shows that the vehicle is connected.
+                    if stream.name == "HEARTBEAT":
                         peer.send(packed)
                     else:
                         peer.send_telemetry(packed, index)
@@ -226,7 +228,7 @@ class MavlinkVehicle:
 
         def reply(answer: Answer) -> None:
             if not answer.accepted:
-                self._is_lost = not is_lost  # asked again at the next poll
+                self._is_lost = not is_lost  # the request was refused, so it is repeated at the next poll
 
         self.port.ask(LinkLost() if is_lost else LinkBack(), reply, "link")
 
@@ -255,7 +257,7 @@ class MavlinkVehicle:
             return
         key = (client.system, client.component, command._replace(confirmation=0))
         if key in self._pending:
-            return  # its answer is on its way
+            return  # the same command is being executed, and its answer will be sent
         if self._last_done is not None and command.number in commands.ONCE:
             done, at, result = self._last_done
             if done == key and self._now - at < _REPEAT_WINDOW:
@@ -289,7 +291,8 @@ class MavlinkVehicle:
             self._acknowledge(command, client, result)
             if result is CommandResult.ACCEPTED:
                 self._last_done = (key, self._now, result)
-            elif answer.text and not isinstance(plan.requests[index], Arm):  # the pilot says itself why it is not armed
+            # For Arm the pilot itself sends a text that says why it refused.
+            elif answer.text and not isinstance(plan.requests[index], Arm):
                 self.say(int(Severity.WARNING), answer.text, client.peer)
 
         self.port.ask(plan.requests[index], reply, client.label)

@@ -24,12 +24,13 @@ class VehicleConstants:
     personality: Personality = "px4"
     system: int = 1
     component: int = 1
-    tilt_range: float = nan  # rad, either way; NaN: the outputs are sent in rad
-    servos: tuple[str, ...] = ("left", "right")  # names of the faults
-    ranges: tuple[tuple[float, float], ...] = ()  # of each servo, where they are not two banks
+    tilt_range: float = nan  # rad to either side of the middle; NaN: the outputs are sent in rad
+    servos: tuple[str, ...] = ("left", "right")  # names of the servos as faults state them
+    # Least and greatest angle of each servo, where the servos are not two banks.
+    ranges: tuple[tuple[float, float], ...] = ()
     full_thrust: PerJet = ()  # N, each engine at full throttle; empty: not known
     fuel_capacity: float = nan  # kg; NaN: no tank
     position_noise: float = nan  # m, standard deviation of the GNSS; NaN: not known
     velocity_noise: float = nan  # m/s
     height_noise: float = nan  # m, of the barometer
-    can_fail: bool = True  # INJECT_FAILURE is answered
+    can_fail: bool = True  # whether the vehicle accepts INJECT_FAILURE

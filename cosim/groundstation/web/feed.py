@@ -24,7 +24,7 @@ from cosim.spec.scenario import controller_shown
 Point = tuple[float | None, ...]  # of the strip chart: t [s], measured p, q, r, predicted p, q, r [deg/s]
 
 _ZERO_CELSIUS = 273.15  # K
-_RPM = 60.0 / (2.0 * pi)  # per rad/s
+_RPM = 60.0 / (2.0 * pi)  # revolutions per minute in 1 rad/s
 _DIGITS = 6  # of a column's number, chosen by us: a strip has a thousand pixels, a position 1 mm in 1 km
 _DECIMALS = 4  # digits after the point; a tenth of a millimetre, and less than any sensor here tells
 

@@ -24,7 +24,7 @@ from cosim.base.errors import InputError
 
 WRONG_TOKEN = 4401  # a close code of our own
 TEXT = "text/plain; charset=utf-8"
-TYPES = {  # by what a file's name ends with
+TYPES = {  # content types by file ending
     "html": "text/html; charset=utf-8",
     "js": "text/javascript; charset=utf-8",
     "css": "text/css; charset=utf-8",

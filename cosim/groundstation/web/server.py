@@ -55,20 +55,20 @@ BURST = 160.0
 CLIENTS = 8  # pages open at once
 SEND_BUFFER = 64 * 1024  # bytes waiting for a page that does not read: it misses frames; a frame has 2 kB
 KERNEL_BUFFER = 32 * 1024  # bytes waiting for it in the kernel, whose own choice would be seconds of old frames
-STUCK_S = 10.0  # after so long without reading the page is let go
-HELLO_S = 5.0  # for the token to arrive
+STUCK_S = 10.0  # s: a page that reads nothing for this long is disconnected
+HELLO_S = 5.0  # s within which a page must send its token
 _MOST_WAITING_POINTS = 4000  # points of the strip chart that may wait: a second at 16 times real time
 _MOST_POINTS = 40  # of the strip chart in one frame; 20 frames a second show four times the bandwidth of any loop here
-_VALUES_EVERY = 10  # frames between two looks at the parameters: half a second
+_VALUES_EVERY = 10  # frames between two comparisons of the parameters: half a second
 _STATIC = Path(__file__).with_name("static")
 _TOKEN, _FILES = "@TOKEN@", "@FILES@"
-_ASSETS = (  # of reports; the page draws with them too
+_ASSETS = (  # assets of the reports with which this page draws too
     "vendor/uPlot.iife.min.js", "vendor/uPlot.min.css", THREE, SCENE, licence_file("uPlot"), licence_file("three"),
 )  # fmt: skip
 
 TOO_MANY = 4429  # a close code of our own
 
-# what the page offers; missions and faults are for ground stations
+# the requests that the page offers; missions and faults are left to ground stations
 ALLOWED = (
     rq.Arm,
     rq.Disarm,
@@ -97,14 +97,14 @@ class WebServer:
             raise InputError(f"--web {port}: must be a port from 0 to 65535")
         self._exchange = exchange
         self.port = port
-        self.refused = 0  # connections and messages that were not taken
+        self.refused = 0  # connections and messages that were refused
         self.skipped = 0  # frames that a slow page missed
         self._token, self._key = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self._pages: dict[ServerConnection, _Page] = {}
         self._strip: deque[tuple[int, Sample]] = deque(maxlen=_MOST_WAITING_POINTS)
         self._newest_point = (0, -1)  # flight and step of the newest point
         self._rows = feed.RowConverter()
-        self._frame_count = 0  # of frames
+        self._frame_count = 0  # number of frames that were made
         self._thread: threading.Thread | None = None
 
     @property
@@ -122,12 +122,13 @@ class WebServer:
     def start(self) -> None:
         """Serve from now on."""
         listening, self._hosts = listen(self.port, "--web")
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BUFFER)  # its connections have it from here
+        # Connections inherit the option from the listening socket.
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BUFFER)
         self.port = listening.getsockname()[1]
         self._files = _load_files(self._token, self._key, self._hosts)
         running = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._main(listening, running)), name="web")
-        self._thread.daemon = True  # a session that fails is not kept alive by its page
+        self._thread.daemon = True  # this thread must not keep the process alive after a session has failed
         self._thread.start()
         running.wait()
 
@@ -169,7 +170,7 @@ class WebServer:
             await self._stopping.wait()
             unsubscribe()
             frames.cancel()
-            self._frame()  # what the pages are to see last
+            self._frame()  # the last frame, so that pages show the end
 
     # --- files ---------------------------------------------------------------------------------------------------
 
@@ -266,10 +267,10 @@ class WebServer:
 
     def _call_soon(self, callback: Callable[[], None]) -> None:
         """Schedule a call in the server's thread, if that still runs."""
-        with suppress(RuntimeError):  # it does not
+        with suppress(RuntimeError):  # the loop no longer runs
             self._loop.call_soon_threadsafe(callback)
 
-    # --- out -----------------------------------------------------------------------------------------------------
+    # --- sending -----------------------------------------------------------------------------------------------------
 
     def _on_publish(self) -> None:
         """Keep the newest sample for the strip chart; called in the flight's thread."""
@@ -277,7 +278,7 @@ class WebServer:
         if snapshot is None or snapshot.sample is None or not self._pages:
             return
         point = (snapshot.info.number, snapshot.sample.k)
-        if point != self._newest_point:  # a flight that is over says so again and again
+        if point != self._newest_point:  # a flight that is over publishes the same point repeatedly
             self._newest_point = point
             self._strip.append((snapshot.info.number, snapshot.sample))
 
@@ -343,9 +344,9 @@ class _Page:
 
     def __init__(self, number: int) -> None:
         self.number = number
-        self.flight = 0  # the last flight that it was sent
-        self.last_message = 0  # the last message that it was sent
-        self.values: dict[str, float] = {}  # of parameters, that it was sent
+        self.flight = 0  # number of the last flight that the page was sent
+        self.last_message = 0  # number of the last message that the page was sent
+        self.values: dict[str, float] = {}  # values of parameters that the page was sent
         self.read_at = time.monotonic()
         self._allowance, self._last_count = BURST, self.read_at
 
@@ -409,7 +410,7 @@ def _load_files(token: str, key: str, hosts: set[str]) -> dict[str, tuple[str, b
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
         f"connect-src 'self' {sockets}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
-    kinds = TYPES | {"txt": TEXT}  # the licences
+    kinds = TYPES | {"txt": TEXT}  # text files are the licences
     served = {
         path: (kinds[path.rpartition(".")[2]], body, policy)
         for path, body in [

@@ -44,15 +44,15 @@ from cosim.groundstation.mavlink.telemetry import gps_global_origin, mode_line
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 
 FORCE = 21196.0  # p2 of COMPONENT_ARM_DISARM
-PLACE_MAX = 100e3  # m north or east of the origin: what the pilot's requests take
+PLACE_MAX = 100e3  # m north or east of the origin: the limit of the pilot's requests
 ORIGIN_NEAR = 1.0  # m: what rounding to 1e-7 deg and a station's own numbers may be off by; chosen by us
 ORIGIN_FIXED = "the origin stays where the flight began; --place puts it elsewhere"
 
-# INJECT_FAILURE; how bad a failure is that has no number is chosen by us, so that it is felt and can be flown with.
+# INJECT_FAILURE states no severity.  We choose one that is noticeable in flight and can still be flown with.
 _MOTOR, _SERVO = 101, 102
 _SENSORS = {0: "gyro", 3: "barometer", 4: "gnss"}
 _OK, _OFF, _STUCK, _WRONG, _SLOW, _DELAYED = 0, 1, 2, 4, 5, 6
-_ENGINE_FAULTS = {  # kind of the fault, and its amount
+_ENGINE_FAULTS = {  # kind of the fault and its severity
     _OFF: ("flame_out", None),
     _STUCK: ("stuck_throttle", None),
     _WRONG: ("thrust_loss", 0.5),
@@ -308,7 +308,7 @@ def _sensor_fault(kind: int, sensor: str) -> tuple[InjectFault, ...]:
     return (InjectFault("sensor_bias", sensor=sensor, vector=_GYRO_BIAS if sensor == "gyro" else _GNSS_BIAS),)
 
 
-# --- what needs no pilot ---------------------------------------------------------------------------------------
+# --- commands that do not concern the pilot ---------------------------------------------------------------------
 
 
 def _request_message(command: MavCommand, context: Context) -> Plan:
@@ -321,7 +321,8 @@ def _request_message(command: MavCommand, context: Context) -> Plan:
     if messages is None and number in BY_ID:
         messages = BY_ID[number].make_messages(context.state)
         if not messages:
-            return _refuse("", CommandResult.TEMPORARILY_REJECTED)  # not known yet: its client requests it again
+            # The value is not known yet; its client asks for it again.
+            return _refuse("", CommandResult.TEMPORARILY_REJECTED)
     if messages is None:
         return Plan(result=CommandResult.UNSUPPORTED)
     return Plan(messages=tuple(messages))
@@ -428,4 +429,4 @@ _HANDLERS: dict[int, Handler] = {
     611: _set_origin,  # DO_SET_GLOBAL_ORIGIN
 }
 KNOWN = frozenset(_HANDLERS)
-ONCE = frozenset({22, 420})  # not executed again when their acknowledgement was lost
+ONCE = frozenset({22, 420})  # commands that are not executed again where only their acknowledgement was lost

@@ -24,12 +24,12 @@ CRC, BURST, ACK, NAK = 14, 15, 128, 129
 _WRITING = range(6, 14)  # create, write, remove, rename ...
 FAIL, BAD_SIZE, BAD_SESSION, END, UNKNOWN, PROTECTED, NOT_FOUND = 1, 3, 4, 6, 7, 9, 10
 
-DATA = 239  # bytes a message carries
+DATA = 239  # bytes of data in one message
 _HEAD = struct.Struct("<HBBBBBxI")
 SESSIONS = 8  # open files of one client; chosen by us
-BURST_LENGTH = 100  # messages of one burst, then the client asks for the next: 24 kB
-RATE = 1000.0  # messages of bursts a second and client: 239 kB/s, where the link is not slower; chosen by us
-_CRC_PART = 1 << 22  # bytes of a checksum that are counted in one go
+BURST_LENGTH = 100  # messages in one burst (24 kB); the client then asks for the next
+RATE = 1000.0  # burst messages per second and client, 239 kB/s; a slower link limits it further; chosen by us
+_CRC_PART = 1 << 22  # bytes that are read at a time for a checksum
 
 
 class File(Protocol):
@@ -51,7 +51,7 @@ class MemoryFile:
         return self._data[offset : offset + length]
 
 
-Files = Callable[[], Mapping[str, File]]  # every file there is now, by its whole path ("log/run.ulg")
+Files = Callable[[], Mapping[str, File]]  # every file that exists now, by its whole path ("log/run.ulg")
 
 
 class _Request(NamedTuple):
@@ -67,7 +67,7 @@ class _Request(NamedTuple):
 class _Burst:
     request: _Request
     offset: int
-    remaining: int  # messages
+    remaining: int  # messages of the burst that are still to be sent
     sequence: int
 
 
@@ -165,7 +165,7 @@ class FileService(Service):
         file = None if path is None else self._files().get(path)
         if file is None:
             return _nak(request, NOT_FOUND)
-        if file.size >= 1 << 32:  # its size and places do not fit the fields
+        if file.size >= 1 << 32:  # its size and its offsets do not fit in the fields of 32 bits
             return _nak(request, FAIL)
         if code == CRC:
             state.checksum = _Checksum(request, file)

@@ -83,11 +83,11 @@ class LogStore:
         self._folder = Path(tempfile.mkdtemp(prefix="logs-", dir=scratch()))
         self._seen_runs: set[Path] = set()
         self._conversion: tuple[Child, LogEntry, float] | None = None
-        self._converted_count = 0  # of the logs, those that failed included
+        self._converted_count = 0  # number of logs that were converted, including failures
         self._search: Thread | None = None
         self._found_runs: Sequence[Path] = ()
         self._last_search = -inf
-        self._is_outdated = True  # a run was finished after the last search began
+        self._is_outdated = True  # True where a run was finished after the last search began
         self._now = 0.0
         self.logs: list[LogEntry] = []
 
@@ -108,7 +108,7 @@ class LogStore:
         return self._search is not None
 
     def _run_search(self) -> None:
-        with suppress(OSError):  # a folder that may not be read: the list stays
+        with suppress(OSError):  # the folder cannot be read, so the list stays as it is
             self._found_runs = self._runs()
 
     def _list_found(self, now: float) -> None:
@@ -121,7 +121,7 @@ class LogStore:
         self._seen_runs.update(new)
         for run in new[-MOST_EARLIER_LOGS:] if first else new[: MOST_LOGS - len(self.logs)]:
             self.logs.append(LogEntry(len(self.logs), run, _start_time(run)))
-        if self._is_outdated:  # a run was finished during the search: it belongs in the list too
+        if self._is_outdated:  # a run was finished during the search, so search again
             self.search(now)
 
     def poll(self, now: float) -> None:
@@ -180,7 +180,7 @@ class LogService(Service):
 
     def __init__(self, store: LogStore) -> None:
         self._store = store
-        self._lists: dict[Client, tuple[int, int]] = {}  # the entries that each still waits for
+        self._lists: dict[Client, tuple[int, int]] = {}  # by client, the entries that are still to be sent
         self._downloads: OrderedDict[Client, _Download] = OrderedDict()
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
@@ -217,7 +217,7 @@ class LogService(Service):
                 if download.at >= download.end:
                     break
             if download.at >= download.end:
-                if download.is_past_end:  # more was requested than there is: an empty part is the end
+                if download.is_past_end:  # the request goes past the end of the log; an empty part tells the client so
                     out.append((client.peer, _data(download.number, download.at, b"")))
                 del self._downloads[client]
         return out
@@ -301,7 +301,7 @@ def _start_time(run: Path) -> int:
         started = json.loads((run / "summary.json").read_text(encoding="utf-8"))["started"]
         moment = datetime.fromisoformat(started)
         seconds = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-        return min(2**32 - 1, max(0, int(seconds)))  # limits of the field
+        return min(2**32 - 1, max(0, int(seconds)))  # the field is an unsigned integer of 32 bits
     except (OSError, ValueError, KeyError, TypeError):
         return 0
 

@@ -32,7 +32,7 @@ OF_RESULT = {result: CommandResult[result.name] for result in Result}
 
 GLOBAL, LOCAL_NED, RELATIVE, GLOBAL_INT, RELATIVE_INT = 0, 1, 3, 5, 6  # MAV_FRAME
 ABSOLUTE_FRAMES, RELATIVE_FRAMES = (GLOBAL, GLOBAL_INT), (RELATIVE, RELATIVE_INT)
-_UNSET = 0x7FFFFFFF  # x and y of COMMAND_INT
+_UNSET = 0x7FFFFFFF  # value of x and y in COMMAND_INT that means: not set
 
 
 class MavCommand(NamedTuple):
@@ -40,7 +40,7 @@ class MavCommand(NamedTuple):
 
     number: int
     params: tuple[float | None, ...]  # parameters 1 to 7, counted from 0
-    frame: int | None  # None: COMMAND_LONG has none
+    frame: int | None  # MAV_FRAME; None for COMMAND_LONG, which states no frame
     confirmation: int
 
     @property
@@ -65,7 +65,8 @@ class Context(NamedTuple):
     vehicle: VehicleConstants
     state: TelemetryState
     peer: Peer
-    find_message: Callable[[int], Sequence[Message] | None]  # that is not telemetry, by its id; None: unknown
+    # Finds a message that is not telemetry by its id; None where there is none.
+    find_message: Callable[[int], Sequence[Message] | None]
     shutdown_requests: tuple[Any, ...] = ()  # requests for a reboot and for a shutdown
 
 

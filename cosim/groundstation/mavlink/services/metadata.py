@@ -16,7 +16,8 @@ from cosim.groundstation.mavlink.services.service import crc32
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
-GENERAL, PARAMETERS = "etc/extras/component_general.json.xz", "etc/extras/parameters.json.xz"  # where PX4 has them
+# The same paths as in PX4.
+GENERAL, PARAMETERS = "etc/extras/component_general.json.xz", "etc/extras/parameters.json.xz"
 _TYPE_PARAMETER = 1  # COMP_METADATA_TYPE
 _VERSION = 1  # of both files: the only one that QGroundControl reads
 

@@ -175,7 +175,7 @@ class MissionService(Service):
         if self._upload is not None and self._upload.client.peer == peer and not self._upload.waiting:
             self._upload = None
 
-    # ---- down
+    # ---- download
 
     def _list(self, mission_type: int) -> list[Item]:
         """Return the present mission, fence or rally points as items."""
@@ -213,12 +213,12 @@ class MissionService(Service):
         self._mission, self._sent_items = mission, [to_item(item, self._geodesy) for item in mission]
         return self._sent_items
 
-    # ---- up
+    # ---- upload
 
     def _begin_upload(self, count: int, client: Client, mission_type: int) -> list[Message]:
         upload = self._upload
         if upload is not None and upload.client != client:
-            return [_ack(client, ERROR, mission_type)]  # another upload is under way
+            return [_ack(client, ERROR, mission_type)]  # another upload is in progress
         if upload is not None and upload.waiting:
             return []
         self._upload = None
@@ -235,7 +235,8 @@ class MissionService(Service):
         upload = self._upload
         if upload is None or upload.client != client or upload.mission_type != mission_type:
             if self._last_upload is not None and self._last_upload[:3] == (client, message.seq + 1, mission_type):
-                return [_ack(client, self._last_upload[3], mission_type)]  # the acknowledgement was lost
+                # The station repeats its last item, so it has not received the acknowledgement.
+                return [_ack(client, self._last_upload[3], mission_type)]
             return [_ack(client, ERROR, mission_type)]
         if upload.waiting or message.seq != len(upload.items):
             return []
@@ -253,7 +254,7 @@ class MissionService(Service):
             return [self._next_request(upload)]
         try:
             request = self._request(upload)
-        except InputError as error:  # a jump to nowhere: nothing else is left to check
+        except InputError as error:  # the only error left is a jump to an item that does not exist
             return self._refuse(upload, PARAM1, f"mission refused: {error}")
         except ItemError as error:
             return self._refuse(upload, error.code, f"{_NAMES[mission_type]} refused: {error}")
@@ -301,7 +302,7 @@ class MissionService(Service):
         if upload is not None and upload.client == client and not upload.waiting and message.type != ACCEPTED:
             self._upload = None
 
-    # ---- the rest
+    # ---- clearing, the current item, progress
 
     def _clear(self, client: Client, mission_type: int) -> list[Message]:
         """Request to clear one type or all, with one acknowledgement when every request is answered."""
@@ -318,7 +319,8 @@ class MissionService(Service):
 
         for request in requests:
             if not self._answers.request(request, client, reply):
-                return [_ack(client, ERROR, mission_type)]  # once: ``left`` does not come to 0 any more
+                # This is sent once, because ``remaining`` does not reach 0 after it.
+                return [_ack(client, ERROR, mission_type)]
         return []
 
     def _set_current(self, index: int, client: Client) -> list[Message]:
@@ -326,7 +328,7 @@ class MissionService(Service):
             if answer.accepted:
                 status = self._status()
                 if status is not None and status.mission_current == index:
-                    self._progress_sent = ()  # nothing will change, and yet an answer is waited for
+                    self._progress_sent = ()  # the sender waits for an answer although nothing will change
                 return []
             return [(client.peer, message) for message in _warn(answer.text)]
 

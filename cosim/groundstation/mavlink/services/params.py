@@ -39,7 +39,7 @@ LIST_RATE = 100.0  # values a second; chosen by us: 3.7 kB/s, two thirds of what
 LIST_BURST = 10
 
 REAL32, INT32, UINT32 = wire.MAV_PARAM_TYPE_REAL32, wire.MAV_PARAM_TYPE_INT32, wire.MAV_PARAM_TYPE_UINT32
-_INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # MAV_PARAM_TYPE: its bytes
+_INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # struct format of each MAV_PARAM_TYPE
 # MAV_PARAM_ERROR; the last two are in the MAVLink project's own definitions, not in pymavlink's
 UNKNOWN, OUT_OF_RANGE, NOT_NOW, READ_ONLY, UNSUPPORTED_TYPE, OTHER_TYPE = 1, 2, 3, 5, 6, 7
 
@@ -52,13 +52,14 @@ class ParameterService(Service):
     def __init__(self, parameters: Parameters, ask: Ask, personality: Personality = "px4") -> None:
         self._personality = personality
         self._answers = AnswerQueue(ask)
-        self._lists: dict[Client, tuple[int, RateLimit]] = {}  # how far each list has got
+        # By client, the next parameter of its list and the rate at which it is sent.
+        self._lists: dict[Client, tuple[int, RateLimit]] = {}
         self.replace(parameters)
 
     def replace(self, parameters: Parameters) -> None:
         """Take the parameters of another flight of the same vehicle."""
         self._parameters = parameters
-        # PX4 sorts by name, and the hash goes in this order
+        # PX4 sorts parameters by name and computes the hash in this order
         self._lines = sorted(parameters, key=lambda line: line.name)
         self._index = {line.name: i for i, line in enumerate(self._lines)}
         self._sent = dict(parameters.values)
@@ -69,7 +70,7 @@ class ParameterService(Service):
         kind = message.get_type()
         if kind == "PARAM_REQUEST_LIST":
             if client in self._lists or len(self._lists) < MAX_CLIENTS:
-                first = -1 if self._personality == "px4" else 0  # -1: the hash
+                first = -1 if self._personality == "px4" else 0  # PX4 sends the hash first, as parameter -1
                 pace = self._lists[client][1] if client in self._lists else RateLimit(LIST_RATE, LIST_BURST)
                 self._lists[client] = (first, pace)
             return []
@@ -182,7 +183,7 @@ class ParameterService(Service):
         """Return the value that PARAM_SET carries, or why its type is refused."""
         if kind != REAL32 and kind not in _INTEGERS:
             return _Refusal(UNSUPPORTED_TYPE)
-        if self._personality == "ardupilot":  # its clients are free in what they claim
+        if self._personality == "ardupilot":  # ArduPilot's clients may state any type, so the type is not checked
             return value
         expected = INT32 if line.kind == "int" and self._personality == "px4" else REAL32
         if kind != expected and not (expected == INT32 and kind in _INTEGERS):

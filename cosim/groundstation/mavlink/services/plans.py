@@ -32,7 +32,7 @@ _CIRCLES = {
 }
 _COMMANDS = {kind: command for command, kind in (_POLYGONS | _CIRCLES).items()}
 _RALLY = wire.MAV_CMD_NAV_RALLY_POINT
-# The return point inside a fence, of old stations: this vehicle returns home or to a rally point.
+# Old stations send a return point with a fence.  It is ignored, because this vehicle returns home or to a rally point.
 _RETURN_POINT = wire.MAV_CMD_NAV_FENCE_RETURN_POINT
 
 

@@ -16,10 +16,10 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.peer import Peer
 
 Outgoing = list[tuple[Peer | None, Message]]
-# request, callback for the answer (later, from any thread), name of the sender
+# arguments: request, callback for the answer (called later, from any thread), name of the sender
 Ask = Callable[[Request, Callable[[Answer], None], str], None]
 
-MAX_CLIENTS = 16  # of which a service keeps state; chosen by us: more than anybody connects
+MAX_CLIENTS = 16  # clients for which a service keeps state; chosen by us, more than are ever connected
 _FIRST_TEXT_ID = 0x8000  # texts of services are numbered from here on
 _text_id = 0
 

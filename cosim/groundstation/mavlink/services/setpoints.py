@@ -12,8 +12,10 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 
 _OFFSET_NED, _BODY_NED, _BODY_OFFSET, _BODY_FRD = 7, 8, 9, 12  # MAV_FRAME
 _BY_NOSE = (_BODY_NED, _BODY_OFFSET, _BODY_FRD)  # velocities are along and across the heading
-_POSITION, _VELOCITY, _YAW, _YAW_RATE = 0b111, 0b111 << 3, 1 << 10, 1 << 11  # POSITION_TARGET_TYPEMASK: ignore
-_NO_RATES, _NO_THRUST, _NO_ATTITUDE = 0b111, 1 << 6, 1 << 7  # ATTITUDE_TARGET_TYPEMASK
+# Bits of POSITION_TARGET_TYPEMASK: this field is to be ignored.
+_POSITION, _VELOCITY, _YAW, _YAW_RATE = 0b111, 0b111 << 3, 1 << 10, 1 << 11
+# Bits of ATTITUDE_TARGET_TYPEMASK: this field is to be ignored.
+_NO_RATES, _NO_THRUST, _NO_ATTITUDE = 0b111, 1 << 6, 1 << 7
 
 OffboardSetpoint = OffboardAttitude | OffboardVelocity | OffboardPosition
 

@@ -15,11 +15,11 @@ try:
 except ImportError as error:
     raise InputError("the MAVLink messages have not been made: install the project again (pip install -e .)") from error
 
-mav.MAVLINK_IGNORE_CRC = False  # MAV_IGNORE_CRC in the environment would let damaged frames in
+mav.MAVLINK_IGNORE_CRC = False  # damaged frames are refused even if MAV_IGNORE_CRC is set in the environment
 Message = Any  # an instance of one of the generated classes
 KINDS: dict[int, Any] = mav.mavlink_map
 BY_NAME: dict[str, Any] = {kind.msgname: kind for kind in KINDS.values()}
-CHECKSUM = 2  # bytes
+CHECKSUM = 2  # bytes of a frame's checksum
 _UNSENT = mav.MAVLink(None)
 
 

@@ -14,7 +14,7 @@ from cosim.groundstation.mavlink.wire.signing import Signing
 
 RADIO_STATUS = BY_NAME["RADIO_STATUS"].id
 MAGIC_1, MAGIC_2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
-SIGNED = mav.MAVLINK_IFLAG_SIGNED  # the only incompatibility flag that there is
+SIGNED = mav.MAVLINK_IFLAG_SIGNED  # the only incompatibility flag that MAVLink defines
 
 
 class Frame(NamedTuple):
@@ -67,7 +67,7 @@ class Parser:
                 frames.append(frame)
             if reason:
                 self._refused[reason] += 1
-            # of a frame that is none, all but the first byte may belong to another
+            # This is no frame.  Skip its first byte only, because the others may begin a real one.
             if reason in ("crc", "flags"):
                 at = _next_magic(buffer, at + 1)
             else:
@@ -81,14 +81,14 @@ class Parser:
             return "flags", None
         try:
             message = self._mav.decode(bytearray(raw))
-        except mav.MAVError:  # its length is right, so its checksum is not
+        except mav.MAVError:  # the length was checked before, so it is the checksum that is wrong
             return "crc", None
         if isinstance(message, mav.MAVLink_unknown):
             return "unknown", None
         system, component = message.get_srcSystem(), message.get_srcComponent()
         signed = bool(flags & SIGNED)
         if self._signing is not None:
-            # a radio at the vehicle's end of a cable puts its own word in, and has no key
+            # A radio that is wired to the vehicle inserts RADIO_STATUS, and cannot sign it because it has no key.
             of_radio = message.get_msgId() == RADIO_STATUS and not self._is_datagram
             reason = self._signing.find_refusal(raw, system, component) if signed else "" if of_radio else "unsigned"
             if reason:
@@ -105,7 +105,7 @@ class FramePacker:
         self._signing = signing
         if signing is not None:
             signing.enable_signing(self._mav, link)
-        self.signature = 0 if signing is None else mav.MAVLINK_SIGNATURE_BLOCK_LEN  # bytes of it
+        self.signature = 0 if signing is None else mav.MAVLINK_SIGNATURE_BLOCK_LEN  # bytes of a signature
 
     def pack_frame(self, message: Message, component: int | None = None) -> bytes:
         """Return the next frame."""

@@ -15,7 +15,7 @@ from pathlib import Path
 
 SOURCE = Path(__file__).with_name("hexjet.xml")
 TARGET = "_messages.py"
-BUNDLED = ("development", "common", "standard", "minimal")  # what hexjet.xml includes, and what that includes in turn
+BUNDLED = ("development", "common", "standard", "minimal")  # the dialects that hexjet.xml includes, directly or not
 _HEAD = "# mypy: ignore-errors\n# ruff: noqa\n# Made by cosim/groundstation/mavlink/wire/generate.py from hexjet.xml\n"
 
 
@@ -41,7 +41,7 @@ def generate(folder: Path) -> Path:
         try:
             with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
                 done = mavgen.mavgen(options, [str(work / SOURCE.name)])
-        except SystemExit as error:  # how mavgen gives up
+        except SystemExit as error:  # mavgen exits where it finds an error
             raise GenerateError(f"mavgen ended with {error.code}: {output.getvalue()[-300:]}") from error
         if not done or not output_file.exists():
             raise GenerateError(f"mavgen refused {SOURCE.name}: {output.getvalue()[-300:]}")
@@ -62,5 +62,6 @@ def _strip_descriptions(source: Path, target: Path) -> None:
 
 if __name__ == "__main__":
     module = generate(Path(__file__).parent)
-    py_compile.compile(str(module), doraise=True)  # a second of compiling that no first flight should wait for
+    # Compiling takes a second, which the first flight should not wait for.
+    py_compile.compile(str(module), doraise=True)
     print(module)

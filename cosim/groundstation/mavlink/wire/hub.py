@@ -14,7 +14,7 @@ from cosim.groundstation.mavlink.wire.peer import Peer
 from cosim.groundstation.mavlink.wire.signing import Signing
 from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
 
-_MOST_EVENTS = 100  # lines that are kept; chosen by us
+_MOST_EVENTS = 100  # event lines that are kept; chosen by us
 
 
 class FrameHandler(Protocol):
@@ -38,11 +38,11 @@ class Hub:
         log: TelemetryLog | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.refused: Counter[str] = Counter()  # frames and bytes that were not taken, by reason
-        self.failures: Counter[str] = Counter()  # exceptions of this program: there should be none
-        self.taken = 0  # frames
-        self.events: deque[str] = deque(maxlen=_MOST_EVENTS)  # lines for the people on the ground
-        self.on_event: Callable[[str], None] = lambda text: None  # gets each of them, in the link's thread
+        self.refused: Counter[str] = Counter()  # frames and bytes that were refused, by reason
+        self.failures: Counter[str] = Counter()  # exceptions of this program by kind, each of which is a defect
+        self.taken = 0  # frames that were accepted
+        self.events: deque[str] = deque(maxlen=_MOST_EVENTS)  # lines about the links, for the user
+        self.on_event: Callable[[str], None] = lambda text: None  # called with each event line, in the link's thread
         self.log = log
         self.handler: FrameHandler | None = None
         self.now = clock

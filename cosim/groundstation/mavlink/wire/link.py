@@ -22,7 +22,7 @@ from cosim.groundstation.mavlink.wire.transports.tcp import TcpClient, TcpServer
 from cosim.groundstation.mavlink.wire.transports.udp import UdpClient, UdpServer
 
 # Chosen by us.
-_IDLE = 0.05  # s: the longest sleep
+_IDLE = 0.05  # s: the longest sleep of the link's thread
 _FLUSH = 1.0  # s between two flushes of the log
 _REPORT_INTERVAL = 10.0  # s between two lines about the same reason
 # Refusals that are reported at once.  Damaged frames are usual on a radio, and are only counted.
@@ -50,7 +50,8 @@ class Link(Hub):
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(system, component, signing, log, clock)
-        self._reports: dict[str, tuple[int, float]] = {}  # by reason: the count that was reported last, and when
+        # By reason, the count that was reported last and the time of that report.
+        self._reports: dict[str, tuple[int, float]] = {}
         self._channels: list[Channel] = []
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None

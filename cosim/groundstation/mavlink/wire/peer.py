@@ -17,15 +17,17 @@ from cosim.groundstation.mavlink.wire.frames import Frame, FramePacker, Parser
 
 # Chosen by us.
 LIMIT = 512_000  # bytes of answers and lists that may wait
-_LIMIT_S = 10.0  # on a line what it carries in this time, if that is less
+_LIMIT_S = 10.0  # s: on a serial line the limit is what it carries in this time, if that is less
 BULK = 2000  # bytes of answers and lists that wait before a list or a file pauses
-_BULK_S = 0.1  # on a line what it carries in this time, if that is less
-FRAMES_A_SECOND = 1000  # that are read from one station; beyond it they are thrown away unread
+_BULK_S = 0.1  # s: on a serial line the limit is what it carries in this time, if that is less
+FRAMES_A_SECOND = 1000  # frames that are read from one station; more are discarded unread
 _BURST = 1000
-_AHEAD = 0.02  # s of a line's bytes that may lie in its driver: what an answer waits for what was sent before it
-# Of a line's rate; PX4 takes half of it too where its MAV_0_RATE is 0 (baud / 20 bytes a second).
+# Seconds of a serial line's bytes that may wait in its driver: the delay of an answer behind what was sent before.
+_AHEAD = 0.02
+# Fraction of a line's rate; PX4 uses half of it too where MAV_0_RATE is 0 (baud / 20 bytes per second).
 TELEMETRY_FRACTION = 0.5
-# How a line that takes less than it should is slowed down and comes back, once a second, and how far down.
+# By how much the rate of a line that carries too little is reduced, by how much it recovers (both once a second), and
+# the least rate.
 _SLOWER, _FASTER, _SLOWEST = 0.75, 0.05, 0.05
 _RADIO_LOW = 25  # % free in a radio's buffer, below which it is slowed down
 
@@ -47,7 +49,7 @@ class LinePacer:
 
     def __init__(self, rate: float, now: float) -> None:
         self.full_rate = rate
-        self.health = 1.0  # fraction of the rate that it has carried so far
+        self.health = 1.0  # fraction of its rate that the line carries
         self._tokens = self._capacity
         self._last = self._last_check = now
         self._has_stalled = False
@@ -108,14 +110,14 @@ class Peer:
         self.is_datagram = is_datagram
         self._clock = clock
         self.created = now = clock()
-        self.last_heard = -1.0  # when the last frame came; -1: none yet
+        self.last_heard = -1.0  # time of the last frame; -1: none yet
         self.intervals: dict[int, float] = {}  # s, by message; 0: not sent
-        self.stretch = 1.0  # factor by which they are longer, so that they fit the line
-        self.stretched_at = -inf  # when that was last computed
+        self.stretch = 1.0  # factor by which the intervals are lengthened, so that they fit the line
+        self.stretched_at = -inf  # time at which the factor was last computed
         self.line = None if line is None else LinePacer(line, now)
         self.received = self.sent = self.dropped = 0
-        self.signature = packer.signature  # bytes of it on every frame
-        self.stuck = False  # more answers wait than there is room for
+        self.signature = packer.signature  # bytes of the signature on every frame
+        self.stuck = False  # True where there is no room for another answer
         self._transmit = transmit
         self._parser = parser
         self._packer = packer
@@ -123,10 +125,10 @@ class Peer:
         self._answers: deque[_Item] = deque()
         self._bulk: deque[_Item] = deque()
         self._telemetry: dict[tuple[int, int], Message] = {}
-        self._frame = b""  # what is left of the frame that is being handed over
-        self._waiting = 0  # bytes of answers and bulk
+        self._frame = b""  # the rest of the frame that is being sent
+        self._waiting = 0  # bytes of answers and bulk data that wait
         self._balance = 0  # bytes by which bulk is ahead of telemetry while both wait
-        self._blocked: float | None = None  # since when nothing has been taken
+        self._blocked: float | None = None  # time since which the line has accepted nothing; None while it accepts
         self._credit = float(_BURST)
         self._credited = now
 
@@ -157,7 +159,7 @@ class Peer:
         if self.line is not None and free_percent < _RADIO_LOW:
             self.line.note_stall()
 
-    # --- out -----------------------------------------------------------------------------------------------------
+    # --- sending -----------------------------------------------------------------------------------------------------
 
     def send(self, packed: Message, priority: Priority = Priority.ANSWER, component: int | None = None) -> bool:
         """Queue a message that must arrive, and return whether there was room for it."""

@@ -16,9 +16,9 @@ from typing import Any
 from cosim.base.errors import InputError
 
 EPOCH = 1420070400.0  # s: 2015-01-01 as UNIX time
-_TICKS = 100_000  # a second
-_BEHIND = 60 * _TICKS  # a stream that is new may be so far behind
-_SHORTEST = 8  # characters of a pass phrase; chosen by us
+_TICKS = 100_000  # time stamps per second
+_BEHIND = 60 * _TICKS  # a new stream's time stamp may be this far behind
+_SHORTEST = 8  # least number of characters of a pass phrase; chosen by us
 _HEX = "hex:"
 
 

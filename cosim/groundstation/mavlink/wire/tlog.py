@@ -28,9 +28,10 @@ class TelemetryLog:
         except OSError as error:
             raise InputError(f"{path}: the telemetry log cannot be written: {error}") from error
         self._clock = clock
-        self._packer = FramePacker(system, component)  # a log is not signed: it would hold one signature of several
+        # The log is not signed, because each link has a signature of its own.
+        self._packer = FramePacker(system, component)
         self.frames = 0
-        self.failure = ""  # why there is no more of it
+        self.failure = ""  # why writing stopped; empty while it goes on
 
     def write_sent(self, packed: Message) -> None:
         """Write a message that was sent."""

@@ -12,13 +12,13 @@ from cosim.groundstation.mavlink.wire.peer import Peer
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
 # Chosen by us.
-MOST_PEERS = 16  # on one server
-EVICT = 10.0  # s: a station that is silent for so long makes room for a new one
-UNHEARD = 3.0  # s: and so does one that has sent nothing yet; ground stations send a heartbeat once a second
-READS = 64  # from one socket before the others have their turn
+MOST_PEERS = 16  # stations on one server
+EVICT = 10.0  # s: a station that was silent for this long is replaced by a new one
+UNHEARD = 3.0  # s: the same for a station that has sent nothing yet; ground stations send a heartbeat once a second
+READS = 64  # reads from one socket before the others are read
 DATAGRAM = 2048  # bytes; a frame has at most 280
-STALL = 10.0  # s for which a connection takes nothing, after which it is dropped
-RETRY = 1.0  # s between two attempts to have it back
+STALL = 10.0  # s: a connection that accepts nothing for this long is closed
+RETRY = 1.0  # s between two attempts to connect again
 _RESUME = 100.0  # frames of credit with which a station that flooded is read again
 
 Address = Any

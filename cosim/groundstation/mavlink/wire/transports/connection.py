@@ -31,7 +31,7 @@ class Connection:
         self._read = read
         self._write = write
         self.open = True
-        self.stalled = False  # it was closed because it took nothing
+        self.stalled = False  # True where it was closed because it accepted nothing
         self.why = ""
         self.peer = link.new_peer(name, self._transmit, is_datagram=False, line=line)
         self._gate = ReadGate(link, item, self._ready)

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 from cosim.base.errors import InputError
 
-SYSTEMS = range(1, 251)  # ids of vehicles; ground stations take those above
+SYSTEMS = range(1, 251)  # MAVLink ids of vehicles; ground stations use those above
 _SINGLE = 10  # MAVSDK's ports end with 14549, where all the others share the last one; PX4's simulation does the same
 NETWORK = ("udpout", "udpin", "tcp", "tcpin")
 LOOPBACK = "127.0.0.1"
-_BAUD = 57600  # of the usual telemetry radios
+_BAUD = 57600  # speed of the usual telemetry radios
 _FORMS = "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or serial:DEVICE[:BAUD]"
 
 
@@ -29,7 +29,7 @@ class Endpoint(NamedTuple):
 
     kind: str  # one of NETWORK, or serial
     host: str  # an address, or the serial device
-    port: int  # or the serial speed
+    port: int  # the network port, or the speed of the serial line
     family: int = socket.AF_INET
 
     @property

@@ -17,8 +17,8 @@ from cosim.groundstation.mavlink.wire.transports.channel import DATAGRAM, RETRY,
 from cosim.groundstation.mavlink.wire.transports.connection import Connection
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
-_BITS = 10  # of a byte on the line: start, eight, stop
-_BEHIND_S = 0.05  # of the line's bytes that may lie in the driver; chosen by us: twice what is handed over at once
+_BITS = 10  # bits per byte on the line: a start bit, eight data bits, a stop bit
+_BEHIND_S = 0.05  # s of the line's bytes that may wait in the driver; chosen by us: twice what is written at once
 _FRAME = 280  # bytes of the longest frame
 
 
@@ -54,7 +54,7 @@ class SerialDevice:
         """Close at once, discarding unsent bytes, for which the system would wait half a minute."""
         import termios
 
-        with contextlib.suppress(OSError, termios.error):  # it may not be there any more
+        with contextlib.suppress(OSError, termios.error):  # the device may have been unplugged
             if self._is_full or self._unsent():
                 termios.tcflush(self._descriptor, termios.TCOFLUSH)
         with contextlib.suppress(OSError, termios.error):
@@ -109,7 +109,7 @@ class Serial:
             self._is_lost = True
         if now >= self._next:
             self._next = now + RETRY
-            with contextlib.suppress(OSError, ValueError):  # not yet
+            with contextlib.suppress(OSError, ValueError):  # the device is not there yet
                 self._open()
 
     def _report_recovery(self, stream: Connection, now: float) -> None:

@@ -19,8 +19,8 @@ from cosim.groundstation.mavlink.wire.transports.channel import (
 from cosim.groundstation.mavlink.wire.transports.connection import Connection
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
-# Bytes that may be buffered in a connection, and those of them that are not sent yet: a slow reader has no use for old
-# telemetry.
+# Bytes that the kernel may buffer for a connection, and how many of them may be unsent: old telemetry is of no use
+# to a slow reader.
 _KERNEL = 65536
 _UNSENT = 4096
 _UNSENT_OPTION = getattr(socket, "TCP_NOTSENT_LOWAT", None)
@@ -71,7 +71,7 @@ class TcpServer:
         idle = [stream for stream in streams if is_replaceable(stream.peer, now)]
         if not idle:
             return False
-        # one that has sent nothing is closed before one that has
+        # A station that has sent nothing is closed before one that has.
         oldest = max(idle, key=lambda stream: (stream.peer.last_heard < 0.0, stream.peer.silent_seconds(now)))
         oldest.close()
         streams.remove(oldest)

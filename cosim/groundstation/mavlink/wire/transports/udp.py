@@ -31,7 +31,7 @@ def _without_waiting(send: Callable[[bytes], int]) -> Callable[[bytes], int]:
         except (BlockingIOError, InterruptedError):
             return 0
         except OSError:
-            return len(data)  # nobody listens, or there is no way: as lost as any datagram
+            return len(data)  # nobody listens or there is no route: the datagram counts as lost, as any may be
 
     return transmit
 
@@ -96,7 +96,7 @@ class ConnectedStation:
         self._socket = socket.socket(server.family, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
-            # for this moment only, so that no other program can take the port
+            # Set for this moment only, so that no other program can take the port.
             for opened in (server, self._socket):
                 opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind(server.getsockname())
