@@ -358,6 +358,7 @@ NEAR = {  # where a name stands beside its point
     "lqg": ((6, 4), "left"),
     "mpc": ((6, -9), "left"),
     "pid": ((-6, -3), "right"),
+    "pid-smith": ((-6, 3), "right"),
     "pid-filtered-smith": ((4, -12), "right"),
     "pid-state-disturbance": ((-6, -12), "left"),
 }
@@ -390,7 +391,7 @@ def draw(found: Mapping[str, LawLoop]) -> None:
         curve = [reachable(noise, float(step)) for step in steps]
         label = f"the limit, with {LAWS[name]}'s noise"
         right.plot(steps, curve, style, color="#1c2329", lw=1.2, label=label)
-    right.legend(fontsize=7, loc="lower left")
+    right.legend(fontsize=7, loc="lower right")
     right.set(xlabel="integrated error after a step [rad s per rad]", ylabel="after a load [rad s per unit of command]")
     right.set_yscale("log")
     right.set_yticks([10.0, 20.0, 50.0, 100.0], ["10", "20", "50", "100"])
