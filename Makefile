@@ -55,8 +55,8 @@ test: setup $(BETAFLIGHT) ## run the tests on all cores; options for pytest in A
 long: setup $(BETAFLIGHT) ## run the tests that are long, which make test leaves out: before a release, or after a change of what they test
 	@$(BIN)/python -m pytest --numprocesses $(TESTERS) --dist loadfile --no-loadscope-reorder -m long $(ARGS)
 
-fast: setup ## the unit tests alone, in at most three minutes
-	@$(BIN)/python -m pytest --numprocesses auto --dist loadfile tests/unit $(ARGS)
+fast: setup ## the unit tests alone, without those that are long, in at most three minutes
+	@$(BIN)/python -m pytest --numprocesses auto --dist loadfile -m "not long" tests/unit $(ARGS)
 
 # an autopilot that others wrote: a source distribution that builds its program of its own; without it its tests are skipped
 $(BETAFLIGHT): tests/betaflight.lock | setup

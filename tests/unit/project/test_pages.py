@@ -98,7 +98,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     ),
     "docs/README.md": ("test_site.py",),
     "docs/glossary.md": ("test_site.py",),
-    "docs/ground-station.md": ("marks", "test_mavlink_lines.py", "test_pilot_fence.py", "test_pilot_envelope.py"),
+    "docs/ground-station.md": ("marks", "test_mavlink_lines.py", "test_fence_flights.py", "test_pilot_envelope.py"),
     "docs/identification.md": ("test_pages.py",),
     "docs/identify-logs.md": ("test_identify_log.py",),
     "docs/log-export.md": ("test_export_formats.py", "test_flightgear.py"),
