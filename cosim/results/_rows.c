@@ -270,7 +270,7 @@ static bool hand_on(Rows *self)
 }
 
 /* The last rows of the tile, columns of which are complete up to them afterwards. */
-static void turn(Rows *self)
+static void transpose(Rows *self)
 {
     const Py_ssize_t width = self->program.width, rows = self->count ? (self->count - 1) % TILE + 1 : 0;
     double *to = self->columns + self->count - rows;
@@ -299,7 +299,7 @@ static PyObject *rows_add(Rows *self, PyObject *sample)
     memcpy(self->tile + self->count % TILE * width, row, (size_t)width * sizeof(double));
     self->count++;
     if (self->count % TILE == 0 || self->count == self->capacity)
-        turn(self);
+        transpose(self);
     if ((self->count == self->capacity || now() - self->since >= self->patience) && !hand_on(self))
         return NULL;
     Py_RETURN_NONE;
@@ -312,7 +312,7 @@ static int rows_buffer(Rows *self, Py_buffer *view, int flags)
         PyErr_SetString(PyExc_BufferError, "Rows: not initialised");
         return -1;
     }
-    turn(self);
+    transpose(self);
     const Py_ssize_t bytes = self->shape[0] * self->strides[0];
     if (PyBuffer_FillInfo(view, (PyObject *)self, self->columns, bytes, false, flags) < 0)
         return -1;

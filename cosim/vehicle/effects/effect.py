@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from cosim.base._turning import along
 from cosim.base.layout import Layout
 from cosim.base.signals import UNKNOWN3, ZERO3, EngineOutput, PerJet, PerServo, State, Vector3
 
 NO_OUTPUT = EngineOutput((), (), (), ())
+_ALONG: Final = along  # compiled code finds this without looking in a dictionary
 _STILL = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 0.0, ZERO3, 0.0, False, False)
 
 
@@ -51,7 +52,8 @@ class Load:
 
     def along_axes(self, thrust: PerJet) -> list[Vector3]:
         """Return each jet's thrust along its own turned axis: N, body."""
-        return along(self.axes, self.layout.groups, thrust)
+        forces: list[Vector3] = _ALONG(self.axes, self.layout.groups, thrust)
+        return forces
 
     def begin_step(self, output: EngineOutput, engine_forces: list[Vector3]) -> None:
         """Begin a step with the thrust of each jet [N, body] and no moment."""

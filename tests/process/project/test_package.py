@@ -149,6 +149,7 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     binaries = [name for name in names if name.endswith((".so", ".pyd"))]
     wanted = [
         "base/_records",
+        "base/_turning",
         "control/allocation/_effectiveness",
         "vehicle/_noise",
         "vehicle/_properties",
