@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from cosim import Scenario, fly
 from cosim.base.frames import from_euler
 from cosim.results.log.recorder import Log
 from cosim.spec.scenario import scenario_names
+from cosim.spec.vehicle import engine_of, load_vehicle
 
 RUNS = (1, 2, 3, 4, 6, 8)
 FINE = 16  # what they are compared with
@@ -23,8 +25,10 @@ FINE = 16  # what they are compared with
 _ELSEWHERE: dict[str, dict[str, str]] = {
     "hexjet-100": {"engine": "turbine-100", "controller": "filtered-smith"},
     "quadrotor": {"engine": "motor", "controller": "baseline"},
+    "crazyflie": {"controller": "baseline"},  # with an engine of its own folder, and no law for places
 }
 _THEIR_FLIGHTS = ("hover", "hover-in-wind", "roll-doublet")
+_WITHOUT_PLACES = ("hover", "roll-doublet")
 
 
 class Apart(NamedTuple):
@@ -56,8 +60,10 @@ def shipped_flights() -> Iterator[Scenario]:
         if not scenario.environment.turbulence_severity:
             yield scenario
     for aircraft, changes in _ELSEWHERE.items():
-        for name in _THEIR_FLIGHTS:
-            yield Scenario.load(name).replace(aircraft=aircraft, **changes, expect=[])
+        vehicle, _ = load_vehicle(aircraft)
+        flown = {"engine": engine_of(aircraft), **changes}
+        for name in _THEIR_FLIGHTS if vehicle.control.position else _WITHOUT_PLACES:
+            yield Scenario.load(name).replace(aircraft=aircraft, **flown, expect=[])
 
 
 def measure_flight(scenario: Scenario, runs: tuple[int, ...] = RUNS, fine: int = FINE) -> Flight:
@@ -65,7 +71,7 @@ def measure_flight(scenario: Scenario, runs: tuple[int, ...] = RUNS, fine: int =
     reference = fly(scenario.replace(substeps=fine)).log
     apart = {each: compare(fly(scenario.replace(substeps=each)).log, reference) for each in runs}
     touches = bool(np.any(reference["on_ground"] > 0.0))
-    return Flight(scenario.aircraft, scenario.name, scenario.engine, scenario.controller, touches, apart)
+    return Flight(scenario.aircraft, scenario.name, Path(scenario.engine).name, scenario.controller, touches, apart)
 
 
 def compare(one: Log, other: Log) -> Apart:

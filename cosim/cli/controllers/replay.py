@@ -40,7 +40,7 @@ class Replayed(opt.LogPart, Flight, opt.Output):
         metavar="LOW HIGH",
         help="What throttle 0 and 1 are in the log.",
     )
-    window = opt.number("--window", "S", "The model starts anew after so long.", min=0.2, max=10.0, default=1.0)
+    window = opt.number("--window", "S", "It starts anew after so long.  [default: by its size]", min=0.1, max=10.0)
     draws = opt.whole("--draws", None, "Of the vehicle within its tolerances.", min=1, max=1000, default=20)
     inertia = opt.number("--inertia-tolerance", "%", "Standard deviation.", min=0.0, max=50.0, default=5.0)
     mass = opt.number("--mass-tolerance", "%", "The same.", min=0.0, max=50.0, default=2.0)

@@ -15,7 +15,8 @@ from cosim.results.log.columns import RATES
 
 KINDS = (
     "a run's folder, .ulg (ULog), .bin (ArduPilot DataFlash), .bbl or .bfl (Betaflight blackbox), "
-    ".cfusdlog (Crazyflie), .tlog (MAVLink), tables as text (.csv, .tsv, .txt) and .parquet"
+    ".cfusdlog (Crazyflie), .tlog (MAVLink), tables as text (.csv, .tsv, .txt) and .parquet, "
+    "and what hexjet export writes as .mcap and .mat"
 )
 HEAD = 512  # bytes by which a file is recognised
 
@@ -27,6 +28,7 @@ _READERS = (
     (tlog.recognises, tlog.read),
 )
 _MARKS = ((ulog.MAGIC, ulog.read), (dataflash.MARK, dataflash.read), (blackbox.MARKER, blackbox.read))
+_EXPORTS = ((b"\x89MCAP", table.read_mcap), (b"MATLAB 5", table.read_mat))  # of a run of ours
 _OTHERS = (  # what else a file may begin with, and what it is then
     (b"\x1f\x8b", "a file compressed by gzip: unpack it"),
     (b"PK\x03\x04", "a zip archive: unpack it"),
@@ -42,9 +44,7 @@ _OTHERS = (  # what else a file may begin with, and what it is then
     (b"\x7fELF", "a program"),
     (b"ARROW1", "an Arrow file; Parquet can be read"),
     (b"\xff\xff\xff\xff", "an Arrow stream: hexjet report FOLDER makes its run whole"),
-    (b"\x89MCAP", "MCAP; export the flight as ULog or CSV"),
     (b"\x89HDF", "HDF5, as MATLAB writes it; export it as CSV"),
-    (b"MATLAB", "a file of MATLAB; export it as CSV"),
     (b"SQLite format 3", "a database (a bag of ROS 2?); export its topics as CSV"),
     (b"#ROSBAG", "a bag of ROS; export its topics as CSV"),
     (b"FMT, ", "ArduPilot's log as text; the .bin that it was made of can be read"),
@@ -108,7 +108,10 @@ def read_flight_log(path: Path, time: str | None = None, time_unit: str | None =
 
 
 def _table_or_refusal(path: Path, head: bytes, time: str | None, time_unit: str | None) -> FlightLog:
-    """Read a table.  Raises InputError for another file, and says what it is instead."""
+    """Read a table, or an export of ours.  Raises InputError for another file, and says what it is instead."""
+    for mark, read in _EXPORTS:
+        if head.startswith(mark):
+            return read(path)
     if not table.is_parquet(head):
         begins = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")[:HEAD]
         other = next((words for mark, words in _OTHERS if begins.startswith(mark)), "")

@@ -11,8 +11,10 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, nearest
+from cosim.base.storage.files import one_line
 from cosim.identify.logs.flight_log import Channel, FlightLog
 from cosim.identify.logs.text_table import is_number, read_text, seconds
+from cosim.results.export.mcap_columns import read_mcap_columns
 from cosim.results.log.arrow import read_csv_numbers, read_numbers
 from cosim.results.log.columns import COLUMNS
 from cosim.results.log.tables import TIME
@@ -217,11 +219,37 @@ def read_table(path: Path, time: str | None = None, unit: str | None = None) -> 
     A table that has our ``time_s``, and is not told otherwise by ``time``, has our stamps: a thrust stands in the row
     of the step at whose end the engine has it, and is a step of the table later than that row's time.
     """
-    table = columns_with_time(path, time, unit)
+    return _log_of(path, columns_with_time(path, time, unit), time is None)
+
+
+def read_mcap(path: Path) -> FlightLog:
+    """Read a run's log that was exported as MCAP.  Raises InputError for MCAP of another tool."""
+    columns = read_mcap_columns(path)
+    return _log_of(path, Table(columns, columns.pop(TIME), TIME, "s"), True)
+
+
+def read_mat(path: Path) -> FlightLog:
+    """Read a run's log that was exported for MATLAB.  Raises InputError for another file of MATLAB's."""
+    from scipy.io import loadmat
+
+    try:
+        flight = loadmat(path, simplify_cells=True).get("flight", {})
+    except (ValueError, TypeError, NotImplementedError, OSError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read as a file of MATLAB: {one_line(error)}") from error
+    if not isinstance(flight, dict) or not {"time", "columns"} <= flight.keys():
+        raise InputError(f"{path}: is a file of MATLAB without a flight of ours; export it as CSV")
+    names = flight["names"] if isinstance(flight.get("names"), dict) else {}
+    columns = {names.get(name, name): np.asarray(values, np.float64) for name, values in flight["columns"].items()}
+    times = columns.pop(TIME, np.asarray(flight["time"], np.float64))
+    return _log_of(path, Table(columns, times, TIME, "s"), True)
+
+
+def _log_of(path: Path, table: Table, has_our_stamps: bool) -> FlightLog:
+    """Return a table as a log; ``has_our_stamps``: unless its time is called otherwise."""
     times, name = table.times, table.name
     remarks = [f"left out, being no numbers: {', '.join(table.left_out)}"] if table.left_out else []
     remarks += table.remarks
-    step = float(np.median(np.diff(times))) if time is None and name == TIME and times.size > 1 else 0.0
+    step = float(np.median(np.diff(times))) if has_our_stamps and name == TIME and times.size > 1 else 0.0
     named = {key: match.group(2) or "" for key in table.columns if (match := _UNIT.fullmatch(key))}
     units = named | {column.name: column.unit for column in COLUMNS} | table.units
     late = [key for key in table.columns if step and AT_THE_END.fullmatch(key)]

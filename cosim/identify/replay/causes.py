@@ -10,24 +10,28 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations
-from math import exp, log
+from math import exp, isfinite, log
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, FlightError, InputError
-from cosim.base.signals import AXES, Disturbance
+from cosim.base.signals import AXES, Vector3
 from cosim.identify.replay.flown import Change, Flown, Model
-from cosim.identify.replay.windows import Flying, without_start
+from cosim.identify.replay.measures import EXCITED
+from cosim.identify.replay.windows import Flying, accelerometer_zero, without_start
 
 MISFIT: Final = 1.3  # times the noise's square, from where on there is anything to explain
+LITTLE: Final = 0.2  # weight of a channel that is not off, or does not move
 MOST: Final = 0.5  # of the misfit that a cause removes which is named
+MOST_REST: Final = 0.5  # of a channel's movement that it leaves at most
 SURE: Final = 3.0  # standard errors by which it does so, window by window
 APART: Final = 2.0  # standard errors by which it beats another that is not named
+TELLING: Final = 0.2  # of the mean misfit of a window, from where on it says something
 LEAST_TELLING: Final = 2  # windows with a misfit, for a name
 REFINED: Final = 6  # causes that are fitted; the others would remove less
-PROMISING: Final = 0.8  # of the squared error is left after the first round, at most, of what is fitted further
+PROMISING: Final = 0.1  # of the misfit that is removed after a round, at least, by what is fitted further
 ROUNDS: Final = 4  # of Gauss and Newton
 MOST_WINDOWS: Final = 20  # that move most: with so many a cause is looked for
 ONE_AXIS, ALL_AXES = "moment of inertia about", "all moments of inertia"
@@ -57,6 +61,13 @@ class Fitted:
     removed: float
     windows: Array  # squared error of each window
     sure: float  # standard errors by which it is better than the model as stated
+    rest: float  # of the movement in the channel that it explains worst
+    at_limit: bool = False  # the number is at the end of what was tried
+
+    @property
+    def is_likely(self) -> bool:
+        """Whether it removes most of the misfit, and what is left is not most of what moved."""
+        return self.removed >= MOST and self.rest <= MOST_REST and not self.at_limit
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the windows, for JSON."""
@@ -67,6 +78,7 @@ class Fitted:
             "bound_95": self.bound,
             "removed": self.removed,
             "standard_errors": self.sure,
+            "rest_of_movement": self.rest,
         }
 
     @property
@@ -92,7 +104,7 @@ class Causes:
     def to_dict(self) -> dict[str, Any]:
         """Return everything, for JSON."""
         return {
-            "misfit_over_noise_squared": self.misfit,
+            "misfit_over_noise_squared": self.misfit if isfinite(self.misfit) else None,
             "named": [fitted.to_dict() for fitted in self.named],
             "tried": [fitted.to_dict() for fitted in self.tried],
             "reason": self.reason,
@@ -102,12 +114,35 @@ class Causes:
 class Residuals:
     """What a replay leaves, in units of the noise: (w, n, c), by the channels that the log has."""
 
-    def __init__(self, model: Model, flying: Flying, disturbance: Disturbance) -> None:
-        self._model, self._disturbance = model, disturbance
+    def __init__(self, model: Model, flying: Flying, wind: Vector3) -> None:
+        self._model, self._wind = model, wind
         moved = np.nanstd(flying.measured()[:, :, :3] / flying.scale[:3], axis=1).sum(axis=1)
         chosen = np.sort(np.argsort(-moved, kind="stable")[:MOST_WINDOWS])
         self.flying = flying.only(chosen.tolist())
         self.has_force = flying.flight.has_force
+        self._weights = np.ones(6 if self.has_force else 3)
+
+    def balance(self, nominal: Array) -> tuple[Array, Array]:
+        """Let channels with a misfit count alike from here on, others little.
+
+        Return the model's own residuals so, and which channels are to be explained, (c,): those that move and are off.
+        """
+        off, moves = np.mean(nominal**2, axis=(0, 1)), np.mean(self.movement() ** 2, axis=(0, 1))
+        told = (off > MISFIT) & (moves > EXCITED**2)
+        self._weights = np.where(told, 1.0, LITTLE) / np.maximum(1.0, np.sqrt(off))
+        return np.asarray(nominal * self._weights), told
+
+    @property
+    def floor(self) -> Array:
+        """What noise alone would leave of a window in each channel, (c,)."""
+        return np.asarray(self.flying.rows.shape[1] * self._weights**2)
+
+    def movement(self) -> Array:
+        """Return what was measured as residuals are, (w, n, c): what a model would leave that does not move."""
+        flying = self.flying
+        still = Flown(*(np.zeros_like(flying.flight.rate) for _ in Flown._fields))
+        still.force[:] = np.nanmean(flying.measured()[:, :, 3:6], axis=(0, 1)) if self.has_force else 0.0
+        return self._weigh(flying.measured(), still)
 
     def of(self, change: Change, sense: tuple[int, int, int] = (1, 1, 1)) -> Array:
         """Return the residuals of a change; ``sense``: -1 for an axis that the log has reversed."""
@@ -117,8 +152,8 @@ class Residuals:
         if sense != (1, 1, 1):
             turned = np.array(sense, float)
             measured = measured * np.concatenate([turned, np.ones(3), turned])
-            starts = starts._replace(rate=starts.rate * turned)
-        flown = self._model.fly(flying.flight, flying.windows, starts, change, self._disturbance)
+            starts = starts._replace(rate=starts.rate * turned, moment=starts.moment * turned)
+        flown = self._model.fly(flying.flight, flying.windows, starts, change, self._wind)
         return self._weigh(measured, flown)
 
     def _weigh(self, measured: Array, flown: Flown) -> Array:
@@ -126,22 +161,25 @@ class Residuals:
         error = measured[:, :, :6] - flying.modelled(flown)[:, :, :6]
         rates = without_start(error[:, :, :3], flying.flight.step)
         if not self.has_force:
-            return np.asarray(rates / flying.noise.rate)
+            return np.asarray(self._weights * rates / flying.noise.rate)
         force = error[:, :, 3:].copy()
-        force[:, :, :2] -= force[:, :, :2].mean(axis=(0, 1))  # where the accelerometer stands, and its zero
-        return np.concatenate([rates / flying.noise.rate, force / flying.noise.force], axis=2)
+        force -= accelerometer_zero(force, self._model.vehicle)
+        return np.asarray(
+            self._weights * np.concatenate([rates / flying.noise.rate, force / flying.noise.force], axis=2)
+        )
 
 
-def find_causes(model: Model, flying: Flying, disturbance: Disturbance) -> Causes:
+def find_causes(model: Model, flying: Flying, wind: Vector3) -> Causes:
     """Fit each cause alone to a replay, and name the one that removes most of what it leaves, where the log tells."""
-    residuals = Residuals(model, flying, disturbance)
+    residuals = Residuals(model, flying, wind)
     nominal = residuals.of(Change())
-    floor = float(nominal[0].size)  # of a window: what noise alone would leave
-    windows = np.sum(nominal**2, axis=(1, 2))
-    misfit = float(np.mean(windows)) / floor
+    misfit = float(np.mean(nominal**2))
     if misfit < MISFIT:
         return Causes(misfit, (), (), "what is left is as large as the noise: there is nothing to explain")
-    judge = _Judge(windows, floor)
+    nominal, told = residuals.balance(nominal)
+    if not told.any():
+        return Causes(misfit, (), (), "no channel that moves is off")
+    judge = _Judge(nominal, told, residuals)
     fitted = [*_exchanges(model, residuals, judge), *_numbers(model, residuals, nominal, judge)]
     tried = tuple(sorted(fitted, key=lambda one: -one.removed))
     named, reason = judge.name(tried)
@@ -151,14 +189,29 @@ def find_causes(model: Model, flying: Flying, disturbance: Disturbance) -> Cause
 class _Judge:
     """What the windows say of a cause beside the model as stated, and beside another cause."""
 
-    def __init__(self, windows: Array, floor: float) -> None:
-        self._windows, self._floor = windows, floor
+    def __init__(self, nominal: Array, told: Array, residuals: Residuals) -> None:
+        self._told, self._floor, self._nominal = told, residuals.floor, np.sum(nominal**2, axis=1)
+        self._windows = self._misfits(nominal)
+        movement = np.sum(residuals.movement() ** 2, axis=(0, 1)) - len(nominal) * self._floor
+        self._movement = np.where(told, movement, np.inf)  # of the channels that are to be explained
+
+    def _misfits(self, left: Array) -> Array:
+        """Return the misfit above the noise of each window; other channels count where they get worse."""
+        channels = np.sum(left**2, axis=1)
+        over = np.where(self._told, channels - self._floor, channels - self._nominal)
+        return np.asarray(np.maximum(over, 0.0).sum(axis=1))
+
+    def removed(self, left: Array) -> float:
+        """Return the share of the misfit above the noise that is gone from these residuals."""
+        before = float(np.mean(self._windows))
+        return (before - float(np.mean(self._misfits(left)))) / before if before > 0.0 else 0.0
 
     def fitted(self, cause: tuple[str, str], value: float | None, bound: float | None, left: Array) -> Fitted:
-        windows = np.sum(left**2, axis=(1, 2))
-        base = min(self._floor, float(np.mean(windows)))
-        removed = (float(np.mean(self._windows)) - float(np.mean(windows))) / (float(np.mean(self._windows)) - base)
-        return Fitted(*cause, value, bound, removed, windows, self._gain(self._windows, windows))
+        """Return a cause with what it leaves."""
+        windows = self._misfits(left)
+        over = np.sum(left**2, axis=(0, 1)) - len(left) * self._floor
+        rest = float(np.sqrt(np.max(np.maximum(over, 0.0) / self._movement)))
+        return Fitted(*cause, value, bound, self.removed(left), windows, self._gain(self._windows, windows), rest)
 
     def name(self, tried: tuple[Fitted, ...]) -> tuple[tuple[Fitted, ...], str]:
         """Return the causes that are named, more than one where they cannot be told apart, and why none is."""
@@ -170,12 +223,19 @@ class _Judge:
                 f"no single cause removes half of it, {best.text} {100.0 * max(best.removed, 0.0):.0f} %: several at "
                 "once, or something else (wind, a form that the model has not)"
             )
+        if best.at_limit:
+            return (), f"{best.text} is at the end of what was tried: something else"
+        if best.rest > MOST_REST:
+            return (), (
+                f"{best.text} removes {100.0 * best.removed:.0f} %, but leaves {100.0 * best.rest:.0f} % of a movement "
+                "that was measured: it explains nothing"
+            )
         if best.sure < SURE:
             return (
                 (),
                 f"{best.text} would remove most of it, but the windows do not agree ({best.sure:.1f} standard errors)",
             )
-        rivals = [one for one in tried[1:] if one.removed >= MOST and self._gain(one.windows, best.windows) < APART]
+        rivals = [one for one in tried[1:] if one.is_likely and self._gain(one.windows, best.windows) < APART]
         together = (best, *rivals)
         if any(one.name.startswith(ONE_AXIS) for one in together):  # all axes are that one and others that did not turn
             together = tuple(one for one in together if one.name != ALL_AXES)
@@ -183,10 +243,11 @@ class _Judge:
 
     def _gain(self, before: Array, after: Array) -> float:
         """Return by how much windows with a misfit gain, as a share of it, in standard errors of that."""
-        telling = np.maximum(before, after) > MISFIT * self._floor
+        most = np.maximum(before, after)
+        telling = most > TELLING * float(np.mean(most))
         if np.sum(telling) < LEAST_TELLING:
             return 0.0
-        gains = (before[telling] - after[telling]) / np.maximum(before[telling], after[telling])
+        gains = (before - after)[telling] / most[telling]
         spread = max(float(np.std(gains, ddof=1)), 1e-3) / np.sqrt(len(gains))
         return float(np.mean(gains) / spread)
 
@@ -247,9 +308,10 @@ def _fit(residuals: Residuals, cause: Cause, nominal: Array, judge: _Judge) -> F
         if better is None:
             break
         moved, (value, left) = abs(better[0] - value), better
-        if moved < 0.05 * abs(cause.probe) or float(np.sum(left**2)) > PROMISING * float(np.sum(nominal**2)):
+        if moved < 0.05 * abs(cause.probe) or judge.removed(left) < PROMISING:
             break
-    return judge.fitted((cause.name, cause.unit), value, _bound(slope, left), left)
+    fitted = judge.fitted((cause.name, cause.unit), value, _bound(slope, left), left)
+    return replace(fitted, at_limit=value in (cause.low, cause.high) and value != cause.begin)
 
 
 def _bound(slope: Array, left: Array) -> float | None:
@@ -275,6 +337,8 @@ def _causes(model: Model) -> Iterator[Cause]:
     yield Cause(
         "all engines and servos later by", "s", 0.0, -0.2, 0.5, model.scenario.step_s, lambda v: Change(delay_s=v)
     )
+    if model.vehicle.model is None:
+        yield Cause("further damping of roll and pitch", "1/s", 0.0, 0.0, 50.0, 0.5, lambda v: Change(damping=v))
     yield from _lags(model)
 
 

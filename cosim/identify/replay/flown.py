@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,6 +48,7 @@ class Change:
     delay_s: float = 0.0  # by which all that engines and servos do comes later
     order: tuple[int, ...] = ()  # the jet, from 0, whose command each jet has
     parameters: Mapping[str, float] = field(default_factory=dict)  # of the engines
+    damping: float = 0.0  # 1/s, of roll and pitch, beside that of the vehicle's [aero]
 
 
 class Loads(NamedTuple):
@@ -64,10 +65,14 @@ class Loads(NamedTuple):
 
 
 class Starts(NamedTuple):
-    """What each window starts with: ``rate`` (w, 3) rad/s, ``angles`` (w, 3) rad."""
+    """What each window is flown with: ``rate`` and ``angles`` at its start, ``moment`` throughout; (w, 3) each.
+
+    rad/s, rad, and N m about the body's axes: what the engines do not make of what turns the vehicle.
+    """
 
     rate: Array
     angles: Array
+    moment: Array
 
 
 class Flown(NamedTuple):
@@ -145,9 +150,9 @@ class Model:
         windows: Sequence[Window],
         starts: Starts,
         change: Change | None = None,
-        disturbance: Disturbance | None = None,
+        wind: Vector3 = ZERO3,
     ) -> Flown:
-        """Fly the windows from ``starts`` with ``disturbance`` throughout.  Raises FlightError where JSBSim stops."""
+        """Fly the windows from ``starts`` in a ``wind`` [m/s, NED].  Raises FlightError where JSBSim stops."""
         change = change or Change()
         acting = _changed(self.loads(flight, change), change, flight.step)
         scenario = self.scenario
@@ -158,18 +163,24 @@ class Model:
         )
         sensors = SensorSuite(self.vehicle.sensors, flight.step, scenario.seed, noisy=False)
         try:
-            windowed = _WindowFlight(airframe, sensors, flight, acting, disturbance or Disturbance())
-            for number, window in enumerate(windows):
-                windowed.fly(window, starts.rate[number], starts.angles[number])
+            windowed = _WindowFlight(airframe, sensors, flight, acting)
+            for window, rate, angles, moment in zip(windows, *starts, strict=True):
+                x, y, z = moment.tolist()
+                windowed.fly(window, rate, angles, Disturbance(moment=(x, y, z), wind=wind))
         finally:
             airframe.close()
         return windowed.flown
 
 
 def changed_vehicle(vehicle: Vehicle, change: Change) -> Vehicle:
-    """Return the vehicle with other mass and inertia."""
+    """Return the vehicle with other mass, inertia and damping; what a JSBSim file of its own says of that stays."""
     inertia = tuple(factor * value for factor, value in zip(change.inertia, vehicle.inertia_kg_m2, strict=True))
-    return vehicle.model_copy(update={"inertia_kg_m2": inertia, "mass_kg": change.mass * vehicle.mass_kg})
+    update: dict[str, Any] = {"inertia_kg_m2": inertia, "mass_kg": change.mass * vehicle.mass_kg}
+    if change.damping:
+        (roll, pitch, yaw), (jx, jy, _) = vehicle.aero.damping_n_m_s, vehicle.inertia_kg_m2
+        damping = (roll + change.damping * jx, pitch + change.damping * jy, yaw)
+        update["aero"] = vehicle.aero.model_copy(update={"damping_n_m_s": damping})
+    return vehicle.model_copy(update=update)
 
 
 def recorded_states(flight: RecordedFlight, vehicle: Vehicle) -> list[State]:
@@ -218,17 +229,15 @@ def _shifted(values: Array, rows: Array) -> Array:
 class _WindowFlight:
     """The airframe and its sensors, flown through one window after the other."""
 
-    def __init__(
-        self, airframe: Airframe, sensors: SensorSuite, flight: RecordedFlight, loads: Loads, disturbance: Disturbance
-    ) -> None:
+    def __init__(self, airframe: Airframe, sensors: SensorSuite, flight: RecordedFlight, loads: Loads) -> None:
         self._airframe, self._sensors = airframe, sensors
-        self._flight, self._loads, self._disturbance = flight, loads, disturbance
+        self._flight, self._loads = flight, loads
         self.flown = Flown(*(np.full((len(flight.times), 3), np.nan) for _ in Flown._fields))
 
-    def fly(self, window: Window, rate: Array, angles: Array) -> None:
+    def fly(self, window: Window, rate: Array, angles: Array, disturbance: Disturbance) -> None:
         """Fly a window that starts with ``rate`` [rad/s] and ``angles`` [rad], the rest as recorded."""
-        airframe, sensors, flown, disturbance = self._airframe, self._sensors, self.flown, self._disturbance
-        self._start(window.first, rate, angles)
+        airframe, sensors, flown = self._airframe, self._sensors, self.flown
+        self._start(window.first, rate, angles, disturbance.wind)
         rows = slice(window.first, window.last)
         loads = zip(*(values[rows].tolist() for values in self._loads), strict=True)
         for row, (forces, moment, momentum, burnt, tilt) in enumerate(loads, start=window.first + 1):
@@ -238,7 +247,7 @@ class _WindowFlight:
             flown.rate[row], flown.force[row] = measured.rate, measured.specific_force
             flown.angles[row], flown.velocity[row] = state.euler, state.velocity
 
-    def _start(self, row: int, rate: Array, angles: Array) -> None:
+    def _start(self, row: int, rate: Array, angles: Array, wind: Vector3) -> None:
         flight, loads, before = self._flight, self._loads, max(row - 1, 0)
         up, velocity = flight.altitude[row], flight.velocity[row]
         initial = Initial.model_construct(
@@ -250,4 +259,4 @@ class _WindowFlight:
         forces: list[Vector3] = [(x, y, z) for x, y, z in loads.forces[before].tolist()]
         x, y, z = loads.momentum[before].tolist()
         momentum = (x, y, z) if x or y or z else None
-        self._airframe.reset(initial, forces, self._disturbance.wind, momentum, float(loads.burnt[before]))
+        self._airframe.reset(initial, forces, wind, momentum, float(loads.burnt[before]))

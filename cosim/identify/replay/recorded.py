@@ -38,6 +38,9 @@ _FORCES: Final = (  # m/s^2 or g; FRD but for LEFT_AND_UP
     "specific_force_{x}_measured_m_s2", "specific_force_{x}_m_s2", "sensor_combined.accelerometer_m_s2[{m}]",
     "vehicle_acceleration.xyz[{m}]", "IMU[0].Acc{X}", "IMU.Acc{X}", "acc.{x}", "SCALED_IMU.{x}acc", "RAW_IMU.{x}acc",
 )  # fmt: skip
+_GYROS: Final = (  # rad/s, FRD, where the log has not what its kind is known by
+    "vehicle_angular_velocity.xyz[{m}]", "sensor_combined.gyro_rad[{m}]", "IMU[0].Gyr{X}", "IMU.Gyr{X}",
+)  # fmt: skip
 _UNITS: Final = {"acc.": GRAVITY, "SCALED_IMU": 1e-3 * GRAVITY, "RAW_IMU": 1e-3 * GRAVITY}  # m/s^2
 
 
@@ -69,6 +72,7 @@ class RecordedFlight:
     altitude: Array
     usable: Flags
     notes: tuple[str, ...]
+    setpoints: Array | None = None  # (n, 3 or 4): roll, pitch, yaw [rad] and height [m], where there are no commands
 
     @property
     def has_force(self) -> bool:
@@ -96,43 +100,84 @@ def record_flight(
 ) -> RecordedFlight:
     """Put a log on the clock of a vehicle's control steps, between the times ``part`` [s].
 
-    A command holds from its stamp to the next; where the log has several rows in a step, they are averaged.  Raises
-    InputError for a log that lacks commands or rates, or has commands of another number of engines.
+    A command holds from its stamp to the next; where the log has several rows in a step, they are averaged.  Without
+    commands of engines the set-points are taken.  Raises InputError for a log that lacks both, or rates, or has
+    commands of another number of engines.
     """
     notes: list[str] = list(log.remarks)
     columns = match_columns(log) | {name: log.channels[name] for name in log.channels}
-    throttles = _throttles(log, vehicle, mapping, notes)
-    tilts = _tilts(columns, vehicle)
-    rates = [_find(columns, (f"rate_{r}_measured_rad_s", f"rate_{r}_rad_s"), notes) for r in RATES]
+    gyros = _gyros(log, columns, notes)
+    if has_commands(log, mapping) or not (setpoints := _setpoints(columns)):
+        throttles, tilts, setpoints = _throttles(log, vehicle, mapping, notes), _tilts(columns, vehicle), []
+    else:
+        throttles, tilts = [], []
+        notes.append(
+            "no commands of engines in the log: its set-points are flown, by the controller of the vehicle here"
+        )
+    clock = _clock(log, [*(throttles or setpoints[:1]), *gyros], step, part)
+    _check_command_rate(log, throttles or setpoints)
+    throttle, tilt, wanted = (_held(channels, clock, step) for channels in (throttles, tilts, setpoints))
+    if throttles and (most := float(np.nanmax(throttle))) > MOST_THROTTLE:
+        raise InputError(f"{log.path}: throttles up to {most:g}: say what 0 and 1 are, --throttle-range LOW HIGH")
+    rate = np.stack([_sample(channel, clock, step) for channel in gyros], axis=1)
+    ground = _optional(columns, ("on_ground", "vehicle_land_detected.landed"), clock, step)
+    commanded = (throttle if throttles else wanted[:, :3]), rate
+    usable = np.isfinite(np.concatenate(commanded, axis=1)).all(axis=1) & ~(ground > 0.5)
+    for channel in ((throttles or setpoints)[0], gyros[0]):
+        usable &= _near_rows(channel, clock, step)
+    if (seconds := float(np.sum(usable)) * step) < LEAST_S:
+        raise InputError(
+            f"{log.path}: {seconds:.2g} s have commands and rates without a gap; at least {LEAST_S:g} s are needed"
+        )
+    return RecordedFlight(
+        step,
+        clock,
+        np.clip(np.nan_to_num(throttle), 0.0, 1.0),
+        np.nan_to_num(tilt),
+        rate,
+        _forces(log, columns, clock, step),
+        _vectors(_unwrapped(columns), [(f"{axis}_measured_rad", f"{axis}_rad") for axis in AXES], clock, step),
+        _vectors(columns, [(f"velocity_{n}_m_s", f"velocity_{n}_measured_m_s") for n in NED], clock, step),
+        _optional(columns, ("altitude_m", "altitude_measured_m"), clock, step),
+        usable,
+        tuple(notes),
+        wanted if setpoints else None,
+    )
+
+
+def _gyros(log: FlightLog, columns: Table[str, Channel], notes: list[str]) -> list[Channel]:
+    """Return the measured rates.  Raises InputError where one is missing."""
+    rates = [
+        _find(
+            columns,
+            (f"rate_{r}_measured_rad_s", f"rate_{r}_rad_s", *(p.format(m=m, X="XYZ"[m]) for p in _GYROS)),
+            notes,
+        )
+        for m, r in enumerate(RATES)
+    ]
     if any(rate is None for rate in rates):
         have = ", ".join(sorted(log.channels)[:12])
         raise InputError(f"{log.path}: no angular rates, such as rate_p_measured_rad_s; it has {have}"[:400])
-    gyros = [rate for rate in rates if rate is not None]
-    clock = _clock(log, [*throttles, *gyros], step, part)
-    _check_command_rate(log, throttles)
-    held = [*(_hold(channel, clock, step) for channel in throttles), *(_hold(c, clock, step) for c in tilts)]
-    throttle = np.stack(held[: len(throttles)], axis=1)
-    if (most := float(np.nanmax(throttle))) > MOST_THROTTLE:
-        raise InputError(f"{log.path}: throttles up to {most:g}: say what 0 and 1 are, --throttle-range LOW HIGH")
-    rate = np.stack([_sample(channel, clock, step) for channel in gyros], axis=1)
-    force = _forces(log, columns, clock, step)
-    angles = _vectors(_unwrapped(columns), [(f"{axis}_measured_rad", f"{axis}_rad") for axis in AXES], clock, step)
-    velocity = _vectors(columns, [(f"velocity_{n}_m_s", f"velocity_{n}_measured_m_s") for n in NED], clock, step)
-    altitude = _optional(columns, ("altitude_m", "altitude_measured_m"), clock, step)
-    ground = _optional(columns, ("on_ground", "vehicle_land_detected.landed"), clock, step)
-    usable = np.isfinite(throttle).all(axis=1) & np.isfinite(rate).all(axis=1) & ~(ground > 0.5)
-    for channel in (throttles[0], gyros[0]):
-        usable &= _near_rows(channel, clock, step)
-    if float(np.sum(usable)) * step < LEAST_S:
-        raise InputError(
-            f"{log.path}: {float(np.sum(usable)) * step:.2g} s have commands and rates without a gap; at least "
-            f"{LEAST_S:g} s are needed"
-        )
-    tilt = np.stack(held[len(throttles) :], axis=1) if tilts else np.zeros((len(clock), 0))
-    throttle = np.clip(np.nan_to_num(throttle), 0.0, 1.0)
-    return RecordedFlight(
-        step, clock, throttle, np.nan_to_num(tilt), rate, force, angles, velocity, altitude, usable, tuple(notes)
-    )
+    return [rate for rate in rates if rate is not None]
+
+
+def _setpoints(columns: Table[str, Channel]) -> list[Channel]:
+    """Return the set-points of roll, pitch and yaw, and of the height if there is one; none without the first three."""
+    wanted = [_find(columns, (f"{axis}_setpoint_rad", f"ATT.Des{axis.title()}"), []) for axis in AXES]
+    if any(channel is None for channel in wanted):
+        return []
+    angles = [channel for channel in wanted if channel is not None]
+    if "ATT.DesRoll" in columns and "roll_setpoint_rad" not in columns:
+        angles = [channel._replace(values=np.radians(channel.values)) for channel in angles]
+    angles = [channel._replace(values=np.unwrap(channel.values)) for channel in angles]
+    height = _find(columns, ("altitude_setpoint_m", "hexjet_height.setpoint_m"), [])
+    return [*angles, *([height] if height is not None else [])]
+
+
+def _held(channels: Sequence[Channel], clock: Array, step: float) -> Array:
+    """Return commands at each control step, (n, channels)."""
+    held = [_hold(channel, clock, step) for channel in channels]
+    return np.stack(held, axis=1) if held else np.zeros((len(clock), 0))
 
 
 def _motor(log: FlightLog, n: int, mapping: ThrottleChannels) -> str | None:
@@ -172,7 +217,7 @@ def _throttles(log: FlightLog, vehicle: Vehicle, mapping: ThrottleChannels, note
     if mapping.limits is None and log.kind in COUNTS and not first.startswith(("throttle_", "actuator_motors")):
         low, high = COUNTS[log.kind]
         notes.append(f"{first} and the like: {low:g} is taken for throttle 0 and {high:g} for 1, as {log.kind} has it")
-    channels = [log.signal(str(name)) for name in names]
+    channels = [_clean(log.signal(str(name)), str(name), notes) for name in names]
     return [channel._replace(values=(channel.values - low) / (high - low)) for channel in channels]
 
 
@@ -207,12 +252,21 @@ def _find(columns: Table[str, Channel], names: Sequence[str], notes: list[str]) 
         channel = columns.get(name)
         if channel is None:
             continue
-        good = np.isfinite(channel.values) & np.isfinite(channel.times)
-        if good.any():
-            if not good.all():
-                notes.append(f"{name}: {int(np.sum(~good))} values are no numbers; left out")
-            return channel._replace(times=channel.times[good], values=channel.values[good])
+        if np.isfinite(channel.values).any():
+            return _clean(channel, name, notes)
     return None
+
+
+def _clean(channel: Channel, name: str, notes: list[str]) -> Channel:
+    """Return a channel without values that are no numbers, and without rows whose time does not grow."""
+    good = np.isfinite(channel.values) & np.isfinite(channel.times)
+    if not good.all():
+        notes.append(f"{name}: {int(np.sum(~good))} values are no numbers; left out")
+    times, values = channel.times[good], channel.values[good]
+    grows = np.concatenate([[True], times[1:] > np.maximum.accumulate(times)[:-1]]) if len(times) else good[good]
+    if not grows.all():
+        notes.append(f"{name}: {int(np.sum(~grows))} rows whose time does not grow; left out")
+    return channel._replace(times=times[grows], values=values[grows])
 
 
 def _clock(log: FlightLog, channels: Sequence[Channel], step: float, part: tuple[float | None, float | None]) -> Array:
@@ -235,7 +289,7 @@ def _check_command_rate(log: FlightLog, throttles: Sequence[Channel]) -> None:
     apart = float(np.median(np.diff(throttles[0].times)))
     if apart > SLOWEST_COMMAND_S:
         raise InputError(
-            f"{log.path}: the engines' commands are {1e3 * apart:.3g} ms apart; at most {1e3 * SLOWEST_COMMAND_S:g} ms "
+            f"{log.path}: its commands are {1e3 * apart:.3g} ms apart; at most {1e3 * SLOWEST_COMMAND_S:g} ms "
             "tell what they did (of a ULog of ours: hexjet export --to ulog --rates all)"
         )
 

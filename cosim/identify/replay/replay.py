@@ -9,22 +9,30 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.signals import Disturbance, Vector3
+from cosim.base.signals import ZERO3, Vector3
 from cosim.engine import EngineSpec
 from cosim.identify.replay.causes import Causes, find_causes, without_windows
+from cosim.identify.replay.closed_loop import cut_whole, fly_setpoints
 from cosim.identify.replay.flown import Change, Flown, Model, Starts
-from cosim.identify.replay.measures import ChannelMeasures, Ratio, measure_channels, measure_ratio
+from cosim.identify.replay.measures import Band, ChannelMeasures, Ratio, measure_channels, measure_ratio
 from cosim.identify.replay.recorded import RecordedFlight
 from cosim.identify.replay.wind import Wind, estimate_wind
-from cosim.identify.replay.windows import CHANNELS, Flying, common_ramp, cut
+from cosim.identify.replay.windows import CHANNELS, Flying, accelerometer_zero, cut, slopes
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
 NEEDED: Final = 0.9  # share of the time within the envelope with which a channel is explained
-FORCE: Final = 3  # where the specific force begins among the channels
+FORCES: Final = slice(3, 6)  # where the specific force stands among the channels
+SPAN_M: Final = 0.4  # of the Hex-Jet, whose windows are a second
+ALIKE: Final = (1.0, 10.0)  # dB and deg of measured over modelled that are not worth a word
+CORRECTIONS: Final = 2  # of the starts
 SPREAD: Final = 2.0  # standard deviations of the noise around the draws
 CUT: Final = 3.0  # standard deviations at which draws of tolerances end
 
+CLOSED: Final = (
+    "the loop is closed: the controller hides what is wrong with a vehicle, and may be another than the one that flew; "
+    "log the engines' commands"
+)
 EXPLAINED, NOT_EXPLAINED, NOT_TOLD = "explained", "not explained", "not told"
 
 
@@ -32,7 +40,7 @@ EXPLAINED, NOT_EXPLAINED, NOT_TOLD = "explained", "not explained", "not told"
 class Choices:
     """How a flight is replayed; tolerances are standard deviations, as shares of the value."""
 
-    window_s: float = 1.0
+    window_s: float | None = None  # None: a second for the Hex-Jet, other sizes by the root of theirs
     draws: int = 20
     inertia: float = 0.05
     mass: float = 0.02
@@ -55,16 +63,31 @@ class Replay:
     flown: Flown
     channels: tuple[ChannelMeasures, ...]
     ratios: dict[str, Ratio]
-    moment: Vector3  # N m, body, constant over the log, that the model needs beside
     wind: Wind
     causes: Causes
     tolerances: tuple[str, ...]
     notes: tuple[str, ...]
 
     @property
+    def window_s(self) -> float:
+        """The length of a window, s."""
+        return float(self.flying.rows.shape[1] * self.flying.flight.step)
+
+    @property
+    def moment_rms(self) -> tuple[float, float, float]:
+        """The constant moments of the windows, which no engine makes: N m, rms about x, y, z."""
+        x, y, z = np.sqrt(np.mean(self.flying.starts.moment**2, axis=0)).tolist()
+        return (x, y, z)
+
+    @property
     def aircraft(self) -> str:
         """The vehicle's name."""
         return self.vehicle.name
+
+    @property
+    def way(self) -> str:
+        """What drives the model."""
+        return "engines' commands, open loop in windows" if self.flying.flight.setpoints is None else "set-points"
 
     @property
     def verdict(self) -> str:
@@ -78,8 +101,11 @@ class Replay:
     def evidence(self) -> tuple[str, ...]:
         """What the verdict rests on, and what the log does not tell, one line each."""
         flying = self.flying
-        count, window = len(flying.windows), self.choices.window_s
-        lines = [f"{flying.seconds:.1f} s in {count} windows of {window:g} s, each started from the recorded state"]
+        count, window = len(flying.windows), self.window_s
+        how = "each started from the recorded state"
+        if flying.flight.setpoints is not None:
+            how = "flown as one, by the set-points, with the controller here"
+        lines = [f"{flying.seconds:.1f} s in {count} windows of {window:g} s, {how}"]
         outside = [c for c in self.channels if c.excited and c.within < NEEDED]
         lines += [f"{c.name}: {100.0 * c.within:.0f} % of the time within, Theil's U {c.theil.u:.2f}" for c in outside]
         coherent = [
@@ -89,6 +115,7 @@ class Replay:
             if b.gain_db is not None
         ]
         lines.append(f"coherent: {', '.join(coherent)}" if coherent else "no band in which both are coherent")
+        lines += [text for c in self.channels for b in c.bands if (text := _describe_band(c.name, b))]
         still = [c.name for c in self.channels if not c.excited]
         if still:
             lines.append(f"not told, for it moves no more than its noise: {', '.join(still)}")
@@ -116,23 +143,32 @@ class Replay:
             "log": self.log,
             "aircraft": self.aircraft,
             "engine": self.engine,
-            "way": "engines' commands, in windows",
+            "way": self.way,
             "verdict": self.verdict,
             "fault": self.fault,
             "evidence": list(self.evidence),
             "seconds": self.flying.seconds,
             "windows": len(self.flying.windows),
-            "window_s": self.choices.window_s,
+            "window_s": self.window_s,
             "step_s": self.flying.flight.step,
             "draws": self.choices.draws,
             "seed": self.choices.seed,
             "tolerances": list(self.tolerances),
             "channels": [channel.to_dict() for channel in self.channels],
-            "constant_moment_n_m": list(self.moment),
+            "moment_rms_n_m": list(self.moment_rms),
             "wind": self.wind.to_dict(),
             "causes": self.causes.to_dict(),
             "notes": list(self.notes),
         }
+
+
+def _describe_band(name: str, band: Band) -> str:
+    """Return how measured differs from modelled in a band where both are coherent; empty where they are alike."""
+    gain, phase = band.gain_db, band.phase_deg
+    if gain is None or phase is None or (abs(gain) < ALIKE[0] and abs(phase) < ALIKE[1]):
+        return ""
+    late = f"{abs(phase):.0f} deg {'later' if phase < 0.0 else 'earlier'}"
+    return f"{name}, {band.low_hz:.2g} to {band.high_hz:.2g} Hz: measured {gain:+.1f} dB beside the model, {late}"
 
 
 def replay(
@@ -142,70 +178,82 @@ def replay(
     choices: Choices,
     tell: Callable[[str, int, int], None] = lambda part, done, of: None,
 ) -> Replay:
-    """Fly a recorded flight again with its engines' commands.
+    """Fly a recorded flight again with its engines' commands, or by its set-points where it has none.
 
-    Each window is flown twice: what the first pass is off by in the mean of the rates and angles corrects the start,
-    what it is off by in their common slope is a constant moment, such as that of a centre of gravity that stands
-    elsewhere.  Then the vehicle is drawn, and what may be wrong with it is tried.  Raises InputError and FlightError.
+    Each window is flown several times: what the rates and angles are off by in their mean corrects its start, what the
+    rates are off by in their slope is a constant moment, of the air or of a centre of gravity that stands elsewhere.
+    Then the vehicle is drawn, and what may be wrong with it is tried.  Raises InputError and FlightError.
     """
-    model = Model(scenario)
-    flying = cut(model, flight, choices.window_s)
-    tell("start", 0, choices.draws + 2)
-    wind = estimate_wind(model, flying)
-    flying, moment = _correct(model, flying, wind.velocity)
-    flying, further = _correct(model, flying, wind.velocity, moment)
-    moment = (moment[0] + further[0], moment[1] + further[1], moment[2] + further[2])
-    disturbance = Disturbance(moment=moment, wind=wind.velocity)
-    flown = model.fly(flight, flying.windows, flying.starts, None, disturbance)
+    model, count = Model(scenario), choices.draws + 2
+    length = choices.window_s or usual_window(model.vehicle)
+    tell("start", 0, count)
+    if flight.setpoints is None:
+        as_recorded = flying = cut(model, flight, length)
+        wind = estimate_wind(model, flying)
+        for _ in range(CORRECTIONS):
+            flying = _correct(model, flying, wind.velocity)
+    else:
+        as_recorded = flying = cut_whole(model, flight, length)
+        wind = Wind(ZERO3, None, "not looked for where the loop is closed: taken for still air")
+    flight = flying.flight
+
+    def fly(change: Change) -> Flown:
+        if flight.setpoints is not None:
+            return fly_setpoints(model, flight, change)
+        return model.fly(flight, flying.windows, flying.starts, change, wind.velocity)
+
+    flown = fly(Change())
     modelled = flying.modelled(flown)
-    zero = _accelerometer_zero(flying, modelled)
-    modelled = modelled + zero
-    low, high = modelled, modelled
+    zero = np.zeros(len(CHANNELS))
+    zero[FORCES] = accelerometer_zero((flying.measured() - modelled)[:, :, FORCES], model.vehicle)
+    low = high = modelled = modelled + zero
     for number, change in enumerate(draw(model, choices)):
-        tell("draws", number + 1, choices.draws + 2)
-        drawn = flying.modelled(model.fly(flight, flying.windows, flying.starts, change, disturbance)) + zero
+        tell("draws", number + 1, count)
+        drawn = flying.modelled(fly(change)) + zero
         low, high = np.minimum(low, drawn), np.maximum(high, drawn)
     margin = SPREAD * flying.scale
     low, high = low - margin, high + margin
     channels = measure_channels(flying, modelled, low, high)
-    ratios = {
-        channel.name: measure_ratio(flying.measured()[:, :, c], modelled[:, :, c], flight.step, float(flying.scale[c]))
-        for c, (name, _) in enumerate(CHANNELS)
-        for channel in channels
-        if channel.name == name
-    }
-    tell("causes", choices.draws + 1, choices.draws + 2)
-    causes = without_windows(find_causes(model, flying, disturbance))
+    tell("causes", count - 1, count)
+    causes = Causes(float("nan"), (), (), CLOSED)
+    if flight.setpoints is None:
+        causes = without_windows(find_causes(model, as_recorded, wind.velocity))
     engine = model.engine
     assert engine is not None
     return Replay(
-        log, model.vehicle, engine.name, choices, flying, modelled, low, high, flown, channels, ratios, moment, wind,
-        causes, _tolerances(engine, choices), _notes(flight),
+        log, model.vehicle, engine.name, choices, flying, modelled, low, high, flown, channels,
+        _ratios(flying, modelled, channels), wind, causes, _tolerances(engine, choices), _notes(flight),
     )  # fmt: skip
 
 
-def _correct(model: Model, flying: Flying, wind: Vector3, moment: Vector3 = (0.0, 0.0, 0.0)) -> tuple[Flying, Vector3]:
-    """Return the flight with better starts, and the constant moment [N m, body] that it lacks."""
+def _ratios(flying: Flying, modelled: Array, channels: tuple[ChannelMeasures, ...]) -> dict[str, Ratio]:
+    """Return measured over modelled by frequency of each channel."""
+    measured, step, shown = flying.measured(), flying.flight.step, {channel.name for channel in channels}
+    return {
+        name: measure_ratio(measured[:, :, c], modelled[:, :, c], step, float(flying.scale[c]))
+        for c, (name, _) in enumerate(CHANNELS)
+        if name in shown
+    }
+
+
+def usual_window(vehicle: Vehicle) -> float:
+    """Return the length of a window, s: times of vehicles that are alike go with the root of their size (Froude)."""
+    return float(round(min(max((vehicle.aero.span_m / SPAN_M) ** 0.5, 0.3), 3.0), 1))
+
+
+def _correct(model: Model, flying: Flying, wind: Vector3) -> Flying:
+    """Return the flight with better starts, and with the constant moment of each window that the model lacks."""
     flight, starts = flying.flight, flying.starts
-    flown = model.fly(flight, flying.windows, starts, None, Disturbance(moment=moment, wind=wind))
+    flown = model.fly(flight, flying.windows, starts, None, wind)
     error = np.nan_to_num(flying.measured() - flying.modelled(flown))
-    slope = common_ramp(error[:, :, :3], flight.step)
+    slope = slopes(error[:, :, :3], flight.step)
     half = 0.5 * flight.step * error.shape[1]
     rate = error[:, :, :3].mean(axis=1) - half * slope  # at the start, with the moment in place
     # what a wrong rate and the moment have made of the angles, about level, is not their own error
     own = error[:, :, 6:].mean(axis=1) - half * rate - slope * (2.0 * half) ** 2 / 6.0
-    better = Starts(starts.rate + rate, starts.angles + (own if flight.has_angles else 0.0))
-    x, y, z = (float(j * a) for j, a in zip(model.vehicle.inertia_kg_m2, slope, strict=True))
-    return Flying(flight, flying.windows, better, flying.noise), (x, y, z)
-
-
-def _accelerometer_zero(flying: Flying, modelled: Array) -> Array:
-    """Return what is added to the modelled channels, (9,): the accelerometer's zero across the thrust, m/s^2."""
-    zero = np.zeros(len(CHANNELS))
-    error = (flying.measured() - modelled)[:, :, FORCE : FORCE + 2]
-    if flying.flight.has_force:
-        zero[FORCE : FORCE + 2] = error.mean(axis=(0, 1))
-    return zero
+    angles = starts.angles + (own if flight.has_angles else 0.0)
+    moment = starts.moment + slope * np.array(model.vehicle.inertia_kg_m2)
+    return Flying(flight, flying.windows, Starts(starts.rate + rate, angles, moment), flying.noise)
 
 
 def draw(model: Model, choices: Choices) -> Iterator[Change]:

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.signals import ZERO3, Disturbance, Vector3
+from cosim.base.signals import ZERO3, Vector3
 from cosim.identify.replay.flown import Model
 from cosim.identify.replay.windows import Flying
 
@@ -58,7 +58,7 @@ def estimate_wind(model: Model, flying: Flying) -> Wind:
 
 def _drift(model: Model, flying: Flying, wind: Array) -> Array:
     """Return by how much velocities north and east are off at the end of each window, (w, 2) m/s."""
-    disturbance = Disturbance(wind=(float(wind[0]), float(wind[1]), 0.0))
-    flown = model.fly(flying.flight, flying.windows, flying.starts, None, disturbance)
+    moved = (float(wind[0]), float(wind[1]), 0.0)
+    flown = model.fly(flying.flight, flying.windows, flying.starts, None, moved)
     last = flying.rows[:, -1]
     return np.nan_to_num((flying.flight.velocity - flown.velocity)[last, :2])

@@ -13,6 +13,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.identify.replay.flown import Change, Flown, Loads, Model, Starts, Window
 from cosim.identify.replay.recorded import RecordedFlight
+from cosim.spec.vehicle import Vehicle
 
 SETTLING_S: Final = 0.5  # at the beginning: what was commanded before the log is not known
 LEAST_LIFT: Final = 0.4  # of the weight, by the model's engines: with less it stands, or falls
@@ -74,7 +75,7 @@ class Flying:
 
     def only(self, chosen: Sequence[int]) -> Flying:
         """Return the same flight with some of the windows."""
-        starts = Starts(self.starts.rate[list(chosen)], self.starts.angles[list(chosen)])
+        starts = Starts(*(values[list(chosen)] for values in self.starts))
         return Flying(self.flight, tuple(self.windows[n] for n in chosen), starts, self.noise)
 
 
@@ -105,8 +106,9 @@ def cut(model: Model, flight: RecordedFlight, length_s: float) -> Flying:
     smooth = _smoothed(flight.rate, flight.step)
     gyro = model.vehicle.sensors.gyro
     late = np.minimum(np.array(starts) + round(gyro.filter_s / flight.step) + gyro.latency_samples, len(smooth) - 1)
-    noise = _noise(model, flight, flies)
-    return Flying(flight, tuple(windows), Starts(smooth[late], np.nan_to_num(flight.angles[starts])), noise)
+    noise = measure_noise(model, flight, flies)
+    moment = np.zeros((len(windows), 3))
+    return Flying(flight, tuple(windows), Starts(smooth[late], np.nan_to_num(flight.angles[starts]), moment), noise)
 
 
 def _carried(model: Model, loads: Loads) -> Flags:
@@ -129,7 +131,7 @@ def _smoothed(values: Array, step: float) -> Array:
     return np.asarray(savgol_filter(np.nan_to_num(values), rows, 2, axis=0))
 
 
-def _noise(model: Model, flight: RecordedFlight, flies: Flags) -> Noise:
+def measure_noise(model: Model, flight: RecordedFlight, flies: Flags) -> Noise:
     """Return each channel's noise: what a parabola leaves of it, or what the vehicle states if that is more."""
     sensors = model.vehicle.sensors
     stated = (sensors.gyro.noise_rad_s, sensors.accelerometer.noise_m_s2, sensors.attitude.noise_rad)
@@ -143,14 +145,26 @@ def _noise(model: Model, flight: RecordedFlight, flies: Flags) -> Noise:
     return Noise(*levels)
 
 
-def common_ramp(error: Array, step: float) -> Array:
-    """Return the slope (3,), 1/s, that errors (w, n, 3) have in common within their windows."""
+def accelerometer_zero(error: Array, vehicle: Vehicle) -> Array:
+    """Return what of errors of the specific force (w, n, 3) may be the accelerometer's zero, (3,) m/s^2.
+
+    Across the thrust all of the mean is, for it also depends on how the accelerometer stands; along it no more than
+    twice what the vehicle states, as the rest is thrust over mass.
+    """
+    settings = vehicle.sensors.accelerometer
+    most = 2.0 * float(np.hypot(settings.bias_m_s2[2], settings.bias_sigma_m_s2))
+    x, y, z = np.nan_to_num(error.mean(axis=(0, 1)))
+    return np.array([x, y, np.clip(z, -most, most)])
+
+
+def slopes(error: Array, step: float) -> Array:
+    """Return the slope (w, 3), 1/s, of errors (w, n, 3) within each window."""
     time = step * (np.arange(error.shape[1]) - 0.5 * (error.shape[1] - 1))
-    return np.asarray(np.einsum("n,wnc->c", time, error) / (error.shape[0] * float(time @ time)))
+    return np.asarray(np.einsum("n,wnc->wc", time, error) / float(time @ time))
 
 
 def without_start(error: Array, step: float) -> Array:
-    """Return errors of rates (w, n, 3) without what a start and a constant moment may make: mean and common slope."""
+    """Return errors of rates (w, n, 3) without what a start and a constant moment may make: mean and slope."""
     time = step * (np.arange(error.shape[1]) - 0.5 * (error.shape[1] - 1))
-    ramp = common_ramp(error, step)
-    return np.asarray(error - error.mean(axis=1, keepdims=True) - time[None, :, None] * ramp[None, None, :])
+    line = time[None, :, None] * slopes(error, step)[:, None, :]
+    return np.asarray(error - error.mean(axis=1, keepdims=True) - line)

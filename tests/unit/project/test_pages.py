@@ -62,6 +62,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "aircraft/hexjet/README.md": ("test_pages.py", "test_simulation.py", "test_pilot_navigation.py"),
     "aircraft/hexjet-100/README.md": ("test_pages.py", "test_full_scale.py"),
     "aircraft/hexjet-p220/README.md": ("test_full_scale.py",),
+    "aircraft/crazyflie/README.md": ("test_replay_crazyflie.py",),
     "aircraft/octojet/README.md": ("test_octojet.py",),
     "aircraft/quadjet/README.md": ("test_quadjet.py",),
     "aircraft/trijet/README.md": ("test_trijet.py",),
