@@ -148,8 +148,8 @@ def measure(plan: Plan, on_progress: Callable[[str, int, int], object] = lambda 
                 (folder / part).mkdir()
                 try:
                     results[part] = measured(_Counter(on_progress, part, total))
-                except FlightError as error:  # the others are worth having
-                    failed[part] = str(error)
+                except Exception as error:  # the others are worth having, also where somebody else's program fails
+                    failed[part] = str(error) if isinstance(error, FlightError) else f"{type(error).__name__}: {error}"
     busy = None
     if STEP in results:
         busy = min(costs[RECORDED].cpu_us.median / costs[RECORDED].wall_us.median for costs in results[STEP].values())

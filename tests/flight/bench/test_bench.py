@@ -698,24 +698,32 @@ def test_options_make_the_plan(
     assert sorted(typed.split()) == sorted(["hexjet", "bench", *arguments, "--json", "--page", "page.md"])
 
 
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (FlightError("the disk | is full"), "the disk | is full"),
+        (KeyError("theirs"), "KeyError: 'theirs'"),  # of somebody else's program, say
+    ],
+)
 def test_a_part_that_fails_leaves_the_others(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    error: Exception, said: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """It is named on the terminal and on the page, and the exit status tells."""
 
     def fails(*_: object) -> None:
-        raise FlightError("the disk | is full")
+        raise error
 
     monkeypatch.setattr("benchmarks.suite.measure_log_rates", fails)
     monkeypatch.setattr("benchmarks.suite.measure_startup", lambda *_: None)
     found = measure(Plan(parts=("log", "start"), folder=str(tmp_path)))
-    assert found.failed == {"log": "the disk | is full"}
+    assert found.failed == {"log": said}
     monkeypatch.setattr("benchmarks.suite.measure", lambda *_: found)
     page = tmp_path / "page.md"
     answer = CliRunner().invoke(cli, ["bench", "--page", str(page)], standalone_mode=False)
     assert answer.return_value == 1
-    assert "log not measured: the disk | is full" in answer.stdout
-    assert "<!-- measured: log -->\nNot measured: the disk \\| is full\n<!-- end -->" in page.read_text()
+    assert f"log not measured: {said}" in answer.stdout
+    escaped = said.replace("|", "\\|")
+    assert f"<!-- measured: log -->\nNot measured: {escaped}\n<!-- end -->" in page.read_text()
 
 
 def test_without_a_browser_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
