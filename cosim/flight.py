@@ -107,7 +107,7 @@ def fly(
             ending = Ending("failed", f"interrupted at {simulation.k * simulation.dt:.3f} s")
         wall = time.perf_counter() - begin
         if noting is not None:
-            with suppress(FlightError):  # it has been told
+            with suppress(FlightError):  # it was reported before
                 noting.close()
         reason = ending.reason
         if replay is not None and replay.otherwise:

@@ -157,7 +157,7 @@ class Px4(Sitl):
                 if values[0] > now:
                     raise FlightError(f"px4 answered for {values[0] / 1e6:.3f} s and was told of {now / 1e6:.3f} s")
                 if values[0] < now or answer is not None:
-                    counts.repeated += 1  # of a frame before: late, or twice
+                    counts.repeated += 1  # an answer to an earlier frame: it came late or twice
                 else:
                     answer = self._answer(values)
             if answer is not None:

@@ -69,7 +69,7 @@ def run_campaign(
                     tell(store.tally, store.stored, len(store.flights))
             except FlightError as error:
                 raise FlightError(f"{error}; {describe_progress(store)}") from error
-            except KeyboardInterrupt:  # it may have come between keeping a flight and telling of it
+            except KeyboardInterrupt:  # it may have come after a flight was stored and before it was reported
                 tell(store.tally, store.stored, len(store.flights))
                 raise
     return open_campaign(folder)

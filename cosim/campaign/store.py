@@ -98,7 +98,7 @@ class Store:
         self._journal = journal
         self._kinds = kinds(self.study)
         self._part = 0
-        self._rows: list[Row] = []  # of the last part
+        self._rows: list[Row] = []  # rows of the part that is being filled
         self._written = 0  # of them
         self._last_write = self._last_sync = time.monotonic()
 

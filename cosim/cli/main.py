@@ -21,7 +21,7 @@ from cosim.cli.trust import trust_prompt, with_trust
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint, EntryPoints
 
-INTERRUPTED, TERMINATED = 130, 143  # as a shell has them
+INTERRUPTED, TERMINATED = 130, 143  # the exit statuses that shells use
 COMMANDS = {  # module of each command: only the one that runs is imported
     "aircraft": "aircraft:aircraft",
     "compare": "results.compare:compare",

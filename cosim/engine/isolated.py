@@ -47,7 +47,7 @@ class IsolatedBank:
         self.wants_ambient = any(spec.has_port(port) for spec in specs for port in AMBIENT)
         self._columns = make_log_columns(specs, in_flight)
         self._in_flight = in_flight
-        self.starting_engines: tuple[int, ...] = ()  # as the bank's, requested as long as there are any
+        self.starting_engines: tuple[int, ...] = ()  # as the bank's; the process is asked as long as there are any
         self._row, self._answer = _frame_formats(self._count)
         self._no_air = (0.0,) * (3 + self._count)
         self._child, self._pipes = Child.open_pipes(_SERVE)

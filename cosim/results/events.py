@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 Kind = Literal["fault", "monitor", "disturbance", "contact", "pilot"]
 APART_S = 0.5  # contacts nearer to each other than this are one
-MOST = 500  # of one kind: more is noise, and the log has it all
+MOST = 500  # events of one kind that are kept; the log has all of them
 
 
 class Event(Record):
@@ -53,7 +53,7 @@ def list_events(run: Run) -> list[Event]:
     scenario: Scenario | None
     try:
         scenario = run.scenario
-    except (InputError, FlightError):  # of another version, or gone: the log is still there
+    except (InputError, FlightError):  # the file is of another version or missing; the log can still be read
         scenario = None
     end = len(log) * step
     events = [

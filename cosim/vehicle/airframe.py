@@ -70,7 +70,7 @@ MAKE_UP: Final = {IN_THE_AIR: 0.5, ON_THE_GROUND: 1.0}
 _POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
 _RANKINE: Final = 5.0 / 9.0  # K, exact
 _NED = ("north", "east", "down")
-_NONE: Final[Any] = ZERO3  # as one object
+_NONE: Final[Any] = ZERO3  # one shared object
 _STATE: Final = State  # compiled code finds this without looking in a dictionary
 _number = itertools.count()  # numbers the airframes of this process
 

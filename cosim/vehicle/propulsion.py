@@ -58,7 +58,7 @@ class Propulsion:
         self.output = NO_OUTPUT
         self.fuel = nan  # kg on board at the step's beginning
         self._load.clear()
-        self._off = NO_JETS  # as last commanded
+        self._off = NO_JETS  # the jets that were last commanded off
 
     @property
     def wants_ambient(self) -> bool:

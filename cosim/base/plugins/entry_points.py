@@ -35,7 +35,7 @@ def find_entries(kind: str) -> dict[str, EntryPoint]:
     for entry in chain(every.select(group=GROUP), every.select(group=GROUPS[kind])):
         if entry.group != GROUP or entry.name.startswith(f"{kind}."):
             first = found.setdefault(entry_name(entry), entry)
-            if first.value != entry.value:  # one object may be in both groups
+            if first.value != entry.value:  # the same object may stand in both groups
                 raise InputError(
                     f"{kind} {entry_name(entry)!r}: there is one of this name already: "
                     f"{describe_entry(first)} is {first.value}, {describe_entry(entry)} is {entry.value}"

@@ -97,7 +97,7 @@ class Limit:
     start: str
     controller: str
     held: list[float]  # held level there
-    airborne: list[float]  # not lost there, and no more
+    airborne: list[float]  # airborne there, whether held level or not
     lost_at: float | None  # the first point where it is lost; None: nowhere on the grid
 
 

@@ -278,7 +278,7 @@ class _Process:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _send(self, message: Any) -> None:
-        with suppress(OSError):  # it is gone, which is seen when it is listened to
+        with suppress(OSError):  # the worker is gone, which the next read from it reports
             self.connection.send(message)
 
 

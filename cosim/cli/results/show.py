@@ -281,7 +281,7 @@ def _engine(name: str) -> Iterator[Number]:
     from cosim.engine.spec import find_source
 
     definition = find_source(name).engine
-    assert definition is not None  # it is of the library
+    assert definition is not None  # it is an engine of the library
     spec = _loaded(name)
     throttle = spec.curve.throttle
     yield Number("full thrust", spec.curve.thrust[-1], "N", f"at rest, at throttle {throttle[-1]:g}")

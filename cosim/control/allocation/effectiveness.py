@@ -148,7 +148,7 @@ class EffectivenessAllocator:
         self._servo_limits = [(effector.lower, effector.upper) for effector in effectors]
         self._neutral = [
             effector.rest for effector in effectors
-        ]  # where hinges and surfaces are left if there is a choice
+        ]  # positions of hinges and surfaces that are preferred where several would do
         self.surfaces = len(self._effectors) - self._hinges
         self.reset()
         if not self._balanced:

@@ -31,7 +31,7 @@ class Reader:
     def __init__(self, log: Log, step_s: float, times: Array | None = None) -> None:
         self.log = log
         self.step_s = step_s
-        self._times = times  # of the rows, where they are not 0, step_s, ...
+        self._times = times  # times of the rows; None where they are 0, step_s, 2 step_s, ...
 
     @classmethod
     def of(cls, flight: ComparedFlight) -> Reader:

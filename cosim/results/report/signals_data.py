@@ -37,7 +37,7 @@ NOISE_BITS = 5  # of the roughness, chosen by us: half a step is 1/64 of it
 _HUGE = 1e300
 _MOST = 2.0**28  # steps from zero; second differences of such numbers still are 32 bits
 _TRIED = 20_000  # rows in the middle of a flight, by which the order of differences is chosen
-_LEVEL = 6  # of deflate
+_LEVEL = 6  # compression level of deflate
 MOST_ROWS = 150_000  # of a column, chosen by us: ten minutes at 250 Hz, which are some 9 MB
 MOST_BANDS = 2000  # times in saturation that are told apart, chosen by us: more than a screen has pixels for
 DERIVED = "where the engine would settle if its throttle were held; from its static curve, not in the log"
@@ -309,7 +309,7 @@ def _saturation_times(log: Log, reach: Reach | None, step_s: float) -> list[tupl
 
     Where that changes more than ``MOST_BANDS`` times, the shortest gaps are closed.
     """
-    if not {"on_ground", "hull_contact", *REFUSED}.issubset(log.columns):  # of another tool
+    if not {"on_ground", "hull_contact", *REFUSED}.issubset(log.columns):  # the log is another tool's
         return []
     rows = saturation_in_flight(log, reach)
     starts, ends = row_spans(rows)

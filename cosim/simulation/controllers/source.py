@@ -413,7 +413,7 @@ def _read_attributes(block: Any, where: str, column: str) -> tuple[str, str, tup
     level, predictor = getattr(block, "level", None), BASELINE.name
     if not isinstance(level, str) or level not in LEVELS:
         raise InputError(f"{where}: level = {level!r}: must be one of {', '.join(LEVELS)}")
-    if level == "attitude":  # what another calls its predictor is its own
+    if level == "attitude":  # at other levels a predictor has no name to check
         predictor = getattr(block, "predictor", predictor)
         PREDICTORS.find(str(predictor), f"{where}: predictor = {predictor!r}: there is none of that name")
     try:

@@ -22,7 +22,7 @@ class ReturnFlight:
     def reset(self) -> None:
         """Forget the last return."""
         self._phase = _CLIMB
-        self._to: Pair | None = None  # where it lands
+        self._to: Pair | None = None  # the place to land at: home or a rally point
 
     def fly(self) -> Command:
         """Return the command of the next step home; the first step chooses the destination."""
