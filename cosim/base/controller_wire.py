@@ -88,7 +88,8 @@ def parse_answer(values: Sequence[float], jets: int, servos: int, extras: Sequen
         unallocated = Unallocated(*values[end : end + 4])
         end += 4
     if "off" in extras:
-        off = frozenset([jet for jet, value in enumerate(values[end : end + jets]) if value])
+        if any(values[end : end + jets]):
+            off = frozenset([jet for jet, value in enumerate(values[end : end + jets]) if value])
         end += jets
     actuation = Actuation(throttle, tilt, unallocated, off)
     if "shown" not in extras:

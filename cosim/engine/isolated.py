@@ -49,6 +49,8 @@ class IsolatedBank:
         self._in_flight = in_flight
         self.starting_engines: tuple[int, ...] = ()  # as the bank's; the process is asked as long as there are any
         self._row, self._answer = _frame_formats(self._count)
+        size = self._count
+        self._parts = [slice(i * size, (i + 1) * size) for i in range(len(EngineOutput._fields))]  # of the answer
         self._no_air = (0.0,) * (3 + self._count)
         self._child, self._pipes = Child.open_pipes(_SERVE)
         try:
@@ -142,8 +144,8 @@ class IsolatedBank:
         return form.unpack_from(data, 1)
 
     def _output(self, data: bytes) -> EngineOutput:
-        values, n = self._doubles(data, self._answer), self._count
-        return EngineOutput(*[values[i : i + n] for i in range(0, len(values), n)])
+        values = self._doubles(data, self._answer)
+        return EngineOutput(*[values[part] for part in self._parts])
 
     def _invalid_answer(self) -> EngineError:
         return EngineError(f"engines ({self._names}): their process answered what is no answer")
@@ -151,8 +153,7 @@ class IsolatedBank:
     def _exchange(self, data: bytes, limit: float, moment: str | int) -> bytes:
         """Send a request and return the answer; ``moment`` is when, for an error: words, or the step's number."""
         try:
-            self._pipes.send_message(data)
-            return self._pipes.receive_message(MAX_ANSWER_BYTES, limit)
+            return self._pipes.exchange_message(data, MAX_ANSWER_BYTES, limit)
         except ValueError:
             raise self._invalid_answer() from None
         except TimeoutError:

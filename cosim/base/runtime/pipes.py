@@ -1,7 +1,9 @@
 """Two pipes to another process: what is asked on one is answered on the other, within a time limit.
 
 A pipe with bare ``read`` and ``write`` is the quickest way between two processes that wait for each other: a third of
-a ``multiprocessing.Connection``'s round trip, whose ``poll`` makes a selector each time.
+a ``multiprocessing.Connection``'s round trip, whose ``poll`` makes a selector each time.  Whoever waits looks for bytes
+for a moment before it sleeps, because a processor that went idle takes several times a round trip to wake up.  There is
+no shared memory behind it: nothing is left over of a process that was killed, and its end is the end of the pipe.
 """
 
 from __future__ import annotations
@@ -12,29 +14,43 @@ import struct
 from time import monotonic
 from typing import Final
 
-from cosim.base.storage.files import write_all
+from cosim.base.errors import InputError
 
 _LENGTH: Final = struct.Struct("<I")  # before a message
 _CHUNK: Final = 65536  # bytes, read at once
+SPIN_S: Final = 2e-4  # for which bytes are looked for before sleeping: some control steps; chosen by us
+_LOOK_WAITS: Final = 256  # a look in vain for so many waits, in the long run: at most 0.8 us of a processor a wait
+_MOST_CREDIT: Final = 4 * _LOOK_WAITS
 
 
 class Pipes:
     """The two ends that belong to this process, by their file descriptors, which stay open until :meth:`close`.
 
-    Where a read has a ``limit`` in s, it raises TimeoutError; None waits for ever.  EOFError says that the other
-    process has closed its end, and OSError of a write that it has closed the other.
+    Where a call has a ``limit`` in s, it raises TimeoutError beyond it; None waits for ever.  EOFError says that the
+    other process has closed its end, and OSError of a write that it has closed the other.
+
+    The end that is written to no longer blocks, as a full pipe would have no limit otherwise.  Where the process may
+    run on one processor alone it never looks before it sleeps.  Where all are busy with something else, looks are in
+    vain: each wait earns a credit, a look in vain costs 256 of them, and without so many a wait sleeps at once.
+
+    Raises InputError where the system cannot wait for a pipe with a limit, as Windows.
     """
 
     def __init__(self, reader: int, writer: int) -> None:
+        require_poll()
         self._reader, self._writer = reader, writer
         self._open: tuple[int, ...] = (reader, writer)
-        self._poll = select.poll()
+        self._poll, self._writable = select.poll(), select.poll()
         self._poll.register(reader, select.POLLIN)
+        self._writable.register(writer, select.POLLOUT)
+        os.set_blocking(writer, False)
         self._rest = b""
+        self._spins = count_processors() > 1
+        self._credit = _MOST_CREDIT
 
-    def send(self, data: bytes) -> None:
+    def send(self, data: bytes, limit: float | None = None) -> None:
         """Write all of ``data``."""
-        write_all(self._writer, data)
+        self._send(data, _deadline(limit))
 
     def close(self) -> None:
         """Close both ends; may be called twice.  Only for who opened them by their numbers."""
@@ -46,7 +62,13 @@ class Pipes:
         """Read ``count`` bytes."""
         return self._take(count, _deadline(limit))
 
-    def receive_line(self, max_bytes: int, limit: float) -> bytes:
+    def exchange(self, data: bytes, count: int, limit: float | None = None) -> bytes:
+        """Write all of ``data`` and read ``count`` bytes, both within the limit."""
+        end = _deadline(limit)
+        self._send(data, end)
+        return self._take(count, end)
+
+    def receive_line(self, max_bytes: int, limit: float | None = None) -> bytes:
         """Read a line and return it without its end.  Raises ValueError where it has more than ``max_bytes`` bytes."""
         end = _deadline(limit)
         while b"\n" not in self._rest:
@@ -56,13 +78,27 @@ class Pipes:
         line, _, self._rest = self._rest.partition(b"\n")
         return line
 
-    def send_message(self, data: bytes) -> None:
+    def send_message(self, data: bytes, limit: float | None = None) -> None:
         """Write bytes that :meth:`receive_message` at the other end returns as they are."""
-        self.send(_LENGTH.pack(len(data)) + data)
+        self.send(_LENGTH.pack(len(data)) + data, limit)
 
     def receive_message(self, max_bytes: int, limit: float | None = None) -> bytes:
         """Read what the other end sent as one message.  Raises ValueError above ``max_bytes`` bytes."""
+        return self._take_message(max_bytes, _deadline(limit))
+
+    def exchange_message(self, data: bytes, max_bytes: int, limit: float | None = None) -> bytes:
+        """Write a message and read the one that answers it, both within the limit; as :meth:`receive_message`."""
         end = _deadline(limit)
+        self._send(_LENGTH.pack(len(data)) + data, end)
+        return self._take_message(max_bytes, end)
+
+    def _take_message(self, max_bytes: int, end: float | None) -> bytes:
+        if not self._rest:
+            self._rest = data = self._read(end)
+            size = len(data) - _LENGTH.size
+            if size >= 0 and _LENGTH.unpack_from(data)[0] == size <= max_bytes:  # alone, as a rule
+                self._rest = b""
+                return data[_LENGTH.size :]
         (length,) = _LENGTH.unpack(self._take(_LENGTH.size, end))
         if length > max_bytes:
             raise ValueError(f"a message of {length} bytes: at most {max_bytes}")
@@ -70,21 +106,74 @@ class Pipes:
 
     def _take(self, count: int, end: float | None) -> bytes:
         """Return the next ``count`` bytes; what has come beyond them stays for the next call."""
-        parts, size = [self._rest], len(self._rest)
+        data = self._rest
+        if len(data) < count:
+            data += self._read(end)  # which is all of it, as a rule
+        parts, size = [data], len(data)
         while size < count:
             parts.append(self._read(end))
             size += len(parts[-1])
-        data = b"".join(parts)
+        if len(parts) > 1:
+            data = b"".join(parts)
         self._rest = data[count:]
         return data[:count]
 
     def _read(self, end: float | None) -> bytes:
-        if end is not None and not self._poll.poll(max(0.0, end - monotonic()) * 1e3):
-            raise TimeoutError
+        if not (self._spins and self._look(end)) and end is not None:
+            _sleep(self._poll, end)
         data = os.read(self._reader, _CHUNK)
         if not data:
             raise EOFError
         return data
+
+    def _look(self, end: float | None) -> bool:
+        """Return whether bytes, or the end of them, have come within a moment; False at once where that is no use."""
+        if self._credit < _MOST_CREDIT:
+            self._credit += 1
+        if self._credit < _LOOK_WAITS:
+            return False
+        poll = self._poll.poll
+        if poll(0):
+            return True
+        stop = monotonic() + SPIN_S
+        if end is not None and end < stop:
+            stop = end
+        while not poll(0):
+            if monotonic() > stop:
+                self._credit -= _LOOK_WAITS
+                return False
+        return True
+
+    def _send(self, data: bytes, end: float | None) -> None:
+        rest: bytes | memoryview = data
+        while True:
+            try:
+                written = os.write(self._writer, rest)
+            except BlockingIOError:
+                written = 0
+                _sleep(self._writable, end)
+            if written == len(rest):
+                return
+            rest = memoryview(rest)[written:]
+
+
+def require_poll() -> None:
+    """Raise InputError where the system cannot wait for a pipe with a time limit."""
+    if not hasattr(select, "poll"):
+        raise InputError("an exchange with another process needs pipes with poll(), which this system does not have")
+
+
+def count_processors() -> int:
+    """Return the number of processors that this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _sleep(poll: select.poll, end: float | None) -> None:
+    """Wait until something is there.  Raises TimeoutError."""
+    if not poll.poll(None if end is None else max(0.0, end - monotonic()) * 1e3):
+        raise TimeoutError
 
 
 def _deadline(limit: float | None) -> float | None:

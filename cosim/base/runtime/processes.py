@@ -18,7 +18,7 @@ from secrets import token_hex
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.compiled import PACKAGE, child_environment
-from cosim.base.runtime.pipes import Pipes
+from cosim.base.runtime.pipes import Pipes, require_poll
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -95,8 +95,9 @@ class Child(subprocess.Popen[bytes]):
         """Start Python code with nothing to read or print; return the process and the pipes to it.
 
         The code finds the file descriptors of its own ends in ``sys.argv``, that to read from first.  Raises OSError
-        where it cannot be started.
+        where it cannot be started, InputError where the system has no such pipes, as Windows.
         """
+        require_poll()
         down, up = os.pipe(), os.pipe()
         pipes, other = Pipes(up[0], down[1]), (down[0], up[1])
         try:

@@ -19,21 +19,23 @@ from __future__ import annotations
 import json
 import os
 import re
-import sys
-from collections.abc import Mapping, Sequence
-from ctypes import c_double, c_uint32
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from ctypes import byref, c_bool, c_double, c_int, c_size_t, c_uint32, c_void_p
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 from cosim.base import controller_wire as wire
 from cosim.base.constants import SERVOS
 from cosim.base.errors import InputError, nearest
+from cosim.base.runtime.pipes import Pipes
 from cosim.base.runtime.processes import python_command
 from cosim.base.signals import MOST_JETS
-from cosim.base.storage.files import write_all
 from cosim.base.storage.scratch import temporary
 from cosim.base.storage.toml import read_toml
 from cosim.engine.fmu.archive import parse_number
@@ -54,6 +56,7 @@ from cosim.engine.library import platform_folder
 
 MAPPING = ".fmu.toml"
 _SERVE = "from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"
+_MOST_BYTES = 2**26  # of what it is told, which is ours
 _ON_GROUND = "on_ground"  # a parameter that the simulation sets, if there is one
 _DOUBLES = {"Real": "fmi2", "Float64": "fmi3"}  # types of doubles, and what their functions' names begin with
 _KINDS = {*REALS, *INTEGERS, "Boolean"}
@@ -252,11 +255,12 @@ def serve(path: str) -> None:
     out = os.dup(1)
     os.dup2(2, 1)  # what the FMU prints is for people
     fmu = read_controller_fmu(Path(path))
-    write_all(out, json.dumps(describe_controller(fmu)).encode() + b"\n")
-    line = sys.stdin.buffer.readline()
-    if not line:
+    pipes = Pipes(0, out)
+    pipes.send(json.dumps(describe_controller(fmu)).encode() + b"\n")
+    try:
+        settings = json.loads(pipes.receive_line(_MOST_BYTES))
+    except EOFError:
         return
-    settings = json.loads(line)
     columns, servos_known = [_identifier(v) for v in fmu.column_outputs], fmu.servos
     if fmu.level == "controller":
         fmu = read_controller_fmu(Path(path), settings["servos"])
@@ -271,12 +275,35 @@ def serve(path: str) -> None:
                 name, jets = settings["vehicle"]["name"], len(settings["vehicle"]["jets"])
                 raise RuntimeError(f"is for {fmu.jets} jets and {moved}; {name} has {jets} and {has}")
             instance = _Instance(fmu, folder, settings)
-            read = sys.stdin.buffer.read
-            while len(frame := read(input_frame.size)) == input_frame.size:
-                k, *values = input_frame.unpack(frame)
-                write_all(out, output_frame.pack(k, *instance.step(int(k), values)))
+            while (frame := _receive(pipes, input_frame.size)) is not None:
+                values = input_frame.unpack(frame)
+                pipes.send(output_frame.pack(values[0], *instance.step(int(values[0]), values[1:])))
     except Exception as error:
-        write_all(out, output_frame.pack(-1.0, *[0.0] * len(settings["outputs"])) + f"{to_one_line(error)}\n".encode())
+        pipes.send(output_frame.pack(-1.0, *[0.0] * len(settings["outputs"])) + f"{to_one_line(error)}\n".encode())
+
+
+def _receive(pipes: Pipes, count: int) -> bytes | None:
+    """Return the next ``count`` bytes, or None where they have ended."""
+    with suppress(EOFError):
+        return pipes.receive(count)
+    return None
+
+
+def _bind(instance: Any, name: str, *arguments: Any) -> Callable[..., None]:
+    """Return a function of the FMU with its first arguments, which raises for its status what FMPy's own raises.
+
+    FMPy's looks it up and converts every argument in each call, which takes three times as long.
+    """
+    from fmpy.fmi1 import FMICallException  # type: ignore[import-untyped]
+
+    call = partial(instance.dll[name], c_void_p(instance.component), *arguments)
+
+    def checked(*more: Any) -> None:
+        status = call(*more)
+        if status > 1:  # neither OK nor a warning
+            raise FMICallException(function=name, status=status)
+
+    return checked
 
 
 class _Group:
@@ -284,33 +311,41 @@ class _Group:
 
     def __init__(self, instance: Any, kind: str, positions: Sequence[int], references: Sequence[int]) -> None:
         self.positions = positions
-        self._values: Any = None
-        if kind in _DOUBLES:
-            # Arrays that are made once: FMPy's own setters and getters make two in every call.
-            prefix, count = _DOUBLES[kind], len(references)
-            self._values = (c_double * count)()
-            arguments: tuple[Any, ...] = (instance.component, (c_uint32 * count)(*references), count, self._values)
-            arguments += () if kind == "Real" else (count,)
-            self._set: Any = partial(getattr(instance, f"{prefix}Set{kind}"), *arguments)
-            self._get: Any = partial(getattr(instance, f"{prefix}Get{kind}"), *arguments)
-        else:
-            make: type = float if kind in REALS else bool if kind == "Boolean" else int
-            setter = getattr(instance, f"set{kind}")
-            self._set = lambda values: setter(references, [make(value) for value in values])
-            self._get = partial(getattr(instance, f"get{kind}"), references)
+        make: Callable[[float], Any] = float if kind in REALS else bool if kind == "Boolean" else int
+        setter, self._getter = getattr(instance, f"set{kind}"), partial(getattr(instance, f"get{kind}"), references)
+        self._setter: Callable[[Sequence[float]], object] = lambda values: setter(references, [*map(make, values)])
 
     def set(self, values: Sequence[float]) -> None:
-        if self._values is None:
-            self._set(values)
-        else:
-            self._values[:] = values
-            self._set()
+        self._setter([values[position] for position in self.positions])
 
     def get(self) -> Sequence[float]:
-        if self._values is None:
-            return list(map(float, self._get()))
+        return list(map(float, self._getter()))
+
+
+class _Doubles(_Group):
+    """Variables that are doubles, in an array that is made once: FMPy's setters and getters make two in every call."""
+
+    def __init__(self, instance: Any, kind: str, positions: Sequence[int], references: Sequence[int]) -> None:
+        self.positions = positions
+        prefix, count = _DOUBLES[kind], len(references)
+        self._form, self._values = struct.Struct(f"{count}d"), (c_double * count)()
+        self._pick = itemgetter(*positions) if count > 1 else lambda values: (values[positions[0]],)
+        arguments: tuple[Any, ...] = ((c_uint32 * count)(*references), c_size_t(count), self._values)
+        arguments += () if kind == "Real" else (c_size_t(count),)
+        self._set = _bind(instance, f"{prefix}Set{kind}", *arguments)
+        self._get = _bind(instance, f"{prefix}Get{kind}", *arguments)
+
+    def set(self, values: Sequence[float]) -> None:
+        self._form.pack_into(self._values, 0, *self._pick(values))
+        self._set()
+
+    def get(self) -> Sequence[float]:
         self._get()
-        return self._values[:]  # type: ignore[no-any-return]
+        return self._form.unpack_from(self._values)
+
+
+def _make_group(instance: Any, kind: str, positions: Sequence[int], references: Sequence[int]) -> _Group:
+    return (_Doubles if kind in _DOUBLES else _Group)(instance, kind, positions, references)
 
 
 def _by_type(instance: Any, positions: Sequence[int], variables: Sequence[Any]) -> list[_Group]:
@@ -318,8 +353,18 @@ def _by_type(instance: Any, positions: Sequence[int], variables: Sequence[Any]) 
     groups = []
     for kind in dict.fromkeys(v.type for v in variables):
         pairs = [(i, v.valueReference) for i, v in zip(positions, variables, strict=True) if v.type == kind]
-        groups.append(_Group(instance, kind, [i for i, _ in pairs], [reference for _, reference in pairs]))
+        groups.append(_make_group(instance, kind, [i for i, _ in pairs], [reference for _, reference in pairs]))
     return groups
+
+
+def _bind_step(instance: Any, fmi: int, dt: float) -> Callable[[float], object]:
+    """Return what advances an instance by ``dt`` from a time [s]; FMPy's ``doStep`` makes its arguments every time."""
+    if fmi == 2:
+        do_step = _bind(instance, "fmi2DoStep")
+        return lambda time: do_step(c_double(time), c_double(dt), c_int(1))
+    results = [*(byref(c_bool()) for _ in range(3)), byref(c_double())]
+    do_step = _bind(instance, "fmi3DoStep")
+    return lambda time: do_step(c_double(time), c_double(dt), c_bool(True), *results)
 
 
 class _Instance:
@@ -341,12 +386,14 @@ class _Instance:
         except DAMAGE as error:
             raise RuntimeError(f"cannot be unpacked: {to_one_line(error)}") from error
 
-    def step(self, k: int, values: Sequence[float]) -> list[float]:
+    def step(self, k: int, values: Sequence[float]) -> Sequence[float]:
         if k == 0:
             self._begin(values)
         else:
             self._set_inputs(values)
-        self._instance.doStep(currentCommunicationPoint=k * self._dt, communicationStepSize=self._dt)
+        self._do_step(k * self._dt)
+        if self._is_one_group:
+            return self._outputs[0].get()
         answer = [0.0] * self._count
         for group in self._outputs:
             for position, value in zip(group.positions, group.get(), strict=True):
@@ -374,6 +421,7 @@ class _Instance:
             )
             self._instance.instantiate()
             self._group_variables()
+            self._do_step = _bind_step(self._instance, fmu.fmi, self._dt)
         instance = self._instance
         if fmu.fmi == 2:
             instance.setupExperiment(startTime=0.0)
@@ -391,10 +439,11 @@ class _Instance:
         answers = [*fmu.outputs.values(), *fmu.column_outputs]
         self._count = len(answers)
         self._outputs = _by_type(self._instance, range(self._count), answers)
+        self._is_one_group = len(self._outputs) == 1  # whose numbers are all of the answer, in its order
 
     def _set_inputs(self, values: Sequence[float]) -> None:
         for group in self._inputs:
-            group.set([values[position] for position in group.positions])
+            group.set(values)
 
     def _set(self, v: Any, value: float) -> None:
-        _Group(self._instance, v.type, (), [v.valueReference]).set([value])
+        _make_group(self._instance, v.type, (0,), [v.valueReference]).set((value,))

@@ -21,7 +21,7 @@ from typing import IO, Any
 from cosim.base import controller_wire as wire
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
-from cosim.base.runtime.pipes import Pipes
+from cosim.base.runtime.pipes import Pipes, require_poll
 from cosim.base.runtime.processes import Child
 from cosim.base.signals import ControlSignals
 from cosim.base.storage.scratch import scratch
@@ -40,6 +40,7 @@ class Connection:
     """One process, from its start to its end."""
 
     def __init__(self, command: Sequence[str], folder: Path, errors: IO[bytes] | None = None) -> None:
+        require_poll()
         try:
             self._process = Child(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, cwd=folder, bufsize=0
@@ -56,22 +57,22 @@ class Connection:
             return self._pipes.receive_line(_LINE, limit)
         except ValueError:
             raise FlightError("its first line does not end") from None
-        except (TimeoutError, EOFError) as error:
+        except (EOFError, OSError) as error:
             raise self._no_answer(error, limit) from None
 
-    def read(self, count: int, limit: float) -> bytes:
-        """Read so many bytes of its output.  Raises FlightError."""
+    def exchange(self, data: bytes, count: int, limit: float) -> bytes:
+        """Write to the process and read so many bytes of its output, both within ``limit`` s.  Raises FlightError."""
         try:
-            return self._pipes.receive(count, limit)
-        except (TimeoutError, EOFError) as error:
+            return self._pipes.exchange(data, count, limit)
+        except (EOFError, OSError) as error:
             raise self._no_answer(error, limit) from None
 
-    def send(self, data: bytes) -> None:
-        """Write to the process.  Raises FlightError if it has ended."""
+    def send(self, data: bytes, limit: float) -> None:
+        """Write to the process.  Raises FlightError if it has ended or does not read."""
         try:
-            self._pipes.send(data)
-        except OSError:
-            raise FlightError(f"the process {self._describe_end()}") from None
+            self._pipes.send(data, limit)
+        except OSError as error:
+            raise self._no_answer(error, limit) from None
 
     def _no_answer(self, error: Exception, limit: float) -> FlightError:
         if isinstance(error, TimeoutError):
@@ -188,7 +189,7 @@ class ProcessBlock:
         connection = _start_process(self._command, self._folder, self._label)
         try:
             _description(connection, self._label)
-            connection.send(self._belief)
+            connection.send(self._belief, START_S)
         except FlightError as error:
             connection.close()
             raise InputError(f"controller {self._label}: {error}") from error
@@ -221,8 +222,7 @@ class ProcessBlock:
         return actuation
 
     def _exchange(self, connection: Connection, frame: bytes, k: int) -> bytes:
-        connection.send(frame)
-        answer = connection.read(self._out.size, self._limit)
+        answer = connection.exchange(frame, self._out.size, self._limit)
         (number,) = _STEP.unpack_from(answer)
         if number == -1.0:
             raise FlightError(connection.read_line(self._limit).decode(errors="replace"))

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import pytest
 from patience import PATIENCE
 
+from cosim.base.errors import InputError
 from cosim.base.runtime import pipes
 from cosim.base.runtime.pipes import Pipes
 
@@ -93,8 +94,86 @@ def test_the_limit_is_of_the_whole_answer(
     monkeypatch.setattr(pipes, "monotonic", lambda: float(next(clock)))
     monkeypatch.setattr(pipes, "os", SimpleNamespace(read=lambda *_: next(pieces)))  # for this module alone
     monkeypatch.setattr(other, "_poll", Waiting())
+    monkeypatch.setattr(other, "_spins", False)
     if limit > 5.0:
         assert other.receive_message(10, limit) == b"abc"
     else:
         with pytest.raises(TimeoutError):
             other.receive_message(10, limit)
+
+
+def test_a_full_pipe_has_the_limit_of_the_whole_exchange(ends: tuple[Pipes, Pipes]) -> None:
+    one, other = ends
+    much = bytes(3_000_000)  # more than a pipe holds, and nobody reads
+    for wait in (
+        lambda: one.send(much, SHORT),
+        lambda: one.send_message(much, SHORT),
+        lambda: one.exchange(much, 1, SHORT),
+        lambda: one.exchange_message(much, 1, SHORT),
+    ):
+        with pytest.raises(TimeoutError):
+            wait()
+    os.close(other._reader)
+    with pytest.raises(BrokenPipeError):
+        one.send(much, PATIENCE)
+
+
+def test_what_is_asked_is_answered(ends: tuple[Pipes, Pipes]) -> None:
+    one, other = ends
+    for size in (0, 1, 100, 300_000):
+        server = Thread(target=lambda: other.send_message(other.receive_message(400_000)[::-1]))
+        server.start()
+        asked = os.urandom(size)
+        assert one.exchange_message(asked, 400_000, PATIENCE) == asked[::-1]
+        server.join()
+    server = Thread(target=lambda: other.send(other.receive(3)[::-1] + b"more"))
+    server.start()
+    assert one.exchange(b"abc", 3, PATIENCE) == b"cba"
+    assert one.receive(4, PATIENCE) == b"more"
+    server.join()
+
+
+class Polled:
+    """A poll that finds something at its ``at``-th call, or where it may wait, and counts its calls."""
+
+    def __init__(self, at: int) -> None:
+        self.at, self.looks, self.sleeps = at, 0, 0
+
+    def poll(self, milliseconds: float) -> bool:
+        self.looks += milliseconds == 0.0
+        self.sleeps += milliseconds != 0.0
+        return milliseconds != 0.0 or self.looks == self.at
+
+
+def test_who_waits_looks_before_it_sleeps(ends: tuple[Pipes, Pipes], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bytes that come soon need no sleep; on one processor nothing can come while we look."""
+    one, other = ends
+    monkeypatch.setattr(pipes, "monotonic", lambda: 0.0)
+    for spins, looks, sleeps in ((True, 5, 0), (False, 0, 1)):
+        polled = Polled(5)
+        monkeypatch.setattr(one, "_poll", polled)
+        monkeypatch.setattr(one, "_spins", spins)
+        other.send(b"x")
+        assert one.receive(1, PATIENCE) == b"x"
+        assert (polled.looks, polled.sleeps) == (looks, sleeps)
+    monkeypatch.setattr(pipes, "count_processors", lambda: 1)
+    assert not Pipes(one._reader, one._writer)._spins
+
+
+def test_looks_in_vain_become_rare(ends: tuple[Pipes, Pipes], monkeypatch: pytest.MonkeyPatch) -> None:
+    one, other = ends
+    polled, clock = Polled(0), count()
+    monkeypatch.setattr(pipes, "monotonic", lambda: float(next(clock)))  # the moment is over at once
+    monkeypatch.setattr(one, "_poll", polled)
+    monkeypatch.setattr(one, "_spins", True)
+    for _ in range(2000):
+        other.send(b"x")
+        assert one.receive(1, 10.0) == b"x"
+    assert polled.sleeps == 2000
+    assert 2 * (4 + 2000 // 256) - 2 <= polled.looks <= 2 * (5 + 2000 // 256)  # each twice: before the clock and behind
+
+
+def test_a_system_without_poll_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pipes, "select", SimpleNamespace())
+    with pytest.raises(InputError, match=r"needs pipes with poll\(\), which this system does not have"):
+        Pipes(0, 1)
