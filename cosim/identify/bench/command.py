@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from cosim.base.arrays import Array
 
 LONGEST_EXPONENT = 200.0  # of a block of the recursion: e^200 is far from what a double overflows at
+MOST_KNOWN = 8  # lags, whose states are kept
+SMOOTH = 1e-4  # of a command's range: straight through so near to its rows it is the same
 LARGEST_RATIO = 0.999  # of two lags: nearer to each other their two answers cancel
 SAME_SLOPE = 1e-9  # of the command's range a row: slopes that differ by less are one
 
@@ -23,6 +25,7 @@ class Command:
     times: Array
     values: Array
     slopes: Array
+    _known: dict[float, Array] = field(default_factory=dict, compare=False, repr=False)  # states by lag, the last few
 
     def lagged(self, lag: float, at: Array) -> Array:
         """Return the answer of ``1 / (lag s + 1)`` at these times [s], from rest at the first value."""
@@ -41,8 +44,33 @@ class Command:
             return first
         return np.asarray((first - ratio * self.lagged(ratio * lag, at)) / (1.0 - ratio))
 
+    def lagged_means(self, lag: float, begins: Array, ends: Array) -> Array:
+        """Return the means of :meth:`lagged` from each of these times [s] to its end: of lag y' = u - y, integrated."""
+        seconds = ends - begins
+        command = (self._integral(ends) - self._integral(begins)) / seconds
+        return np.asarray(command - lag * (self.lagged(lag, ends) - self.lagged(lag, begins)) / seconds)
+
+    def twice_lagged_means(self, lag: float, ratio: float, begins: Array, ends: Array) -> Array:
+        """Return the means of :meth:`twice_lagged` from each of these times [s] to its end."""
+        ratio = min(ratio, LARGEST_RATIO)
+        first = self.lagged_means(lag, begins, ends)
+        if ratio * lag < 1e-6:
+            return first
+        return np.asarray((first - ratio * self.lagged_means(ratio * lag, begins, ends)) / (1.0 - ratio))
+
+    def _integral(self, at: Array) -> Array:
+        """Return the command's integral from its first time to these times [s]."""
+        h = np.diff(self.times)
+        whole = np.concatenate([[0.0], np.cumsum(h * (self.values[:-1] + 0.5 * h * self.slopes[:-1]))])
+        k = np.maximum(np.searchsorted(self.times, at, side="right") - 1, 0)
+        within = at - self.times[k]
+        slope = np.where(within < 0.0, 0.0, self.slopes[k])
+        return np.asarray(whole[k] + within * (self.values[k] + 0.5 * within * slope))
+
     def _states(self, lag: float) -> Array:
         """Return the lag's state where each piece begins: x[k+1] = E[k] x[k] + q[k], summed in blocks."""
+        if lag in self._known:
+            return self._known[lag]
         h = np.diff(self.times)
         forced = _over(lag, h, np.zeros(len(h)), self.values[:-1], self.slopes[:-1])
         state = np.empty(len(self.times))
@@ -54,6 +82,9 @@ class Command:
                 state[begin] = np.exp(-h[begin - 1] / lag) * state[begin - 1] + forced[begin - 1]
             grown = np.exp(since[begin + 1 : end] - since[begin])
             state[begin + 1 : end] = (state[begin] + np.cumsum(grown * forced[begin : end - 1])) / grown
+        if len(self._known) >= MOST_KNOWN:
+            self._known.clear()
+        self._known[lag] = state
         return state
 
 
@@ -89,3 +120,13 @@ def moves_on(values: Array) -> bool:
         return False
     again = moved[1:] & moved[:-1]
     return bool(again.sum() > 0.5 * moved.sum())
+
+
+def thin(times: Array, values: Array, every: int) -> tuple[Array, Array]:
+    """Return each so many rows of a straight command, or fewer left out, where straight lines between them meet all."""
+    for each in range(every, 1, -1):
+        keep = np.unique([*range(0, len(times), each), len(times) - 1])
+        off = np.abs(np.interp(times, times[keep], values[keep]) - values)
+        if float(off.max()) <= SMOOTH * float(np.ptp(values)):
+            return times[keep], values[keep]
+    return times, values

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
-from cosim.identify.bench.command import LARGEST_RATIO, Command, make_command
-from cosim.identify.bench.record import BenchRecord
+from cosim.identify.bench.command import LARGEST_RATIO, Command, make_command, thin
+from cosim.identify.bench.record import BenchRecord, average_rows
 
 CHI2_95 = 3.841458820694124  # one parameter: by how much the deviance rises to the end of a 95 % bound
 EXPONENTS = (0.2, 6.0)
@@ -23,8 +23,12 @@ SMALLEST_NOISE = 1e-9  # of the output's swing: below it is rounding
 COARSE_ROWS = 1500  # of all logs, in the search for where to begin
 COARSE_LAGS, COARSE_DELAYS = 12, 40
 STARTS = 3
+SAME_MEMORY = 1e-3  # by which another round may change the memory of the noise
 MEMORY_TOLD = 2.0  # standard errors of an autocorrelation up to which it is nothing
-HALVINGS = 9  # of the interval in which the end of a bound lies
+MOST_TRIES = 12  # to find the end of a bound
+LARGEST_BEGUN = 0.9  # ratio of two lags, to begin with: the search does not leave its end easily
+NEAR = 0.01  # of its distance, to which it is found
+SMALLEST_SHARE = 1e-12  # of the largest column, that one has to have of its own
 
 
 class Form(NamedTuple):
@@ -107,6 +111,15 @@ class Part:
     output: Array
     step: float
     straight: bool
+    width: float = 0.0  # s, over which each row is a mean
+
+    def answer(self, exponent: float, lag: float, ratio: float, delay: float) -> Array:
+        """Return the delayed command behind the static curve and the lags, averaged as the rows are."""
+        command, at = self.piecewise(exponent), self.times - delay
+        if self.width > 0.0:
+            begins, ends = at - 0.5 * self.width, at + 0.5 * self.width
+            return command.twice_lagged_means(lag, ratio, begins, ends)
+        return command.twice_lagged(lag, ratio, at)
 
     def piecewise(self, exponent: float) -> Command:
         """Return the command behind the static curve."""
@@ -123,7 +136,21 @@ class Part:
 
     def chosen(self, use: NDArray[Any]) -> Part:
         """Return it with some of its rows."""
-        return Part(self.command_times, self.command, self.times[use], self.output[use], self.step, self.straight)
+        return replace(self, times=self.times[use], output=self.output[use])
+
+    def averaged(self, seconds: float) -> Part:
+        """Return it with rows that are means over as long as this, at most, and the model's alike."""
+        many = int(seconds / self.step)
+        if many < 2:
+            return self
+        times, output = average_rows(self.times, self.output, self.step, many)
+        step = many * self.step
+        commands = self.command_times, self.command
+        if self.straight:
+            commands = thin(*commands, max(1, int(step / float(np.median(np.diff(self.command_times))))))
+        return replace(
+            self, command_times=commands[0], command=commands[1], times=times, output=output, step=step, width=step
+        )
 
 
 def make_part(record: BenchRecord, limits: tuple[float, float], straight: bool) -> Part:
@@ -131,7 +158,7 @@ def make_part(record: BenchRecord, limits: tuple[float, float], straight: bool) 
     low, high = limits
     command = (record.command - low) / (high - low)
     times = record.command_times if straight else _between_lost_rows(record.command_times, command)
-    return Part(times, command, record.times, record.output, record.step, straight)
+    return Part(times, command, record.times, record.output, record.step, straight, record.width)
 
 
 def _between_lost_rows(times: Array, command: Array) -> Array:
@@ -171,9 +198,7 @@ class Problem:
         count = len(self.parts)
         columns = np.zeros((len(self.output), 1 + (3 if self.drift else 2) * count))
         for n, (part, span) in enumerate(zip(self.parts, self._spans, strict=True)):
-            at = part.times - delay
-            command = part.piecewise(exponent)
-            columns[span, 0] = command.twice_lagged(lag, ratio, at) if ratio else command.lagged(lag, at)
+            columns[span, 0] = part.answer(exponent, lag, ratio, delay)
             columns[span, 1 + n] = 1.0
             columns[span, 1 + count + n] = np.exp(-(part.times - part.times[0]) / lag)
             if self.drift:
@@ -245,16 +270,18 @@ def _kept(part: Part, memory: float) -> tuple[Array, Array]:
 
 def fit(problem: Problem, form: Form, near: Estimate | None = None) -> Estimate:
     """Fit one form; from ``near``, a simpler one, or from a search over all delays and lags."""
-    starts = _starts(problem) if near is None else [near.x[:2]]
+    start = _start(problem) if near is None else near.x[:2]
     memory = 0.0 if near is None else near.memory
-    best = min((_solve(problem, form, _complete(form, start), memory) for start in starts), key=lambda one: one[1])[0]
+    best, loss = _solve(problem, form, _complete(form, start), memory)
     if form.lags == 2:
-        others = [np.array([max(best[0] - 0.3 * best[1], 0.0), 0.7 * best[1], 0.5, *best[3:]])]
-        tried = [_solve(problem, form, x, memory) for x in (best, *others)]
-        best = min(tried, key=lambda one: one[1])[0]
+        other = np.array([max(best[0] - 0.3 * best[1], 0.0), 0.7 * best[1], 0.5, *best[3:]])
+        found = _solve(problem, form, other, memory)
+        best = found[0] if found[1] < loss else best
     for _ in range(ROUNDS):
         linear = problem.shares(form, best, memory)[0]
-        memory = problem.memory_of(problem.output - problem.regressors(form, best) @ linear)
+        before, memory = memory, problem.memory_of(problem.output - problem.regressors(form, best) @ linear)
+        if abs(memory - before) < SAME_MEMORY:
+            break
         best = _solve(problem, form, best, memory)[0]
     return _estimate(problem, form, best, memory)
 
@@ -263,8 +290,8 @@ def _complete(form: Form, start: Array) -> Array:
     return np.array([*start[:2], *((0.2,) if form.lags == 2 else ()), *((1.0,) if form.curve else ())])
 
 
-def _starts(problem: Problem) -> list[Array]:
-    """Return the delays and lags with which the rows, thinned, are best explained."""
+def _start(problem: Problem) -> Array:
+    """Return the delay and lag with which the rows, thinned, are best explained."""
     every = max(1, len(problem.output) // COARSE_ROWS)
     thin = [part.chosen(np.arange(0, len(part.times), every)) for part in problem.parts]
     coarse = Problem(thin, problem.longest_delay, problem.drift)
@@ -276,7 +303,8 @@ def _starts(problem: Problem) -> list[Array]:
         losses = [float(np.sum(coarse.shares(Form(), np.array([d, lag]), 0.0)[1] ** 2)) for d in delays]
         best = int(np.argmin(losses))
         found.append((losses[best], np.array([delays[best], lag])))
-    return [x for _, x in sorted(found, key=lambda one: one[0])[:STARTS]]
+    likeliest = sorted(found, key=lambda one: one[0])[:STARTS]
+    return min((_solve(coarse, Form(), x, 0.0) for _, x in likeliest), key=lambda one: one[1])[0]
 
 
 def _solve(
@@ -286,23 +314,44 @@ def _solve(
     from scipy.optimize import least_squares
 
     low, high = problem.limits(form)
-    free = np.arange(len(start)) >= (0 if delay is None else 1)
+    free = np.flatnonzero(np.arange(len(start)) >= (0 if delay is None else 1))
     x = start.copy()
     if delay is not None:
         x[0] = delay
     size = np.sqrt(max(problem.floor / len(problem.output), 1e-300))
+    output = problem.whiten(problem.output, memory)
+    base, basis = np.empty(0), np.empty(0)
 
     def left(values: Array) -> Array:
+        nonlocal base, basis
         x[free] = values
-        return np.asarray(problem.shares(form, x, memory)[1] / size)
+        base, basis = values.copy(), _basis(problem.whiten(problem.regressors(form, x), memory))
+        return np.asarray((output - basis @ (basis.T @ output)) / size)
+
+    def slopes(values: Array) -> Array:
+        """Return how what is left over changes, the linear parameters held (Kaufman, 1975)."""
+        if not np.array_equal(base, values):
+            left(values)
+        x[free] = values
+        linear = problem.shares(form, x, memory)[0]
+        columns = problem.whiten(_slopes(problem, form, x, linear, free), memory)
+        return np.asarray((basis @ (basis.T @ columns) - columns) / size)
 
     inside = np.clip(x, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
     scale = np.maximum(0.1 * np.abs(inside), 1e-3 * (high - low))
     answer = least_squares(
-        left, inside[free], bounds=(low[free], high[free]), x_scale=scale[free], xtol=1e-10, ftol=1e-12, max_nfev=60
-    )
+        left, inside[free], slopes, bounds=(low[free], high[free]), x_scale=scale[free], xtol=1e-8, ftol=1e-9,
+        max_nfev=60,
+    )  # fmt: skip
     x[free] = answer.x
     return x.copy(), max(float(2.0 * answer.cost) * size**2, problem.floor)
+
+
+def _basis(matrix: Array) -> Array:
+    """Return an orthonormal basis of a matrix' columns, zero where one adds nothing to those before it."""
+    basis, triangle = np.linalg.qr(matrix)
+    size = np.abs(np.diag(triangle))
+    return np.asarray(basis * (size > SMALLEST_SHARE * size.max()))
 
 
 def _estimate(problem: Problem, form: Form, x: Array, memory: float) -> Estimate:
@@ -310,7 +359,8 @@ def _estimate(problem: Problem, form: Form, x: Array, memory: float) -> Estimate
     rows, count = len(white), len(problem.parts)
     loss = max(float(white @ white), problem.floor)
     matrix = problem.whiten(problem.regressors(form, x), memory)
-    jacobian = np.column_stack([_slopes(problem, form, x, memory, linear), matrix])
+    slopes = _slopes(problem, form, x, linear, np.arange(len(x)))
+    jacobian = np.column_stack([problem.whiten(slopes, memory), matrix])
     covariance = loss / max(rows - jacobian.shape[1], 1) * invert(jacobian.T @ jacobian)
     wider = robust_factor(jacobian, white, covariance, memory_rows(white))
     covariance = covariance * np.outer(wider, wider)
@@ -330,16 +380,17 @@ def invert(matrix: Array) -> Array:
     return np.asarray(np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-13, hermitian=True) / np.outer(size, size))
 
 
-def _slopes(problem: Problem, form: Form, x: Array, memory: float, linear: Array) -> Array:
+def _slopes(problem: Problem, form: Form, x: Array, linear: Array, which: NDArray[Any]) -> Array:
+    """Return by how much the model changes with these of the parameters, a column each."""
     low, high = problem.limits(form)
     widths = np.maximum(1e-4 * np.abs(x), 1e-6 * (high - low))
     widths[0] = 0.02 * min(part.step for part in problem.parts)
     columns = []
-    for i, width in enumerate(widths):
+    for i in which:
         above, below = x.copy(), x.copy()
-        above[i], below[i] = min(x[i] + width, high[i]), max(x[i] - width, low[i])
+        above[i], below[i] = min(x[i] + widths[i], high[i]), max(x[i] - widths[i], low[i])
         change = problem.regressors(form, above) @ linear - problem.regressors(form, below) @ linear
-        columns.append(problem.whiten(change, memory) / (above[i] - below[i]))
+        columns.append(change / (above[i] - below[i]))
     return np.column_stack(columns)
 
 
@@ -375,34 +426,49 @@ def plain_factor(problem: Problem, estimate: Estimate) -> float:
     """Return by how much wider the delay's deviation was made than white residuals would have it."""
     linear = problem.shares(estimate.form, estimate.x, estimate.memory)[0]
     matrix = problem.whiten(problem.regressors(estimate.form, estimate.x), estimate.memory)
-    slopes = _slopes(problem, estimate.form, estimate.x, estimate.memory, linear)
-    jacobian = np.column_stack([slopes, matrix])
+    slopes = _slopes(problem, estimate.form, estimate.x, linear, np.arange(len(estimate.x)))
+    jacobian = np.column_stack([problem.whiten(slopes, estimate.memory), matrix])
     plain = estimate.loss / estimate.rows * invert(jacobian.T @ jacobian)[0, 0]
     return float(max(estimate.deviation(0) / np.sqrt(max(plain, 1e-300)), 1.0))
 
 
+def _delayed(form: Form, x: Array, delay: float) -> Array:
+    """Return parameters with another delay and, as far as can be, delay and lags together as they were."""
+    _, lag, ratio, _ = form.split(x)
+    second = ratio * lag + float(x[0]) - delay
+    y = x.copy()
+    y[0] = delay
+    if form.lags == 2:
+        y[2] = min(max(second, 0.0) / lag, LARGEST_BEGUN)
+        y[1] = max(lag + min(second, 0.0), 0.1 * lag)
+    return y
+
+
 def bound_delay(problem: Problem, estimate: Estimate) -> tuple[float, float]:
     """Return 95 % bounds of the delay [s] by its profile likelihood, between 0 and the longest that is looked for."""
-    rise = CHI2_95 * plain_factor(problem, estimate) ** 2
+    wanted = float(np.sqrt(CHI2_95)) * plain_factor(problem, estimate)
     low, high = problem.limits(estimate.form)
 
-    def above(delay: float, start: Array) -> tuple[float, Array]:
-        x, loss = _solve(problem, estimate.form, start, estimate.memory, delay)
-        return estimate.rows * float(np.log(loss / estimate.loss)) - rise, x
+    def risen(delay: float, start: Array) -> tuple[float, Array]:
+        """Return the root of the deviance's rise, which goes straight with the delay where the problem is linear."""
+        x, loss = _solve(problem, estimate.form, _delayed(estimate.form, start, delay), estimate.memory, delay)
+        return float(np.sqrt(max(estimate.rows * float(np.log(loss / estimate.loss)), 0.0))), x
 
+    width = max(1.96 * estimate.deviation(0), 1e-3 * min(part.step for part in problem.parts))
     ends = []
-    width = max(1.5 * estimate.deviation(0), 1e-3 * min(part.step for part in problem.parts))
     for sign, limit in ((-1.0, float(low[0])), (1.0, float(high[0]))):
-        inside, outside, x, step = estimate.delay, estimate.delay, estimate.x, width
-        over = False
-        while not over and outside != limit:
-            inside, outside = outside, float(np.clip(outside + sign * step, low[0], high[0]))
-            value, found = above(outside, x)
-            over, step = value > 0.0, 2.0 * step
-            x = x if over else found
-        for _ in range(HALVINGS if over else 0):
-            middle = 0.5 * (inside + outside)
-            value, found = above(middle, x)
-            inside, outside = (inside, middle) if value > 0.0 else (middle, outside)
-        ends.append(outside)
+        inside, outside, x = estimate.delay, limit, estimate.x
+        at = float(np.clip(estimate.delay + sign * width, low[0], high[0]))
+        for _ in range(MOST_TRIES):
+            value, found = risen(at, x)
+            if value < wanted:
+                inside, x = at, found
+            else:
+                outside = at
+            if abs(value - wanted) < NEAR * wanted or inside == limit:
+                break
+            near = estimate.delay + (at - estimate.delay) * wanted / max(value, 0.3 * wanted)
+            within = min(inside, outside) < near < max(inside, outside)
+            at = near if within else (limit if outside == limit else 0.5 * (inside + outside))
+        ends.append(at)
     return ends[0], ends[1]

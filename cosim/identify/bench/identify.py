@@ -21,6 +21,8 @@ LEAST_LEVELS = 3  # of the command, from which on a curve can be told from a str
 APART = 3.29  # standard deviations by which logs of one engine may differ: p = 0.001
 LONG_RANGE = 100.5  # up to which a throttle without a unit is taken for percent
 UNIT_RANGE = 1.05  # and up to which for a share of full throttle
+ENOUGH_ROWS = 5000  # of all logs; more are averaged where they are fine enough
+SHORT = 0.02  # of delay and lags together: over so long rows may be averaged
 CLEAR = 10.0  # by which Schwarz' criterion has to fall for a zero that drifts
 POOR_PREDICTION = 1.5  # times the residual of what was fitted, above which the part held back is ill explained
 
@@ -127,6 +129,7 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     parts = [make_part(record, limits, straight) for record in records]
     problem = Problem(parts, _longest(records, choices.longest_delay))
     base = fit(problem, Form())
+    problem, base = _average(problem, base)
     _check_answer(problem, base, where)
     estimates = _choose(problem, base, records)
     drifting = Problem(problem.parts, problem.longest_delay, True)
@@ -206,6 +209,18 @@ def is_straight(records: Sequence[BenchRecord], between: str, notes: list[str]) 
             f"delay is {half:.3g} ms less (--between held)"
         )
     return straight
+
+
+def _average(problem: Problem, base: Estimate) -> tuple[Problem, Estimate]:
+    """Return logs whose rows are far finer than the answer with fewer rows, and the fit of them.
+
+    The model is averaged as the rows are, and over so short a part of delay and lags nothing is lost.
+    """
+    if len(problem.output) <= ENOUGH_ROWS:
+        return problem, base
+    parts = [part.averaged(SHORT * base.total[0]) for part in problem.parts]
+    fewer = Problem(parts, problem.longest_delay, problem.drift)
+    return fewer, fit(fewer, Form(), base)
 
 
 def _check_answer(problem: Problem, base: Estimate, where: str) -> None:

@@ -17,7 +17,7 @@ from cosim.identify.logs.flight_log import Channel, FlightLog, unit_of
 from cosim.identify.logs.read import read_flight_log
 
 LEAST_ROWS = 20  # with fewer no noise is told from an answer
-MOST_ROWS = 20_000  # more are averaged, which costs nothing where lags are long
+MOST_ROWS = 10_000  # more are averaged
 COMMANDS = (r"throttle", r"pla\b", r"set.?point|demand|target", r"command|cmd", r"pwm|servo")  # the likeliest first
 OUTPUTS = (r"thrust|schub|pouss", r"force|load", r"rpm|speed|\bn1\b|\bn\b")
 NO_OUTPUT = r"clip|flag|set.?point|demand|target|command|cmd|throttle|pump|air.?speed"
@@ -57,6 +57,7 @@ class BenchRecord:
     step: float  # s from row to row
     lost_fraction: float
     notes: tuple[str, ...] = ()
+    width: float = 0.0  # s, over which each row of the output is a mean
 
     @property
     def newtons(self) -> float | None:
@@ -164,11 +165,18 @@ def _clean(
     longest = float(np.diff(times).max())
     if longest > LONGEST_GAP * step:
         notes.append(f"{output_name}: {100.0 * lost:.2g} % of the rows are missing, up to {longest:.3g} s at a time")
-    times, values = _average(times, values)
+    width, rows = 0.0, len(times)
+    if (many := -(-rows // MOST_ROWS)) > 1:
+        times, values = average_rows(times, values, step, many)
+        step = width = many * step
+        notes.append(
+            f"{output_name}: {rows} rows are averaged over {many} each, {1e3 * width:.3g} ms; {len(times)} are left. "
+            "The model is averaged alike, so that moves no delay"
+        )
     unit = unit_of(output_name, measured.unit)
     return BenchRecord(
         path, command_name, output_name, unit_of(command_name, given.unit), unit,
-        *commands, times, values, float(np.median(np.diff(times))), lost, tuple(notes),
+        *commands, times, values, step, lost, tuple(notes), width,
     )  # fmt: skip
 
 
@@ -190,13 +198,17 @@ def _at_the_stop(values: Array) -> NDArray[np.bool_]:
     return at
 
 
-def _average(times: Array, values: Array) -> tuple[Array, Array]:
-    """Return means over as many rows as bring their count below what is fitted at once."""
-    many = -(-len(times) // MOST_ROWS)
-    if many < 2:
-        return times, values
-    whole = len(times) // many * many
-    return times[:whole].reshape(-1, many).mean(axis=1), values[:whole].reshape(-1, many).mean(axis=1)
+def average_rows(times: Array, values: Array, step: float, many: int) -> tuple[Array, Array]:
+    """Return the means of times [s] and values over so many rows each, none of them across a gap in the rows.
+
+    ``step`` [s] is that from row to row.  Rows that are left before a gap or the end are fewer than ``many``, and left
+    out: each mean has the same noise.
+    """
+    gaps = np.flatnonzero(np.diff(times) > LONGEST_GAP * step) + 1
+    length = np.diff([0, *gaps, len(times)])
+    place = np.arange(len(times)) - np.repeat(np.concatenate([[0], gaps]), length)
+    whole = place < np.repeat(length // many * many, length)
+    return times[whole].reshape(-1, many).mean(axis=1), values[whole].reshape(-1, many).mean(axis=1)
 
 
 def find_levels(record: BenchRecord) -> Mapping[float, float]:
