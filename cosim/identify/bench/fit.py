@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.identify.bench.command import LARGEST_RATIO, Command, make_command, thin
 from cosim.identify.bench.record import BenchRecord, average_rows
+from cosim.identify.bench.robust import invert, memory_rows, robust_factor
 
 CHI2_95 = 3.841458820694124  # one parameter: by how much the deviance rises to the end of a 95 % bound
 EXPONENTS = (0.2, 6.0)
@@ -24,7 +25,6 @@ COARSE_ROWS = 1500  # of all logs, in the search for where to begin
 COARSE_LAGS, COARSE_DELAYS = 12, 40
 STARTS = 3
 SAME_MEMORY = 1e-3  # by which another round may change the memory of the noise
-MEMORY_TOLD = 2.0  # standard errors of an autocorrelation up to which it is nothing
 MOST_TRIES = 12  # to find the end of a bound
 LARGEST_BEGUN = 0.9  # ratio of two lags, to begin with: the search does not leave its end easily
 NEAR = 0.01  # of its distance, to which it is found
@@ -374,12 +374,6 @@ def _estimate(problem: Problem, form: Form, x: Array, memory: float) -> Estimate
     )  # fmt: skip
 
 
-def invert(matrix: Array) -> Array:
-    """Return the inverse of normal equations whose columns are of very different size."""
-    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.asarray(np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-13, hermitian=True) / np.outer(size, size))
-
-
 def _slopes(problem: Problem, form: Form, x: Array, linear: Array, which: NDArray[Any]) -> Array:
     """Return by how much the model changes with these of the parameters, a column each."""
     low, high = problem.limits(form)
@@ -392,34 +386,6 @@ def _slopes(problem: Problem, form: Form, x: Array, linear: Array, which: NDArra
         change = problem.regressors(form, above) @ linear - problem.regressors(form, below) @ linear
         columns.append(change / (above[i] - below[i]))
     return np.column_stack(columns)
-
-
-def memory_rows(white: Array) -> int:
-    """Return over how many rows residuals that should be white still remember themselves."""
-    rows = len(white)
-    least = MEMORY_TOLD / np.sqrt(rows)
-    power = float(white @ white)
-    longest = 0
-    for lag in range(1, max(2, rows // 20)):
-        if lag > longest + 20:
-            break
-        if abs(float(white[lag:] @ white[:-lag])) > least * power:
-            longest = lag
-    return longest
-
-
-def robust_factor(jacobian: Array, white: Array, covariance: Array, memory: int) -> Array:
-    """Return by how much what the residuals really do widens each deviation, at least 1 (Newey and West, 1987)."""
-    if memory == 0:
-        return np.ones(len(covariance))
-    scores = jacobian * white[:, None]
-    spread = scores.T @ scores
-    for lag in range(1, 2 * memory + 1):
-        part = (1.0 - lag / (2.0 * memory + 1.0)) * (scores[lag:].T @ scores[:-lag])
-        spread += part + part.T
-    inverse = invert(jacobian.T @ jacobian)
-    robust = np.diag(inverse @ spread @ inverse)
-    return np.asarray(np.sqrt(np.maximum(robust / np.maximum(np.diag(covariance), 1e-300), 1.0)))
 
 
 def plain_factor(problem: Problem, estimate: Estimate) -> float:

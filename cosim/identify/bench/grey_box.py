@@ -13,8 +13,9 @@ from cosim.base.errors import EngineError, InputError, NotIdentifiedError, neare
 from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.engine.fmu.variables import Variable
 from cosim.identify.bench.evidence import Misfit, first_half, test_residuals
-from cosim.identify.bench.fit import Part, Problem, invert, memory_rows, robust_factor
+from cosim.identify.bench.fit import Part, Problem
 from cosim.identify.bench.record import BenchRecord
+from cosim.identify.bench.robust import invert, memory_rows, robust_factor
 from cosim.identify.engine_file import DEVIATIONS_95
 
 STEP_S = 0.004  # of the simulation, in which a command is the mean of what it is
@@ -199,7 +200,7 @@ def _model(records: Sequence[BenchRecord], choices: GreyChoices) -> tuple[_Model
     low, high = (0.0, {"krpm": 1e-3}.get(first.command_unit, 1.0)) if by_speed else choices.limits
     parts = [
         Part(record.command_times, (record.command - low) / (high - low), record.times, unit * record.output,
-             record.step, choices.straight)
+             record.step, choices.straight, record.width)
         for record in records
     ]  # fmt: skip
     spec = load_engine(choices.engine, dict(choices.settings), STEP_S)

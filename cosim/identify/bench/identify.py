@@ -18,11 +18,12 @@ from cosim.identify.bench.record import BenchRecord
 LONGEST_DELAY_S = 2.0
 LEAST_DEVIANCE_FALL = 30.0  # that the command is worth, as of a flight's log
 LEAST_LEVELS = 3  # of the command, from which on a curve can be told from a straight line
+DEVIATIONS_95 = 1.96
 APART = 3.29  # standard deviations by which logs of one engine may differ: p = 0.001
 LONG_RANGE = 100.5  # up to which a throttle without a unit is taken for percent
 UNIT_RANGE = 1.05  # and up to which for a share of full throttle
-ENOUGH_ROWS = 5000  # of all logs; more are averaged where they are fine enough
-SHORT = 0.02  # of delay and lags together: over so long rows may be averaged
+ENOUGH_ROWS = 4000  # of all logs; more are averaged where they are fine enough
+SHORT = 0.04  # of delay and lags together: over so long rows may be averaged
 CLEAR = 10.0  # by which Schwarz' criterion has to fall for a zero that drifts
 POOR_PREDICTION = 1.5  # times the residual of what was fitted, above which the part held back is ill explained
 
@@ -138,8 +139,9 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
         problem, estimates = drifting, _choose(drifting, fit(drifting, Form(), base), records)
         rates = ", ".join(f"{value:.3g}" for value in estimates[0].drifts)
         notes.append(f"the zero drifts, {rates} a second; taken out")
-    chosen = replace(estimates[0], delay_bounds=_delay_bounds(problem, estimates))
-    estimates = (chosen, *estimates[1:])
+    estimates = (replace(estimates[0], delay_bounds=_delay_bounds(problem, estimates)), *estimates[1:])
+    estimates = tuple(_widen(problem, one, max(record.clock_deviation for record in records)) for one in estimates)
+    chosen = estimates[0]
     spread, doubts = _compare_logs(problem, chosen, records)
     misfit = test_residuals(problem.parts, problem.residual(chosen), chosen.delay, chosen.total[0])
     held_back = predict_held_back(problem, chosen)
@@ -253,6 +255,20 @@ def _delay_bounds(problem: Problem, estimates: Sequence[Estimate]) -> tuple[floa
     """Return bounds of the delay, s, by the form with two lags, which contains that with one: no log refutes it."""
     curve = estimates[0].form.curve
     return bound_delay(problem, next(one for one in estimates if one.form == Form(2, curve)))
+
+
+def _widen(problem: Problem, estimate: Estimate, deviation: float) -> Estimate:
+    """Return an estimate whose delay is as uncertain as the alignment [s] of two clocks makes it."""
+    if deviation == 0.0:
+        return estimate
+    low, high = float(problem.limits(estimate.form)[0][0]), problem.longest_delay
+    wide = min(deviation, high - low)
+    covariance = estimate.covariance.copy()
+    covariance[0, 0] += wide**2
+    half = DEVIATIONS_95 * wide
+    below, above = (float(np.hypot(estimate.delay - end, half)) for end in estimate.delay_bounds)
+    bounds = max(estimate.delay - below, low), min(estimate.delay + above, high)
+    return replace(estimate, covariance=covariance, delay_bounds=(low, high) if np.isinf(deviation) else bounds)
 
 
 def _compare_logs(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -13,15 +13,27 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
+from cosim.identify.bench.clocks import align, align_by_command
+from cosim.identify.bench.running import find_running, find_speed
 from cosim.identify.logs.flight_log import Channel, FlightLog, unit_of
 from cosim.identify.logs.read import read_flight_log
 
 LEAST_ROWS = 20  # with fewer no noise is told from an answer
-MOST_ROWS = 10_000  # more are averaged
+MOST_ROWS = 20_000  # more are averaged
 COMMANDS = (r"throttle", r"pla\b", r"set.?point|demand|target", r"command|cmd", r"pwm|servo")  # the likeliest first
-OUTPUTS = (r"thrust|schub|pouss", r"force|load", r"rpm|speed|\bn1\b|\bn\b")
+OUTPUTS = (r"thrust|schub|pouss", r"force|load|^f\b", r"rpm|speed|\bn1\b|\bn\b")
 NO_OUTPUT = r"clip|flag|set.?point|demand|target|command|cmd|throttle|pump|air.?speed"
-NEWTONS = {"N": 1.0, "kN": 1e3, "mN": 1e-3, "kgf": 9.80665, "gf": 9.80665e-3, "lbf": 4.4482216152605}
+NEWTONS = {
+    "N": 1.0,
+    "kN": 1e3,
+    "mN": 1e-3,
+    "kgf": 9.80665,
+    "gf": 9.80665e-3,
+    "kg": 9.80665,
+    "g": 9.80665e-3,
+    "lbf": 4.4482216152605,
+}
+NEWTONS |= {"lb": NEWTONS["lbf"], "lbs": NEWTONS["lbf"]}  # of a thrust a kilogram or a pound is its weight
 CLIPPED = re.compile(r"(.*[_ ])?clip(ped|s)?", re.IGNORECASE)
 LEAST_CLIPPED = 5  # equal values in a row at the end of an output's range, where its noise repeats no other value
 NOISY = 0.5  # share of an output's values that differ from all others, from which on it is no row of a few levels
@@ -58,6 +70,7 @@ class BenchRecord:
     lost_fraction: float
     notes: tuple[str, ...] = ()
     width: float = 0.0  # s, over which each row of the output is a mean
+    clock_deviation: float = 0.0  # s, of the output's clock on the command's; infinite where nothing tells it
 
     @property
     def newtons(self) -> float | None:
@@ -66,8 +79,21 @@ class BenchRecord:
 
 
 def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[BenchRecord]:
-    """Read bench logs, one record a file.  Raises InputError: one line with file, column and what is allowed."""
-    records = [_read_record(path, columns or Columns()) for path in paths]
+    """Read bench logs: a record a file, or several where the engine was started more than once.
+
+    A file with an output and no command is the load cell's, on a clock of its own, of the file before it.  Raises
+    InputError: one line with file, column and what is allowed.
+    """
+    columns = columns or Columns()
+    logs = [read_flight_log(path, columns.time, columns.time_unit) for path in paths]
+    records: list[BenchRecord] = []
+    for n, log in enumerate(logs):
+        if len(logs) > 1 and _has_no_command(log, columns):
+            if n == 0:
+                raise InputError(f"{log.path}: has no command; put the file that has it before it")
+            continue
+        loads = [other for other in logs[n + 1 : n + 2] if _has_no_command(other, columns)]
+        records += _read_records(log, loads[0] if loads else None, columns)
     first = records[0]
     for other in records[1:]:
         if (other.output_unit, other.command_unit) != (first.output_unit, first.command_unit):
@@ -79,19 +105,58 @@ def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[
     return records
 
 
-def _read_record(path: Path, columns: Columns) -> BenchRecord:
-    log = read_flight_log(path, columns.time, columns.time_unit)
+def _has_no_command(log: FlightLog, columns: Columns) -> bool:
+    if columns.command is not None:
+        return not log.has(columns.command)
+    return not any(re.search(each, name.replace("_", " "), re.IGNORECASE) for each in COMMANDS for name in log.channels)
+
+
+def _read_records(log: FlightLog, load: FlightLog | None, columns: Columns) -> list[BenchRecord]:
+    """Return the records of a log, whose output is another's where a load cell has a clock of its own."""
     command_name = columns.command or _find(log, COMMANDS, "", "--command")
-    output_name = columns.output or _find(log, OUTPUTS, NO_OUTPUT, "--output")
-    notes = list(log.remarks)
+    source = log if load is None else load
+    output_name = columns.output or _find(source, OUTPUTS, NO_OUTPUT, "--output")
+    notes = list(log.remarks) + ([] if load is None else list(load.remarks))
     if columns.command is None or columns.output is None:
         notes.append(f"taken: {command_name} to {output_name}; --command and --output say otherwise")
-    command, output = log.signal(command_name, notes), log.signal(output_name, notes)
+    command, output = log.signal(command_name, notes), source.signal(output_name, notes)
     command = _cut(command, columns)
+    _check(log.path, command_name, command)
+    flagged, deviation = _flagged(source, columns if load is None else Columns()), 0.0
+    if load is not None:
+        clock, deviation = _lay_on(log, load, _cut(output, Columns()), flagged, command, columns, notes)
+        output, flagged = output._replace(times=clock(output.times)), clock(flagged)
     output = _cut(output, columns)
-    _check(path, command_name, command)
-    flagged = _flagged(log, columns)
-    return _clean(path, (command_name, command), (output_name, output), flagged, notes)
+    _check(source.path, output_name, output)
+    spans = find_running(log, command, output, notes)
+    moved = [span for span in spans if np.ptp(_between(command, *span).values) > 0.0] or spans[:1]
+    return [
+        _clean(source.path, (command_name, _between(command, *span)), (output_name, _between(output, *span)), flagged,
+               [*notes], deviation)
+        for span in moved
+    ]  # fmt: skip
+
+
+def _between(channel: Channel, begin: float, end: float) -> Channel:
+    use = (channel.times >= begin) & (channel.times <= end)
+    return channel._replace(times=channel.times[use], values=channel.values[use])
+
+
+def _lay_on(
+    log: FlightLog, load: FlightLog, output: Channel, flagged: Array, command: Channel, columns: Columns,
+    notes: list[str],
+) -> tuple[Callable[[Array], Array], float]:  # fmt: skip
+    """Return how to get from a load cell's clock to that of the command's log, and the deviation [s] of that."""
+    where = f"{log.path} and {load.path}"
+    use = ~np.isin(output.times, flagged) & ~_at_the_stop(output.values)
+    speed = find_speed(log)
+    if speed is not None:
+        found = align(speed.times, speed.values, output.times[use], output.values[use], where)
+        notes.append(found.words)
+        return found.on_the_other, found.shift_deviation
+    shift, words = align_by_command(command, output.times[use], output.values[use], where)
+    notes.append(words)
+    return lambda times: times + shift, np.inf
 
 
 def _find(log: FlightLog, patterns: Sequence[str], never: str, option: str) -> str:
@@ -134,8 +199,9 @@ def _flagged(log: FlightLog, columns: Columns) -> Array:
 
 
 def _clean(
-    path: Path, command: tuple[str, Channel], output: tuple[str, Channel], flagged: Array, notes: list[str]
-) -> BenchRecord:
+    path: Path, command: tuple[str, Channel], output: tuple[str, Channel], flagged: Array, notes: list[str],
+    clock_deviation: float,
+) -> BenchRecord:  # fmt: skip
     """Return a record without repeated frames and clipped rows, averaged where there are very many."""
     (command_name, given), (output_name, measured) = command, output
     _check(path, output_name, measured)
@@ -176,7 +242,7 @@ def _clean(
     unit = unit_of(output_name, measured.unit)
     return BenchRecord(
         path, command_name, output_name, unit_of(command_name, given.unit), unit,
-        *commands, times, values, step, lost, tuple(notes), width,
+        *commands, times, values, step, lost, tuple(notes), width, clock_deviation,
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from command_tools import Hexjet
 from known_benches import EXCITATIONS, Truth, bench_log
 from scipy.stats import binom
 
-from cosim.base.errors import NotIdentifiedError
+from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.engine import EngineBank, load_engine
 from cosim.identify.bench import BenchIdentification, Choices, Columns, identify_bench, read_records
 
@@ -48,9 +48,69 @@ def test_delay_and_lag_come_out_of_every_excitation(tmp_path: Path, kind: str, r
 
 
 def test_a_load_cell_at_a_kilohertz_tells_the_delay_to_a_millisecond(tmp_path: Path) -> None:
-    result = found(tmp_path, "stairs of 5 s", 1000.0, seconds=20.0)
+    result = found(tmp_path, "stairs of 5 s", 1000.0, seconds=15.0)
     assert result.chosen.delay == pytest.approx(0.1, abs=0.001)
     assert result.records[0].step == pytest.approx(0.001, rel=1e-6)
+    assert not any("averaged" in note for note in result.notes)
+
+
+def test_rows_of_a_kilohertz_are_averaged_and_the_delay_stays_where_it_is(tmp_path: Path) -> None:
+    """100,000 rows in two parts: means of 5 rows, none across the gap, and a delay that is no multiple of anything."""
+    times, command, thrust, _ = bench_log("stairs of 2 s", 1000.0, Truth(delay=0.1037), seconds=100.0, noise=0.2)
+    keep = (times < 40.0005) | (times > 41.2)
+    path = write(tmp_path / "cell.csv", command[keep], thrust[keep], times[keep])
+    record = read_records([path])[0]
+    assert record.width == pytest.approx(0.005)
+    assert not ((record.times > 39.9985) & (record.times < 41.2025)).any()
+    assert any("98800 rows are averaged over 5 each, 5 ms; 197" in note for note in record.notes)
+    chosen = identify_bench([record]).chosen
+    assert chosen.delay == pytest.approx(0.1037, abs=0.0005)
+    assert chosen.delay_bounds[0] <= 0.1037 <= chosen.delay_bounds[1]
+
+
+def two_files(folder: Path, drift: float = 0.0, speed: bool = True) -> list[Path]:
+    """An ECU's telemetry at 10 Hz and a load cell at 200 Hz on a clock of its own, 37 s ahead, that drifts."""
+    times, command, thrust, _ = bench_log("stairs of 5 s", 200.0, noise=0.0, seconds=120.0)
+    rows = np.arange(0, len(times), 20)
+    rpm = 33000.0 + 650.0 * (thrust - 5.0)
+    rng = np.random.default_rng(3)
+    columns = [times, command, *([rpm + 30.0 * rng.standard_normal(len(times))] if speed else [])]
+    head = "time_s,throttle" + (",rpm" if speed else "")
+    np.savetxt(folder / "ecu.csv", np.column_stack(columns)[rows], "%.9g", ",", header=head, comments="")
+    measured = 200.0 * (rpm / 1e5) ** 3 + 0.3 * rng.standard_normal(len(times))
+    np.savetxt(folder / "cell.csv", np.column_stack([(1.0 + drift) * times + 37.0, measured]), "%.9g", ",",
+               header="t [s],F (N)", comments="")  # fmt: skip
+    return [folder / "ecu.csv", folder / "cell.csv"]
+
+
+@pytest.mark.parametrize("drift", [0.0, 3e-3])
+def test_two_clocks_are_laid_over_each_other_and_their_error_is_the_delays(tmp_path: Path, drift: float) -> None:
+    record = read_records(two_files(tmp_path, drift))[0]
+    assert record.output_name == "F (N)"
+    assert record.times[0] == pytest.approx(0.0, abs=0.02)
+    assert record.times[-1] == pytest.approx(119.9, abs=0.02)
+    assert 0.025 < record.clock_deviation < 0.05  # a row of 100 ms, over the root of 12
+    assert "A shift between clocks is the same thing as a delay" in " ".join(record.notes)
+    low, high = identify_bench([record]).chosen.delay_bounds
+    assert low <= 0.1 <= high
+    assert high - low >= 3.5 * record.clock_deviation
+
+
+def test_two_clocks_that_nothing_joins_do_not_tell_the_delay(tmp_path: Path) -> None:
+    result = identify_bench(read_records(two_files(tmp_path, speed=False)))
+    assert result.chosen.delay_bounds == (0.0, 2.0)
+    assert any("the delay is not told at all" in note for note in result.notes)
+    assert any(line.startswith("the delay: anything from 0 to 2000 ms") for line in result.untold)
+    assert sum(result.chosen.lags) == pytest.approx(0.4, abs=0.1)
+
+
+def test_files_of_two_runs_are_no_pair(tmp_path: Path) -> None:
+    paths = two_files(tmp_path)
+    times = np.arange(0.0, 60.0, 0.01)
+    np.savetxt(paths[1], np.column_stack([times, 50 + 30 * np.sin(times**2 / 20)]), "%.9g", ",", header="t,F (N)",
+               comments="")  # fmt: skip
+    with pytest.raises(InputError, match="cannot be laid over each other"):
+        read_records(paths)
 
 
 @pytest.mark.parametrize("kind", ["step", "stairs of 5 s", "prbs", "chirp"])

@@ -1,0 +1,177 @@
+"""Two clocks of one bench: the load cell's laid on the engine controller's, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.identify.bench.command import make_command
+from cosim.identify.bench.robust import memory_rows, robust_factor
+from cosim.identify.logs.flight_log import Channel
+
+GRID_S = 0.1  # of the first search
+FASTEST_DRIFT = 0.02  # of one clock against the other, that is looked for
+FINE_S = 0.02  # to which a faster output is averaged
+LEAST_OVERLAP = 0.5  # of the shorter log, at any shift that is tried
+MOST_DRIFTS = 81
+SAME = 0.002  # of a correlation: shifts that are so near to the best are as good
+DEGREE = 3  # of the static curve's polynomial
+LEAST_EXPLAINED = 0.8  # of the output's variance, by the speed: with less there is nothing to align
+DEVIATIONS_95 = 1.96
+LEAST_S = 5.0  # of a log whose clock is to be told
+LAGS_S = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # of an output behind its command, that are tried
+ROOM_S = 0.2  # of delay, where nothing tells it
+
+
+class Alignment(NamedTuple):
+    """From the output's clock to the command's: ``time + shift + drift (time - middle)``, with deviations."""
+
+    shift: float  # s
+    drift: float  # s a second
+    middle: float  # s, of the output's clock, at which the shift holds
+    shift_deviation: float  # s, the row of the slower log included
+    drift_deviation: float
+    explained: float  # share of the output's variance
+
+    def on_the_other(self, times: Array) -> Array:
+        """Return times of the output [s] on the command's clock."""
+        return np.asarray(times + self.shift + self.drift * (times - self.middle))
+
+    @property
+    def words(self) -> str:
+        """What is to be said of it."""
+        drift = f"drifts by {1e6 * self.drift:.0f} ±{1e6 * DEVIATIONS_95 * self.drift_deviation:.2g} ppm"
+        return (
+            f"two clocks: the output's is {self.shift:+.3f} s off at its {self.middle:.0f} s, "
+            f"±{1e3 * DEVIATIONS_95 * self.shift_deviation:.2g} ms (95 %), and {drift}; laid over each other by the "
+            "speed, which the output is taken to follow at once.  A shift between clocks is the same thing as a delay: "
+            "the delay cannot be told better than that, and what output lags behind speed is not in it"
+        )
+
+
+def align(speed_times: Array, speed: Array, times: Array, output: Array, where: str) -> Alignment:
+    """Return how the output's clock lies on that of a speed which the output follows by a static curve.
+
+    Times in s.  Raises InputError where the two do not show the same movements.
+    """
+    if not np.ptp(speed) > 0.0 or np.ptp(speed_times) < LEAST_S or np.ptp(times) < LEAST_S:
+        raise InputError(f"{where}: the clocks of two files are told by movements, and there are none")
+    row = float(np.median(np.diff(speed_times)))
+    times, output = _averaged(times, output, min(FINE_S, row))
+    share = (speed - speed.min()) / np.ptp(speed)
+    middle = 0.5 * float(times[0] + times[-1])
+    span = float(times[-1] - times[0])
+    steps = min(MOST_DRIFTS // 2, int(FASTEST_DRIFT * span / 2.0 / GRID_S))
+    drifts = np.linspace(-FASTEST_DRIFT, FASTEST_DRIFT, 2 * steps + 1) if steps else (0.0,)
+    start = _search(speed_times, share, times, output, middle, drifts)[0]
+    shift, drift, deviations, explained = _refine(speed_times, share, times, output, middle, start)
+    if explained < LEAST_EXPLAINED:
+        raise InputError(
+            f"{where}: the clocks of the two files cannot be laid over each other: at best the speed explains "
+            f"{100.0 * explained:.0f} % of the output; another engine, another run, or no movement in common"
+        )
+    return Alignment(shift, drift, middle, float(np.hypot(deviations[0], row / 12.0**0.5)), deviations[1], explained)
+
+
+def align_by_command(command: Channel, times: Array, output: Array, where: str) -> tuple[float, str]:
+    """Return the shift [s] that lays an output on the clock of its command, and what is to be said of it.
+
+    Nothing else is in both files, so the delay is not told: the shift is one at which it is about ``ROOM_S``.
+    """
+    if not np.ptp(command.values) > 0.0 or np.ptp(times) < LEAST_S:
+        raise InputError(f"{where}: the clocks of two files are told by movements, and there are none")
+    times, output = _averaged(times, output, FINE_S)
+    best, shift = -1.0, 0.0
+    for lag in LAGS_S:
+        answer = make_command(command.times, command.values, False).lagged(lag, command.times)
+        found, alike = _search(command.times, answer, times, output, 0.0, (0.0,), 1)
+        if alike > best:
+            best, shift = alike, found[0]
+    if best**2 < LEAST_EXPLAINED:
+        raise InputError(
+            f"{where}: the clocks of the two files cannot be laid over each other: at best the command explains "
+            f"{100.0 * best**2:.0f} % of the output; another engine, another run, or no movement in common"
+        )
+    return shift + ROOM_S, (
+        "two clocks, and nothing that both files have: a shift between clocks is the same thing as a delay, so the "
+        "delay is not told at all, and its bounds are all that was looked for.  Log the speed with the command: it "
+        "tells the clocks apart; or both on one clock"
+    )
+
+
+def _averaged(times: Array, values: Array, seconds: float) -> tuple[Array, Array]:
+    cell = np.floor((times - times[0]) / seconds).astype(np.int64)
+    count = np.bincount(cell)
+    full = count > 0
+    return np.bincount(cell, times)[full] / count[full], np.bincount(cell, values)[full] / count[full]
+
+
+def _search(
+    known_times: Array, known_values: Array, times: Array, output: Array, middle: float, drifts: Iterable[float],
+    degree: int = DEGREE,
+) -> tuple[tuple[float, float], float]:  # fmt: skip
+    """Return the shift and drift at which a power of a signal and the output are most alike, and their correlation."""
+    from scipy.signal import fftconvolve
+
+    at = np.arange(known_times[0], known_times[-1], GRID_S)
+    known = np.interp(at, known_times, known_values) ** degree
+    best, found = -1.0, (0.0, 0.0)
+    for drift in drifts:
+        own = times + drift * (times - middle)
+        grid = np.arange(own[0], own[-1], GRID_S)
+        moved = np.interp(grid, own, output)
+        ones = [np.ones(len(known)), np.ones(len(moved))]
+        count, a, b, aa, bb, ab = (
+            fftconvolve(x, y[::-1])
+            for x, y in (
+                (ones[0], ones[1]), (known, ones[1]), (ones[0], moved), (known**2, ones[1]), (ones[0], moved**2),
+                (known, moved),
+            )
+        )  # fmt: skip
+        enough = count > LEAST_OVERLAP * min(len(known), len(moved))
+        n = np.maximum(count, 1.0)
+        power = np.maximum(aa - a * a / n, 1e-9 * aa.max()) * np.maximum(bb - b * b / n, 1e-9 * bb.max())
+        alike = np.where(enough, (ab - a * b / n) / np.sqrt(power), -1.0)
+        near = np.flatnonzero(alike > alike.max() - SAME)  # of movements that repeat, the greatest overlap
+        k = int(near[np.argmax(count[near])])
+        if alike[k] > best:
+            best, found = float(alike[k]), (float(at[0] - grid[0] + (k - len(moved) + 1) * GRID_S), float(drift))
+    return found, best
+
+
+def _refine(
+    speed_times: Array, share: Array, times: Array, output: Array, middle: float, start: tuple[float, float]
+) -> tuple[float, float, tuple[float, float], float]:
+    """Return shift and drift by least squares, their deviations, and the share of the output that is explained."""
+    from scipy.optimize import least_squares
+
+    length = 0.5 * float(times[-1] - times[0])
+    own = times + start[0] + start[1] * (times - middle)
+    margin = 2.0 + FASTEST_DRIFT * length
+    use = (own > speed_times[0] + margin) & (own < speed_times[-1] - margin)
+    use = use if use.sum() > 0.3 * len(use) else (own > speed_times[0]) & (own < speed_times[-1])
+    times, output = times[use], output[use]
+
+    def columns(x: Array) -> Array:
+        at = times + x[0] + x[1] * (times - middle) / length
+        v = np.interp(at, speed_times, share)
+        return np.column_stack([v**n for n in range(DEGREE + 1)])
+
+    def left(x: Array) -> Array:
+        basis = np.linalg.qr(columns(x))[0]
+        return np.asarray(output - basis @ (basis.T @ output))
+
+    answer = least_squares(left, [start[0], start[1] * length], x_scale=GRID_S, diff_step=1e-2)
+    x, h = answer.x, 0.01
+    white = left(x)
+    slopes = [(left(x + h * e) - left(x - h * e)) / (2.0 * h) for e in np.eye(2)]
+    jacobian = np.column_stack([*slopes, columns(x)])
+    covariance = float(white @ white) / len(white) * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    wider = robust_factor(jacobian, white, covariance, memory_rows(white))
+    deviation = np.sqrt(np.diag(covariance)) * wider
+    explained = 1.0 - float(np.var(white) / max(np.var(output), 1e-300))
+    return float(x[0]), float(x[1]) / length, (float(deviation[0]), float(deviation[1]) / length), explained

@@ -1,0 +1,99 @@
+"""The seconds of a bench log in which the engine runs: without its start, its stop, and the time that it is off."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array
+from cosim.identify.logs.flight_log import Channel, FlightLog, unit_of
+
+SPEEDS = r"\b(rpm|n1?|speed)\b"
+NO_SPEED = r"set.?point|demand|target|command|cmd|air.?speed|wind|pump"
+STATES = re.compile(r"(.*[_ ])?(state|status|ecu[_ ]state)", re.IGNORECASE)
+MOST_STATES = 40  # different values of a column that is called so
+OFF = 0.15  # of the greatest speed, below which the engine is off: jets idle above a fifth
+STANDING = 0.015  # of the greatest speed, by which it may change while it stands
+STANDING_S = 3.0  # for which it has to stand, to be started
+SHORTEST_S = 5.0  # of a stretch that is worth keeping
+
+
+def find_running(log: FlightLog, command: Channel, output: Channel, notes: list[str]) -> list[tuple[float, float]]:
+    """Return the stretches, s, in which the engine of this log is started and runs; what is left out ``notes`` say.
+
+    By its speed, where the log has one: below 0.15 of the greatest it is off; a start ends where it stands for 3 s
+    for the first time, a stop begins where it stood for the last.  By a column ``state`` too, where there is one: the
+    state in which the engine turned most is the one in which it runs.
+    """
+    begin, end = float(max(command.times[0], output.times[0])), float(min(command.times[-1], output.times[-1]))
+    speed = find_speed(log)
+    if speed is None or not end > begin:
+        return [(begin, end)]
+    times, values = speed.times, np.abs(speed.values)
+    use = (times >= begin) & (times <= end)
+    times, values = times[use], values[use]
+    off = values < OFF * values.max(initial=0.0)
+    if len(times) < 2 or not off.any() or off.all():
+        return [(begin, end)]
+    running = ~off & _started(times, values, off) & _in_state(log, times, values)
+    spans = [span for span in _spans(times, running) if span[1] - span[0] > SHORTEST_S]
+    if not spans:
+        return [(begin, end)]
+    kept = [(begin if low == times[0] else low, end if high == times[-1] else high) for low, high in spans]
+    gone = zip([begin, *(high for _, high in kept)], [*(low for low, _ in kept), end], strict=True)
+    words = ", ".join(f"{low:.1f} to {high:.1f} s" for low, high in gone if high > low)
+    if words:
+        notes.append(f"off, start or stop of the engine: {words}; left out")
+    return kept
+
+
+def find_speed(log: FlightLog) -> Channel | None:
+    """Return the engine's speed, where exactly one channel is called so, without rows that are no numbers."""
+    found = [
+        channel
+        for name, channel in log.channels.items()
+        if re.search(SPEEDS, name.replace("_", " "), re.IGNORECASE) and not re.search(NO_SPEED, name, re.IGNORECASE)
+        and unit_of(name, channel.unit) in ("rpm", "krpm", "")
+    ]  # fmt: skip
+    if len(found) != 1:
+        return None
+    good = np.isfinite(found[0].times) & np.isfinite(found[0].values)
+    return found[0]._replace(times=found[0].times[good], values=found[0].values[good])
+
+
+def _started(times: Array, values: Array, off: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which rows lie neither in a start, until the speed first stands, nor in a stop, since it last stood."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    rows = max(2, round(STANDING_S / float(np.median(np.diff(times)))))
+    change = maximum_filter1d(values, rows) - minimum_filter1d(values, rows)
+    stands = (change < STANDING * values.max()) & ~off
+    kept = np.zeros(len(times), bool)
+    edges = np.flatnonzero(np.diff(off.astype(np.int8), prepend=1, append=1))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        standing = np.flatnonzero(stands[first:last]) + first
+        if standing.size:
+            kept[(first if first == 0 else standing[0]) : (last if last == len(times) else standing[-1] + 1)] = True
+    return kept
+
+
+def _in_state(log: FlightLog, times: Array, values: Array) -> NDArray[np.bool_]:
+    """Return which rows are in the state in which the engine turned most; all, where no column says a state."""
+    states = [channel for name, channel in log.channels.items() if STATES.fullmatch(name)]
+    if len(states) != 1:
+        return np.ones(len(times), bool)
+    good = np.isfinite(states[0].times) & np.isfinite(states[0].values)
+    row = np.searchsorted(states[0].times[good], times, side="right") - 1
+    state = states[0].values[good][np.maximum(row, 0)]
+    known = np.unique(state)
+    if len(known) > MOST_STATES:
+        return np.ones(len(times), bool)
+    turned = [float(values[state == one].sum()) for one in known]
+    return np.asarray(state == known[int(np.argmax(turned))])
+
+
+def _spans(times: Array, use: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    edges = np.flatnonzero(np.diff(use.astype(np.int8), prepend=0, append=0))
+    return [(float(times[a]), float(times[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
