@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from known_benches import excite
+from known_benches import EXCITATIONS, excite
 from scipy.signal import lfilter
 
 GRID_S = 0.001  # of the integration; between its points a command is the mean of what it is
@@ -29,7 +29,7 @@ class Bench:
 def run(kind, excitation, rate, seed, noise=0.5, seconds=60.0):
     """Return the log of an engine of this kind under this excitation, with noise [N] of this seed."""
     times, command, straight = excite(excitation, rate, seconds, seed)
-    rng = np.random.default_rng([seed, KINDS.index(kind), int(rate)])
+    rng = np.random.default_rng([seed, KINDS.index(kind), EXCITATIONS.index(excitation), int(rate)])
     grid = np.arange(-1.0, times[-1] + 1.0 / rate, GRID_S)
     seen, delays = _seen(kind, grid, times, command, straight, rng)
     thrust = np.interp(times, grid, _answer(kind, seen))

@@ -173,5 +173,5 @@ def _refine(
     covariance = float(white @ white) / len(white) * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
     wider = robust_factor(jacobian, white, covariance, memory_rows(white))
     deviation = np.sqrt(np.diag(covariance)) * wider
-    explained = 1.0 - float(np.var(white) / max(np.var(output), 1e-300))
+    explained = 1.0 - float(np.var(white)) / max(float(np.var(output)), 1e-300)
     return float(x[0]), float(x[1]) / length, (float(deviation[0]), float(deviation[1]) / length), explained
