@@ -11,6 +11,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.identify.bench.command import make_command
 from cosim.identify.bench.robust import memory_rows, robust_factor
+from cosim.identify.engine_file import DEVIATIONS_95
 from cosim.identify.logs.flight_log import Channel
 
 GRID_S = 0.1  # of the first search
@@ -21,7 +22,6 @@ MOST_DRIFTS = 81
 SAME = 0.002  # of a correlation: shifts that are so near to the best are as good
 DEGREE = 3  # of the static curve's polynomial
 LEAST_EXPLAINED = 0.8  # of the output's variance, by the speed: with less there is nothing to align
-DEVIATIONS_95 = 1.96
 LEAST_S = 5.0  # of a log whose clock is to be told
 LAGS_S = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # of an output behind its command, that are tried
 ROOM_S = 0.2  # of delay, where nothing tells it

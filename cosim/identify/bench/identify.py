@@ -18,7 +18,6 @@ from cosim.identify.bench.record import BenchRecord
 LONGEST_DELAY_S = 2.0
 LEAST_DEVIANCE_FALL = 30.0  # that the command is worth, as of a flight's log
 LEAST_LEVELS = 3  # of the command, from which on a curve can be told from a straight line
-DEVIATIONS_95 = 1.96
 APART = 3.29  # standard deviations by which logs of one engine may differ: p = 0.001
 LONG_RANGE = 100.5  # up to which a throttle without a unit is taken for percent
 UNIT_RANGE = 1.05  # and up to which for a share of full throttle
