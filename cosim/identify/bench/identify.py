@@ -14,6 +14,7 @@ from cosim.identify.bench.evidence import Misfit, predict_held_back, test_residu
 from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, make_part
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
+from cosim.identify.engine_file import DEVIATIONS_95
 
 LONGEST_DELAY_S = 2.0
 LEAST_DEVIANCE_FALL = 30.0  # that the command is worth, as of a flight's log
