@@ -72,6 +72,7 @@ def replay(options: Replayed) -> int:
     from cosim.identify.replay.page import write
     from cosim.results.run import SCENARIO
 
+    options.check_out("replay.json", "replay.csv", "report.html")
     offer_to_compile(*options.engines)
     with output_to_stderr(options.as_json), part_progress("replay", quiet=options.as_json) as tell:
         log = read_flight_log(options.log, options.time_column, options.time_unit)

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.signals import AXES
 from cosim.base.storage.files import write_files
 from cosim.identify.replay.replay import EXPLAINED, NOT_EXPLAINED, Replay
 from cosim.identify.replay.windows import CHANNELS
@@ -36,7 +37,7 @@ def write(result: Replay, folder: Path) -> dict[str, Path]:
         TEMPLATE,
         paths["report"],
         figures(result),
-        Flights("replay", _flights(result), {}),
+        Flights("replay", runs, {}) if (runs := _flights(result)) else None,
         result=result,
         badge=_BADGES.get(result.verdict, "none"),
         channels=channel_rows(result),
@@ -166,31 +167,34 @@ def _ratio(result: Replay) -> Figure:
 
 
 def _flights(result: Replay) -> list[tuple[dict[str, Any], dict[str, str]]]:
-    """Return the recorded and the modelled motion for the replay in three dimensions, in the windows."""
+    """Return the recorded and the modelled motion for the replay in three dimensions; without windows the recorded."""
     flying, flown = result.flying, result.flown
     flight = flying.flight
+    if not flight.has_angles:
+        return []
     inside = np.zeros(len(flight.times), bool)
     inside[flying.rows.ravel()] = True
-    first, last = flying.windows[0].first, flying.windows[-1].last + 1
-    rows = slice(first, last)
+    rows = slice(flying.windows[0].first, flying.windows[-1].last + 1)
     described = {column.name: column for column in COLUMNS}
-    shared = {TIME: flight.times[rows] - flight.times[first], "altitude_m": _place(flight.altitude)[rows]}
-    logs = []
+    height = np.nan_to_num(flight.altitude)
+    still = np.zeros_like(height)
+    shared = {
+        TIME: flight.times - flight.times[rows.start],
+        "north_m": still,
+        "east_m": still,
+        "down_m": -height,
+        "altitude_m": height,
+    }
+    runs = []
     for label, colour, angles, rate in (
         ("recorded", ORANGE, flight.angles, flight.rate),
         ("model", BLUE, flown.angles, flown.rate),
     ):
         columns = dict(shared)
-        for c, axis in enumerate(("roll", "pitch", "yaw")):
-            columns[f"{axis}_rad"] = np.where(inside, angles[:, c], np.nan)[rows]
-        for c, axis in enumerate("pqr"):
-            columns[f"rate_{axis}_rad_s"] = np.where(inside, rate[:, c], np.nan)[rows]
-        columns |= {"north_m": np.zeros(last - first), "east_m": np.zeros(last - first)}
+        for c, (axis, letter) in enumerate(zip(AXES, "pqr", strict=True)):
+            columns[f"{axis}_rad"] = np.where(inside, angles[:, c], flight.angles[:, c])
+            columns[f"rate_{letter}_rad_s"] = np.where(inside, rate[:, c], flight.rate[:, c])
         names = tuple(columns)
-        log = MemoryLog([np.stack(list(columns.values()))], names, tuple(described[name] for name in names))
-        logs.append(run_data(FlightData(log, label, colour, step_s=flight.step, vehicle=result.vehicle)))
-    return logs
-
-
-def _place(altitude: Array) -> Array:
-    return np.where(np.isfinite(altitude), altitude, 0.0)
+        log = MemoryLog([np.stack(list(columns.values()))[:, rows]], names, tuple(described[name] for name in names))
+        runs.append(run_data(FlightData(log, label, colour, step_s=flight.step, vehicle=result.vehicle)))
+    return runs

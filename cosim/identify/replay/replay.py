@@ -25,6 +25,7 @@ NEEDED: Final = 0.9  # share of the time within the envelope with which a channe
 FORCES: Final = slice(3, 6)  # where the specific force stands among the channels
 SPAN_M: Final = 0.4  # of the Hex-Jet, whose windows are a second
 ALIKE: Final = (1.0, 10.0)  # dB and deg of measured over modelled that are not worth a word
+FAR_DB: Final = 10.0  # beyond which the one is no answer to the other
 CORRECTIONS: Final = 2  # of the starts
 SPREAD: Final = 2.0  # standard deviations of the noise around the draws
 CUT: Final = 3.0  # standard deviations at which draws of tolerances end
@@ -167,6 +168,11 @@ def _describe_band(name: str, band: Band) -> str:
     gain, phase = band.gain_db, band.phase_deg
     if gain is None or phase is None or (abs(gain) < ALIKE[0] and abs(phase) < ALIKE[1]):
         return ""
+    if abs(gain) > FAR_DB:
+        return (
+            f"{name}, {band.low_hz:.2g} to {band.high_hz:.2g} Hz: coherent, but measured is {gain:+.0f} dB beside the "
+            "model: noise that the controller fed back, or what the model lacks"
+        )
     late = f"{abs(phase):.0f} deg {'later' if phase < 0.0 else 'earlier'}"
     return f"{name}, {band.low_hz:.2g} to {band.high_hz:.2g} Hz: measured {gain:+.1f} dB beside the model, {late}"
 
