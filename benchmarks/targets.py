@@ -30,6 +30,7 @@ FIRST_STEP_S = 1.5
 COMMAND_UNITS = {HELP: 1.0, IMPORT: 1.0, FLY: 5.7}  # processor time by that of importing numpy and pydantic
 PAGE_MB = {20: 1.5, 600: 12.0}  # by the seconds flown
 CAMPAIGN_PAGE_MB = 2.0
+CAMPAIGN_OPEN_S = 1.0
 OPEN_S = 0.5  # until a page is laid out and first painted
 FRAMES_S = 59.0  # of the 60 that a screen shows; what is counted in a few seconds is a frame more or less
 STEP_GROWTH = 1.05  # the step of the longest flight by that of the shortest: what a quiet machine can tell from 1
@@ -159,7 +160,9 @@ def _processes(result: Result) -> Iterator[TargetResult]:
         key = f"campaign-page-{campaign.flights}"
         yield TargetResult(name, Spread.of([campaign.mb]), CAMPAIGN_PAGE_MB, "MB", key=key)
         if campaign.seen:
-            yield TargetResult(f"{name}, until it is there", campaign.seen.open_s, OPEN_S, "s", key=f"{key}-open")
+            yield TargetResult(
+                f"{name}, until it is there", campaign.seen.open_s, CAMPAIGN_OPEN_S, "s", key=f"{key}-open"
+            )
     if result.start:
         yield TargetResult("from command to first step", result.start.first_step_s, FIRST_STEP_S, "s", key="first-step")
         for name, bound in COMMAND_UNITS.items():
