@@ -18,7 +18,9 @@ from cosim.base.errors import InputError
 
 _LENGTH: Final = struct.Struct("<I")  # before a message
 _CHUNK: Final = 65536  # bytes, read at once
-SPIN_S: Final = 2e-4  # for which bytes are looked for before sleeping: some control steps; chosen by us
+# For how long bytes are looked for before sleeping [s]; chosen by us.
+QUESTION_S: Final = 2e-4  # until the next request: some control steps
+ANSWER_S: Final = 5e-5  # until the answer to one: some exchanges, of the processor time of the thread that flies
 _LOOK_WAITS: Final = 256  # a look in vain for so many waits, in the long run: at most 0.8 us of a processor a wait
 _MOST_CREDIT: Final = 4 * _LOOK_WAITS
 
@@ -29,6 +31,8 @@ class Pipes:
     Where a call has a ``limit`` in s, it raises TimeoutError beyond it; None waits for ever.  EOFError says that the
     other process has closed its end, and OSError of a write that it has closed the other.
 
+    Bytes are looked for during ``look_s`` s before the process sleeps.
+
     The end that is written to no longer blocks, as a full pipe would have no limit otherwise.  Where the process may
     run on one processor alone it never looks before it sleeps.  Where all are busy with something else, looks are in
     vain: each wait earns a credit, a look in vain costs 256 of them, and without so many a wait sleeps at once.
@@ -36,7 +40,7 @@ class Pipes:
     Raises InputError where the system cannot wait for a pipe with a limit, as Windows.
     """
 
-    def __init__(self, reader: int, writer: int) -> None:
+    def __init__(self, reader: int, writer: int, look_s: float = QUESTION_S) -> None:
         require_poll()
         self._reader, self._writer = reader, writer
         self._open: tuple[int, ...] = (reader, writer)
@@ -45,6 +49,7 @@ class Pipes:
         self._writable.register(writer, select.POLLOUT)
         os.set_blocking(writer, False)
         self._rest = b""
+        self._look_s = look_s
         self._spins = count_processors() > 1
         self._credit = _MOST_CREDIT
 
@@ -135,7 +140,7 @@ class Pipes:
         poll = self._poll.poll
         if poll(0):
             return True
-        stop = monotonic() + SPIN_S
+        stop = monotonic() + self._look_s
         if end is not None and end < stop:
             stop = end
         while not poll(0):

@@ -18,7 +18,7 @@ from secrets import token_hex
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.compiled import PACKAGE, child_environment
-from cosim.base.runtime.pipes import Pipes, require_poll
+from cosim.base.runtime.pipes import ANSWER_S, Pipes, require_poll
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -99,7 +99,7 @@ class Child(subprocess.Popen[bytes]):
         """
         require_poll()
         down, up = os.pipe(), os.pipe()
-        pipes, other = Pipes(up[0], down[1]), (down[0], up[1])
+        pipes, other = Pipes(up[0], down[1], ANSWER_S), (down[0], up[1])
         try:
             return cls(python_command(code, *map(str, other)), None, pass_fds=other, **_SILENT), pipes
         except BaseException:

@@ -21,7 +21,7 @@ from typing import IO, Any
 from cosim.base import controller_wire as wire
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
-from cosim.base.runtime.pipes import Pipes, require_poll
+from cosim.base.runtime.pipes import ANSWER_S, Pipes, require_poll
 from cosim.base.runtime.processes import Child
 from cosim.base.signals import ControlSignals
 from cosim.base.storage.scratch import scratch
@@ -49,7 +49,7 @@ class Connection:
             raise InputError(f"cannot be started: {error.strerror or error}") from error
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._pipes = Pipes(self._process.stdout.fileno(), self._process.stdin.fileno())
+        self._pipes = Pipes(self._process.stdout.fileno(), self._process.stdin.fileno(), ANSWER_S)
 
     def read_line(self, limit: float) -> bytes:
         """Read one line of its output.  Raises FlightError."""
