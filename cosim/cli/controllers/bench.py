@@ -11,7 +11,7 @@ import click
 from cosim.base.errors import InputError
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, say, show_table
-from cosim.cli.options import DONE, example
+from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
     from cosim.identify.bench import BenchIdentification, BenchRecord
@@ -47,7 +47,7 @@ def identify_bench(options: Bench) -> int:
     Reads CSV and Parquet: steps, staircases, ramps, chirps, whatever moved the throttle.  Leaves a page,
     identification.json and, of a thrust in N, an engine with its uncertainty.  Says what the logs do not tell, and the
     next test.  With --engine it fits the parameters of that one instead: a turbine and its ECU.  Several logs are taken
-    for one engine's.  Status 1: the logs do not tell.
+    for one engine's.  Status 1: the logs do not tell, or the model does not explain them.
     """
     from cosim.base.runtime.threads import one_thread
 
@@ -69,7 +69,7 @@ def identify_bench(options: Bench) -> int:
         found = identify(read_records(options.logs, columns), Choices(*_choices(options)))
         paths = write(found, options.run_folder("identify-bench"))
     options.answer(found.to_dict, lambda: print_bench(found, paths))
-    return DONE
+    return FLIGHT_FAILED if found.refused else DONE
 
 
 def _fit_engine(records: list[BenchRecord], options: Bench) -> int:
@@ -92,7 +92,7 @@ def _fit_engine(records: list[BenchRecord], options: Bench) -> int:
         found = replace(found, notes=(*found.notes, *notes))
         paths = write(found, options.run_folder("identify-bench"))
     options.answer(found.to_dict, lambda: print_fitted(found, paths))
-    return DONE
+    return FLIGHT_FAILED if found.misfit.failed else DONE
 
 
 def print_fitted(found: GreyIdentification, paths: dict[str, Path]) -> None:

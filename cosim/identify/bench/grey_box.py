@@ -17,6 +17,7 @@ from cosim.identify.bench.fit import Part, Problem
 from cosim.identify.bench.record import BenchRecord
 from cosim.identify.bench.robust import invert, memory_rows, robust_factor
 from cosim.identify.engine_file import DEVIATIONS_95
+from cosim.identify.page import shared_record
 
 STEP_S = 0.004  # of the simulation, in which a command is the mean of what it is
 UNIT_DELAY_S = 0.1  # of the delay among parameters that are all near 1
@@ -78,21 +79,23 @@ class GreyIdentification:
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the signals, for JSON."""
         first = self.records[0]
+        channels, units = (first.command_name, first.output_name), (first.command_unit, first.output_unit)
+        refused = [self.misfit.words] if self.misfit.failed else []
+        parameters = dict(zip(self.names, map(float, self.values), strict=True))
+        deviations = dict(zip(self.names, map(float, self.deviations), strict=True))
         return {
+            **shared_record("engine", channels, units, refused, self.notes),
             "logs": [str(record.path) for record in self.records],
-            "command": first.command_name,
-            "output": first.output_name,
-            "output_unit": first.output_unit,
             "engine": self.choices.engine,
             "set": dict(self.choices.settings),
-            "parameters": dict(zip(self.names, map(float, self.values), strict=True)),
-            "standard_deviations": dict(zip(self.names, map(float, self.deviations), strict=True)),
+            "parameters": parameters,
+            "standard_deviations": deviations,
+            "estimates": [{"form": self.choices.engine, **parameters, "standard_deviations": deviations}],
             "residual_rms": self.residual_rms,
             "residual_of_swing": self.residual_rms / self.swing,
             "explained": not self.misfit.failed,
             "misfit": self.misfit._asdict() | {"failed": self.misfit.failed},
             "held_back_rms": None if self.held_back is None else list(self.held_back),
-            "notes": list(self.notes),
         }
 
 

@@ -7,17 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.arrays import Array
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.identify.bench.fit import Part
 from cosim.identify.bench.grey_box import STEP_S, GreyIdentification
+from cosim.identify.bench.result import lay_behind
 from cosim.identify.engine_file import DEVIATIONS_95, uncertainty_table
 from cosim.identify.files import write_identification
-from cosim.results.report.page import render
-from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, Figure, beneath, panels, trace
+from cosim.identify.page import Card, Page, draw_signals
 
-TEMPLATE = Path(__file__).parent / "templates" / "grey.html"
-MOST_POINTS = 4000  # a curve
+BOUNDS = (
+    "The bounds are 1.96 standard deviations of the linearised problem. They hold where the engine explains the log."
+)
 DELAY = "delay_samples"  # the parameter of an engine's delay, in its internal steps
 
 
@@ -34,14 +33,20 @@ def write(result: GreyIdentification, folder: Path) -> dict[str, Path]:
         texts[paths["engine"]] = toml_text(engine_table(result))
     write_identification(folder, texts, archive, remove_engine=True)
     paths["report"] = folder / "report.html"
-    render(
-        TEMPLATE,
-        paths["report"],
-        {"signals": _draw(result)},
-        result=result,
-        rows=rows(result),
-        summary=summary(result),
-    )
+    cards = [
+        Card("Models", ["with 95 % bounds", result.choices.engine], rows(result), BOUNDS),
+        Card("Measured and modelled", figure="signals"),
+    ]
+    Page(
+        "identification from a bench",
+        f"{result.choices.engine}: {', '.join(result.names)}",
+        summary(result),
+        " ".join(str(record.path) for record in result.records),
+        cards,
+        {"signals": draw_signals(lay_behind(result.parts, result.residual), ("command", "output"))},
+        result.notes,
+        ["no engine: with these parameters it does not explain the log"] if result.misfit.failed else [],
+    ).write(paths["report"])
     return paths
 
 
@@ -90,30 +95,4 @@ def rows(result: GreyIdentification) -> list[list[str]]:
     return [
         [name, f"{value:.4g} ±{DEVIATIONS_95 * deviation:.2g}"]
         for name, value, deviation in zip(result.names, result.values, result.deviations, strict=True)
-    ]
-
-
-def _draw(result: GreyIdentification) -> Figure:
-    data: list[Figure] = []
-    begin, shift = 0, 0.0
-    for n, part in enumerate(result.parts):
-        residual = result.residual[begin : begin + len(part.times)]
-        data += _curves(part, residual, shift, n == 0)
-        begin, shift = begin + len(part.times), shift + float(part.times[-1]) + 5.0
-    layout = panels(
-        660, "time [s]", ("command", "output", "output"), log=False, domains=((0.72, 1.0), (0.3, 0.68), (0.0, 0.24))
-    )
-    return {"data": data, "layout": layout | HOVER}
-
-
-def _curves(part: Part, residual: Array, shift: float, named: bool) -> list[Figure]:
-    keep = np.arange(0, len(part.times), max(1, len(part.times) // MOST_POINTS))
-    rows_ = np.arange(0, len(part.command_times), max(1, len(part.command_times) // MOST_POINTS))
-    times, legend = part.times[keep] + shift, {"showlegend": named}
-    dots = {"mode": "markers", "marker": {"size": 3, "color": MAGENTA}}
-    return [
-        trace("command", GREY, part.command_times[rows_] + shift, part.command[rows_], 0, **legend),
-        trace("measured", ORANGE, times, part.output[keep], 1, **legend, **beneath(ORANGE)),
-        trace("engine, of the command alone", BLUE, times, (part.output - residual)[keep], 1, **legend),
-        trace("left over", MAGENTA, times, residual[keep], 2, **legend, **dots),
     ]

@@ -15,6 +15,7 @@ from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, 
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
 from cosim.identify.engine_file import DEVIATIONS_95
+from cosim.identify.page import shared_record
 
 LONGEST_DELAY_S = 2.0
 LEAST_DEVIANCE_FALL = 30.0  # that the command is worth, as of a flight's log
@@ -63,6 +64,11 @@ class BenchIdentification:
         return not self.misfit.failed
 
     @property
+    def refused(self) -> list[str]:
+        """Why the model is none of this engine, a line a reason; empty where it explains the log."""
+        return [self.misfit.words] if self.misfit.failed else []
+
+    @property
     def offset(self) -> float:
         """Output at throttle 0, the mean of all logs."""
         return float(np.mean(self.chosen.offsets))
@@ -75,12 +81,10 @@ class BenchIdentification:
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the signals, for JSON."""
         first = self.records[0]
+        channels, units = (first.command_name, first.output_name), (first.command_unit, first.output_unit)
         return {
+            **shared_record("engine", channels, units, self.refused, self.notes),
             "logs": [str(record.path) for record in self.records],
-            "command": first.command_name,
-            "output": first.output_name,
-            "command_unit": first.command_unit,
-            "output_unit": first.output_unit,
             "throttle_range": list(self.limits),
             "throttle_range_known": self.limits_known,
             "between_rows": "straight" if self.straight else "held",
@@ -94,7 +98,6 @@ class BenchIdentification:
             "delay_bounds_95_s": list(self.chosen.delay_bounds),
             "estimates": [estimate_dict(estimate) for estimate in self.estimates],
             "spread": self.spread,
-            "notes": list(self.notes),
             "not_told": list(self.untold),
         }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import toml_text
-from cosim.identify.bench.fit import Estimate
+from cosim.identify.bench.fit import Estimate, Part
 from cosim.identify.bench.identify import BenchIdentification
 from cosim.identify.engine_file import (
     DEVIATIONS_95,
@@ -22,11 +23,14 @@ from cosim.identify.engine_file import (
     uncertainty_table,
 )
 from cosim.identify.files import write_identification
-from cosim.results.report.page import render
-from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, beneath, panels, trace
+from cosim.identify.page import Card, Page, Signals, draw_signals
+from cosim.results.report.plot import BLUE, GREY, HOVER, panels, trace
 
-TEMPLATE = Path(__file__).parent / "templates" / "bench.html"
-MOST_POINTS = 4000  # a curve
+BOUNDS = (
+    "The first model is the one that is written: the least of Schwarz' criterion. The delay's bounds are those of its "
+    "profile likelihood with two lags; the others are 1.96 standard deviations. They hold where the model explains the "
+    "log."
+)
 
 
 def why_no_engine(result: BenchIdentification) -> str:
@@ -59,18 +63,50 @@ def write(result: BenchIdentification, folder: Path) -> dict[str, Path]:
     archive = None if no_engine else data_folder("fmus") / f"{FITTED}.fmu"
     write_identification(folder, texts, archive, remove_engine=True)
     paths["report"] = folder / "report.html"
-    render(
-        TEMPLATE,
-        paths["report"],
-        {"signals": draw_signals(result), "curve": draw_curve(result)},
-        result=result,
-        title=", ".join(record.path.name for record in result.records),
-        columns=[estimate.form.label for estimate in result.estimates],
-        rows=rows(result),
-        summary=summary(result),
-        no_engine=no_engine,
-    )
+    page(result).write(paths["report"])
     return paths
+
+
+def page(result: BenchIdentification) -> Page:
+    """Return the page of an identification."""
+    held = "nothing could be held back to test it"
+    if result.held_back is not None:
+        held = (
+            f"fitted on the first half of the movements alone {result.held_back[0]:.3g} there and "
+            f"{result.held_back[1]:.3g} in the second half"
+        )
+    left_over = (
+        f"Left over: {result.residual_rms:.3g} (rms); {held}. Of that {100.0 * result.misfit.share:.2g} % follow the "
+        f"command (p {result.misfit.p:.2g})."
+    )
+    columns = ["with 95 % bounds", *(estimate.form.label for estimate in result.estimates)]
+    untold = result.untold or ("delay, lags, gain and curve within its range are told",)
+    cards = [
+        Card("Models", columns, rows(result), BOUNDS),
+        Card("What the log does not tell, and the next test", text=left_over, lines=untold),
+        Card("Measured and modelled", figure="signals"),
+        Card("Static curve", figure="curve"),
+    ]
+    first, low, high = result.records[0], *result.limits
+    signals = lay_behind(result.problem.parts, result.problem.residual(result.chosen), (low, high))
+    units = first.command_unit or first.command_name, first.output_unit
+    figures = {"signals": draw_signals(signals, units), "curve": draw_curve(result)}
+    source = " ".join(str(record.path) for record in result.records)
+    reason = why_no_engine(result)
+    return Page(
+        "identification from a bench", ", ".join(record.path.name for record in result.records), summary(result),
+        source, cards, figures, result.notes, [f"no engine: {reason}"] if reason else [],
+    )  # fmt: skip
+
+
+def lay_behind(parts: Sequence[Part], left_over: Array, limits: tuple[float, float] = (0.0, 1.0)) -> Iterator[Signals]:
+    """Yield logs behind each other in time; ``limits``: what command 0 and 1 are."""
+    begin, shift, (low, high) = 0, 0.0, limits
+    for part in parts:
+        residual = left_over[begin : begin + len(part.times)]
+        times, values = _corners(part.command_times, low + (high - low) * part.command, part.straight)
+        yield Signals(times + shift, values, part.times + shift, part.output, part.output - residual, residual)
+        begin, shift = begin + len(part.times), shift + float(part.times[-1]) + 5.0
 
 
 def engine_table(result: BenchIdentification) -> dict[str, object]:
@@ -230,39 +266,10 @@ def _about(value: float, deviation: float) -> str:
     return f"{value:.4g} ±{float(f'{half:.2g}'):g}"
 
 
-def draw_signals(result: BenchIdentification) -> dict[str, Any]:
-    """Draw command, measured and modelled output, and what is left over, over time; logs behind each other."""
-    problem, chosen, first = result.problem, result.chosen, result.records[0]
-    left = problem.residual(chosen)
-    low, high = result.limits
-    data: list[dict[str, Any]] = []
-    begin, shift = 0, 0.0
-    for n, part in enumerate(problem.parts):
-        count = len(part.times)
-        keep = np.arange(0, count, max(1, count // MOST_POINTS))
-        residual = left[begin : begin + count][keep]
-        times, measured = part.times[keep] + shift, part.output[keep]
-        named = {"showlegend": n == 0}
-        moved = _corners(part.command_times, low + (high - low) * part.command, part.straight)
-        dots = {"mode": "markers", "marker": {"size": 3, "color": MAGENTA}}
-        data += [
-            trace("command", GREY, moved[0] + shift, moved[1], 0, **named),
-            trace("measured", ORANGE, times, measured, 1, **named, **beneath(ORANGE)),
-            trace("model, of the command alone", BLUE, times, measured - residual, 1, **named),
-            trace("left over", MAGENTA, times, residual, 2, **named, **dots),
-        ]
-        begin += count
-        shift += float(part.times[-1]) + 5.0
-    titles = (first.command_unit or first.command_name, first.output_unit, first.output_unit)
-    layout = panels(660, "time [s]", titles, log=False, domains=((0.72, 1.0), (0.3, 0.68), (0.0, 0.24)))
-    return {"data": data, "layout": layout | HOVER}
-
-
 def _corners(times: Array, values: Array, straight: bool) -> tuple[Array, Array]:
-    """Return a command's corners for a drawing, thinned where there are very many."""
+    """Return a command's corners for a drawing."""
     if straight:
-        keep = np.arange(0, len(times), max(1, len(times) // MOST_POINTS))
-        return times[keep], values[keep]
+        return times, values
     moved = np.flatnonzero(np.diff(values))
     at = np.concatenate([[0], np.column_stack([moved, moved + 1]).ravel(), [len(times) - 1]])
     when = times[at].copy()

@@ -14,6 +14,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import NotIdentifiedError
 from cosim.identify.engine_file import DEVIATIONS_95
 from cosim.identify.logs import Channel, FlightLog, LogSignals
+from cosim.identify.page import shared_record
 from cosim.identify.prediction_error.confidence import identify, robust, with_delay_bounds
 from cosim.identify.prediction_error.estimate import SEPARATE, Estimate, Form
 from cosim.identify.prediction_error.problem import Problem
@@ -36,8 +37,6 @@ HALVES_APART = 3.29  # standard deviations by which two halves may differ: p = 0
 UNBOUNDED = 0.6  # of the longest delay: a wider interval says nothing
 TARGET_WIDTH = 0.5  # of a sample: half the width of the delay's interval that is asked of a flight
 BAND_DROP = 0.5  # of the greatest information per command: the band that is recommended
-
-
 NO_NOISE = "the log has no noise: what is left over is rounding, and its tests and the bounds say nothing"
 
 
@@ -102,12 +101,14 @@ class LogIdentification:
 
     def to_dict(self, step: float) -> dict[str, Any]:
         """Return everything but the signals, for JSON."""
+        command, output, setpoint, *units = self.signals
         return {
+            **shared_record(self.what, (command, output), (units[0], units[1]), [], self.notes),
+            "setpoint": setpoint,
             "log": str(self.path),
             "kind": self.kind,
             "what": self.what,
             "engine": self.engine,
-            **self.signals._asdict(),
             "seconds": self.prepared.seconds,
             "stretches_s": [[s.start, s.start + s.seconds] for s in self.prepared.by_stamps],
             "working_step_s": self.prepared.working_step,
@@ -120,7 +121,6 @@ class LogIdentification:
             "checks": [check._asdict() | {"failed": check.failed} for check in self.checks],
             "tells_most_hz": list(self.band_hz),
             "discrete": self.rate_model(step).model_dump(),
-            "notes": list(self.notes),
         }
 
 

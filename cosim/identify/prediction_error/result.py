@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +20,22 @@ from cosim.identify.engine_file import (
     uncertainty_table,
 )
 from cosim.identify.files import write_identification
+from cosim.identify.page import Card, Page, Signals, draw_signals
 from cosim.identify.prediction_error.estimate import Estimate
 from cosim.identify.prediction_error.identify_log import LogIdentification, information
-from cosim.results.report.page import render
-from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, beneath, panels, trace
+from cosim.results.report.plot import BLUE, GREEN, HOVER, panels, trace
 
 THROTTLE = (-0.01, 1.05)  # that a log's command may have, to be taken for an engine's
-TEMPLATE = Path(__file__).parent / "templates" / "logged.html"
-_MOST = 4000  # points a curve
+BOUNDS = (
+    "The first model is the one that is written. The bounds of the delay are those of its profile likelihood; the "
+    "others are 1.96 standard deviations of the linearised problem, noise model included. They hold where the form "
+    "fits, which the tests beside tell as far as they can."
+)
+ALONE = "The model answers the command alone, from the beginning of each stretch: what wind and noise did is not in it."
+TOLD = (
+    "Above, how much of the output follows the command. Below, how much a command of each frequency would tell of the "
+    "delay in this noise: fly there."
+)
 
 
 def write(result: LogIdentification, folder: Path, step: float, family: str) -> dict[str, Path]:
@@ -47,16 +56,31 @@ def write(result: LogIdentification, folder: Path, step: float, family: str) -> 
         texts |= {paths["engine"]: toml_text(engine_table(result)), paths["readme"]: readme(result)}
     write_identification(folder, texts, archive, remove_engine=True)
     paths["report"] = folder / "report.html"
-    render(
-        TEMPLATE,
-        paths["report"],
-        {"signals": _draw_signals(result), "tells": _draw_information(result)},
-        result=result,
-        columns=[estimate.form.label for estimate in result.estimates],
-        rows=rows(result),
-        summary=summary(result),
-    )
+    page(result).write(paths["report"])
     return paths
+
+
+def page(result: LogIdentification) -> Page:
+    """Return the page of an identification."""
+    tests = [(check.name, f"{check.p:.2g}", f"{100.0 * check.share:.2g} %") for check in result.checks]
+    columns = ["with 95 % bounds", *(estimate.form.label for estimate in result.estimates)]
+    cards = [
+        Card("Models", columns, rows(result), BOUNDS),
+        Card("Tests of what is left over", ("test", "p", "share of the power"), tests),
+        Card("Measured and modelled", text=ALONE, figure="signals"),
+        Card("What the log told", text=TOLD, figure="tells"),
+    ]
+    units = result.signals.command_unit, result.signals.output_unit
+    figures = {
+        "signals": draw_signals(_signals(result), units, "residuals, made white"),
+        "tells": _draw_information(result),
+    }
+    heading = f"{result.path.name}: {result.what}"
+    reason = why_no_engine(result) if result.engine else ""
+    refused = [f"no engine: {reason}"] if reason else []
+    return Page(
+        "identification from a log", heading, summary(result), str(result.path), cards, figures, result.notes, refused
+    )
 
 
 def why_no_engine(result: LogIdentification) -> str:
@@ -226,32 +250,24 @@ def _delay(estimate: Estimate) -> str:
 # ---- figures
 
 
-def _draw_signals(result: LogIdentification) -> dict[str, Any]:
-    """Draw command, measured output, the model's output from the command alone, and the residuals over time."""
+def _signals(result: LogIdentification) -> Iterator[Signals]:
+    """Yield the stretches, with the model's output from the command alone and the residuals."""
     problem, estimate = result.problem, result.chosen
     simulated = problem.simulated(estimate)
     white, use = problem.residuals(estimate)
-    data: list[dict[str, Any]] = []
     row = 0
-    for n, stretch in enumerate(problem.stretches):
-        rows_ = slice(row, row + stretch.blocks)
-        keep = np.flatnonzero(stretch.present)[:: max(1, stretch.blocks // _MOST)]
-        times = stretch.start + stretch.averaged(stretch.times)[keep]
-        cells = np.arange(len(stretch.command))[:: max(1, len(stretch.command) // _MOST)]
-        measured, model = problem.output[rows_][keep], simulated[rows_][keep]
-        residual = np.where(use[rows_], white[rows_], np.nan)[keep]
-        named = {"showlegend": n == 0}
-        dots = {"mode": "markers", "marker": {"size": 3, "color": MAGENTA}}
-        data += [
-            trace("command", GREY, stretch.start + cells * stretch.step, stretch.command[cells], 0, **named),
-            trace("measured", ORANGE, times, measured, 1, **named, **beneath(ORANGE)),
-            trace("model, of the command alone", BLUE, times, model, 1, **named),
-            trace("residuals, made white", MAGENTA, times, residual, 2, **named, **dots),
-        ]
+    for stretch in problem.stretches:
+        block = slice(row, row + stretch.blocks)
+        keep = np.flatnonzero(stretch.present)
+        yield Signals(
+            np.asarray(stretch.start + np.arange(len(stretch.command)) * stretch.step, np.float64),
+            stretch.command,
+            stretch.start + stretch.averaged(stretch.times)[keep],
+            problem.output[block][keep],
+            np.asarray(simulated[block][keep], np.float64),
+            np.where(use[block], white[block], np.nan)[keep],
+        )
         row += stretch.blocks + problem.gap
-    titles = (result.signals.command_unit, result.signals.output_unit, result.signals.output_unit)
-    layout = panels(660, "time [s]", titles, log=False, domains=((0.72, 1.0), (0.3, 0.68), (0.0, 0.24)))
-    return {"data": data, "layout": layout | HOVER}
 
 
 def _draw_information(result: LogIdentification) -> dict[str, Any]:

@@ -14,17 +14,19 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, write_files
 from cosim.identify.logs import FlightLog, LogSignals, signals_of
+from cosim.identify.page import Card, Page, Signals, draw_signals
 from cosim.identify.prediction_error.estimate import Form
 from cosim.identify.prediction_error.problem import Problem
 from cosim.identify.prediction_error.stretches import prepare
 from cosim.identify.sweep.fit import Model as Continuous
-from cosim.results.report.page import render
-from cosim.results.report.plot import BLUE, GREY, HOVER, ORANGE, beneath, panels, trace
 from cosim.spec.vehicle import RateModel, read_models
 
-TEMPLATE = Path(__file__).parent / "templates" / "validated.html"
+MODELLED = "Measured and modelled"
+ERROR = (
+    "The model answers the command alone: what wind and noise did is in the error. Of an axis, which integrates, they "
+    "add up over the flight, so that the fit of the change tells more than that of the whole."
+)
 AHEAD_S = 1.0  # of the prediction that is judged: the loops that a predictor serves are faster
-_MOST = 4000  # points a curve
 OTHER_FORM = "no held model of a slow pole and lags, which hexjet identify writes; nothing else can be flown here"
 
 
@@ -63,6 +65,7 @@ class Validation:
             "model": str(self.model.path),
             "log": str(self.log),
             "what": self.model.what,
+            "subject": self.model.what,
             **self.model.signals._asdict(),
             "seconds": self.seconds,
             "fit": self.fit,
@@ -224,20 +227,18 @@ def write(validation: Validation, folder: Path) -> dict[str, Path]:
     """Write ``validation.json`` and ``report.html``.  Raises FlightError if a file cannot be written."""
     paths = {"json": folder / "validation.json", "report": folder / "report.html"}
     write_files({paths["json"]: json.dumps(validation.to_dict(), indent=2) + "\n"})
-    render(TEMPLATE, paths["report"], {"signals": _figure(validation)}, validation=validation, rows=rows(validation))
+    model, units = validation.model, (validation.model.signals.command_unit, validation.model.signals.output_unit)
+    signals = [
+        Signals(times, command, times, output, fit, output - fit) for times, command, output, fit in validation.signals
+    ]
+    Page(
+        "validation",
+        f"{model.what}: the model beside {validation.log.name}",
+        f"{model.path}, flown with {model.signals.command}; {validation.seconds:.1f} s compared, every "
+        f"{1e3 * validation.step:.3g} ms.",
+        str(validation.log),
+        [Card("How well it fits", ("measure", "value"), rows(validation), ERROR), Card(MODELLED, figure="signals")],
+        {"signals": draw_signals(signals, units)},
+        validation.notes,
+    ).write(paths["report"])
     return paths
-
-
-def _figure(validation: Validation) -> dict[str, Any]:
-    data = []
-    for n, (times, command, output, model) in enumerate(validation.signals):
-        every, named = slice(None, None, max(1, len(times) // _MOST)), {"showlegend": n == 0}
-        for name, colour, values, panel, how in (
-            ("command", GREY, command, 0, {}),
-            ("flown", ORANGE, output, 1, beneath(ORANGE)),
-            ("model", BLUE, model, 1, {}),
-        ):
-            data.append(trace(name, colour, times[every], values[every], panel, **named, **how))
-    titles = (validation.model.signals.command_unit, validation.model.signals.output_unit)
-    layout = panels(520, "time [s]", titles, log=False, domains=((0.7, 1.0), (0.0, 0.65)))
-    return {"data": data, "layout": layout | HOVER}

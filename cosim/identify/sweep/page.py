@@ -16,11 +16,15 @@ from cosim.base.arrays import Array, Complex
 from cosim.base.storage.files import check_results_folder, write_files
 from cosim.base.storage.toml import toml_text
 from cosim.identify.files import FILES, RECORD
+from cosim.identify.page import Card, Page
 from cosim.identify.sweep.result import Identification, equations, fit_rows, rate_response
-from cosim.results.report.page import render
 from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, Figure, axis_name, panels, trace
 
-TEMPLATE = Path(__file__).parent / "templates" / "identify.html"
+BOUNDS = (
+    "The first model is the one that is written, where one is. Its bounds are those of the linearised least squares, "
+    "with what the form leaves over taken for independent errors: where the form does not fit, they say how well the "
+    "number is pinned down, and not that the form is right."
+)
 
 _POINTS = 300
 _COLOURS = (BLUE, GREEN, MAGENTA)
@@ -68,16 +72,26 @@ def _csv(identification: Identification) -> str:
 
 def write_page(identification: Identification, path: Path) -> None:
     """Write the page of an identification.  Raises FlightError if the file cannot be written."""
-    render(
-        TEMPLATE,
-        path,
+    sweep, is_axis = identification.sweep, identification.kind == "axis"
+    columns = ["with 95 % bounds", *(fit.label for fit in identification.fits)]
+    equation = "" if identification.refused else "G(z) = " + "\n       ".join(equations(identification))
+    unit = f"{identification.output_unit} per {identification.command_unit}"
+    cards = [
+        Card("Models", columns, fit_rows(identification), BOUNDS, code=equation),
+        Card("Frequency response", text=f"{identification.channel}, in {unit}.", figure="response"),
+    ]
+    Page(
+        "identification by a sweep",
+        f"{identification.subject}: {identification.channel}" + (f", engine {identification.engine}" * is_axis),
+        f"Swept from {sweep.from_hz:.3g} to {sweep.to_hz:.3g} Hz in {sweep.duration_s:g} s, amplitude "
+        f"{sweep.amplitude:.3g} {identification.command_unit}; "
+        f"sampled every {1e3 * identification.response.step:g} ms.",
+        identification.source,
+        cards,
         {"response": response_figure(identification)},
-        found=identification,
-        columns=[fit.label for fit in identification.fits],
-        rows=fit_rows(identification),
-        equation="" if identification.refused else "\n       ".join(equations(identification)),
-        source=identification.source,
-    )
+        identification.notes,
+        [f"no model: {reason}" for reason in identification.refused],
+    ).write(path)
 
 
 def response_figure(identification: Identification) -> Figure:

@@ -11,6 +11,7 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError, NotIdentifiedError
+from cosim.identify.page import shared_record
 from cosim.identify.sweep.fit import LEAST_COHERENCE, Fit
 from cosim.identify.sweep.response import FrequencyResponse, shortest_record
 from cosim.identify.sweep.verdict import all_delay_is_determined, half_width, is_determined, is_none, why_refused
@@ -85,27 +86,30 @@ class Identification:
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the points of the response, for JSON."""
         deviation = self.reference_deviation()
+        fits = [fit_dict(fit, self.source, self.kind == "engine") for fit in self.fits]
+        channels = (
+            tuple(self.channel.split(" to "))
+            if self.kind == "engine"
+            else (f"{self.channel} command", f"{self.channel} rate")
+        )
+        units = self.command_unit, self.output_unit
         return {
+            **shared_record(self.subject, (channels[0], channels[-1]), units, self.refused, self.notes),
             "kind": self.kind,
-            "subject": self.subject,
             "engine": self.engine,
             "channel": self.channel,
-            "found": not self.refused,
-            "refused": self.refused,
-            "command_unit": self.command_unit,
-            "output_unit": self.output_unit,
             "sample_time_s": self.response.step,
             "sweep": vars(self.sweep),
             "points": len(self.response.hertz),
             "coherence_min": float(self.response.coherence.min()),
             "coherence_median": float(np.median(self.response.coherence)),
-            "fits": [fit_dict(fit, self.source, self.kind == "engine") for fit in self.fits],
+            "estimates": fits,
+            "fits": fits,  # their name before all identifications had one
             "ledger_samples": self.ledger_samples,
             "no_ledger": self.no_ledger or None,
             "reference": None
             if self.reference is None or deviation is None
             else self.reference.model_dump() | {"worst_db": deviation[0], "worst_deg": deviation[1]},
-            "notes": list(self.notes),
         }
 
     def model_table(self) -> dict[str, Any]:
@@ -123,6 +127,7 @@ def fit_dict(fit: Fit, source: str, engine: bool) -> dict[str, Any]:
         slow = 1.0 / model.rate
         values |= {"time_constant_s": slow, "gain_at_rest": model.gain * slow}
     return {
+        "form": fit.label,
         "label": fit.label,
         "continuous": values | {"delay_s": model.delay_samples * model.step},
         "bounds_95": {name: list(ends) for name, ends in fit.bounds.items()},

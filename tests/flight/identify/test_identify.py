@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from engine_tools import BOTH, FAULT_THROTTLE, FAULTS, NEWTON_PER_KGF, PAPER, build_faulty
+from identification_record import SHARED
 from scipy import signal
 
 from cosim.base.arrays import Array
@@ -522,6 +523,8 @@ def test_the_model_file_flies(hexjet, tmp_path: Path) -> None:  # type: ignore[n
     }  # fmt: skip
     assert json.loads((tmp_path / "found" / "identification.json").read_text()) == told
     model = tomllib.loads((tmp_path / "found" / "model.toml").read_text())["identified"]["edf"]["roll"]
+    assert told.keys() >= SHARED
+    assert told["fits"] == told["estimates"]
     assert model == told["fits"][0]["discrete"]
     page = (tmp_path / "found" / "report.html").read_text()
     assert 'data-figure="response"' in page

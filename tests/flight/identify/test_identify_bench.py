@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_tools import Hexjet
+from identification_record import SHARED
 from known_benches import EXCITATIONS, Truth, bench_log
 from scipy.stats import binom
 
@@ -219,6 +220,8 @@ def test_the_command_leaves_an_engine_that_answers_as_the_log(hexjet: Hexjet, tm
     assert np.sqrt(np.mean((np.array(answered) - thrust) ** 2)) < 0.55  # of which 0.5 N are noise
     told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
     assert told["explained"]
+    assert told.keys() >= SHARED
+    assert (told["found"], told["refused"]) == (True, [])
     assert told["delay_bounds_95_s"][0] <= 0.1 <= told["delay_bounds_95_s"][1]
 
 
@@ -234,6 +237,7 @@ def test_channels_that_are_given_leave_an_engine_where_the_output_is_a_thrust(he
     known = dict(zip(table["uncertainty"]["parameters"], table["uncertainty"]["deviation"], strict=True))
     assert list(known) == ["delay_samples", "lag", "gain"]
     told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
+    assert told.keys() >= SHARED
     best, (low, high) = told["estimates"][0], told["delay_bounds_95_s"]
     assert known["lag"] == pytest.approx(best["standard_deviations"]["rate_1_s"] / best["rate_1_s"] ** 2, rel=1e-4)
     assert known["gain"] == pytest.approx(best["standard_deviations"]["gain"], rel=1e-4)
@@ -271,6 +275,20 @@ def test_wrong_logs_are_told_in_a_line(
     assert done.status == status
     assert words in " ".join((done.out + done.err).split())
     assert "Traceback" not in done.err
+
+
+def test_a_log_that_no_lag_explains_is_status_1_and_leaves_the_page_that_shows_it(
+    hexjet: Hexjet, tmp_path: Path
+) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 20.0, SLEWING)
+    write(tmp_path / "bench.csv", command, thrust, times)
+    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
+    assert done.status == 1
+    assert "no engine: the model does not explain the log" in " ".join(done.out.split())
+    assert {path.name for path in (tmp_path / "mine").iterdir()} == {"identification.json", "report.html"}
+    told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
+    assert not told["found"]
+    assert "an acceleration limit" in told["refused"][0]
 
 
 def test_two_engines_mixed_are_named_and_their_bounds_wide(tmp_path: Path) -> None:
@@ -327,6 +345,7 @@ def test_the_parameters_of_a_turbine_and_its_ecu_come_out(hexjet: Hexjet, tmp_pa
     done = hexjet("identify", "bench", "turbine.csv", "--engine", "turbine-220", *fits, "--out", "mine")
     assert done.status == 0, done.err
     told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
+    assert told.keys() >= SHARED
     assert told["explained"]
     for name, value in (TURBINE | {"delay_s": 0.16}).items():
         assert abs(told["parameters"][name] - value) < 4.0 * told["standard_deviations"][name]

@@ -1,0 +1,99 @@
+"""The page that every identification leaves, and what all of them say in JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.results.report.page import render
+from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, Figure, beneath, panels, trace
+
+TEMPLATE = Path(__file__).parent / "templates" / "identification.html"
+MOST_POINTS = 4000  # a curve
+
+
+class Card(NamedTuple):
+    """One part of a page, in the order in which it is shown."""
+
+    title: str
+    columns: Sequence[str] = ()  # of a table, with
+    rows: Iterable[Sequence[str]] = ()
+    text: str = ""
+    figure: str = ""  # by name
+    lines: Sequence[str] = ()  # of a list
+    code: str = ""
+
+
+@dataclass(frozen=True)
+class Page:
+    """The page of an identification, or of a validation."""
+
+    kind: str
+    heading: str
+    summary: str
+    source: str
+    cards: Sequence[Card]
+    figures: dict[str, Any]
+    notes: Sequence[str] = ()
+    refused: Sequence[str] = ()  # why there is no model or engine, a line a reason
+
+    def write(self, path: Path) -> None:
+        """Write it.  Raises FlightError if the file cannot be written."""
+        render(TEMPLATE, path, self.figures, page=self)
+
+
+class Signals(NamedTuple):
+    """What was measured and modelled in one log or stretch: s, and arrays in the units of the channels."""
+
+    command_times: Array
+    command: Array
+    times: Array
+    measured: Array
+    model: Array
+    left_over: Array
+
+
+def draw_signals(parts: Iterable[Signals], units: tuple[str, str], left_over: str = "left over") -> Figure:
+    """Return command, measured and modelled output, and what is left over, over time.
+
+    ``units``: of command and output, the titles of their axes.
+    """
+    data: list[Figure] = []
+    dots = {"mode": "markers", "marker": {"size": 3, "color": MAGENTA}}
+    for n, part in enumerate(parts):
+        rows, at = _thin(part.command_times), _thin(part.times)
+        legend, times = {"showlegend": n == 0}, part.times[at]
+        data += [
+            trace("command", GREY, part.command_times[rows], part.command[rows], 0, **legend),
+            trace("measured", ORANGE, times, part.measured[at], 1, **legend, **beneath(ORANGE)),
+            trace("model, of the command alone", BLUE, times, part.model[at], 1, **legend),
+            trace(left_over, MAGENTA, times, part.left_over[at], 2, **legend, **dots),
+        ]
+    titles = (units[0], units[1], units[1])
+    layout = panels(660, "time [s]", titles, log=False, domains=((0.72, 1.0), (0.3, 0.68), (0.0, 0.24)))
+    return {"data": data, "layout": layout | HOVER}
+
+
+def _thin(values: Array) -> Any:
+    return np.arange(0, len(values), max(1, len(values) // MOST_POINTS))
+
+
+def shared_record(
+    subject: str, channels: tuple[str, str], units: tuple[str, str], refused: Sequence[str], notes: Sequence[str]
+) -> dict[str, Any]:
+    """Return what every ``identification.json`` has; ``channels`` and ``units`` are those of command and output."""
+    return {
+        "subject": subject,
+        "command": channels[0],
+        "output": channels[1],
+        "command_unit": units[0],
+        "output_unit": units[1],
+        "found": not refused,
+        "refused": list(refused),
+        "notes": list(notes),
+    }
