@@ -67,7 +67,7 @@ def replay(options: Replayed) -> int:
 
     one_thread()
     from cosim.identify.logs import read_flight_log
-    from cosim.identify.replay import Choices, record_flight
+    from cosim.identify.replay import Choices, has_commands, record_flight
     from cosim.identify.replay import replay as fly_again
     from cosim.identify.replay.page import write
     from cosim.results.run import SCENARIO
@@ -78,10 +78,13 @@ def replay(options: Replayed) -> int:
         log = read_flight_log(options.log, options.time_column, options.time_unit)
         if options.log.is_dir() and not is_given("scenario"):
             options.scenario = str(options.log / SCENARIO)
+        channels = _channels(options)
+        if has_commands(log, channels):  # then no controller flies, and none is loaded
+            options.controller = "baseline"
         scenario = options.load()
         vehicle, _ = scenario.resolved_vehicle()
         part = (options.begin, options.end)
-        flight = record_flight(log, vehicle, scenario.step_s, _channels(options), part)
+        flight = record_flight(log, vehicle, scenario.step_s, channels, part)
         tolerances = (0.01 * options.inertia, 0.01 * options.mass, 0.01 * options.thrust)
         choices = Choices(options.window, options.draws, *tolerances, options.drawn)
         result = fly_again(options.log.name, scenario, flight, choices, tell)

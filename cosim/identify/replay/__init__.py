@@ -1,6 +1,6 @@
 """A recorded flight flown again by the model of a vehicle, and what that says of the model."""
 
-from cosim.identify.replay.recorded import RecordedFlight, ThrottleChannels, record_flight
+from cosim.identify.replay.recorded import RecordedFlight, ThrottleChannels, has_commands, record_flight
 from cosim.identify.replay.replay import Choices, Replay, replay
 
-__all__ = ["Choices", "RecordedFlight", "Replay", "ThrottleChannels", "record_flight", "replay"]
+__all__ = ["Choices", "RecordedFlight", "Replay", "ThrottleChannels", "has_commands", "record_flight", "replay"]

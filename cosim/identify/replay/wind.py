@@ -11,7 +11,10 @@ from cosim.base.signals import ZERO3, Vector3
 from cosim.identify.replay.flown import Model
 from cosim.identify.replay.windows import Flying
 
-ROUNDS: Final = 2  # of Gauss and Newton: drag bends
+ROUNDS: Final = 6  # of Gauss and Newton: drag goes with the square of the wind
+STEP_M_S: Final = 8.0  # in one of them: in still air the slope tells little
+CLOSE_M_S: Final = 0.1
+MOST_WINDOWS: Final = 10  # that are looked at
 PROBE_M_S: Final = 1.0
 SURE: Final = 2.0  # times its standard deviation; a smaller wind is not told from none
 MOST_M_S: Final = 30.0
@@ -33,8 +36,10 @@ def estimate_wind(model: Model, flying: Flying) -> Wind:
     """Estimate a wind from the changes of velocity within the windows; none where the log has none."""
     if not flying.flight.has_velocity:
         return Wind(ZERO3, None, "no velocity in the log: taken for still air")
-    wind = np.zeros(2)
-    deviation = np.inf
+    flying = flying.only(
+        np.linspace(0, len(flying.windows) - 1, min(len(flying.windows), MOST_WINDOWS)).astype(int).tolist()
+    )
+    wind, deviation = np.zeros(2), np.inf
     for _ in range(ROUNDS):
         base = _drift(model, flying, wind)
         slopes = np.stack([_drift(model, flying, wind + PROBE_M_S * axis) - base for axis in np.eye(2)], axis=-1)
@@ -43,14 +48,15 @@ def estimate_wind(model: Model, flying: Flying) -> Wind:
         if not np.linalg.cond(normal) < 1e12:
             return Wind(ZERO3, None, "the model has no drag: taken for still air")
         inverse = np.linalg.inv(normal)
-        wind = wind - inverse @ np.einsum("wci,wc->i", slopes, base)
+        move = -inverse @ np.einsum("wci,wc->i", slopes, base)
+        scores = np.einsum("wci,wc->wi", slopes, base + np.einsum("wci,i->wc", slopes, move))
+        deviation = float(np.sqrt(max(np.trace(inverse @ (scores.T @ scores) @ inverse), 0.0) / 2.0))
+        size = float(np.linalg.norm(move))
+        wind = wind + move * min(1.0, STEP_M_S / max(size, 1e-9))
         if not np.linalg.norm(wind) < MOST_M_S:
             return Wind(ZERO3, None, f"beyond {MOST_M_S:g} m/s: drag tells too little; taken for still air")
-        scores = np.einsum(
-            "wci,wc->wi", slopes, base - np.einsum("wci,i->wc", slopes, inverse @ np.einsum("wci,wc->i", slopes, base))
-        )
-        spread = inverse @ (scores.T @ scores) @ inverse
-        deviation = float(np.sqrt(max(np.trace(spread), 0.0) / 2.0))
+        if size < CLOSE_M_S:
+            break
     if float(np.linalg.norm(wind)) < SURE * deviation:
         return Wind(ZERO3, deviation, "less than twice its standard deviation: taken for still air")
     return Wind((float(wind[0]), float(wind[1]), 0.0), deviation, "")

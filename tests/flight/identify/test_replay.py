@@ -171,6 +171,18 @@ def test_a_hover_tells_nothing_and_nothing_is_named(tmp_path: Path) -> None:
     assert any(line.startswith("not told") for line in result.evidence)
 
 
+def test_a_wind_comes_out_of_the_drift(tmp_path: Path) -> None:
+    """15 m/s to the east, where the vehicle holds its place; and the y axis is explained with it."""
+    windy = Scenario.load("hover-in-wind").replace(duration_s=5.0, expect=[])
+    fly(windy, tmp_path / "run")
+    result = replayed(recorded(tmp_path / "run"), windy)
+    north, east, _ = result.wind.velocity
+    assert result.wind.deviation is not None
+    assert abs(north) < 4.0 * result.wind.deviation
+    assert east == pytest.approx(15.0, abs=max(4.0 * result.wind.deviation, 0.5))
+    assert next(channel.within for channel in result.channels if channel.name == "specific_force_y") > NEEDED
+
+
 def without_commands(doublet: Path, path: Path) -> Path:
     table = pyarrow.parquet.read_table(doublet / "flight.parquet")
     commands = [name for name in table.column_names if name.startswith(("throttle_", "tilt_", "thrust_"))]
