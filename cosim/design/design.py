@@ -16,7 +16,6 @@ from cosim.base.signals import AXES
 from cosim.base.storage.toml import merge, parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped_tuning
-from cosim.design.engine_uncertainty import engine_tolerances
 from cosim.design.levels import (
     DESIGNED,
     THRUST_AXES,
@@ -33,6 +32,7 @@ from cosim.design.limits import Say, bandwidths_without_limits, explain_failure,
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead, hover_fraction
 from cosim.design.loop.dynamics import Dynamics, fit_dynamics, make_lag_dynamics, with_misfit
+from cosim.design.loop.engine_uncertainty import engine_tolerances
 from cosim.design.loop.firmware import Firmware
 from cosim.design.loop.tuning import Tuning, candidates, designable
 from cosim.design.proof_result import Proof

@@ -10,7 +10,7 @@ from typing import Any
 
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.signals import AXES
-from cosim.design.engine_uncertainty import (
+from cosim.design.loop.engine_uncertainty import (
     EngineSensitivity,
     LoopUncertainty,
     delay_deviations,

@@ -12,7 +12,7 @@ from uncertain_engines import CORRELATION, NOMINAL, fan
 
 from cosim.base.storage.toml import read_toml
 from cosim.design.design import Design, design
-from cosim.design.engine_uncertainty import (
+from cosim.design.loop.engine_uncertainty import (
     EngineSensitivity,
     LoopUncertainty,
     delay_deviations,
