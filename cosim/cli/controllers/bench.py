@@ -44,10 +44,11 @@ class Bench(opt.LogPart, opt.Output):
 def identify_bench(options: Bench) -> int:
     """Identify an engine from its bench logs: delay, one lag or two, gain, static curve, with bounds.
 
-    Reads CSV and Parquet: steps, staircases, ramps, chirps, whatever moved the throttle.  Leaves a page,
+    Reads CSV, Parquet, TDMS: steps, staircases, ramps, chirps, whatever moved the throttle.  Leaves a page,
     identification.json and, of a thrust in N, an engine with its uncertainty.  Says what the logs do not tell, and the
     next test.  With --engine it fits the parameters of that one instead: a turbine and its ECU.  Several logs are taken
-    for one engine's.  Status 1: the logs do not tell, or the model does not explain them.
+    for one engine's; a load cell's, without a command, is laid on the clock of the one before it.
+    Status 1: the logs do not tell, or the model does not explain them.
     """
     from cosim.base.runtime.threads import one_thread
 

@@ -185,8 +185,14 @@ def throttle_limits(
     high = max(float(record.command.max()) for record in records)
     record = records[0]
     throttle = "throttle" in record.command_name.lower() or record.command_unit in ("percent", "", "1")
-    if record.command_unit == "percent":
+    if record.command_unit == "percent" and high > UNIT_RANGE:
         return (0.0, 100.0), True
+    if record.command_unit == "percent":
+        notes.append(
+            f"{record.command_name} is in percent and never above {high:g}: is it a share? no engine is left; "
+            "--range 0 1 or --range 0 100 says what throttle 0 and 1 are"
+        )
+        return (0.0, 1.0), False
     if throttle and low >= 0.0 and high <= UNIT_RANGE:
         return (0.0, 1.0), True
     if throttle and low >= 0.0 and high <= LONG_RANGE:

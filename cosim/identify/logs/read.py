@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
-from cosim.identify.logs import blackbox, crazyflie, dataflash, table, tlog, ulog
+from cosim.identify.logs import blackbox, crazyflie, dataflash, table, tdms, tlog, ulog
 from cosim.identify.logs.flight_log import SEARCHED, FlightLog, LogSignals
 from cosim.identify.logs.text_table import decode
 from cosim.results.log.columns import RATES
@@ -28,7 +28,11 @@ _READERS = (
     (tlog.recognises, tlog.read),
 )
 _MARKS = ((ulog.MAGIC, ulog.read), (dataflash.MARK, dataflash.read), (blackbox.MARKER, blackbox.read))
-_EXPORTS = ((b"\x89MCAP", table.read_mcap), (b"MATLAB 5", table.read_mat))  # of a run of ours
+_EXPORTS = (  # of a run of ours; and LabVIEW's
+    (b"\x89MCAP", table.read_mcap),
+    (b"MATLAB 5", table.read_mat),
+    (tdms.MARK, tdms.read),
+)
 _OTHERS = (  # what else a file may begin with, and what it is then
     (b"\x1f\x8b", "a file compressed by gzip: unpack it"),
     (b"PK\x03\x04", "a zip archive: unpack it"),

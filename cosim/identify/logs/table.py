@@ -27,12 +27,14 @@ OTHER_TIMES = (  # and what else, in any case, its unit behind it; the likeliest
     "date_time", "date", "date/time", "utc", "clock", "zeit", "temps", "tiempo", "seconds", "sec", "s",
 )  # fmt: skip
 AT_THE_END = re.compile(r"thrust_\d+_N")  # logged with the step at whose end the engine has it
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 _SAME_UNITS = {
     "sec": "s",
     "secs": "s",
     "second": "s",
     "seconds": "s",
+    "minutes": "min",
+    "hours": "h",
     "msec": "ms",
     "usec": "us",
     "µs": "us",
@@ -83,7 +85,7 @@ def columns_with_time(path: Path, name: str | None = None, unit: str | None = No
     with path.open("rb") as file:
         columns = _of_parquet(path) if is_parquet(file.read(len(PARQUET))) else _of_text(path)
     time = _time(path, columns, name)
-    taken = unit or ("s" if time in columns.dates else _unit(time, columns.units.get(time, "")))
+    taken = unit or ("s" if time in columns.dates else time_unit(time, columns.units.get(time, "")))
     times = SECONDS[taken] * columns.numbers.pop(time)
     remarks = list(columns.remarks)
     if time in columns.dates and len(times):
@@ -157,7 +159,7 @@ def _time(path: Path, held: _Columns, name: str | None) -> str:
         if stripped is None:
             raise InputError(f"{path}: no column {name!r} of numbers; {nearest(name, columns)}"[:600])
         return stripped
-    plain = {column: _plain(column) for column in columns}
+    plain = {column: plain_name(column) for column in columns}
     called = [column for column in TIMES if column in columns]
     called += [column for other in OTHER_TIMES for column in columns if plain[column] == other]
     called += [column for column in columns if column in held.dates]
@@ -169,13 +171,19 @@ def _time(path: Path, held: _Columns, name: str | None) -> str:
     raise InputError(f"{path}: no column of time; allowed: {', '.join(TIMES)}, in seconds{grow}")
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
     """Return a name without its unit, in small letters."""
     match = _UNIT.fullmatch(name)
     return (match.group(1) if match else name).strip().lower()
 
 
-def _unit(name: str, unit_given: str) -> str:
+def unit_in_name(name: str) -> str:
+    """Return the unit that stands in brackets at the end of a name, or an empty string."""
+    match = _UNIT.fullmatch(name)
+    return (match.group(2) if match else "") or ""
+
+
+def time_unit(name: str, unit_given: str) -> str:
     """Return the unit of a time, by the line of units or by its name; seconds where neither says one."""
     match = _UNIT.fullmatch(name)
     texts = [
@@ -250,7 +258,7 @@ def _log_of(path: Path, table: Table, has_our_stamps: bool) -> FlightLog:
     remarks = [f"left out, being no numbers: {', '.join(table.left_out)}"] if table.left_out else []
     remarks += table.remarks
     step = float(np.median(np.diff(times))) if has_our_stamps and name == TIME and times.size > 1 else 0.0
-    named = {key: match.group(2) or "" for key in table.columns if (match := _UNIT.fullmatch(key))}
+    named = {key: unit_in_name(key) for key in table.columns}
     units = named | {column.name: column.unit for column in COLUMNS} | table.units
     late = [key for key in table.columns if step and AT_THE_END.fullmatch(key)]
     if late:

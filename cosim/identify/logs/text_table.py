@@ -79,7 +79,8 @@ def read_text(path: Path) -> TextTable:
     first = next((n for n, line in enumerate(lines) if line.strip()), len(lines))
     separator_line = re.fullmatch(r'"?sep=(.)"?', lines[first].strip()) if first < len(lines) else None
     first += separator_line is not None
-    if not any(line.strip() for line in lines[first:]):
+    full = [line for line in lines[first:] if line.strip()]
+    if not full or (len(full) == 1 and any(mark in full[0] for mark in SEPARATORS) and not _NUMBER.search(full[0])):
         raise InputError(f"{path}: the table has no rows")
     separator, width = _separator(lines[first : first + SAMPLE], separator_line.group(1) if separator_line else "")
     if not separator:
