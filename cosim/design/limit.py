@@ -354,7 +354,7 @@ class _Programme:
     def _noise(self) -> _Cone:
         by_t, by_y, of_angle = self.plant.noise_of(self.basis, self.basis)
         stacked = np.vstack([np.hstack([by_t, by_y]), np.hstack([np.zeros_like(of_angle), of_angle])])
-        root = np.linalg.qr(stacked, mode="r") / self.bounds.noise
+        root: Array = np.asarray(np.linalg.qr(stacked, mode="r")) / self.bounds.noise
         rows = np.vstack([np.zeros(root.shape[1]), -root])
         return _Cone("second-order", self._rows(t=rows[:, : self.count], y=rows[:, self.count :]), np.eye(len(rows))[0])
 
