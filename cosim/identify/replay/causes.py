@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.base.arrays import Array, Flags
 from cosim.base.errors import EngineError, FlightError, InputError
 from cosim.base.signals import AXES, Vector3
 from cosim.identify.replay.flown import Change, Flown, Model
@@ -27,7 +27,8 @@ LITTLE: Final = 0.2  # weight of a channel that is not off, or does not move
 MOST: Final = 0.5  # of the misfit that a cause removes which is named
 MOST_REST: Final = 0.5  # of a channel's movement that it leaves at most
 SURE: Final = 3.0  # standard errors by which it does so, window by window
-APART: Final = 2.0  # standard errors by which it beats another that is not named
+APART: Final = 2.0  # standard errors by which it beats another that is not named,
+NEAR: Final = 0.05  # and share of the misfit
 TELLING: Final = 0.2  # of the mean misfit of a window, from where on it says something
 LEAST_TELLING: Final = 2  # windows with a misfit, for a name
 REFINED: Final = 6  # causes that are fitted; the others would remove less
@@ -141,7 +142,8 @@ class Residuals:
         """Return what was measured as residuals are, (w, n, c): what a model would leave that does not move."""
         flying = self.flying
         still = Flown(*(np.zeros_like(flying.flight.rate) for _ in Flown._fields))
-        still.force[:] = np.nanmean(flying.measured()[:, :, 3:6], axis=(0, 1)) if self.has_force else 0.0
+        if self.has_force:  # across the thrust; along it a model without thrust would leave all of it
+            still.force[:, :2] = np.nanmean(flying.measured()[:, :, 3:5], axis=(0, 1))
         return self._weigh(flying.measured(), still)
 
     def of(self, change: Change, sense: tuple[int, int, int] = (1, 1, 1)) -> Array:
@@ -217,39 +219,57 @@ class _Judge:
         """Return the causes that are named, more than one where they cannot be told apart, and why none is."""
         if not tried:
             return (), "nothing that was tried removes any of it"
-        best = tried[0]
-        if best.removed < MOST:
-            return (), (
-                f"no single cause removes half of it, {best.text} {100.0 * max(best.removed, 0.0):.0f} %: several at "
-                "once, or something else (wind, a form that the model has not)"
-            )
-        if best.at_limit:
-            return (), f"{best.text} is at the end of what was tried: something else"
-        if best.rest > MOST_REST:
-            return (), (
-                f"{best.text} removes {100.0 * best.removed:.0f} %, but leaves {100.0 * best.rest:.0f} % of a movement "
-                "that was measured: it explains nothing"
-            )
+        likely = [one for one in tried if one.is_likely]
+        if not likely:
+            return (), _why_unlikely(tried[0])
+        best, *others = likely
         if best.sure < SURE:
-            return (
-                (),
-                f"{best.text} would remove most of it, but the windows do not agree ({best.sure:.1f} standard errors)",
+            return (), (
+                f"{best.text} would remove most of it, but the windows do not agree ({best.sure:.1f} standard errors)"
             )
-        rivals = [one for one in tried[1:] if one.is_likely and self._gain(one.windows, best.windows) < APART]
-        together = (best, *rivals)
+        together = (best, *(one for one in others if not self._is_apart(one.windows, best.windows)))
         if any(one.name.startswith(ONE_AXIS) for one in together):  # all axes are that one and others that did not turn
             together = tuple(one for one in together if one.name != ALL_AXES)
         return together, ""
 
     def _gain(self, before: Array, after: Array) -> float:
         """Return by how much windows with a misfit gain, as a share of it, in standard errors of that."""
-        most = np.maximum(before, after)
-        telling = most > TELLING * float(np.mean(most))
-        if np.sum(telling) < LEAST_TELLING:
-            return 0.0
-        gains = (before - after)[telling] / most[telling]
-        spread = max(float(np.std(gains, ddof=1)), 1e-3) / np.sqrt(len(gains))
-        return float(np.mean(gains) / spread)
+        return _mean_over_spread(*self._gains(before, after, np.maximum(before, after)))
+
+    def _is_apart(self, worse: Array, better: Array) -> bool:
+        """Return whether the windows say that one cause is better than another: by some of the misfit as stated."""
+        gains, telling = self._gains(worse, better, self._windows)
+        enough = bool(telling.any()) and float(np.mean(gains[telling])) > NEAR
+        return enough and _mean_over_spread(gains, telling) >= APART
+
+    def _gains(self, before: Array, after: Array, misfit: Array) -> tuple[Array, Flags]:
+        """Return the shares of each window's misfit that are gained, and which windows have one worth the name."""
+        telling = misfit > TELLING * float(np.mean(misfit))
+        return np.where(telling, (before - after) / np.where(telling, misfit, 1.0), 0.0), telling
+
+
+def _mean_over_spread(gains: Array, telling: Flags) -> float:
+    """Return the mean of the gains of telling windows in its standard errors; 0 for too few of them."""
+    gains = gains[telling]
+    if len(gains) < LEAST_TELLING:
+        return 0.0
+    spread = max(float(np.std(gains, ddof=1)), 1e-3) / np.sqrt(len(gains))
+    return float(np.mean(gains) / spread)
+
+
+def _why_unlikely(best: Fitted) -> str:
+    """Return why the cause that removes most is not named."""
+    if best.removed < MOST:
+        return (
+            f"no single cause removes half of it, {best.text} {100.0 * max(best.removed, 0.0):.0f} %: several at "
+            "once, or something else (wind, a form that the model has not)"
+        )
+    if best.at_limit:
+        return f"{best.text} is at the end of what was tried: something else"
+    return (
+        f"{best.text} removes {100.0 * best.removed:.0f} %, but leaves {100.0 * best.rest:.0f} % of a movement that "
+        "was measured: it explains nothing"
+    )
 
 
 def _exchanges(model: Model, residuals: Residuals, judge: _Judge) -> Iterator[Fitted]:

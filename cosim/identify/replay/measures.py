@@ -11,6 +11,7 @@ from cosim.base.arrays import Array, Complex, Flags
 from cosim.identify.replay.windows import CHANNELS, Flying
 
 EDGES: Final = (1.0, 3.0, 8.0, 25.0)  # of the bands, in periods a window
+LEVEL: Final = "specific_force_z"  # whose level is thrust over mass, and says something where nothing moves
 COHERENT: Final = 0.6  # from here on a ratio of the two says something
 EXCITED: Final = 2.0  # times its noise that a channel moves, rms, from where on it says something
 
@@ -150,6 +151,7 @@ def measure_channels(flying: Flying, modelled: Array, low: Array, high: Array) -
         moved = float(np.sqrt(np.mean((y - y.mean(axis=1, keepdims=True)) ** 2)))
         bands = measure_bands(y, x, step, float(noise[c]))
         error = float(np.sqrt(np.mean((y - x) ** 2)))
-        excited = moved > EXCITED * float(noise[c])
+        level = float(np.sqrt(np.mean(y**2))) if name == LEVEL else moved
+        excited = level > EXCITED * float(noise[c])
         channels.append(ChannelMeasures(name, unit, within, error, moved, float(noise[c]), theil(y, x), bands, excited))
     return tuple(channels)

@@ -14,7 +14,7 @@ from cosim.engine import EngineSpec
 from cosim.identify.replay.causes import Causes, find_causes, without_windows
 from cosim.identify.replay.closed_loop import cut_whole, fly_setpoints
 from cosim.identify.replay.flown import Change, Flown, Model, Starts
-from cosim.identify.replay.measures import Band, ChannelMeasures, Ratio, measure_channels, measure_ratio
+from cosim.identify.replay.measures import LEVEL, Band, ChannelMeasures, Ratio, measure_channels, measure_ratio
 from cosim.identify.replay.recorded import RecordedFlight
 from cosim.identify.replay.wind import Wind, estimate_wind
 from cosim.identify.replay.windows import CHANNELS, Flying, accelerometer_zero, cut, slopes
@@ -92,11 +92,14 @@ class Replay:
 
     @property
     def verdict(self) -> str:
-        """Whether the model explains what the log excites: every such channel is inside the envelope."""
+        """Whether the model explains what the log excites: every such channel is inside the envelope.
+
+        Where nothing turns it is not told, unless thrust over mass is off.
+        """
         moved = [channel for channel in self.channels if channel.excited]
-        if not moved:
-            return NOT_TOLD
-        return EXPLAINED if all(channel.within >= NEEDED for channel in moved) else NOT_EXPLAINED
+        if not all(channel.within >= NEEDED for channel in moved):
+            return NOT_EXPLAINED
+        return EXPLAINED if any(channel.name != LEVEL for channel in moved) else NOT_TOLD
 
     @property
     def evidence(self) -> tuple[str, ...]:

@@ -147,6 +147,18 @@ def test_a_number_that_is_wrong_is_named_with_its_value(
     assert named.removed > 0.95
 
 
+def test_a_mass_that_is_wrong_is_named_though_nothing_moves(tmp_path: Path) -> None:
+    """Thrust over mass is told by the level of the accelerometer; without rates thrust is told from mass by nothing."""
+    hover = Scenario.load("hover").replace(duration_s=4.0, expect=[])
+    fly(hover.replace(vehicle={"mass_kg": 1.15 * VEHICLE.mass_kg}), tmp_path / "run")
+    result = replayed(recorded(tmp_path / "run"), hover)
+    assert result.verdict == NOT_EXPLAINED
+    by_name = {one.name: one for one in result.causes.named}
+    assert set(by_name) == {"mass", "thrust of all engines"}
+    assert by_name["mass"].value == pytest.approx(1.15, abs=0.01)
+    assert "the log does not tell which" in result.fault
+
+
 def test_swapped_engines_are_named(doublet: Path) -> None:
     flight = recorded(doublet)
     result = replayed(replace(flight, throttle=flight.throttle[:, [1, 0, 2, 3, 4, 5]]))
