@@ -20,6 +20,7 @@ typedef enum { OFF, CRANKING, SPOOLING, RUNNING } Phase;
 typedef struct {
     double w, fuel;             /* rotor speed [rad/s], fuel flow [kg/s] */
     double reference, integral; /* of the ECU: the speed that the rotor is led along, the integral of its error [kg/s] */
+    double asked, error;        /* the fuel that the ECU asked for a step ago [kg/s], and the error of the speed then */
     Command command;
     int32_t phase, waited;
     int32_t was_on;
@@ -104,6 +105,14 @@ static double demanded_speed(const Variables *v, const State *s, double throttle
 
 static double damping(const Variables *v, const State *s) { return v->speed_gain * s->w / (v->full_speed * RPM); }
 
+/* The reference is led no faster than a share of itself a second, nor than so many rpm a second (0: no such limit). */
+static double led(const Variables *v, double reference, double step)
+{
+    const double rise = ENGINE_STEP * v->acceleration * reference, fall = ENGINE_STEP * v->deceleration * reference;
+    const double most = ENGINE_STEP * v->reference_rise * RPM, least = ENGINE_STEP * v->reference_fall * RPM;
+    return limit(step, -(least > 0.0 && least < fall ? least : fall), most > 0.0 && most < rise ? most : rise);
+}
+
 /* Fuel on or off, and the reference of the speed loop. */
 static void sequence(const Plant *a, State *s, double throttle)
 {
@@ -135,7 +144,7 @@ static void sequence(const Plant *a, State *s, double throttle)
         break;
     case RUNNING: {
         const double step = demanded_speed(v, s, throttle) - s->reference;
-        s->reference += limit(step, -ENGINE_STEP * v->deceleration * s->reference, ENGINE_STEP * v->acceleration * s->reference);
+        s->reference += led(v, s->reference, step);
     }
     }
 }
@@ -164,8 +173,21 @@ static double most_fuel(const Plant *a, double w, double command)
 
 static double richest_fuel(const Plant *a, double w) { return most_fuel(a, w, HUGE_VAL); }
 
-/* Fuel: the integral of the speed's error less a share of the speed, within the least and the most fuel; the
- * integral stands while the command is held. */
+/* Fuel by schedule: it rises and falls in shares of itself, by the error and the level, and with what the error itself
+ * does; less so for who is too slow, and within the ECU's ramps.  turbine-220/README.md. */
+static double scheduled_fuel(const Variables *v, State *s, double error)
+{
+    const double h = ENGINE_STEP, f = s->asked, n = s->w / (v->full_speed * RPM);
+    const double most = v->fuel_rise == 0.0 ? HUGE_VAL : v->fuel_rise, least = v->fuel_fall == 0.0 ? HUGE_VAL : v->fuel_fall;
+    const double share = error > 0.0 ? v->fuel_rise_share : 1.0;
+    const double ramp = limit(share * v->fuel_gain * n * error, -least, most);
+    const double change = h * f * ramp + share * v->fuel_response * (error - s->error);
+    s->error = error;
+    return f + limit(change, -h * f * least, HUGE_VAL);
+}
+
+/* Fuel: by schedule, or the integral of the speed's error less a share of the speed, within the least and the most
+ * fuel; the integral stands while the command is held. */
 static double fuel_command(const Plant *a, State *s)
 {
     const Variables *v = a->v;
@@ -173,10 +195,14 @@ static double fuel_command(const Plant *a, State *s)
         return 0.0;
     const double low = leanest_fuel(a, s->w), off = (s->reference - s->w) / (v->full_speed * RPM);
     const double error = fabs(off) <= v->speed_dead_band ? 0.0 : off - copysign(v->speed_dead_band, off);
+    if (v->fuel_gain > 0.0 && s->phase == RUNNING) {
+        const double command = scheduled_fuel(v, s, error);
+        return s->asked = limit(command, low, most_fuel(a, s->w, command));
+    }
     const double command = s->integral - damping(v, s), high = most_fuel(a, s->w, command);
     if ((command > low || error > 0.0) && (command < high || error < 0.0))
         s->integral += ENGINE_STEP * v->integral_gain * error;
-    return limit(command, low, high);
+    return s->asked = limit(command, low, high);
 }
 
 static void outputs(Variables *v, const Plant *a, const State *s)
@@ -229,6 +255,7 @@ static void settle(const Plant *a, State *s, double throttle)
     } else {
         s->fuel = balancing_fuel(a, demand, leanest_fuel(a, demand), v->richest_command * air_flow(a, demand));
     }
+    s->asked = s->fuel;
     s->integral = s->fuel + damping(v, s);
     s->phase = RUNNING;
     s->was_on = 1;
