@@ -53,7 +53,8 @@ def fly(spec: EngineSpec, step: float, start: float, throttle: Callable[[float],
             if (u >= 0.0) != running:
                 running = bank.set_run(0, u >= 0.0) and u >= 0.0
             out = bank.step(k, (max(u, 0.0),))
-            rows.append(((k + 1) * step, *(values[0] for values in out)))
+            values = (out.thrust, out.spool_speed, out.exhaust_temperature, out.fuel_flow)
+            rows.append(((k + 1) * step, *(one[0] for one in values)))
     time, thrust, speed, temperature, fuel = np.array(rows)[:: max(1, len(rows) // 600)].T
     return Flight(time, thrust, speed * RPM, temperature, fuel)
 
@@ -142,5 +143,11 @@ if __name__ == "__main__":
     build_engines()
     mpl.rcParams.update(STYLE)
     for engine in list_engine_names():
-        draw = turbine if engine.startswith("turbine-") else identified if engine.startswith("p220") else first_order
+        draw = (
+            turbine
+            if engine.startswith(("turbine-", "jetcat-"))
+            else identified
+            if engine.startswith("p220")
+            else first_order
+        )
         draw(engine)

@@ -11,6 +11,7 @@ from cosim.engine.fmu.mapping import is_mapping
 from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.engine.fmu.ports import PortError, expand_engine_variables, has_several_engines
 from cosim.engine.fmu.starting import CONSTANTS
+from cosim.engine.fmu.uncertainty import Uncertainty
 from cosim.engine.fmu.variables import Variable
 from cosim.engine.measure import EngineMeasurement, measure_once
 from cosim.engine.response import ResponseError, settling_window
@@ -87,7 +88,7 @@ def load_unchecked(
             Sibling(other.curve, other.small, _logged(source, slot))
             for slot, other in enumerate(measured.others, start=1)
         ),
-        uncertainty=mapping.uncertainty,
+        uncertainty=_uncertainty(source),
     )
 
 
@@ -122,6 +123,12 @@ def _logged(source: EngineSource, slot: int) -> tuple[tuple[str, Variable], ...]
             raise InputError(f"{where}: a column's name is of letters, digits and _, no digit first")
         columns.append((name, matches[0]))
     return tuple(columns)
+
+
+def _uncertainty(source: EngineSource) -> Uncertainty | None:
+    if source.engine is not None and source.engine.uncertainty:
+        return Uncertainty.model_validate(source.engine.uncertainty)
+    return source.mapping.uncertainty
 
 
 def _flame_out(source: EngineSource) -> FlameOutLaw | None:

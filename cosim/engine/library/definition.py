@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -71,6 +71,7 @@ class EngineDefinition:
     rotor_inertia: float  # kg m^2
     flame_out: Mapping[str, float]  # of an engine without a port run: FLAME_OUT, or "electric"; empty: none
     variables: tuple[VariableDefinition, ...]
+    uncertainty: Mapping[str, Any] = field(default_factory=dict)  # how well parameters are known; empty: not stated
     tool: Path | None = None  # C in place of slave.c, where a program outside the archive computes: no saved states
 
     @property
@@ -101,7 +102,7 @@ def _parse_engine(folder: Path, data: dict[str, Any]) -> EngineDefinition:
             f"the folder's name {name!r} must be lower-case words joined by '-', not ending in {FMI2_SUFFIX}"
         )
     required = {"title", "description", "sources", "internal_step_s", "ports", "variables"}
-    _check_keys("", data, required | {"ledger", "rotor", "flame_out"}, required)
+    _check_keys("", data, required | {"ledger", "rotor", "flame_out", "uncertainty"}, required)
     step = _finite_number("internal_step_s", data["internal_step_s"])
     if not step > 0.0:
         raise BuildError(f"internal_step_s = {step}: must be above 0")
@@ -126,9 +127,13 @@ def _parse_engine(folder: Path, data: dict[str, Any]) -> EngineDefinition:
     for source in sources:
         if not source.is_file():
             raise BuildError(f"sources: there is no file {source}")
+    uncertainty = data.get("uncertainty", {})
+    for parameter in uncertainty.get("parameters", ()):
+        _check_variable(variables, "uncertainty.parameters", parameter, "parameter")
     return EngineDefinition(
-        name, folder, data["title"], data["description"], sources, step, ports, ledger, inertia, flame_out, variables
-    )
+        name, folder, data["title"], data["description"], sources, step, ports, ledger, inertia, flame_out, variables,
+        uncertainty=uncertainty,
+    )  # fmt: skip
 
 
 def _parse_flame_out(table: dict[str, Any]) -> dict[str, float]:

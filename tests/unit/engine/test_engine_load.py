@@ -55,6 +55,7 @@ def test_the_library() -> None:
         "edf",
         "edf-as-flown",
         "fitted",
+        "jetcat-p300",
         "motor",
         "p220",
         "p220-2025",
@@ -199,7 +200,7 @@ def refusal(name: str, parameters: dict[str, float] | None = None, step: float =
 
 def test_unknown_engine_lists_the_known_ones() -> None:
     assert refusal("turbo") == (
-        "unknown engine 'turbo'; did you mean 'turbojet'? allowed: edf, edf-as-flown, fitted, motor, p220, "
+        "unknown engine 'turbo'; did you mean 'turbojet'? allowed: edf, edf-as-flown, fitted, jetcat-p300, motor, p220, "
         "p220-2025, "
         "turbine-100, turbine-20, turbine-220, turbojet, or the path of an .fmu or .ssp, or of a .toml that maps one"
     )

@@ -106,6 +106,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/laws.md": ("marks", "test_laws.py"),
     "docs/margins.md": ("test_measured_margins.py",),
     "docs/metrics.md": ("test_metrics_docs.py",),
+    "docs/real-engine.md": ("test_engine_jetcat.py",),
     "docs/sensors.md": ("marks", "test_sensor_profile.py"),
     "docs/own-aircraft.md": ("test_aircraft_check.py", "test_model_agreement.py"),
     "docs/replay.md": ("test_replay.py",),
@@ -123,6 +124,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "engines/edf/README.md": ("test_pages.py",),
     "engines/edf-as-flown/README.md": ("test_pages.py",),
     "engines/fitted/README.md": ("test_engine_fitted.py",),
+    "engines/jetcat-p300/README.md": ("test_engine_jetcat.py",),
     "engines/motor/README.md": ("test_pages.py",),
     "engines/p220/README.md": ("test_pages.py", "test_engine_p220.py"),
     "engines/p220-2025/README.md": ("test_engine_p220_2025.py",),
@@ -666,7 +668,7 @@ def ends(name: str, folder: Path) -> list[float]:
     return found
 
 
-@pytest.mark.parametrize("name", [*LINEAR, "p220", "p220-2025", *TURBINES, "fitted"])
+@pytest.mark.parametrize("name", [*LINEAR, "p220", "p220-2025", *TURBINES, "jetcat-p300", "fitted"])
 def test_the_table_of_engines(name: str, tmp_path: Path) -> None:
     """Delay, lag at half throttle, thrust from idle to full."""
     _, late, lag, thrust = rows(ENGINES, 5)[f"[`{name}`]({name}/README.md)"]

@@ -1,0 +1,77 @@
+"""The engine that was fitted to a real one's speed: against the recordings, and its schedule against the equation."""
+
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim.base.storage.paths import data_folder
+from cosim.engine import load_engine, make_bank
+
+RECORDINGS = Path(__file__).parents[4] / "shared" / "data" / "jetcat-p300" / "recordings"
+STEP = 0.004
+RPM = 60.0 / (2.0 * np.pi)
+
+
+@pytest.fixture(scope="module")
+def page() -> Any:
+    """docs/real_engine.py, which is no part of the package."""
+    spec = importlib.util.spec_from_file_location(
+        "real_engine", data_folder("engines").parent / "docs" / "real_engine.py"
+    )
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules["real_engine"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the recordings of the P300-PRO are not here")
+def test_it_follows_the_recorded_steps(page: Any) -> None:
+    """Within 1.5 % of the range in every step, and 26 of 30 times within 10 %, the worst within 16."""
+    steps = page.read_steps(RECORDINGS)
+    far = []
+    for step in steps:
+        course = page.model("jetcat-p300", step)
+        assert np.sqrt(np.mean((course - step.speed) ** 2)) < 0.015 * page.SWING_KRPM
+        real = page.crossings(step.times, step.speed, page.ends_of(step, step.speed))
+        got = page.crossings(step.times, course, page.ends_of(step, course))
+        far += [abs(a / b - 1.0) for a, b in zip(got, real, strict=True)]
+    assert np.count_nonzero(np.array(far) <= 0.1) >= 26
+    assert max(far) < 0.16
+
+
+def fuel(
+    throttle_from: float, throttle_to: float, seconds: float, **parameters: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return fuel [kg/s] and speed [rpm] after each step."""
+    with make_bank([load_engine("jetcat-p300", {"delay_samples": 0, **parameters}, STEP)], STEP) as bank:
+        bank.reset(throttle_from)
+        outputs = [bank.step(k, (throttle_to,)) for k in range(round(seconds / STEP))]
+    return np.array([one.fuel_flow[0] for one in outputs]), np.array([one.spool_speed[0] * RPM for one in outputs])
+
+
+def test_fuel_falls_as_a_share_of_itself() -> None:
+    flow, _ = fuel(1.0, 0.0, 2.0)
+    rate = np.diff(np.log(flow)) / STEP
+    assert rate.min() == pytest.approx(-0.1887, rel=1e-3)
+
+
+def test_a_small_step_is_slower_than_a_large_one_and_none_overshoots() -> None:
+    _, small = fuel(0.0, 0.15, 15.0)
+    _, large = fuel(0.0, 1.0, 15.0)
+    for speed in (small, large):
+        assert speed.max() < speed[-1] + 0.02 * (speed[-1] - speed[0])
+    shares = [(speed - speed[0]) / (speed[-1] - speed[0]) for speed in (small, large)]
+    widths = [STEP * (np.argmax(one >= 0.9) - np.argmax(one >= 0.1)) for one in shares]
+    assert widths[0] > widths[1]
+
+
+def test_its_parameters_are_uncertain_as_its_page_says() -> None:
+    known = load_engine("jetcat-p300", {}, STEP).uncertainty
+    assert known is not None
+    assert known.parameters[0] == "fuel_gain"
+    assert known.deviation[0] == 0.35
