@@ -18,7 +18,7 @@ RPM = 60.0 / (2.0 * np.pi)
 
 @pytest.fixture(scope="module")
 def page() -> Any:
-    """docs/real_engine.py, which is no part of the package."""
+    """docs/real_engine.py, which writes real-engine.md and is no part of the package."""
     spec = importlib.util.spec_from_file_location(
         "real_engine", data_folder("engines").parent / "docs" / "real_engine.py"
     )
@@ -71,6 +71,10 @@ def test_a_small_step_is_slower_than_a_large_one_and_none_overshoots() -> None:
 
 
 def test_its_parameters_are_uncertain_as_its_page_says() -> None:
+    """README.md has value and standard deviation of each, in a row."""
+    page = (data_folder("engines") / "jetcat-p300" / "README.md").read_text(encoding="utf-8")
+    assert "| `fuel_gain` | 2.16 1/s, standard deviation 0.35 |" in page
+    assert load_engine("jetcat-p300", {}, STEP).parameters["fuel_gain"] == pytest.approx(2.16, abs=0.006)
     known = load_engine("jetcat-p300", {}, STEP).uncertainty
     assert known is not None
     assert known.parameters[0] == "fuel_gain"
