@@ -262,8 +262,8 @@ def _choose(problem: Problem, base: Estimate, records: Sequence[BenchRecord]) ->
 
 def _delay_bounds(problem: Problem, estimates: Sequence[Estimate]) -> tuple[float, float]:
     """Return bounds of the delay, s, by the form with two lags, which contains that with one: no log refutes it."""
-    curve = estimates[0].form.curve
-    return bound_delay(problem, next(one for one in estimates if one.form == Form(2, curve)))
+    lags, curve = estimates[0].form
+    return bound_delay(problem, next(one for one in estimates if one.form == Form(2, curve)), lags == 2)
 
 
 def _widen(problem: Problem, estimate: Estimate, deviation: float) -> Estimate:
