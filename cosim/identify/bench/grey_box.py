@@ -161,6 +161,7 @@ def fit_engine(records: Sequence[BenchRecord], choices: GreyChoices) -> GreyIden
     """
     model, parts = _model(records, choices)
     values, residual, covariance = _fit(model, parts)
+    covariance[0, 0] += min(max(record.clock_deviation for record in records), choices.longest_delay) ** 2
     deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unknown = [
         name

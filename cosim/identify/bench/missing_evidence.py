@@ -45,6 +45,8 @@ def _delay(chosen: Estimate, records: Sequence[BenchRecord], longest: float, str
     lines = []
     if high - low > max(row, WIDE * chosen.total[0]):
         why = "a command that moves this slowly does not tell delay from lag" if straight else "the noise hides it"
+        if max(record.clock_deviation for record in records) > 0.5 * row:
+            why, step = "two clocks tell it no better", "command and output on one clock"
         lines.append(
             f"the delay: anything from {1e3 * low:.0f} to {1e3 * high:.0f} ms fits, delay and lags together are "
             f"{1e3 * chosen.total[0]:.0f} ±{1e3 * DEVIATIONS_95 * chosen.total[1]:.0f} ms; {why}. Next: {step}"

@@ -86,14 +86,14 @@ def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[
     """
     columns = columns or Columns()
     logs = [read_flight_log(path, columns.time, columns.time_unit) for path in paths]
-    records: list[BenchRecord] = []
+    alone = [len(logs) > 1 and _has_no_command(log, columns) for log in logs]
     for n, log in enumerate(logs):
-        if len(logs) > 1 and _has_no_command(log, columns):
-            if n == 0:
-                raise InputError(f"{log.path}: has no command; put the file that has it before it")
-            continue
-        loads = [other for other in logs[n + 1 : n + 2] if _has_no_command(other, columns)]
-        records += _read_records(log, loads[0] if loads else None, columns)
+        if alone[n] and (n == 0 or alone[n - 1]):
+            raise InputError(f"{log.path}: has no command; put the file that has it right before it")
+    records: list[BenchRecord] = []
+    for log, is_load, load, follows in zip(logs, alone, [*logs[1:], None], [*alone[1:], False], strict=True):
+        if not is_load:
+            records += _read_records(log, load if follows else None, columns)
     first = records[0]
     for other in records[1:]:
         if (other.output_unit, other.command_unit) != (first.output_unit, first.command_unit):

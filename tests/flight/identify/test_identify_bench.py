@@ -102,7 +102,8 @@ def test_two_clocks_that_nothing_joins_do_not_tell_the_delay(tmp_path: Path) -> 
     result = identify_bench(read_records(two_files(tmp_path, speed=False)))
     assert result.chosen.delay_bounds == (0.0, 2.0)
     assert any("the delay is not told at all" in note for note in result.notes)
-    assert any(line.startswith("the delay: anything from 0 to 2000 ms") for line in result.untold)
+    (line,) = (line for line in result.untold if line.startswith("the delay: anything from 0 to 2000 ms"))
+    assert line.endswith("two clocks tell it no better. Next: command and output on one clock")
     assert sum(result.chosen.lags) == pytest.approx(0.4, abs=0.1)
 
 
@@ -113,6 +114,9 @@ def test_files_of_two_runs_are_no_pair(tmp_path: Path) -> None:
                comments="")  # fmt: skip
     with pytest.raises(InputError, match="cannot be laid over each other"):
         read_records(paths)
+    for wrong in ([paths[1], paths[0]], [*paths, paths[1]]):
+        with pytest.raises(InputError, match="has no command; put the file that has it right before it"):
+            read_records(wrong)
 
 
 @pytest.mark.parametrize("kind", ["step", "prbs"])
