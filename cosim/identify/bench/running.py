@@ -17,6 +17,7 @@ MOST_STATES = 40  # different values of a column that is called so
 OFF = 0.15  # of the greatest speed, below which the engine is off: jets idle above a fifth
 STANDING = 0.015  # of the greatest speed, by which it may change while it stands
 STANDING_S = 3.0  # for which it has to stand, to be started
+SLOWEST_FAN_S = 8.0  # that an electric engine needs from standstill until its speed stands; a jet's start takes longer
 SHORTEST_S = 5.0  # of a stretch that is worth keeping
 
 
@@ -24,7 +25,8 @@ def find_running(log: FlightLog, command: Channel, output: Channel, notes: list[
     """Return the stretches, s, in which the engine of this log is started and runs; what is left out ``notes`` say.
 
     By its speed, where the log has one: below 0.15 of the greatest it is off; a start ends where it stands for 3 s
-    for the first time, a stop begins where it stood for the last.  By a column ``state`` too, where there is one: the
+    for the first time, a stop begins where it stood for the last.  That is so where a start takes 8 s, as a jet's:
+    a fan that steps from standstill is measured whole.  By a column ``state`` too, where there is one: the
     state in which the engine turned most is the one in which it runs.
     """
     begin, end = float(max(command.times[0], output.times[0])), float(min(command.times[-1], output.times[-1]))
@@ -37,7 +39,11 @@ def find_running(log: FlightLog, command: Channel, output: Channel, notes: list[
     off = values < OFF * values.max(initial=0.0)
     if len(times) < 2 or not off.any() or off.all():
         return [(begin, end)]
-    running = ~off & _started(times, values, off) & _in_state(log, times, values)
+    started, is_slow = _started(times, values, off)
+    in_state = _in_state(log, times, values)
+    if not is_slow and in_state is None:
+        return [(begin, end)]
+    running = ~off & started & (in_state if in_state is not None else True)
     spans = [span for span in _spans(times, running) if span[1] - span[0] > SHORTEST_S]
     if not spans:
         return [(begin, end)]
@@ -63,33 +69,37 @@ def find_speed(log: FlightLog) -> Channel | None:
     return found[0]._replace(times=found[0].times[good], values=found[0].values[good])
 
 
-def _started(times: Array, values: Array, off: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which rows lie neither in a start, until the speed first stands, nor in a stop, since it last stood."""
+def _started(times: Array, values: Array, off: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], bool]:
+    """Return which rows lie neither in a start, until the speed first stands, nor in a stop, since it last stood.
+
+    And whether a start is as slow as a jet's is: an electric fan that is switched on is no start.
+    """
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
     rows = max(2, round(STANDING_S / float(np.median(np.diff(times)))))
     change = maximum_filter1d(values, rows) - minimum_filter1d(values, rows)
     stands = (change < STANDING * values.max()) & ~off
-    kept = np.zeros(len(times), bool)
+    kept, is_slow = np.zeros(len(times), bool), False
     edges = np.flatnonzero(np.diff(off.astype(np.int8), prepend=1, append=1))
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         standing = np.flatnonzero(stands[first:last]) + first
         if standing.size:
+            is_slow |= first > 0 and times[standing[0]] - times[first] > SLOWEST_FAN_S
             kept[(first if first == 0 else standing[0]) : (last if last == len(times) else standing[-1] + 1)] = True
-    return kept
+    return kept, bool(is_slow)
 
 
-def _in_state(log: FlightLog, times: Array, values: Array) -> NDArray[np.bool_]:
-    """Return which rows are in the state in which the engine turned most; all, where no column says a state."""
+def _in_state(log: FlightLog, times: Array, values: Array) -> NDArray[np.bool_] | None:
+    """Return which rows are in the state in which the engine turned most; None where no column says a state."""
     states = [channel for name, channel in log.channels.items() if STATES.fullmatch(name)]
     if len(states) != 1:
-        return np.ones(len(times), bool)
+        return None
     good = np.isfinite(states[0].times) & np.isfinite(states[0].values)
     row = np.searchsorted(states[0].times[good], times, side="right") - 1
     state = states[0].values[good][np.maximum(row, 0)]
     known = np.unique(state)
-    if len(known) > MOST_STATES:
-        return np.ones(len(times), bool)
+    if not 1 < len(known) <= MOST_STATES:
+        return None
     turned = [float(values[state == one].sum()) for one in known]
     return np.asarray(state == known[int(np.argmax(turned))])
 

@@ -279,6 +279,14 @@ def test_a_log_that_no_lag_explains_is_status_1_and_leaves_the_page_that_shows_i
     assert "an acceleration limit" in told["refused"][0]
 
 
+def test_a_fan_that_steps_from_standstill_is_measured_whole(tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 10.0)
+    rpm = 300.0 * (thrust - 25.0)  # 0 at the lowest of its levels
+    (record,) = read_records([write(tmp_path / "fan.csv", command, rpm, times, "time_s,throttle,rpm")])
+    assert (record.times[0], record.times[-1]) == (0.0, times[-1])
+    assert not any("left out" in note for note in record.notes)
+
+
 def test_a_share_that_is_called_percent_leaves_no_engine(tmp_path: Path) -> None:
     """A hundredfold gain would be wrong without a word."""
     from cosim.identify.bench.result import why_no_engine
