@@ -1,4 +1,5 @@
-/* An engine as a bench log tells it: transport delay, static curve, two lags, limits of the rate.
+/* An engine as a bench log tells it: transport delay, static curve, two lags, limits of the rate.  The first
+ * lag may change with the thrust.
  *
  *     f = offset + gain u(t - delay)^exponent      lag_2 x' = f - x      lag y' = x - y, within -fall and rise times gain
  *
@@ -20,6 +21,16 @@ static double curve(const Variables *v, double u)
     return v->offset + v->gain * (v->exponent == 1.0 ? u : pow(u, v->exponent));
 }
 
+/* The lag at the thrust as it stands: in a straight line from that of no throttle to that of full throttle. */
+static double lag_at(const Variables *v, double thrust)
+{
+    if (v->lag_full == 0.0)
+        return v->lag;
+    const double low = v->offset, high = v->offset + v->gain;
+    const double level = high > low ? limit((thrust - low) / (high - low), 0.0, 1.0) : 0.0;
+    return v->lag + (v->lag_full - v->lag) * level;
+}
+
 static double fade(double lag) { return lag > 0.0 ? exp(-ENGINE_STEP / lag) : 0.0; }
 
 void engine_start(Variables *v, void *state)
@@ -36,11 +47,11 @@ void engine_step(Variables *v, void *state)
 {
     State *s = state;
     const double f = curve(v, delay(s->held, &s->at, v->delay_samples, limit(v->throttle, 0.0, 1.0)));
-    const double e = fade(v->lag), e2 = fade(v->lag_2), apart = v->lag_2 - v->lag;
+    const double lag = lag_at(v, s->y), e = fade(lag), e2 = fade(v->lag_2), apart = v->lag_2 - lag;
     /* what a unit of x - f at the beginning of the step adds to y at its end */
-    const double through = v->lag_2 == 0.0             ? 0.0
-                           : fabs(apart) < 1e-9 * v->lag ? ENGINE_STEP / v->lag * e
-                                                         : v->lag_2 / apart * (e2 - e);
+    const double through = v->lag_2 == 0.0          ? 0.0
+                           : fabs(apart) < 1e-9 * lag ? ENGINE_STEP / lag * e
+                                                      : v->lag_2 / apart * (e2 - e);
     const double y = f + e * (s->y - f) + through * (s->x - f);
     const double highest = v->rise > 0.0 ? s->y + ENGINE_STEP * v->rise * v->gain : HUGE_VAL;
     const double lowest = v->fall > 0.0 ? s->y - ENGINE_STEP * v->fall * v->gain : -HUGE_VAL;

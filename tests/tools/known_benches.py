@@ -12,7 +12,11 @@ LEVELS = np.array([0.2, 0.5, 0.8, 0.4, 0.7, 0.3, 0.6, 0.9, 0.5, 0.2])
 
 @dataclass(frozen=True)
 class Truth:
-    """An engine; with ``slew``, N/s, it is one lag whose thrust changes no quicker."""
+    """An engine; with ``slew``, N/s, it is one lag whose thrust changes no quicker.
+
+    With ``full_lag`` the lag goes in a straight line to that one at full thrust; its ECU reads the command every
+    ``interval`` s and keeps it until another differs by more than ``dead_band``.
+    """
 
     delay: float = 0.1
     lags: tuple[float, ...] = (0.4,)
@@ -20,6 +24,9 @@ class Truth:
     offset: float = 5.0
     exponent: float = 1.0
     slew: tuple[float, float] | None = None  # up, down
+    full_lag: float = 0.0
+    interval: float = 0.0
+    dead_band: float = 0.0
 
 
 def excite(kind, rate, seconds=60.0, seed=0):
@@ -40,24 +47,38 @@ def excite(kind, rate, seconds=60.0, seed=0):
 
 def thrust(truth, times, command, straight):
     """The thrust at these times, N, without noise."""
-    if truth.slew is not None:
-        return _limited(truth, times, command)
+    if truth.slew is not None or truth.full_lag or truth.interval or truth.dead_band:
+        return _stepped(truth, times, _heard(truth, times, command, straight))
     made = make_command(times, command**truth.exponent, straight)
     first, second = (*truth.lags, 0.0)[:2]
     return truth.offset + truth.gain * made.twice_lagged(first, second / first, times - truth.delay)
 
 
-def _limited(truth, times, command):
+def _heard(truth, times, command, straight):
+    """What the ECU makes of the command, by time."""
+    reads = np.arange(times[0] - 0.3 * truth.interval, times[-1], truth.interval or 0.002)
+    at = np.interp(reads, times, command)
+    if not straight:
+        at = command[np.maximum(np.searchsorted(times, reads + 1e-9, side="right") - 1, 0)]
+    taken, kept = at[0], []
+    for value in at:
+        taken = value if abs(value - taken) > truth.dead_band else taken
+        kept.append(taken)
+    return lambda t: kept[max(int(np.searchsorted(reads, t + 1e-9, side="right")) - 1, 0)]
+
+
+def _stepped(truth, times, heard):
     every = max(1, round((times[1] - times[0]) / 0.002))
     h = (times[1] - times[0]) / every
-    up, down = truth.slew
-    now, thrusts = truth.offset + truth.gain * command[0], []
-    for n in range(len(times)):
+    up, down = truth.slew or (np.inf, np.inf)
+    now, thrusts = truth.offset + truth.gain * heard(times[0]), []
+    for time in times:
         thrusts.append(now)
         for part in range(every):
-            row = max(int(np.searchsorted(times, times[n] + part * h - truth.delay + 1e-9, side="right")) - 1, 0)
-            steady = truth.offset + truth.gain * command[row]
-            now += h * min(max((steady - now) / truth.lags[0], -down), up)
+            steady = truth.offset + truth.gain * heard(time + part * h - truth.delay)
+            level = (now - truth.offset) / truth.gain
+            lag = truth.lags[0] + ((truth.full_lag or truth.lags[0]) - truth.lags[0]) * min(max(level, 0.0), 1.0)
+            now += h * min(max((steady - now) / lag, -down), up)
     return np.array(thrusts)
 
 

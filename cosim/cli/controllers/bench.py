@@ -55,6 +55,7 @@ def identify_bench(options: Bench) -> int:
     one_thread()
     from cosim.identify.bench import Choices, Columns, read_records
     from cosim.identify.bench import identify_bench as identify
+    from cosim.identify.bench.beyond_lags import fit_beyond_lags
     from cosim.identify.bench.result import write
     from cosim.identify.files import FILES, RECORD
 
@@ -68,6 +69,10 @@ def identify_bench(options: Bench) -> int:
         return _fit_engine(read_records(options.logs, columns), options)
     with output_to_stderr(options.as_json):
         found = identify(read_records(options.logs, columns), Choices(*_choices(options)))
+        beyond = fit_beyond_lags(found, options.longest_delay)
+    if beyond is not None:
+        return _write_fitted(beyond, options)
+    with output_to_stderr(options.as_json):
         paths = write(found, options.run_folder("identify-bench"))
     options.answer(found.to_dict, lambda: print_bench(found, paths))
     return FLIGHT_FAILED if found.refused else DONE
@@ -76,7 +81,6 @@ def identify_bench(options: Bench) -> int:
 def _fit_engine(records: list[BenchRecord], options: Bench) -> int:
     from cosim.base.storage.toml import parse_numbers
     from cosim.identify.bench.grey_box import GreyChoices, fit_engine
-    from cosim.identify.bench.grey_box_result import write
     from cosim.identify.bench.identify import is_straight, throttle_limits
 
     notes: list[str] = []
@@ -90,7 +94,13 @@ def _fit_engine(records: list[BenchRecord], options: Bench) -> int:
     choices = GreyChoices(str(options.engine), options.fitted, settings, limits, straight, options.longest_delay)
     with output_to_stderr(options.as_json):
         found = fit_engine(records, choices)
-        found = replace(found, notes=(*found.notes, *notes))
+    return _write_fitted(replace(found, notes=(*found.notes, *notes)), options)
+
+
+def _write_fitted(found: GreyIdentification, options: Bench) -> int:
+    from cosim.identify.bench.grey_box_result import write
+
+    with output_to_stderr(options.as_json):
         paths = write(found, options.run_folder("identify-bench"))
     options.answer(found.to_dict, lambda: print_fitted(found, paths))
     return FLIGHT_FAILED if found.misfit.failed else DONE

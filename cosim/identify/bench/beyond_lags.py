@@ -1,0 +1,71 @@
+"""What is tried of an engine that no lag explains: limits of its acceleration, or a lag that changes with the thrust.
+
+Both are the library's engine ``fitted``, simulated; the one with the least of Schwarz' criterion is taken, if it
+explains the logs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cosim.base.errors import NotIdentifiedError
+from cosim.identify.bench.evidence import Misfit, test_residuals
+from cosim.identify.bench.grey_box import GreyChoices, GreyIdentification, fit_engine
+from cosim.identify.engine_file import FITTED
+
+if TYPE_CHECKING:
+    from cosim.identify.bench.identify import BenchIdentification
+
+FORMS = {  # the parameters that each form adds to gain, offset and lag
+    "limits of acceleration": ("rise", "fall"),
+    "a lag that changes with the thrust": ("lag_full",),
+}
+BEGIN_STEP = 0.3  # of the throttle's range, as which the limits begin over delay and lags together
+BEGIN_LAG = 0.5  # of the lags together, as which the lag itself begins below limits
+
+
+def fit_beyond_lags(found: BenchIdentification, longest_delay: float) -> GreyIdentification | None:
+    """Return the form that explains logs which lags do not, or None where none does or the thrust is not in N."""
+    if found.is_explained or not found.limits_known or any(record.newtons is None for record in found.records):
+        return None
+    tried = []
+    for words, own in FORMS.items():
+        choices = _choices(found, own, longest_delay)
+        try:
+            fitted = fit_engine(found.records, choices)
+        except NotIdentifiedError:
+            continue
+        if not (fitted.misfit.failed or _misfit_of_lags(fitted).failed):
+            note = (
+                f"no lag explains the log, {100.0 * found.misfit.size:.2g} % of the swing (rms) is left over; {words}"
+            )
+            tried.append(replace(fitted, notes=(*fitted.notes, note)))
+    return min(tried, key=_schwarz, default=None)
+
+
+def _choices(found: BenchIdentification, own: tuple[str, ...], longest_delay: float) -> GreyChoices:
+    newtons = found.records[0].newtons or 1.0
+    gain, offset, lags = newtons * found.chosen.gain, newtons * found.offset, sum(found.chosen.lags)
+    begin = {"gain": gain, "offset": offset, "lag": lags}
+    if "rise" in own:
+        begin |= {"lag": BEGIN_LAG * lags, "rise": BEGIN_STEP / lags, "fall": BEGIN_STEP / lags}
+    else:
+        begin["lag_full"] = lags
+    common = ("gain", "offset", "lag") if offset > 0.0 else ("gain", "lag")
+    return GreyChoices(FITTED, (*common, *own), begin, found.limits, found.straight, longest_delay)
+
+
+def _misfit_of_lags(fitted: GreyIdentification) -> Misfit:
+    """Return what is left over in blocks as short as those of a form of lags: a dead band does not pass here."""
+    named = dict(zip(fitted.names, map(float, fitted.values), strict=True))
+    delay, lag = named["delay_s"], max(named["lag"], named.get("lag_full", 0.0))
+    return test_residuals(fitted.parts, fitted.residual, delay, delay + lag)
+
+
+def _schwarz(fitted: GreyIdentification) -> float:
+    rows = len(fitted.residual)
+    power = max(float(np.mean(fitted.residual**2)), 1e-300)
+    return rows * float(np.log(power)) + len(fitted.values) * float(np.log(rows))
