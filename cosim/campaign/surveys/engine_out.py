@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from cosim.simulation.step import Simulation
 
 AIRCRAFT = ("hexjet", "hexjet-100", "hexjet-p220")
-NOT_A_JET = ("motor", "fitted")  # the quadrotor's; a form without numbers of its own, fitted to a bench log
+# the quadrotor's; a form without numbers of its own, fitted to a bench log; one whose thrust is not known
+NOT_A_JET = ("motor", "fitted", "jetcat-p300")
 AFTER_S = 10.0  # flown with the engine out: long enough for the slowest engines to have brought the height back or not
 MIN_HOVER = 0.2  # least hover thrust over the range, chosen by us: below it an engine is slow near its idle
 SINK_M_S = 0.5  # at the end: who sinks faster than an autopilot lands has not held; chosen by us

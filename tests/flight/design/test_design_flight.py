@@ -25,7 +25,8 @@ def flown(engine: str, scenario: str, *settings: str) -> Any:
 
 
 def test_every_engine_of_the_library_has_a_design() -> None:
-    without = ["fitted"]  # a form to be fitted to a bench log: no engine of its own
+    # a form to be fitted to a bench log: no engine of its own; one whose thrust is not known and nobody has flown
+    without = ["fitted", "jetcat-p300"]
     assert sorted(list_engine_names()) == sorted([*ENGINES, *without])
 
 

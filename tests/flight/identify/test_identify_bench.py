@@ -268,7 +268,7 @@ def test_wrong_logs_are_told_in_a_line(
 def test_a_log_that_no_lag_explains_is_status_1_and_leaves_the_page_that_shows_it(
     hexjet: Hexjet, tmp_path: Path
 ) -> None:
-    times, command, thrust, _ = bench_log("stairs of 5 s", 20.0, SLEWING)
+    times, command, thrust, _ = bench_log("chirp", 50.0, Truth(dead_band=0.04))
     write(tmp_path / "bench.csv", command, thrust, times)
     done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
     assert done.status == 1
