@@ -20,7 +20,9 @@ from cosim.engine import build_engines, library, list_engine_names
 ENGINES = list_engine_names()
 FMUS = [(name, fmi) for name in ENGINES for fmi in (2, 3)]
 # a start that fits into a short test
-QUICK = {name: {"ignition_time": 0.2, "spooling_time": 2.0} for name in ENGINES if name.startswith(("turbine-", "jetcat-"))}
+QUICK = {
+    name: {"ignition_time": 0.2, "spooling_time": 2.0} for name in ENGINES if name.startswith(("turbine-", "jetcat-"))
+}
 STANDARD = {
     "throttle": ("input", "1"),
     "run": ("input", "1"),
