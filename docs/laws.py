@@ -27,9 +27,9 @@ from cosim.campaign import open_campaign
 from cosim.campaign.analysis.summary import controller_indices, success_fractions
 from cosim.campaign.analysis.table import FlightTable, read_flight_table
 from cosim.design import design as make
-from cosim.design.limit import Bounds, Limit, find_limit
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels
+from cosim.design.loop.limit import Bounds, Limit, find_limit
 from cosim.engine import load_engine
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.simulation.controllers.controller_file import NOISE_SHARE

@@ -27,13 +27,13 @@ from cosim.design.levels import (
     meets_requirements,
     tunings_at,
 )
-from cosim.design.limit import AxisLimit, axis_limit, need_solver
 from cosim.design.limits import Say, bandwidths_without_limits, explain_failure, find_allowances, tolerance_checks
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead, hover_fraction
 from cosim.design.loop.dynamics import Dynamics, fit_dynamics, make_lag_dynamics, with_misfit
 from cosim.design.loop.engine_uncertainty import engine_tolerances
 from cosim.design.loop.firmware import Firmware
+from cosim.design.loop.limit import AxisLimit, axis_limit, need_solver
 from cosim.design.loop.tuning import Tuning, candidates, designable
 from cosim.design.proof_result import Proof
 from cosim.design.tune import TuningResult, fine_loop, objective, settle, tune, tune_near

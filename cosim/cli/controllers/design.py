@@ -106,7 +106,7 @@ def design(options: DesignOptions) -> int:
     one_thread()
     from cosim.design.design import add_limits
     from cosim.design.design import design as make
-    from cosim.design.limit import need_solver
+    from cosim.design.loop.limit import need_solver
     from cosim.design.proof import add_proof
     from cosim.design.result import to_dict, write
     from cosim.simulation.controllers.controller_file import Requirements

@@ -14,9 +14,9 @@ from scipy.signal import lfilter
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
-from cosim.design import limit as limits
-from cosim.design.limit import Bounds, Limit, find_limit
+from cosim.design.loop import limit as limits
 from cosim.design.loop.channel import Channel
+from cosim.design.loop.limit import Bounds, Limit, find_limit
 
 pytest.importorskip("clarabel", reason="Clarabel is not installed")
 
