@@ -54,7 +54,7 @@ class EngineSensitivity:
             low, high = _moved(spec, name, max(deviation, spread))
             ends = [
                 load_engine(
-                    str(spec.mapping),
+                    str(spec.mapping) if spec.mapping else spec.name,
                     {**scenario.engine_parameters, name: value},
                     scenario.step_s,
                     unchecked=True,

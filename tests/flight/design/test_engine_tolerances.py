@@ -51,6 +51,18 @@ def test_gain_and_delay_deviate_as_the_closed_form_does(
     assert sensitivity(tmp_path, DEVIATION, spread).at(hertz) == pytest.approx(tuple(exact), rel=5e-3)
 
 
+def test_an_engine_of_the_library_has_its_own_uncertainty() -> None:
+    """It has no mapping file: its name loads it again, and the delay alone makes a deviation of its own 12 steps."""
+    scenario = Scenario.load("full-scale-hover", ["engine=jetcat-p300"])
+    spec = load_engine("jetcat-p300", {}, STEP)
+    assert spec.uncertainty is not None
+    assert spec.mapping is None
+    found = EngineSensitivity(scenario, scenario.resolved_vehicle()[0], spec).at(0.25)
+    late = spec.uncertainty.deviation[spec.uncertainty.parameters.index("delay_samples")] * STEP
+    assert late <= found.delay_s < 4.0 * late
+    assert 0.0 < found.gain < 1.0
+
+
 def test_margins_in_deviations() -> None:
     known = LoopUncertainty(0.1, 0.004)
     assert gain_deviations(known, 6.0206) == pytest.approx(np.log(2.0) / 0.1, rel=1e-5)
