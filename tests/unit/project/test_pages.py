@@ -96,6 +96,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
         "test_engine_out.py",
         "test_full_scale.py",
         "test_engine_p220_2025.py",
+        "test_full_scale_ecu.py",
     ),
     "docs/README.md": ("test_site.py",),
     "docs/glossary.md": ("test_site.py",),

@@ -1,0 +1,65 @@
+"""docs/full-scale.md: what it says of the real one's ECU, flown again for two cells, and the changes of the vehicle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import DOCS, script
+
+from cosim.results.report.marks import parts_of
+from cosim.spec.vehicle import load_vehicle
+
+ecu = script("full_scale_ecu")
+PAGE = DOCS / "full-scale.md"
+
+
+def row_of(part: str, *first: str) -> str:
+    """The row of a part that begins with these cells."""
+    rows = parts_of(PAGE.read_text(encoding="utf-8"), PAGE)[part].splitlines()
+    (found,) = [row for row in rows if row.startswith(f"| {' | '.join(first)} |")]
+    return found
+
+
+def test_the_vehicle_as_shipped_is_lost_and_with_vanes_flies(tmp_path: Path) -> None:
+    shipped = ecu.tried(ecu.REAL, {}, ecu.gains(ecu.SHIPPED, tmp_path), {})
+    assert shipped["hover"]["outcome"] == "diverged"
+    assert not ecu.flies(shipped)
+    vanes = ecu.tried(ecu.REAL, {}, ecu.gains(ecu.VANES, tmp_path), {})
+    assert ecu.flies(vanes)
+    assert f"| {ecu.said(shipped)} |" in row_of("real ecu", ecu.REAL, "0.32 s, as fitted")
+    assert f"| {ecu.said(vanes)} |" in row_of("real ecu", ecu.REAL, "0.32 s, as fitted")
+
+
+def test_a_flight_that_swings_or_leans_too_far_does_not_count() -> None:
+    hover, gust = {"outcome": "completed", "swing_deg": 1.0}, {"outcome": "completed", "lean_deg": 9.0}
+    found = {"hover": hover, "roll-doublet": {"outcome": "completed", "settling": 2.0}, "gust": gust}
+    assert ecu.flies(found)
+    for name, worse in (
+        ("hover", {"swing_deg": 2.1}),
+        ("roll-doublet", {"settling": None}),
+        ("gust", {"lean_deg": 10.1}),
+    ):
+        assert not ecu.flies(found | {name: found[name] | worse})
+    assert not ecu.flies(found | {"gust": gust | {"outcome": "diverged"}})
+
+
+@pytest.mark.parametrize("grows", [False, True])
+def test_longer_levers_keep_the_loop_of_roll(grows: bool) -> None:
+    """Throttle to angular acceleration goes with lever over inertia; gain times that stays."""
+    plain, changed = ecu.slowed(ecu.SLOWER), ecu.longer(1.5, grows)
+    vehicle, _ = load_vehicle("hexjet-p220", changed, "a test")
+    shipped, _ = load_vehicle("hexjet-p220")
+    gains = [each["control"]["rate"]["roll"]["p"] for each in (plain, changed)]
+    plant = [each.jets[0].position_m[1] / each.inertia_kg_m2[0] for each in (shipped, vehicle)]
+    np.testing.assert_allclose(gains[1] * plant[1], gains[0] * plant[0], rtol=1e-12)
+    assert (vehicle.inertia_kg_m2[0] > shipped.inertia_kg_m2[0]) is grows
+
+
+def test_six_engines_differ_and_are_drawn_again_alike() -> None:
+    first, again, other = ecu.six(1), ecu.six(1), ecu.six(2)
+    assert first == again != other
+    late = [first[number]["delay_samples"] for number in "123456"]
+    assert len(set(late)) > 3
+    assert 40 < min(late) < max(late) < 130
