@@ -26,6 +26,8 @@ def test_the_vehicle_as_shipped_is_lost_and_with_vanes_flies(tmp_path: Path) -> 
     shipped = ecu.tried(ecu.REAL, {}, ecu.gains(ecu.SHIPPED, tmp_path), {})
     assert shipped["hover"]["outcome"] == "diverged"
     assert not ecu.flies(shipped)
+    tuned = ecu.tried(ecu.REAL, {}, ecu.gains(ecu.TUNED, tmp_path), {})
+    assert f"| {ecu.said(tuned)} |" in row_of("real ecu", ecu.REAL, "0.32 s, as fitted")
     vanes = ecu.tried(ecu.REAL, {}, ecu.gains(ecu.VANES, tmp_path), {})
     assert ecu.flies(vanes)
     assert f"| {ecu.said(shipped)} |" in row_of("real ecu", ecu.REAL, "0.32 s, as fitted")
@@ -48,7 +50,7 @@ def test_a_flight_that_swings_or_leans_too_far_does_not_count() -> None:
 @pytest.mark.parametrize("grows", [False, True])
 def test_longer_levers_keep_the_loop_of_roll(grows: bool) -> None:
     """Throttle to angular acceleration goes with lever over inertia; gain times that stays."""
-    plain, changed = ecu.slowed(ecu.SLOWER), ecu.longer(1.5, grows)
+    plain, changed = ecu.tuned(), ecu.longer(1.5, grows)
     vehicle, _ = load_vehicle("hexjet-p220", changed, "a test")
     shipped, _ = load_vehicle("hexjet-p220")
     gains = [each["control"]["rate"]["roll"]["p"] for each in (plain, changed)]
