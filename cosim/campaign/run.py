@@ -137,6 +137,8 @@ def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) 
             extend_campaign(Path(name), **longer)
         return None, Path(name)
     if resume and out is None:
+        if name not in (*study_names(), *scenario_names()):
+            raise InputError(f"{name}: holds no campaign; --resume goes on with a campaign's folder")
         raise InputError("--resume: give the folder of the campaign, as in hexjet sweep DIR --resume")
     study = open_study(name, **options)
     return study, out if out is not None else new_folder(Path("runs"), study.name)
@@ -149,6 +151,11 @@ def extend_campaign(folder: Path, until: str | None = None, runs: int | None = N
     """
     with Store.resume(folder) as store:
         study = store.study
+        if runs is not None and study.until is not None and store.stored >= len(store.flights):
+            raise InputError(
+                f"{folder}: {study.until} was judged by all of its {study.draws} draws, a number that was fixed "
+                "before; more of them need a study of their own"
+            )
         if runs is not None and (study.design not in ("random", "sobol") or runs < study.draws):
             raise InputError(
                 f"{folder}: runs = {runs}: its {study.design} has {study.draws} draws; only a random or a sobol study "

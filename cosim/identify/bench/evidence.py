@@ -157,6 +157,14 @@ def first_half(parts: Sequence[Part]) -> list[NDArray[np.bool_]] | None:
     return early
 
 
+def describe_held_back(held_back: tuple[float, float], unit: str) -> str:
+    """Describe how far a model fitted on the first half of the movements is off in the second, and in the first."""
+    return (
+        f"fitted on the first half of the movements it is off by {held_back[1]:.3g} {unit} in the second, "
+        f"and by {held_back[0]:.3g} {unit} where it was fitted"
+    ).replace("  ", " ")
+
+
 def predict_held_back(problem: Problem, estimate: Estimate) -> tuple[float, float] | None:
     """Return the rms in the first half of the command's movements, fitted alone, and in the second, foretold by it."""
     early = first_half(problem.parts)

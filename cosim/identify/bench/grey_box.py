@@ -12,7 +12,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError, NotIdentifiedError, nearest
 from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.engine.fmu.variables import Variable
-from cosim.identify.bench.evidence import Misfit, first_half, test_residuals
+from cosim.identify.bench.evidence import Misfit, describe_held_back, first_half, test_residuals
 from cosim.identify.bench.fit import Part, Problem
 from cosim.identify.bench.record import BenchRecord
 from cosim.identify.bench.robust import invert, memory_rows, robust_factor
@@ -182,14 +182,16 @@ def fit_engine(records: Sequence[BenchRecord], choices: GreyChoices) -> GreyIden
         size = f"{100.0 * misfit.size:.2g} % of the output's swing (rms)"
         notes.append(f"not explained: what is left over still belongs to the command, {size}; bounds do not cover that")
     if held_back is not None and held_back[1] > POOR_PREDICTION * held_back[0]:
-        notes.append(
-            f"fitted on the first half of the movements it is off by {held_back[1]:.3g} in the second, "
-            f"and by {held_back[0]:.3g} where it was fitted"
-        )
+        notes.append(describe_held_back(held_back, output_unit(records[0])))
     return GreyIdentification(
         tuple(records), choices, model.with_values(values[1:]), values, covariance, residual, tuple(parts),
         misfit, held_back, tuple(notes),
     )  # fmt: skip
+
+
+def output_unit(record: BenchRecord) -> str:
+    """Return the unit in which an engine's own output is compared: rpm of a speed, N of a thrust."""
+    return "rpm" if record.output_unit in ("rpm", "krpm") else "N"
 
 
 def _model(records: Sequence[BenchRecord], choices: GreyChoices) -> tuple[_Model, list[Part]]:

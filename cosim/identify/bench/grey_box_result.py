@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.identify.bench.grey_box import STEP_S, GreyIdentification
+from cosim.identify.bench.grey_box import STEP_S, GreyIdentification, output_unit
 from cosim.identify.bench.result import lay_behind
 from cosim.identify.engine_file import DEVIATIONS_95, uncertainty_table
 from cosim.identify.files import write_identification
@@ -79,10 +79,11 @@ def summary(result: GreyIdentification) -> str:
     """Describe in a line what was fitted to what, and what is left over."""
     first = result.records[0]
     names = ", ".join(record.path.name for record in result.records)
-    held = ""
+    unit, held = output_unit(first), ""
     if result.held_back is not None:
-        held = f"; fitted on the first half of the movements it is off by {result.held_back[1]:.3g} in the second"
-    unit = "rpm" if first.output_unit in ("rpm", "krpm") else "N"
+        held = (
+            f"; fitted on the first half of the movements it is off by {result.held_back[1]:.3g} {unit} in the second"
+        )
     share = 100.0 * result.residual_rms / result.swing
     return (
         f"{names}: {first.command_name} to {first.output_name}, {result.choices.engine}; left over "

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.identify.bench.command import moves_on
-from cosim.identify.bench.evidence import Misfit, predict_held_back, test_residuals
+from cosim.identify.bench.evidence import Misfit, describe_held_back, predict_held_back, test_residuals
 from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, make_part
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
@@ -314,10 +314,7 @@ def _doubts(chosen: Estimate, misfit: Misfit, held_back: tuple[float, float] | N
     if misfit.failed:
         doubts.append(misfit.words)
     if held_back is not None and held_back[1] > POOR_PREDICTION * held_back[0]:
-        doubts.append(
-            f"fitted on the first half of the movements it is off by {held_back[1]:.3g} in the second, "
-            f"and by {held_back[0]:.3g} where it was fitted"
-        )
+        doubts.append(describe_held_back(held_back, record.output_unit))
     if chosen.delay_bounds[0] == 0.0:
         doubts.append("no delay at all is within the bounds")
     return doubts

@@ -104,6 +104,14 @@ def test_a_campaign_without_a_rule_goes_on_with_one(flown: Campaign, tmp_path: P
         extend_campaign(tmp_path / "c", runs=100)
 
 
+def test_a_claim_that_was_judged_by_all_draws_takes_no_more_of_them(tmp_path: Path) -> None:
+    used_up = run_campaign(known("95%@95%", runs=60), tmp_path / "c", Reversed())  # type: ignore[arg-type]
+    assert verdict(used_up).is_finished
+    assert len(used_up) == 60
+    with pytest.raises(InputError, match="was judged by all of its 60 draws"):
+        extend_campaign(tmp_path / "c", runs=300)
+
+
 def test_what_is_printed_and_drawn_says_how_it_stopped(flown: Campaign) -> None:
     summary = json.loads(json.dumps(campaign_summary(flown)))
     assert summary["finished"] is True
