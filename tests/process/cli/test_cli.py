@@ -110,7 +110,7 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
         ),
         (
             ["fly", "hover", "--engine", "edg"],
-            "unknown engine 'edg'; did you mean 'edf'? allowed: edf, edf-as-flown, fitted, motor, ",
+            "unknown engine 'edg'; did you mean 'edf'? allowed: edf, edf-as-flown, fitted, jetcat-p300, motor, ",
         ),
         (["fly", "hover", "--engine", "none.fmu"], "none.fmu: no such file"),
         (["fly", "hover", "--set", "vehicle.mass_kg=-2"], "mass_kg = -2"),

@@ -176,7 +176,7 @@ print(json.dumps([len(paths), "cosim" in sys.modules, "pydantic" in sys.modules]
 def test_an_unknown_engine(engines: Path, tmp_path: Path) -> None:
     with pytest.raises(
         BuildError,
-        match="unknown engine 'rocket'; allowed: edf, edf-as-flown, fitted, motor, p220, p220-2025, turbine-100, ",
+        match="unknown engine 'rocket'; allowed: edf, edf-as-flown, fitted, jetcat-p300, motor, p220, p220-2025, turbine-100, ",
     ):
         build_all(engines, tmp_path, ["rocket"])
     with pytest.raises(InputError, match="unknown engine 'rocket'"):
