@@ -357,13 +357,16 @@ def test_the_angle_between_attitudes_is_that_of_the_turn(turn: float) -> None:
 
 def test_a_vehicle_is_as_far_off_as_the_worst_of_its_flights() -> None:
     flights = [
-        Flight("a", "one", False, {1: Apart(0.5, 1.0), 4: Apart(0.01, 0.002)}),
-        Flight("b", "three", False, {1: Apart(9.0, 9.0), 4: Apart(8.0, 8.0)}),
-        Flight("a", "two", True, {1: Apart(0.25, 3.0), 4: Apart(0.02, 0.001)}),
+        Flight("a", "one", "jet", "smith", False, {1: Apart(0.5, 1.0), 4: Apart(0.01, 0.002)}),
+        Flight("b", "three", "jet", "smith", False, {1: Apart(9.0, 9.0), 4: Apart(8.0, 8.0)}),
+        Flight("a", "two", "jet", "smith", True, {1: Apart(0.25, 3.0), 4: Apart(0.02, 0.001)}),
     ]
     assert worst(flights)["a"] == {1: (0.5, 3.0), 4: (0.02, 0.002)}
     assert tomllib.loads(as_toml(flights))["a"] == {
         "flights": 2,
+        "scenarios": ["one", "two"],
+        "engines": ["jet"],
+        "controllers": ["smith"],
         "runs": [1, 4],
         "attitude_deg": [0.5, 0.02],
         "place_mm": [3.0, 0.002],

@@ -146,7 +146,7 @@ def replace_in(folder: Path, old: str, new: str) -> None:
         ("hexjett", "unknown aircraft 'hexjett'; did you mean 'hexjet'?"),
         (
             "shipped",
-            "allowed: hexjet, hexjet-100, hexjet-p220, jetwing, octojet, quadjet, quadrotor, trijet, or ./shipped",
+            "allowed: crazyflie, hexjet, hexjet-100, hexjet-p220, jetwing, octojet, quadjet, quadrotor, trijet, or ./shipped",
         ),
         ("broken/", "broken/vehicle.toml"),
         ("shipped/", "name = 'hexjet': is the name of an aircraft that is shipped; choose another"),
