@@ -1,25 +1,32 @@
 """Write real-engine.md's tables and figure: recorded steps of a JetCat P300-PRO beside our turbines.
 
-python docs/real_engine.py RECORDINGS [--page docs/real-engine.md]
+python docs/real_engine.py RECORDINGS [--fit] [--page docs/real-engine.md]
+
+With --fit the parameters of jetcat-p300 are fitted anew, from all steps and from each half, and the page's table of
+these is written instead.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 import matplotlib as mpl
 import numpy as np
+from scipy.optimize import least_squares
 
 from cosim.base.arrays import Array
+from cosim.base.errors import InputError
 from cosim.engine import load_engine, make_bank
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 STEP_S = 0.004
+FIT_STEP_S = 0.02  # a fit asks the bank every fifth step of the engine: five times as cheap
 RPM = 60.0 / (2.0 * np.pi)
 SWING_KRPM = 67.0  # from idle, 33, to 100 krpm: what a share of the range is taken of
 BEFORE_S = 3.0
@@ -30,6 +37,12 @@ STEPS = [  # recording, begin [s], seconds that are compared; the even ones were
 ]  # fmt: skip
 ENGINES = ("jetcat-p300", "turbine-220", "turbine-100", "turbine-20")
 SHARES = (0.1, 0.5, 0.9)
+FROM = {  # about where every fit begins, far from what it finds; delay_samples is fitted as a real number
+    "fuel_gain": 1.0, "fuel_response": 0.001, "fuel_rise_share": 0.5, "fuel_rise": 0.2, "fuel_fall": 0.2,
+    "delay_samples": 50.0,
+}  # fmt: skip
+STARTS, SPREAD = 5, 0.7  # of each fit, a factor of two either way: its least squares have several hollows
+HALVES = {"all ten": range(10), "1st, 3rd, ...": range(0, 10, 2), "2nd, 4th, ...": range(1, 10, 2)}
 
 
 class Recorded(NamedTuple):
@@ -68,6 +81,98 @@ def model(name: str, step: Recorded) -> Array:
         speed += [bank.step(k, (float(u),)).spool_speed[0] * RPM for k, u in enumerate(course[:-1])]
     found = np.interp(step.times, times, speed)
     return np.asarray(found / 1e3 if own else 33.0 + (106.0 - 33.0) * (found - idle) / (full - idle))
+
+
+def follow(steps: Sequence[Recorded], tried: Sequence[Mapping[str, float]]) -> list[list[Array]]:
+    """Return the speeds [krpm] at the rows of ``jetcat-p300`` with each set of parameters, all in one bank."""
+    spec = load_engine("jetcat-p300", {}, FIT_STEP_S)
+    idle, full, exponent = (spec.parameters[key] for key in ("idle_speed", "full_speed", "thrust_exponent"))
+    low = (idle / full) ** exponent
+    grids = [np.arange(step.times[0] - 1.0, step.times[-1] + FIT_STEP_S, FIT_STEP_S) for step in steps]
+    count = max(len(grid) for grid in grids)
+    specs, courses = [], []
+    for values in tried:
+        for step, grid in zip(steps, grids, strict=True):
+            throttle = ((np.clip(step.setpoint * 1e3, idle, full) / full) ** exponent - low) / (1.0 - low)
+            # the delay is laid into the course, where it need not be whole; held, a sample stands for its middle
+            delay = values["delay_samples"] * STEP_S - 0.5 * (FIT_STEP_S - STEP_S)
+            asked = np.interp(grid - delay, step.times, throttle)
+            courses.append(np.pad(asked, (0, count - len(grid)), mode="edge"))
+            specs.append(load_engine("jetcat-p300", {**values, "delay_samples": 0}, FIT_STEP_S))
+    inputs = np.clip(np.array(courses).T, 0.0, 1.0).tolist()
+    with make_bank(specs, FIT_STEP_S) as bank:
+        speeds = [bank.reset(inputs[0]).spool_speed]
+        speeds += [bank.step(k, tuple(row)).spool_speed for k, row in enumerate(inputs[:-1])]
+    found = iter(np.array(speeds).T * RPM / 1e3)
+    return [
+        [np.interp(step.times, grid, next(found)[: len(grid)]) for step, grid in zip(steps, grids, strict=True)]
+        for _ in tried
+    ]
+
+
+def fit(steps: Sequence[Recorded]) -> dict[str, float]:
+    """Return the parameters with the least squares of what the speeds at all rows are off by."""
+    begin, real = np.array(list(FROM.values())), np.concatenate([step.speed for step in steps])
+
+    def off(points: Sequence[Array]) -> Array:
+        tried = [dict(zip(FROM, (begin * point).tolist(), strict=True)) for point in points]
+        return np.array([np.concatenate(courses) - real for courses in follow(steps, tried)])
+
+    def slopes(point: Array) -> Array:
+        here, *moved = off([point, *(point + 1e-3 * np.diag(point))])
+        return np.asarray((np.array(moved) - here).T / (1e-3 * point))
+
+    most = np.where(np.array(list(FROM)) == "fuel_rise_share", 1.0 / begin, 50.0)
+    random = np.random.default_rng(1)
+    starts = [np.ones(len(begin)), *np.exp(random.uniform(-SPREAD, SPREAD, (STARTS - 1, len(begin))))]
+    found = []
+    for start in starts:
+        with suppress(InputError):  # on its way an engine that never settles
+            found.append(
+                least_squares(
+                    lambda x: off([x])[0], np.minimum(start, 0.99 * most), slopes, (1e-4, most), max_nfev=60,
+                    xtol=1e-4, ftol=1e-5,
+                )
+            )  # fmt: skip
+    point = min(found, key=lambda one: one.cost).x
+    return dict(zip(FROM, (begin * point).tolist(), strict=True))
+
+
+def fit_table(steps: Sequence[Recorded]) -> list[str]:
+    """Return the rows of the three fits beside what the engine states, and say what the two differ in."""
+    spec = load_engine("jetcat-p300", {}, STEP_S)
+    if spec.uncertainty is None:
+        raise SystemExit("engines/jetcat-p300/engine.toml: no [uncertainty] to compare with")
+    deviation = dict(zip(spec.uncertainty.parameters, spec.uncertainty.deviation, strict=True))
+    fits = {name: fit([steps[n] for n in chosen]) for name, chosen in HALVES.items()}
+    fits["engine.toml"] = {key: spec.parameters[key] for key in FROM}
+    lines = ["| | " + " | ".join(fits) + " | deviation |", "| --- |" + " ---: |" * (len(fits) + 1)]
+    for key in FROM:
+        cells = " | ".join(f"{values[key]:.4g}" for values in fits.values())
+        lines.append(f"| `{key}` | {cells} | {deviation[key]:.4g} |")
+        for name, values in fits.items():
+            if abs(values[key] - fits["engine.toml"][key]) > deviation[key]:
+                print(f"{key}: {values[key]:.4g} fitted to {name}, more than its deviation from engine.toml's")
+    columns = []
+    for name, courses in zip(fits, follow(steps, list(fits.values())), strict=True):
+        left = [got - step.speed for got, step in zip(courses, steps, strict=True)]
+        inside = HALVES.get(name, range(10))
+        others = [n for n in range(10) if n not in inside] or list(range(10))
+        share = [100.0 * float(np.sqrt(np.mean(one**2))) / SWING_KRPM for one in left]
+        rms = [
+            100.0 * float(np.sqrt(np.mean(np.concatenate([left[n] for n in part]) ** 2))) / SWING_KRPM
+            for part in (inside, others)
+        ]
+        real = np.array([crossings(steps[n].times, steps[n].speed, ends_of(steps[n], steps[n].speed)) for n in others])
+        got = np.array([crossings(steps[n].times, courses[n], ends_of(steps[n], courses[n])) for n in others])
+        far = 100.0 * np.abs(got / real - 1.0)
+        within = f"{np.count_nonzero(far <= 10.0)} of {far.size}"
+        columns.append([*(f"{one:.2f}" for one in (*rms, max(share[n] for n in others))), within])
+        columns[-1] += [f"{worst:.0f}" for worst in far.max(axis=0)]
+    titles = ["fitted steps, rms, %", "other steps, rms, %", "worst other step, rms, %", "times within 10 %"]
+    titles += [f"worst time to {100.0 * share:.0f} %, %" for share in SHARES]
+    cells = np.array(columns).T.tolist()
+    return lines + [f"| {title} | " + " | ".join(row) + " | |" for title, row in zip(titles, cells, strict=True)]
 
 
 def crossings(times: Array, speed: Array, ends: tuple[float, float]) -> list[float]:
@@ -124,14 +229,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("recordings", type=Path)
     parser.add_argument("--page", type=Path, default=Path(__file__).parent / "real-engine.md")
+    parser.add_argument("--fit", action="store_true", help="fit jetcat-p300 anew and write that table")
     chosen = parser.parse_args()
     steps = read_steps(chosen.recordings)
-    answers = {name: [model(name, step) for step in steps] for name in ENGINES}
-    draw(steps, answers, chosen.page.parent / "pictures" / "real-engine.png")
-    head, _, rest = chosen.page.read_text(encoding="utf-8").partition("<!-- measured: steps -->\n")
+    if chosen.fit:
+        mark, rows = "fit", fit_table(steps)
+        print("\n".join(rows))
+    else:
+        answers = {name: [model(name, step) for step in steps] for name in ENGINES}
+        draw(steps, answers, chosen.page.parent / "pictures" / "real-engine.png")
+        mark, rows = "steps", table(steps, answers)
+    opening = f"<!-- measured: {mark} -->\n"
+    head, found, rest = chosen.page.read_text(encoding="utf-8").partition(opening)
+    if not found:
+        raise SystemExit(f"{chosen.page}: no line {opening.strip()}")
     tail = rest.partition("<!-- end -->")[2]
-    rows = "\n".join(table(steps, answers))
-    chosen.page.write_text(f"{head}<!-- measured: steps -->\n{rows}\n<!-- end -->{tail}", encoding="utf-8")
+    body = "\n".join(rows)
+    chosen.page.write_text(f"{head}{opening}{body}\n<!-- end -->{tail}", encoding="utf-8")
 
 
 if __name__ == "__main__":
