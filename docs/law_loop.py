@@ -26,6 +26,7 @@ from cosim.base.signals import AXES, Vector3
 from cosim.control.predictors.linear import cascade
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import WINDOW
+from cosim.design.loop.limit import tolerated_error
 from cosim.design.tune import SEED, UNSTABLE
 from cosim.simulation.controllers.controller_file import STEP_RAD
 
@@ -35,7 +36,6 @@ DOUBLET = 2.0 * STEP_RAD  # its middle step, from one side to the other
 HELD = 1000.0  # what the square of missing the peak sensitivity costs: it is then held to less than 1 %
 FAR = 0.5  # square of missing it, beyond which nothing else is looked at
 POPULATION, GENERATIONS, ROUNDS = 5, 24, 60  # of the search
-QUARTER = 0.25
 POINTS = 1 << 16  # of the upper half of the unit circle
 
 
@@ -148,16 +148,8 @@ class LawLoop:
 
         Beyond them the loop may still be stable: lobes of ``L`` that stay just below 1 make peaks and no poles.
         """
-        ends = []
-        for way in (-1.0, 1.0):
-            end = 0.0
-            while end + QUARTER <= most:
-                here = self.with_delay(way * (end + QUARTER))
-                if here is None or here > peak:
-                    break
-                end += QUARTER
-            ends.append(way * end)
-        return ends[0], ends[1]
+        less = tolerated_error(lambda error: self.with_delay(-error), peak, most)
+        return -less, tolerated_error(self.with_delay, peak, most)
 
     @cached_property
     def delay_margins(self) -> tuple[float, float]:

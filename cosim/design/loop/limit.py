@@ -27,7 +27,7 @@ which is a little pessimistic: what it finds is then at most too high.  The prog
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.util import find_spec
@@ -143,11 +143,23 @@ def _delay_error(closed: ClosedLoop) -> float:
     """Return the largest error of the delay, samples, up to which the peak stays below FACTOR times what it is."""
     theta, open_loop = closed.points.theta, closed.open_loop
     allowed, most = FACTOR * loop_bounds(closed).peak_sensitivity, closed.points.channel.transport_samples
+
+    def peak_at(error: float) -> float:
+        return float(np.abs(1.0 / (1.0 + open_loop * np.exp(-1j * theta * error))).max())
+
+    more = tolerated_error(peak_at, allowed, most)
+    return min(more, tolerated_error(lambda error: peak_at(-error), allowed, most))
+
+
+def tolerated_error(peak_at: Callable[[float], float | None], allowed: float, most: float) -> float:
+    """Return the largest error, in steps of QUARTER and up to ``most``, up to which the peak is at most ``allowed``.
+
+    ``peak_at`` gives the peak sensitivity with an error of the delay in samples; None where that is unstable.
+    """
     error = 0.0
     while error + QUARTER <= most:
-        turns = np.exp(-1j * theta * (error + QUARTER))
-        peaks = [float(np.abs(1.0 / (1.0 + open_loop * turn)).max()) for turn in (turns, turns.conj())]
-        if max(peaks) > allowed:
+        peak = peak_at(error + QUARTER)
+        if peak is None or peak > allowed:
             break
         error += QUARTER
     return error
