@@ -1,0 +1,61 @@
+"""How far a flown row is from failure, as one number: positive where it was a success, negative where it failed.
+
+Counting knows yes and no alone.  Methods that go towards failure need to know which of two successes is nearer to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import Row
+from cosim.spec.scenario import Range
+
+MARGIN = "margin"  # the column of a row that states its margin
+SMALLEST = 1e-9  # size of the margin of a failure of which no more is known, chosen by us
+LOST = 1.0  # a flight lost at its very end has -LOST, one lost at its start -2 LOST
+
+
+def row_margin(row: Row, study: Study) -> float:
+    """Return the margin of a flown row: its column ``margin`` or, without one, that of the study's ``[success]``.
+
+    The second is the smallest over all conditions of (max - value) or (value - min), each divided by the limit's size
+    (by 1 where the limit is 0); 1.0 where nothing is asked but that the flight completes within its limits.  A flight
+    that was lost has -1 at its planned end and -2 at its start, linearly between.  A success has 0 at least, and
+    everything else less than 0.
+    """
+    if not row["success"] and row["outcome"] != "completed":
+        stated = row.get(MARGIN)
+        return -abs(_number(stated)) if stated is not None else _lost(row, study)
+    stated = row.get(MARGIN)
+    margin = _number(stated) if stated is not None else success_margin(row, study.success)
+    return max(margin, 0.0) if row["success"] else min(margin, -SMALLEST)
+
+
+def success_margin(values: Mapping[str, object], success: Mapping[str, Range]) -> float:
+    """Return the smallest margin of the conditions; minus 1 for a metric that the flight does not have."""
+    margins = [1.0]
+    for name, allowed in success.items():
+        value = values.get(name)
+        if value is None:
+            margins.append(-1.0)
+            continue
+        number = _number(value)
+        if allowed.max is not None:
+            margins.append((allowed.max - number) / (abs(allowed.max) or 1.0))
+        if allowed.min is not None:
+            margins.append((number - allowed.min) / (abs(allowed.min) or 1.0))
+    return min(margins[1:], default=margins[0])
+
+
+def _lost(row: Row, study: Study) -> float:
+    planned = study.base().duration_s
+    flown = row.get("duration_s")
+    fraction = _number(flown) / planned if flown is not None and planned else 0.0
+    return -LOST * (2.0 - min(max(fraction, 0.0), 1.0))
+
+
+def _number(value: object) -> float:
+    assert isinstance(value, (int, float))
+    return float(value) if isfinite(value) else -LOST

@@ -1,0 +1,54 @@
+"""The margin of a row: what [success] leaves, in parts of the limit; the sign is that of success."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from cosim.campaign.analysis.margin import SMALLEST, row_margin
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.study import Study
+
+ROLL, HEIGHT = "roll.overshoot_percent", "altitude.max_abs_error_m"
+
+
+def study(success: list[str]) -> Study:
+    settings = ["duration_s=4"]
+    return open_study("hover", vary=["vehicle.mass_kg=5:6"], runs=2, success=success, settings=settings)
+
+
+def row(**changes: Any) -> dict[str, Any]:
+    return {"success": True, "outcome": "completed", "duration_s": 4.0, ROLL: 40.0, HEIGHT: -0.5} | changes
+
+
+def test_the_nearest_condition_counts_in_parts_of_its_limit() -> None:
+    asked = study([f"{ROLL}<=50", f"{HEIGHT}>=-2"])
+    assert row_margin(row(), asked) == pytest.approx(0.2)
+    assert row_margin(row(**{HEIGHT: -1.9}), asked) == pytest.approx(0.05)
+    assert row_margin(row(success=False, **{ROLL: 75.0}), asked) == pytest.approx(-0.5)
+    assert row_margin(row(success=False, **{ROLL: None}), asked) == -1.0
+    assert row_margin(row(**{ROLL: -0.25}), study([f"{ROLL}<=0"])) == pytest.approx(0.25)
+
+
+def test_a_lost_flight_is_the_worse_the_sooner_it_was_lost() -> None:
+    asked = study([f"{ROLL}<=50"])
+    lost = [
+        row_margin(row(success=False, outcome="crashed", duration_s=at, **{ROLL: 1.0}), asked) for at in (4.0, 1.0, 0.0)
+    ]
+    assert lost == [-1.0, -1.75, -2.0]
+    assert row_margin(row(success=False, outcome="failed", duration_s=None), asked) == -2.0
+
+
+def test_the_sign_is_that_of_success() -> None:
+    """A completed flight beyond one of its limits failed, however well it met what the study asks for."""
+    asked = study([f"{ROLL}<=50"])
+    assert row_margin(row(success=False), asked) == -SMALLEST
+    assert row_margin(row(), study([])) == 1.0
+
+
+def test_a_stated_margin_comes_first() -> None:
+    asked = study([f"{ROLL}<=50"])
+    assert row_margin(row(margin=0.03), asked) == 0.03
+    assert row_margin(row(margin=-0.4, success=False), asked) == -0.4
+    assert row_margin(row(margin=-7.0, success=False, outcome="crashed"), asked) == -7.0
