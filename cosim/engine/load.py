@@ -11,7 +11,7 @@ from cosim.engine.fmu.mapping import is_mapping
 from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.engine.fmu.ports import PortError, expand_engine_variables, has_several_engines
 from cosim.engine.fmu.starting import CONSTANTS
-from cosim.engine.fmu.uncertainty import Uncertainty
+from cosim.engine.fmu.uncertainty import ParameterRange, Uncertainty
 from cosim.engine.fmu.variables import Variable
 from cosim.engine.measure import EngineMeasurement, measure_once
 from cosim.engine.response import ResponseError, settling_window
@@ -89,6 +89,7 @@ def load_unchecked(
             for slot, other in enumerate(measured.others, start=1)
         ),
         uncertainty=_uncertainty(source),
+        uncertain_ranges=_uncertain_ranges(source),
     )
 
 
@@ -129,6 +130,16 @@ def _uncertainty(source: EngineSource) -> Uncertainty | None:
     if source.engine is not None and source.engine.uncertainty:
         return Uncertainty.model_validate(source.engine.uncertainty)
     return source.mapping.uncertainty
+
+
+def _uncertain_ranges(source: EngineSource) -> tuple[ParameterRange, ...]:
+    table = _uncertainty(source)
+    if table is None:
+        return ()
+    parameters = source.archive.parameters
+    starts = {variable.name: variable.start for variable in parameters if isinstance(variable.start, (int, float))}
+    nominal = {name: float(value) for name, value in (starts | source.mapping.parameters).items()}
+    return tuple(table.ranges(nominal, parameters))
 
 
 def _flame_out(source: EngineSource) -> FlameOutLaw | None:

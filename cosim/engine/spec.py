@@ -19,7 +19,7 @@ from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive, read_archive
 from cosim.engine.fmu.mapping import MappingFile, PortMap, is_mapping, read_mapping
 from cosim.engine.fmu.starting import Setting
-from cosim.engine.fmu.uncertainty import Uncertainty, without_uncertainty
+from cosim.engine.fmu.uncertainty import ParameterRange, Uncertainty, without_uncertainty
 from cosim.engine.fmu.variables import INTEGERS, Port, Variable
 from cosim.engine.library import (
     FMI2_SUFFIX,
@@ -82,6 +82,7 @@ class EngineSpec:
     siblings: tuple[Sibling, ...] = field(default=(), repr=False)  # of the first one: those that are held with it
     misbehaviour: str = ""  # reason why a check gave it a process of its own
     uncertainty: Uncertainty | None = field(default=None, repr=False)  # of its parameters, from a mapping file
+    uncertain_ranges: tuple[ParameterRange, ...] = field(default=(), repr=False)  # of these, about what the file states
 
     @property
     def identity(self) -> str:

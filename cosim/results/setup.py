@@ -14,12 +14,14 @@ from cosim.results.limits import make_limit_inputs
 from cosim.results.metrics import Reach
 from cosim.results.summary import (
     DelayRow,
+    EngineUncertainty,
     Integration,
     OwnController,
     ParametersRecord,
     PluginRecord,
     Setup,
     StationEngine,
+    UncertainParameter,
     now,
     versions,
 )
@@ -71,6 +73,7 @@ def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -
         planned_s=scenario.duration_s,
         started=now(),
         engine_curve=list(zip(engine.curve.throttle, engine.curve.thrust, strict=True)),
+        engine_uncertainty=_engine_uncertainty(engine),
         stations=[_station(station, engine) for station in simulation.stations],
         jets_m=[jet.position_m for jet in simulation.vehicle.jets],
         delay_ledger=[DelayRow(**vars(row)) for row in simulation.ledger],
@@ -150,6 +153,13 @@ def find_reach(simulation: Simulation) -> Reach:
         tilt_rad=vehicle.servo.range_rad if vehicle.servo else None,
         servos=None if vehicle.servo else vehicle.ranges or None,
     )
+
+
+def _engine_uncertainty(spec: EngineSpec) -> EngineUncertainty | None:
+    if spec.uncertainty is None:
+        return None
+    rows = [UncertainParameter(**row._asdict(), flown=spec.parameters[row.name]) for row in spec.uncertain_ranges]
+    return EngineUncertainty(source=spec.uncertainty.source, parameters=rows)
 
 
 def _station(spec: EngineSpec, reference: EngineSpec) -> StationEngine:

@@ -61,6 +61,24 @@ class StationEngine(Record):
     apart: str = ""  # what it was found to do to its process, for which the flight's engines had one of their own
 
 
+class UncertainParameter(Record):
+    """One uncertain parameter of an engine, each number in its unit."""
+
+    name: str
+    nominal: float  # as its mapping file states it
+    low: float  # 95 % range about that, of one engine
+    high: float
+    spread: float  # standard deviation between engines
+    flown: float
+
+
+class EngineUncertainty(Record):
+    """How well the flight's engine is known, by its ``[uncertainty]``."""
+
+    source: str  # where the numbers are from; empty: not stated
+    parameters: list[UncertainParameter]
+
+
 class Integration(Record):
     """How the airframe is integrated: JSBSim's runs, and its methods by name."""
 
@@ -140,6 +158,7 @@ class Setup(BaseModel):
     planned_s: float  # how long the flight is meant to be
     started: str = ""  # UTC, ISO 8601
     engine_curve: list[tuple[float, float]] = []  # throttle, thrust of one engine at rest [N]
+    engine_uncertainty: EngineUncertainty | None = None  # None: it states none, or an older run
     stations: list[StationEngine] = []  # jet 1 first
     jets_m: list[Vector] = []  # engine stations, body
     delay_ledger: list[DelayRow] = []

@@ -81,13 +81,15 @@ def margins(options: Margins) -> int:
 
 def print_margins(margins: MeasuredMargins, paths: dict[str, Path]) -> None:
     """Print a table an axis, what is to be said about it, and where the page is."""
-    from cosim.design.measured.page import COLUMNS, heading, rows, uncertainty_line
+    from cosim.design.measured.page import ENGINE_COLUMNS, columns, engine_rows, heading, rows, uncertainty_line
 
     scenario = margins.scenario
     say(f"[bold]{margins.controller_shown}[/bold] on {scenario.aircraft}, engine {scenario.engine}", marked=True)
-    right = [n for n, column in enumerate(COLUMNS) if column]
     for measured in margins.axes.values():
-        show_table(COLUMNS, rows(measured), right, title=heading(measured), title_justify="left", title_style="")
+        heads = columns(measured)
+        show_table(
+            heads, rows(measured), range(len(heads)), title=heading(measured), title_justify="left", title_style=""
+        )
         uncertainty = uncertainty_line(measured)
         if uncertainty is not None:
             say(uncertainty)
@@ -95,6 +97,7 @@ def print_margins(margins: MeasuredMargins, paths: dict[str, Path]) -> None:
             say(f"note: {measured.axis}: {note}")
     if margins.uncertainty_source is not None:
         say(f"uncertainty of the engine: {margins.uncertainty_source or 'of no stated source'}", wrap=False)
+        show_table(ENGINE_COLUMNS, engine_rows(margins.engine_ranges), [1, 2, 3])
     if margins.uncomputed:
         say(f"not computed: {margins.uncomputed}")
     say(f"report: {paths['report']}", wrap=False)

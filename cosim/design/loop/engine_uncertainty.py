@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.base.arrays import Array, Complex
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.design.loop.channel import Channel
@@ -30,6 +30,7 @@ from cosim.spec.vehicle import Vehicle
 
 SECANT = 0.02  # of throttle, over which the static curve's slope is taken: a step of its measured points
 UNKNOWN_SPREAD = 0.3  # of gain and lag between engines of which one alone was measured, as without a table; ours
+DRAWS = 200  # of an engine, of which a margin's 95 % range leaves out five at either end
 MOST = {"gain_tolerance": 0.95, "delay_tolerance": 1.0}  # as the command line takes them
 
 
@@ -88,8 +89,28 @@ class EngineSensitivity:
         single = derivatives.T * np.array(self.table.spreads)
         return common @ common.T, single @ single.T
 
+    def draw_ratios(self, hertz: Array) -> Complex:
+        """Return :data:`DRAWS` engines' answers over the nominal one's, a row each, at rising frequencies.
+
+        Parameters are drawn as flights draw them, the same draws always; the logarithm of the answer goes straight with
+        each of them.  Raises InputError where the engine does not answer.
+        """
+        logs = np.zeros((len(self._moved), len(hertz)), np.complex128)
+        for row, moved in enumerate(self._moved):
+            if moved is not None:
+                width, low, high = moved
+                ratio = self._answers(high, hertz) / self._answers(low, hertz)
+                logs[row] = (np.log(np.abs(ratio)) + 1j * np.unwrap(np.angle(ratio))) / width
+        random = np.random.default_rng(0)
+        normal = np.clip(random.standard_normal((2, DRAWS, len(logs))), -CUT, CUT)
+        common = np.clip(normal[0] @ np.array(self.table.factor).T, -CUT, CUT) * np.array(self.table.deviation)
+        return np.asarray(np.exp((common + normal[1] * np.array(self.table.spreads)) @ logs))
+
     def _answer(self, spec: EngineSpec, hertz: float) -> complex:
-        """Return N per throttle at a frequency, late by one control step less than it is."""
+        return complex(self._answers(spec, np.array([hertz]))[0])
+
+    def _answers(self, spec: EngineSpec, hertz: Array) -> Complex:
+        """Return N per throttle at frequencies, late by one control step less than it is."""
         curve = spec.rising_curve
         throttle = float(np.interp(self._thrust, curve.thrust, curve.throttle))
         course = measure_small_steps(spec, throttle, self._step).response
@@ -98,8 +119,8 @@ class EngineSensitivity:
         low, high = max(0.0, throttle - SECANT), min(1.0, throttle + SECANT)
         slope = (spec.thrust_at(high) - spec.thrust_at(low)) / (high - low)
         increments: Array = np.diff(np.array([0.0, *course]))
-        turns = np.exp(-2j * pi * hertz * self._step * np.arange(len(increments)))
-        return complex(slope * np.sum(increments * turns))
+        turns = np.exp(-2j * pi * self._step * np.outer(hertz, np.arange(len(increments))))
+        return np.asarray(slope * (turns * increments).sum(axis=1))
 
 
 def _moved(spec: EngineSpec, name: str, width: float) -> tuple[float, float]:

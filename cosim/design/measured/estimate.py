@@ -70,7 +70,7 @@ def measured(sensitivity: Complex, hertz: Array, step: float = 0.0, transport_s:
         )
 
     def margins_of(rows: Complex) -> dict[str, float | None]:
-        return vars(loop_margins(*_fine((1.0 / rows.mean(axis=0) - 1.0)[used], hertz[used]), step, transport_s))
+        return vars(loop_margins(*fill((1.0 / rows.mean(axis=0) - 1.0)[used], hertz[used]), step, transport_s))
 
     estimates = margins_of(sensitivity)
     without = [margins_of(np.delete(sensitivity, number, axis=0)) for number in range(periods)]
@@ -83,7 +83,8 @@ def measured(sensitivity: Complex, hertz: Array, step: float = 0.0, transport_s:
     return Response(hertz, loop, mean, spread, coherence, used, bounded)
 
 
-def _fine(loop: Complex, hertz: Array) -> tuple[Complex, Array]:
+def fill(loop: Complex, hertz: Array) -> tuple[Complex, Array]:
+    """Return a loop that was measured at these frequencies, and frequencies, with :data:`FINE` times as many points."""
     x = np.log(hertz)
     fine = np.interp(np.arange(0, (len(x) - 1) * FINE + 1) / FINE, np.arange(len(x)), x)
     size = np.interp(fine, x, np.log(np.maximum(np.abs(loop), TINY)))

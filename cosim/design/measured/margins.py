@@ -17,8 +17,10 @@ from cosim.design.loop.engine_uncertainty import (
     gain_deviations,
 )
 from cosim.design.measured.computed import Computed, compute_margins
+from cosim.design.measured.engine_range import EngineRange, range_over_engines
 from cosim.design.measured.estimate import QUANTITIES, Response, measured, relative_difference, relative_differences
 from cosim.design.measured.excitation import Multisine, Record, Tap, fly_excitation, multisine, still
+from cosim.engine.fmu.uncertainty import ParameterRange
 from cosim.simulation.build import build
 from cosim.simulation.controllers.external_controller import find_controller
 from cosim.simulation.controllers.source import Source, from_object
@@ -56,6 +58,7 @@ class AxisMargins:
     computed: Computed | None
     notes: tuple[str, ...]
     uncertainty: LoopUncertainty | None = None  # of the engine at the crossover; None: not stated, or it does not turn
+    over_engine: EngineRange | None = None  # the margins over that uncertainty; None: as above
 
     @property
     def is_complete(self) -> bool:
@@ -97,6 +100,7 @@ class MeasuredMargins:
     axes: Mapping[str, AxisMargins]
     uncomputed: str  # why nothing was computed; empty where it was
     uncertainty_source: str | None = None  # of the engine's uncertainty; None: it states none
+    engine_ranges: tuple[ParameterRange, ...] = ()  # of its uncertain parameters
 
     @property
     def controller(self) -> str:
@@ -127,6 +131,7 @@ class MeasuredMargins:
             "sensor_noise": scenario.sensor_noise,
             "not_computed": self.uncomputed or None,
             "engine_uncertainty_source": self.uncertainty_source,
+            "engine_parameters": [row._asdict() for row in self.engine_ranges],
             "axes": {axis: _axis_dict(measured) for axis, measured in self.axes.items()},
         }
 
@@ -163,6 +168,7 @@ def _axis_dict(measured: AxisMargins) -> dict[str, Any]:
         else {
             **measured.uncertainty._asdict(),
             **dict(zip(("gain_margin_deviations", "delay_margin_deviations"), measured.in_deviations(), strict=True)),
+            **({} if measured.over_engine is None else measured.over_engine.to_dict()),
         },
     }
 
@@ -256,7 +262,7 @@ def measure_margins(
         by_axis[axis] = request.measure(None if isinstance(computed_margins, str) else computed_margins[axis])
     source = None if known is None else known.table.source
     uncomputed = computed_margins if isinstance(computed_margins, str) else ""
-    return MeasuredMargins(scenario, own, by_axis, uncomputed, source)
+    return MeasuredMargins(scenario, own, by_axis, uncomputed, source, spec.uncertain_ranges)
 
 
 @dataclass(frozen=True)
@@ -300,7 +306,14 @@ class _MarginRequest:
             computed,
             _notes(response, other),
             known,
+            self._over_engine(response),
         )
+
+    def _over_engine(self, response: Response) -> EngineRange | None:
+        if self.sensitivity is None:
+            return None
+        ratios = self.sensitivity.draw_ratios(response.hertz[response.used])
+        return range_over_engines(response, ratios, self.scenario.step_s, self.transport_s)
 
     def _measured(self, period_s: float, to_hz: float, size: float) -> tuple[Multisine, float, Response]:
         step = self.scenario.step_s

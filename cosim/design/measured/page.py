@@ -12,13 +12,17 @@ import numpy as np
 
 from cosim.base.storage.files import write_files
 from cosim.design.figures import FAR
+from cosim.design.measured.engine_range import EngineRange
 from cosim.design.measured.estimate import TINY
 from cosim.design.measured.margins import AxisMargins, MeasuredMargins
+from cosim.engine.fmu.uncertainty import ParameterRange
 from cosim.results.report.page import render
 from cosim.results.report.plot import BLUE, GREY, ORANGE, RED, Figure, beneath, panels, trace
 
 TEMPLATE = Path(__file__).parent / "templates" / "margins.html"
 COLUMNS = ("quantity", "measured", "95 % bounds", "computed", "off")
+OVER_ENGINE = "over the engine's uncertainty, 95 %"
+ENGINE_COLUMNS = ("parameter", "nominal", "95 % range", "deviation between engines")
 QUANTITIES = (  # quantity, what it is called, and its numbers
     ("gain_db", "gain up", "{:+.2f} dB"),
     ("gain_down_db", "gain down", "{:+.2f} dB"),
@@ -31,8 +35,13 @@ QUANTITIES = (  # quantity, what it is called, and its numbers
 )
 
 
+def columns(measured: AxisMargins) -> tuple[str, ...]:
+    """Return what heads the cells of :func:`rows`: :data:`COLUMNS`, and the engine's range where it is known."""
+    return COLUMNS if measured.over_engine is None else (*COLUMNS, OVER_ENGINE)
+
+
 def rows(measured: AxisMargins) -> list[list[str]]:
-    """Return a row of cells for each quantity, as :data:`COLUMNS` head them."""
+    """Return a row of cells for each quantity, as :func:`columns` heads them."""
     lines = []
     for name, title, form in QUANTITIES:
         estimate = measured.response.margins.get(name)
@@ -45,8 +54,24 @@ def rows(measured: AxisMargins) -> list[list[str]]:
         difference = measured.off(name)
         off = "" if difference is None else f"{100.0 * difference:+.1f} %"
         other = "none" if computed is None else form.format(computed)
-        lines.append([title, value, bounds, "-" if measured.computed is None else other, off])
+        line = [title, value, bounds, "-" if measured.computed is None else other, off]
+        lines.append(line if measured.over_engine is None else [*line, _over_engine(name, form, measured.over_engine)])
     return lines
+
+
+def _over_engine(name: str, form: str, over: EngineRange) -> str:
+    if name not in over.ranges:
+        return ""
+    ends = [form.split(" ")[0].format(end) if isfinite(end) else "none" for end in over.ranges[name]]
+    return " to ".join(dict.fromkeys(ends))
+
+
+def engine_rows(ranges: Sequence[ParameterRange]) -> list[list[str]]:
+    """Return a row of cells for each uncertain parameter of an engine, as :data:`ENGINE_COLUMNS` head them."""
+    return [
+        [row.name, f"{row.nominal:.4g}", f"{row.low:.4g} to {row.high:.4g}", f"{row.spread:.3g}" if row.spread else ""]
+        for row in ranges
+    ]
 
 
 def _none(name: str, measured: AxisMargins) -> str:
@@ -82,7 +107,10 @@ def uncertainty_line(measured: AxisMargins) -> str | None:
         (f"gain {100.0 * gain:.3g} %", f"delay {1e3 * delay_s:.3g} ms"), measured.in_deviations(), strict=True
     )
     parts = [text if count is None else f"{text}, the margin is {count:.3g} times that" for text, count in margins]
-    return f"engine, one standard deviation at the crossover: {'; '.join(parts)}"
+    line = f"engine, one standard deviation at the crossover: {'; '.join(parts)}"
+    over = measured.over_engine
+    lost = "" if over is None or not over.unstable else f"; {over.unstable} of {over.draws} drawn engines lose the loop"
+    return line + lost
 
 
 def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
@@ -98,10 +126,11 @@ def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
             f"peak_{axis}": _peak(measured),
         }
     tables = [
-        (axis, heading(measured), rows(measured), measured.notes, uncertainty_line(measured))
+        (axis, heading(measured), columns(measured), rows(measured), measured.notes, uncertainty_line(measured))
         for axis, measured in margins.axes.items()
     ]
-    render(TEMPLATE, paths["report"], figures, found=margins, columns=COLUMNS, tables=tables)
+    engine = engine_rows(margins.engine_ranges)
+    render(TEMPLATE, paths["report"], figures, found=margins, tables=tables, engine=(ENGINE_COLUMNS, engine))
     return paths
 
 

@@ -6,11 +6,11 @@ for each engine by itself.  Both are cut off at :data:`CUT` standard deviations 
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from math import sqrt
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -19,12 +19,23 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.storage.toml import Model, NotNegative, read_toml, toml_text
 from cosim.engine.fmu.variables import LEVERS, Variable
 
+NORMAL_95 = 1.96  # standard deviations of a normal number's 95 % range
 CUT = 3.0  # standard deviations, of the format: beyond them no identification is normal
 ROUNDING = 1e-3  # of an eigenvalue: correlations are written with some three digits
 _OLDER_CUT = re.compile(rb"^\s*\[uncertainty\].*?(?=^\s*\[[\"'A-Za-z_]|\Z)", re.MULTILINE | re.DOTALL)
 SETTABLE = ("", "fixed", "tunable")  # variabilities of a parameter that can be set before a flight
 
 Matrix = list[list[Annotated[float, Field(ge=-1.0, le=1.0)]]]
+
+
+class ParameterRange(NamedTuple):
+    """One uncertain parameter: nominal value, 95 % range, and standard deviation between engines, each in its unit."""
+
+    name: str
+    nominal: float
+    low: float
+    high: float
+    spread: float
 
 
 class Uncertainty(Model):
@@ -83,6 +94,18 @@ class Uncertainty(Model):
     def factor(self) -> list[list[float]]:
         """The lower triangle L of the correlation R = L L^T, in which a deviation that others fix has a column of 0."""
         return lower_factor(self.correlations)
+
+    def ranges(self, nominal: Mapping[str, float], variables: Iterable[Variable]) -> list[ParameterRange]:
+        """Return the 95 % range of each parameter about its nominal value: of one engine, within the FMU's limits."""
+        limits = {variable.name: (variable.min, variable.max) for variable in variables}
+        rows = []
+        for name, deviation, spread in zip(self.parameters, self.deviation, self.spreads, strict=True):
+            value, half = nominal[name], NORMAL_95 * float(np.hypot(deviation, spread))
+            least, most = limits[name]
+            low = value - half if least is None else max(value - half, least)
+            high = value + half if most is None else min(value + half, most)
+            rows.append(ParameterRange(name, value, float(f"{low:.6g}"), float(f"{high:.6g}"), spread))
+        return rows
 
     def check_parameters(self, parameters: Iterable[Variable], start: str | None, where: str) -> None:
         """Raise InputError, beginning with ``where``, for a parameter that the FMU lacks or that cannot be drawn.

@@ -89,6 +89,7 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
         expectations=expectation_rows(summary),
         ledgers=ledgers(summary),
         jets=jet_drawing(summary),
+        uncertain=uncertain_rows(summary),
         own=custom_columns(run.log.described),
         files={"log": LOG, "scenario": SCENARIO},
         folder=run.folder,
@@ -262,6 +263,16 @@ def jet_drawing(summary: Summary) -> list[dict[str, Any]]:
         {"number": number, "x": 50.0 + 36.0 * y / reach, "y": 52.0 - 36.0 * x / reach}
         for number, (x, y, _) in enumerate(summary.jets_m, start=1)
     ]
+
+
+def uncertain_rows(summary: Summary) -> list[list[str]]:
+    """Return the rows of the table of how well the engine is known."""
+    known = summary.engine_uncertainty
+    return [
+        [row.name, f"{row.flown:.4g}", f"{row.nominal:.4g}", f"{row.low:.4g} to {row.high:.4g}",
+         f"{row.spread:.3g}" if row.spread else ""]
+        for row in (known.parameters if known is not None else ())
+    ]  # fmt: skip
 
 
 def axis_cell(metrics: AxisMetrics, key: str, factor: float, digits: int) -> str:

@@ -8,23 +8,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_tools import Hexjet
+from places import ROOT
 from uncertain_engines import CORRELATION, NOMINAL, fan
 
+from cosim.base.arrays import Complex
 from cosim.base.storage.toml import read_toml
 from cosim.design.design import Design, design
 from cosim.design.loop.engine_uncertainty import (
+    DRAWS,
     EngineSensitivity,
     LoopUncertainty,
     delay_deviations,
     engine_tolerances,
     gain_deviations,
 )
+from cosim.design.loop.frequency import loop_margins
+from cosim.design.measured.engine_range import EngineRange, range_over_engines
+from cosim.design.measured.estimate import Bounded, Response
 from cosim.design.result import summary_lines, to_dict, write
 from cosim.engine import load_engine
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.scenario import Scenario
 
 STEP = 0.004
+FORETOLD = 0.02  # of a margin of another engine, what the page claims
 DEVIATION, SPREAD = [1.0, 0.006, 0.02], [1.0, 0.002, 0.01]
 
 
@@ -156,9 +163,94 @@ def test_margins_are_counted_in_deviations_of_the_engine(hexjet: Hexjet, tmp_pat
     assert done.status == 0, done.err
     out = " ".join(done.out.split())
     assert "uncertainty of the engine: bench.csv: 6 steps, 2 holds" in out
-    data = json.loads((tmp_path / "m" / "margins.json").read_text())["axes"]["roll"]
-    known, found = data["engine_uncertainty"], data["measured"]
+    data = json.loads((tmp_path / "m" / "margins.json").read_text())
+    known, found = (data["axes"]["roll"][key] for key in ("engine_uncertainty", "measured"))
     assert known["delay_margin_deviations"] == pytest.approx(found["delay_s"]["value"] / known["delay_s"])
     assert f"the margin is {known['delay_margin_deviations']:.3g} times that" in out
     nearer = min(abs(found[name]["value"]) for name in ("gain_db", "gain_down_db") if found[name])
     assert known["gain_margin_deviations"] == pytest.approx(nearer * np.log(10.0) / 20.0 / known["gain"])
+    rows = data["engine_parameters"]
+    assert [row["name"] for row in rows] == list(NOMINAL)
+    assert (rows[2]["low"], rows[2]["high"]) == pytest.approx((0.2554 - 1.96 * 0.02, 0.2554 + 1.96 * 0.02), rel=1e-5)
+    assert f"gain 0.2554 {rows[2]['low']:.4g} to {rows[2]['high']:.4g}" in " ".join(out.replace("│", " ").split())
+    assert known["draws"] == 200
+    assert 0 < known["unstable_draws"] < 20  # 1.7 deviations of gain are left, and its delay comes with it
+    assert f"{known['unstable_draws']} of 200 drawn engines lose the loop" in out
+    for name, each in known["margins_95"].items():
+        if each["low"] is not None and each["high"] is not None:
+            assert each["low"] < found[name]["value"] < each["high"], name
+    low, high = known["margins_95"]["phase_deg"].values()
+    assert f"{low:.1f} to {high:.1f}" in out
+    page = (tmp_path / "m" / "report.html").read_text(encoding="utf-8")
+    assert f"{low:.1f} to {high:.1f}" in page
+    assert "How well the engine is known" in page
+
+
+def test_the_page_says_how_many_engines_and_how_near() -> None:
+    page = " ".join((ROOT / "docs" / "margins.md").read_text(encoding="utf-8").split())
+    assert "each margin's 95 % range over 200 engines drawn" in page
+    assert (DRAWS, FORETOLD) == (200, 0.02)
+    assert "meets what is foretold to 2 %" in page
+
+
+def test_the_range_over_the_engine_is_what_other_engines_fly(hexjet: Hexjet, tmp_path: Path) -> None:
+    """The margins of an engine whose parameters are other ones, foretold from the flight of the nominal one."""
+    other, lost = (
+        {"delay_samples": 17, "pole": 0.86, "gain": 0.24},
+        {"delay_samples": 23, "pole": 0.8802, "gain": 0.27},
+    )
+    loop, measured = {}, {}
+    for name, values in (("nominal", NOMINAL), ("other", other)):
+        quiet = ["--set", "sensor_noise=false", "--set", "engine_unchecked=true", "--period", "5", "--periods", "3"]
+        set_to = [text for key, value in values.items() for text in ("--set", f"engine_parameters.{key}={value}")]
+        file, folder = fan(tmp_path, DEVIATION), tmp_path / name
+        flown = ["--engine", str(file), "--controller", "baseline", "--axis", "roll", "--amplitude", "0.01"]
+        done = hexjet("margins", *flown, *quiet, *set_to, "--out", str(folder))
+        assert done.status == 0, done.err
+        measured[name] = json.loads((folder / "margins.json").read_text())["axes"]["roll"]["measured"]
+        table = np.genfromtxt(folder / "response.csv", delimiter=",", names=True)
+        loop[name] = table["loop_real"] + 1j * table["loop_imaginary"]
+        hertz = table["frequency_hz"]
+    z = np.exp(2j * np.pi * hertz * STEP)
+
+    def answer(values: dict[str, float]) -> Complex:
+        return np.asarray(values["gain"] / (z - values["pole"]) * z ** -values["delay_samples"])
+
+    used = np.ones(len(hertz), bool)
+    flat = np.ones(len(hertz), complex)
+    base = {name: Bounded(each["value"], np.nan, np.nan) for name, each in measured["nominal"].items() if each}
+    response = Response(hertz, loop["nominal"], flat, flat.real, flat.real, used, base)
+    assert range_over_engines(response, answer(lost)[None] / answer(NOMINAL), STEP, None).unstable == 1
+    found = range_over_engines(response, answer(other)[None] / answer(NOMINAL), STEP, None)
+    assert found.unstable == 0
+    for name in ("gain_db", "phase_deg", "delay_s", "peak_sensitivity", "crossover_hz"):
+        assert found.ranges[name][0] == pytest.approx(measured["other"][name]["value"], rel=FORETOLD), name
+    failed = hexjet("margins", *flown, *quiet, *(f"--set=engine_parameters.{key}={lost[key]}" for key in lost))
+    assert failed.status == 2
+    assert "leaned past" in failed.err
+
+
+def test_an_engine_that_is_later_than_the_margin_loses_the_loop() -> None:
+    """An integrator of crossover 1 Hz and 50 ms: of delay pi / 2 - 0.05 w over w are left."""
+    hertz = np.geomspace(0.01, 30.0, 400)
+    w = 2.0 * np.pi * hertz
+    loop = 2.0 * np.pi / (1j * w) * np.exp(-0.05j * w)
+    flat, used = np.ones(len(hertz), complex), np.ones(len(hertz), bool)
+    base = {name: Bounded(value, np.nan, np.nan) for name, value in vars(loop_margins(loop, hertz)).items() if value}
+    response = Response(hertz, loop, flat, flat.real, flat.real, used, base)
+
+    def over(*ratios: Complex) -> EngineRange:
+        return range_over_engines(response, np.array(ratios), 0.0, None)
+
+    late = over(*[np.exp(-1j * w * delay) for delay in np.linspace(-0.02, 0.02, 41)])
+    assert late.ranges["delay_s"] == pytest.approx((0.2 - 0.019, 0.2 + 0.019), abs=1e-4)
+    assert late.ranges["crossover_hz"] == pytest.approx((1.0, 1.0), rel=1e-4)
+    assert late.unstable == 0
+    strong = over(*[gain * flat for gain in (0.5, 1.0, 2.0)])
+    exact = 20.0 * np.log10(np.pi / 2.0 / (0.05 * 2.0 * np.pi))
+    assert strong.ranges["gain_db"] == pytest.approx((exact - 6.0206, exact + 6.0206), abs=0.01)
+    lost = over(*[np.exp(-1j * w * delay) for delay in (0.0, 0.19, 0.21, 0.4)])
+    assert (lost.unstable, lost.draws) == (2, 4)
+    assert lost.ranges["delay_s"] == pytest.approx((0.0, 0.2), abs=1e-4)
+    assert lost.to_dict()["margins_95"]["peak_sensitivity"]["high"] is None
+    assert over(6.0 * flat).unstable == 1

@@ -105,7 +105,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/identify-logs.md": ("test_identify_log.py",),
     "docs/log-export.md": ("test_export_formats.py", "test_flightgear.py"),
     "docs/laws.md": ("marks", "test_laws.py"),
-    "docs/margins.md": ("test_measured_margins.py",),
+    "docs/margins.md": ("test_measured_margins.py", "test_engine_tolerances.py"),
     "docs/metrics.md": ("test_metrics_docs.py",),
     "docs/real-engine.md": ("test_engine_jetcat.py",),
     "docs/sensors.md": ("marks", "test_sensor_profile.py"),

@@ -52,7 +52,7 @@ from cosim.results.report.three_views import three_views
 from cosim.results.report.time_plot import stack_panels
 from cosim.results.run import Run, begin_run
 from cosim.results.setup import describe_integration
-from cosim.results.summary import DelayRow
+from cosim.results.summary import DelayRow, EngineUncertainty, UncertainParameter
 from cosim.spec.vehicle import load_vehicle
 
 Change = Callable[[Sample], Sample]
@@ -263,6 +263,15 @@ def test_without_a_static_curve_only_what_was_delivered_is_drawn(tmp_path: Path)
     thrust = run_figures(run.log, run.summary)["thrust"]
     assert [each["label"] for panel in thrust["panels"] for each in panel["signals"]] == ["delivered"] * 6
     assert "its thrust at rest is not known" in page_of(run, tmp_path).text
+
+
+def test_the_page_shows_how_well_the_engine_is_known(tmp_path: Path) -> None:
+    assert "How well the engine is known" not in page_of(flown(50), tmp_path).text
+    row = UncertainParameter(name="lag", nominal=0.4, low=0.31, high=0.49, spread=0.02, flown=0.45)
+    known = EngineUncertainty(source="bench.csv: 6 steps", parameters=[row])
+    text = page_of(flown(50, engine_uncertainty=known), tmp_path).text
+    assert "source: bench.csv: 6 steps" in text
+    assert " lag 0.45 0.4 0.31 to 0.49 0.02 " in " ".join(text.split())
 
 
 def test_disturbances_are_shaded_and_what_is_not_there_is_left_out(run: Run, tmp_path: Path) -> None:
