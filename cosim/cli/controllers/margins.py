@@ -31,6 +31,7 @@ class Margins(Flight, opt.Output):
     to_hz = opt.positive("--to-hz", "HZ", "[default: a tenth of the control rate]")
     period_s = opt.positive("--period", "S", "Of the multisine.  [default: 20, or 60 for a slow loop]")
     periods = opt.whole("--periods", None, "That are measured.", min=3, default=5)
+    limit = opt.flag("--limit", "Compare each computed loop with the best that any linear controller could do.")
     seed = opt.whole("--seed", None, "Of sensor noise and turbulence.")
     settings = opt.SETTINGS
     out = opt.OUT
@@ -72,6 +73,7 @@ def margins(options: Margins) -> int:
             to_hz=options.to_hz,
             period_s=options.period_s,
             periods=options.periods,
+            limit=options.limit,
             say=tell,
         )
     paths = write(margins, options.run_folder(f"margins-{folder_name(margins.controller)}"))
@@ -81,7 +83,15 @@ def margins(options: Margins) -> int:
 
 def print_margins(margins: MeasuredMargins, paths: dict[str, Path]) -> None:
     """Print a table an axis, what is to be said about it, and where the page is."""
-    from cosim.design.measured.page import ENGINE_COLUMNS, columns, engine_rows, heading, rows, uncertainty_line
+    from cosim.design.measured.page import (
+        ENGINE_COLUMNS,
+        columns,
+        engine_rows,
+        heading,
+        limit_line,
+        rows,
+        uncertainty_line,
+    )
 
     scenario = margins.scenario
     say(f"[bold]{margins.controller_shown}[/bold] on {scenario.aircraft}, engine {scenario.engine}", marked=True)
@@ -90,9 +100,9 @@ def print_margins(margins: MeasuredMargins, paths: dict[str, Path]) -> None:
         show_table(
             heads, rows(measured), range(len(heads)), title=heading(measured), title_justify="left", title_style=""
         )
-        uncertainty = uncertainty_line(measured)
-        if uncertainty is not None:
-            say(uncertainty)
+        for line in (uncertainty_line(measured), limit_line(measured)):
+            if line is not None:
+                say(line)
         for note in measured.notes:
             say(f"note: {measured.axis}: {note}")
     if margins.uncertainty_source is not None:

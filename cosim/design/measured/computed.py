@@ -17,6 +17,7 @@ from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, hover_fraction
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.frequency import LoopMargins
+from cosim.design.loop.limit import AxisLimit, axis_limit
 from cosim.design.loop.tuning import Tuning
 from cosim.design.tune import FINE
 from cosim.engine import EngineSpec
@@ -31,6 +32,7 @@ class Computed:
     margins: LoopMargins
     hertz: Array
     loop: Complex
+    limit: AxisLimit | str | None = None  # of performance; or why there is none; None: it was not asked for
 
 
 @dataclass(frozen=True)
@@ -68,11 +70,11 @@ def find_tunings(plants: Plants, scenario: Scenario, vehicle: Vehicle, axes: Seq
 
 
 def compute_margins(
-    scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[str]
+    scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[str], limit: bool = False
 ) -> dict[str, Computed] | str:
     """Compute the margins by axis, or say why that fails.  What the scenario's mismatch changes is not in them.
 
-    The engine is swept around the thrust that the vehicle hovers with.
+    The engine is swept around the thrust that the vehicle hovers with.  ``limit``: with the limit of performance.
     """
     chosen = PREDICTORS.get(scenario.controller)
     if chosen is not None and chosen.response is None:
@@ -87,8 +89,16 @@ def compute_margins(
         if closed.unstable_poles:
             return f"{axis}: the linear loop is not stable"
         hertz = closed.points.theta / (2.0 * np.pi * step)
-        margins[axis] = Computed(closed.margins, hertz, closed.open_loop)
+        margins[axis] = Computed(closed.margins, hertz, closed.open_loop, find_loop_limit(closed) if limit else None)
     return margins
+
+
+def find_loop_limit(closed: ClosedLoop) -> AxisLimit | str:
+    """Return a loop beside the limit of performance, or why it has none."""
+    try:
+        return axis_limit(closed, closed.load_error)
+    except InputError as error:
+        return str(error)
 
 
 def _tuning(channel: Channel, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Tuning:

@@ -16,6 +16,7 @@ from cosim.design.loop.engine_uncertainty import (
     delay_deviations,
     gain_deviations,
 )
+from cosim.design.loop.limit import AxisLimit, need_solver
 from cosim.design.measured.computed import Computed, compute_margins
 from cosim.design.measured.engine_range import EngineRange, range_over_engines
 from cosim.design.measured.estimate import QUANTITIES, Response, measured, relative_difference, relative_differences
@@ -82,6 +83,11 @@ class AxisMargins:
 
     def _margin(self, name: str) -> float | None:
         return self.response.margins[name].value if name in self.response.margins else None
+
+    @property
+    def limit(self) -> AxisLimit | str | None:
+        """The computed loop beside the limit of performance, or why it has none; None where it was not asked for."""
+        return None if self.computed is None else self.computed.limit
 
     def off(self, name: str) -> float | None:
         """Return how far the measured number is off the computed, relative (of gains by factors); None without both."""
@@ -162,6 +168,7 @@ def _axis_dict(measured: AxisMargins) -> dict[str, Any]:
         "at_half_the_amplitude": {
             name: measured.half.margins[name].value if name in measured.half.margins else None for name in QUANTITIES
         },
+        "limit": measured.limit.to_dict() if isinstance(measured.limit, AxisLimit) else None,
         "notes": list(measured.notes),
         "engine_uncertainty": None
         if measured.uncertainty is None
@@ -183,6 +190,7 @@ def measure_margins(
     to_hz: float | None = None,
     period_s: float | None = None,
     periods: int = PERIODS,
+    limit: bool = False,
     say: Say = lambda text: None,
 ) -> MeasuredMargins:
     """Break the loop of each axis at the plant's input while the vehicle holds still, and measure it.
@@ -205,6 +213,8 @@ def measure_margins(
         Of the multisine [s]; None: 20 s, or 60 s for a loop that is slow.
     periods : int
         That are measured, three at least; one goes before them.
+    limit : bool
+        Whether a built-in controller is compared with the best that any linear one could do; some ten seconds an axis.
     say : callable
         Is told what is done.
 
@@ -216,10 +226,13 @@ def measure_margins(
     Raises
     ------
     InputError
-        For an unknown axis, a band without lines, an amplitude that does not fit, or what cannot be built.
+        For an unknown axis, a band without lines, an amplitude that does not fit, a limit without its solver, or what
+        cannot be built.
     FlightError
         Where the vehicle does not stay in the air, however little is added.
     """
+    if limit:
+        need_solver()
     if periods < LEAST_PERIODS:
         raise InputError(f"periods = {periods}: must be at least {LEAST_PERIODS}, for their spread to be seen")
     if amplitude is not None and not amplitude > 0.0:
@@ -241,7 +254,7 @@ def measure_margins(
         ledger = simulation.ledger
     known = None if spec.uncertainty is None else EngineSensitivity(scenario, vehicle, spec)
     say("computing")
-    computed_margins = compute_margins(scenario, vehicle, spec, list(axes))
+    computed_margins = compute_margins(scenario, vehicle, spec, list(axes), limit)
     by_axis = {}
     for axis in axes:
         late = sum_transport_samples(ledger, axis)

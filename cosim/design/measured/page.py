@@ -113,6 +113,14 @@ def uncertainty_line(measured: AxisMargins) -> str | None:
     return line + lost
 
 
+def limit_line(measured: AxisMargins) -> str | None:
+    """Compare the computed loop with the limit of performance, or say why it has none; None where nobody asked."""
+    limit = measured.limit
+    if limit is None:
+        return None
+    return f"no limit of performance: {limit}" if isinstance(limit, str) else f"{measured.axis}: {limit.describe()}"
+
+
 def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
     """Write ``margins.json``, ``response.csv`` and ``report.html``.  Raises FlightError if a file cannot be written."""
     paths = {"json": folder / "margins.json", "response": folder / "response.csv", "report": folder / "report.html"}
@@ -126,7 +134,14 @@ def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
             f"peak_{axis}": _peak(measured),
         }
     tables = [
-        (axis, heading(measured), columns(measured), rows(measured), measured.notes, uncertainty_line(measured))
+        (
+            axis,
+            heading(measured),
+            columns(measured),
+            rows(measured),
+            measured.notes,
+            [uncertainty_line(measured), limit_line(measured)],
+        )
         for axis, measured in margins.axes.items()
     ]
     engine = engine_rows(margins.engine_ranges)

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+from command_tools import Hexjet
 from places import script
 from scipy.signal import lfilter
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
+from cosim.design.assessment import shipped_tuning
 from cosim.design.loop import limit as limits
 from cosim.design.loop.channel import Channel
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.limit import Bounds, Limit, find_limit
+from cosim.design.measured.computed import find_loop_limit
+from cosim.engine import load_engine
+from cosim.spec.scenario import Scenario
 
 pytest.importorskip("clarabel", reason="Clarabel is not installed")
 
@@ -167,3 +175,24 @@ def test_a_rate_with_a_pole_at_one_is_followed_without_a_slope() -> None:
     assert float(t.sum()) == pytest.approx(1.0, abs=1e-6)
     assert float((late * t).sum()) == pytest.approx(0.0, abs=1e-4)
     check(free, found)
+
+
+def test_margins_end_with_the_limit_and_the_tolerance_of_the_delay_beside_it(hexjet: Hexjet, tmp_path: Path) -> None:
+    axes = ("--axis", "roll", "--axis", "pitch")
+    short = ("--period", "4", "--periods", "3", "--out", str(tmp_path / "margins"), "--json")
+    done = hexjet("margins", "--limit", *axes, *short)
+    assert done.status == 0, done.err
+    roll = json.loads(done.out)["axes"]["roll"]["limit"]
+    assert roll["times"] > roll["times_as_tolerant"] > 1.0
+    assert roll["delay_error_samples"] > 0.0
+    page = (tmp_path / "margins" / "report.html").read_text(encoding="utf-8")
+    assert "times the least that any linear controller leaves" in page
+    assert f"its tolerance of the delay, {roll['delay_error_samples']:g} samples either way" in page
+
+
+def test_a_loop_without_a_limit_says_why_in_margins() -> None:
+    scenario = Scenario.load("roll-doublet")
+    vehicle, _ = scenario.resolved_vehicle()
+    tuning = shipped_tuning(roll(), vehicle, load_engine(scenario.engine, {}, scenario.step_s))
+    loop = ClosedLoop(FrequencyGrid(replace(roll(), rate_hold=2), close=100), tuning)
+    assert find_loop_limit(loop) == "roll: no limit is computed where measurements are held"
