@@ -59,9 +59,13 @@ class TurnedHinge(NamedTuple):
 
 def rotate_about(axis: Vector3, angle: float, vector: Vector3) -> Vector3:
     """Return ``vector`` turned about the unit vector ``axis`` by ``angle`` rad, right-handed: Rodrigues' formula."""
+    return rotate_by(axis, cos(angle), sin(angle), vector)
+
+
+def rotate_by(axis: Vector3, c: float, s: float, vector: Vector3) -> Vector3:
+    """Return ``vector`` turned about the unit vector ``axis`` by the angle of this cosine and sine, right-handed."""
     x, y, z = axis
     vx, vy, vz = vector
-    c, s = cos(angle), sin(angle)
     along = (x * vx + y * vy + z * vz) * (1.0 - c)
     return (
         vx * c + (y * vz - z * vy) * s + x * along,

@@ -175,15 +175,16 @@ class Propulsion:
         vx, vy, vz = state.velocity
         wx, wy, wz = wind
         u, v, w = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
-        kinds: list[tuple[float, Vector3]] = []
         axes, groups, positions = self._load.axes, self._layout.groups, self._load.positions
-        for axis in axes:
-            x, y, z = axis
-            kinds.append((u * x + v * y + w * z, cross(axis, state.rate)))
+        rate, known = state.rate, -1
+        along = by_x = by_y = by_z = 0.0
         speeds: list[float] = []
         for jet, group in enumerate(groups):
             # (velocity + rate x place) . axis = velocity . axis + place . (axis x rate)
-            along, (by_x, by_y, by_z) = kinds[group]
+            if group != known:
+                known, axis = group, axes[group]
+                along = u * axis[0] + v * axis[1] + w * axis[2]
+                by_x, by_y, by_z = cross(axis, rate)
             x, y, z = positions[jet]
             speeds.append(along + by_x * x + by_y * y + by_z * z)
         if self.gusts:

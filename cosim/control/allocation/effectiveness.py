@@ -37,7 +37,13 @@ from cosim.base.signals import (
 )
 from cosim.control.allocation._effectiveness import Solver
 
-ROLL, PITCH, LIFT, YAW, FORWARD, RIGHT = range(6)  # indices of the rows
+# indices of the rows
+ROLL: Final = 0
+PITCH: Final = 1
+LIFT: Final = 2
+YAW: Final = 3
+FORWARD: Final = 4
+RIGHT: Final = 5
 LEVELS: Final = ((ROLL, PITCH), (LIFT,), (YAW,))
 HORIZONTAL: Final = ((FORWARD, RIGHT),)  # optional rows of the lowest priority
 AHEAD: Final = ((FORWARD,),)  # row added in forward flight
@@ -130,11 +136,13 @@ class EffectivenessAllocator:
         self._effectors = list(effectors)
         self._limits = list(shares)
         self._levels = [*LEVELS, *(HORIZONTAL if horizontal else ())]
+        self._levels_ahead = [*LEVELS, *AHEAD]
         self._weight = mass * GRAVITY
         self.hover = (self._weight / self._jets - low) / span
         gyration = (max(tensor[0][0], tensor[1][1], tensor[2][2]) / mass) ** 0.5  # radius of gyration, m
         force, moment = 1.0 / self._weight, 1.0 / (self._weight * gyration)
-        self._norms = (moment, moment, force, moment, force, force)  # scales of the rows
+        # scales of the rows; a list, of which compiled code reads one without making objects of all
+        self._norms: list[float] = [moment, moment, force, moment, force, force]
         self._scales = [
             (most - least) * span / effort for (least, most), effort in zip(shares, efforts, strict=True)
         ] + [(effector.upper - effector.lower) / effector.effort for effector in effectors]
@@ -222,7 +230,7 @@ class EffectivenessAllocator:
             hinges,
             surfaces,
             self._scales,
-            self._norms,
+            tuple(self._norms),
             self._weight,
             self._tensor,
             self._inverse,
@@ -340,7 +348,7 @@ class EffectivenessAllocator:
             middle = self._neutral[tilt] = min(max(along, low), high)
             self._servo_limits[tilt] = (max(low, middle - ASTRAY), min(high, middle + ASTRAY))
         self._preferred = self._shared(cos(along) * cos(along))
-        found, missing = self._solve_by(wanted, whole, PASSES, True, [*LEVELS, *AHEAD])
+        found, missing = self._solve_by(wanted, whole, PASSES, True, self._levels_ahead)
         self._neutral, self._preferred, self._servo_limits = neutral, preferred, servo_limits
         missing[LIFT] += lift - asked
         missing[FORWARD] += without - force

@@ -19,12 +19,47 @@ Angles are known at the ends of steps; ``a'`` is the mean over a step and ``a''`
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import cos, sin
 
 from cosim.base.frames import cross
-from cosim.base.layout import rotate_about
+from cosim.base.layout import rotate_by
 from cosim.base.signals import ZERO3, PerServo, Vector3
 from cosim.spec.vehicle import Hinge, Jet, layout_of
 from cosim.vehicle.effects.effect import Effect, Load, add_vectors
+
+
+class _Part:
+    """A hinge and what turns with it, ``angle``, ``speed`` and ``acceleration`` at the end of a step."""
+
+    def __init__(self, hinge: Hinge, number: int) -> None:
+        self.number = number
+        self.inertia, self.mass = hinge.inertia_kg_m2, hinge.mass_kg
+        self.rest = hinge.rest_rad
+        px, py, pz = self.point = hinge.position_m
+        cx, cy, cz = hinge.centre_m or hinge.position_m
+        x, y, z = self.axis = hinge.axis
+        along = (cx - px) * x + (cy - py) * y + (cz - pz) * z
+        fx, fy, fz = self.foot = (px + along * x, py + along * y, pz + along * z)
+        self.arm: Vector3 = (cx - fx, cy - fy, cz - fz)
+        self.outer: list[_Part] = []  # the hinges that it stands on, from itself to the body
+        self.reset()
+
+    def reset(self) -> None:
+        """Stand at rest."""
+        self.angle = self.rest
+        self.speed = self.acceleration = 0.0
+        self.cosine = self.sine = 0.0
+
+    def turn(self, angle: float, step: float) -> None:
+        """Turn to an angle [rad] within a step [s]."""
+        speed = (angle - self.angle) / step
+        self.acceleration = (speed - self.speed) / step
+        self.angle, self.speed = angle, speed
+        self.cosine, self.sine = cos(angle), sin(angle)
+
+    def rotate(self, vector: Vector3) -> Vector3:
+        """Return a vector turned by the hinge's angle."""
+        return rotate_by(self.axis, self.cosine, self.sine, vector)
 
 
 class HingeReactions(Effect):
@@ -36,34 +71,19 @@ class HingeReactions(Effect):
     def __init__(self, hinges: Sequence[Hinge], jets: Sequence[Jet], step: float) -> None:
         self._step = step
         self._force_point: Vector3 = jets[0].position_m
-        layout = layout_of(jets, hinges)
-        self._rest = [hinge.rest_rad for hinge in hinges]
-        self._inertia = [hinge.inertia_kg_m2 for hinge in hinges]
-        self._mass = [hinge.mass_kg for hinge in hinges]
-        self._axes: list[Vector3] = [hinge.axis for hinge in hinges]
-        self._feet: list[Vector3] = []
-        self._arms: list[Vector3] = []
-        for hinge in hinges:
-            px, py, pz = hinge.position_m
-            cx, cy, cz = hinge.centre_m or hinge.position_m
-            x, y, z = hinge.axis
-            along = (cx - px) * x + (cy - py) * y + (cz - pz) * z
-            foot = (px + along * x, py + along * y, pz + along * z)
-            self._feet.append(foot)
-            self._arms.append((cx - foot[0], cy - foot[1], cz - foot[2]))
-        # the hinges that a hinge stands on: those that carry one of its jets and are stated before it
-        self._outer: list[list[int]] = []
-        for number, turn in enumerate(layout.turns):
-            jets_moved = {*turn.carries, *turn.deflects}
-            self._outer.append([k for k in range(number) if jets_moved & set(layout.turns[k].carries)])
-        self._points: list[Vector3] = [hinge.position_m for hinge in hinges]
-        self.is_active = any(self._inertia) or any(self._mass)
-        self.reset()
+        turns = layout_of(jets, hinges).turns
+        self._parts = [_Part(hinge, number) for number, hinge in enumerate(hinges)]
+        # a hinge stands on those that carry one of its jets and are stated before it
+        for part in self._parts:
+            jets_moved = {*turns[part.number].carries, *turns[part.number].deflects}
+            before = reversed(self._parts[: part.number])
+            part.outer = [other for other in before if jets_moved & set(turns[other.number].carries)]
+        self.is_active = any(part.inertia or part.mass for part in self._parts)
 
     def reset(self) -> None:
         """Start with all hinges at rest."""
-        self._angles = list(self._rest)
-        self._rates = [0.0] * len(self._rest)
+        for part in self._parts:
+            part.reset()
 
     def start(self, load: Load) -> None:
         self.reset()
@@ -79,24 +99,19 @@ class HingeReactions(Effect):
 
         ``tilt``: where the servos stand at the end of the step, rad; ``rate``: the body's, rad/s.
         """
-        step = self._step
         force = moment = ZERO3
-        for number, inertia in enumerate(self._inertia):
-            last_angle, last_speed = self._angles[number], self._rates[number]
-            now = tilt[number]
-            speed = (now - last_angle) / step
-            acceleration = (speed - last_speed) / step
-            self._angles[number], self._rates[number] = now, speed
+        for part in self._parts:
+            part.turn(tilt[part.number], self._step)
+            speed, acceleration = part.speed, part.acceleration
             if speed == 0.0 and acceleration == 0.0:
                 continue
-            mass = self._mass[number]
-            axis, foot = self._axes[number], self._feet[number]
-            arm = rotate_about(axis, now, self._arms[number])
-            for outer in reversed(self._outer[number]):
-                about, point, angle = self._axes[outer], self._points[outer], tilt[outer]
-                axis, arm = rotate_about(about, angle, axis), rotate_about(about, angle, arm)
-                x, y, z = rotate_about(about, angle, (foot[0] - point[0], foot[1] - point[1], foot[2] - point[2]))
-                foot = (point[0] + x, point[1] + y, point[2] + z)
+            mass, inertia = part.mass, part.inertia
+            axis, foot, arm = part.axis, part.foot, part.rotate(part.arm)
+            for outer in part.outer:
+                axis, arm = outer.rotate(axis), outer.rotate(arm)
+                px, py, pz = outer.point
+                x, y, z = outer.rotate((foot[0] - px, foot[1] - py, foot[2] - pz))
+                foot = (px + x, py + y, pz + z)
             x, y, z = axis
             momentum = inertia * speed
             wx, wy, wz = cross(rate, (momentum * x, momentum * y, momentum * z))

@@ -11,6 +11,15 @@ from cosim.spec.vehicle import Airflow, Hinge, Jet, layout_of
 from cosim.vehicle.effects.effect import Effect, Load
 
 
+class _Stream:
+    """The air stream of one jet: ``kg_s`` at a thrust [N], the exponent, intake and exhaust [m], its station."""
+
+    def __init__(self, flow: Airflow, station: Vector3) -> None:
+        self.kg_s, self.at_thrust, self.exponent = flow.kg_s, flow.at_thrust_n, flow.exponent
+        self.intake, self.exhaust = flow.intake_m, flow.exhaust_m
+        self.station = station
+
+
 class IntakeDrag(Effect):
     """Forces of the air streams on the airframe beside their thrust, by the momentum theorem.
 
@@ -25,14 +34,11 @@ class IntakeDrag(Effect):
     """
 
     def __init__(self, flow: Airflow | None, jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> None:
-        # kg/s, at N, exponent, intake and exhaust [m]: numbers, which a step reads sooner than a model's fields
-        self._flows: list[tuple[float, float, float, float, float] | None] = []
-        for jet in jets:
-            of = jet.airflow or flow
-            known = None if of is None else (of.kg_s, of.at_thrust_n, of.exponent, of.intake_m, of.exhaust_m)
-            self._flows.append(known)
-        self.is_active = any(known is not None for known in self._flows)
-        self._stations: list[Vector3] = [jet.position_m for jet in jets]
+        flows = [jet.airflow or flow for jet in jets]
+        self._streams = [
+            None if of is None else _Stream(of, jet.position_m) for of, jet in zip(flows, jets, strict=True)
+        ]
+        self.is_active = any(stream is not None for stream in self._streams)
         self._layout = layout_of(jets, hinges)
 
     def act(self, load: Load) -> None:
@@ -42,33 +48,33 @@ class IntakeDrag(Effect):
         wx, wy, wz = state.wind
         through_air = rotate(conjugate(state.attitude), (vx - wx, vy - wy, vz - wz))
         axes, groups = load.axes, self._layout.groups
-        moves, positions = self._layout.moves, load.positions
+        moves, positions, rate = self._layout.moves, load.positions, state.rate
         total: list[Vector3] = []
         moment_x = moment_y = moment_z = 0.0
         for i, newton in enumerate(load.output.thrust):
-            airflow = self._flows[i]
-            if airflow is None:
+            stream = self._streams[i]
+            if stream is None:
                 total.append(forces[i])
                 continue
             fx, fy, fz = forces[i]
             x, y, z = positions[i]
             e = axes[groups[i]]
-            kg_s, at_thrust, exponent, a, b = airflow
-            flow = kg_s * pow(newton / at_thrust, exponent) if newton > 0.0 else 0.0
+            a, b = stream.intake, stream.exhaust
+            flow = stream.kg_s * pow(newton / stream.at_thrust, stream.exponent) if newton > 0.0 else 0.0
             outlet = (x + b * e[0], y + b * e[1], z + b * e[2])
             air_velocity = through_air
             if gusts:
                 gx, gy, gz = rotate(conjugate(state.attitude), gusts[i])
                 air_velocity = (through_air[0] - gx, through_air[1] - gy, through_air[2] - gz)
             drag = _across(air_velocity, e, -flow)
-            damping = _across(cross(state.rate, outlet), e, -flow)
+            damping = _across(cross(rate, outlet), e, -flow)
             total.append((fx + drag[0] + damping[0], fy + drag[1] + damping[1], fz + drag[2] + damping[2]))
             # both forces act at the station
             push = (a * drag[0] + b * damping[0], a * drag[1] + b * damping[1], a * drag[2] + b * damping[2])
             couple_x, couple_y, couple_z = cross(e, push)
             moment_x, moment_y, moment_z = moment_x + couple_x, moment_y + couple_y, moment_z + couple_z
             if moves:  # the station at which forces are handed over is where it stands with the hinges at zero
-                at_x, at_y, at_z = self._stations[i]
+                at_x, at_y, at_z = stream.station
                 both = (drag[0] + damping[0], drag[1] + damping[1], drag[2] + damping[2])
                 couple_x, couple_y, couple_z = cross((x - at_x, y - at_y, z - at_z), both)
                 moment_x, moment_y, moment_z = moment_x + couple_x, moment_y + couple_y, moment_z + couple_z
