@@ -1,0 +1,433 @@
+"""The parts of a formula over the signals of a flight, and by how much each is kept or broken, row by row.
+
+The quantitative semantics of signal temporal logic (Donze and Maler, 2010) in discrete time, at the rows of the log: a
+comparison ``a < b`` is kept by ``b - a``; *and* and *always* take the least of what they are made of, *or* and
+*eventually* the greatest, *not* changes the sign.  So the margin of a formula is that of one comparison in one row,
+which :meth:`Formula.deciding` finds.  Every part takes a time in proportion to the rows.
+
+A row in which a signal has no number (a set-point while none is commanded) is unknown, NaN: *always* and *eventually*
+leave it out; *and* is unknown there unless another part is broken, *or* unless another part is kept.  A span of time
+that reaches beyond the end of the log is assessed by the rows that there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import ceil, floor, inf, nan
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.results.requirements.units import factor_between, in_si, unit_of
+
+_SLACK = 1e-6  # of a row: rounding where a time is divided by the step
+Times = dict[str, list[float]]  # s, when each event happens that is known before the flight
+
+
+class Signals(Protocol):
+    """What a formula is evaluated over: ``rows`` rows, ``step_s`` apart; ``margins`` keeps what was evaluated."""
+
+    @property
+    def rows(self) -> int: ...
+
+    @property
+    def step_s(self) -> float: ...
+
+    @property
+    def margins(self) -> dict[Formula, Array]: ...
+
+    def signal(self, name: str) -> Array:
+        """Return a signal as the log has it, one number a row."""
+
+    def event_rows(self, name: str) -> Sequence[int]:
+        """Return the rows at which an event happens, the earliest first."""
+
+
+class Deciding(NamedTuple):
+    """The comparison and the row that a margin comes from; ``sign`` is -1 behind an odd number of *not*."""
+
+    comparison: Comparison
+    row: int
+    sign: float
+
+
+# ---- quantities: a number a row, in a unit
+
+
+class Quantity:
+    """A number a row, in ``unit``; None: a bare number, in the unit of what it is compared with."""
+
+    unit: str | None
+    parts: tuple[Quantity, ...] = ()
+
+    @property
+    def names(self) -> Iterator[str]:
+        """The signals in it."""
+        for part in self.parts:
+            yield from part.names
+
+    @property
+    def limit(self) -> float | None:
+        """The largest number in it; None where there is none."""
+        return max((part.limit for part in self.parts if part.limit is not None), default=None)
+
+    def values(self, signals: Signals) -> Array:
+        """Return its number in every row."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Number(Quantity):
+    """The same number in every row."""
+
+    value: float
+    unit: str | None
+
+    @property
+    def limit(self) -> float | None:
+        return abs(self.value)
+
+    def values(self, signals: Signals) -> Array:
+        return np.full(signals.rows, self.value)
+
+
+@dataclass(frozen=True)
+class Signal(Quantity):
+    """A column of the log, a quantity derived from some, or a metric of the whole flight."""
+
+    name: str
+
+    @property
+    def unit(self) -> str:  # type: ignore[override]
+        return unit_of(self.name)
+
+    @property
+    def names(self) -> Iterator[str]:
+        yield self.name
+
+    def values(self, signals: Signals) -> Array:
+        logged = in_si(self.name)
+        values = signals.signal(logged)
+        return values if logged == self.name else values * factor_between(unit_of(logged), self.unit)
+
+
+@dataclass(frozen=True)
+class Size(Quantity):
+    """The size of a quantity, without its sign."""
+
+    of: Quantity
+
+    @property
+    def unit(self) -> str | None:  # type: ignore[override]
+        return self.of.unit
+
+    @property
+    def parts(self) -> tuple[Quantity, ...]:  # type: ignore[override]
+        return (self.of,)
+
+    def values(self, signals: Signals) -> Array:
+        return np.abs(self.of.values(signals))
+
+
+@dataclass(frozen=True)
+class Sum(Quantity):
+    """The sum of quantities, each times its factor; the factors bring all to ``unit``."""
+
+    terms: tuple[tuple[float, Quantity], ...]
+    unit: str | None
+
+    @property
+    def parts(self) -> tuple[Quantity, ...]:  # type: ignore[override]
+        return tuple([term for _, term in self.terms])
+
+    @property
+    def limit(self) -> float | None:
+        sizes = [abs(factor) * term.limit for factor, term in self.terms if term.limit is not None]
+        return max(sizes, default=None)
+
+    def values(self, signals: Signals) -> Array:
+        total: Array | None = None
+        for factor, term in self.terms:
+            values = term.values(signals) if factor == 1.0 else factor * term.values(signals)
+            total = values if total is None else total + values
+        assert total is not None
+        return total
+
+
+# ---- formulas: a margin a row, positive kept, negative broken
+
+
+class Formula:
+    """What is true or not in every row, and by how much."""
+
+    parts: tuple[Formula, ...] = ()
+
+    @property
+    def comparisons(self) -> Iterator[Comparison]:
+        """The comparisons in it."""
+        for part in self.parts:
+            yield from part.comparisons
+
+    @property
+    def events(self) -> Iterator[str]:
+        """The events in it."""
+        for part in self.parts:
+            yield from part.events
+
+    def margins(self, signals: Signals) -> Array:
+        """Return by how much it is kept from every row on: negative broken, NaN unknown."""
+        margins = signals.margins.get(self)
+        if margins is None:
+            margins = signals.margins[self] = self._evaluate(signals)
+        return margins
+
+    def _evaluate(self, signals: Signals) -> Array:
+        raise NotImplementedError
+
+    def deciding(self, signals: Signals, row: int) -> Deciding:
+        """Return where the margin in a row comes from; it must be a number there."""
+        raise NotImplementedError
+
+    def latest_s(self, starts_s: Sequence[float], times_s: Times) -> float:
+        """Return the time [s] up to which it asks for rows, begun at ``starts_s``; beyond none for *always*."""
+        return max((part.latest_s(starts_s, times_s) for part in self.parts), default=max(starts_s, default=0.0))
+
+
+@dataclass(frozen=True)
+class Comparison(Formula):
+    """``greater - less``, in ``unit``, divided by ``scale``."""
+
+    less: Quantity
+    greater: Quantity
+    unit: str
+    text: str
+    scale: float = 1.0
+
+    @property
+    def comparisons(self) -> Iterator[Comparison]:
+        yield self
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The signals in it."""
+        return (*self.less.names, *self.greater.names)
+
+    @property
+    def limit(self) -> float:
+        """The size of the largest number that it compares with; 0 where there is none."""
+        return max(self.less.limit or 0.0, self.greater.limit or 0.0)
+
+    def _evaluate(self, signals: Signals) -> Array:
+        difference = self.greater.values(signals) - self.less.values(signals)
+        return difference if self.scale == 1.0 else difference / self.scale
+
+    def deciding(self, signals: Signals, row: int) -> Deciding:
+        return Deciding(self, row, 1.0)
+
+
+@dataclass(frozen=True)
+class Happens(Formula):
+    """An event: kept without limit in the rows at which it happens, broken without limit in all others."""
+
+    event: str
+
+    @property
+    def events(self) -> Iterator[str]:
+        yield self.event
+
+    def _evaluate(self, signals: Signals) -> Array:
+        margins = np.full(signals.rows, -inf)
+        margins[list(signals.event_rows(self.event))] = inf
+        return margins
+
+
+@dataclass(frozen=True)
+class Not(Formula):
+    """The opposite."""
+
+    of: Formula
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:  # type: ignore[override]
+        return (self.of,)
+
+    def _evaluate(self, signals: Signals) -> Array:
+        return -self.of.margins(signals)
+
+    def deciding(self, signals: Signals, row: int) -> Deciding:
+        deciding = self.of.deciding(signals, row)
+        return deciding._replace(sign=-deciding.sign)
+
+
+@dataclass(frozen=True)
+class Both(Formula):
+    """All of its parts; with ``either``, one of them."""
+
+    parts: tuple[Formula, ...]
+    either: bool = False
+
+    def _evaluate(self, signals: Signals) -> Array:
+        sign = -1.0 if self.either else 1.0
+        return sign * _least([sign * part.margins(signals) for part in self.parts])
+
+    def deciding(self, signals: Signals, row: int) -> Deciding:
+        margins = [part.margins(signals)[row] for part in self.parts]
+        chosen = np.nanargmax(margins) if self.either else np.nanargmin(margins)
+        return self.parts[chosen].deciding(signals, row)
+
+
+@dataclass(frozen=True)
+class Throughout(Formula):
+    """In every row from this one on; with ``once``, in one of them.  ``seconds``: in those up to so long after it."""
+
+    of: Formula
+    once: bool = False
+    seconds: float = inf
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:  # type: ignore[override]
+        return (self.of,)
+
+    def _evaluate(self, signals: Signals) -> Array:
+        sign = -1.0 if self.once else 1.0
+        return sign * _least_ahead(sign * self.of.margins(signals), _rows_in(self.seconds, signals))
+
+    def deciding(self, signals: Signals, row: int) -> Deciding:
+        ahead = self.of.margins(signals)[row : row + _rows_in(self.seconds, signals) + 1]
+        chosen = np.nanargmax(ahead) if self.once else np.nanargmin(ahead)
+        return self.of.deciding(signals, row + int(chosen))
+
+    def latest_s(self, starts_s: Sequence[float], times_s: Times) -> float:
+        if self.seconds == inf:
+            return max(starts_s, default=0.0)
+        return self.of.latest_s([start + self.seconds for start in starts_s], times_s)
+
+
+@dataclass(frozen=True)
+class Until(Formula):
+    """``of`` in every row before one, at most ``seconds`` away, in which ``then`` is true; there must be one."""
+
+    of: Formula
+    then: Formula
+    seconds: float = inf
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:  # type: ignore[override]
+        return (self.of, self.then)
+
+    def _evaluate(self, signals: Signals) -> Array:
+        then, kept = self._known(signals)
+        margins, following = np.empty(signals.rows), -inf
+        for row in range(signals.rows - 1, -1, -1):
+            following = margins[row] = max(then[row], min(kept[row], following))
+        rows = _rows_in(self.seconds, signals)
+        return np.minimum(margins, -_least_ahead(-then, rows)) if rows < signals.rows else margins
+
+    def _known(self, signals: Signals) -> tuple[Array, Array]:
+        """Return the margins of ``then``, unknown ones as broken, and of ``of``, unknown ones as kept."""
+        then, kept = self.then.margins(signals), self.of.margins(signals)
+        return np.where(np.isnan(then), -inf, then), np.where(np.isnan(kept), inf, kept)
+
+    def deciding(self, signals: Signals, row: int) -> Deciding:
+        end = row + _rows_in(self.seconds, signals) + 1
+        then, kept = (margins[row:end] for margins in self._known(signals))
+        before = np.concatenate(([inf], np.minimum.accumulate(kept)[:-1]))
+        chosen = int(np.argmax(np.minimum(then, before)))
+        if then[chosen] <= before[chosen]:
+            return self.then.deciding(signals, row + chosen)
+        return self.of.deciding(signals, row + int(np.argmin(kept[:chosen])))
+
+    def latest_s(self, starts_s: Sequence[float], times_s: Times) -> float:
+        return max(starts_s, default=0.0) + (0.0 if self.seconds == inf else self.seconds)
+
+
+@dataclass(frozen=True)
+class After(Formula):
+    """What is true ``seconds`` later, in the first row that is not earlier."""
+
+    seconds: float
+    of: Formula
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:  # type: ignore[override]
+        return (self.of,)
+
+    def _evaluate(self, signals: Signals) -> Array:
+        margins, rows = np.full(signals.rows, nan), self._rows(signals)
+        margins[: max(signals.rows - rows, 0)] = self.of.margins(signals)[rows:]
+        return margins
+
+    def deciding(self, signals: Signals, row: int) -> Deciding:
+        return self.of.deciding(signals, row + self._rows(signals))
+
+    def _rows(self, signals: Signals) -> int:
+        return ceil(self.seconds / signals.step_s - _SLACK)
+
+    def latest_s(self, starts_s: Sequence[float], times_s: Times) -> float:
+        return self.of.latest_s([start + self.seconds for start in starts_s], times_s)
+
+
+@dataclass(frozen=True)
+class AfterEvent(Formula):
+    """What is true whenever an event happens from this row on; unknown where it does not."""
+
+    event: str
+    of: Formula
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:  # type: ignore[override]
+        return (self.of,)
+
+    @property
+    def events(self) -> Iterator[str]:
+        yield self.event
+        yield from self.of.events
+
+    def _evaluate(self, signals: Signals) -> Array:
+        return _least_ahead(self._at_events(signals), signals.rows)
+
+    def deciding(self, signals: Signals, row: int) -> Deciding:
+        return self.of.deciding(signals, row + int(np.nanargmin(self._at_events(signals)[row:])))
+
+    def _at_events(self, signals: Signals) -> Array:
+        margins, rows = np.full(signals.rows, nan), list(signals.event_rows(self.event))
+        margins[rows] = self.of.margins(signals)[rows]
+        return margins
+
+    def latest_s(self, starts_s: Sequence[float], times_s: Times) -> float:
+        return self.of.latest_s(times_s.get(self.event, []), times_s)
+
+
+# ---- arithmetic of margins with unknown ones
+
+
+def _least(margins: Sequence[Array]) -> Array:
+    """Return the least of several in each row; unknown where one is, unless another is broken."""
+    known = margins[0]
+    is_unknown = np.isnan(known)
+    for other in margins[1:]:
+        is_unknown = is_unknown | np.isnan(other)
+        known = np.fmin(known, other)
+    return np.where(is_unknown & ~(known < 0.0), nan, known)
+
+
+def _least_ahead(margins: Array, rows: int) -> Array:
+    """Return the least from each row to ``rows`` after it, unknown ones left out; NaN where all are unknown."""
+    if rows >= margins.size - 1:
+        return np.fmin.accumulate(margins[::-1])[::-1]
+    from scipy.ndimage import minimum_filter1d  # van Herk's: as long for any number of rows
+
+    size, is_unknown = rows + 1, np.isnan(margins)
+    ahead = {"mode": "constant", "origin": -(size // 2)}  # the rows from each one on
+    least: Array = minimum_filter1d(np.where(is_unknown, inf, margins), size, cval=inf, **ahead)
+    if not np.any(is_unknown):
+        return least
+    is_dark = minimum_filter1d(is_unknown.astype(np.uint8), size, cval=1, **ahead) == 1
+    return np.where(is_dark, nan, least)
+
+
+def _rows_in(seconds: float, signals: Signals) -> int:
+    """Return how many rows after one are not later than ``seconds`` after it."""
+    return signals.rows if seconds == inf else floor(seconds / signals.step_s + _SLACK)

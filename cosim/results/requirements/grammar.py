@@ -1,0 +1,378 @@
+"""Reading a formula: a few words and comparisons, and one line that says what is wrong and where.
+
+=============================  ==========================================================================
+``always(F)``                  in every row from here to the end of the flight
+``eventually(F)``              in one of them
+``for(2 s, F)``                in every row of the next 2 s
+``within(2 s, F)``             in one row of the next 2 s
+``until(F, G)``                F in every row before one in which G is true, and there must be one
+``until(F, G, 2 s)``           the same, and G within 2 s
+``after(2 s, F)``              F 2 s later
+``after("gust ends", F)``      F whenever that happens
+``not F``, ``F and G``         as they say; also ``F or G`` and ``F implies G``
+``a < b``, ``a < b < c``       also ``<=``, ``>``, ``>=``; quantities: signals, numbers, ``+``, ``-``,
+                               ``2 * a``, ``abs(a)``
+=============================  ==========================================================================
+
+A number may have a unit, ``30 deg`` or ``2 m/s``; without one it has that of what it is compared with.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from math import isfinite
+from typing import NamedTuple, NoReturn
+
+from cosim.base.errors import InputError, nearest
+from cosim.results.requirements.formula import (
+    After,
+    AfterEvent,
+    Both,
+    Comparison,
+    Formula,
+    Happens,
+    Not,
+    Number,
+    Quantity,
+    Signal,
+    Size,
+    Sum,
+    Throughout,
+    Until,
+)
+from cosim.results.requirements.units import UNITS, factor_between
+
+LONGEST, DEEPEST = 2000, 40  # characters, and parts inside each other; chosen by us
+WORDS = ("always", "eventually", "for", "within", "until", "after", "abs")
+_JOINED = ("and", "or", "implies", "not")
+_COMPARED = ("<=", ">=", "<", ">")
+_TOKEN = re.compile(
+    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_]\w*(?:\.\w+)*)"
+    r'|(?P<event>"[^"]*")|(?P<sign><=|>=|[<>(),+*-])|(?P<end>$))',
+    re.ASCII,
+)
+_UNIT = re.compile(
+    rf"\s*(?P<unit>{'|'.join(re.escape(unit) for unit in sorted(UNITS, key=len, reverse=True) if unit != '1')})"
+    r"(?![\w/^])",
+    re.ASCII,
+)
+
+
+class ParsedFormula(NamedTuple):
+    """A formula, the ``unit`` of its margin (1: of shares of each limit), and the least of its limits, 0 without."""
+
+    formula: Formula
+    unit: str
+    limit: float
+
+
+class _Token(NamedTuple):
+    kind: str
+    text: str
+    start: int
+
+
+@lru_cache(1024)
+def parse_formula(text: str) -> ParsedFormula:
+    """Return a formula.  Raises InputError: one line with the place and what is allowed there."""
+    parser = _Parser(text)
+    formula = parser.read()
+    comparisons = list(formula.comparisons)
+    if not comparisons:
+        raise InputError("compares nothing: it needs a signal and a limit, such as abs(roll_deg) < 30")
+    limits = [comparison.limit for comparison in comparisons]
+    units = {comparison.unit for comparison in comparisons}
+    if len(units) == 1:
+        return ParsedFormula(formula, units.pop(), min([limit for limit in limits if limit], default=0.0))
+    for comparison in comparisons:
+        if not comparison.limit:
+            raise InputError(
+                f"{comparison.text!r} has another unit than the rest and compares with no number but 0, so that "
+                "nothing says how the two weigh: make two requirements of it"
+            )
+    return ParsedFormula(_divided(formula), "1", 1.0)
+
+
+def _divided(formula: Formula) -> Formula:
+    """Return a formula with each comparison divided by its limit."""
+    if isinstance(formula, Comparison):
+        return replace(formula, scale=formula.limit)
+    if isinstance(formula, Both):
+        return replace(formula, parts=tuple([_divided(part) for part in formula.parts]))
+    if isinstance(formula, Until):
+        return replace(formula, of=_divided(formula.of), then=_divided(formula.then))
+    if isinstance(formula, (Not, Throughout, After, AfterEvent)):
+        return replace(formula, of=_divided(formula.of))
+    return formula
+
+
+class _Parser:
+    def __init__(self, text: str) -> None:
+        self._text, self._end, self._depth = text, 0, 0
+        if len(text) > LONGEST:
+            raise InputError(f"of {len(text)} characters; at most {LONGEST}: make several requirements of it")
+        self._token = self._next()
+
+    def read(self) -> Formula:
+        """Return the formula of the whole text."""
+        start = self._token.start
+        formula = self._formula(self._implication(), start)
+        if self._token.kind != "end":
+            self._refuse("and, or, implies, a comparison or the end")
+        return formula
+
+    # ---- tokens
+
+    def _next(self) -> _Token:
+        match = _TOKEN.match(self._text, self._end)
+        if match is None:
+            start = len(self._text) - len(self._text[self._end :].lstrip())
+            self._token = _Token("sign", self._text[start], start)
+            return self._refuse("a signal, a number, an event in double quotes or one of < <= > >= + - * ( ) ,")
+        kind = match.lastgroup or "end"
+        self._end = match.end()
+        return _Token(kind, match[kind], match.start(kind))
+
+    def _take(self, *texts: str) -> str | None:
+        """Return the token's text and go on, if it is one of these."""
+        if self._token.kind in ("number", "event", "end") or self._token.text not in texts:
+            return None
+        text = self._token.text
+        self._token = self._next()
+        return text
+
+    def _need(self, text: str, allowed: str | None = None) -> None:
+        if self._take(text) is None:
+            self._refuse(allowed or repr(text))
+
+    def _refuse(self, allowed: str) -> NoReturn:
+        found = repr(self._token.text) if self._token.kind != "end" else "the end"
+        raise InputError(f"{found} at character {self._token.start + 1}: there must be {allowed}")
+
+    def _refuse_at(self, start: int, why: str) -> NoReturn:
+        text = self._text[start : self._token.start].strip()
+        raise InputError(f"{text[:40]!r} at character {start + 1}: {why}")
+
+    # ---- formulas, the loosest first
+
+    def _implication(self) -> Formula | Quantity:
+        start = self._token.start
+        left = self._joined("or", self._conjunction, either=True)
+        if self._take("implies") is None:
+            return left
+        begin = self._token.start
+        self._enter()
+        right = self._formula(self._implication(), begin)
+        self._depth -= 1
+        return Both((Not(self._formula(left, start)), right), either=True)
+
+    def _conjunction(self) -> Formula | Quantity:
+        return self._joined("and", self._negation, either=False)
+
+    def _joined(self, word: str, read: Callable[[], Formula | Quantity], either: bool) -> Formula | Quantity:
+        start = self._token.start
+        first = read()
+        if self._token.text != word or self._token.kind != "name":
+            return first
+        parts = [self._formula(first, start)]
+        while self._take(word):
+            start = self._token.start
+            parts.append(self._formula(read(), start))
+        return Both(tuple(parts), either)
+
+    def _negation(self) -> Formula | Quantity:
+        if self._take("not") is None:
+            return self._comparison()
+        start = self._token.start
+        self._enter()
+        of = self._formula(self._negation(), start)
+        self._depth -= 1
+        return Not(of)
+
+    def _comparison(self) -> Formula | Quantity:
+        start = self._token.start
+        left = self._sum()
+        comparisons: list[Formula] = []
+        while sign := self._take(*_COMPARED):
+            lower = self._quantity(left, start)
+            begin = self._token.start
+            upper = self._quantity(self._sum(), begin)
+            comparisons.append(self._compared(lower, sign, upper, start))
+            left, start = upper, begin
+        if not comparisons:
+            return left
+        return comparisons[0] if len(comparisons) == 1 else Both(tuple(comparisons))
+
+    def _compared(self, left: Quantity, sign: str, right: Quantity, start: int) -> Comparison:
+        text = self._text[start : self._token.start].strip()
+        if not [*left.names, *right.names]:
+            self._refuse_at(start, "compares two numbers; one side must have a signal")
+        unit = left.unit or right.unit or "1"
+        try:
+            left, right = _in_unit(left, unit), _in_unit(right, unit)
+        except InputError as error:
+            raise InputError(f"{text!r} at character {start + 1}: {error}") from None
+        less, greater = (left, right) if sign in ("<", "<=") else (right, left)
+        return Comparison(less, greater, unit, " ".join(text.split()))
+
+    # ---- quantities
+
+    def _sum(self) -> Formula | Quantity:
+        start = self._token.start
+        first = self._product()
+        terms: list[tuple[float, Quantity]] = []
+        while sign := self._take("+", "-"):
+            begin = self._token.start
+            if not terms:
+                terms = [(1.0, self._quantity(first, start))]
+            terms.append((1.0 if sign == "+" else -1.0, self._quantity(self._product(), begin)))
+        return self._added(terms, start) if terms else first
+
+    def _added(self, terms: list[tuple[float, Quantity]], start: int) -> Quantity:
+        unit = next((term.unit for _, term in terms if term.unit), None)
+        try:
+            scaled = [(factor, _in_unit(term, unit) if unit else term) for factor, term in terms]
+        except InputError as error:
+            self._refuse_at(start, str(error))
+        return Sum(tuple(scaled), unit)
+
+    def _product(self) -> Formula | Quantity:
+        if self._take("-"):
+            start = self._token.start
+            self._enter()
+            of = self._quantity(self._product(), start)
+            self._depth -= 1
+            return Number(-of.value, of.unit) if isinstance(of, Number) else Sum(((-1.0, of),), of.unit)
+        start = self._token.start
+        first = self._primary()
+        if self._take("*") is None:
+            return first
+        if not isinstance(first, Number) or first.unit is not None:
+            self._refuse_at(start, "only a number without a unit multiplies, such as 2 * roll_deg")
+        begin = self._token.start
+        of = self._quantity(self._product(), begin)
+        return Sum(((first.value, of),), of.unit)
+
+    def _primary(self) -> Formula | Quantity:
+        token = self._token
+        if token.kind == "number":
+            return self._number()
+        if self._take("("):
+            return self._inside()
+        if token.kind == "event":
+            self._refuse('a formula or a quantity; an event stands first in after("EVENT", F) or second in until')
+        if token.kind != "name" or token.text in _JOINED:
+            self._refuse("a signal, a number, ( or one of " + ", ".join((*WORDS, "not")))
+        self._token = self._next()
+        if token.text in WORDS:
+            self._need("(")
+            return self._call(token)
+        if self._token.text == "(" and self._token.kind == "sign":
+            raise InputError(
+                f"unknown word {token.text!r} at character {token.start + 1}; {nearest(token.text, WORDS)}"
+            )
+        return Signal(token.text)
+
+    def _inside(self) -> Formula | Quantity:
+        self._enter()
+        of = self._implication()
+        self._need(")", "and, or, implies, a comparison or ')'")
+        self._depth -= 1
+        return of
+
+    def _enter(self) -> None:
+        self._depth += 1
+        if self._depth > DEEPEST:
+            self._refuse(f"at most {DEEPEST} parts inside each other")
+
+    def _number(self) -> Number:
+        token = self._token
+        value = float(token.text)
+        if not isfinite(value):
+            self._refuse("a finite number")
+        match = _UNIT.match(self._text, self._end)
+        if match is not None:
+            self._end = match.end()
+        self._token = self._next()
+        allowed = (*_JOINED, *WORDS)
+        if match is None and self._token.kind == "name" and self._token.text not in allowed:
+            unit = self._token.text
+            raise InputError(f"unknown unit {unit!r} at character {self._token.start + 1}; {nearest(unit, UNITS)}")
+        return Number(value, match["unit"] if match else None)
+
+    # ---- words with brackets
+
+    def _call(self, word: _Token) -> Formula | Quantity:
+        self._enter()
+        if word.text == "abs":
+            start = self._token.start
+            of: Formula | Quantity = Size(self._quantity(self._sum(), start))
+        elif word.text in ("always", "eventually"):
+            of = Throughout(self._operand(), once=word.text == "eventually")
+        elif word.text in ("for", "within"):
+            seconds = self._seconds()
+            self._need(",")
+            of = Throughout(self._operand(), word.text == "within", seconds)
+        elif word.text == "after":
+            of = self._after()
+        else:
+            of = self._until()
+        self._need(")", "')'")
+        self._depth -= 1
+        return of
+
+    def _after(self) -> Formula:
+        if self._token.kind != "event":
+            seconds = self._seconds('a time such as 2 s, or an event such as "gust ends"')
+            self._need(",")
+            return After(seconds, self._operand())
+        event = self._event()
+        self._need(",")
+        return AfterEvent(event, self._operand())
+
+    def _until(self) -> Formula:
+        of = self._operand()
+        self._need(",")
+        then = Happens(self._event()) if self._token.kind == "event" else self._operand()
+        return Until(of, then, self._seconds()) if self._take(",") else Until(of, then)
+
+    def _event(self) -> str:
+        event = " ".join(self._token.text.strip('"').replace("_", " ").replace("-", " ").split())
+        self._token = self._next()
+        return event
+
+    def _seconds(self, allowed: str = "a time such as 2 s") -> float:
+        if self._token.kind != "number":
+            self._refuse(allowed)
+        start = self._token.start
+        number = self._number()
+        if number.unit is None or UNITS[number.unit][0] != "s":
+            self._refuse_at(start, f"there must be {allowed}")
+        return number.value * UNITS[number.unit][1]
+
+    def _operand(self) -> Formula:
+        start = self._token.start
+        return self._formula(self._implication(), start)
+
+    # ---- kinds
+
+    def _formula(self, of: Formula | Quantity, start: int) -> Formula:
+        if isinstance(of, Quantity):
+            self._refuse_at(start, "is a quantity and not yet true or false; compare it, such as with < 30")
+        return of
+
+    def _quantity(self, of: Formula | Quantity, start: int) -> Quantity:
+        if isinstance(of, Formula):
+            self._refuse_at(start, "is true or false, and no quantity that could be compared or added")
+        return of
+
+
+def _in_unit(of: Quantity, unit: str) -> Quantity:
+    """Return a quantity in a unit.  Raises InputError if it is not one of what it measures."""
+    if of.unit is None or of.unit == unit:
+        return of
+    factor = factor_between(of.unit, unit)
+    return Number(of.value * factor, unit) if isinstance(of, Number) else Sum(((factor, of),), unit)

@@ -1,0 +1,180 @@
+"""Requirements on a flight: what each asks for, what a flight comes to, and the list of all that a flight has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite, nan
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from cosim.base.arrays import Array
+from cosim.base.signals import AXES
+from cosim.results.metrics import Record
+from cosim.results.requirements.grammar import ParsedFormula, parse_formula
+from cosim.results.requirements.signals import FlightSignals
+
+if TYPE_CHECKING:
+    from cosim.spec.scenario import Range
+
+Source = Literal["require", "limits", "expect", "success"]
+LOST = 1.0  # in scales: a flight lost at its planned end has -LOST, one lost at its start -2 LOST
+UNKNOWN = 1.0  # in scales: what a flight never tested counts as broken by so much
+_SIGNALS = {  # metrics that are the greatest of a signal, which is assessed row by row in their place
+    **{f"{axis}.max_abs_error_rad": f"abs({axis}_error_rad)" for axis in AXES},
+    "altitude.max_abs_error_m": "abs(altitude_error_m)",
+    "position.max_abs_error_m": "place_error_m",
+    "position.drift_m": "drift_m",
+    "speed.max_m_s": "speed_m_s",
+}
+
+
+class Lost(NamedTuple):
+    """A flight that ended before its time: when [s], and how long it was meant to be [s]."""
+
+    end_s: float
+    planned_s: float
+
+    @property
+    def scales(self) -> float:
+        """By how many scales it broke what was required of it: LOST at its planned end, twice that at its start."""
+        share = self.end_s / self.planned_s if self.planned_s > 0.0 else 0.0
+        return LOST * (2.0 - min(max(share, 0.0), 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """What one flight comes to under one requirement.
+
+    Attributes
+    ----------
+    margin : float or None
+        In the unit of the requirement: positive kept, negative broken; None: the flight does not say.
+    kept : bool
+        Whether it is kept; what was never tested is not, nor is anything of a flight that was lost.
+    decided_at_s : float or None
+        The time of the row that the margin comes from; None without a margin, and for metrics of the whole flight.
+    decided_by : str
+        The comparison that it comes from, as written.
+    note : str
+        Why there is no margin, or why it is that of a lost flight.
+    margin_over_time : Array or None
+        The margin of that comparison in every row.
+    """
+
+    requirement: Requirement
+    margin: float | None
+    kept: bool
+    decided_at_s: float | None = None
+    decided_by: str = ""
+    note: str = ""
+    margin_over_time: Array | None = None
+
+    @property
+    def scaled(self) -> float | None:
+        """The margin divided by the requirement's scale; what is not kept without a margin has -UNKNOWN."""
+        if self.margin is None:
+            return None if self.kept else -UNKNOWN
+        return self.margin / self.requirement.divisor
+
+
+class Requirement(Record):
+    """What a flight is to keep: a formula over its signals."""
+
+    name: str
+    formula: str
+    source: Source = "require"  # the table that states it
+    scale: float | None = None  # its margin is divided by it to be compared; None: the smallest of its limits
+    reason: str = ""
+    need: bool = True  # False: not broken by a flight that has nothing of what it speaks of
+
+    @property
+    def parsed(self) -> ParsedFormula:
+        """The formula as it is evaluated.  Raises InputError."""
+        return parse_formula(self.formula)
+
+    @property
+    def unit(self) -> str:
+        """The unit of its margin; 1 where the formula mixes several, each comparison divided by its limit."""
+        return self.parsed.unit
+
+    @property
+    def divisor(self) -> float:
+        """The scale of its margin, in its unit."""
+        return self.scale or self.parsed.limit or 1.0
+
+    def assess(self, flight: FlightSignals, lost: Lost | None = None) -> Assessment:
+        """Return what a flight comes to; of a flight that was ``lost`` nothing that the user requires is kept."""
+        formula = self.parsed.formula
+        value = float(formula.margins(flight)[0]) if flight.rows else nan
+        if isfinite(value):
+            comparison, row, sign = formula.deciding(flight, 0)
+            whole = all(name in flight.metrics for name in comparison.names)
+            assessment = Assessment(
+                self,
+                value,
+                kept=value >= 0.0,
+                decided_at_s=None if whole else row * flight.step_s,
+                decided_by=comparison.text,
+                margin_over_time=None if whole else sign * comparison.margins(flight),
+            )
+        else:
+            kept = value > 0.0 or not self.need
+            assessment = Assessment(self, None, kept, note="" if kept else "never tested in this flight")
+        if lost is None or self.source not in ("require", "success"):
+            return assessment
+        return self._of_lost(assessment, lost)
+
+    def _of_lost(self, assessment: Assessment, lost: Lost) -> Assessment:
+        """Return an assessment as that of a flight that was lost: broken, the more, the earlier that was."""
+        most = -lost.scales * self.divisor
+        if assessment.margin is not None and assessment.margin < most:
+            return assessment
+        return Assessment(
+            self,
+            most,
+            kept=False,
+            decided_at_s=lost.end_s,
+            decided_by=assessment.decided_by,
+            note=f"lost at {lost.end_s:.2f} s of {lost.planned_s:g} s",
+            margin_over_time=assessment.margin_over_time,
+        )
+
+
+def limit_requirements(limits: Mapping[str, float], needed: Iterable[str] = ()) -> list[Requirement]:
+    """Return the requirements that limits on metrics are; of those ``needed`` a flight must have a value."""
+    needed = set(needed)
+    return [
+        Requirement(name=name, formula=_at_most(name, most), source="limits", need=name in needed)
+        for name, most in limits.items()
+    ]
+
+
+def range_requirements(ranges: Mapping[str, Range], source: Source) -> list[Requirement]:
+    """Return the requirements that ranges of metrics are: those of ``[[expect]]`` or of ``[success]``."""
+    return [
+        Requirement(name=name, formula=_within(name, allowed), source=source, scale=_scale(allowed))
+        for name, allowed in ranges.items()
+    ]
+
+
+def _within(name: str, allowed: Range) -> str:
+    low, high = allowed.min, allowed.max
+    if low is None:
+        assert high is not None
+        return _at_most(name, high)
+    return f"{name} >= {low!r}" if high is None else f"{low!r} <= {name} <= {high!r}"
+
+
+def _at_most(name: str, most: float) -> str:
+    return f"always({_SIGNALS[name]} <= {most!r})" if name in _SIGNALS else f"{name} <= {most!r}"
+
+
+def _scale(allowed: Range) -> float | None:
+    """Return 1 for a range of nothing but 0, which gives no scale."""
+    return None if allowed.min or allowed.max else 1.0
+
+
+def smallest(assessments: Sequence[Assessment]) -> Assessment | None:
+    """Return the assessment with the smallest margin in scales; None where none has one."""
+    stated = [assessment for assessment in assessments if assessment.scaled is not None]
+    return min(stated, key=lambda assessment: assessment.scaled or 0.0, default=None)

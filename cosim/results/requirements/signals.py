@@ -1,0 +1,198 @@
+"""What a formula may speak of: columns of the log, quantities derived from them, metrics and events."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import ceil
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError, nearest
+from cosim.base.protocols import Columns
+from cosim.base.signals import AXES
+from cosim.results.events import find_contacts
+from cosim.results.log.columns import RATES
+from cosim.results.metrics import POSITION_SETPOINT, find_contact_rows, wrap
+from cosim.results.requirements.units import in_si
+
+if TYPE_CHECKING:
+    from cosim.results.log.recorder import Log
+    from cosim.results.requirements.formula import Formula
+    from cosim.spec.scenario import Scenario
+
+CONTACTS = ("leaves the ground", "touches the ground")  # events that the log alone tells
+
+
+class DerivedSignal(NamedTuple):
+    """A quantity that is made of columns of the log."""
+
+    columns: tuple[str, ...]
+    meaning: str
+    compute: Callable[[Columns], Array]
+
+
+def _angle_error(axis: str) -> DerivedSignal:
+    setpoint, angle = f"{axis}_setpoint_rad", f"{axis}_rad"
+    return DerivedSignal(
+        (setpoint, angle), f"{axis} set-point minus {axis}", lambda log: wrap(log[setpoint] - log[angle])
+    )
+
+
+def _rate_error(rate: str) -> DerivedSignal:
+    setpoint, true = f"rate_{rate}_setpoint_rad_s", f"rate_{rate}_rad_s"
+    return DerivedSignal(
+        (setpoint, true), f"set-point of the rate {rate} minus that rate", lambda log: log[setpoint] - log[true]
+    )
+
+
+def _altitude_error(log: Columns) -> Array:
+    error = log["altitude_setpoint_m"] - log["altitude_m"]
+    return np.where(find_contact_rows(log) & (error < 0.0), 0.0, error)
+
+
+def _position_error(log: Columns) -> Array:
+    north, east = POSITION_SETPOINT
+    return np.hypot(log[north] - log["north_m"], log[east] - log["east_m"])
+
+
+def _drift(log: Columns) -> Array:
+    north, east = log["north_m"], log["east_m"]
+    return np.hypot(north - north[:1], east - east[:1])
+
+
+DERIVED: dict[str, DerivedSignal] = {
+    **{f"{axis}_error_rad": _angle_error(axis) for axis in AXES},
+    **{f"rate_{rate}_error_rad_s": _rate_error(rate) for rate in RATES},
+    "altitude_error_m": DerivedSignal(
+        ("altitude_setpoint_m", "altitude_m", "on_ground", "hull_contact"),
+        "height asked for minus height; 0 where the vehicle stands and a lower one is asked for",
+        _altitude_error,
+    ),
+    "place_error_m": DerivedSignal(
+        (*POSITION_SETPOINT, "north_m", "east_m"), "distance from the place asked for, level", _position_error
+    ),
+    "drift_m": DerivedSignal(("north_m", "east_m"), "distance from the start, level", _drift),
+    "speed_m_s": DerivedSignal(
+        ("velocity_north_m_s", "velocity_east_m_s"),
+        "speed over the ground",
+        lambda log: np.hypot(log["velocity_north_m_s"], log["velocity_east_m_s"]),
+    ),
+    "climb_m_s": DerivedSignal(("velocity_down_m_s",), "climb rate", lambda log: -log["velocity_down_m_s"]),
+    "lean_rad": DerivedSignal(
+        ("roll_rad", "pitch_rad"),
+        "angle between the body's z axis and the vertical",
+        lambda log: np.arccos(np.clip(np.cos(log["roll_rad"]) * np.cos(log["pitch_rad"]), -1.0, 1.0)),
+    ),
+}
+
+
+class FlightSignals:
+    """A finished flight as a formula sees it.
+
+    ``metrics``: of the whole flight, by name; ``times_s``: when each event happens that its scenario states.
+    """
+
+    def __init__(
+        self,
+        log: Log,
+        step_s: float,
+        metrics: Mapping[str, float | None],
+        times_s: Mapping[str, Sequence[float]],
+    ) -> None:
+        self.step_s, self.rows = step_s, len(log)
+        self.margins: dict[Formula, Array] = {}
+        self.metrics = metrics
+        self._log, self._times_s = log, times_s
+        self._signals: dict[str, Array] = {}
+
+    def signal(self, name: str) -> Array:
+        """Return a column, a derived quantity, or a metric as the same number in every row; NaN for what is not."""
+        if name not in self._signals:
+            self._signals[name] = self._read(name)
+        return self._signals[name]
+
+    def _read(self, name: str) -> Array:
+        if name in self.metrics:
+            value = self.metrics[name]
+            return np.full(self.rows, np.nan if value is None else value)
+        derived = DERIVED.get(name)
+        needed = (name,) if derived is None else derived.columns
+        if not set(needed) <= set(self._log.columns):
+            return np.full(self.rows, np.nan)
+        return self._log[name] if derived is None else derived.compute(self._log)
+
+    def event_rows(self, name: str) -> Sequence[int]:
+        """Return the rows at which an event happens; of one that lasts, the first at or after its time."""
+        if name in CONTACTS:
+            contacts = find_contacts(self._log, self.step_s) if self.rows else ()
+            times = [event.time_s for event in contacts if event.text == name]
+        else:
+            times = list(self._times_s.get(name, ()))
+        rows = [ceil(time / self.step_s - 1e-6) for time in times]
+        return [row for row in rows if row < self.rows]
+
+
+def needed_columns(names: Iterable[str], events: Iterable[str]) -> list[str]:
+    """Return the columns of the log that signals and events are read from; a metric has none."""
+    columns: list[str] = []
+    for name in names:
+        logged = in_si(name)
+        columns += DERIVED[logged].columns if logged in DERIVED else (logged,)
+    if any(event in CONTACTS for event in events):
+        columns += ["on_ground", "hull_contact"]
+    return list(dict.fromkeys(columns))
+
+
+def check_signals(names: Iterable[str], allowed: Iterable[str]) -> None:
+    """Refuse a signal that is neither of ``allowed`` (columns and metrics) nor derived.  Raises InputError."""
+    known = {*allowed, *DERIVED}
+    for name in names:
+        if in_si(name) not in known:
+            likely = nearest(name, [*known, *(_in_degrees(name) for name in known)]).partition("allowed:")[0]
+            raise InputError(
+                f"unknown signal {name!r}; {likely}allowed: a column of the log (hexjet export --help), a metric, "
+                f"or {', '.join(DERIVED)}"
+            )
+
+
+def _in_degrees(name: str) -> str:
+    return name.replace("_rad_s", "_deg_s").removesuffix("_rad") + ("_deg" if name.endswith("_rad") else "")
+
+
+# ---- events
+
+
+def event_times(scenario: Scenario) -> dict[str, list[float]]:
+    """Return when each event happens that a scenario states: ``doublet begins``, ``gust ends``, ``flame out begins``.
+
+    Of commands, disturbances and faults by their kind, each of that kind.
+    """
+    times: dict[str, list[float]] = {}
+    for entry in (*scenario.command, *scenario.disturbance, *scenario.fault):
+        kind = entry.kind.replace("_", " ")
+        times.setdefault(f"{kind} begins", []).append(entry.start_s)
+        length = _length(entry)
+        if length is not None:
+            times.setdefault(f"{kind} ends", []).append(entry.start_s + length)
+    return {name: sorted(values) for name, values in times.items()}
+
+
+def _length(entry: object) -> float | None:
+    """Return how long a command, a disturbance or a fault lasts [s]; None: to the end, or its file says so."""
+    match getattr(entry, "kind", ""):
+        case "doublet":
+            return 2.0 * entry.width_s  # type: ignore[attr-defined, no-any-return]
+        case "gust":
+            return entry.rise_s + entry.hold_s + entry.fall_s  # type: ignore[attr-defined, no-any-return]
+    length: float | None = getattr(entry, "duration_s", None)
+    return length
+
+
+def check_events(names: Iterable[str], scenario: Scenario) -> None:
+    """Refuse an event that the scenario does not state.  Raises InputError with those that it does."""
+    known = [*event_times(scenario), *CONTACTS]
+    for name in names:
+        if name not in known:
+            raise InputError(f"unknown event {name!r}; {nearest(name, known)}")

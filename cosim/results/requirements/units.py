@@ -1,0 +1,76 @@
+"""The units that a requirement may be written in, and the unit that a signal's name says.
+
+A table instead of a library of units: a log has a dozen units, and the names of its columns end with theirs.
+"""
+
+from __future__ import annotations
+
+from math import pi
+
+from cosim.base.errors import InputError
+
+_DEG = pi / 180.0
+UNITS: dict[str, tuple[str, float]] = {  # the SI unit, and the factor to it
+    "rad": ("rad", 1.0),
+    "deg": ("rad", _DEG),
+    "rad/s": ("rad/s", 1.0),
+    "deg/s": ("rad/s", _DEG),
+    "rpm": ("rad/s", pi / 30.0),
+    "rad/s^2": ("rad/s^2", 1.0),
+    "deg/s^2": ("rad/s^2", _DEG),
+    "m": ("m", 1.0),
+    "cm": ("m", 1e-2),
+    "mm": ("m", 1e-3),
+    "km": ("m", 1e3),
+    "m/s": ("m/s", 1.0),
+    "km/h": ("m/s", 1.0 / 3.6),
+    "m/s^2": ("m/s^2", 1.0),
+    "s": ("s", 1.0),
+    "ms": ("s", 1e-3),
+    "min": ("s", 60.0),
+    "1/s": ("1/s", 1.0),
+    "N": ("N", 1.0),
+    "kN": ("N", 1e3),
+    "N m": ("N m", 1.0),
+    "kg": ("kg", 1.0),
+    "g": ("kg", 1e-3),
+    "kg/s": ("kg/s", 1.0),
+    "g/s": ("kg/s", 1e-3),
+    "K": ("K", 1.0),
+    "1": ("1", 1.0),
+    "%": ("1", 1e-2),
+}
+# what a name ends with, where it is not the unit with _ for / and blank; the longest that fits counts
+_ENDINGS = {f"_{unit.replace('/', '_').replace(' ', '_').replace('^', '')}": unit for unit in UNITS if unit != "%"}
+_ENDINGS |= {"_percent": "%"}
+_LONGEST_FIRST = sorted(_ENDINGS, key=len, reverse=True)
+_DISPLAYED = {"_deg": "_rad", "_deg_s": "_rad_s", "_deg_s2": "_rad_s2", "_rpm": "_rad_s", "_g_s": "_kg_s"}
+
+
+def unit_of(name: str) -> str:
+    """Return the unit that a signal's name ends with; 1 where it ends with none, as ``throttle_2`` does."""
+    ending = _ending(name)
+    return _ENDINGS[ending] if ending else "1"
+
+
+def in_si(name: str) -> str:
+    """Return the name of a signal as the log has it: ``roll_rad`` for ``roll_deg``."""
+    ending = _ending(name)
+    return name.removesuffix(ending) + _DISPLAYED[ending] if ending in _DISPLAYED else name
+
+
+def factor_between(unit: str, other: str) -> float:
+    """Return the number of ``other`` in one ``unit``.  Raises InputError where they measure different things."""
+    (si, factor), (other_si, other_factor) = UNITS[unit], UNITS[other]
+    if si != other_si:
+        raise InputError(f"{unit} is not a unit of what is in {other}")
+    return 1.0 if unit == other else factor / other_factor
+
+
+def _ending(name: str) -> str:
+    return next((ending for ending in _LONGEST_FIRST if name.endswith(ending) and not _is_number(name, ending)), "")
+
+
+def _is_number(name: str, ending: str) -> bool:
+    """Return whether the ending is the number of a station, as in ``throttle_1``, and no unit."""
+    return ending == "_1"
