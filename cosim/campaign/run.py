@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.autopilots.prepare import require_program
 from cosim.base.errors import FlightError, InputError
 from cosim.base.trust import need_trust
 from cosim.campaign.folder import STUDY, is_campaign
@@ -111,6 +110,8 @@ def _check_autopilot(study: Study, autopilot: StudyAutopilot, workers: Workers |
     """Raise InputError for an autopilot that is not here, or flights that are to be flown elsewhere."""
     if not (workers is None or isinstance(workers, (int, LocalWorkers))):
         raise InputError(f"study {study.name}: autopilot {autopilot.name} flies on this machine; leave out --cluster")
+    from cosim.autopilots.prepare import require_program
+
     require_program(autopilot.name, Path(autopilot.seen_from(study.folder).binary) if autopilot.binary else None)
 
 

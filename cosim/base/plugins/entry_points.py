@@ -66,4 +66,5 @@ def load_entry(entry: EntryPoint) -> tuple[Any, str]:
         raise
     except Exception as error:  # whatever the module of somebody else does
         raise InputError(f"{where}: {entry.value} cannot be loaded: {describe_error(error)}") from error
-    return member, "" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
+    package = None if entry.dist is None else entry.dist.metadata  # read anew whenever it is asked for
+    return member, "" if package is None else f"{package['Name']} {package['Version']}"

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from math import atanh, sqrt, tanh
 
 import numpy as np
-from scipy import stats
 
 from cosim.base.arrays import Array
 from cosim.campaign.analysis.statistics import Counts, Interval, Z, assign_classes
@@ -152,7 +151,7 @@ def rank_correlations(numbers: Sequence[Array], result: Array) -> list[tuple[flo
     """
     if not numbers:
         return []
-    ranks = np.array([stats.rankdata(values) for values in (*numbers, result)])
+    ranks = np.array([mean_ranks(values) for values in (*numbers, result)])
     ranks -= ranks.mean(axis=1, keepdims=True)
     sizes = np.linalg.norm(ranks, axis=1, keepdims=True)
     ranks /= np.where(sizes > 0.0, sizes, 1.0)
@@ -165,6 +164,13 @@ def rank_correlations(numbers: Sequence[Array], result: Array) -> list[tuple[flo
         (float(rank), float(np.clip(value, -1.0, 1.0)))
         for rank, value in zip(correlation[:-1, -1], partial, strict=True)
     ]
+
+
+def mean_ranks(values: Array) -> Array:
+    """Return the ranks of values from 1 on; equal values have the mean of theirs."""
+    _, numbers, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ranks: Array = (np.cumsum(counts) - 0.5 * (counts - 1))[numbers]
+    return ranks
 
 
 def rank_interval(rank: float, flights: int) -> Interval:

@@ -1,6 +1,7 @@
 """Shares, pairs and medians of flights, with intervals: pure functions of counts and arrays.
 
-Intervals are two-sided and hold 95 %.
+Intervals are two-sided and hold 95 %.  ``scipy.stats``, whose import takes half a second, is imported by what compares
+controllers alone.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import betaincinv, ndtri
 
 from cosim.base.arrays import Array
 
@@ -19,7 +20,7 @@ Counts = NDArray[np.intp]
 Interval = tuple[float, float]
 
 LEVEL = 0.95
-Z = float(stats.norm.ppf(0.5 + LEVEL / 2.0))
+Z = float(ndtri(0.5 + LEVEL / 2.0))
 
 
 class Proportion(NamedTuple):
@@ -40,7 +41,8 @@ def proportion(hits: int, of: int) -> Proportion:
     """Return a fraction with both of its intervals, which are 0 to 1 where there are no flights."""
     if not of:
         return Proportion(hits, of, (0.0, 1.0), (0.0, 1.0))
-    low, high = stats.binomtest(hits, of).proportion_ci(LEVEL, "exact")
+    low = betaincinv(hits, of - hits + 1, 0.5 - LEVEL / 2.0) if hits else 0.0
+    high = betaincinv(hits + 1, of - hits, 0.5 + LEVEL / 2.0) if hits < of else 1.0
     bounds = wilson(np.array([hits]), np.array([of]))
     return Proportion(hits, of, (float(bounds[0][0]), float(bounds[1][0])), (float(low), float(high)))
 
@@ -92,6 +94,8 @@ def mcnemar(pairs: Pairs) -> float:
     Only draws that they fly differently tell: under the hypothesis each of these is the toss of a coin.
     Source: Q. McNemar, Psychometrika 12 (1947) 153-157, with the binomial distribution itself.
     """
+    from scipy import stats
+
     unlike = pairs.first + pairs.second
     return float(stats.binomtest(pairs.first, unlike).pvalue) if unlike else 1.0
 
@@ -151,6 +155,8 @@ def median_difference(differences: Array) -> MedianDifference | None:
     """
     if not differences.size:
         return None
+    from scipy import stats
+
     confidence = stats.quantile_test(differences, q=0.0, p=0.5).confidence_interval(LEVEL)
     interval = (
         (float(confidence.low), float(confidence.high))

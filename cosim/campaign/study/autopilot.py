@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from cosim.autopilots.ardupilot import parse_channel
 from cosim.base.storage.toml import Model
 
 
@@ -34,6 +33,8 @@ class StudyAutopilot(Model):
         for key, owners in owned.items():
             if getattr(self, key) and self.name not in owners:
                 raise ValueError(f"{key}: allowed for {' and '.join(owners)}, and this is {self.name}")
+        if self.channels:
+            from cosim.autopilots.ardupilot import parse_channel
         for text in self.channels:
             parse_channel(text, "channels")
         if self.gains != "vehicle" and self.name != "betaflight":

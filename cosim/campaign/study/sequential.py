@@ -24,7 +24,6 @@ from math import ceil, log
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
@@ -212,6 +211,8 @@ class SequentialTest:
 
     @staticmethod
     def _solve(function: Callable[[float], float]) -> float:
+        from scipy.optimize import brentq  # here: its import takes a third of a second
+
         return float(brentq(function, _SPAN, 1.0 - _SPAN, xtol=1e-12))
 
 

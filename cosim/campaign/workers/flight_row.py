@@ -16,7 +16,6 @@ from pathlib import Path
 from socket import gethostname
 from typing import TYPE_CHECKING
 
-from cosim.autopilots.prepare import Setup, prepare, require_program, reserve_instance
 from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
 from cosim.base.storage.scratch import temporary
 from cosim.campaign.study.keys import CUSTOM_PARAMETERS
@@ -96,6 +95,8 @@ def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = 
     What it was made from is the scenario as the study has it: the record of the autopilot's commands is of the flight.
     Raises InputError and FlightError.
     """
+    from cosim.autopilots.prepare import Setup, prepare, require_program, reserve_instance
+
     settings = study.autopilot
     assert settings is not None
     with reserve_instance() as instance:

@@ -4,7 +4,7 @@ The only module that imports ``pyarrow``.  In a run's folder the rows go to an A
 write, so that a killed process loses at most its last block; at the end the stream becomes a Parquet file whose bytes
 depend on the rows alone.
 
-A flight's log goes around what makes pyarrow import pandas where that is installed (``pa.array``, ``to_numpy``): it
+What is written goes around what makes pyarrow import pandas where that is installed (``pa.array``, ``to_numpy``): it
 costs more than a short flight, and 35 MB.
 """
 
@@ -424,9 +424,22 @@ def _array(name: str, values: Sequence[Value], expected: type[Value] | None) -> 
         allowed = f"{kind.__name__} or None" if expected else "one of float, int, bool and str in a column, or None"
         raise InputError(f"column {name!r}: {kinds_there}; allowed: {allowed}")
     try:
-        return pa.array(values, types[kind], from_pandas=False)
-    except (pa.ArrowException, OverflowError) as error:
+        buffers = _buffers([kind() if value is None else value for value in values], kind)
+    except OverflowError as error:
         raise InputError(f"column {name!r}: {one_line(error)}") from error
+    present = np.packbits([value is not None for value in values], bitorder="little")
+    return pa.Array.from_buffers(types[kind], len(values), [pa.py_buffer(part) for part in (present, *buffers)])
+
+
+def _buffers(values: Sequence[Any], kind: type[Value]) -> list[bytes]:
+    """Return the buffers of an Arrow array of these values, behind the one that says which are there."""
+    if kind is str:
+        texts = [value.encode() for value in values]
+        ends = np.cumsum([0, *map(len, texts)])
+        return [ends.astype("<i4").tobytes(), b"".join(texts)]
+    if kind is bool:
+        return [np.packbits(np.array(values, np.bool_), bitorder="little").tobytes()]
+    return [np.array(values, "<f8" if kind is float else "<i8").tobytes()]
 
 
 @contextmanager

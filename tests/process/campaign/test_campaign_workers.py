@@ -51,6 +51,23 @@ def by_number(rows: Iterator[Row]) -> list[Row]:
     return sorted(map(without_chance, rows), key=lambda row: row["flight"])  # type: ignore[arg-type, return-value]
 
 
+NEEDLESS = ("scipy.stats", "scipy.optimize", "pandas", "cosim.autopilots.prepare")
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import cosim.campaign.workers.local",  # what a process does before its first flight
+        "from cosim.cli.main import cli; cli.main(['sweep', 'hover', '--vary', 'vehicle.mass_kg*=0.9:1.1', '--runs', '2', "
+        "'--set', 'duration_s=0.1', '--workers', '1', '--out', {out!r}], standalone_mode=False)",
+    ],
+)
+def test_a_campaign_loads_nothing_that_takes_long_and_that_it_does_not_use(code: str, tmp_path: Path) -> None:
+    code = f"{code.format(out=str(tmp_path / 'out'))}; import sys; print([n for n in {NEEDLESS} if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
 def test_flights_are_numbered_and_those_of_a_draw_are_neighbours(study: Study) -> None:
     planned = flights(study)
     assert [flight.number for flight in planned] == list(range(12))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import pearsonr, spearmanr
+from scipy.stats import pearsonr, qmc, spearmanr
 
 from cosim.campaign.study.distributions import Vary, parse_vary
 from cosim.campaign.study.draws import (
@@ -20,6 +20,7 @@ from cosim.campaign.study.draws import (
     draws,
     flight_seed,
     inverse,
+    latin_hypercube,
     reorder_points,
 )
 from cosim.campaign.study.key import Key
@@ -316,6 +317,13 @@ def bounded(draw: st.DrawFn) -> Vary:
         spread = draw(st.floats(1.1, 100.0))
         table |= {"lognormal": {"median": median, "sigma": 0.5, "min": median / spread, "max": median * spread}}
     return Vary.model_validate(table)
+
+
+@pytest.mark.parametrize(("draws_of", "sides"), [(1, 1), (7, 3), (200, 12)])
+def test_a_latin_hypercube_is_that_of_scipy(draws_of: int, sides: int) -> None:
+    theirs = qmc.LatinHypercube(sides, rng=np.random.default_rng(5)).random(draws_of)
+    ours = latin_hypercube(np.random.default_rng(5), draws_of, sides)
+    assert ours.tobytes() == np.ascontiguousarray(theirs).tobytes()
 
 
 @settings(max_examples=80, deadline=None)
