@@ -130,23 +130,30 @@ def function(name: str, *factors: str | float, inner: str = "") -> str:
     </function>"""
 
 
+def shared(name: str, terms: str) -> str:
+    """A function that others multiply by, which JSBSim computes once, before them."""
+    return f"""  <function name="aero/{name}">
+    {terms}
+  </function>"""
+
+
 # Lift, drag and pitch see the stream in the plane of symmetry alone: cos^2 beta of the dynamic pressure
-IN_PLANE = "        <pow><cos><property>aero/beta-rad</property></cos><value>2</value></pow>\n"
+IN_PLANE = "<pow><cos><property>aero/beta-rad</property></cos><value>2</value></pow>"
+# Surfaces work while the stream comes from ahead: by its part along body x, cos alpha cos beta, and none from behind.
+# In a stream from the side alpha is that of next to nothing, and turns round when that does.
+AHEAD = """<max><value>0</value><product>
+      <cos><property>aero/alpha-rad</property></cos><cos><property>aero/beta-rad</property></cos>
+    </product></max>"""
 # What goes with sin beta cos beta: dihedral, which a wing across the stream does not have; and of a force along body y
 # in proportion to sin beta the part across the stream.  The part along the stream, a drag, goes with sin^2 beta.
 ACROSS = "        <sin><property>aero/beta-rad</property></sin><cos><property>aero/beta-rad</property></cos>\n"
 SIDEWAYS = "        <pow><sin><property>aero/beta-rad</property></sin><value>2</value></pow>\n"
-# Surfaces work while the stream comes from ahead: by its part along body x, cos alpha cos beta, and none from behind.
-# In a stream from the side alpha is that of next to nothing, and turns round when that does.
-AHEAD = """        <max><value>0</value><product>
-          <cos><property>aero/alpha-rad</property></cos><cos><property>aero/beta-rad</property></cos>
-        </product></max>
-"""
 
 
 def document() -> str:
     d = DERIVATIVES
-    q, s, c, b = "aero/qbar-psf", "metrics/Sw-sqft", "metrics/cbarw-ft", "metrics/bw-ft"
+    q, span = "aero/pressure-area", "aero/pressure-area-span"
+    c, plane, ahead = "metrics/cbarw-ft", "aero/in-plane", "aero/ahead"
     p, r, w = "velocities/p-aero-rad_sec", "velocities/r-aero-rad_sec", "velocities/q-aero-rad_sec"
     plate = SIDE_AREA / AREA * PLATE
     betas = [float(x) for x in range(-90, 91, 3)]
@@ -154,37 +161,44 @@ def document() -> str:
         table(name, [(x, weathercock(radians(x))[part]) for x in betas], "aero/beta-deg")
         for part, name in enumerate(("cn", "cn-plate"))
     )
+    common = [
+        shared("pressure-area", f"<product>{product('aero/qbar-psf', 'metrics/Sw-sqft')}</product>"),
+        shared("pressure-area-span", f"<product>{product(q, 'metrics/bw-ft')}</product>"),
+        shared("in-plane", IN_PLANE),
+        shared("ahead", AHEAD),
+    ]
     axes = {
         "LIFT": [
-            function("lift", q, s, inner=IN_PLANE + coefficient("cl", 0) + "\n"),
-            function("lift-elevator", q, s, "fcs/elevator-cmd-norm", d["elevator, lift"], inner=AHEAD),
+            function("lift", q, plane, inner=coefficient("cl", 0) + "\n"),
+            function("lift-elevator", q, "fcs/elevator-cmd-norm", d["elevator, lift"], ahead),
         ],
         "DRAG": [
-            function("drag", q, s, inner=IN_PLANE + coefficient("cd", 1) + "\n"),
-            function("drag-side", q, s, plate, inner=SIDEWAYS),
+            function("drag", q, plane, inner=coefficient("cd", 1) + "\n"),
+            function("drag-side", q, plate, inner=SIDEWAYS),
         ],
         "SIDE": [
-            function("side", q, s, -plate, inner=ACROSS),
-            function("side-rudder", q, s, "fcs/rudder-cmd-norm", d["rudder, side"], inner=AHEAD),
+            function("side", q, -plate, inner=ACROSS),
+            function("side-rudder", q, "fcs/rudder-cmd-norm", d["rudder, side"], ahead),
         ],
         "ROLL": [
-            function("roll-dihedral", q, s, b, d["dihedral"], inner=ACROSS),
-            function("roll-damping", q, s, b, "aero/bi2vel", p, d["roll damping"]),
-            function("roll-aileron", q, s, b, "fcs/aileron-cmd-norm", d["aileron, roll"], inner=AHEAD),
+            function("roll-dihedral", span, d["dihedral"], inner=ACROSS),
+            function("roll-damping", span, "aero/bi2vel", p, d["roll damping"]),
+            function("roll-aileron", span, "fcs/aileron-cmd-norm", d["aileron, roll"], ahead),
         ],
         "PITCH": [
-            function("pitch", q, s, c, inner=IN_PLANE + coefficient("cm", 2) + "\n"),
-            function("pitch-damping", q, s, c, "aero/ci2vel", w, d["pitch damping"]),
-            function("pitch-elevator", q, s, c, "fcs/elevator-cmd-norm", d["elevator, moment"], inner=AHEAD),
+            function("pitch", q, c, plane, inner=coefficient("cm", 2) + "\n"),
+            function("pitch-damping", q, c, "aero/ci2vel", w, d["pitch damping"]),
+            function("pitch-elevator", q, c, "fcs/elevator-cmd-norm", d["elevator, moment"], ahead),
         ],
         "YAW": [
-            function("yaw-weathercock", q, s, b, inner=AHEAD + turning + "\n"),
-            function("yaw-fin-across", q, s, b, inner=turned + "\n"),
-            function("yaw-damping", q, s, b, "aero/bi2vel", r, d["yaw damping"]),
-            function("yaw-rudder", q, s, b, "fcs/rudder-cmd-norm", d["rudder, yaw"], inner=AHEAD),
+            function("yaw-weathercock", span, ahead, inner=turning + "\n"),
+            function("yaw-fin-across", span, inner=turned + "\n"),
+            function("yaw-damping", span, "aero/bi2vel", r, d["yaw damping"]),
+            function("yaw-rudder", span, "fcs/rudder-cmd-norm", d["rudder, yaw"], ahead),
         ],
     }
-    body = "\n".join(f'  <axis name="{name}">\n' + "\n".join(parts) + "\n  </axis>" for name, parts in axes.items())
+    body = "\n".join(common) + "\n"
+    body += "\n".join(f'  <axis name="{name}">\n' + "\n".join(parts) + "\n  </axis>" for name, parts in axes.items())
     return f"""<?xml version="1.0" encoding="utf-8"?>
 <!-- Written by aerodynamics.py beside this file, which says where every number comes from. -->
 <fdm_config name="jetwing" version="2.0" release="ALPHA">
