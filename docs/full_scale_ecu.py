@@ -27,6 +27,7 @@ from cosim.base.storage.toml import toml_text
 from cosim.design.controller_table import make_controller_table
 from cosim.design.design import design
 from cosim.engine import load_engine
+from cosim.engine.fmu.uncertainty import CUT
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.simulation.controllers.controller_file import Requirements, read_controller
 from cosim.spec.vehicle import load_vehicle
@@ -165,10 +166,12 @@ def six(seed: int) -> dict[str, dict[str, float]]:
     assert known is not None
     random, own = np.random.default_rng(seed), load_engine(REAL, {}, STEP).parameters
     drawn = {}
+    factor = np.array(known.factor)
     for number in SIX:
+        normal = np.clip(factor @ random.standard_normal(len(factor)), -CUT, CUT)
         each = {
-            name: own[name] + off * random.standard_normal()
-            for name, off in zip(known.parameters, known.deviation, strict=True)
+            name: own[name] + off * share
+            for name, off, share in zip(known.parameters, known.deviation, normal.tolist(), strict=True)
         }
         each["delay_samples"] = round(each["delay_samples"])
         each["fuel_rise_share"] = min(each["fuel_rise_share"], 1.0)

@@ -59,14 +59,14 @@ def test_gain_and_delay_deviate_as_the_closed_form_does(
 
 
 def test_an_engine_of_the_library_has_its_own_uncertainty() -> None:
-    """It has no mapping file: its name loads it again, and the delay alone makes a deviation of its own 12 steps."""
+    """It has no mapping file: its name loads it again; a later one of it answers more at once, which takes some of that back."""
     scenario = Scenario.load("full-scale-hover", ["engine=jetcat-p300"])
     spec = load_engine("jetcat-p300", {}, STEP)
     assert spec.uncertainty is not None
     assert spec.mapping is None
     found = EngineSensitivity(scenario, scenario.resolved_vehicle()[0], spec).at(0.25)
     late = spec.uncertainty.deviation[spec.uncertainty.parameters.index("delay_samples")] * STEP
-    assert late <= found.delay_s < 4.0 * late
+    assert 0.5 * late < found.delay_s < late
     assert 0.0 < found.gain < 1.0
 
 

@@ -64,4 +64,4 @@ def test_six_engines_differ_and_are_drawn_again_alike() -> None:
     assert first == again != other
     late = [first[number]["delay_samples"] for number in "123456"]
     assert len(set(late)) > 3
-    assert 40 < min(late) < max(late) < 130
+    assert 0 <= min(late) < max(late) < 81 + 3 * 31  # steps of 4 ms; nominal and deviation
