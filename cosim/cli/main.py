@@ -36,6 +36,7 @@ COMMANDS = {  # module of each command: only the one that runs is imported
     "list": "results.runs:list_",
     "margins": "controllers.margins:margins",
     "open": "results.open:open_",
+    "prove": "studies.prove:prove",
     "replay": "controllers.replay:replay",
     "report": "results.runs:report",
     "search": "studies.campaign:search",

@@ -94,8 +94,7 @@ def flight_tables(design: Design) -> dict[str, dict[str, Any]]:
     roll = design.axes["roll"].after
     assert roll is not None
     assert roll.bandwidth_hz is not None
-    # a side lasts 3 s, or twenty time constants of a loop that is slower: it has arrived at its end
-    width = max(3.0, ceil(20.0 / (2.0 * pi * roll.bandwidth_hz)))
+    width = side_s(roll.bandwidth_hz)
     doublet = read_toml(find_scenario("roll-doublet"))
     doublet = merge(doublet, {"duration_s": 1.0 + 4.0 * width})
     doublet_command = {**doublet["command"][0], "width_s": width}
@@ -105,6 +104,11 @@ def flight_tables(design: Design) -> dict[str, dict[str, Any]]:
     lean = lean_of(design.vehicle)
     wide = {f"{DOUBLET} to {lean:.3g} deg": merge(doublet, {"command": [{**doublet_command, "amplitude": lean}]})}
     return {HOVER: hover, DOUBLET: doublet, **(wide if lean > doublet_command["amplitude"] else {}), GUST: gust}
+
+
+def side_s(bandwidth_hz: float) -> float:
+    """Return how long a side of the doublet lasts, s: twenty time constants of the loop, 3 s at least, to arrive."""
+    return max(3.0, ceil(20.0 / (2.0 * pi * bandwidth_hz)))
 
 
 def fly_corner(design: Design, name: str, table: Mapping[str, Any], gain: float, later: int) -> ProofFlight:

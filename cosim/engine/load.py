@@ -11,7 +11,7 @@ from cosim.engine.fmu.mapping import is_mapping
 from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.engine.fmu.ports import PortError, expand_engine_variables, has_several_engines
 from cosim.engine.fmu.starting import CONSTANTS
-from cosim.engine.fmu.uncertainty import ParameterRange, Uncertainty
+from cosim.engine.fmu.uncertainty import ParameterRange
 from cosim.engine.fmu.variables import Variable
 from cosim.engine.measure import EngineMeasurement, measure_once
 from cosim.engine.response import ResponseError, settling_window
@@ -88,7 +88,7 @@ def load_unchecked(
             Sibling(other.curve, other.small, _logged(source, slot))
             for slot, other in enumerate(measured.others, start=1)
         ),
-        uncertainty=_uncertainty(source),
+        uncertainty=source.uncertainty,
         uncertain_ranges=_uncertain_ranges(source),
     )
 
@@ -126,14 +126,8 @@ def _logged(source: EngineSource, slot: int) -> tuple[tuple[str, Variable], ...]
     return tuple(columns)
 
 
-def _uncertainty(source: EngineSource) -> Uncertainty | None:
-    if source.engine is not None and source.engine.uncertainty:
-        return Uncertainty.model_validate(source.engine.uncertainty)
-    return source.mapping.uncertainty
-
-
 def _uncertain_ranges(source: EngineSource) -> tuple[ParameterRange, ...]:
-    table = _uncertainty(source)
+    table = source.uncertainty
     if table is None:
         return ()
     parameters = source.archive.parameters

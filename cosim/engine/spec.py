@@ -228,6 +228,13 @@ class EngineSource:
     mapping: MappingFile
 
     @property
+    def uncertainty(self) -> Uncertainty | None:
+        """How well its parameters are known, by its definition or its mapping file; None where neither says it."""
+        if self.engine is not None and self.engine.uncertainty:
+            return Uncertainty.model_validate(self.engine.uncertainty)
+        return self.mapping.uncertainty
+
+    @property
     def code(self) -> list[Code]:
         """Code that the engine runs: its archive, unless it is one of the library."""
         return (

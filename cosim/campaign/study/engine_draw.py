@@ -90,7 +90,7 @@ class EngineDraw:
 
 def engine_draw(scenario: Scenario) -> EngineDraw:
     """Return the draws of a scenario's engine.  Raises InputError for an engine that states no uncertainty."""
-    table = engine_source(scenario, scenario.engine).mapping.uncertainty
+    table = engine_source(scenario, scenario.engine).uncertainty
     if table is None:
         raise InputError(f"vary engine: {scenario.engine} has no [uncertainty] in a mapping file; {HOW}")
     vehicle, _ = scenario.resolved_vehicle()
@@ -117,7 +117,7 @@ def default_draw(scenario: Scenario, nominal: bool, varied: Collection[str] = ()
     None, and no line, for an engine that states no uncertainty; None where ``nominal`` says so, and where a key of
     ``varied`` is drawn with it or brings another engine.  Raises InputError.
     """
-    if engine_source(scenario, scenario.engine).mapping.uncertainty is None:
+    if engine_source(scenario, scenario.engine).uncertainty is None:
         return None, ""
     draw = engine_draw(scenario)
     drawn = {key.path for key in draw.keys}

@@ -42,6 +42,7 @@ _MEANINGS = {  # of the first part of a key in the file of a scenario or a study
     "scenario": "what every draw varies",
     "design": "how the draws are chosen",
     "runs": "draws",
+    "until": "the claim at which it stops",
     "vary": "what is drawn, and from where to where",
     "settings": "written over the scenario's",
     "success": "what counts as one",

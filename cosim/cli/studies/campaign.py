@@ -207,17 +207,21 @@ def _report_interruption(describe: Callable[[], str]) -> Iterator[None]:
 
 
 @contextmanager
-def sweep_progress(folder: Path, quiet: bool) -> Iterator[Callable[[Tally, int, int], None]]:
+def sweep_progress(
+    folder: Path, quiet: bool, goes_on: str | None = None
+) -> Iterator[Callable[[Tally, int, int], None]]:
     """Yield a function that is told what became of the flights, how many are finished, and of how many.
 
-    On a terminal it shows them, their rate and the time left.  Ctrl-C is answered in a line, wherever.
+    ``goes_on``: the command that goes on with them, by default ``hexjet sweep`` of the folder.  On a terminal it shows
+    them, their rate and the time left.  Ctrl-C is answered in a line, wherever.
     """
     finished = total = 0
 
     def describe_kept() -> str:
         if not total:
             return " before the first flight"
-        return f"; {finished} of {total} flights are kept: hexjet sweep {folder} --resume goes on"
+        command = goes_on or f"hexjet sweep {folder}"
+        return f"; {finished} of {total} flights are kept: {command} --resume goes on"
 
     with _report_interruption(describe_kept), _sweep_bar(quiet) as show:
 

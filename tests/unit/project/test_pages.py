@@ -108,6 +108,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/margins.md": ("test_measured_margins.py", "test_engine_tolerances.py"),
     "docs/metrics.md": ("test_metrics_docs.py",),
     "docs/real-engine.md": ("test_engine_jetcat.py",),
+    "docs/prove.md": ("test_prove.py",),
     "docs/sensors.md": ("marks", "test_sensor_profile.py"),
     "docs/own-aircraft.md": ("test_aircraft_check.py", "test_model_agreement.py"),
     "docs/replay.md": ("test_replay.py",),

@@ -24,6 +24,8 @@ from cosim.results.metrics import metric_names
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 
+PLACES = {"scenario": "scenarios", "study": "studies"}
+
 
 @pytest.fixture(scope="module")
 def reference() -> dict[str, Any]:
@@ -196,3 +198,18 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     theory = (tmp_path / "site" / "docs" / "theory.html").read_text(encoding="utf-8")
     assert theory.count("<math") > 20
     assert (tmp_path / "site" / "searchindex.js").stat().st_size > 100_000
+
+
+def test_every_shipped_requirement_has_what_flies_it_and_tests(made: dict[str, str]) -> None:
+    """And a test that is named is there, and names it."""
+    rows = [line.strip("| ").split(" | ") for line in made["requirements.md"].splitlines() if line.startswith("| ")][2:]
+    flown = {by for _, by, _ in rows}
+    shipped = [(kind, path.stem) for kind in ("scenario", "study") for path in (ROOT / PLACES[kind]).glob("*.toml")]
+    assert flown == {f"{kind} {name}" for kind, name in shipped}
+    for text, by, named in rows:
+        assert text, by
+        if by.startswith("scenario "):
+            assert named.startswith("test\\_scenarios.py")
+        for test in named.replace("\\", "").split(", ") if named != "none" else ():
+            (path,) = (ROOT / "tests").rglob(test)
+            assert test == "test_scenarios.py" or f'"{by.split()[1]}"' in path.read_text(encoding="utf-8")

@@ -1,0 +1,110 @@
+"""The study that proves a design: the largest doublet of its own proof, over the tolerances that it was made for.
+
+An engine that states its uncertainty is drawn by it.  Any other one has the box that ``hexjet design`` proves at the
+corners of: the gain of each axis by its moment of inertia, as much less as more, and a later answer up to the tolerance
+of the delay, all evenly.  What a flight may do is what it may do at a corner (:mod:`cosim.design.proof_flights`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from json import dumps
+from math import floor, radians
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.base.storage.toml import parse_setting, read_toml, set_path
+from cosim.campaign.study.engine_draw import default_draw
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.study import Study, flatten_settings
+from cosim.design.proof_flights import CORNER, HEIGHT_M, OVERSHOOT, STILL_DEG, lean_of, side_s
+from cosim.simulation.build import build
+from cosim.simulation.controllers.controller_file import Purpose, apply_controller, read_purpose
+from cosim.simulation.delay_ledger import sum_transport_samples
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import aircraft_name
+
+CONTROLLER = "controller.toml"  # in the folder that hexjet design leaves
+SCENARIO = "roll-doublet"
+# limits of a flight of which a design promises nothing, or which stand in [success]
+NOT_PROMISED = ("drift_m", "speed_m_s", "settling_s", "oscillation_rad", "saturated_percent", "alternating_percent")
+
+
+def find_design(path: Path) -> Path | None:
+    """Return the controller file that ``path`` is, or that the folder ``path`` holds; None where there is none."""
+    file = path / CONTROLLER if path.is_dir() else path
+    if file.suffix != ".toml" or not file.is_file():
+        return None
+    return file if {"controller", "design"} <= read_toml(file).keys() else None
+
+
+def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
+    """Return the study of the design in a controller file, with its claim and so many draws at most.
+
+    ``options``: ``settings``, ``seed`` and ``nominal_engine``, as of a study.  Raises InputError, for any other too.
+    """
+    refused = next((k for k, v in options.items() if v and k not in ("settings", "seed", "nominal_engine")), None)
+    if refused is not None:
+        raise InputError(
+            f"{file}: a design brings its own {refused}; leave it out, or prove a study that names the file"
+        )
+    made, nominal = read_purpose(file), bool(options.get("nominal_engine"))
+    settings = _settings(made, options.get("settings") or ())
+    aircraft = str(settings.pop("aircraft"))
+    texts = [f"{key}={dumps(value)}" for key, value in flatten_settings(settings)]
+    designed = apply_controller(SCENARIO, file, texts, aircraft)
+    texts += [f"aircraft={dumps(aircraft)}", f"command.0.amplitude={lean_of(designed.resolved_vehicle()[0])}"]
+    is_drawn = default_draw(designed, nominal)[0] is not None
+    roll = made.axes["roll"]
+    overshoot = 100.0 * CORNER * ((roll.overshoot or 0.0) + OVERSHOOT)
+    study = open_study(
+        SCENARIO,
+        vary=[] if is_drawn else tolerance_box(made, designed),
+        settings=texts,
+        controllers=[str(file)],
+        success=[
+            f"roll.overshoot_percent<={overshoot:.6g}",
+            f"roll.oscillation_rad<={radians(CORNER * STILL_DEG):.6g}",
+        ],
+        design="random",
+        runs=runs,
+        until=claim,
+        seed=options.get("seed"),
+        nominal_engine=nominal,
+    )
+    named = f"{aircraft_name(aircraft)}-{made.engine}-designed"
+    return study.changed(name=named, title=f"{file.name}: the design for {made.aircraft} with engine {made.engine}")
+
+
+def tolerance_box(made: Purpose, scenario: Scenario) -> list[str]:
+    """Return what varies over the tolerances of a design, as texts of a command line; evenly, for want of better."""
+    need = made.requirements
+    with build(scenario) as simulation:
+        late = sum_transport_samples(simulation.ledger, "roll") or 0
+    low, high = 1.0 / (1.0 + need.gain_tolerance), 1.0 / (1.0 - need.gain_tolerance)
+    box = [f"vehicle.inertia_kg_m2.{axis}*=log({low:.6g}:{high:.6g})" for axis in range(3)] if low < high else []
+    later = floor(need.delay_samples(late))
+    return box + ([f"mismatch.delay_samples=0:{later}"] if later else [])
+
+
+def _settings(made: Purpose, given: Sequence[str]) -> dict[str, Any]:
+    """Return the scenario's settings: what the design was made for, the doublet of its proof, and what is ``given``."""
+    roll = made.axes["roll"]
+    width = side_s(roll.bandwidth_hz)
+    settings: dict[str, Any] = {
+        "aircraft": made.aircraft,
+        "engine": made.engine,
+        "engine_parameters": dict(made.engine_parameters),
+        "vehicle": dict(made.vehicle_changes),
+        "step_s": made.step_s,
+        "substeps": made.substeps,
+        "added_delay_samples": made.added_delay_samples,
+        "duration_s": 1.0 + 4.0 * width,
+        "command": {"0": {"width_s": width}},
+        "limits": {**dict.fromkeys(NOT_PROMISED, False), "height_error_m": CORNER * HEIGHT_M},
+    }
+    for text in given:
+        keys, value = parse_setting(text)
+        set_path(settings, keys, value, "--set")
+    return {key: value for key, value in settings.items() if value != {}}

@@ -1,0 +1,168 @@
+"""What a proof came to, and the one sentence of it that a review board reads first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from cosim.campaign.analysis.claim import ClaimResult, format_percent
+from cosim.campaign.proof.credibility import Factor
+from cosim.campaign.study.sequential import Decision, Verdict
+from cosim.design.loop.limit import AxisLimit
+
+FORMAT = 1  # of proof.json
+LEAST, NEAREST = "smallest margin", "fails nearest to the middle of the draws"  # why a flight is flown again
+
+
+@dataclass(frozen=True)
+class ProvenRequirement:
+    """One requirement on every flight, and how near the flights came to breaking it."""
+
+    label: str  # R1, R2, ...
+    says: str
+    broken: int  # flights that did not keep it, of those that it could be told of
+    told: int
+    margin: float | None  # the smallest of all flights, in ``unit``: positive kept, negative broken; None: not told
+    unit: str
+    flight: int | None  # which had it
+
+
+@dataclass(frozen=True)
+class WorstFlight:
+    """A flight of the campaign that was flown again, recorded in full."""
+
+    flight: int
+    why: str  # it was chosen
+    outcome: str
+    reason: str
+    margin: float  # of the row: below 0 where it failed
+    values: Mapping[str, Any]  # of the drawn keys
+    run: str  # its folder, as seen from the proof's; empty where it could not be flown
+    is_same: bool  # as it was in the campaign, bit for bit
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a proof that another method does, as its result; or why it was not done."""
+
+    result: Mapping[str, Any] | None
+    says: str  # what it came to, or why it was not done, in one sentence
+
+
+@dataclass(frozen=True)
+class Proof:
+    """All of a proof.  ``folder`` has proof.json, proof.html, the campaign and the runs."""
+
+    folder: Path
+    study: Mapping[str, Any]  # name, title, scenario, aircraft, engine, controller, seed
+    claim: ClaimResult
+    requirements: Sequence[ProvenRequirement]
+    uncertainty: Sequence[Mapping[str, Any]]  # key, drawn, nominal, flown, unit, source
+    over: str  # what the probability is over, in words
+    worst: Sequence[WorstFlight]
+    failures: Part  # the most likely failure, searched for
+    rare: Part  # the probability of failure by a method for rare ones
+    limits: Mapping[str, AxisLimit]  # by axis; empty: not done
+    axis: str  # whose limit the sentence states
+    no_limits: str  # why there are none
+    not_covered: Sequence[str]
+    credibility: Sequence[Factor]
+    repeat: Mapping[str, Any]  # command, rows_sha256, versions
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """What is shown of the claim; None where no flight was counted."""
+        return next(iter(self.claim.verdicts.values()), None)
+
+    @property
+    def decision(self) -> Decision:
+        """Whether the claim is shown, refuted, or open."""
+        return self.verdict.decision if self.verdict is not None and self.claim.is_finished else "open"
+
+    @property
+    def sentence(self) -> str:
+        """The result in one sentence: what is shown, the most likely failure, and the controller beside the best."""
+        return f"{self._shown()}; {self._failure()}; {self._limit()}."
+
+    def _shown(self) -> str:
+        study = self.study
+        who = f"the vehicle {study['aircraft']} with controller {study['controller']} and engine {study['engine']}"
+        labels = [one.label for one in self.requirements]
+        what = labels[0] if len(labels) == 1 else f"{labels[0]} to {labels[-1]}"
+        verdict, confidence = self.verdict, 100.0 * self.claim.claim.confidence
+        if verdict is None or not self.claim.is_finished:
+            so_far = 0 if verdict is None else verdict.flights
+            return f"Nothing can be said yet of whether {who} keeps {what}: {so_far:,} flights are counted"
+        bound = format_percent(verdict.bound, up=verdict.decision == "refuted")
+        side = "at most" if verdict.decision == "refuted" else "at least"
+        stopped = "all that it was given" if verdict.decision == "open" else "stopped by rule"
+        flights = (
+            f"{verdict.flights:,} flight{'s' if verdict.flights != 1 else ''}, {verdict.failures:,} of them failed"
+        )
+        counted = f"{confidence:g} % confidence, {flights}, {stopped}"
+        text = f"{who} keeps {what} with probability {side} {bound} over {self.over} ({counted})"
+        if verdict.decision == "shown":
+            return text[0].upper() + text[1:]
+        claimed = f"{100.0 * self.claim.claim.probability:g} %"
+        begin = f"{claimed} is refuted" if verdict.decision == "refuted" else f"{claimed} is neither shown nor refuted"
+        return f"{begin}: {text}"
+
+    def _failure(self) -> str:
+        if self.failures.result is not None:
+            return self.failures.says
+        failed = [one for one in self.worst if one.why == NEAREST]
+        for one in [*failed, *self.worst]:
+            what = (
+                "the failed flight nearest to the middle of what is drawn"
+                if failed
+                else "the flight nearest to failing"
+            )
+            return f"{what} is {one.run or f'flight {one.flight}'}, and no likelier failure was searched for"
+        return "no failure was searched for"
+
+    def _limit(self) -> str:
+        limit = self.limits.get(self.axis)
+        if limit is None:
+            return f"how far its controller is from the best is not known: {self.no_limits}"
+        tolerant = limit.times_tolerant
+        more = "" if tolerant is None else f", and {tolerant:.2g} times with its tolerance of the delay kept"
+        return (
+            f"its {self.axis} error after a load is {limit.times:.2g} times the least that any linear controller "
+            f"leaves with the same peak sensitivity, noise and step error{more}"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        return {
+            "format": FORMAT,
+            "sentence": self.sentence,
+            "decision": self.decision,
+            "study": dict(self.study),
+            "claim": self.claim.to_dict(),
+            "says": list(self.claim.lines()),
+            "requirements": [asdict(one) for one in self.requirements],
+            "uncertainty": [dict(one) for one in self.uncertainty],
+            "over": self.over,
+            "worst": [asdict(one) for one in self.worst],
+            "most_likely_failure": _part(self.failures),
+            "rare": _part(self.rare),
+            "limit": {axis: limit.to_dict() for axis, limit in self.limits.items()} or None,
+            "no_limit": self.no_limits or None,
+            "not_covered": list(self.not_covered),
+            "credibility": [factor._asdict() for factor in self.credibility],
+            "repeat": dict(self.repeat),
+        }
+
+    def requirement_rows(self) -> Iterator[tuple[str, str, str, str]]:
+        """Yield the requirements as texts: label, what it says, flights that broke it, the smallest margin."""
+        for one in self.requirements:
+            margin = (
+                "" if one.margin is None else f"{one.margin:.3g} {one.unit} (flight {one.flight})".replace("  ", " ")
+            )
+            yield one.label, one.says, f"{one.broken} of {one.told}", margin
+
+
+def _part(part: Part) -> dict[str, Any]:
+    return {"done": part.result is not None, "says": part.says, **(part.result or {})}

@@ -1,0 +1,54 @@
+"""What a proof does not cover: kinds of numbers that no key varies, and what its flights do not show by themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cosim.campaign.study.study import Study
+from cosim.engine.fmu.uncertainty import CUT
+
+# Kinds of numbers that a real vehicle does not have as stated, by what the keys begin with that vary them.
+KINDS = {
+    "engines": ("engine", "mismatch.engine_parameters", "mismatch.stations", "stations."),
+    "delay": ("mismatch.delay_samples", "added_delay_samples"),
+    "thrust": ("mismatch.thrust_factor",),
+    "mass and balance": ("vehicle.mass_kg", "mismatch.mass_factor", "mismatch.centre_m", "disturbance."),
+    "moments of inertia": ("vehicle.inertia",),
+    "sensors": ("vehicle.sensors",),
+    "servos": ("vehicle.servo",),
+    "aerodynamics": ("vehicle.aero",),
+    "wind and air": ("environment.",),
+}
+_OF_ENGINES = ("gain", "thrust", "fuel_gain")  # parameters of an engine that are its thrust
+
+
+def kinds_not_varied(study: Study) -> list[str]:
+    """Return the kinds of numbers of which a study varies none."""
+    drawn = study.drawn
+    left = [kind for kind, begins in KINDS.items() if not any(key.startswith(begins) for key in drawn)]
+    last = {key.rpartition(".")[2] for key in drawn if key.startswith(KINDS["engines"])}
+    told = {"delay": "delay_samples" in last, "thrust": bool(last & set(_OF_ENGINES))}
+    if any(key.startswith("disturbance.") and "velocity" in key for key in drawn):
+        told["wind and air"] = True
+    return [kind for kind in left if not told.get(kind, False)]
+
+
+def not_covered(study: Study, missing: Sequence[str]) -> list[str]:
+    """Return what the result does not say, a sentence each; ``missing``: the parts that were not done, and why."""
+    base = study.base()
+    left = kinds_not_varied(study)
+    lines = [f"{part}" for part in missing]
+    if left:
+        lines.append(f"no key varies {', '.join(left)}: they are as the vehicle's files state them in every flight")
+    lines.append(
+        f"the manoeuvre is that of the scenario {base.name}, {base.duration_s:g} s long: nothing is said of another one"
+    )
+    if any(vary.uncertainty for vary in study.vary):
+        lines.append(f"an engine's parameters are drawn up to {CUT:g} standard deviations, and no further")
+    if not base.fault:
+        lines.append("nothing fails in these flights; hexjet faults and failsafes say what then")
+    lines.append(
+        "the probability is that of the model under what is drawn here; how far the model is the vehicle's is what the "
+        "credibility table says"
+    )
+    return lines

@@ -1,0 +1,47 @@
+"""What is proven: a study with one controller, whose draws are independent and which ends at a claim."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.campaign.proof.design_study import design_study, find_design
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.sequential import default_runs, parse_claim
+from cosim.campaign.study.study import Study
+from cosim.spec.controller_name import short_name
+
+
+def proof_study(name: str, claim: str | None, budget: int | None = None, **options: Any) -> Study:
+    """Return the study that proves ``claim`` of what ``name`` is: a study, a scenario, or a design.
+
+    ``budget``: the most flights, by default ten times as many as the claim needs at least.  ``options`` are those of
+    :func:`cosim.campaign.study.options.open_study`.  Draws of any other design than ``random`` become random ones: a
+    claim counts independent draws.  Raises InputError: one line.
+    """
+    designed = find_design(Path(name))
+    if designed is not None:
+        if claim is None:
+            raise InputError(f"{name}: a design states no claim; --claim says what is to be shown, such as 99.9%@95%")
+        return _checked(design_study(designed, claim, budget or default_runs(claim), **options), claim)
+    if claim is None:
+        claim = open_study(name, **options).until
+        if claim is None:
+            raise InputError(f"{name}: states no claim (until); --claim says what is to be shown, such as 99.9%@95%")
+    return _checked(
+        open_study(name, until=claim, design="random", runs=budget or default_runs(claim), **options), claim
+    )
+
+
+def _checked(study: Study, claim: str) -> Study:
+    """Raise InputError for a claim that compares controllers, and a study with more than one of them."""
+    if parse_claim(claim).pair is not None:
+        raise InputError(f"--claim {claim}: compares two controllers, which hexjet sweep --until does")
+    names = study.controller_names
+    if len(names) > 1:
+        listed = ", ".join(map(short_name, names))
+        raise InputError(
+            f"study {study.name}: has {len(names)} controllers, {listed}; --controller says which is meant"
+        )
+    return study

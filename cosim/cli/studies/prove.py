@@ -1,0 +1,104 @@
+"""hexjet prove: a claim about a study or a design, shown or refuted, on one page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from cosim.base.errors import InputError
+from cosim.cli import opt
+from cosim.cli.console import output_to_stderr, part_progress, say, show_table
+from cosim.cli.options import DONE, FLIGHT_FAILED, example
+from cosim.cli.studies.campaign import CampaignOptions, sweep_progress
+
+if TYPE_CHECKING:
+    from cosim.campaign.proof.result import Proof
+
+
+class Prove(CampaignOptions):
+    """Options of ``hexjet prove``."""
+
+    metrics: tuple[str, ...] = ()
+    wind: str | None = None
+    name = opt.argument(metavar="STUDY|DESIGN|DIR")
+    claim = opt.word(
+        "--claim", "P%@C%", "What is to be shown: a probability at a confidence, as 99.9%@95%.  [default: the study's]"
+    )
+    budget = opt.whole("--budget", "N", "Flights at most.  [default: ten times what the claim needs at least]", min=1)
+    controllers = opt.words("--controller", "NAME|FILE", "Of a study with several, the one that is meant.")
+    aircraft = opt.word("--aircraft", "NAME|DIR", "Overrides the scenario's, with the engine that it is made for.")
+    engine = opt.word("--engine", "NAME|FILE", "As in hexjet sweep.")
+    nominal_engine, settings = opt.NOMINAL_ENGINE, opt.SETTINGS
+    seed = opt.whole("--seed", None, "Of the draws.")
+    limit: bool = opt.option(
+        "--limit/--no-limit", default=True,
+        help="Compare the controller with the best that any linear one could do; a minute.  [default: --limit]",
+    )  # fmt: skip
+    replays = opt.option(
+        "--replay", type=click.Path(path_type=Path, exists=True), metavar="FILE", multiple=True,
+        help="What hexjet replay said of a recorded flight of this vehicle: replay.json, or its folder.",
+    )  # fmt: skip
+    workers = opt.whole("--workers", "N", "Processes.  [default: one a processor]", min=1)
+    cluster = opt.word("--cluster", "ADDRESS|local", "As in hexjet sweep.")
+    time_limit = opt.positive("--time-limit", "S", "For a flight.")
+    out = opt.OUT
+    resume = opt.flag("--resume", "Go on with what the folder holds; no flight is repeated.")
+    as_json = opt.json("Print one JSON object at the end and nothing else.")
+
+
+@click.command(epilog=example("hexjet prove roll-doublet-claim --out runs/proof"))
+@opt.takes(Prove)
+def prove(options: Prove) -> int:
+    """Show or refute that a vehicle keeps its requirements, with what a review asks beside it, on one page.
+
+    STUDY is a study's or a scenario's name or file, DESIGN a controller file of hexjet design or its folder, DIR a
+    proof's folder, to be resumed.  Flies until the claim is decided, flies the worst again, compares the controller
+    with the best linear one, and says what is not covered and how credible the model is.  Status 0: shown; 1: refuted,
+    open, or stopped before; 2: wrong input.
+    """
+    from cosim.campaign.folder import is_campaign
+    from cosim.campaign.proof.credibility import read_comparison
+    from cosim.campaign.proof.prove import CAMPAIGN, Request, conclude, fly_study
+    from cosim.campaign.proof.source import proof_study
+    from cosim.campaign.run import choose_workers
+
+    is_begun = is_campaign(Path(options.name) / CAMPAIGN)
+    if is_begun and not options.resume:
+        raise InputError(f"{options.name}: already holds a proof; --resume goes on with it")
+    request = Request(options.limit, tuple(map(read_comparison, options.replays)))
+    if is_begun:
+        study, folder = None, Path(options.name)
+    else:
+        if options.resume and options.out is None:
+            raise InputError("--resume: give the folder of the proof, as in hexjet prove DIR --resume")
+        chosen = options.chosen("controllers", "seed", "nominal_engine")
+        study = proof_study(options.name, options.claim, options.budget, settings=options.study_settings(), **chosen)
+        folder = options.run_folder(f"proof-{study.name}")
+    with (
+        output_to_stderr(options.as_json),
+        choose_workers(options.workers, options.cluster, options.time_limit) as flying,
+    ):
+        for text in study.notes() if study is not None else ():
+            click.echo(f"hexjet: note: {text}", err=True)
+        with sweep_progress(folder / CAMPAIGN, quiet=options.as_json, goes_on=f"hexjet prove {folder}") as tell:
+            campaign = fly_study(study, folder, flying, options.resume, tell)
+        with part_progress("prove", options.as_json) as show:
+            proof = conclude(campaign, folder, request, lambda text: show(text, 0, 1))
+    options.answer(proof.to_json, lambda: print_proof(proof))
+    return DONE if proof.decision == "shown" else FLIGHT_FAILED
+
+
+def print_proof(proof: Proof) -> None:
+    """Print the sentence, the requirements, the credibility and where the page is."""
+    say(proof.sentence)
+    show_table(["", "requirement", "broken", "smallest margin"], list(proof.requirement_rows()), [2, 3])
+    show_table(["credibility, NASA-STD-7009B", "level"], [(one.name, str(one.level)) for one in proof.credibility], [1])
+    for line in (
+        *(f"not covered: {text}" for text in proof.not_covered),
+        f"again: {proof.repeat['command']}",
+        f"folder: {proof.folder}",
+        f"report: {proof.folder / 'proof.html'}",
+    ):
+        say(line, wrap=False)

@@ -1,0 +1,226 @@
+"""hexjet prove: the same verdict however it is flown, the worst flights again, and what cannot be shown refused."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_tools import Done, Hexjet
+from places import DESIGNS
+
+from cosim.base.errors import InputError
+from cosim.campaign.proof.prove import Request, conclude, fly_study, prove
+from cosim.campaign.proof.scope import kinds_not_varied
+from cosim.campaign.proof.source import proof_study
+from cosim.campaign.study.plan import Flight, flights
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import Row, fly_one
+from cosim.cli.main import main
+from cosim.flight import fly
+from cosim.results.log.digest import log_digest
+from cosim.results.run import open_run
+
+HOVER = """
+name = "short"
+scenario = "hover"
+controllers = ["smith"]
+design = "random"
+runs = 400
+until = "99%@95%"
+
+[settings]
+duration_s = 0.1
+
+[[vary]]
+key = "vehicle.mass_kg"
+range = [5.4, 5.8]
+
+[success]
+"altitude.max_abs_error_m" = { max = 0.5 }
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study of a tenth of a second a flight, which no flight fails."""
+    path = tmp_path_factory.mktemp("study") / "short.toml"
+    path.write_text(HOVER)
+    return path
+
+
+@pytest.fixture(scope="module")
+def proven(study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """99 % at 95 %, shown by two workers."""
+    folder = tmp_path_factory.mktemp("proof") / "p"
+    with pytest.raises(SystemExit) as end:
+        main(["prove", str(study), "--no-limit", "--workers", "2", "--out", str(folder)])
+    assert not end.value.code
+    return folder
+
+
+def told(folder: Path) -> dict[str, Any]:
+    data: dict[str, Any] = json.loads((folder / "proof.json").read_text())
+    return data
+
+
+class Some:
+    """A worker that flies no more than so many."""
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+
+    def fly(self, study: Study, planned: Iterable[Flight]) -> Iterator[Row]:
+        yield from (fly_one(study, flight) for flight in islice(planned, self.most))
+
+
+def test_99_percent_is_shown_on_one_page_and_in_one_json(proven: Path) -> None:
+    data = told(proven)
+    test = data["claim"]["tests"]["smith"]
+    assert (data["decision"], test["flights"], test["failures"]) == ("shown", 368, 0)  # half the error is for none
+    assert test["bound"] >= 0.99
+    assert data["sentence"].startswith(
+        "The vehicle hexjet with controller smith and engine edf-as-flown keeps R1 to R2 with probability at least 99."
+    )
+    assert "(95 % confidence, 368 flights, 0 of them failed, stopped by rule)" in data["sentence"]
+    assert [one["label"] for one in data["requirements"]] == ["R1", "R2"]
+    assert (data["requirements"][1]["broken"], data["requirements"][1]["unit"]) == (0, "m")
+    assert 0.0 < data["requirements"][1]["margin"] < 0.5
+    assert data["most_likely_failure"]["done"] is data["rare"]["done"] is False
+    assert data["limit"] is None
+    assert any("no key varies engines, delay, thrust" in text for text in data["not_covered"])
+    page = (proven / "proof.html").read_text()
+    for text in (data["sentence"], data["repeat"]["command"], *(one["name"] for one in data["credibility"])):
+        assert text in page
+
+
+def test_the_worst_flights_are_runs_that_fly_again(proven: Path) -> None:
+    worst = told(proven)["worst"]
+    margins = [one["margin"] for one in worst]
+    assert len(worst) == 3
+    assert margins == sorted(margins)
+    assert all(one["is_same"] for one in worst)
+    run = open_run(proven / worst[0]["run"])
+    again = fly(proven / worst[0]["run"] / "scenario.toml")
+    assert log_digest(again.log) == log_digest(run.log)
+    assert worst[0]["values"]["vehicle.mass_kg"] == again.scenario.vehicle["mass_kg"]
+
+
+def test_its_own_command_repeats_it(proven: Path, hexjet: Hexjet, tmp_path: Path) -> None:
+    first = told(proven)["repeat"]
+    words = [str(tmp_path / "again") if word == "AGAIN" else word for word in shlex.split(first["command"])]
+    done = hexjet(*words[1:], "--no-limit", "--workers", "1", "--json")
+    assert done.status == 0
+    assert json.loads(done.out)["repeat"]["rows_sha256"] == first["rows_sha256"]
+
+
+def test_stopped_and_resumed_it_comes_to_the_same(proven: Path, study: Path, hexjet: Hexjet, tmp_path: Path) -> None:
+    stopped = fly_study(proof_study(str(study), None), tmp_path / "p", Some(50))  # type: ignore[arg-type]
+    partly = conclude(stopped, tmp_path / "p", Request(limit=False))
+    assert partly.decision == "open"
+    assert partly.sentence.startswith("Nothing can be said yet")
+    refused = hexjet("prove", str(tmp_path / "p"))
+    assert (refused.status, refused.err.count("\n")) == (2, 1)
+    assert "already holds a proof; --resume goes on with it" in refused.err
+    assert hexjet("prove", str(tmp_path / "p"), "--resume", "--no-limit").status == 0
+    data = told(tmp_path / "p")
+    first = told(proven)
+    assert data["repeat"]["rows_sha256"] == first["repeat"]["rows_sha256"]
+    assert {**data, "repeat": 0} == {**first, "repeat": 0}
+
+
+def test_refuted_and_open_are_no_success(study: Path, hexjet: Hexjet, tmp_path: Path) -> None:
+    failing = tmp_path / "failing.toml"
+    failing.write_text(HOVER.replace("max = 0.5", "max = 1e-9"))
+    done = hexjet("prove", str(failing), "--no-limit", "--workers", "1", "--out", "p")
+    data = told(tmp_path / "p")
+    assert (done.status, data["decision"]) == (1, "refuted")
+    assert data["sentence"].startswith("99 % is refuted: the vehicle hexjet")
+    assert "with probability at most" in data["sentence"]
+    assert data["worst"][-1]["why"] == "fails nearest to the middle of the draws"
+    assert f"the middle of what is drawn is {data['worst'][-1]['run']}" in data["sentence"]
+    assert data["requirements"][1]["margin"] < 0.0
+    seldom = tmp_path / "seldom.toml"  # one in two
+    seldom.write_text(HOVER.replace('"altitude.max_abs_error_m" = { max = 0.5 }', '"altitude.rmse_m" = { max = 1.0 }'))
+    few = prove(proof_study(str(seldom), "50%@99.9%", 10), tmp_path / "few", 1, request=Request(limit=False))
+    assert few.decision == "shown"  # 10 of 10: 2^-10 is below the error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["hover", "--claim", "99.9%@95%", "--budget", "100"], "nothing varies"),
+        (["STUDY", "--claim", "99.9%@95%", "--budget", "100"], "100 flights do not show it, even if all succeed"),
+        (["STUDY", "--claim", "smith>baseline@95%"], "compares two controllers, which hexjet sweep --until does"),
+        (["predictor-robustness", "--claim", "99%@95%"], "has 5 controllers, baseline, smith, filtered-smith, state"),
+        (["predictor-robustness"], "states no claim (until); --claim says what is to be shown"),
+        (["DESIGN"], "a design states no claim"),
+        (["DESIGN", "--claim", "99%@95%", "--controller", "smith"], "a design brings its own controllers"),
+        (["STUDY", "--resume"], "give the folder of the proof"),
+        (["STUDY", "--out", "."], "is not empty; choose another folder"),
+        (["STUDY", "--replay", "."], "is no replay.json of hexjet replay"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_in_a_line(
+    arguments: list[str], reason: str, study: Path, hexjet: Hexjet, tmp_path: Path
+) -> None:
+    (tmp_path / "something").touch()
+    named = {"STUDY": str(study), "DESIGN": str(DESIGNS / "turbojet.toml")}
+    done: Done = hexjet("prove", *(named.get(word, word) for word in arguments))
+    assert (done.status, done.err.count("\n")) == (2, 1), done.err
+    assert reason.lower() in done.err.lower()
+
+
+def test_a_design_is_proven_over_the_box_that_it_was_made_for(tmp_path: Path) -> None:
+    designed = proof_study(str(DESIGNS / "turbojet.toml"), "99%@95%")
+    assert designed.name == "hexjet-turbojet-designed"
+    by_key = {vary.key: vary for vary in designed.vary}
+    inertia = by_key["vehicle.inertia_kg_m2.0"]
+    assert inertia.range == pytest.approx((1.0 / 1.3, 1.0 / 0.7), rel=1e-5)  # gain 0.7 to 1.3 times as much
+    assert by_key["mismatch.delay_samples"].range == (0.0, 7.0)  # 0.3 of 25 samples, whole ones
+    assert set(designed.success) == {"roll.overshoot_percent", "roll.oscillation_rad"}
+    assert designed.base().command[0].amplitude == 20.0  # type: ignore[union-attr]  # the pilot's lean
+    assert "inertia" not in " ".join(kinds_not_varied(designed))
+    flight = flights(designed)[0]
+    row = fly_one(designed, Flight(0, 0, flight.controller, 1, dict.fromkeys(flight.values, 0) | {
+        key: float(value) for key, value in nominal(designed).items()
+    }))  # fmt: skip
+    assert row["success"], row["reason"]
+    folder = tmp_path / "design"
+    folder.mkdir()
+    (folder / "controller.toml").write_bytes((DESIGNS / "turbojet.toml").read_bytes())
+    assert proof_study(str(folder), "99%@95%").vary == designed.vary
+    with pytest.raises(InputError, match="do not show it"):
+        proof_study(str(folder), "99%@95%", 100)
+
+
+def nominal(study: Study) -> dict[str, float]:
+    """The values of a study's keys as the scenario has them."""
+    values = {name: study.key(name).nominal for name in study.drawn}
+    return {name: float(value) for name, value in values.items() if isinstance(value, (int, float))}
+
+
+def test_an_uncertain_engine_is_drawn_in_place_of_the_box(tmp_path: Path) -> None:
+    study = proof_study("hover", "90%@90%", settings=["engine='jetcat-p300'", "aircraft='hexjet-p220'"])
+    assert [vary.uncertainty for vary in study.vary] == [True]
+    assert kinds_not_varied(study)[:2] == ["mass and balance", "moments of inertia"]
+    assert np.all([key.startswith("mismatch.engine_parameters.") for key in study.drawn])
+
+
+@pytest.mark.long
+def test_the_shipped_example_and_its_page(hexjet: Hexjet, tmp_path: Path) -> None:
+    """What docs/prove.md shows, and the limit of the three axes."""
+    from places import DOCS
+
+    done = hexjet("prove", "roll-doublet-claim", "--out", "p", "--json")
+    data = json.loads(done.out)
+    assert (done.status, data["decision"]) == (0, "shown")
+    shown = " ".join((DOCS / "prove.md").read_text(encoding="utf-8").split())
+    assert data["sentence"] in shown
+    assert set(data["limit"]) == {"roll", "pitch", "yaw"}
+    assert all(limit["times"] >= 1.0 for limit in data["limit"].values())
