@@ -63,7 +63,7 @@ def fly(
         planned duration [s].
     sink : KeepingSink or None
         Keeps of the log what it wants to, at least the columns of :func:`cosim.results.metrics.columns`; the summary
-        has no notes on how models and vehicle agree, which take longer to find than a thousand steps.
+        has no delay ledger and no notes on how models and vehicle agree, which take longer than a thousand steps.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def fly(
     scenario, own = opened(scenario, controller)
     check_scenario_trust(scenario)  # before its metrics are asked for their names
     check_expected(scenario)
-    with build(scenario, own) as simulation:
+    with build(scenario, own, with_ledger=sink is None) as simulation:
         replay = _replay(simulation) if scenario.requests is not None else None
         folder = None if out is None else Path(out)
         recording = record(simulation, folder, sink=sink)

@@ -27,6 +27,7 @@ def load_unchecked(
     measured: EngineMeasurement | None = None,
     air: Air = STANDARD_AIR,
     measure_foreign: Callable[[str, Mapping[str, float], float, Air], EngineMeasurement] | None = None,
+    source: EngineSource | None = None,
 ) -> EngineSpec:
     """Find, validate and measure an engine that will be stepped by ``step`` seconds.
 
@@ -34,13 +35,13 @@ def load_unchecked(
     file; see ``cosim.engine.fmu.mapping`` for it, ``ports`` for how its ports are found.
 
     ``measured``: the result of an earlier measurement.  ``measure_foreign``: measures the engine, from the other
-    arguments, where this process should not.
+    arguments, where this process should not.  ``source``: the engine, where it was found before.
 
     ``air``: in which it is measured, if it has a port for any of it; without one it is the same in every air.
 
     Raises InputError: one line that names the engine, what is wrong, and what is allowed.
     """
-    source = find_source(name_or_path)
+    source = source or find_source(name_or_path)
     archive, engine, mapping = source.archive, source.engine, source.mapping
     check_whole_steps(archive, engine, step)
     if not any(port in archive.ports for port in AMBIENT):

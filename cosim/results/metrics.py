@@ -9,6 +9,7 @@ docs/metrics.md has every definition.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
 from math import pi
 from typing import NamedTuple
 
@@ -145,6 +146,7 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
     )
 
 
+@lru_cache(16)
 def columns(vehicle: LoggedVehicle = HEXJET, waypoints: bool = False) -> tuple[str, ...]:
     """Return the columns that :func:`flight_metrics` and the limits of a flight read, of such a vehicle's log.
 

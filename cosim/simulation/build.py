@@ -33,9 +33,10 @@ from cosim.vehicle.propulsion import make_propulsion
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
 
 
-def build(scenario: Scenario, controller: Source | None = None) -> Simulation:
+def build(scenario: Scenario, controller: Source | None = None, with_ledger: bool = True) -> Simulation:
     """Wire a flight; ``controller`` is one that a program hands over, else the scenario's is found by its name.
 
+    ``with_ledger``: whether the delay ledger is made, which takes longer than a thousand steps of a hinged vehicle.
     Raises InputError for anything in scenario, vehicle, engine or controller that does not fit, or is not trusted.
     """
     check_scenario_trust(scenario)
@@ -76,7 +77,9 @@ def build(scenario: Scenario, controller: Source | None = None) -> Simulation:
                 scenario=scenario,
                 vehicle=vehicle,
                 specs=specs,
-                ledger=make_delay_ledger(scenario, vehicle, flown_stations, cascade.allocator, flies_ahead),
+                ledger=make_delay_ledger(scenario, vehicle, flown_stations, cascade.allocator, flies_ahead)
+                if with_ledger
+                else [],
                 command_script=commander,
                 pilot=make_guided_pilot(scenario, vehicle, commander, cascade),
                 disturbances=DisturbanceScript(scenario),

@@ -70,7 +70,7 @@ class FmuInstance:
     def __init__(self, archive: Archive, folder: Path, name: str, load: Callable[[], Any] | None = None) -> None:
         self.archive = archive
         self._resources = folder / "resources"
-        self._python = any(self._resources.rglob("*.py"))
+        self._python = _has_python(self._resources, archive.sha256)
         self.log = _bank.Log()
         self._stepping = False
         self._step = 1.0  # s, of communication, once it is known
@@ -363,6 +363,11 @@ class FmuInstance:
         if self._stepping:
             getattr(fmu.dll, f"fmi{version}Terminate")(ctypes.c_void_p(fmu.component))
         fmu.freeInstance()
+
+
+@lru_cache(maxsize=64)
+def _has_python(resources: Path, _sha256: str) -> bool:
+    return any(resources.rglob("*.py"))
 
 
 @contextmanager

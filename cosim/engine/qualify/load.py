@@ -47,7 +47,9 @@ def load_engine(
         measure_foreign = measure_unchecked if isolated else None
     else:
         measure_foreign = partial(measure_in_child, isolated=isolated)
-    spec = load_unchecked(name_or_path, parameters, step, measured=measured, air=air, measure_foreign=measure_foreign)
+    spec = load_unchecked(
+        name_or_path, parameters, step, measured=measured, air=air, measure_foreign=measure_foreign, source=source
+    )
     spec = replace(spec, isolated=True) if isolated else spec
     misbehaviour = "" if is_harmless else read_misbehaviour(source.archive.sha256)  # known only now that it is measured
     return replace(spec, isolated=True, misbehaviour=misbehaviour) if misbehaviour else spec

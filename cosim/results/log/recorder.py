@@ -206,17 +206,23 @@ class MemoryLog(Columnar):
         self, tables: list[Array], columns: tuple[str, ...] = NAMES, described: tuple[Column, ...] = COLUMNS
     ) -> None:
         self.columns, self.described = columns, described
+        self._indices = {name: index for index, name in enumerate(columns)}
         self._tables = tables
 
     def __len__(self) -> int:
         return sum(table.shape[1] for table in self._tables)
 
     def __getitem__(self, name: str) -> Array:
-        index = self.columns.index(require(name, self.columns))
-        return np.concatenate([np.empty(0), *(table[index] for table in self._tables)])
+        index = self._index(name)
+        return np.concatenate([np.empty(0), *[table[index] for table in self._tables]])
+
+    def _index(self, name: str) -> int:
+        if name not in self._indices:
+            require(name, self.columns)
+        return self._indices[name]
 
     def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]:
         """Yield the named columns, block by block; ``rows`` does not matter here."""
-        indices = [self.columns.index(require(name, self.columns)) for name in names]
+        indices = [self._index(name) for name in names]
         for table in self._tables:
             yield {name: table[index] for name, index in zip(names, indices, strict=True)}
