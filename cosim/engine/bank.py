@@ -131,6 +131,7 @@ class EngineBank:
                 self._instances.append(make_instance(spec.archive, self._folders[key].path, _engine_numbers(group)))
             except InstanceError as error:
                 raise EngineError(f"{label}: {error}") from error
+        self._make_native()
 
     def _make_native(self) -> None:
         rows = [instance.make_row(0, group) for instance, group in zip(self._instances, self._groups, strict=True)]
