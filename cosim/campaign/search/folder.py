@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -139,8 +139,8 @@ def run_search(
     """
     frozen = freeze(study)
     with map_os_errors(FlightError, out):
-        if not _holds_search(out, frozen, plan, resume):
-            _begin(out, frozen, plan)
+        if not holds_search(out, frozen, plan_table(plan), resume):
+            begin(out, frozen, plan_table(plan))
         with lock_file(out / JOURNAL, f"{out}: another search is at work there"):
             flown = load_study(out / STUDY)
             engine = engine_draw(flown.base()) if plan.draws_engine else None
@@ -154,8 +154,11 @@ def run_search(
     return searched
 
 
-def _holds_search(out: Path, frozen: FrozenStudy, plan: Plan, resume: bool) -> bool:
-    """Return whether the folder holds this very search, to be resumed; InputError if it holds anything else."""
+def holds_search(out: Path, frozen: FrozenStudy, current: Mapping[str, Any], resume: bool) -> bool:
+    """Return whether the folder holds this very search, to be resumed; InputError if it holds anything else.
+
+    ``current`` is what is searched, as a table.
+    """
     if not out.exists() or not any(out.iterdir()):
         return False
     if not (out / QUESTION).is_file():
@@ -164,7 +167,6 @@ def _holds_search(out: Path, frozen: FrozenStudy, plan: Plan, resume: bool) -> b
         raise InputError(f"{out}: already holds a search; choose another folder, or --resume goes on with it")
     difference = next(iter(frozen.differences(out / STUDY)), None)
     saved = read_toml(out / QUESTION)
-    current = plan_table(plan)
     differing = [key for key in current.keys() | saved.keys() if current.get(key) != saved.get(key)]
     if difference is None and differing:
         key = min(differing)
@@ -174,11 +176,12 @@ def _holds_search(out: Path, frozen: FrozenStudy, plan: Plan, resume: bool) -> b
     return True
 
 
-def _begin(out: Path, frozen: FrozenStudy, plan: Plan) -> None:
+def begin(out: Path, frozen: FrozenStudy, question: Mapping[str, Any]) -> None:
+    """Write what a folder of a search needs before its first flight."""
     (out / STUDY).mkdir(parents=True)
     frozen.write(out / STUDY)
     (out / JOURNAL).touch()
-    write_whole(out / QUESTION, toml_text(plan_table(plan)))  # the last: a folder that has it has all
+    write_whole(out / QUESTION, toml_text(dict(question)))  # the last: a folder that has it has all
 
 
 def _cases(result: SearchResult, prober: Prober, folder: Path) -> Iterator[Case]:
@@ -186,16 +189,20 @@ def _cases(result: SearchResult, prober: Prober, folder: Path) -> Iterator[Case]
     for name, point, breaks in _points_to_record(result):
         verdict = prober.result(point)
         row = verdict.worst if breaks else _first_success(result, prober, point)
-        seed = int(row["seed"] or 0)
-        try:
-            run = fly(scenario_of(prober.study, prober.flight(point, seed)), folder / name)
-        except InputError as error:  # it could not be flown the first time either, which is how it failed
-            is_same = row["reason"] == str(error)
-            yield Case(name, point.controller, breaks, dict(point.values), seed, "failed", str(error), is_same)
-            continue
-        is_same = row["log_sha256"] == log_digest(run.log) and row["outcome"] == run.outcome
-        ended = describe_flight(prober.study, row) if is_same else f"{run.outcome}, {run.summary.reason}"
-        yield Case(name, point.controller, breaks, dict(point.values), seed, run.outcome, ended, is_same)
+        yield fly_case(prober, point, row, breaks, folder / name)
+
+
+def fly_case(prober: Prober, point: Point, row: Row, breaks: bool, folder: Path) -> Case:
+    """Fly a flight of a search once more, recorded in full in ``folder``, and compare it with its row."""
+    seed, values = int(row["seed"] or 0), dict(point.values)
+    try:
+        run = fly(scenario_of(prober.study, prober.flight(point, seed)), folder)
+    except InputError as error:  # it could not be flown the first time either, which is how it failed
+        is_same = row["reason"] == str(error)
+        return Case(folder.name, point.controller, breaks, values, seed, "failed", str(error), is_same)
+    is_same = row["log_sha256"] == log_digest(run.log) and row["outcome"] == run.outcome
+    ended = describe_flight(prober.study, row) if is_same else f"{run.outcome}, {run.summary.reason}"
+    return Case(folder.name, point.controller, breaks, values, seed, run.outcome, ended, is_same)
 
 
 def _first_success(result: SearchResult, prober: Prober, point: Point) -> Row:

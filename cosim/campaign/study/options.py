@@ -42,8 +42,8 @@ def open_study(
     for it, and ``controllers`` replace the study's.  Without a ``design`` a scenario is flown over a grid if every key
     has levels or values and no ``runs`` are given, and else over a Latin hypercube.  ``until`` is a claim such as
     ``99.9%@95%``, at which the study stops; without a ``design`` its draws are random, and without ``runs`` it has ten
-    times as many as the claim needs at least.  An engine that states its uncertainty is drawn by it unless
-    ``nominal_engine``.  Raises InputError.
+    times as many as the claim needs at least; an empty one leaves out the study's.  An engine that states its
+    uncertainty is drawn by it unless ``nominal_engine``.  Raises InputError.
     """
     mention([*controllers, *settings, *vary], Path())
     data, folder, where = _read_source(name)
@@ -67,6 +67,8 @@ def open_study(
         data["controllers"] = [seen_from(controller, Path()) for controller in controllers]
     chosen = {"design": design, "runs": runs, "repeats": repeats, "seed": seed, "until": until}
     data |= {key: value for key, value in chosen.items() if value is not None}
+    if not data.get("until"):
+        data.pop("until", None)
     if "title" in data and (vary or settings or controllers or design or runs or repeats):
         data |= _retitle(data, settings, controllers)
     data |= {"nominal_engine": True} if nominal_engine else {}

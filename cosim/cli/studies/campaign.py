@@ -18,8 +18,10 @@ from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, aircraft_settings, 
 
 if TYPE_CHECKING:
     from cosim.campaign.search.result import SavedSearch
+    from cosim.campaign.search.worst_folder import SavedWorst
     from cosim.campaign.store import Campaign, Tally
     from cosim.campaign.study.key import Key
+    from cosim.campaign.workers.protocol import Workers
 
 
 class CampaignOptions(opt.Output):
@@ -137,12 +139,20 @@ def _list_keys(settings: list[str], pattern: str, options: Sweep) -> int:
 class Search(CampaignOptions):
     """Options of ``hexjet search``."""
 
-    name = opt.argument(metavar="SCENARIO")
+    name = opt.argument(metavar="SCENARIO|STUDY")
     vary = opt.words(
         "--vary",
         "KEY=LO:HI[:N]",
         "Search this key between LO and HI, scanned in N points; *= and += as in hexjet sweep, log(LO:HI) too.  Of "
-        "several, each alone and then all together.",
+        "several, each alone and then all together.  With --worst and --likely anything that hexjet sweep draws.",
+    )
+    worst = opt.flag("--worst", "Search the flight of least margin over all keys at once, of a scenario or a study.")
+    likely = opt.flag("--likely", "Search the failure that is nearest to the middle of what is drawn.")
+    within = opt.word(
+        "--within",
+        "SD|ranges",
+        "Of --worst and --likely: at most so many standard deviations from the middle, or anywhere in the ranges.  "
+        "[3; 6 for --likely]",
     )
     over = opt.word("--over", "KEY=LO:HI:N", "A curve: search at each of these values of a second key.")
     controllers = opt.words("--controller", "NAME|FILE", "Each is searched.")
@@ -155,7 +165,7 @@ class Search(CampaignOptions):
         help="Of a point's flights that have to break before it does.  [default: any of them]",
     )
     success = opt.words("--success", "METRIC<=X", "What a completed flight must keep too.")
-    budget = opt.whole("--budget", None, "Flights for keys together.", min=1, default=1000)
+    budget = opt.whole("--budget", None, "Flights for keys together, of each controller.", min=1, default=1000)
     aircraft, engine, nominal_engine = _AIRCRAFT, _ENGINE, opt.NOMINAL_ENGINE
     settings, metrics, wind = opt.SETTINGS, _METRICS, _WIND
     seed = opt.whole("--seed", None, "Of the first flight of a point.  [default: the scenario's]")
@@ -170,29 +180,59 @@ class Search(CampaignOptions):
 @click.command(epilog=example("hexjet search roll-doublet --vary mismatch.delay_samples=0:60 --controller smith"))
 @opt.takes(Search)
 def search(options: Search) -> int:
-    """Find the smallest change that breaks a controller: of a delay, a gain, a payload, a gust, or any other key.
+    """Find the smallest change that breaks a controller, the worst case of a study, or its most likely failure.
 
     Leaves search.json, search.html, every flight, and the flights that show it.  Status 0: searched, whatever was
     found; 1: it was stopped before, or a flight that shows it came out otherwise when it was flown again.
     """
-    from cosim.campaign.run import choose_workers
     from cosim.campaign.search.folder import resolve_search, run_search
 
-    searching = options.chosen(
-        "vary", "over", "controllers", "tolerance", "seeds", "share", "success", "budget", "seed", "nominal_engine"
-    )
+    if options.worst or options.likely:
+        return _search_worst(options)
+    if options.within is not None:
+        raise InputError("--within: goes with --worst or --likely")
+    searching = options.chosen(*_SEARCHED, "over", "tolerance", "share")
     study, plan = resolve_search(options.name, settings=options.study_settings(), **searching)
+    with _searching(options, f"search-{study.name}") as (folder, tell, flying):
+        searched = run_search(study, plan, folder, flying, options.resume, tell)
+    options.answer(searched.to_dict, lambda: print_search(searched))
+    return DONE if searched.confirmed else FLIGHT_FAILED
+
+
+def _search_worst(options: Search) -> int:
+    from cosim.campaign.search.worst_folder import resolve_worst, run_worst
+
+    if options.worst and options.likely:
+        raise InputError("--likely: goes without --worst; each is a search of its own")
+    for option, is_given in (("over", options.over), ("tolerance", options.tolerance), ("share", options.share)):
+        if is_given:
+            raise InputError(f"--{option}: is of a search of one key, and goes with neither --worst nor --likely")
+    searching = options.chosen(*_SEARCHED, "likely", "within")
+    study, plan = resolve_worst(options.name, settings=options.study_settings(), **searching)
+    kind = "likely" if plan.likely else "worst"
+    with _searching(options, f"{kind}-{study.name}") as (folder, tell, flying):
+        saved = run_worst(study, plan, folder, flying, options.resume, tell)
+    options.answer(saved.to_json, lambda: print_worst(saved))
+    return DONE if saved.confirmed else FLIGHT_FAILED
+
+
+_SEARCHED = ("vary", "controllers", "seeds", "success", "budget", "seed", "nominal_engine")
+
+
+@contextmanager
+def _searching(options: Search, name: str) -> Iterator[tuple[Path, Callable[[int], None], Workers]]:
+    """Yield the folder of a search, a function that is told how many flights there are, and the workers."""
+    from cosim.campaign.run import choose_workers
+
     if options.resume and options.out is None:
         raise InputError("--resume: give the folder of the search with --out")
-    folder = options.run_folder(f"search-{study.name}")
+    folder = options.run_folder(name)
     with (
         output_to_stderr(options.as_json),
         search_progress(folder, quiet=options.as_json) as tell,
         choose_workers(options.workers, options.cluster, options.time_limit) as flying,
     ):
-        searched = run_search(study, plan, folder, flying, options.resume, tell)
-    options.answer(searched.to_dict, lambda: print_search(searched))
-    return DONE if searched.confirmed else FLIGHT_FAILED
+        yield folder, tell, flying
 
 
 @contextmanager
@@ -299,6 +339,25 @@ def print_search(searched: SavedSearch) -> None:
             say(f"case {case.name}: flown again it ended {case.reason}, not as in the search")
     say(f"cases: {searched.folder / 'cases'}", wrap=False)
     say(f"report: {searched.folder / 'search.html'}", wrap=False)
+
+
+def print_worst(saved: SavedWorst) -> None:
+    """Print what was found for each controller, which keys matter there, what it rests on, and the files."""
+    from cosim.campaign.search.worst_page import rows, titles
+
+    result = saved.result
+    base = result.study.base()
+    say(f"{base.name}: {base.aircraft_name}, engine {base.engine}; {result.flights} flights")
+    for line in result.lines():
+        say(line, wrap=False)
+    show_table(titles(result), rows(result), range(4, 8), plain=True, pad_edge=False)
+    for line in result.notes:
+        say(line, wrap=False)
+    for case in saved.cases:
+        replay = saved.folder / "cases" / case.name / "scenario.toml"
+        again = "the same bit for bit" if case.same else f"NOT the same: it ended {case.reason}"
+        say(f"flown again, {again}: hexjet fly {replay}", wrap=False)
+    say(f"report: {saved.folder / 'search.html'}", wrap=False)
 
 
 @contextmanager

@@ -31,6 +31,7 @@ LONGER = {
 HOMES = {
     "jsbsim": ["vehicle/executive.py"],
     "fmpy": ["engine/"],
+    "cmaes": ["campaign/search/minimise.py"],
     "osqp": ["control/laws/mpc.py"],
     "pymavlink": ["groundstation/mavlink/"],
     "plotly": ["results/report/page.py"],

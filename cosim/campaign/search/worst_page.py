@@ -1,0 +1,99 @@
+"""The page of a search for the worst case or the most likely failure, and its table for the terminal."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from cosim.campaign.search.page import ROW_PX, text
+from cosim.campaign.search.result import Case
+from cosim.campaign.search.worst_case import WorstCase, WorstSearch, important
+from cosim.results.report.page import render
+from cosim.results.report.plot import ABOVE, layout, run_colour
+from cosim.results.run import REPORT, SCENARIO
+from cosim.spec.controller_name import short_name
+
+TEMPLATE = Path(__file__).parent / "templates" / "worst.html"
+SHOWN = 12  # keys of a controller in the table
+NONE = "–"
+
+
+def titles(result: WorstSearch) -> list[str]:
+    """Return the titles of the table of keys."""
+    where = "of its range" if result.plan.within is None else "standard deviations"
+    return ["controller", "key", "value", "middle", where, "share", "margin without it", "margin with it alone"]
+
+
+def rows(result: WorstSearch) -> list[list[str]]:
+    """Return a row for each key of each controller, in the order of their shares of the squared distance."""
+    return [row for case in result.cases for row in _rows(case)]
+
+
+def _rows(case: WorstCase) -> list[list[str]]:
+    listed = []
+    for effect in important(case.effects)[:SHOWN]:
+        value, middle = (NONE if each is None else text(each) for each in (effect.value, effect.middle))
+        numbers = [
+            f"{effect.place:+.2f}",
+            f"{100.0 * effect.share:.0f} %",
+            f"{effect.without:.3g}",
+            f"{effect.alone:.3g}",
+        ]
+        listed.append([short_name(case.controller), effect.name, value, middle, *numbers])
+    return listed
+
+
+def write_page(result: WorstSearch, cases: Sequence[Case], path: Path) -> None:
+    """Write the page of a search, whose flights are in ``cases/`` beside it.
+
+    Raises FlightError if the file cannot be written.
+    """
+    base = result.study.base()
+    flown = []
+    for case in cases:
+        folder = path.parent / "cases" / case.name
+        report = (folder / REPORT).relative_to(path.parent).as_posix() if (folder / REPORT).is_file() else ""
+        command = shlex.quote((folder / SCENARIO).as_posix())
+        flown.append(
+            {name: getattr(case, name) for name in ("name", "seed", "reason", "same")}
+            | {"report": report, "command": command}
+        )
+    render(
+        TEMPLATE,
+        path,
+        {"places": _places(result)},
+        result=result,
+        base=base,
+        lines=result.lines(),
+        notes=result.notes,
+        columns=titles(result),
+        rows=rows(result),
+        cases=flown,
+    )
+
+
+def _places(result: WorstSearch) -> dict[str, Any]:
+    """Return the figure of how far each key is moved in what was found, a bar for each controller."""
+    names = list(dict.fromkeys(effect.name for case in result.cases for effect in case.effects))
+    data = []
+    for number, case in enumerate(result.cases):
+        label = short_name(case.controller)
+        data.append(
+            {
+                "type": "bar",
+                "orientation": "h",
+                "name": label,
+                "y": names,
+                "x": [effect.place for effect in case.effects],
+                "marker": {"color": run_colour(number)},
+                "hovertemplate": f"{label}: %{{y}} %{{x:+.3g}}<extra></extra>",
+            }
+        )
+    legend = {"orientation": "h", "x": 0, "y": 1.0, **ABOVE}
+    drawn = layout(130 + ROW_PX * len(names), 64, 16, 30, 46, hovermode="closest", showlegend=True, legend=legend)
+    unit = "half ranges" if result.plan.within is None else "standard deviations"
+    drawn["xaxis"] = {"title": {"text": f"from the middle [{unit}]"}}
+    drawn["yaxis"] = {"automargin": True, "autorange": "reversed"}
+    return {"data": data, "layout": drawn}
