@@ -17,6 +17,7 @@ from places import ROOT, script
 from cosim.campaign import folder
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.search import folder as searches
+from cosim.campaign.search.worst_folder import resolve_worst
 from cosim.campaign.study import keys
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study, study_names
@@ -34,6 +35,7 @@ COMMANDS = [
 ]
 PYTHON = [text for language, text in BLOCKS if language == "python"]
 OF_A_SWEEP = ("vary", "correlate", "success", "settings", "controllers", "design", "runs", "repeats", "seed", "until")
+OF_ONE_KEY = ("over", "tolerance", "share")
 SWING, LEAN = "roll.oscillation_rad", "roll.final_error_rad"
 
 
@@ -72,7 +74,11 @@ def test_a_command_is_one(words: list[str]) -> None:
             "aircraft",
             "engine",
         )
-        searches.resolve_search(name, **{option: value for option, value in options.items() if option not in elsewhere})
+        stated = {option: value for option, value in options.items() if option not in elsewhere}
+        if stated.pop("worst") or stated["likely"]:
+            resolve_worst(name, **{option: value for option, value in stated.items() if option not in OF_ONE_KEY})
+        else:
+            searches.resolve_search(name, **{key: stated[key] for key in stated if key not in ("likely", "within")})
 
 
 @pytest.mark.parametrize("command", ["sweep", "search"])
