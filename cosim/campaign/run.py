@@ -61,7 +61,7 @@ def run_campaign(
     with Store.resume(folder, study) if is_begun else Store.create(folder, study) as store:  # type: ignore[arg-type]
         tell = progress or (lambda tally, done, of: None)
         tell(store.tally, store.stored, len(store.flights))
-        with _open_workers(workers) as flying:
+        with open_workers(workers) as flying:
             try:
                 for row in _fly_remaining(store, flying):
                     store.add(row)
@@ -183,7 +183,7 @@ def choose_workers(count: int | None, cluster: str | None, time_limit_s: float |
     return DaskWorkers(None if cluster == "local" else cluster, count, time_limit_s)
 
 
-def _open_workers(workers: Workers | int | None) -> AbstractContextManager[Workers]:
+def open_workers(workers: Workers | int | None) -> AbstractContextManager[Workers]:
     """Open workers that are closed by whoever made them."""
     if workers is None or isinstance(workers, int):
         return LocalWorkers(count_processors() if workers is None else workers)

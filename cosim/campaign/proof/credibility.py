@@ -188,7 +188,7 @@ def _uncertainty(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
 
 def _robustness(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
     name = "Results robustness"
-    search = "a search for the worst case over all keys together: --worst"
+    search = "a search for the worst case over all keys together: --search"
     if not evidence.ranked:
         level = 1 if evidence.searched else 0
         text = "a search over all keys together" if level else "no sensitivity is known"

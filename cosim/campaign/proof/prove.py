@@ -1,7 +1,8 @@
 """A proof from a study to a folder: the flights up to where the claim is decided, then what the worst of them are.
 
-The campaign is in ``campaign/``, the flights that were flown again in ``worst/``, the result in ``proof.json`` and
-``proof.html``.  A proof that was stopped goes on with the flights that it has; whatever follows them is done again.
+The campaign is in ``campaign/``, the searches in ``searches/``, the flights that were flown again in ``worst/``, the
+result in ``proof.json`` and ``proof.html``.  A proof that was stopped goes on with the flights that it has; what
+follows them is done again.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import json
 import shlex
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
@@ -28,12 +29,14 @@ from cosim.campaign.analysis.table import FlightTable, read_flight_table
 from cosim.campaign.analysis.worst_cases import eccentricity
 from cosim.campaign.folder import STUDY, is_campaign
 from cosim.campaign.proof.credibility import CHOSEN, Evidence, assess_credibility
+from cosim.campaign.proof.failure import LIKELY, SAID, search_failures
+from cosim.campaign.proof.failure import WORST as WORST_CASE
 from cosim.campaign.proof.limit import flown_limits
 from cosim.campaign.proof.page import write_page
 from cosim.campaign.proof.requirements import proven_requirements
 from cosim.campaign.proof.result import LEAST, NEAREST, Part, Proof, WorstFlight
 from cosim.campaign.proof.scope import kinds_not_varied, not_covered
-from cosim.campaign.run import Progress, fly_again, run_campaign
+from cosim.campaign.run import Progress, fly_again, open_workers, run_campaign
 from cosim.campaign.store import Campaign
 from cosim.campaign.study.keys import engine_source, with_values
 from cosim.campaign.study.model_notes import design_warnings
@@ -46,7 +49,7 @@ from cosim.spec.controller_name import short_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import aircraft_names
 
-CAMPAIGN, WORST, RESULT, REPORT = "campaign", "worst", "proof.json", "proof.html"
+CAMPAIGN, SEARCHES, WORST, RESULT, REPORT = "campaign", "searches", "worst", "proof.json", "proof.html"
 LISTED = 3  # flights with the smallest margins that are flown again
 PACKAGE = "hexjet-cosim"
 
@@ -58,6 +61,7 @@ class Request:
     """What a proof is to have beside its flights."""
 
     limit: bool = True  # the distance of the controller to the best
+    search: int = 0  # flights for each search, of the most likely failure and of the worst case; 0: none is made
     comparisons: Sequence[dict[str, Any]] = field(default_factory=tuple)  # what replay.json says of recorded flights
 
 
@@ -69,7 +73,7 @@ def prove(
     request: Request | None = None,
 ) -> Proof:
     """Fly a study until its claim is decided, and leave the proof in the folder ``out``; see the two steps below."""
-    return conclude(fly_study(study, out, workers, resume), out, request or Request())
+    return conclude(fly_study(study, out, workers, resume), out, request or Request(), workers)
 
 
 def fly_study(
@@ -94,15 +98,24 @@ def fly_study(
     return run_campaign(study, folder, workers, resume, progress)
 
 
-def conclude(campaign: Campaign, out: Path, request: Request, say: Say = lambda text: None) -> Proof:
+def conclude(
+    campaign: Campaign,
+    out: Path,
+    request: Request,
+    workers: Workers | int | None = None,
+    say: Say = lambda text: None,
+) -> Proof:
     """Find what the flights of :func:`fly_study` show and do not, and write the proof; ``say`` is told what is done.
+
+    ``workers`` fly what is searched for.
 
     Raises InputError for a campaign without a claim, FlightError if a file cannot be written.
     """
     claim = judge_claim(campaign)
     if claim is None:
         raise InputError(f"{campaign.folder}: its study has no claim")
-    proof = _conclude(out, campaign, claim, request, say)
+    searched = _search(campaign.study, out, request, workers, say)
+    proof = _conclude(out, campaign, claim, request, searched, say)
     say("pages")
     write_campaign_report(campaign)
     write_whole(out / RESULT, json.dumps(proof.to_json(), indent=1, allow_nan=False) + "\n", FlightError)
@@ -110,15 +123,24 @@ def conclude(campaign: Campaign, out: Path, request: Request, say: Say = lambda 
     return proof
 
 
-def _conclude(out: Path, campaign: Campaign, claim: ClaimResult, request: Request, say: Say) -> Proof:
+def _search(study: Study, out: Path, request: Request, workers: Workers | int | None, say: Say) -> Mapping[str, Part]:
+    """Search for the most likely failure and the worst case, where that is asked for."""
+    if not request.search:
+        return {name: Part(None, text) for name, text in SAID.items()}
+    with open_workers(workers) as flying:
+        return search_failures(study, out / SEARCHES, request.search, flying, say)
+
+
+def _conclude(
+    out: Path, campaign: Campaign, claim: ClaimResult, request: Request, searched: Mapping[str, Part], say: Say
+) -> Proof:
     """Do all that follows the flights."""
     study, table = campaign.study, read_flight_table(campaign)
     scenario = with_values(study.base(), {"controller": study.tried[0]})
     worst = list(_fly_worst(campaign, table, out, say))
     limits = flown_limits(scenario, say) if request.limit else "it was left out (--no-limit)"
-    failures = Part(None, "no search for the most likely failure was made")
     rare = Part(None, "no method for rare failures was used: what flights that succeed can show is all that is shown")
-    evidence = _evidence(study, table, scenario, worst, request)
+    evidence = _evidence(study, table, scenario, worst, request, searched)
     return Proof(
         folder=out,
         study={
@@ -131,14 +153,15 @@ def _conclude(out: Path, campaign: Campaign, claim: ClaimResult, request: Reques
         uncertainty=key_rows(study, table),
         over=_describe_draws(evidence),
         worst=worst,
-        failures=failures,
+        likely=searched[LIKELY],
+        worst_case=searched[WORST_CASE],
         rare=rare,
         limits={} if isinstance(limits, str) else limits,
         axis=_commanded_axis(scenario),
         no_limits=limits if isinstance(limits, str) else "",
-        not_covered=not_covered(study, [part.says for part in (failures, rare) if part.result is None]),
+        not_covered=not_covered(study, [part.says for part in (*searched.values(), rare) if part.result is None]),
         credibility=assess_credibility(evidence),
-        repeat=_repeat(out, campaign),
+        repeat=_repeat(out, campaign, request),
     )  # fmt: skip
 
 
@@ -166,11 +189,17 @@ def _fly_worst(campaign: Campaign, table: FlightTable, out: Path, say: Say) -> I
 
 
 def _evidence(
-    study: Study, table: FlightTable, scenario: Scenario, worst: Sequence[WorstFlight], request: Request
+    study: Study,
+    table: FlightTable,
+    scenario: Scenario,
+    worst: Sequence[WorstFlight],
+    request: Request,
+    searched: Mapping[str, Part],
 ) -> Evidence:
     """Return what the credibility of the proof is judged by."""
     source = engine_source(scenario, scenario.engine)
     uncertainty = source.uncertainty
+    again = [*(one.is_same for one in worst), *(part.result["is_same"] for part in searched.values() if part.result)]
     rankings = [rank_keys(table, 0, name) for name in (SUCCESS, *(metric.name for metric in table.metrics))]
     return Evidence(
         aircraft=scenario.aircraft_name,
@@ -183,10 +212,10 @@ def _evidence(
         varied=len(table.keys),
         not_varied=kinds_not_varied(study),
         ranked=len({effect.key for ranking in rankings if ranking for effect in ranking.effects}),
-        searched=False,
+        searched=searched[WORST_CASE].result is not None,
         warnings=[*design_warnings(study), *_model_warnings(scenario)],
-        replayed=len(worst),
-        replayed_same=sum(one.is_same for one in worst),
+        replayed=len(again),
+        replayed_same=sum(again),
         comparisons=request.comparisons,
     )
 
@@ -213,12 +242,13 @@ def _commanded_axis(scenario: Scenario) -> str:
     return next((signal for signal in signals if signal in AXES), AXES[0])
 
 
-def _repeat(out: Path, campaign: Campaign) -> dict[str, Any]:
+def _repeat(out: Path, campaign: Campaign, request: Request) -> dict[str, Any]:
     """Return what repeats the proof, and by what it is known to be the same."""
     study, digest = campaign.study, sha256()
     columns = [campaign.columns[name] for name in ("flight", "outcome", "success", "log_sha256")]
     for row in zip(*columns, strict=True):
         digest.update(f"{row}\n".encode())
     file = shlex.quote((out / CAMPAIGN / STUDY).as_posix())
-    command = f"hexjet prove {file} --claim {study.until} --budget {study.draws} --out AGAIN"
+    beside = f" --search {request.search}{'' if request.limit else ' --no-limit'}"
+    command = f"hexjet prove {file} --claim {study.until} --budget {study.draws}{beside} --out AGAIN"
     return {"command": command, "rows_sha256": digest.hexdigest(), "versions": versions()}

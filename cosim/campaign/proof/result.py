@@ -62,7 +62,8 @@ class Proof:
     uncertainty: Sequence[Mapping[str, Any]]  # key, drawn, nominal, flown, unit, source
     over: str  # what the probability is over, in words
     worst: Sequence[WorstFlight]
-    failures: Part  # the most likely failure, searched for
+    likely: Part  # the most likely failure, searched for
+    worst_case: Part  # the worst case, searched for
     rare: Part  # the probability of failure by a method for rare ones
     limits: Mapping[str, AxisLimit]  # by axis; empty: not done
     axis: str  # whose limit the sentence states
@@ -110,8 +111,8 @@ class Proof:
         return f"{begin}: {text}"
 
     def _failure(self) -> str:
-        if self.failures.result is not None:
-            return self.failures.says
+        if self.likely.result is not None:
+            return self.likely.says
         failed = [one for one in self.worst if one.why == NEAREST]
         for one in [*failed, *self.worst]:
             what = (
@@ -146,7 +147,8 @@ class Proof:
             "uncertainty": [dict(one) for one in self.uncertainty],
             "over": self.over,
             "worst": [asdict(one) for one in self.worst],
-            "most_likely_failure": _part(self.failures),
+            "most_likely_failure": _part(self.likely),
+            "worst_case": _part(self.worst_case),
             "rare": _part(self.rare),
             "limit": {axis: limit.to_dict() for axis, limit in self.limits.items()} or None,
             "no_limit": self.no_limits or None,
@@ -165,4 +167,4 @@ class Proof:
 
 
 def _part(part: Part) -> dict[str, Any]:
-    return {"done": part.result is not None, "says": part.says, **(part.result or {})}
+    return {**(part.result or {}), "done": part.result is not None, "says": part.says}

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
+from cosim.base.storage.toml import read_toml
 from cosim.campaign.proof.design_study import design_study, find_design
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.sequential import default_runs, parse_claim
-from cosim.campaign.study.study import Study
+from cosim.campaign.study.study import Study, find_study, study_names
 from cosim.spec.controller_name import short_name
 
 
@@ -25,13 +26,19 @@ def proof_study(name: str, claim: str | None, budget: int | None = None, **optio
         if claim is None:
             raise InputError(f"{name}: a design states no claim; --claim says what is to be shown, such as 99.9%@95%")
         return _checked(design_study(designed, claim, budget or default_runs(claim), **options), claim)
+    table = _study_table(name)
+    claim = claim or table.get("until")
     if claim is None:
-        claim = open_study(name, **options).until
-        if claim is None:
-            raise InputError(f"{name}: states no claim (until); --claim says what is to be shown, such as 99.9%@95%")
-    return _checked(
-        open_study(name, until=claim, design="random", runs=budget or default_runs(claim), **options), claim
-    )
+        raise InputError(f"{name}: states no claim (until); --claim says what is to be shown, such as 99.9%@95%")
+    study = open_study(name, until=claim, design="random", runs=budget or default_runs(claim), **options)
+    if not any(options.get(key) for key in ("settings", "controllers", "vary")):  # what flies is what the title says
+        study = study.changed(**{key: table[key] for key in ("title", "description") if key in table})
+    return _checked(study, claim)
+
+
+def _study_table(name: str) -> dict[str, Any]:
+    """Return the table of a study's file; empty for a scenario's name."""
+    return read_toml(find_study(name)) if Path(name).is_file() or name in study_names() else {}
 
 
 def _checked(study: Study, claim: str) -> Study:

@@ -32,6 +32,10 @@ class Prove(CampaignOptions):
     engine = opt.word("--engine", "NAME|FILE", "As in hexjet sweep.")
     nominal_engine, settings = opt.NOMINAL_ENGINE, opt.SETTINGS
     seed = opt.whole("--seed", None, "Of the draws.")
+    search = opt.whole(
+        "--search", "N", "Flights for each search: of the most likely failure, and of the worst case; 0: none.",
+        min=0, default=500,
+    )  # fmt: skip
     limit: bool = opt.option(
         "--limit/--no-limit", default=True,
         help="Compare the controller with the best that any linear one could do; a minute.  [default: --limit]",
@@ -67,7 +71,7 @@ def prove(options: Prove) -> int:
     is_begun = is_campaign(Path(options.name) / CAMPAIGN)
     if is_begun and not options.resume:
         raise InputError(f"{options.name}: already holds a proof; --resume goes on with it")
-    request = Request(options.limit, tuple(map(read_comparison, options.replays)))
+    request = Request(options.limit, options.search, tuple(map(read_comparison, options.replays)))
     if is_begun:
         study, folder = None, Path(options.name)
     else:
@@ -85,7 +89,7 @@ def prove(options: Prove) -> int:
         with sweep_progress(folder / CAMPAIGN, quiet=options.as_json, goes_on=f"hexjet prove {folder}") as tell:
             campaign = fly_study(study, folder, flying, options.resume, tell)
         with part_progress("prove", options.as_json) as show:
-            proof = conclude(campaign, folder, request, lambda text: show(text, 0, 1))
+            proof = conclude(campaign, folder, request, flying, lambda text: show(text, 0, 1))
     options.answer(proof.to_json, lambda: print_proof(proof))
     return DONE if proof.decision == "shown" else FLIGHT_FAILED
 

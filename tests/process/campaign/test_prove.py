@@ -45,6 +45,29 @@ range = [5.4, 5.8]
 "altitude.max_abs_error_m" = { max = 0.5 }
 """
 
+EDGE = """
+name = "edge"
+scenario = "hover"
+controllers = ["smith"]
+design = "random"
+runs = 400
+until = "60%@90%"
+
+[settings]
+duration_s = 0.2
+
+[[vary]]
+key = "vehicle.mass_kg"
+normal = { mean = 5.525, sd = 0.05, min = 5.2, max = 5.9 }
+
+[[vary]]
+key = "mismatch.thrust_factor"
+normal = { mean = 1.0, sd = 0.03, min = 0.85, max = 1.15 }
+
+[success]
+"altitude.max_abs_error_m" = { max = 0.012 }
+"""
+
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -57,9 +80,19 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def proven(study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """99 % at 95 %, shown by two workers."""
-    folder = tmp_path_factory.mktemp("proof") / "p"
+    return shown(study, "99%@95%", tmp_path_factory.mktemp("proof") / "p")
+
+
+@pytest.fixture(scope="module")
+def small(study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """90 % at 95 %, the same way: a tenth of the flights."""
+    return shown(study, "90%@95%", tmp_path_factory.mktemp("small") / "p")
+
+
+def shown(study: Path, claim: str, folder: Path) -> Path:
+    given = ["--claim", claim, "--no-limit", "--search", "0", "--workers", "2", "--out", str(folder)]
     with pytest.raises(SystemExit) as end:
-        main(["prove", str(study), "--no-limit", "--workers", "2", "--out", str(folder)])
+        main(["prove", str(study), *given])
     assert not end.value.code
     return folder
 
@@ -89,9 +122,10 @@ def test_99_percent_is_shown_on_one_page_and_in_one_json(proven: Path) -> None:
     )
     assert "(95 % confidence, 368 flights, 0 of them failed, stopped by rule)" in data["sentence"]
     assert [one["label"] for one in data["requirements"]] == ["R1", "R2"]
+    assert "with options of its own" not in data["study"]["title"]
     assert (data["requirements"][1]["broken"], data["requirements"][1]["unit"]) == (0, "m")
     assert 0.0 < data["requirements"][1]["margin"] < 0.5
-    assert data["most_likely_failure"]["done"] is data["rare"]["done"] is False
+    assert {data[part]["done"] for part in ("most_likely_failure", "worst_case", "rare")} == {False}
     assert data["limit"] is None
     assert any("no key varies engines, delay, thrust" in text for text in data["not_covered"])
     page = (proven / "proof.html").read_text()
@@ -111,25 +145,26 @@ def test_the_worst_flights_are_runs_that_fly_again(proven: Path) -> None:
     assert worst[0]["values"]["vehicle.mass_kg"] == again.scenario.vehicle["mass_kg"]
 
 
-def test_its_own_command_repeats_it(proven: Path, hexjet: Hexjet, tmp_path: Path) -> None:
-    first = told(proven)["repeat"]
+def test_its_own_command_repeats_it(small: Path, hexjet: Hexjet, tmp_path: Path) -> None:
+    first = told(small)["repeat"]
     words = [str(tmp_path / "again") if word == "AGAIN" else word for word in shlex.split(first["command"])]
-    done = hexjet(*words[1:], "--no-limit", "--workers", "1", "--json")
+    assert words[-4:-1] == ["0", "--no-limit", "--out"]
+    done = hexjet(*words[1:], "--workers", "1", "--json")
     assert done.status == 0
     assert json.loads(done.out)["repeat"]["rows_sha256"] == first["rows_sha256"]
 
 
-def test_stopped_and_resumed_it_comes_to_the_same(proven: Path, study: Path, hexjet: Hexjet, tmp_path: Path) -> None:
-    stopped = fly_study(proof_study(str(study), None), tmp_path / "p", Some(50))  # type: ignore[arg-type]
+def test_stopped_and_resumed_it_comes_to_the_same(small: Path, study: Path, hexjet: Hexjet, tmp_path: Path) -> None:
+    stopped = fly_study(proof_study(str(study), "90%@95%"), tmp_path / "p", Some(20))  # type: ignore[arg-type]
     partly = conclude(stopped, tmp_path / "p", Request(limit=False))
     assert partly.decision == "open"
     assert partly.sentence.startswith("Nothing can be said yet")
     refused = hexjet("prove", str(tmp_path / "p"))
     assert (refused.status, refused.err.count("\n")) == (2, 1)
     assert "already holds a proof; --resume goes on with it" in refused.err
-    assert hexjet("prove", str(tmp_path / "p"), "--resume", "--no-limit").status == 0
+    assert hexjet("prove", str(tmp_path / "p"), "--resume", "--no-limit", "--search", "0").status == 0
     data = told(tmp_path / "p")
-    first = told(proven)
+    first = told(small)
     assert data["repeat"]["rows_sha256"] == first["repeat"]["rows_sha256"]
     assert {**data, "repeat": 0} == {**first, "repeat": 0}
 
@@ -137,7 +172,7 @@ def test_stopped_and_resumed_it_comes_to_the_same(proven: Path, study: Path, hex
 def test_refuted_and_open_are_no_success(study: Path, hexjet: Hexjet, tmp_path: Path) -> None:
     failing = tmp_path / "failing.toml"
     failing.write_text(HOVER.replace("max = 0.5", "max = 1e-9"))
-    done = hexjet("prove", str(failing), "--no-limit", "--workers", "1", "--out", "p")
+    done = hexjet("prove", str(failing), "--no-limit", "--search", "0", "--workers", "1", "--out", "p")
     data = told(tmp_path / "p")
     assert (done.status, data["decision"]) == (1, "refuted")
     assert data["sentence"].startswith("99 % is refuted: the vehicle hexjet")
@@ -149,6 +184,31 @@ def test_refuted_and_open_are_no_success(study: Path, hexjet: Hexjet, tmp_path: 
     seldom.write_text(HOVER.replace('"altitude.max_abs_error_m" = { max = 0.5 }', '"altitude.rmse_m" = { max = 1.0 }'))
     few = prove(proof_study(str(seldom), "50%@99.9%", 10), tmp_path / "few", 1, request=Request(limit=False))
     assert few.decision == "shown"  # 10 of 10: 2^-10 is below the error
+
+
+def test_the_most_likely_failure_and_the_worst_case_are_runs(hexjet: Hexjet, tmp_path: Path) -> None:
+    """Of a study that fails where the thrust is off by two standard deviations: the search finds that edge."""
+    pytest.importorskip("cmaes", reason="no cmaes: pip install 'hexjet-cosim[worst]'")
+    edge = tmp_path / "edge.toml"
+    edge.write_text(EDGE)
+    arguments = ("prove", str(edge), "--no-limit", "--search", "60", "--out", "p", "--workers", "2")
+    assert hexjet(*arguments).status == 0
+    data = told(tmp_path / "p")
+    likely, worst = data["most_likely_failure"], data["worst_case"]
+    assert (likely["done"], likely["fails"], likely["is_same"], worst["is_same"]) == (True, True, True, True)
+    assert likely["distance"] == pytest.approx(2.1, abs=0.1)
+    assert max(likely["keys"], key=likely["keys"].get) == "mismatch.thrust_factor"
+    assert worst["margin"] < likely["margin"] < 0.0
+    assert likely["says"] in data["sentence"]
+    for found in (likely, worst):
+        assert open_run(tmp_path / "p" / found["run"]).outcome == "completed"
+    assert [one["level"] for one in data["credibility"] if one["name"] == "Results robustness"] == [1]  # few flights
+    journal = tmp_path / "p" / "searches" / "likely" / "flights.jsonl"
+    flown = journal.read_text().splitlines(keepends=True)
+    journal.write_text("".join(flown[:20]))  # stopped there, a proof goes on and comes to the same
+    assert hexjet(*arguments, "--resume").status == 0
+    assert journal.read_text().splitlines()[:20] == [line.rstrip() for line in flown[:20]]
+    assert {**told(tmp_path / "p"), "repeat": 0} == {**data, "repeat": 0}
 
 
 @pytest.mark.parametrize(

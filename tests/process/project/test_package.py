@@ -141,7 +141,12 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     }
     assert templates
     assert (
-        fmus | data | code | templates | {"cosim/py.typed", "hexjet_paper/py.typed", "hexjet_paper/calibration.toml"}
+        fmus
+        | data
+        | code
+        | templates
+        | {"cosim/py.typed", "cosim/campaign/proof/evidence.toml"}
+        | {"hexjet_paper/py.typed", "hexjet_paper/calibration.toml"}
     ) - names == set()
     assert (f"cosim/{STAMP}" in names) == (not UNCOMPILED)
     # and nothing else of the data than what is in the clone

@@ -1,0 +1,75 @@
+"""The worst case and the most likely failure of what is proven, searched for over all keys at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+from cosim.campaign.proof.result import Part
+from cosim.campaign.search.folder import CASES
+from cosim.campaign.search.worst_case import LIKELY_WITHIN, WORST_WITHIN, WorstCase, WorstPlan, important
+from cosim.campaign.search.worst_folder import SavedWorst, run_worst
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.protocol import Workers
+
+NOTED = 3  # keys that are named of a failure
+LIKELY, WORST = "likely", "worst"  # the searches, and their folders within that of the proof's searches
+SAID = {  # of one that was not made
+    LIKELY: "no search for the most likely failure was made",
+    WORST: "no search for the worst case was made",
+}
+HINT = "pip install 'hexjet-cosim[worst]'"
+
+
+def search_failures(
+    study: Study, folder: Path, budget: int, workers: Workers, say: Callable[[str], None]
+) -> dict[str, Part]:
+    """Search the most likely failure and the worst case with so many flights each; a search goes on where it was.
+
+    The flights have the noise and turbulence of the scenario's own seed.  Where the package that searches is not
+    installed a part says so.  Raises FlightError if no more can be flown.
+    """
+    if find_spec("cmaes") is None:
+        return {name: Part(None, f"{SAID[name]}: the package cmaes is not installed, {HINT}") for name in SAID}
+    searched = study.changed(until=None, runs=1)
+    parts = {}
+    for name in (LIKELY, WORST):
+        within = LIKELY_WITHIN if name == LIKELY else WORST_WITHIN
+        plan = WorstPlan(name == LIKELY, within, (study.base().seed,), budget, study.seed)
+        place = folder / name
+        saved = run_worst(searched, plan, place, workers, True, lambda flights, name=name: say(f"{name}: {flights}"))  # type: ignore[misc]
+        parts[name] = _part(saved, f"{folder.name}/{name}")
+    return parts
+
+
+def _part(saved: SavedWorst, place: str) -> Part:
+    (found,), (case,) = saved.result.cases, saved.cases
+    run = f"{place}/{CASES}/{case.name}"
+    result = {
+        "fails": found.fails,
+        "margin": found.margin,
+        "distance": found.distance,
+        "flights": found.flights,
+        "reason": found.reason,
+        "values": dict(found.values),
+        "keys": {effect.name: effect.share for effect in important(found.effects)},
+        "run": run,
+        "is_same": case.same,
+        "says": saved.result.lines()[0],
+        "notes": saved.result.notes,
+    }
+    return Part(result, _describe(found, run, saved.result.plan.likely))
+
+
+def _describe(found: WorstCase, run: str, likely: bool) -> str:
+    """Return what was found in a clause of the proof's sentence."""
+    moved = [effect for effect in important(found.effects) if effect.share >= 0.01][:NOTED]
+    keys = ", ".join(f"{effect.name} {100.0 * effect.share:.0f} %" for effect in moved)
+    place = f"{found.distance:.2f} standard deviations from the middle ({keys or 'no key'})"
+    effort = f"of {found.flights:,} flights that searched"
+    if not found.fails:
+        what = "no failure was found" if likely else "its worst case found keeps all"
+        return f"{what}, {effort}: the nearest to it is {run}, margin {found.margin:.3g}, {place}"
+    what = "its most likely failure found" if likely else "its worst case found"
+    return f"{what} is {run}, margin {found.margin:.3g}, {place}, {effort}"
