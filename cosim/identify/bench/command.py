@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 
@@ -12,6 +13,8 @@ LONGEST_EXPONENT = 200.0  # of a block of the recursion: e^200 is far from what 
 MOST_KNOWN = 8  # lags, whose states are kept
 SMOOTH = 1e-4  # of a command's range: straight through so near to its rows it is the same
 LARGEST_RATIO = 0.999  # of two lags: nearer to each other their two answers cancel
+SAME_LAG = 1e-6  # of a lag: two that differ by less are one
+STEEPEST = 600.0  # ratio of a lag's change to the lag, that a double's exponential takes
 SAME_SLOPE = 1e-9  # of the command's range a row: slopes that differ by less are one
 
 
@@ -58,6 +61,56 @@ class Command:
             return first
         return np.asarray((first - ratio * self.lagged_means(ratio * lag, begins, ends)) / (1.0 - ratio))
 
+    def lagged_by_level(self, lags: tuple[float, float], at: Array) -> Array:
+        """Return the answer of ``(a + b y) y' = u - y`` at these times [s], from rest: a lag that goes with the answer.
+
+        ``lags``: at an answer of 0 and of 1, s.  Of a command that is held alone: of ``e = u - y`` and ``c = a + b u``
+        then ``s exp(s)``, ``s = -b e / c``, falls as ``exp(-t / c)``, which Lambert's W undoes.
+        """
+        piece = np.maximum(np.searchsorted(self.times, at, side="right") - 1, 0)
+        within = np.maximum(at - self.times[piece], 0.0)
+        return np.asarray(self.values[piece] - self._errors_by_level(lags, piece, within))
+
+    def lagged_by_level_means(self, lags: tuple[float, float], begins: Array, ends: Array) -> Array:
+        """Return the means of :meth:`lagged_by_level` from each of these times [s] to its end.
+
+        Over a piece ``e`` has the integral ``c e - b e^2 / 2``, from its beginning to its end.
+        """
+        base, slope = lags[0], lags[1] - lags[0]
+        first = self._errors_by_level(lags, np.arange(len(self.times)), np.zeros(len(self.times)))
+        h = np.diff(self.times)
+        last = self._errors_by_level(lags, np.arange(len(h)), h)
+
+        def area(piece: NDArray[np.intp], error: Array) -> Array:
+            return np.asarray((base + slope * self.values[piece] - 0.5 * slope * error) * error, np.float64)
+
+        pieces = np.arange(len(h))
+        over: Array = area(pieces, first[:-1]) - area(pieces, last)
+        whole = np.concatenate([[0.0], np.cumsum(over)])
+
+        def missing(at: Array) -> Array:
+            piece = np.maximum(np.searchsorted(self.times, at, side="right") - 1, 0)
+            error = self._errors_by_level(lags, piece, np.maximum(at - self.times[piece], 0.0))
+            return np.asarray(whole[piece] + area(piece, first[piece]) - area(piece, error))
+
+        seconds = ends - begins
+        command = (self._integral(ends) - self._integral(begins)) / seconds
+        return np.asarray(command - (missing(ends) - missing(begins)) / seconds)
+
+    def _errors_by_level(self, lags: tuple[float, float], piece: NDArray[np.intp], within: Array) -> Array:
+        """Return command less answer so many seconds into these pieces."""
+        base, slope = lags[0], lags[1] - lags[0]
+        settled = base + slope * self.values
+        if abs(slope) < SAME_LAG * max(lags):
+            slope = SAME_LAG * max(lags)
+        state, h = np.zeros(len(self.times)), np.diff(self.times)
+        for k in range(1, len(state)):
+            before = state[k - 1]
+            left = _undo(-slope * before / settled[k - 1], h[k - 1] / settled[k - 1]) * settled[k - 1] / -slope
+            state[k] = left + self.values[k] - self.values[k - 1]
+        own = settled[piece]
+        return np.asarray(_undo(-slope * state[piece] / own, within / own) * own / -slope)
+
     def _integral(self, at: Array) -> Array:
         """Return the command's integral from its first time to these times [s]."""
         h = np.diff(self.times)
@@ -86,6 +139,14 @@ class Command:
             self._known.clear()
         self._known[lag] = state
         return state
+
+
+def _undo(start: Array, fallen: Array) -> Array:
+    """Return the ``s`` whose ``s exp(s)`` is that of ``start`` times ``exp(-fallen)``."""
+    from scipy.special import lambertw
+
+    start = np.clip(start, -1.0, STEEPEST)
+    return np.asarray(lambertw(start * np.exp(start - fallen)).real)
 
 
 def _over(lag: float, seconds: Array, state: Array, value: Array, slope: Array) -> Array:

@@ -35,19 +35,26 @@ SMALLEST_SHARE = 1e-12  # of the largest column, that one has to have of its own
 
 
 class Form(NamedTuple):
-    """What is fitted: one lag or two, the static curve straight or with an exponent."""
+    """What is fitted: one lag or two, the static curve straight or with an exponent; or a lag that goes with the level.
+
+    That one is a straight line over the answer, from the lag where it is 0 to the one at full throttle.
+    """
 
     lags: int = 1
     curve: bool = False
+    by_level: bool = False  # with one lag and a straight curve alone
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters that are searched for."""
-        return ("delay_s", "lag_s", *(("ratio",) if self.lags == 2 else ()), *(("exponent",) if self.curve else ()))
+        more = (self.lags == 2, "ratio"), (self.curve, "exponent"), (self.by_level, "lag_full_s")
+        return ("delay_s", "lag_s", *(name for there, name in more if there))
 
     @property
     def label(self) -> str:
         """The form in words."""
+        if self.by_level:
+            return "delay and a lag by the level"
         return ("delay and one lag" if self.lags == 1 else "delay and two lags") + (", curve" if self.curve else "")
 
     def split(self, x: Array) -> tuple[float, float, float, float]:
@@ -89,8 +96,10 @@ class Estimate:
 
     @property
     def lags(self) -> tuple[float, ...]:
-        """Lags, s, the longer first."""
+        """Lags, s, the longer first; of one that goes with the level that at half of it."""
         _, lag, ratio, _ = self.form.split(self.x)
+        if self.form.by_level:
+            return (0.5 * (lag + float(self.x[2])),)
         return (lag, ratio * lag) if self.form.lags == 2 else (lag,)
 
     @property
@@ -101,6 +110,8 @@ class Estimate:
         slope[:2] = 1.0, 1.0 + ratio
         if self.form.lags == 2:
             slope[2] = lag
+        if self.form.by_level:
+            slope[1:3] = 0.5
         return self.delay + sum(self.lags), float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0)))
 
 
@@ -123,6 +134,13 @@ class Part:
             begins, ends = at - 0.5 * self.width, at + 0.5 * self.width
             return command.twice_lagged_means(lag, ratio, begins, ends)
         return command.twice_lagged(lag, ratio, at)
+
+    def answer_by_level(self, lags: tuple[float, float], delay: float) -> Array:
+        """Return the delayed command behind a lag that goes with the level, averaged as the rows are."""
+        command, at = self.piecewise(1.0), self.times - delay
+        if self.width > 0.0:
+            return command.lagged_by_level_means(lags, at - 0.5 * self.width, at + 0.5 * self.width)
+        return command.lagged_by_level(lags, at)
 
     def piecewise(self, exponent: float) -> Command:
         """Return the command behind the static curve."""
@@ -201,7 +219,10 @@ class Problem:
         count = len(self.parts)
         columns = np.zeros((len(self.output), 1 + (3 if self.drift else 2) * count))
         for n, (part, span) in enumerate(zip(self.parts, self._spans, strict=True)):
-            columns[span, 0] = part.answer(exponent, lag, ratio, delay)
+            if form.by_level:
+                columns[span, 0] = part.answer_by_level((lag, float(x[2])), delay)
+            else:
+                columns[span, 0] = part.answer(exponent, lag, ratio, delay)
             columns[span, 1 + n] = 1.0
             columns[span, 1 + count + n] = np.exp(-(part.times - part.times[0]) / lag)
             if self.drift:
@@ -260,6 +281,8 @@ class Problem:
             low, high = [*low, 0.0], [*high, LARGEST_RATIO]
         if form.curve:
             low, high = [*low, EXPONENTS[0]], [*high, EXPONENTS[1]]
+        if form.by_level:
+            low, high = [*low, low[1]], [*high, high[1]]
         return np.array(low), np.array(high)
 
 
@@ -276,10 +299,9 @@ def fit(problem: Problem, form: Form, near: Estimate | None = None) -> Estimate:
     start = _start(problem) if near is None else near.x[:2]
     memory = 0.0 if near is None else near.memory
     best, loss = _solve(problem, form, _complete(form, start), memory)
-    if form.lags == 2:
-        other = np.array([max(best[0] - 0.3 * best[1], 0.0), 0.7 * best[1], 0.5, *best[3:]])
+    for other in _other_starts(form, best):
         found = _solve(problem, form, other, memory)
-        best = found[0] if found[1] < loss else best
+        best, loss = found if found[1] < loss else (best, loss)
     for _ in range(ROUNDS):
         linear = problem.shares(form, best, memory)[0]
         before, memory = memory, problem.memory_of(problem.output - problem.regressors(form, best) @ linear)
@@ -290,7 +312,18 @@ def fit(problem: Problem, form: Form, near: Estimate | None = None) -> Estimate:
 
 
 def _complete(form: Form, start: Array) -> Array:
-    return np.array([*start[:2], *((0.2,) if form.lags == 2 else ()), *((1.0,) if form.curve else ())])
+    more = (form.lags == 2, 0.2), (form.curve, 1.0), (form.by_level, start[1])
+    return np.array([*start[:2], *(value for there, value in more if there)])
+
+
+def _other_starts(form: Form, best: Array) -> list[Array]:
+    """Return where else to begin: a longer second lag, or a lag that goes the other ways with the level."""
+    if form.lags == 2:
+        return [np.array([max(best[0] - 0.3 * best[1], 0.0), 0.7 * best[1], 0.5, *best[3:]])]
+    if form.by_level:
+        lag = 0.5 * (best[1] + best[2])
+        return [np.array([best[0], 1.6 * lag, 0.4 * lag]), np.array([best[0], 0.4 * lag, 1.6 * lag])]
+    return []
 
 
 def _start(problem: Problem) -> Array:
@@ -407,6 +440,8 @@ def _delayed(form: Form, x: Array, delay: float) -> Array:
     second = ratio * lag + float(x[0]) - delay
     y = x.copy()
     y[0] = delay
+    if form.by_level:
+        y[1:3] = np.maximum(x[1:3] + float(x[0]) - delay, 0.1 * x[1:3])
     if form.lags == 2:
         y[2] = min(max(second, 0.0) / lag, LARGEST_BEGUN)
         y[1] = max(lag + min(second, 0.0), 0.1 * lag)
@@ -416,7 +451,7 @@ def _delayed(form: Form, x: Array, delay: float) -> Array:
 def bound_delay(problem: Problem, estimate: Estimate, has_second: bool) -> tuple[float, float]:
     """Return 95 % bounds of the delay [s] by its profile likelihood, between 0 and the longest that is looked for.
 
-    ``estimate`` has two lags; ``has_second``: the second is told by the log.
+    ``estimate`` has two lags or one that goes with the level; ``has_second``: the second is told by the log.
     """
     wanted = float(np.sqrt(CHI2_95 if has_second else MIXED_95)) * plain_factor(problem, estimate)
     low, high = problem.limits(estimate.form)

@@ -25,7 +25,8 @@ LONG_RANGE = 100.5  # up to which a throttle without a unit is taken for percent
 UNIT_RANGE = 1.05  # and up to which for a share of full throttle
 ENOUGH_ROWS = 4000  # of all logs; more are averaged where they are fine enough
 SHORT = 0.04  # of delay and lags together: over so long rows may be averaged
-CLEAR = 10.0  # by which Schwarz' criterion has to fall for a zero that drifts
+CLEAR = 10.0  # by which Schwarz' criterion has to fall for a zero that drifts, or rise for a form to be refuted
+BY_LEVEL = Form(by_level=True)
 POOR_PREDICTION = 1.5  # times the residual of what was fitted, above which the part held back is ill explained
 
 
@@ -257,13 +258,27 @@ def _choose(problem: Problem, base: Estimate, records: Sequence[BenchRecord]) ->
     if len(levels) >= LEAST_LEVELS:
         curve = fit(problem, Form(1, True), base)
         estimates += [curve, fit(problem, Form(2, True), curve)]
-    return tuple(sorted(estimates, key=lambda one: one.bic))
+    if not any(part.straight for part in problem.parts):
+        estimates.append(fit(problem, BY_LEVEL, base))
+    likeliest = sorted(estimates, key=lambda one: one.bic)
+    if likeliest[0].form == BY_LEVEL and len(levels) < LEAST_LEVELS:  # one step does not tell it from two lags
+        likeliest.insert(1, likeliest.pop(0))
+    return tuple(likeliest)
 
 
 def _delay_bounds(problem: Problem, estimates: Sequence[Estimate]) -> tuple[float, float]:
-    """Return bounds of the delay, s, by the form with two lags, which contains that with one: no log refutes it."""
-    lags, curve = estimates[0].form
-    return bound_delay(problem, next(one for one in estimates if one.form == Form(2, curve)), lags == 2)
+    """Return bounds of the delay, s, that hold it in each form which the logs do not refute.
+
+    They are those of the form with two lags, which contains that with one; and of a lag that goes with the level.
+    """
+    lags, curve, by_level = estimates[0].form
+    two = next(one for one in estimates if one.form == Form(2, curve))
+    level = next((one for one in estimates if one.form == BY_LEVEL), None)
+    least = min(one.bic for one in estimates) + CLEAR
+    bounds = [] if by_level and two.bic > least else [bound_delay(problem, two, lags == 2)]
+    if level is not None and level.bic <= least:
+        bounds.append(bound_delay(problem, level, True))
+    return min(low for low, _ in bounds), max(high for _, high in bounds)
 
 
 def _widen(problem: Problem, estimate: Estimate, deviation: float) -> Estimate:
