@@ -11,10 +11,11 @@ Outcome = Literal["completed", "crashed", "diverged", "failed"]
 class Verdict(StrEnum):
     """The verdict on a flight.  Its value is the word in files and on pages."""
 
-    # of a run, by its limits and by what its scenario expects
+    # of a run, by its limits and by what its scenario expects and requires
     AS_PLANNED = "as planned"
     NOTHING_CHECKED = "completed, nothing checked"
     UNMET = "not as expected"
+    BROKEN = "requirement broken"
     BEYOND_LIMITS = "beyond limits"
     NOT_COMPLETED = "not completed"
     # of a flight with a fault: level to a few degrees, or neither crashed nor diverged and no more than that
@@ -37,5 +38,10 @@ class Verdict(StrEnum):
 
 
 RunVerdict = Literal[
-    Verdict.AS_PLANNED, Verdict.NOTHING_CHECKED, Verdict.UNMET, Verdict.BEYOND_LIMITS, Verdict.NOT_COMPLETED
+    Verdict.AS_PLANNED,
+    Verdict.NOTHING_CHECKED,
+    Verdict.UNMET,
+    Verdict.BROKEN,
+    Verdict.BEYOND_LIMITS,
+    Verdict.NOT_COMPLETED,
 ]

@@ -19,6 +19,8 @@ from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.study import Study
 from cosim.control.predictors.registry import BASELINE
 from cosim.engine import EngineSpec, load_engine
+from cosim.results.expectations import allowed_metric_names
+from cosim.results.requirements.stated import check_signals
 from cosim.results.resolved_scenario import copy_controller, copy_vehicle, engine_files, resolve
 from cosim.simulation.build import build
 from cosim.simulation.controllers.source import find_controller_source
@@ -74,6 +76,7 @@ def freeze(study: Study) -> FrozenStudy:
     for controller in study.tried:
         build(with_values(base, {"controller": controller})).close()
     with build(with_values(base, {"controller": BASELINE.name})) as simulation:
+        check_signals(simulation, allowed_metric_names(base))
         resolved, sources = resolve(simulation)
         scenario = _scenario(study, resolved, simulation, sources)
     controllers = [_controller(name, study.folder, sources) for name in study.controllers]

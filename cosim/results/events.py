@@ -17,7 +17,7 @@ from cosim.base.constants import SENSORS
 from cosim.base.errors import FlightError, InputError
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.log.columns import jets_in, logged_vehicle_of
-from cosim.results.metrics import Record
+from cosim.results.metrics import Record, find_contact_changes, find_contact_rows
 
 if TYPE_CHECKING:
     from cosim.results.log.recorder import Log
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import DisturbanceEntry, Fault, Scenario
 
 Kind = Literal["fault", "monitor", "disturbance", "contact", "pilot"]
-APART_S = 0.5  # contacts nearer to each other than this are one
+LEAVES, TOUCHES = "leaves the ground", "touches the ground"
 MOST = 500  # events of one kind that are kept; the log has all of them
 
 
@@ -150,14 +150,8 @@ def _health_text(health: float) -> str:
 
 def find_contacts(log: Log, step: float) -> Iterator[Event]:
     """Yield when the vehicle leaves the ground and stands on it again, bounces left out."""
-    contact = (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
-    edges = np.flatnonzero(np.diff(contact.astype(np.int8))) + 1
-    last = contact[0]
-    for index, row in enumerate(edges.tolist()):
-        following = edges[index + 1] if index + 1 < edges.size else contact.size
-        if contact[row] != last and (following - row) * step >= APART_S:
-            last = contact[row]
-            yield Event(time_s=row * step, kind="contact", text="touches the ground" if last else "leaves the ground")
+    for row, stands in find_contact_changes(find_contact_rows(log), step):
+        yield Event(time_s=row * step, kind="contact", text=TOUCHES if stands else LEAVES)
 
 
 def find_disturbances(scenario: Scenario, end: float) -> Iterator[Event]:

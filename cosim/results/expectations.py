@@ -6,6 +6,7 @@ from cosim.base.errors import InputError, nearest
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import list_engine_names
 from cosim.results.metrics import metric_names
+from cosim.results.requirements.stated import check_requirements
 from cosim.simulation.controllers.source import list_installed as own_controllers
 from cosim.simulation.plugins import load_metrics
 from cosim.spec.controller_name import file_name
@@ -14,7 +15,8 @@ from cosim.spec.vehicle import aircraft_names, is_aircraft_path, is_file
 
 
 def check_expected(scenario: Scenario) -> None:
-    """Refuse expectations that nothing could meet: of an unknown controller, engine or metric (InputError)."""
+    """Refuse what nothing could meet: an expectation of an unknown controller, engine or metric (InputError)."""
+    check_requirements(scenario)
     allowed_metrics = allowed_metric_names(scenario)
     for index, entry in enumerate(scenario.expect):
         where = f"scenario {scenario.name}: expect.{index}"

@@ -28,6 +28,7 @@ HOLD_S = 0.2  # chosen by us: shorter than any doublet worth flying, longer than
 SMALLEST_STEP_RAD = 1e-3  # chosen by us: a smaller offset at the start is trim or noise, not a command
 SETTLING_BAND = 0.05  # of the step's size, the common 5 % convention
 FINAL_S = 1.0  # the end of the flight that tells whether it is at rest
+APART_S = 0.5  # contacts nearer to each other than this are one
 FLIGHT_M = 0.2  # chosen by us: less is a hop at take-off or a bounce
 REVERSAL = 0.01  # of a command's range, chosen by us: 10 us of a pulse that spans 1000, several dead bands of a servo
 AT_LIMIT = 1e-9  # throttle, rad: rounding between a limit and a command that was cut there
@@ -276,6 +277,17 @@ def speed_metrics(speed: Array) -> SpeedMetrics:
 def find_contact_rows(log: Columns) -> NDArray[np.bool_]:
     """Return the rows on which a leg or the hull touches the ground."""
     return (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
+
+
+def find_contact_changes(contact: NDArray[np.bool_], step_s: float) -> Iterator[tuple[int, bool]]:
+    """Yield the rows on which the vehicle leaves the ground, or stands on it again (True), bounces left out."""
+    edges = np.flatnonzero(np.diff(contact.astype(np.int8))) + 1
+    last = contact[0]
+    for index, row in enumerate(edges.tolist()):
+        following = edges[index + 1] if index + 1 < edges.size else contact.size
+        if contact[row] != last and (following - row) * step_s >= APART_S:
+            last = contact[row]
+            yield row, bool(last)
 
 
 def saturation_in_flight(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:

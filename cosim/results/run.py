@@ -153,7 +153,12 @@ class Recording:
 
     def note_steps(self, steps: int, by_hand: int) -> None:
         """Note the steps so far and how many commands of them a program gave: nothing is expected of the flight."""
-        changed = {"planned_s": steps * self._setup.step_s, "by_hand": by_hand, "expectation": None}
+        changed: dict[str, object] = {
+            "planned_s": steps * self._setup.step_s,
+            "by_hand": by_hand,
+            "expectation": None,
+            "requires": [],
+        }
         self._setup = self._setup.model_copy(update=changed)
 
     def finish(

@@ -9,9 +9,11 @@ from pathlib import Path
 from cosim.base.runtime import kernels
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
-from cosim.results.expectations import find_expectation
+from cosim.results.expectations import allowed_metric_names, find_expectation
 from cosim.results.limits import make_limit_inputs
 from cosim.results.metrics import Reach
+from cosim.results.requirements.signals import event_times
+from cosim.results.requirements.stated import check_signals, stated_requirements
 from cosim.results.summary import (
     DelayRow,
     EngineUncertainty,
@@ -40,9 +42,12 @@ from cosim.vehicle.airframe import IN_THE_AIR, METHODS, ON_THE_GROUND, POSITIONS
 def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -> Setup:
     """Return what is known of a run before its first step; ``resolved`` is its scenario as it flies.
 
-    ``notes``: compare its models with the vehicle, for who reads what is found.
+    ``notes``: compare its models with the vehicle, for who reads what is found.  Raises InputError for a requirement on
+    a signal that is not logged.
     """
     scenario, engine = simulation.scenario, simulation.engine
+    if scenario.require:
+        check_signals(simulation, allowed_metric_names(scenario))
     files = flown_parameters(scenario)
     parameters = [
         ParametersRecord(kind=parameter.kind, file=copy.file, sha256=copy.sha256, controller=parameter.controller,
@@ -80,6 +85,8 @@ def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -
         reach=find_reach(simulation),
         yardstick=make_limit_inputs(scenario, simulation.vehicle),
         expectation=find_expectation(scenario),
+        requires=stated_requirements(scenario),
+        event_times_s=event_times(scenario) if scenario.require else {},
         notes=_notes(simulation, files) if notes else [],
         versions=versions(),
         blas_kernels=kernels.find_kernels(),

@@ -28,6 +28,14 @@ from cosim.results.metrics import (
     flatten,
     flight_metrics,
 )
+from cosim.results.requirements import (
+    FlightSignals,
+    Lost,
+    Requirement,
+    RequirementResult,
+    flight_requirements,
+    smallest_margin,
+)
 from cosim.results.verdict import describe_end, judge, read_verdict
 from cosim.simulation.pacing import PaceReport
 from cosim.simulation.plugins import CustomMetric
@@ -165,6 +173,8 @@ class Setup(BaseModel):
     reach: Reach | None = None  # of throttles and tilts
     yardstick: LimitInputs | None = None  # what its limits are made from; None: it has none
     expectation: Expectation | None = None  # what this controller with this engine must come to
+    requires: list[Requirement] = []  # of [[require]], with any controller and engine
+    event_times_s: dict[str, list[float]] = {}  # when what they name happens, as far as the scenario says it
     notes: list[
         str
     ] = []  # what is to be known of it: models that are not the vehicle's, what is stated and does nothing
@@ -235,6 +245,10 @@ class Summary(Setup):
     beyond: list[str] = []  # the metrics that are above that
     expectations_met: bool | None = None  # None: nothing is expected
     complaints: list[str] = []  # a line for each expectation that is not met
+    requirements: list[RequirementResult] = []  # all of them: required, expected, and limits
+    requirements_kept: bool | None = None  # those of [[require]]; None: it has none
+    margin: float | None = None  # the smallest of all, each divided by its scale; below 0: it failed
+    decided_by: str = ""  # the name of the requirement that has it
 
     @property
     def flat_metrics(self) -> dict[str, float | None]:
@@ -259,18 +273,20 @@ class Summary(Setup):
     def _word_verdict(cls, data: Any) -> Any:
         """Word the verdict of an older run as it is worded today."""
         if isinstance(data, dict) and isinstance(data.get("verdict"), str):
-            return data | {"verdict": read_verdict(data["verdict"], data.get("expectations_met"))}
+            word = read_verdict(data["verdict"], data.get("expectations_met"), data.get("requirements_kept"))
+            return data | {"verdict": word}
         return data
 
     @property
     def as_planned(self) -> bool:
-        """Whether it completed within its limits and met what its scenario expects; False if nothing is expected."""
-        return self.succeeded and self.expectations_met is True
+        """Whether it completed within its limits and met what its scenario expects and requires, which is something."""
+        return self.succeeded and not self.expectations_met is self.requirements_kept is None
 
     @property
     def succeeded(self) -> bool:
         """Whether it completed, and nothing that was checked failed: its exit status is 0."""
-        return self.outcome == "completed" and not self.beyond and self.expectations_met is not False
+        is_kept = self.expectations_met is not False and self.requirements_kept is not False
+        return self.outcome == "completed" and not self.beyond and is_kept
 
     @property
     def ending(self) -> str:
@@ -281,6 +297,11 @@ class Summary(Setup):
     def exceeded(self) -> list[str]:
         """What is beyond its limit, in words and with both figures."""
         return [describe_exceedance(name, self.limits, self.flat_metrics) for name in self.beyond]
+
+    @property
+    def broken(self) -> list[str]:
+        """What of ``[[require]]`` is not kept, in words."""
+        return [result.describe() for result in self.requirements if result.source == "require" and not result.kept]
 
 
 def summarize(
@@ -302,11 +323,15 @@ def summarize(
     above = find_exceeded(limits, flat)
     complaints = _complaints(setup.expectation, outcome, flat)
     met = None if setup.expectation is None else not complaints
+    lost = None if outcome == "completed" else Lost(duration, setup.planned_s)
+    results = _assess(setup, limits, FlightSignals(log, setup.step_s, flat, setup.event_times_s), lost)
+    margin, decided_by = smallest_margin(results, lost)
+    kept = all(result.kept for result in results if result.source == "require") if setup.requires else None
     return Summary(
         **dict(setup),
         outcome=outcome,
         reason=reason,
-        verdict=judge(outcome, above, met),
+        verdict=judge(outcome, above, met, kept),
         steps=steps,
         duration_s=duration,
         wall_s=wall_s,
@@ -334,7 +359,20 @@ def summarize(
         beyond=above,
         expectations_met=met,
         complaints=complaints,
+        requirements=results,
+        requirements_kept=kept,
+        margin=margin,
+        decided_by=decided_by,
     )
+
+
+def _assess(
+    setup: Setup, limits: Mapping[str, float], flight: FlightSignals, lost: Lost | None
+) -> list[RequirementResult]:
+    """Return what the flight comes to under each of its requirements."""
+    expected = {} if setup.expectation is None else setup.expectation.metrics
+    requirements = flight_requirements(limits, expected, setup.requires)
+    return [RequirementResult.of(requirement.assess(flight, lost)) for requirement in requirements]
 
 
 def _evaluate(metrics: Sequence[CustomMetric], log: Log, step_s: float) -> tuple[dict[str, float | None], list[str]]:

@@ -1,8 +1,8 @@
 """The verdict of a flight: what its outcome, its limits and its scenario's expectations come to, in words.
 
 A flight that completed within its limits is ``as planned`` only if something was expected of it and came true.  Where
-nothing was expected, because no ``[[expect]]`` of the scenario applies, it is ``completed, nothing checked``: its
-default limits held, and nobody said what the flight was to come to.
+nothing was expected, because no ``[[expect]]`` of the scenario applies and it has no ``[[require]]``, it is
+``completed, nothing checked``: its default limits held, and nobody said what the flight was to come to.
 """
 
 from __future__ import annotations
@@ -16,27 +16,33 @@ BADGES: dict[RunVerdict, str] = {
     Verdict.AS_PLANNED: "met",
     Verdict.NOTHING_CHECKED: "none",
     Verdict.UNMET: "unmet",
+    Verdict.BROKEN: "unmet",
     Verdict.BEYOND_LIMITS: "unmet",
 }
 
 
-def judge(outcome: Outcome, beyond: Sequence[str], expectations_met: bool | None) -> RunVerdict:
-    """Return the verdict of a flight; ``expectations_met`` is None where nothing is expected of it."""
+def judge(
+    outcome: Outcome, beyond: Sequence[str], expectations_met: bool | None, requirements_kept: bool | None = None
+) -> RunVerdict:
+    """Return the verdict of a flight; None where nothing is expected of it, and where nothing is required."""
     if outcome != "completed":
         return Verdict.NOT_COMPLETED
     if beyond:
         return Verdict.BEYOND_LIMITS
-    if expectations_met is None:
-        return Verdict.NOTHING_CHECKED
-    return Verdict.AS_PLANNED if expectations_met else Verdict.UNMET
+    if expectations_met is False:
+        return Verdict.UNMET
+    if requirements_kept is False:
+        return Verdict.BROKEN
+    return Verdict.NOTHING_CHECKED if expectations_met is requirements_kept is None else Verdict.AS_PLANNED
 
 
-def read_verdict(verdict: str, expectations_met: bool | None) -> str:
+def read_verdict(verdict: str, expectations_met: bool | None, requirements_kept: bool | None = None) -> str:
     """Return a recorded verdict as it is worded today.
 
     Runs from before there was a verdict for flights of which nothing is expected call such a flight ``as planned``.
     """
-    return Verdict.NOTHING_CHECKED if verdict == Verdict.AS_PLANNED and expectations_met is None else verdict
+    is_unchecked = expectations_met is requirements_kept is None
+    return Verdict.NOTHING_CHECKED if verdict == Verdict.AS_PLANNED and is_unchecked else verdict
 
 
 def describe_end(outcome: Outcome, reason: str, verdict: RunVerdict | None) -> str:

@@ -172,7 +172,9 @@ def read_entry(folder: Path) -> Entry:
 def _summary_details(summary: Mapping[str, Any]) -> dict[str, str]:
     details = {name: str(summary[name]) for name in SUMMARY_KEYS if isinstance(summary.get(name), str)}
     if "verdict" in details:
-        details["verdict"] = read_verdict(details["verdict"], summary.get("expectations_met"))
+        details["verdict"] = read_verdict(
+            details["verdict"], summary.get("expectations_met"), summary.get("requirements_kept")
+        )
     with suppress(KeyError, TypeError, ValueError):  # an older summary, or not quite one of ours
         digest = (summary.get("own_controller") or {}).get("sha256") or ""
         files = [ParametersRecord.model_validate(entry) for entry in summary.get("parameter_files") or ()]

@@ -28,12 +28,13 @@ from cosim.campaign.study.keys import CUSTOM_PARAMETERS, custom_keys, find_key, 
 from cosim.campaign.study.sequential import MAX_TESTED, parse_claim
 from cosim.campaign.study.values import check_vary
 from cosim.results.metrics import metric_names
+from cosim.results.requirements.stated import check_requirements
 from cosim.simulation.controllers.source import find_controller_source
 from cosim.simulation.notes import note_few_substeps, note_varied_turbulence
 from cosim.simulation.plugins import load_metrics
 from cosim.simulation.user_code import list_aircraft_code, list_block_code, list_engine_code, list_scenario_code
 from cosim.spec.controller_name import is_design, seen_from
-from cosim.spec.scenario import Range, Scenario, find_scenario
+from cosim.spec.scenario import Range, RequireEntry, Scenario, find_scenario, unique_names
 
 __all__ = ["Correlation", "Study", "Vary", "check", "find_study", "parse_vary", "study_names"]
 
@@ -87,6 +88,9 @@ class Study(Model):
     nominal_engine: bool = False  # flown as it is stated; else hexjet sweep draws one that states its uncertainty
     correlate: list[Correlation] = Field(default_factory=list)
     success: dict[str, Range] = Field(default_factory=dict)  # metrics that must hold beside a completed flight
+    require: Annotated[list[RequireEntry], AfterValidator(unique_names)] = Field(
+        default_factory=list
+    )  # what each flight is to keep, beside the scenario's own
     until: str | None = None  # the claim that ends the study when it is shown or refuted: 99.9%@95%
     autopilot: StudyAutopilot | None = None  # flies in the place of the controller, whose gains go into it
 
@@ -128,7 +132,11 @@ class Study(Model):
             for key, value in flatten_settings(self.settings):
                 set_path(data, split_key(key), value, f"{self._where}: settings")
             where = f"{self._where}: settings" if self.settings else str(path)
-            self._base = Scenario.from_table({**data, "expect": []}, path.parent, where, origin)
+            changed = {**data, "expect": []}
+            if self.require:
+                required = [entry.model_dump(exclude_defaults=True) for entry in self.require]
+                changed["require"] = [*data.get("require", []), *required]
+            self._base = Scenario.from_table(changed, path.parent, where, origin)
         return self._base
 
     def key(self, name: str) -> Key:
@@ -213,14 +221,14 @@ class Study(Model):
     def resolved(self, scenario: Path | None = None) -> Study:
         """Return the same study, valid in any folder: files by absolute path.
 
-        ``scenario``: a file that has the settings in it already, to be flown instead; a relative path stays relative to
-        the study's folder, that of the file which :meth:`save` writes.
+        ``scenario``: a file that has settings and requirements in it already, to be flown instead; a relative path
+        stays relative to the study's folder, that of the file which :meth:`save` writes.
         """
         changes: dict[str, Any] = {}
         if self.autopilot is not None:
             changes["autopilot"] = self.autopilot.seen_from(self.folder)
         if scenario is not None:
-            changes |= {"scenario": scenario.as_posix(), "settings": {}}
+            changes |= {"scenario": scenario.as_posix(), "settings": {}, "require": []}
         elif is_path(self.scenario):
             changes |= {"scenario": str(_scenario_path(self.scenario, self.folder).absolute())}
         return self.changed(**changes)
@@ -408,6 +416,7 @@ def _check_names(study: Study, where: str) -> None:
     for name in study.controllers:
         if not is_design(name):
             find_controller_source(name, study.folder, f"{where}: controllers: unknown controller {name!r}")
+    check_requirements(study.base())
     names = [*metric_names(), *(name for metric in load_metrics(study.base()) for name in metric.names)]
     for name in study.success:
         if name not in names:

@@ -25,6 +25,14 @@ from cosim.results import metrics
 from cosim.results.log.columns import logged_vehicle
 from cosim.results.log.digest import DigestSink, log_digest
 from cosim.results.metrics import check_expectations, metric_names
+from cosim.results.requirements import (
+    FlightSignals,
+    Lost,
+    RequirementResult,
+    range_requirements,
+    smallest_margin,
+)
+from cosim.results.requirements.stated import columns_of
 from cosim.simulation.plugins import load_metrics
 from cosim.spec.scenario import WaypointsCommand
 
@@ -39,6 +47,7 @@ Kinds = dict[str, type[Value]]
 
 _FIRST: Kinds = {"flight": int, "draw": int, "controller": str, "seed": int}
 _OUTCOME: Kinds = {"outcome": str, "reason": str, "success": bool, "beyond": str, "steps": int, "duration_s": float}
+MARGIN_OF = "margin_"  # before the name of a requirement: its margin, in its unit
 _LAST: Kinds = {
     "controller_sha256": str,
     "controller_repeatable": bool,
@@ -62,7 +71,7 @@ def kinds(study: Study, custom: Sequence[str] | None = None) -> Kinds:
     varied = {name: _kind(study, name) for name in study.drawn}
     measured = dict.fromkeys([*_metrics(), *(custom_metric_names(study) if custom is None else custom)], float)
     lockstep = _LOCKSTEP if study.autopilot is not None else {}
-    return _FIRST | varied | _OUTCOME | measured | _LAST | _plugin_kinds(study) | lockstep
+    return _FIRST | varied | _OUTCOME | _margin_kinds(study) | measured | _LAST | _plugin_kinds(study) | lockstep
 
 
 def fly_one(study: Study, flight: Flight) -> Row:
@@ -135,12 +144,34 @@ def _plugin_kinds(study: Study) -> Kinds:
     return {"brought_sha256": str} if base.metrics or base.observers or base.sensor_plugin or base.wind else {}
 
 
+def _margin_kinds(study: Study) -> Kinds:
+    """Return the columns of margins: the smallest, whose it is, and one for each requirement and limit of success."""
+    names = [entry.name for entry in study.base().require] + list(study.success)
+    return {"margin": float, "decided_by": str} | dict.fromkeys([MARGIN_OF + name for name in names], float)
+
+
+def _margins(study: Study, run: Run) -> Row:
+    """Return the margins of a flight: each requirement's own, and the smallest of all, in scales."""
+    summary = run.summary
+    lost = None if summary.outcome == "completed" else Lost(summary.duration_s, summary.planned_s)
+    flight = FlightSignals(run.log, summary.step_s, summary.flat_metrics, {})
+    success = [
+        RequirementResult.of(requirement.assess(flight, lost))
+        for requirement in range_requirements(study.success, "success")
+    ]
+    results = [*summary.requirements, *success]
+    margin, decided_by = smallest_margin(results, lost)
+    named = [result for result in results if result.source in ("require", "success")]
+    return {"margin": margin, "decided_by": decided_by} | {MARGIN_OF + result.name: result.margin for result in named}
+
+
 def _sink(scenario: Scenario) -> DigestSink:
     """Return a sink that keeps what metrics read: everything if a custom metric does not name its columns."""
     waypoints = any(isinstance(entry, WaypointsCommand) for entry in scenario.command)
     names = list(metrics.columns(logged_vehicle(scenario.resolved_vehicle()[0]), waypoints))
     custom = load_metrics(scenario)
     extra = [name for metric in custom for name in metric.columns or ()]
+    extra += columns_of(scenario, [*metric_names(), *(name for metric in custom for name in metric.names)])
     return DigestSink([*names, *(name for name in dict.fromkeys(extra) if name not in names)],
                       whole=any(metric.columns is None for metric in custom))  # fmt: skip
 
@@ -173,10 +204,12 @@ def _outcome_row(study: Study, run: Run, digest: str) -> Row:
         "reason": summary.reason,
         "success": summary.outcome == "completed"
         and not summary.beyond
+        and summary.requirements_kept is not False
         and not check_expectations(measured, study.success),
         "beyond": " ".join(summary.beyond),
         "steps": summary.steps,
         "duration_s": summary.duration_s,
+        **_margins(study, run),
         **measured,
         "controller_sha256": None if controller is None else controller.sha256,
         "controller_repeatable": None if controller is None else controller.repeatable,

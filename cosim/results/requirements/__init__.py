@@ -9,9 +9,11 @@ from cosim.results.requirements.requirement import (
     Assessment,
     Lost,
     Requirement,
+    RequirementResult,
+    flight_requirements,
     limit_requirements,
     range_requirements,
-    smallest,
+    smallest_margin,
 )
 from cosim.results.requirements.signals import FlightSignals
 
@@ -21,8 +23,10 @@ __all__ = [
     "FlightSignals",
     "Lost",
     "Requirement",
+    "RequirementResult",
+    "flight_requirements",
     "limit_requirements",
     "parse_formula",
     "range_requirements",
-    "smallest",
+    "smallest_margin",
 ]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from cosim.base.arrays import Array
 from cosim.base.signals import AXES
+from cosim.results.limits import NEVER_SETTLED
 from cosim.results.metrics import Record
 from cosim.results.requirements.grammar import ParsedFormula, parse_formula
 from cosim.results.requirements.signals import FlightSignals
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 Source = Literal["require", "limits", "expect", "success"]
 LOST = 1.0  # in scales: a flight lost at its planned end has -LOST, one lost at its start -2 LOST
 UNKNOWN = 1.0  # in scales: what a flight never tested counts as broken by so much
+FLOWN = "flown"  # to the planned end: what a flight that was lost breaks
 _SIGNALS = {  # metrics that are the greatest of a signal, which is assessed row by row in their place
     **{f"{axis}.max_abs_error_rad": f"abs({axis}_error_rad)" for axis in AXES},
     "altitude.max_abs_error_m": "abs(altitude_error_m)",
@@ -69,13 +71,6 @@ class Assessment:
     note: str = ""
     margin_over_time: Array | None = None
 
-    @property
-    def scaled(self) -> float | None:
-        """The margin divided by the requirement's scale; what is not kept without a margin has -UNKNOWN."""
-        if self.margin is None:
-            return None if self.kept else -UNKNOWN
-        return self.margin / self.requirement.divisor
-
 
 class Requirement(Record):
     """What a flight is to keep: a formula over its signals."""
@@ -93,6 +88,11 @@ class Requirement(Record):
         return parse_formula(self.formula)
 
     @property
+    def names(self) -> list[str]:
+        """The signals that it speaks of, as it writes them."""
+        return list(dict.fromkeys(name for part in self.parsed.formula.comparisons for name in part.names))
+
+    @property
     def unit(self) -> str:
         """The unit of its margin; 1 where the formula mixes several, each comparison divided by its limit."""
         return self.parsed.unit
@@ -108,7 +108,7 @@ class Requirement(Record):
         value = float(formula.margins(flight)[0]) if flight.rows else nan
         if isfinite(value):
             comparison, row, sign = formula.deciding(flight, 0)
-            whole = all(name in flight.metrics for name in comparison.names)
+            whole = flight.metrics.keys() >= set(comparison.names)
             assessment = Assessment(
                 self,
                 value,
@@ -119,7 +119,9 @@ class Requirement(Record):
             )
         else:
             kept = value > 0.0 or not self.need
-            assessment = Assessment(self, None, kept, note="" if kept else "never tested in this flight")
+            has_none = flight.metrics.keys() >= set(self.names)
+            note = "" if kept else "the flight has none" if has_none else "never tested in this flight"
+            assessment = Assessment(self, None, kept, note=note)
         if lost is None or self.source not in ("require", "success"):
             return assessment
         return self._of_lost(assessment, lost)
@@ -174,7 +176,80 @@ def _scale(allowed: Range) -> float | None:
     return None if allowed.min or allowed.max else 1.0
 
 
-def smallest(assessments: Sequence[Assessment]) -> Assessment | None:
-    """Return the assessment with the smallest margin in scales; None where none has one."""
-    stated = [assessment for assessment in assessments if assessment.scaled is not None]
-    return min(stated, key=lambda assessment: assessment.scaled or 0.0, default=None)
+class RequirementResult(Record):
+    """What a summary says of one requirement of a flight."""
+
+    name: str
+    source: Source
+    formula: str
+    margin: float | None  # in its unit; None: the flight does not say
+    unit: str
+    kept: bool
+    decided_at_s: float | None = None
+    decided_by: str = ""
+    note: str = ""
+    scale: float  # that its margin is divided by to be compared
+    reason: str = ""
+    need: bool = True
+
+    @classmethod
+    def of(cls, assessment: Assessment) -> RequirementResult:
+        """Return what there is to say of an assessment."""
+        requirement = assessment.requirement
+        return cls(
+            **requirement.model_dump(exclude={"scale"}),
+            margin=assessment.margin,
+            unit=requirement.unit,
+            kept=assessment.kept,
+            decided_at_s=assessment.decided_at_s,
+            decided_by=assessment.decided_by,
+            note=assessment.note,
+            scale=requirement.divisor,
+        )
+
+    @property
+    def requirement(self) -> Requirement:
+        """The requirement, to assess it again."""
+        return Requirement(
+            name=self.name,
+            formula=self.formula,
+            source=self.source,
+            scale=self.scale,
+            reason=self.reason,
+            need=self.need,
+        )
+
+    @property
+    def scaled(self) -> float | None:
+        """The margin divided by the scale; what is not kept without a margin has -UNKNOWN."""
+        if self.margin is None:
+            return None if self.kept else -UNKNOWN
+        return self.margin / self.scale
+
+    def describe(self) -> str:
+        """Return what came of it: ``holds-roll: kept by 2.1 deg, at 4.51 s: always(abs(roll_deg) < 30)``."""
+        if self.margin is None:
+            state = self.note or "nothing to keep"
+        else:
+            unit = "" if self.unit == "1" else f" {self.unit}"
+            state = f"{'kept' if self.kept else 'broken'} by {abs(self.margin):.4g}{unit}"
+            state += f" ({self.note})" if self.note else ""
+        at = "" if self.decided_at_s is None or self.note else f" at {self.decided_at_s:.2f} s"
+        return f"{self.name}: {state}{at}: {self.formula}"
+
+
+def flight_requirements(
+    limits: Mapping[str, float], expected: Mapping[str, Range], stated: Sequence[Requirement]
+) -> list[Requirement]:
+    """Return all that a flight is to keep: what is required of it, what is expected of it, and its limits."""
+    never_settled = [name for name in limits if name.endswith(NEVER_SETTLED)]
+    return [*stated, *range_requirements(expected, "expect"), *limit_requirements(limits, never_settled)]
+
+
+def smallest_margin(results: Sequence[RequirementResult], lost: Lost | None) -> tuple[float | None, str]:
+    """Return the smallest margin in scales and the name of its requirement; a lost flight breaks one more, ``flown``.
+
+    None where nothing has a margin.
+    """
+    scaled = [(result.scaled, result.name) for result in results if result.scaled is not None]
+    return min([*scaled, *([] if lost is None else [(-lost.scales, FLOWN)])], default=(None, ""))

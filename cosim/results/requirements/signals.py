@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES
-from cosim.results.events import find_contacts
 from cosim.results.log.columns import RATES
-from cosim.results.metrics import POSITION_SETPOINT, find_contact_rows, wrap
+from cosim.results.metrics import POSITION_SETPOINT, find_contact_changes, find_contact_rows, wrap
 from cosim.results.requirements.units import in_si
 
 if TYPE_CHECKING:
@@ -22,7 +20,7 @@ if TYPE_CHECKING:
     from cosim.results.requirements.formula import Formula
     from cosim.spec.scenario import Scenario
 
-CONTACTS = ("leaves the ground", "touches the ground")  # events that the log alone tells
+CONTACTS = ("leaves the ground", "touches the ground")  # events that the log alone tells, False and True
 
 
 class DerivedSignal(NamedTuple):
@@ -121,16 +119,16 @@ class FlightSignals:
         needed = (name,) if derived is None else derived.columns
         if not set(needed) <= set(self._log.columns):
             return np.full(self.rows, np.nan)
-        return self._log[name] if derived is None else derived.compute(self._log)
+        values = self._log[name] if derived is None else derived.compute(self._log)
+        finite = np.isfinite(values)
+        return values if np.all(finite) else np.where(finite, values, np.nan)
 
     def event_rows(self, name: str) -> Sequence[int]:
-        """Return the rows at which an event happens; of one that lasts, the first at or after its time."""
+        """Return the rows at which an event happens: the first that is not earlier."""
         if name in CONTACTS:
-            contacts = find_contacts(self._log, self.step_s) if self.rows else ()
-            times = [event.time_s for event in contacts if event.text == name]
-        else:
-            times = list(self._times_s.get(name, ()))
-        rows = [ceil(time / self.step_s - 1e-6) for time in times]
+            changes = find_contact_changes(find_contact_rows(self._log), self.step_s) if self.rows else ()
+            return [row for row, stands in changes if name == CONTACTS[stands]]
+        rows = [ceil(time / self.step_s - 1e-6) for time in self._times_s.get(name, ())]
         return [row for row in rows if row < self.rows]
 
 
@@ -143,22 +141,6 @@ def needed_columns(names: Iterable[str], events: Iterable[str]) -> list[str]:
     if any(event in CONTACTS for event in events):
         columns += ["on_ground", "hull_contact"]
     return list(dict.fromkeys(columns))
-
-
-def check_signals(names: Iterable[str], allowed: Iterable[str]) -> None:
-    """Refuse a signal that is neither of ``allowed`` (columns and metrics) nor derived.  Raises InputError."""
-    known = {*allowed, *DERIVED}
-    for name in names:
-        if in_si(name) not in known:
-            likely = nearest(name, [*known, *(_in_degrees(name) for name in known)]).partition("allowed:")[0]
-            raise InputError(
-                f"unknown signal {name!r}; {likely}allowed: a column of the log (hexjet export --help), a metric, "
-                f"or {', '.join(DERIVED)}"
-            )
-
-
-def _in_degrees(name: str) -> str:
-    return name.replace("_rad_s", "_deg_s").removesuffix("_rad") + ("_deg" if name.endswith("_rad") else "")
 
 
 # ---- events
@@ -188,11 +170,3 @@ def _length(entry: object) -> float | None:
             return entry.rise_s + entry.hold_s + entry.fall_s  # type: ignore[attr-defined, no-any-return]
     length: float | None = getattr(entry, "duration_s", None)
     return length
-
-
-def check_events(names: Iterable[str], scenario: Scenario) -> None:
-    """Refuse an event that the scenario does not state.  Raises InputError with those that it does."""
-    known = [*event_times(scenario), *CONTACTS]
-    for name in names:
-        if name not in known:
-            raise InputError(f"unknown event {name!r}; {nearest(name, known)}")

@@ -59,6 +59,12 @@ def in_si(name: str) -> str:
     return name.removesuffix(ending) + _DISPLAYED[ending] if ending in _DISPLAYED else name
 
 
+def in_degrees(name: str) -> str:
+    """Return the name of an angle or its rate in degrees: ``roll_deg`` for ``roll_rad``; another name as it is."""
+    ending = next((shown for shown, logged in _DISPLAYED.items() if "deg" in shown and _ending(name) == logged), "")
+    return name.removesuffix(_DISPLAYED[ending]) + ending if ending else name
+
+
 def factor_between(unit: str, other: str) -> float:
     """Return the number of ``other`` in one ``unit``.  Raises InputError where they measure different things."""
     (si, factor), (other_si, other_factor) = UNITS[unit], UNITS[other]

@@ -54,7 +54,16 @@ from cosim.spec.scenario.provenance import (
     list_differing_keys,
 )
 from cosim.spec.scenario.scenario import Scenario
-from cosim.spec.scenario.sections import Environment, Expectation, FlightLimits, Initial, Range, Station
+from cosim.spec.scenario.sections import (
+    Environment,
+    Expectation,
+    FlightLimits,
+    Initial,
+    Range,
+    RequireEntry,
+    Station,
+    unique_names,
+)
 from cosim.spec.scenario.substeps import SUBSTEPS, StepErrors, measured_errors
 
 __all__ = [
@@ -82,6 +91,7 @@ __all__ = [
     "PlaceCommand",
     "RampCommand",
     "Range",
+    "RequireEntry",
     "Scenario",
     "SensorBias",
     "SensorDropout",
@@ -111,4 +121,5 @@ __all__ = [
     "measured_errors",
     "parameter_files",
     "scenario_names",
+    "unique_names",
 ]

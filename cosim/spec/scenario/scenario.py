@@ -1,10 +1,11 @@
 """The validated model of a scenario's TOML: vehicle, controller, commands, disturbances and expected results."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from operator import not_
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import Duration, Model, merge, parse_setting, read_toml, set_path, validate
@@ -15,7 +16,15 @@ from cosim.spec.scenario.faults import FaultEntry, SensorBias, SensorDropout, Se
 from cosim.spec.scenario.files import find_scenario
 from cosim.spec.scenario.mismatch import Mismatch
 from cosim.spec.scenario.parameter_file import ParameterFile
-from cosim.spec.scenario.sections import Environment, Expectation, FlightLimits, Initial, Station
+from cosim.spec.scenario.sections import (
+    Environment,
+    Expectation,
+    FlightLimits,
+    Initial,
+    RequireEntry,
+    Station,
+    unique_names,
+)
 from cosim.spec.scenario.substeps import SUBSTEPS, check_measured_step, runs_for
 from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_aircraft_path
 from cosim.spec.vehicle.sensor_profile import STATED, load_with_profile, profile_names, refuse_restated
@@ -67,6 +76,7 @@ class Scenario(Model):
     vehicle: dict[str, Any] = {}
     limits: FlightLimits = Field(default_factory=FlightLimits)
     expect: list[Expectation] = []
+    require: Annotated[list[RequireEntry], AfterValidator(unique_names), Field(exclude_if=not_)] = []  # what is kept
 
     _folder: Path = PrivateAttr(default_factory=Path)
     _origin: "Scenario | None" = PrivateAttr(default=None)  # the scenario of its file; None: this one

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from cosim.base.outcomes import Outcome
-from cosim.base.storage.toml import Model, NotNegative, Vector
+from cosim.base.storage.toml import Model, NotNegative, Positive, Vector
 
 
 class Initial(Model):
@@ -79,6 +79,24 @@ class Expectation(Model):
     aircraft: str = ""  # not stated: the one that the scenario states
     outcome: list[Outcome] = ["completed"]
     metrics: dict[str, Range] = {}  # "roll.overshoot_percent" -> range
+
+
+class RequireEntry(Model):
+    """A requirement on the flight: a formula over its signals, with a margin; see docs/requirements.md."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
+    formula: str  # always(abs(roll_deg) < 30)
+    scale: Positive | None = None  # its margin divided by this is compared with others; None: its smallest limit
+    reason: str = ""  # where the limit is from
+
+
+def unique_names(entries: list[RequireEntry]) -> list[RequireEntry]:
+    """Return requirements of which no two have the same name.  Raises ValueError."""
+    names = [entry.name for entry in entries]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"require: {name} is there twice")
+    return entries
 
 
 class Station(Model):

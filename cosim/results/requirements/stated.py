@@ -1,0 +1,73 @@
+"""The requirements that a scenario states: made from its ``[[require]]``, and refused where nothing could keep them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from cosim.base.errors import InputError, nearest
+from cosim.results.log.columns import log_columns, logged_vehicle
+from cosim.results.requirements.requirement import Requirement
+from cosim.results.requirements.signals import CONTACTS, DERIVED, event_times, needed_columns
+from cosim.results.requirements.units import in_degrees, in_si
+
+if TYPE_CHECKING:
+    from cosim.simulation.step import Simulation
+    from cosim.spec.scenario import Scenario
+
+
+def stated_requirements(scenario: Scenario) -> list[Requirement]:
+    """Return the requirements of a scenario's ``[[require]]``."""
+    return [
+        Requirement(name=entry.name, formula=entry.formula, scale=entry.scale, reason=entry.reason)
+        for entry in scenario.require
+    ]
+
+
+def check_requirements(scenario: Scenario) -> None:
+    """Refuse what cannot be read, an unknown event and what lies beyond the end of the flight.  Raises InputError."""
+    times = event_times(scenario)
+    for requirement in stated_requirements(scenario):
+        try:
+            _check(requirement, times, scenario.duration_s)
+        except InputError as error:
+            raise InputError(f"scenario {scenario.name}: require {requirement.name}: {error}") from error
+
+
+def _check(requirement: Requirement, times: dict[str, list[float]], duration_s: float) -> None:
+    parsed = requirement.parsed
+    if requirement.scale is None and not parsed.limit:
+        raise InputError(f"compares with no number but 0: state its scale, in {parsed.unit}")
+    known = [*times, *CONTACTS]
+    for name in parsed.formula.events:
+        if name not in known:
+            raise InputError(f"unknown event {name!r}; {nearest(name, known)}")
+    latest = parsed.formula.latest_s([0.0], times)
+    if latest > duration_s:
+        raise InputError(f"speaks of {latest:g} s, and the flight ends at {duration_s:g} s")
+
+
+def check_signals(simulation: Simulation, metrics: Iterable[str]) -> None:
+    """Refuse signals that are neither columns of its log, derived from some, nor ``metrics``.  Raises InputError."""
+    scenario = simulation.scenario
+    if not scenario.require:
+        return
+    columns = log_columns(logged_vehicle(simulation.vehicle), simulation.columns)
+    known = {*(column.name for column in columns), *metrics, *DERIVED}
+    for requirement in stated_requirements(scenario):
+        for name in requirement.names:
+            if in_si(name) not in known:
+                likely, _, _ = nearest(name, {*known, *map(in_degrees, known)}).partition("allowed:")
+                raise InputError(
+                    f"scenario {scenario.name}: require {requirement.name}: unknown signal {name!r}; {likely}allowed: "
+                    f"the columns of the log, metrics, and {', '.join(DERIVED)}; angles also in deg"
+                )
+
+
+def columns_of(scenario: Scenario, metrics: Iterable[str]) -> list[str]:
+    """Return the columns of the log that a scenario's requirements are assessed from."""
+    known, columns = set(metrics), []
+    for requirement in stated_requirements(scenario):
+        names = [name for name in requirement.names if name not in known]
+        columns += needed_columns(names, requirement.parsed.formula.events)
+    return list(dict.fromkeys(columns))
