@@ -6,7 +6,7 @@ from math import pi
 
 from cosim.autopilots.lockstep import StickPositions
 from cosim.base.errors import FlightError
-from cosim.base.frames import to_euler
+from cosim.base.frames import heading_of
 from cosim.base.limits import clip
 from cosim.base.signals import Command, Measured, PerJet, Unallocated
 from cosim.control.altitude import AltitudeController
@@ -46,7 +46,7 @@ class StickPilot:
         if self._landed(command.altitude, measured.velocity[2]):
             return StickPositions()
         roll, pitch, yaw = command.attitude
-        _, _, heading = to_euler(measured.attitude)
+        heading = heading_of(measured.attitude)
         heading_error = (yaw - heading + pi) % (2.0 * pi) - pi
         collective = self._altitude.update(command, measured, Unallocated(), burnt)
         return StickPositions(

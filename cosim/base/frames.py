@@ -28,8 +28,14 @@ def to_euler(q: Quaternion) -> Vector3:
     return (
         atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
         asin(max(-1.0, min(1.0, sine))),
-        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+        heading_of(q),
     )
+
+
+def heading_of(q: Quaternion) -> float:
+    """Return the yaw (rad) of a unit quaternion, in [-pi, pi]."""
+    w, x, y, z = q
+    return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def multiply(a: Quaternion, b: Quaternion) -> Quaternion:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.base.frames import to_euler
+from cosim.base.frames import heading_of
 from cosim.base.protocols import Column, EngineState, Report
 from cosim.base.signals import Command, Measured
 from cosim.control.autopilot.estimation.position import Estimator, Fix
@@ -120,15 +120,15 @@ class GuidedPilot:
         start, aim, drawn = self._guided[number]
         if number != self._number:
             self._begin(number, aim, command, fix)
-        if isinstance(aim, WaypointsCommand):
-            self._advance_waypoints(k, aim, command, fix, measured.altitude)
+        if self._waypoints is not None:
+            self._advance_waypoints(k, self._waypoints, command, fix, measured.altitude)
         if drawn is not None:
             track = self._follow(drawn, (k - start) * self._step)
-        elif isinstance(aim, VelocityCommand):
-            track = self._tracker.at_velocity((aim.north_m_s, aim.east_m_s))
+        elif self._velocity is not None:
+            track = self._tracker.at_velocity(self._velocity)
         else:
             track = self._tracker.towards(self._target, self._most)
-        yaw = to_euler(measured.attitude)[2]
+        yaw = heading_of(measured.attitude)
         roll, pitch = lean_from_acceleration(self._law.update(track, fix), yaw)
         heading, altitude = self._heading(command.attitude[2]), self._altitude(command.altitude)
         return Command((roll, pitch, heading), altitude, None, command.collective, track.position, None)
@@ -149,6 +149,8 @@ class GuidedPilot:
 
     def _begin_flight(self) -> None:
         self._number = -1
+        self._waypoints: WaypointsCommand | None = None
+        self._velocity: Pair | None = None
         self._target: Pair = (0.0, 0.0)
         self._most = self._speed
         self._to_altitude: float | None = None
@@ -172,6 +174,9 @@ class GuidedPilot:
         elif self._number < 0:
             self._tracker.start(fix.position, fix.velocity)
         self._number = number
+        # a model's class is asked once a command: it takes as long as half a step's law
+        self._waypoints = aim if isinstance(aim, WaypointsCommand) else None
+        self._velocity = (aim.north_m_s, aim.east_m_s) if isinstance(aim, VelocityCommand) else None
         if self._climb is not None:  # the vehicle comes to rest as soon as it can
             self._to_altitude, self._climb = self._height.stop_position[0], None
         if isinstance(aim, PlaceCommand):

@@ -612,13 +612,13 @@ static Real larger(Real most, Real value)
 }
 
 /* By how much the wrench, scaled, is off what the linear problem said of it. */
-static Real linear_error(const Effectors *e, const Bounded *b, const Real here[], const Real before[], const Real now[])
+static Real linear_error(const Effectors *e, const Bounded *b, const Real stood[], const Real before[], const Real now[])
 {
     Real off = R(0.0);
     for (int row = 0; row < ROWS; row++) {
         Real change = R(0.0);
         for (int j = 0; j < b->count; j++) {
-            change += b->row[row][j] * (b->x[j] - here[j] / e->scale[j]);
+            change += b->row[row][j] * (b->x[j] - stood[j]);
         }
         off = larger(off, (now[row] - before[row]) * e->norm[row] - change);
     }
@@ -651,16 +651,20 @@ static void solve_wrench(const Effectors *e, Tangent *t, const Problem *p, Real 
     linearise(e, t, p->pressure, here, given, b.row);
     for (int pass = 0; pass < p->passes; pass++) {
         Real targets[ROWS];
+        Real stood[MOST_EFFECTORS]; /* here, scaled */
         Real moved[MOST_EFFECTORS];
         Real now[ROWS];
         Real change[ROWS][MOST_EFFECTORS];
         if (!p->rated) {
             stay_near(e, p, &b, here);
         }
+        for (int j = 0; j < b.count; j++) {
+            stood[j] = here[j] / e->scale[j];
+        }
         for (int row = 0; row < ROWS; row++) {
             Real steps = R(0.0);
             for (int j = 0; j < b.count; j++) {
-                steps += b.row[row][j] * (here[j] / e->scale[j]);
+                steps += b.row[row][j] * stood[j];
             }
             targets[row] = (p->wanted[row] - given[row]) * e->norm[row] + steps;
         }
@@ -669,7 +673,7 @@ static void solve_wrench(const Effectors *e, Tangent *t, const Problem *p, Real 
             moved[j] = b.x[j] * e->scale[j];
         }
         linearise(e, t, p->pressure, moved, now, change);
-        const Real off = linear_error(e, &b, here, given, now);
+        const Real off = linear_error(e, &b, stood, given, now);
         const Real far = way_of(e, here, moved);
         for (int j = 0; j < b.count; j++) {
             here[j] = moved[j];

@@ -9,17 +9,17 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from math import ceil, exp, floor
-from typing import NamedTuple
+from math import ceil, exp, floor, inf
+from typing import Final, NamedTuple
 
 from cosim.base.signals import EngineOutput, JetHealth, PerJet
 from cosim.spec.vehicle import MonitorSettings
 
-_LOST_GAIN = 0.2  # fraction of the commanded thrust below which an engine counts as lost; chosen by us
-_FOLLOWS = 0.3  # fraction of the commanded change; an engine that moved less does not follow it; chosen by us
-_EXACT = 0.5  # fraction of the threshold within which an engine is taken to follow its command at that moment
+_LOST_GAIN: Final = 0.2  # fraction of the commanded thrust below which an engine counts as lost; chosen by us
+_FOLLOWS: Final = 0.3  # fraction of the commanded change; an engine that moved less does not follow it; chosen by us
+_EXACT: Final = 0.5  # fraction of the threshold within which an engine is taken to follow its command at that moment
 # times the confirmation: over so long a fall is looked at by itself; chosen by us: the least with room for it
-_SUDDEN = 5
+_SUDDEN: Final = 5
 
 
 class EngineReference(NamedTuple):
@@ -86,14 +86,14 @@ class EngineMonitor:
         self._confirm = max(1, round(settings.confirm_s / step))
         self._stuck = max(1, round(settings.stuck_s / step))
         factor, spread = settings.lag_factor, settings.delay_spread_s
-        self._filter_gains = [
-            (_filter_gain(step, reference.shortest / factor), _filter_gain(step, reference.longest * factor))
+        self._engines = [
+            _Engine(_filter_gain(step, reference.shortest / factor), _filter_gain(step, reference.longest * factor))
             for reference in references
         ]
         self._sudden = _SUDDEN * self._confirm if sudden else 0  # steps
         periods = max(1, self._confirm - 1)
         self._decay = [exp(-periods * step / reference.lag) if reference.lag > 0.0 else 0.0 for reference in references]
-        self._sudden_decay = [(1.0 - fast) ** self._sudden for fast, _ in self._filter_gains]
+        self._sudden_decay = [(1.0 - engine.fast) ** self._sudden for engine in self._engines]
         delays = [reference.delay for reference in references]
         self._earliest = max(0, floor((min(delays) - spread) / step + 1e-9))
         self._latest = ceil((max(delays) + spread) / step - 1e-9)
@@ -102,7 +102,8 @@ class EngineMonitor:
     def reset(self, throttle: Sequence[float]) -> None:
         """Start with all engines healthy, settled at ``throttle``."""
         count = len(self._references)
-        self._fixed_thrust = [0.0] * count  # N, of an engine that does not follow its command
+        for engine in self._engines:
+            engine.gain, engine.fixed = 1.0, 0.0
         self.health: tuple[JetHealth, ...] = (JetHealth(),) * count
         self.gains: PerJet = (1.0,) * count
         self.resume(throttle)
@@ -110,14 +111,12 @@ class EngineMonitor:
     def resume(self, throttle: Sequence[float]) -> None:
         """Monitor again after engines were off on purpose: settled at ``throttle``, in the health that they had."""
         at_rest = tuple(reference.thrust_at(u) for reference, u in zip(self._references, throttle, strict=True))
-        count = len(at_rest)
         # thrust that the commands ask for at rest, oldest first
         self._past = [at_rest] * (self._sudden + self._latest + 1)
         self._reports = [at_rest] * max(2, self._confirm)  # oldest first
         self._window = [at_rest] * (2 * self._sudden + 1)  # reports over a longer window, oldest first
-        self._high, self._low = list(at_rest), list(at_rest)
-        self._outside = [0] * count
-        self._agreement = [(x, x) for x in at_rest]  # report and reference when they last agreed
+        for engine, x in zip(self._engines, at_rest, strict=True):
+            engine.settle(x)
 
     def update(self, throttle: PerJet, output: EngineOutput) -> bool:
         """Update by one step: its throttles, and the reports at its end.  Return whether a health changed."""
@@ -137,27 +136,24 @@ class EngineMonitor:
             window.append(reports)
             del window[0]
             earlier = window[oldest]
-        for i, x in enumerate(reports):
+        for i, engine in enumerate(self._engines):
+            x = reports[i]
             least = most = past[oldest][i]
             for j in range(oldest + 1, oldest + self._latest - self._earliest + 1):
                 thrust = past[j][i]
                 least, most = (thrust if thrust < least else least), (thrust if thrust > most else most)
-            fast, slow = self._filter_gains[i]
-            high, low = self._high[i], self._low[i]
-            high += (fast if most > high else slow) * (most - high)
-            low += (fast if least < low else slow) * (least - low)
-            self._high[i], self._low[i] = high, low
-            gain, fixed = self.gains[i], self._fixed_thrust[i]
+            high, low = engine.follow(least, most)
+            gain, fixed = engine.gain, engine.fixed
             excess, deficit = x - gain * high - fixed, gain * low + fixed - x
             if oldest > 0 and deficit <= threshold < earlier[i] - x and gain == 1.0:
                 deficit = max(deficit, self._sudden_deficit(i, x))
             if excess <= threshold and deficit <= threshold:
-                self._outside[i] = 0
+                engine.outside = 0
                 if excess <= _EXACT * threshold and deficit <= _EXACT * threshold:
-                    self._agreement[i] = (x, 0.5 * (low + high))
+                    engine.agreed, engine.agreed_reference = x, 0.5 * (low + high)
                 continue
-            self._outside[i] += 1
-            if self._outside[i] >= self._confirm:
+            engine.outside += 1
+            if engine.outside >= self._confirm:
                 suspects.append(i)
         changes = [self._assess(i, reports[i]) for i in suspects]
         return any(changes)
@@ -211,34 +207,62 @@ class EngineMonitor:
 
     def _assess(self, i: int, x: float) -> bool:
         """Set the health of an engine that has been outside for long enough; return whether it changed."""
-        reference, gain = 0.5 * (self._low[i] + self._high[i]), self.gains[i]
+        engine = self._engines[i]
+        reference, gain = 0.5 * (engine.low + engine.high), engine.gain
         decay = self._decay[i]
         heading = max(0.0, (x - decay * self._reports[0][i]) / (1.0 - decay))
         if gain == 0.0:
             return self._set_health(i, 0.0, heading)
-        x_then, reference_then = self._agreement[i]
-        change, commanded_change = abs(x - x_then), gain * abs(reference - reference_then)
+        change, commanded_change = abs(x - engine.agreed), gain * abs(reference - engine.agreed_reference)
         if change < _FOLLOWS * commanded_change:
-            return self._outside[i] >= self._stuck and self._set_health(i, 0.0, x)
-        if x > self._high[i] + self._threshold:
+            return engine.outside >= self._stuck and self._set_health(i, 0.0, x)
+        if x > engine.high + self._threshold:
             # It is slow to come down, or runs away.
             return change > commanded_change and self._set_health(i, 0.0, heading)
         gain_estimate = min(1.0, heading / reference) if reference > 0.0 else 1.0
         return self._set_health(i, 0.0 if gain_estimate < _LOST_GAIN else gain_estimate, 0.0)
 
     def _set_health(self, i: int, gain: float, fixed: float) -> bool:
-        self._outside[i] = 0
-        if (gain, fixed) == (self.gains[i], self._fixed_thrust[i]):
+        engine = self._engines[i]
+        engine.outside = 0
+        if gain == engine.gain and fixed == engine.fixed:
             return False
         reference = self._references[i]
         idle, span = reference.thrust[0], reference.thrust[-1] - reference.thrust[0]
         low, high = self._limits
         # The throttle of a lost engine is closed: if it is lit again, it gives the least thrust.
         command = min(high, max(low, (fixed - idle) / span)) if fixed else 0.0
-        self._fixed_thrust[i] = fixed
+        engine.gain, engine.fixed = gain, fixed
         self.health = (*self.health[:i], JetHealth(gain, fixed / span, command), *self.health[i + 1 :])
         self.gains = tuple(one.gain for one in self.health)
         return True
+
+
+class _Engine:
+    """One engine: the interval of a healthy one, and how it compares with it.
+
+    ``fast`` and ``slow``: of the rest that a bound goes in a step, by the shortest and the longest lag.  ``gain`` and
+    ``fixed`` [N]: what it gives of its command, and besides.
+    """
+
+    def __init__(self, fast: float, slow: float) -> None:
+        self.fast, self.slow = fast, slow
+        self.gain, self.fixed = 1.0, 0.0
+        self.settle(0.0)
+
+    def settle(self, thrust: float) -> None:
+        """Start at rest at a thrust [N]."""
+        self.high = self.low = thrust
+        self.outside = 0  # steps
+        self.agreed = self.agreed_reference = thrust  # report and reference when they last agreed
+
+    def follow(self, least: float, most: float) -> tuple[float, float]:
+        """Return the bounds, upper and lower, after a step in which the command asks for ``least`` to ``most`` N."""
+        high, low = self.high, self.low
+        high += (self.fast if most > high else self.slow) * (most - high)
+        low += (self.fast if least < low else self.slow) * (least - low)
+        self.high, self.low = high, low
+        return high, low
 
 
 class _Curve:
@@ -246,22 +270,25 @@ class _Curve:
 
     def __init__(self, xs: Sequence[float], ys: Sequence[float]) -> None:
         self._xs, self._ys = [float(x) for x in xs], [float(y) for y in ys]
-        self._last = 1
+        self._x = self._y = self._rise = 0.0  # the line of the last answer, from its lower point on
+        self._end, self._run = -inf, 1.0
         self._start, slope = self._ys[0], self._ys[-1] - self._ys[0]
         self._slope = slope
         self._straight = all(abs(self._start + x * slope - y) <= 1e-9 * abs(slope) for x, y in zip(xs, ys, strict=True))
 
     def at(self, x: float) -> float:
         """Return the value at ``x``."""
+        if self._x <= x < self._end:
+            return self._y + self._rise * (x - self._x) / self._run
         xs, ys = self._xs, self._ys
         if x <= xs[0]:
             return ys[0]
         if x >= xs[-1]:
             return ys[-1]
-        k = self._last
-        if not xs[k - 1] <= x < xs[k]:
-            k = self._last = bisect_right(xs, x)
-        return ys[k - 1] + (ys[k] - ys[k - 1]) * (x - xs[k - 1]) / (xs[k] - xs[k - 1])
+        k = bisect_right(xs, x)
+        self._x, self._end, self._y = xs[k - 1], xs[k], ys[k - 1]
+        self._rise, self._run = ys[k] - ys[k - 1], xs[k] - xs[k - 1]
+        return self._y + self._rise * (x - self._x) / self._run
 
     def straight_at(self, u: float) -> float:
         """Return the value at a throttle: by one line where the points from 0 to 1 are on it."""

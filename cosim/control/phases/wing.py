@@ -30,7 +30,7 @@ from typing import Final, NamedTuple
 
 from cosim.base._records import quick
 from cosim.base.constants import GRAVITY
-from cosim.base.frames import conjugate, rotate, to_euler
+from cosim.base.frames import conjugate, heading_of, rotate, to_euler
 from cosim.base.limits import clamp
 from cosim.base.protocols import Column
 from cosim.base.signals import Actuation, Command, Measured, Unallocated, Vector3
@@ -165,7 +165,7 @@ class WingFlight(FlightLaw):
     def attitude(self, command: Command, speed_setpoint: float, measured: Measured) -> Command:
         """Return the command with the attitude for a speed ahead [m/s]; called once a step, before the loops."""
         settings, step = self._settings, self._step
-        _, _, yaw = to_euler(measured.attitude)
+        yaw = heading_of(measured.attitude)
         north, east, down = measured.velocity
         speed = north * cos(yaw) + east * sin(yaw)
         side_speed = east * cos(yaw) - north * sin(yaw)

@@ -99,8 +99,8 @@ class Estimator:
         lean = lean_acceleration(measured.attitude)
         if reckoning is not None:
             reckoning.predict(measured, (lean[0] + b[0], lean[1] + b[1]))
-        for axis in (0, 1):
-            a = lean[axis] + b[axis]
+        for axis, felt in enumerate([lean[0], lean[1]]):
+            a = felt + b[axis]
             p[axis] += dt * (v[axis] + 0.5 * dt * a)
             v[axis] += dt * a
             if still:

@@ -59,7 +59,7 @@ class Tracker:
             )
             for j in range(n - 1, -1, -1)
         )
-        self._sum = [sum(entry[i] for entry in self._window) for i in range(4)]
+        self._sum: list[float] = [float(sum(entry[i] for entry in self._window)) for i in range(4)]
         self.track = Track(position, velocity, (0.0, 0.0))
 
     def towards(self, target: Pair, speed: float) -> Track:
@@ -121,15 +121,13 @@ class Tracker:
             v[0], v[1] = north, east
         p[0] += dt * v[0]
         p[1] += dt * v[1]
-        entry = (p[0], p[1], v[0], v[1])
-        old = self._window.popleft()
-        self._window.append(entry)
-        total, n = self._sum, len(self._window)
-        for i in range(4):
-            total[i] += entry[i] - old[i]
-        self.track = Track(
-            (total[0] / n, total[1] / n),
-            (total[2] / n, total[3] / n),
-            ((v[0] - old[2]) / (n * dt), (v[1] - old[3]) / (n * dt)),
-        )
+        old_pn, old_pe, old_vn, old_ve = self._window.popleft()
+        self._window.append((p[0], p[1], v[0], v[1]))
+        total, n = self._sum, float(len(self._window))
+        pn = total[0] = total[0] + (p[0] - old_pn)
+        pe = total[1] = total[1] + (p[1] - old_pe)
+        vn = total[2] = total[2] + (v[0] - old_vn)
+        ve = total[3] = total[3] + (v[1] - old_ve)
+        acceleration = ((v[0] - old_vn) / (n * dt), (v[1] - old_ve) / (n * dt))
+        self.track = Track((pn / n, pe / n), (vn / n, ve / n), acceleration)
         return self.track
