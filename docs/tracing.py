@@ -88,12 +88,14 @@ def _of_scenario(scenario: Scenario) -> Iterator[str]:
     for entry in scenario.expect:
         who = f"{entry.controller} with {entry.engine}"
         yield f"{who}: {', '.join([' or '.join(entry.outcome), *_of_metrics(entry.metrics)])}"
+    yield from (f"{entry.name}: {entry.formula}" for entry in scenario.require)
     for key, limit in scenario.limits.model_dump(exclude_none=True).items():
         yield f"limit {key}: {'none' if limit is False else f'{limit:g}'}"
 
 
 def _of_study(study: Study) -> Iterator[str]:
     yield "every flight to its end, within its limits"
+    yield from (f"{entry.name}: {entry.formula}" for entry in study.require)
     yield from _of_metrics(study.success)
     if study.until is not None:
         yield f"probability and confidence: {study.until}"

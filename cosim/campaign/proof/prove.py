@@ -25,7 +25,7 @@ from cosim.campaign.analysis.claim import ClaimResult, judge_claim
 from cosim.campaign.analysis.margin import row_margin
 from cosim.campaign.analysis.page import key_rows, write_campaign_report
 from cosim.campaign.analysis.summary import SUCCESS, rank_keys
-from cosim.campaign.analysis.table import FlightTable, read_flight_table
+from cosim.campaign.analysis.table import KINDS, FlightTable, read_flight_table
 from cosim.campaign.analysis.worst_cases import eccentricity
 from cosim.campaign.folder import STUDY, is_campaign
 from cosim.campaign.proof.credibility import CHOSEN, Evidence, assess_credibility
@@ -159,7 +159,11 @@ def _conclude(
         limits={} if isinstance(limits, str) else limits,
         axis=_commanded_axis(scenario),
         no_limits=limits if isinstance(limits, str) else "",
-        not_covered=not_covered(study, [part.says for part in (*searched.values(), rare) if part.result is None]),
+        not_covered=not_covered(
+            study,
+            [part.says for part in (*searched.values(), rare) if part.result is None],
+            [reason for kind, reason in zip(table.kind, table.reason, strict=True) if KINDS[kind] == "failed"],
+        ),
         credibility=assess_credibility(evidence),
         repeat=_repeat(out, campaign, request),
     )  # fmt: skip

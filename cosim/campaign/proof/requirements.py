@@ -7,19 +7,39 @@ from math import isfinite
 from cosim.campaign.analysis.table import describe_range
 from cosim.campaign.proof.result import ProvenRequirement
 from cosim.campaign.store import Campaign
+from cosim.campaign.workers.flight_row import MARGIN_OF
+from cosim.results.requirements import parse_formula
 from cosim.results.wording import metric
-from cosim.spec.scenario import Range
+from cosim.spec.scenario import Range, RequireEntry
 
 FLOWN = "flies to its end, within the flight's own limits"
 
 
 def proven_requirements(campaign: Campaign) -> list[ProvenRequirement]:
-    """Return what a flight must keep to count as a success: to fly, and then each condition of the study's success."""
+    """Return what a flight must keep to count as a success: to fly, each formula, and each condition of the study."""
     outcomes, beyond = campaign.columns.get("outcome", []), campaign.columns.get("beyond", [])
     lost = sum(outcome != "completed" or bool(limits) for outcome, limits in zip(outcomes, beyond, strict=True))
-    flown = ProvenRequirement("R1", FLOWN, lost, len(outcomes), None, "", None)
-    conditions = enumerate(campaign.study.success.items(), 2)
-    return [flown, *(_condition(campaign, f"R{number}", name, allowed) for number, (name, allowed) in conditions)]
+    listed = [ProvenRequirement("R1", FLOWN, lost, len(outcomes), None, "", None)]
+    for entry in campaign.study.base().require:
+        listed.append(_formula(campaign, f"R{len(listed) + 1}", entry))
+    for name, allowed in campaign.study.success.items():
+        listed.append(_condition(campaign, f"R{len(listed) + 1}", name, allowed))
+    return listed
+
+
+def _formula(campaign: Campaign, label: str, entry: RequireEntry) -> ProvenRequirement:
+    """Return a requirement of the scenario or the study with the margins that the rows have of it."""
+    column = campaign.columns.get(MARGIN_OF + entry.name, [])
+    margins = [
+        (float(value), int(number or 0))
+        for number, value in zip(campaign.columns["flight"], column, strict=False)
+        if isinstance(value, (int, float)) and isfinite(value)
+    ]
+    broken = len(campaign) - sum(margin >= 0.0 for margin, _ in margins)  # one that was not tested is not kept
+    least, flight = min(margins, default=(None, None))
+    unit = parse_formula(entry.formula).unit
+    says = f"{entry.name}: {entry.formula}"
+    return ProvenRequirement(label, says, broken, len(campaign), least, "" if unit == "1" else unit, flight)
 
 
 def _condition(campaign: Campaign, label: str, name: str, allowed: Range) -> ProvenRequirement:

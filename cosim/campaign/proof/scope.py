@@ -33,11 +33,17 @@ def kinds_not_varied(study: Study) -> list[str]:
     return [kind for kind in left if not told.get(kind, False)]
 
 
-def not_covered(study: Study, missing: Sequence[str]) -> list[str]:
-    """Return what the result does not say, a sentence each; ``missing``: the parts that were not done, and why."""
+def not_covered(study: Study, missing: Sequence[str], not_flown: Sequence[str]) -> list[str]:
+    """Return what the result does not say, a sentence each.
+
+    ``missing`` are the parts that were not done, and ``not_flown`` the reasons of the flights that could not be flown.
+    """
     base = study.base()
     left = kinds_not_varied(study)
     lines = [f"{part}" for part in missing]
+    if not_flown:
+        flights = f"{len(not_flown):,} flight{'s' if len(not_flown) != 1 else ''}"
+        lines.append(f"{flights} could not be flown and count as failed, the first because: {not_flown[0]}")
     if left:
         lines.append(f"no key varies {', '.join(left)}: they are as the vehicle's files state them in every flight")
     lines.append(

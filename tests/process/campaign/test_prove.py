@@ -186,6 +186,23 @@ def test_refuted_and_open_are_no_success(study: Path, hexjet: Hexjet, tmp_path: 
     assert few.decision == "shown"  # 10 of 10: 2^-10 is below the error
 
 
+def test_what_could_not_be_flown_is_said(tmp_path: Path) -> None:
+    """A moment of inertia above the sum of the others is no body's: its flights count as failed."""
+    impossible = tmp_path / "impossible.toml"
+    impossible.write_text(
+        HOVER.replace('key = "vehicle.mass_kg"', 'key = "vehicle.inertia_kg_m2.2"\nrelative = "factor"').replace(
+            "range = [5.4, 5.8]", "range = [1.0, 1.8]"
+        )
+    )
+    proof = prove(proof_study(str(impossible), "50%@90%", 40), tmp_path / "p", 1, request=Request(limit=False))
+    (line,) = [text for text in proof.not_covered if "could not be flown" in text]
+    assert "count as failed, the first because:" in line
+    assert "no body has one moment above the sum of the others" in line
+    assert proof.requirements[0].broken > 0
+    assert proof.worst[-1].run == ""
+    assert proof.worst[-1].is_same
+
+
 def test_the_most_likely_failure_and_the_worst_case_are_runs(hexjet: Hexjet, tmp_path: Path) -> None:
     """Of a study that fails where the thrust is off by two standard deviations: the search finds that edge."""
     pytest.importorskip("cmaes", reason="no cmaes: pip install 'hexjet-cosim[worst]'")
@@ -243,6 +260,9 @@ def test_a_design_is_proven_over_the_box_that_it_was_made_for(tmp_path: Path) ->
     inertia = by_key["vehicle.inertia_kg_m2.0"]
     assert inertia.range == pytest.approx((1.0 / 1.3, 1.0 / 0.7), rel=1e-5)  # gain 0.7 to 1.3 times as much
     assert by_key["mismatch.delay_samples"].range == (0.0, 7.0)  # 0.3 of 25 samples, whole ones
+    for flight in flights(designed)[:500]:  # no body has a moment above the sum of the others
+        moments = [flight.values[f"vehicle.inertia_kg_m2.{axis}"] for axis in range(3)]
+        assert 2.0 * max(moments) <= sum(moments)  # type: ignore[type-var, arg-type, operator]
     assert set(designed.success) == {"roll.overshoot_percent", "roll.oscillation_rad"}
     assert designed.base().command[0].amplitude == 20.0  # type: ignore[union-attr]  # the pilot's lean
     assert "inertia" not in " ".join(kinds_not_varied(designed))
