@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cosim.results.run import Run
     from cosim.spec.scenario import DisturbanceEntry, Fault, Scenario
 
-Kind = Literal["fault", "monitor", "disturbance", "contact", "pilot"]
+Kind = Literal["fault", "monitor", "disturbance", "contact", "pilot", "requirement"]
 LEAVES, TOUCHES = "leaves the ground", "touches the ground"
 MOST = 500  # events of one kind that are kept; the log has all of them
 

@@ -155,6 +155,7 @@ def strip_numbers(reason: str) -> str:
 def unmet_criteria(table: FlightTable, row: int, success: Mapping[str, Range]) -> list[str]:
     """Return the criteria of a study that a completed flight does not meet."""
     lines = [f"{metric(name).label} beyond the flight's own limit" for name in table.beyond[row]]
+    lines += [f"requirement {name} broken" for name in (table.broken[row] if table.broken else ())]
     for name, allowed in success.items():
         value = table.values[name][row] if name in table.values else np.nan
         of = metric(name)

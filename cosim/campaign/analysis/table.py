@@ -14,6 +14,7 @@ from cosim.base.signals import AXES
 from cosim.campaign.analysis.statistics import Counts
 from cosim.campaign.study.keys import FLOWN_PARAMETERS, FLOWN_STATIONS
 from cosim.campaign.study.plan import controllers as controllers_of
+from cosim.campaign.workers.flight_row import MARGIN_OF
 from cosim.results.metrics import metric_names
 from cosim.results.wording import Metric, metric
 from cosim.simulation.plugins import PREFIX
@@ -79,6 +80,7 @@ class FlightTable(NamedTuple):
     values: dict[str, Array]  # metrics by name, SI; NaN where a flight did not complete or has none
     controllers: list[str]
     grid: bool  # every combination of levels, rather than draws
+    broken: Sequence[Sequence[str]] = ()  # the requirements that each flight does not keep; empty where there are none
 
     @property
     def success(self) -> Mask:
@@ -112,6 +114,8 @@ def read_flight_table(campaign: Campaign) -> FlightTable:
     code_of = {name: code for code, name in enumerate(controllers)}
     completed = kind <= KINDS.index("missed")
     names = [*metric_names(), *(name for name in columns if name.startswith(PREFIX))]
+    required = ["margin"] if study.base().require else []
+    names += required
     values = {name: np.where(completed, numbers(columns[name]), np.nan) for name in names if name in columns}
     return FlightTable(
         flight=np.array(columns.get("flight", []), dtype=np.intp),
@@ -122,11 +126,22 @@ def read_flight_table(campaign: Campaign) -> FlightTable:
         beyond=[str(names or "").split() for names in columns.get("beyond", outcomes.size * [""])],
         duration=numbers(columns.get("duration_s", [])),
         keys=key_columns(campaign),
-        metrics=[metric(name) for name in choose_metrics(values, list(study.success))],
+        metrics=[metric(name) for name in choose_metrics(values, [*required, *study.success])],
         values=values,
         controllers=[short_name(name) for name in controllers],
         grid=study.design == "grid",
+        broken=broken_requirements(campaign),
     )
+
+
+def broken_requirements(campaign: Campaign) -> list[list[str]]:
+    """Return the names of the requirements that each flight does not keep; an empty list where the study has none."""
+    names = [entry.name for entry in campaign.study.base().require]
+    columns = [campaign.columns.get(MARGIN_OF + name, [None] * len(campaign)) for name in names]
+    return [
+        [name for name, margin in zip(names, row, strict=True) if not isinstance(margin, float) or not margin >= 0.0]
+        for row in zip(*columns, strict=True)
+    ]
 
 
 def numbers(values: Sequence[Any]) -> Array:

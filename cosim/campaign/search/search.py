@@ -22,7 +22,7 @@ from cosim.campaign.search.span import Span
 from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Row
+from cosim.campaign.workers.flight_row import MARGIN_OF, Row
 from cosim.results.metrics import check_expectations
 from cosim.results.wording import metric
 
@@ -174,6 +174,9 @@ def describe_flight(study: Study, row: Row) -> str:
         return f"not flown: {row['reason']}"
     metrics = {name: row.get(name) for name in study.success}
     above = [f"beyond its limit of {metric(name).label}" for name in str(row.get("beyond") or "").split()]
+    required = [entry.name for entry in study.base().require] if row["outcome"] == "completed" else []
+    margins = {name: row.get(MARGIN_OF + name) for name in required}
+    above += [f"requirement {name} broken" for name, margin in margins.items() if margin is None or not margin >= 0.0]  # type: ignore[operator]
     missed = check_expectations(metrics, study.success) if row["outcome"] == "completed" else []  # type: ignore[arg-type]
     return f"{row['outcome']}, {'; '.join([*above, *missed]) or row['reason']}"
 

@@ -11,7 +11,7 @@ from math import cos, inf, isfinite, pi, sin
 
 from cosim.base.signals import AXES
 from cosim.control.allocation.authority import Reach
-from cosim.results.report.svg import begin_drawing, finish_drawing, text
+from cosim.results.report.three_views import begin_drawing, finish_drawing, text
 from cosim.spec.vehicle import Vehicle
 
 DIRECTIONS = 24  # directions of a section, the axes and the diagonals among them

@@ -236,6 +236,9 @@ def print_run(run: Run) -> None:
     _print_whole(run)
     for text in summary.exceeded:
         say(f"beyond its limit: {text}")
+    for result in summary.requirements:
+        if result.source == "require":
+            say(f"requirement {result.describe()}", wrap=False)
     for engine, why in dict.fromkeys((station.engine, station.apart) for station in summary.stations if station.apart):
         say(f"engines in a process of their own, because {engine} {why}", wrap=False)
     if controller is not None and controller.repeatable is False:

@@ -38,6 +38,7 @@ _MEANINGS = {  # of the first part of a key in the file of a scenario or a study
     "vehicle": "written over the aircraft's",
     "engine_parameters": "written over the engine's",
     "limits": "the most that the flight may come to",
+    "require": "what it must keep",
     "expect": "what it must come to",
     "scenario": "what every draw varies",
     "design": "how the draws are chosen",

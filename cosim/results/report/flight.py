@@ -17,6 +17,13 @@ from cosim.results.report.log_reader import Reader
 from cosim.results.report.page import TEMPLATES, Flights, render
 from cosim.results.report.panels import make_rest_columns
 from cosim.results.report.plot import BLUE
+from cosim.results.report.requirements import (
+    ZERO,
+    deciding_events,
+    margin_columns,
+    margins_over_time,
+    requirement_rows,
+)
 from cosim.results.report.signals_data import FlightData, read_vehicle, run_data
 from cosim.results.run import LOG, SCENARIO, Run
 from cosim.results.summary import DelayRow, Summary
@@ -29,6 +36,7 @@ KINDS = {
     "disturbance": "from outside",
     "contact": "ground",
     "pilot": "autopilot",
+    "requirement": "requirement",
 }
 GRAVE = 3  # severities up to this, errors, are set off
 
@@ -44,8 +52,8 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
 
 def _write(run: Run, path: Path, shared_assets: bool) -> None:
     summary = run.summary
-    events = list_events(run)
-    flights = None
+    events = sorted([*list_events(run), *deciding_events(summary)], key=lambda event: event.time_s)
+    flights, margins = None, margins_over_time(run.log, summary) if summary.steps else []
     if summary.steps:
         vehicle = read_vehicle(run)
         data = run_data(
@@ -57,12 +65,13 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
                 events=events,
                 vehicle=vehicle,
                 jets_m=summary.jets_m,
-                derived=make_rest_columns(run.log, summary),
+                derived=make_rest_columns(run.log, summary) | margin_columns(margins),
+                made=[ZERO, *(margin.column for margin in margins)],
                 upsets=Reader(run.log, summary.step_s).upsets(),
                 reach=summary.reach,
             )
         )
-        flights = Flights(summary.scenario, [data], run_figures(run.log, summary))
+        flights = Flights(summary.scenario, [data], run_figures(run.log, summary, margins))
     strips = {} if flights is None else flights.figures
     render(
         TEMPLATES / "report.html",
@@ -87,6 +96,7 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
         axis_limits=axis_limits_line(summary),
         whole=whole_rows(summary),
         expectations=expectation_rows(summary),
+        requirements=requirement_rows(summary),
         ledgers=ledgers(summary),
         jets=jet_drawing(summary),
         uncertain=uncertain_rows(summary),

@@ -33,6 +33,7 @@ from cosim.results.report.panels import (
     tilt_panels,
 )
 from cosim.results.report.plot import BLUE, Figure, run_colour
+from cosim.results.report.requirements import MarginOverTime, margin_panels
 from cosim.results.summary import Summary
 
 # of a flight less another: subtract_first()
@@ -52,7 +53,7 @@ LESS = (
 )
 
 
-def run_figures(log: Log, summary: Summary) -> dict[str, Figure]:
+def run_figures(log: Log, summary: Summary, margins: Sequence[MarginOverTime] = ()) -> dict[str, Figure]:
     """Return the strips of one run that its page shows at first, by their figure's name: panels and their signals.
 
     ``shared``: one scale for all panels.  ``equal``: cross-plots with both axes to one scale, east and north.
@@ -68,6 +69,8 @@ def run_figures(log: Log, summary: Summary) -> dict[str, Figure]:
         "height": strips(reader, HEIGHT),
         "track": strips(reader, [Panel("Track", "m", east_north)]) | {"equal": True},
     }
+    if margins:
+        figures["margins"] = strips(reader, margin_panels(margins))
     if any(
         reader.has_values(trace.column) for panel in POSITION for trace in panel.traces if trace.label == "set-point"
     ):

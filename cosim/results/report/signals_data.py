@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.layout import UP
+from cosim.base.protocols import Column
 from cosim.results.events import Event, row_spans, time_spans
 from cosim.results.log.recorder import Log
 from cosim.results.log.tables import TIME
@@ -147,6 +148,7 @@ class FlightData(NamedTuple):
     jets_m: Sequence[Sequence[float]] = ()  # body, where no vehicle is known
     times: Array | None = None  # of the rows, where they are not 0, step_s, ...
     derived: Mapping[str, Callable[[], Array]] = MappingProxyType({})  # what makes columns that the log has not
+    made: Sequence[Column] = ()  # what the derived ones are, where that is not DERIVED
     upsets: Sequence[tuple[float, float]] = ()  # when something disturbs the flight as the log has it
     reach: Reach | None = None  # by which the flight's metrics were made
 
@@ -214,7 +216,7 @@ def _pack_columns(flight: FlightData, group: int) -> tuple[list[dict[str, Any]],
     empty: list[str] = []
     first_of: dict[str, str] = {}  # data and the first column that has it: jets of one bank often get the same command
     log, derived = flight.log, flight.derived
-    described = {column.name: column for column in log.described}
+    described = {column.name: column for column in (*log.described, *flight.made)}
     for name in (*log.columns, *derived):
         if name == TIME and flight.times is None:
             continue

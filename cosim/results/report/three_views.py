@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from math import hypot
 
 from cosim.base.signals import Vector3
-from cosim.results.report.svg import begin_drawing, finish_drawing, text
 from cosim.spec.vehicle import Vehicle
 
 VIEW, MARGIN, TITLE = 300.0, 34.0, 44.0  # px
@@ -175,3 +174,24 @@ def _ruler(root: ET.Element, scale: float, reach: float) -> None:
         root, "line", {"class": "cg", "x1": "12", "y1": f"{y:g}", "x2": f"{12 + length * scale:.2f}", "y2": f"{y:g}"}
     )
     text(root, 18 + length * scale, y + 4, f"{length:g} m", "dim")
+
+
+# ---- what any drawing begins with, is lettered with and ends as
+
+
+def begin_drawing(name: str, width: float, height: float, style: str) -> ET.Element:
+    """Return the root of a drawing [px] with its title and its style sheet."""
+    root = ET.Element("svg", xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {width:g} {height:g}", role="img")
+    ET.SubElement(root, "title").text = name
+    ET.SubElement(root, "style").text = style
+    return root
+
+
+def text(root: ET.Element, x: float, y: float, words: str, kind: str, anchor: str = "start") -> None:
+    """Add a text at a position [px], of a class of the style sheet."""
+    ET.SubElement(root, "text", {"class": kind, "x": f"{x:g}", "y": f"{y:g}", "text-anchor": anchor}).text = words
+
+
+def finish_drawing(root: ET.Element) -> str:
+    """Return the document as text."""
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"

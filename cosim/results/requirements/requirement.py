@@ -106,7 +106,11 @@ class Requirement(Record):
         """Return what a flight comes to; of a flight that was ``lost`` nothing that the user requires is kept."""
         formula = self.parsed.formula
         value = float(formula.margins(flight)[0]) if flight.rows else nan
-        if isfinite(value):
+        end, latest = flight.rows * flight.step_s, formula.latest_s([0.0], flight.times_s)
+        if value >= 0.0 and latest > end + 0.5 * flight.step_s:
+            note = f"the flight ends at {end:g} s, before {latest:g} s"
+            assessment = Assessment(self, None, kept=False, note=note)
+        elif isfinite(value):
             comparison, row, sign = formula.deciding(flight, 0)
             whole = flight.metrics.keys() >= set(comparison.names)
             assessment = Assessment(

@@ -102,7 +102,8 @@ class FlightSignals:
         self.step_s, self.rows = step_s, len(log)
         self.margins: dict[Formula, Array] = {}
         self.metrics = metrics
-        self._log, self._times_s = log, times_s
+        self.times_s = {name: list(times) for name, times in times_s.items()}
+        self._log = log
         self._signals: dict[str, Array] = {}
 
     def signal(self, name: str) -> Array:
@@ -128,7 +129,7 @@ class FlightSignals:
         if name in CONTACTS:
             changes = find_contact_changes(find_contact_rows(self._log), self.step_s) if self.rows else ()
             return [row for row, stands in changes if name == CONTACTS[stands]]
-        rows = [ceil(time / self.step_s - 1e-6) for time in self._times_s.get(name, ())]
+        rows = [ceil(time / self.step_s - 1e-6) for time in self.times_s.get(name, ())]
         return [row for row in rows if row < self.rows]
 
 

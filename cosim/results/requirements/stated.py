@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import inf
 from typing import TYPE_CHECKING
 
 from cosim.base.errors import InputError, nearest
@@ -24,17 +25,20 @@ def stated_requirements(scenario: Scenario) -> list[Requirement]:
     ]
 
 
-def check_requirements(scenario: Scenario) -> None:
-    """Refuse what cannot be read, an unknown event and what lies beyond the end of the flight.  Raises InputError."""
-    times = event_times(scenario)
+def check_requirements(scenario: Scenario, whole: bool = True) -> None:
+    """Refuse what cannot be read and an unknown event; if ``whole``, what lies beyond the end of the flight too.
+
+    Raises InputError.
+    """
+    times, end_s = event_times(scenario), scenario.duration_s if whole else inf
     for requirement in stated_requirements(scenario):
         try:
-            _check(requirement, times, scenario.duration_s)
+            _check(requirement, times, end_s)
         except InputError as error:
             raise InputError(f"scenario {scenario.name}: require {requirement.name}: {error}") from error
 
 
-def _check(requirement: Requirement, times: dict[str, list[float]], duration_s: float) -> None:
+def _check(requirement: Requirement, times: dict[str, list[float]], end_s: float) -> None:
     parsed = requirement.parsed
     if requirement.scale is None and not parsed.limit:
         raise InputError(f"compares with no number but 0: state its scale, in {parsed.unit}")
@@ -43,8 +47,8 @@ def _check(requirement: Requirement, times: dict[str, list[float]], duration_s: 
         if name not in known:
             raise InputError(f"unknown event {name!r}; {nearest(name, known)}")
     latest = parsed.formula.latest_s([0.0], times)
-    if latest > duration_s:
-        raise InputError(f"speaks of {latest:g} s, and the flight ends at {duration_s:g} s")
+    if latest > end_s:
+        raise InputError(f"speaks of {latest:g} s, and the flight ends at {end_s:g} s")
 
 
 def check_signals(simulation: Simulation, metrics: Iterable[str]) -> None:

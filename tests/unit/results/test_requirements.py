@@ -8,13 +8,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import campaigns
 import numpy as np
 import pytest
 from places import DOCS
 
 from cosim import Scenario, fly
 from cosim.base.errors import InputError
-from cosim.campaign.study.plan import flights
+from cosim.campaign.analysis.page import write_campaign_report
+from cosim.campaign.analysis.summary import unmet_criteria
+from cosim.campaign.analysis.table import read_flight_table
+from cosim.campaign.proof.requirements import proven_requirements
+from cosim.campaign.search.search import describe_flight
+from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import MARGIN_OF, fly_one, kinds
 from cosim.results.expectations import check_expected
@@ -22,6 +28,8 @@ from cosim.results.limits import find_exceeded
 from cosim.results.log.columns import COLUMNS, NAMES
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.metrics import check_expectations
+from cosim.results.report.flight import write_report
+from cosim.results.report.requirements import margins_over_time, shortened
 from cosim.results.requirements import (
     FlightSignals,
     Lost,
@@ -204,9 +212,20 @@ def test_a_scenario_without_them_is_as_before() -> None:
     ],
 )
 def test_what_nothing_could_keep_is_refused(formula: str, message: str) -> None:
-    scenario = Scenario.load("roll-doublet").replace(require=[{"name": "level", "formula": formula}])
+    table = {"name": "mine", "duration_s": 12.0, "require": [{"name": "level", "formula": formula}]}
+    doublet = {"kind": "doublet", "signal": "roll_deg", "start_s": 1.0, "amplitude": 10.0, "width_s": 3.0}
     with pytest.raises(InputError, match=message):
-        check_expected(scenario)
+        check_expected(Scenario.from_table(table | {"command": [doublet]}, Path(), "mine.toml"))
+    with pytest.raises(InputError, match=message):
+        study(settings={}, require=table["require"])
+
+
+def test_a_flight_that_was_shortened_does_not_keep_what_comes_later() -> None:
+    require = [{"name": "late", "formula": 'after("doublet begins", for(2 s, abs(roll_deg) < 45))'}]
+    run = fly(Scenario.load("roll-doublet").replace(require=require, duration_s=2.5))
+    (late,) = (result for result in run.summary.requirements if result.source == "require")
+    assert (late.margin, late.kept, late.note) == (None, False, "the flight ends at 2.5 s, before 3 s")
+    assert not run.summary.succeeded
 
 
 def test_unknown_signals_are_refused_with_the_nearest() -> None:
@@ -267,3 +286,58 @@ def test_the_examples_of_the_page_run() -> None:
     check_expected(Scenario.load("roll-doublet").replace(require=tomllib.loads(text)["require"]))
     (program,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     exec(program, {})
+
+
+# ---- pages
+
+
+def test_the_page_of_a_flight_begins_with_the_smallest_margin(flown: Run, tmp_path: Path) -> None:
+    write_report(flown, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    table = page[page.index("<h2>Requirements</h2>") : page.index('id="replay-card"')]
+    assert re.findall(r"<tr><td>(\S+) <span", table)[0] == "lean"
+    assert table.count("<tr><td>") == len(flown.summary.requirements)
+    assert table.count(">broken<") == 1
+    assert "requirement broken</span>" in page
+    assert re.search(r'data-figure="margins"', page)
+    events = page[page.index("<h2>What happened</h2>") :]
+    assert "lean: broken by" in events[: events.index("</table>")]
+
+
+def test_margins_over_time_meet_the_margin_where_it_is_decided(flown: Run) -> None:
+    margins = margins_over_time(flown.log, flown.summary)
+    assert {"margin_level", "margin_lean", "margin_late", "margin_speed.max_m_s"} <= {m.column.name for m in margins}
+    for margin in margins:
+        assert margin.result.decided_at_s is not None
+        row = round(margin.result.decided_at_s / flown.summary.step_s)
+        assert margin.values[row] == margin.result.margin
+    scaled = [margin.result.scaled or 0.0 for margin in margins]
+    assert scaled == sorted(scaled)
+
+
+def test_made_formulas_are_short_for_people() -> None:
+    assert shortened("always(abs(altitude_error_m) <= 2.00000000129414)") == "always(abs(altitude_error_m) <= 2)"
+    assert shortened("0.1 <= roll.rmse_rad <= 1e-05") == "0.1 <= roll.rmse_rad <= 1e-05"
+
+
+def test_a_campaign_says_which_requirement_was_broken(tmp_path: Path) -> None:
+    margins = iter([3.0, -2.0, None, 5.0])
+    mine = study(runs=4)
+
+    def outcome(_: Flight, __: Any) -> dict[str, Any]:
+        margin = next(margins)
+        kept = margin is not None and margin >= 0.0
+        return {"margin": None if margin is None else margin / 30.0, "margin_level": margin, "success": kept,
+                "roll.rmse_rad": 0.1}  # fmt: skip
+
+    made = campaigns.campaign(tmp_path, mine, outcome)
+    table = read_flight_table(made)
+    assert [list(names) for names in table.broken] == [[], ["level"], ["level"], []]
+    assert unmet_criteria(table, 1, mine.success) == ["requirement level broken"]
+    assert table.metrics[0].name == "margin"
+    assert describe_flight(mine, made.row(1)).startswith("completed, requirement level broken")
+    flown, level, rmse = proven_requirements(made)
+    assert (flown.label, level.label, rmse.label) == ("R1", "R2", "R3")
+    assert (level.says, level.broken, level.told) == ("level: always(abs(roll_deg) < 30)", 2, 4)
+    write_campaign_report(made)
+    assert "requirement level broken" in (tmp_path / "report.html").read_text(encoding="utf-8")

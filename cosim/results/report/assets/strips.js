@@ -66,7 +66,7 @@
 
   const COLOURS = ["#2f7de1", "#f08c00", "#2f9e44", "#c2339b", "#e03131", "#7048e8", "#1098ad", "#a0522d"];
   const DASHES = { solid: [], dash: [7, 4], dot: [2, 3], dashdot: [7, 3, 2, 3] };
-  const KINDS = { fault: "#e03131", monitor: "#f08c00", pilot: "#2f7de1", contact: "#2f9e44", disturbance: "#868e96" };
+  const KINDS = { fault: "#e03131", monitor: "#f08c00", pilot: "#2f7de1", contact: "#2f9e44", disturbance: "#868e96", requirement: "#7048e8" };
   const SHOWN = { rad: ["deg", 180 / Math.PI], "rad/s": ["deg/s", 180 / Math.PI] };
   const panels = new Set();
   const number = (value) => value === null || !Number.isFinite(value) ? "–"

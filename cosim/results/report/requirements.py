@@ -1,0 +1,114 @@
+"""What a flight's page says of its requirements: a table, each margin over time, and the instants that decide."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.protocols import Column
+from cosim.results.events import Event
+from cosim.results.log.recorder import Log
+from cosim.results.report.panels import Panel, Trace
+from cosim.results.report.plot import BLUE, RED
+from cosim.results.requirements import FlightSignals, RequirementResult
+from cosim.results.summary import Summary
+from cosim.results.wording import NONE, display_unit
+
+ZERO = Column("margin_zero", "", "", "below it a requirement is broken")
+SOURCES = {"require": "required", "expect": "expected", "limits": "limit", "success": "success"}
+
+
+class MarginOverTime(NamedTuple):
+    """The margin of the comparison that decides a requirement, in every row of the log."""
+
+    result: RequirementResult
+    column: Column
+    values: Array
+
+
+def margins_over_time(log: Log, summary: Summary) -> list[MarginOverTime]:
+    """Return the margins that change during a flight; those of metrics of the whole flight do not."""
+    flight = FlightSignals(log, summary.step_s, summary.flat_metrics, summary.event_times_s)
+    found: dict[str, MarginOverTime] = {}
+    for result in by_margin(summary):
+        values = result.requirement.assess(flight).margin_over_time
+        name = f"margin_{result.name}"
+        name = f"margin_{result.source}_{result.name}" if name in found else name
+        if values is not None:
+            meaning = f"margin of {result.decided_by or result.formula}: positive kept, negative broken; not in the log"
+            found[name] = MarginOverTime(result, Column(name, _unit(result), "", meaning), values)
+    return list(found.values())
+
+
+def margin_columns(margins: Sequence[MarginOverTime]) -> dict[str, Callable[[], Array]]:
+    """Return what makes the columns that a page has of margins, beside the log's."""
+    columns: dict[str, Callable[[], Array]] = {margin.column.name: partial(_values, margin) for margin in margins}
+    return columns | {ZERO.name: lambda: np.zeros(margins[0].values.size)} if margins else {}
+
+
+def _values(margin: MarginOverTime) -> Array:
+    return margin.values
+
+
+def by_margin(summary: Summary) -> list[RequirementResult]:
+    """Return the requirements of a flight, the smallest margin in scales first, those without one last."""
+    return sorted(summary.requirements, key=lambda result: np.inf if result.scaled is None else result.scaled)
+
+
+def requirement_rows(summary: Summary) -> list[dict[str, str]]:
+    """Return the requirements as texts, the smallest margin first."""
+    rows = []
+    for result in by_margin(summary):
+        unit, factor = display_unit(result.unit)
+        margin = (
+            NONE if result.margin is None else f"{factor * result.margin:.4g} {'' if unit == '1' else unit}".strip()
+        )
+        rows.append(
+            {
+                "name": result.name,
+                "source": SOURCES[result.source],
+                "margin": margin,
+                "share": NONE if result.margin is None else f"{100.0 * result.margin / result.scale:.0f} %",
+                "at": "the whole flight" if result.decided_at_s is None else f"{result.decided_at_s:.3f}",
+                "formula": result.formula if result.source == "require" else shortened(result.formula),
+                "reason": result.reason,
+                "state": result.note or ("kept" if result.kept else "broken"),
+                "badge": "met" if result.kept else "unmet",
+            }
+        )
+    return rows
+
+
+def shortened(formula: str) -> str:
+    """Return a formula that was made, its numbers rounded to four digits for people."""
+    return re.sub(r"(?<![\w.])\d+\.\d+(?:e[-+]\d+)?", lambda number: f"{float(number[0]):.4g}", formula)
+
+
+def margin_panels(margins: Sequence[MarginOverTime]) -> list[Panel]:
+    """Return a panel for each margin, with the line below which it is broken."""
+    panels = []
+    for margin in margins:
+        unit, factor = display_unit(margin.column.unit)
+        traces = [Trace(ZERO.name, "broken below", RED, "dash", 1.2), Trace(margin.column.name, "margin", BLUE)]
+        panels.append(Panel(margin.result.name, unit, traces, factor))
+    return panels
+
+
+def deciding_events(summary: Summary) -> list[Event]:
+    """Return the instants that decide what is required, and the smallest margin of all."""
+    smallest = [result for result in by_margin(summary)[:1] if result.source != "require"]
+    chosen = [result for result in summary.requirements if result.source == "require"] + smallest
+    return [
+        Event(time_s=result.decided_at_s, kind="requirement", text=result.describe(), severity=6 if result.kept else 3)
+        for result in chosen
+        if result.decided_at_s is not None
+    ]
+
+
+def _unit(result: RequirementResult) -> str:
+    return "" if result.unit == "1" else result.unit
