@@ -131,7 +131,6 @@ class EngineBank:
                 self._instances.append(make_instance(spec.archive, self._folders[key].path, _engine_numbers(group)))
             except InstanceError as error:
                 raise EngineError(f"{label}: {error}") from error
-        self._make_native()
 
     def _make_native(self) -> None:
         rows = [instance.make_row(0, group) for instance, group in zip(self._instances, self._groups, strict=True)]
@@ -254,6 +253,8 @@ class EngineBank:
                 for station in self._stations(index):
                     throttles[station] = 0.0 if station in self._cancelled else ignition.throttle
             throttle = tuple(throttles)
+        if not self._was_reset and self._instances:  # it is the FMU that refuses to step then
+            self._make_native()
         try:
             output = self._native.step(k, throttle, ambient)
         except _bank.FailureError as failure:

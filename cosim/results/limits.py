@@ -56,6 +56,7 @@ LIMITED = {  # the keys of [limits] and the metrics that they limit
 }
 
 
+_ROWS = 65_536  # whose leans are looked at together: 0.5 MB a column
 NEVER_SETTLED = ".settling_time_s"  # the metric that is None where a step has not settled
 
 
@@ -97,14 +98,28 @@ def flight_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str
     none on drift where a place is asked for, none on drift and speed where a pilot flies or body rates are commanded.
     Those of the axes are :mod:`cosim.results.steadiness`'s.
     """
-    span = measure.span_m
-    setpoint, altitude = log["altitude_setpoint_m"], log["altitude_m"]
-    limits = {
-        "height_error_m": HEIGHT_SPANS * span + height_lag(setpoint, altitude, measure.height_law, step_s),
+    # a function each, that none holds columns which another reads: those of an hour are 7 MB each
+    merged: dict[str, float | None] = {
+        "height_error_m": _height_limit(measure, log, step_s),
         "saturated_percent": SATURATED_PERCENT,
         "alternating_percent": ALTERNATING_PERCENT,
+        **_motion_limits(measure, log, step_s),
+        **measure.stated,
     }
-    placed, speed = commands_position(log), SPEEDS * sqrt(GRAVITY * span)
+    named = {LIMITED[key]: value for key, value in merged.items() if value is not None and key in LIMITED}
+    return named | axis_limits(measure.axes, log, step_s, measure.span_m, measure.stated)
+
+
+def _height_limit(measure: LimitInputs, log: Columns, step_s: float) -> float:
+    lag = height_lag(log["altitude_setpoint_m"], log["altitude_m"], measure.height_law, step_s)
+    return HEIGHT_SPANS * measure.span_m + lag
+
+
+def _motion_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str, float]:
+    """Return the limits of position, drift and speed by their keys."""
+    span, speed = measure.span_m, SPEEDS * sqrt(GRAVITY * measure.span_m)
+    limits: dict[str, float] = {}
+    placed = commands_position(log)
     if placed:
         limits["place_error_m"] = POSITION_SPANS * span
     if not measure.piloted:
@@ -116,9 +131,7 @@ def flight_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str
             lean = lean_motion(roll, pitch, yaw, start, step_s)
             if lean is not None:
                 limits |= {"drift_m": DRIFT_SPANS * span + lean[0], "speed_m_s": speed + lean[1]}
-    merged: dict[str, float | None] = {**limits, **measure.stated}
-    named = {LIMITED[key]: value for key, value in merged.items() if value is not None and key in LIMITED}
-    return named | axis_limits(measure.axes, log, step_s, span, measure.stated)
+    return limits
 
 
 def height_lag(setpoint: Array, altitude: Array, law: tuple[float, float, float], step_s: float) -> float:
@@ -157,13 +170,27 @@ def lean_motion(
     """
     if not roll.size or not all(np.all(np.isfinite(angle)) for angle in (roll, pitch, yaw)):
         return None
+    speed, gained = np.empty(roll.size), [0.0, 0.0]
+    for first in range(0, roll.size, _ROWS):
+        part = slice(first, first + _ROWS)
+        changes = _velocity_changes(roll[part], pitch[part], yaw[part], step_s)
+        for axis, change in enumerate(changes):
+            change[0] += gained[axis]
+            np.cumsum(change, out=change)
+            gained[axis] = float(change[-1])
+        speed[part] = np.hypot(*(start + change for start, change in zip(velocity, changes, strict=True)))
+    return float(np.sum(speed) * step_s), float(np.max(speed))
+
+
+def _velocity_changes(roll: Array, pitch: Array, yaw: Array, step_s: float) -> tuple[Array, Array]:
+    """Return the change of the velocity north and east (m/s) in every step that commanded leans explain."""
     upright = np.cos(roll) * np.cos(pitch)
     scale = np.where(upright > 0.0, -GRAVITY * step_s / np.maximum(upright, 1e-3), 0.0)
     sine, rolled = np.cos(roll) * np.sin(pitch), np.sin(roll)
-    north = velocity[0] + np.cumsum(scale * (sine * np.cos(yaw) + rolled * np.sin(yaw)))
-    east = velocity[1] + np.cumsum(scale * (sine * np.sin(yaw) - rolled * np.cos(yaw)))
-    speed = np.hypot(north, east)
-    return float(np.sum(speed) * step_s), float(np.max(speed))
+    return (
+        scale * (sine * np.cos(yaw) + rolled * np.sin(yaw)),
+        scale * (sine * np.sin(yaw) - rolled * np.cos(yaw)),
+    )
 
 
 def track_speed(north: Array, east: Array, step_s: float) -> float:

@@ -129,10 +129,11 @@ def flight_metrics(log: Columns, step_s: float, reach: Reach | None = None) -> M
 
     Without ``reach`` only what allocation refused counts as saturation.
     """
+    axes = {axis: _axis_of(log, axis, rate, step_s) for axis, rate in zip(AXES, RATES, strict=True)}
     contact = find_contact_rows(log)
     altitude = log["altitude_m"]
     return Metrics(
-        axes={axis: _axis_of(log, axis, rate, step_s) for axis, rate in zip(AXES, RATES, strict=True)},
+        axes=axes,
         altitude=altitude_metrics(log["altitude_setpoint_m"], altitude, contact),
         touchdown_m_s=touchdown(contact, altitude, log["velocity_down_m_s"]),
         position=_position_of(log),
@@ -187,12 +188,12 @@ def _axis_columns(axis: str, rate: str) -> tuple[str, str, str, str]:
 
 
 def _axis_of(log: Columns, axis: str, rate: str, step_s: float) -> AxisMetrics:
-    setpoint, angle, rate_setpoint, true_rate = (log[name] for name in _axis_columns(axis, rate))
-    return axis_metrics(setpoint, angle, rate_setpoint, true_rate, step_s)
+    setpoint, angle, rate_setpoint, true_rate = _axis_columns(axis, rate)
+    return axis_metrics(log[setpoint], log[angle], _rms(log[rate_setpoint] - log[true_rate]), step_s)
 
 
-def axis_metrics(setpoint: Array, angle: Array, rate_setpoint: Array, rate: Array, step_s: float) -> AxisMetrics:
-    """Return the metrics of one axis from its columns (rad, rad/s)."""
+def axis_metrics(setpoint: Array, angle: Array, rate_rmse: float | None, step_s: float) -> AxisMetrics:
+    """Return the metrics of one axis from its columns (rad); ``rate_rmse`` is of its rate (rad/s)."""
     error = wrap(setpoint - angle)
     last = _last(error, step_s)
     steps = find_steps(setpoint, angle, step_s)
@@ -202,7 +203,7 @@ def axis_metrics(setpoint: Array, angle: Array, rate_setpoint: Array, rate: Arra
         max_abs_error_rad=_largest(np.abs(error)),
         overshoot_percent=_worst([overshoot(error[s.first : s.end], s.size) for s in steps]),
         settling_time_s=_worst([settling_time(error[s.first : s.end], s.size, step_s) for s in steps]),
-        rate_rmse_rad_s=_rms(rate_setpoint - rate),
+        rate_rmse_rad_s=rate_rmse,
         final_error_rad=float(np.mean(np.abs(last))) if last.size else None,
         oscillation_rad=float(0.5 * np.ptp(last)) if last.size else None,
     )
@@ -253,7 +254,7 @@ def altitude_metrics(setpoint: Array, altitude: Array, contact: NDArray[np.bool_
     """
     error = setpoint - altitude
     if contact is not None:
-        error = np.where(contact & (error < 0.0), 0.0, error)
+        error[contact & (error < 0.0)] = 0.0
     size = np.abs(error)
     return AltitudeMetrics(rmse_m=_rms(error), max_abs_error_m=_largest(size), final_error_m=_at_end(size))
 
@@ -342,9 +343,13 @@ def alternating_percent(commands: Iterable[tuple[Array, float, float]], step_s: 
     for command, least, most in commands:
         if most <= least or command.size < rows + 2 or not np.all(np.isfinite(command)):
             continue
-        change = np.diff(command) / (most - least)
-        turns = (change[1:] * change[:-1] < 0.0) & (np.minimum(np.abs(change[1:]), np.abs(change[:-1])) > REVERSAL)
-        count = np.concatenate(([0], np.cumsum(turns)))
+        change = np.diff(command)
+        change /= most - least
+        turns = change[1:] * change[:-1] < 0.0
+        np.abs(change, out=change)
+        turns &= np.minimum(change[1:], change[:-1]) > REVERSAL
+        count = np.zeros(turns.size + 1, dtype=np.int32)
+        np.cumsum(turns, out=count[1:])
         worst = max(worst or 0.0, 100.0 * float(np.max(count[rows:] - count[:-rows])) / rows)
     return worst
 
@@ -384,7 +389,7 @@ def _position_of(log: Columns) -> PositionMetrics:
     north, east = log["north_m"], log["east_m"]
     drift = np.hypot(north - north[:1], east - east[:1]) if north.size else north
     if not commands_position(log):
-        return position_metrics(drift, np.full(drift.size, np.nan))
+        return position_metrics(drift, np.empty(0))
     setpoint_north, setpoint_east = (log[name] for name in POSITION_SETPOINT)
     position = position_metrics(drift, np.hypot(setpoint_north - north, setpoint_east - east))
     remaining = _at_end(log[WAYPOINTS_LEFT]) if WAYPOINTS_LEFT in log.columns else None
@@ -417,7 +422,12 @@ def touchdown(contact: NDArray[np.bool_], altitude: Array, velocity_down: Array)
 
 def wrap(angle: Array) -> Array:
     """Return angles (rad) brought to (-pi, pi]; those within it are not touched."""
-    return np.where(np.abs(angle) <= pi, angle, pi - np.mod(pi - angle, 2.0 * pi))
+    outside = ~(np.abs(angle) <= pi)
+    if not np.any(outside):
+        return angle
+    wrapped = angle.copy()
+    wrapped[outside] = pi - np.mod(pi - angle[outside], 2.0 * pi)
+    return wrapped
 
 
 def flatten(metrics: Metrics) -> dict[str, float | None]:
@@ -472,10 +482,11 @@ def _at_end(values: Array) -> float | None:
 
 def _rms(values: Array) -> float | None:
     finite = values[np.isfinite(values)]
-    largest = float(np.max(np.abs(finite), initial=0.0))
+    largest = max(float(np.max(finite, initial=0.0)), -float(np.min(finite, initial=0.0)))
     if not largest:
         return 0.0 if finite.size else None
-    return largest * float(np.sqrt(np.mean(np.square(finite / largest))))  # scaled: no square overflows
+    finite /= largest  # scaled: no square overflows
+    return largest * float(np.sqrt(np.mean(np.square(finite, out=finite))))
 
 
 def _largest(values: Array) -> float | None:

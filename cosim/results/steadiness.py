@@ -68,8 +68,9 @@ class Upsets:
             if name.startswith(UPSETS):
                 changed = np.diff(log[name])
                 acts[1:] |= (changed != 0.0) & np.isfinite(changed)
-        self._count = np.concatenate(([0], np.cumsum(acts)))
-        self._wind = [log[name] for name in WIND if name in log.columns]
+        self._count = np.concatenate((np.zeros(1, np.int32), np.cumsum(acts, dtype=np.int32)))
+        winds = (log[name] for name in WIND if name in log.columns)
+        self._wind = [wind for wind in winds if not (wind.size and np.ptp(wind) <= wind_m_s)]  # that changes at all
         self._wind_m_s = wind_m_s
 
     def has_any(self, first: int, end: int) -> bool:

@@ -70,10 +70,15 @@ def write_all(file: int, data: bytes) -> None:
         rest = rest[os.write(file, rest) :]
 
 
-def write_whole(path: Path, content: str | bytes, failure: type[Exception] | None = None) -> None:
-    """Write a whole file, or leave it as it was.  Raises OSError, or ``failure`` with file and reason in a line."""
+def write_whole(path: Path, content: str | bytes | Iterator[str], failure: type[Exception] | None = None) -> None:
+    """Write a whole file, or leave it as it was; of a text in pieces one is held at a time.
+
+    Raises OSError, or ``failure`` with file and reason in a line.
+    """
     with map_os_errors(failure, path) if failure else nullcontext(), replace_on_success(path) as temporary:
-        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+        pieces = [content] if isinstance(content, (str, bytes)) else content
+        with temporary.open("wb") as file:
+            file.writelines(piece.encode() if isinstance(piece, str) else piece for piece in pieces)
 
 
 @contextmanager

@@ -72,7 +72,7 @@ def render(
         lstrip_blocks=True,
         bytecode_cache=CompiledTemplates(),
     )
-    page = environment.get_template(template.name).render(
+    page = environment.get_template(template.name).generate(
         figures={name: figure_json(figure) for name, figure in figures.items()},
         drawing=(_asset(FIGURE_STYLE), "".join(map(_asset, FIGURES))) if figures else None,
         notices=notices(*((*SCRIPTS, THREE) if flights is not None else ())),

@@ -219,6 +219,12 @@ def test_any_columns_come_back(tmp_path_factory: pytest.TempPathFactory, data: s
     assert not pq.read_schema(path).metadata
 
 
+def test_a_table_of_no_rows_comes_back(tmp_path: Path) -> None:
+    columns: dict[str, list[Value]] = {kind.__name__: [] for kind in VALUES}
+    write_table(tmp_path / "t", columns, kinds={kind.__name__: kind for kind in VALUES})
+    assert read_table(tmp_path / "t") == columns
+
+
 def test_stated_kinds_make_the_parts_of_a_data_set_fit(tmp_path: Path) -> None:
     kinds = {"x": float, "n": int, "s": str, "b": bool}
     write_table(tmp_path / "a.parquet", {"x": [1], "n": [None], "s": [None], "b": [None]}, kinds=kinds)
