@@ -41,6 +41,10 @@ duration_s = 0.1
 key = "vehicle.mass_kg"
 range = [5.4, 5.8]
 
+[[require]]
+name = "level"
+formula = "always(abs(roll_deg) < 30)"
+
 [success]
 "altitude.max_abs_error_m" = { max = 0.5 }
 """
@@ -118,13 +122,16 @@ def test_99_percent_is_shown_on_one_page_and_in_one_json(proven: Path) -> None:
     assert (data["decision"], test["flights"], test["failures"]) == ("shown", 368, 0)  # half the error is for none
     assert test["bound"] >= 0.99
     assert data["sentence"].startswith(
-        "The vehicle hexjet with controller smith and engine edf-as-flown keeps R1 to R2 with probability at least 99."
+        "The vehicle hexjet with controller smith and engine edf-as-flown keeps R1 to R3 with probability at least 99."
     )
     assert "(95 % confidence, 368 flights, 0 of them failed, stopped by rule)" in data["sentence"]
-    assert [one["label"] for one in data["requirements"]] == ["R1", "R2"]
+    assert [one["label"] for one in data["requirements"]] == ["R1", "R2", "R3"]
+    level = data["requirements"][1]
+    assert (level["says"], level["broken"], level["unit"]) == ("level: always(abs(roll_deg) < 30)", 0, "deg")
+    assert 29.0 < level["margin"] < 30.0
     assert "with options of its own" not in data["study"]["title"]
-    assert (data["requirements"][1]["broken"], data["requirements"][1]["unit"]) == (0, "m")
-    assert 0.0 < data["requirements"][1]["margin"] < 0.5
+    assert (data["requirements"][2]["broken"], data["requirements"][2]["unit"]) == (0, "m")
+    assert 0.0 < data["requirements"][2]["margin"] < 0.5
     assert {data[part]["done"] for part in ("most_likely_failure", "worst_case", "rare")} == {False}
     assert data["limit"] is None
     assert any("no key varies engines, delay, thrust" in text for text in data["not_covered"])
@@ -179,7 +186,7 @@ def test_refuted_and_open_are_no_success(study: Path, hexjet: Hexjet, tmp_path: 
     assert "with probability at most" in data["sentence"]
     assert data["worst"][-1]["why"] == "fails nearest to the middle of the draws"
     assert f"the middle of what is drawn is {data['worst'][-1]['run']}" in data["sentence"]
-    assert data["requirements"][1]["margin"] < 0.0
+    assert data["requirements"][2]["margin"] < 0.0
     seldom = tmp_path / "seldom.toml"  # one in two
     seldom.write_text(HOVER.replace('"altitude.max_abs_error_m" = { max = 0.5 }', '"altitude.rmse_m" = { max = 1.0 }'))
     few = prove(proof_study(str(seldom), "50%@99.9%", 10), tmp_path / "few", 1, request=Request(limit=False))
