@@ -12,6 +12,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cosim.campaign.proof.prove import prove
+    from cosim.campaign.proof.source import proof_study
     from cosim.campaign.run import fly_again, run_campaign
     from cosim.campaign.store import Campaign, open_campaign
     from cosim.campaign.study.options import open_study
@@ -27,6 +29,8 @@ _WHERE = {
     "fly_again": "run",
     "open_campaign": "store",
     "open_study": "study.options",
+    "proof_study": "proof.source",
+    "prove": "proof.prove",
     "run_campaign": "run",
 }
 
@@ -38,6 +42,8 @@ __all__ = [
     "fly_again",
     "open_campaign",
     "open_study",
+    "proof_study",
+    "prove",
     "run_campaign",
 ]
 

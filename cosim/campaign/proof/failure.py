@@ -67,9 +67,13 @@ def _describe(found: WorstCase, run: str, likely: bool) -> str:
     moved = [effect for effect in important(found.effects) if effect.share >= 0.01][:NOTED]
     keys = ", ".join(f"{effect.name} {100.0 * effect.share:.0f} %" for effect in moved)
     place = f"{found.distance:.2f} standard deviations from the middle ({keys or 'no key'})"
-    effort = f"of {found.flights:,} flights that searched"
+    effort = f"{found.flights:,} flights that searched"
     if not found.fails:
-        what = "no failure was found" if likely else "its worst case found keeps all"
-        return f"{what}, {effort}: the nearest to it is {run}, margin {found.margin:.3g}, {place}"
-    what = "its most likely failure found" if likely else "its worst case found"
-    return f"{what} is {run}, margin {found.margin:.3g}, {place}, {effort}"
+        what = (
+            "its most likely failure found none; the nearest to one"
+            if likely
+            else "its worst case found no failure; it"
+        )
+        return f"{effort} for {what} is {run}, margin {found.margin:.3g}, {place}"
+    what = "its most likely failure" if likely else "its worst case"
+    return f"{what} in {effort} is {run}, margin {found.margin:.3g}, {place}"

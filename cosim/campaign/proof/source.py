@@ -17,9 +17,9 @@ from cosim.spec.controller_name import short_name
 def proof_study(name: str, claim: str | None, budget: int | None = None, **options: Any) -> Study:
     """Return the study that proves ``claim`` of what ``name`` is: a study, a scenario, or a design.
 
-    ``budget``: the most flights, by default ten times as many as the claim needs at least.  ``options`` are those of
-    :func:`cosim.campaign.study.options.open_study`.  Draws of any other design than ``random`` become random ones: a
-    claim counts independent draws.  Raises InputError: one line.
+    ``claim``: such as ``99.9%@95%``; None: that of the study.  ``budget``: the most flights, by default ten times as
+    many as the claim needs at least.  ``options`` are those of ``open_study``.  Draws of any other design than
+    ``random`` become random ones: a claim counts independent draws.  Raises InputError: one line.
     """
     designed = find_design(Path(name))
     if designed is not None:
