@@ -13,7 +13,7 @@ KINDS = {
     "delay": ("mismatch.delay_samples", "added_delay_samples"),
     "thrust": ("mismatch.thrust_factor",),
     "mass and balance": ("vehicle.mass_kg", "mismatch.mass_factor", "mismatch.centre_m", "disturbance."),
-    "moments of inertia": ("vehicle.inertia",),
+    "moments of inertia": ("vehicle.inertia", "mismatch.inertia_factor"),
     "sensors": ("vehicle.sensors",),
     "servos": ("vehicle.servo",),
     "aerodynamics": ("vehicle.aero",),

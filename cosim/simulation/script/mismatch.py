@@ -16,9 +16,9 @@ def apply_mismatch(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
     """Return the vehicle that flies where the controller assumes ``vehicle``; the same object without a mismatch.
 
     Its body axes start from the true centre of gravity, to which the moments of inertia stated belong then.
-    Raises InputError if there is more fuel than mass.
+    Raises InputError if there is more fuel than mass, or more inertia in a part than in the whole.
     """
-    if mismatch.mass_factor == 1.0 and not any(mismatch.centre_m):
+    if mismatch.mass_factor == 1.0 and mismatch.inertia_factor == 1.0 and not any(mismatch.centre_m):
         return vehicle
     mass = vehicle.mass_kg * mismatch.mass_factor
     fuel = vehicle.fuel
@@ -32,9 +32,11 @@ def apply_mismatch(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
         x, y, z = mismatch.centre_m
         return (place[0] - x, place[1] - y, place[2] - z)
 
-    return vehicle.model_copy(
+    changed = vehicle.model_copy(
         update={
             "mass_kg": mass,
+            "inertia_kg_m2": tuple(mismatch.inertia_factor * moment for moment in vehicle.inertia_kg_m2),
+            "products_kg_m2": tuple(mismatch.inertia_factor * product for product in vehicle.products_kg_m2),
             "jets": [jet.model_copy(update={"position_m": shift(jet.position_m)}) for jet in vehicle.jets],
             "hinges": [
                 hinge.model_copy(
@@ -52,6 +54,20 @@ def apply_mismatch(vehicle: Vehicle, mismatch: Mismatch) -> Vehicle:
             "fuel": fuel and fuel.model_copy(update={"position_m": shift(fuel.position_m)}),
         }
     )
+    if mismatch.inertia_factor != 1.0:
+        _check_inertia(changed, mismatch.inertia_factor)
+    return changed
+
+
+def _check_inertia(vehicle: Vehicle, factor: float) -> None:
+    """Refuse moments of inertia that leave none for what stays when fuel and banks are taken away."""
+    a, b, c = sorted(vehicle.with_fuel(0.0).inertia_kg_m2)
+    banks = 2.0 * vehicle.servo.bank_inertia_kg_m2 if vehicle.servo else 0.0
+    if a <= 0.0 or a + b < c or banks >= vehicle.inertia_kg_m2[1]:
+        raise InputError(
+            f"mismatch.inertia_factor = {factor:g}: {vehicle.name} without its fuel and banks would have moments of "
+            "inertia that no body has"
+        )
 
 
 def compute_engine_mismatch(mismatch: Mismatch, jets: int) -> tuple[PerJet | None, int]:

@@ -15,6 +15,10 @@ def _is_empty(table: dict[str, Any]) -> bool:
     return not table
 
 
+def _is_one(factor: float) -> bool:
+    return factor == 1.0
+
+
 class Mismatch(Model):
     """Differences of the simulated vehicle from its nominal data, which the controller does not know.
 
@@ -23,6 +27,7 @@ class Mismatch(Model):
     """
 
     mass_factor: Factor = 1.0  # of the mass; the moments of inertia stay
+    inertia_factor: Annotated[Factor, Field(exclude_if=_is_one)] = 1.0  # of all moments and products of inertia
     centre_m: Vector = (0.0, 0.0, 0.0)  # where the centre of gravity is, body, from where it is taken to be
     thrust_factor: Factor = 1.0  # of every engine's thrust, at the same reported spool speed
     thrust_factor_1: Factor = 1.0  # of one jet's beside, of the first six

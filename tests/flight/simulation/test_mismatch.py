@@ -109,6 +109,17 @@ def test_twice_the_mass_with_twice_of_every_force_flies_alike() -> None:
     assert not same(light, fly(doublet(mismatch={"mass_factor": 1.01})))
 
 
+def test_more_inertia_is_less_gain_and_unknown_to_the_controller() -> None:
+    """As the vehicle that states so much: nothing of the Hex-Jet's controller is made from its inertia."""
+    stated, _ = load_vehicle("hexjet")
+    twice = {"inertia_kg_m2": [2.0 * each for each in stated.inertia_kg_m2]}
+    slow = fly(doublet(mismatch={"inertia_factor": 2.0}))
+    assert same(slow, fly(doublet(vehicle=twice)))
+    assert not same(slow, fly(doublet()))
+    with build(doublet(mismatch={"inertia_factor": 2.0})) as simulation:
+        assert simulation.vehicle == stated
+
+
 def test_controller_is_made_from_what_is_known() -> None:
     changed = doublet(mismatch={"mass_factor": 1.3, "thrust_factor": 0.8, "centre_m": [0.01, 0.02, 0.03]})
     with build(doublet()) as known, build(changed) as other:
@@ -185,6 +196,7 @@ def test_a_resolved_flight_flies_again(tmp_path: Any) -> None:
             "has jets 1 to 4",
         ),
         ({"aircraft": "hexjet-p220", "engine": "p220", "mismatch": {"mass_factor": 0.1}}, "of fuel in them"),
+        ({"aircraft": "hexjet-p220", "engine": "p220", "mismatch": {"inertia_factor": 0.01}}, "that no body has"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(changes: dict[str, Any], words: str) -> None:

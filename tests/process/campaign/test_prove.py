@@ -264,12 +264,10 @@ def test_a_design_is_proven_over_the_box_that_it_was_made_for(tmp_path: Path) ->
     designed = proof_study(str(DESIGNS / "turbojet.toml"), "99%@95%")
     assert designed.name == "hexjet-turbojet-designed"
     by_key = {vary.key: vary for vary in designed.vary}
-    inertia = by_key["vehicle.inertia_kg_m2.0"]
+    inertia = by_key["mismatch.inertia_factor"]
     assert inertia.range == pytest.approx((1.0 / 1.3, 1.0 / 0.7), rel=1e-5)  # gain 0.7 to 1.3 times as much
     assert by_key["mismatch.delay_samples"].range == (0.0, 7.0)  # 0.3 of 25 samples, whole ones
-    for flight in flights(designed)[:500]:  # no body has a moment above the sum of the others
-        moments = [flight.values[f"vehicle.inertia_kg_m2.{axis}"] for axis in range(3)]
-        assert 2.0 * max(moments) <= sum(moments)  # type: ignore[type-var, arg-type, operator]
+    assert len(by_key) == 2  # all moments alike: by themselves some would be no body's
     assert set(designed.success) == {"roll.overshoot_percent", "roll.oscillation_rad"}
     assert designed.base().command[0].amplitude == 20.0  # type: ignore[union-attr]  # the pilot's lean
     assert "inertia" not in " ".join(kinds_not_varied(designed))
