@@ -29,7 +29,7 @@ from cosim.base.errors import InputError
 from cosim.campaign.search.line_search import run_walks, scan_outward
 from cosim.campaign.search.probe import BudgetSpentError
 
-Evaluate = Callable[[Array], Array]  # the margins of points, a row each
+Evaluate = Callable[[Array], Array]  # the margins of points, a row each; not a number where there is no such point
 
 NEAR = 0.01  # in standard deviations: how finely the distance of a failure is made known, chosen by us
 CONVERGED = 0.02  # of the region's size: a generation that is spread less than this has converged, if it is the best
@@ -121,7 +121,8 @@ def descend(
     Parameters
     ----------
     evaluate
-        Returns the margins of points (a row each) in a batch; finite numbers, negative where a point fails.
+        Returns the margins of points (a row each) in a batch, negative where a point fails; nan where there is no such
+        point, which neither fails nor keeps.
     region
         Where points may lie; with ``nearest`` it becomes the ball that ends before the nearest failure.
     dimension
@@ -133,7 +134,7 @@ def descend(
     nearest
         Search the failure nearest to the origin in place of the least margin.
     """
-    descent = _Descent(evaluate, region, budget, nearest)
+    descent = _Descent(evaluate, region, dimension, budget, nearest)
     starts = begun = 0
     try:
         descent.margins(np.zeros((1, dimension)))
@@ -163,11 +164,13 @@ def _run(descent: _Descent, optimiser: Any) -> None:
     while descent.region.size > 0.0 and not optimiser.should_stop():
         size = descent.region.size
         points = descent.region.project(np.array([optimiser.ask() for _ in range(optimiser.population_size)]))
-        margins = descent.margins(points)
+        found = descent.margins(points)
+        known = found[~np.isnan(found)]
+        margins = np.where(np.isnan(found), np.max(known, initial=0.0) + 1.0, found)  # ranked behind those that exist
         optimiser.tell(list(zip(points, margins.tolist(), strict=True)))
         descent.shrink()
         least = int(np.argmin(margins))
-        slope = max(slope, float(np.ptp(margins)))
+        slope = max(slope, float(np.ptp(known)) if len(known) else 0.0)
         if margins[least] < lowest - SLIGHT * slope or descent.region.size < size:
             stalled, lowest = 0, float(margins[least])
         else:
@@ -193,13 +196,13 @@ def _optimiser(start: Array, sigma: float, seed: int) -> Any:
 class _Descent:
     """The state of a search: what was evaluated, the best of it, and the region that is left."""
 
-    def __init__(self, evaluate: Evaluate, region: Region, budget: int, nearest: bool) -> None:
+    def __init__(self, evaluate: Evaluate, region: Region, dimension: int, budget: int, nearest: bool) -> None:
         self._evaluate = evaluate
         self.region = region
         self.left = budget
         self._nearest = nearest
         self.evaluations = self.best_at = 0
-        self.best = Found(np.zeros(0), inf)
+        self.best = Found(np.zeros(dimension), inf)
         self.ends: list[tuple[Array, float]] = []  # where descents ended
 
     def margins(self, points: Array) -> Array:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from math import isnan, nan
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,10 @@ from cosim.campaign.search.probe import Point, Prober
 from cosim.campaign.search.search import describe_flight
 from cosim.campaign.study.key import Value
 from cosim.campaign.study.normal_space import FURTHEST, NormalSpace
+from cosim.campaign.study.plan import scenario_of
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row
+from cosim.simulation.build import build
 from cosim.spec.controller_name import short_name
 
 WORST_WITHIN = 3.0  # standard deviations, by default; chosen by us
@@ -79,8 +82,8 @@ class KeyEffect:
     middle: Value | None  # the value at the middle of its distribution
     place: float  # in standard deviations; without a likelihood in half ranges, -1 to 1
     share: float
-    without: float
-    alone: float
+    without: float | None  # None: there is no such flight
+    alone: float | None
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,7 @@ class WorstCase:
 
     controller: str
     margin: float
-    middle_margin: float  # of the flight in the middle of everything
+    middle_margin: float | None  # of the flight in the middle of everything; None: there is none
     distance: float | None
     values: Mapping[str, Value]
     seed: int  # of those of the point, the one with the smallest margin
@@ -104,6 +107,8 @@ class WorstCase:
     since: int  # of them, after the last that was better
     starts: int  # descents that were begun
     flat: float  # share of the flights that have the most common margin
+    impossible: int = 0  # points that are no vehicle or scenario, and neither fail nor keep
+    impossible_reason: str = ""  # of the first of them
 
     @property
     def fails(self) -> bool:
@@ -135,6 +140,11 @@ class WorstSearch:
         ]
         lines += [self.study.engine_note] if self.study.engine_note else []
         for case in self.cases:
+            if case.impossible:
+                lines.append(
+                    f"{short_name(case.controller)}: {case.impossible} points were left out, because there is no such "
+                    f"flight: {case.impossible_reason}"
+                )
             if case.flat > MUCH_FLAT:
                 lines.append(
                     f"{short_name(case.controller)}: {100.0 * case.flat:.0f} % of the flights have the same margin, "
@@ -195,12 +205,13 @@ def worst_row(prober: Prober, point: Point) -> tuple[float, Row]:
     return margins[smallest], rows[smallest]
 
 
-class _Margins:
-    """The margins at places of the region, by flights."""
+class PlaceMargins:
+    """The margins at places of the region, by flights; nan where there is no such vehicle or scenario."""
 
     def __init__(self, plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str) -> None:
         self._plan, self._prober, self._space, self._controller = plan, prober, space, controller
         self.counts: Counter[float] = Counter()
+        self.impossible: dict[Point, str] = {}
 
     def points(self, places: Array) -> list[Point]:
         """Return the points of places: standard deviations, or half ranges from -1 to 1."""
@@ -214,25 +225,48 @@ class _Margins:
     def __call__(self, places: Array) -> Array:
         points = self.points(places)
         self._prober.evaluate(points)
-        margins = [worst_row(self._prober, point)[0] for point in points]
-        self.counts.update(margins)
-        return np.array(margins)
+        margins = np.array([self._margin(point) for point in points])
+        self.counts.update(margins[~np.isnan(margins)].tolist())
+        return margins
+
+    def _margin(self, point: Point) -> float:
+        margin, row = worst_row(self._prober, point)
+        if row["outcome"] != "failed" or row["steps"]:
+            return margin
+        if point not in self.impossible and (reason := self._reason_of_none(point)):
+            self.impossible[point] = reason
+        return nan if point in self.impossible else margin
+
+    def _reason_of_none(self, point: Point) -> str:
+        """Return why there is no such flight; empty if there is one, whose failure is its own."""
+        study = self._prober.study
+        if study.autopilot is not None:
+            return ""
+        try:
+            build(scenario_of(study, self._prober.flight(point, self._prober.seeds[0]))).close()
+        except InputError as error:
+            return str(error)
+        return ""
 
 
 def _search(plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str) -> WorstCase:
-    before = prober.flights
-    margins = _Margins(plan, prober, space, controller)
+    study, before = prober.study, prober.flights
+    margins = PlaceMargins(plan, prober, space, controller)
     region = Box() if plan.within is None else Ball(plan.within)
     budget = max(1, plan.budget // len(plan.seeds))  # points
     found = descend(margins, region, space.dimension, budget, plan.seed, plan.likely)
-    flights, flat = prober.flights - before, max(margins.counts.values()) / margins.counts.total()
+    flights, flat = prober.flights - before, max(margins.counts.values(), default=0) / max(margins.counts.total(), 1)
+    if not margins.counts:
+        raise InputError(
+            f"study {study.name}: none of {flights} flights exists: {next(iter(margins.impossible.values()))}"
+        )
+    impossible = margins.impossible.copy()
     (point,) = margins.points(found.point[None, :])
     margin, row = worst_row(prober, point)
-    middle_margin, _ = worst_row(prober, margins.points(np.zeros((1, space.dimension)))[0])
     return WorstCase(
         controller=controller,
         margin=margin,
-        middle_margin=middle_margin,
+        middle_margin=_number(margins(np.zeros((1, space.dimension)))[0]),
         distance=None if plan.within is None else found.distance,
         values=dict(point.values),
         seed=int(row["seed"] or 0),
@@ -243,10 +277,14 @@ def _search(plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str
         since=min(flights, found.since * len(plan.seeds)),
         starts=found.starts,
         flat=flat,
+        impossible=len(impossible),
+        impossible_reason=next(iter(impossible.values()), ""),
     )
 
 
-def _effects(margins: _Margins, space: NormalSpace, found: Found, values: Mapping[str, Value]) -> tuple[KeyEffect, ...]:
+def _effects(
+    margins: PlaceMargins, space: NormalSpace, found: Found, values: Mapping[str, Value]
+) -> tuple[KeyEffect, ...]:
     """Return what each coordinate does in what was found, by flights with it put back and with it alone."""
     place, count = found.point, space.dimension
     without, alone = np.where(np.eye(count, dtype=bool), 0.0, place), np.diag(place)
@@ -260,11 +298,15 @@ def _effects(margins: _Margins, space: NormalSpace, found: Found, values: Mappin
             middle=middle.get(name),
             place=float(place[side]),
             share=float(squares[side]),
-            without=float(flown[side]),
-            alone=float(flown[count + side]),
+            without=_number(flown[side]),
+            alone=_number(flown[count + side]),
         )
         for side, name in enumerate(space.names)
     )
+
+
+def _number(margin: float) -> float | None:
+    return None if isnan(margin) else float(margin)
 
 
 def _describe(plan: WorstPlan, case: WorstCase) -> str:

@@ -61,7 +61,7 @@ class SavedWorst:
 
 
 def resolve_worst(
-    name: str,
+    name: str | Study,
     *,
     likely: bool = False,
     within: str | float | None = None,
@@ -72,11 +72,12 @@ def resolve_worst(
 ) -> tuple[Study, WorstPlan]:
     """Return the study and the plan that a command line states; ``options`` are those of ``open_study``.
 
-    ``within`` is a number of standard deviations, or ``ranges``.  ``seeds`` flights a point have the scenario's seed,
-    or ``seed``, and those that follow it; the search itself has the study's.  Raises InputError.
+    ``name`` is of a scenario or a study, or a study that is open already and takes no more options.  ``within`` is a
+    number of standard deviations, or ``ranges``.  ``seeds`` flights a point have the scenario's seed, or ``seed``, and
+    those that follow it; the search itself has the study's.  Raises InputError.
     """
     opened: dict[str, Any] = {"design": "random", "runs": 1, "until": ""} | options
-    study = open_study(name, **opened)
+    study = name if isinstance(name, Study) else open_study(name, **opened)
     first = study.base().seed if seed is None else seed
     if not 0 <= first <= 2**53 - seeds:
         raise InputError(f"--seed {first}: must be from 0 to {2**53 - seeds}")

@@ -35,13 +35,9 @@ def _rows(case: WorstCase) -> list[list[str]]:
     listed = []
     for effect in important(case.effects)[:SHOWN]:
         value, middle = (NONE if each is None else text(each) for each in (effect.value, effect.middle))
-        numbers = [
-            f"{effect.place:+.2f}",
-            f"{100.0 * effect.share:.0f} %",
-            f"{effect.without:.3g}",
-            f"{effect.alone:.3g}",
-        ]
-        listed.append([short_name(case.controller), effect.name, value, middle, *numbers])
+        moved = [f"{effect.place:+.2f}", f"{100.0 * effect.share:.0f} %"]
+        margins = [NONE if each is None else f"{each:.3g}" for each in (effect.without, effect.alone)]
+        listed.append([short_name(case.controller), effect.name, value, middle, *moved, *margins])
     return listed
 
 

@@ -139,20 +139,22 @@ def _list_keys(settings: list[str], pattern: str, options: Sweep) -> int:
 class Search(CampaignOptions):
     """Options of ``hexjet search``."""
 
-    name = opt.argument(metavar="SCENARIO|STUDY")
+    name = opt.argument(metavar="SCENARIO|STUDY|DESIGN")
     vary = opt.words(
         "--vary",
         "KEY=LO:HI[:N]",
         "Search this key between LO and HI, scanned in N points; *= and += as in hexjet sweep, log(LO:HI) too.  Of "
         "several, each alone and then all together.  With --worst and --likely anything that hexjet sweep draws.",
     )
-    worst = opt.flag("--worst", "Search the flight of least margin over all keys at once, of a scenario or a study.")
+    worst = opt.flag(
+        "--worst", "Search the flight of least margin over all keys at once; of a design's file, in its tolerances."
+    )
     likely = opt.flag("--likely", "Search the failure that is nearest to the middle of what is drawn.")
     within = opt.word(
         "--within",
         "SD|ranges",
         "Of --worst and --likely: at most so many standard deviations from the middle, or anywhere in the ranges.  "
-        "[3; 6 for --likely]",
+        "[3, a design's ranges; 6 for --likely]",
     )
     over = opt.word("--over", "KEY=LO:HI:N", "A curve: search at each of these values of a second key.")
     controllers = opt.words("--controller", "NAME|FILE", "Each is searched.")
@@ -200,15 +202,24 @@ def search(options: Search) -> int:
 
 
 def _search_worst(options: Search) -> int:
-    from cosim.campaign.search.worst_folder import resolve_worst, run_worst
+    from cosim.campaign.proof.design_study import design_study, find_design
+    from cosim.campaign.search.worst_folder import RANGES, resolve_worst, run_worst
 
     if options.worst and options.likely:
         raise InputError("--likely: goes without --worst; each is a search of its own")
     for option, is_given in (("over", options.over), ("tolerance", options.tolerance), ("share", options.share)):
         if is_given:
             raise InputError(f"--{option}: is of a search of one key, and goes with neither --worst nor --likely")
-    searching = options.chosen(*_SEARCHED, "likely", "within")
-    study, plan = resolve_worst(options.name, settings=options.study_settings(), **searching)
+    settings, searching = options.study_settings(), options.chosen("seeds", "budget", "seed", "likely", "within")
+    drawn = options.chosen("vary", "controllers", "success", "nominal_engine")
+    designed = find_design(Path(options.name))
+    if designed is None:
+        study, plan = resolve_worst(options.name, settings=settings, **drawn, **searching)
+    else:
+        study = design_study(designed, "", 1, settings=settings, **drawn)
+        if options.within is None and not options.likely and not any(vary.uncertainty for vary in study.vary):
+            searching["within"] = RANGES
+        study, plan = resolve_worst(study, **searching)
     kind = "likely" if plan.likely else "worst"
     with _searching(options, f"{kind}-{study.name}") as (folder, tell, flying):
         saved = run_worst(study, plan, folder, flying, options.resume, tell)

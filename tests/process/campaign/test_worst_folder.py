@@ -13,6 +13,7 @@ import pytest
 from campaign_tools import without_chance
 from command_tools import Hexjet
 from patience import PATIENCE
+from places import DESIGNS
 
 from cosim.campaign.search.folder import JOURNAL, RESULT
 from cosim.campaign.search.worst_folder import SavedWorst, resolve_worst, run_worst
@@ -130,3 +131,15 @@ def test_wrong_options_are_one_line(hexjet: Hexjet, more: list[str], words: str)
 def test_within_goes_with_a_search_of_all_keys(hexjet: Hexjet) -> None:
     answer = hexjet("search", "hover", "--vary", "mismatch.delay_samples=0:9", "--within", "3")
     assert (answer.status, "--within: goes with --worst or --likely" in answer.err) == (2, True)
+
+
+def test_of_a_design_it_is_the_box_of_its_tolerances(hexjet: Hexjet, tmp_path: Path) -> None:
+    answer = hexjet(
+        "search", str(DESIGNS / "edf.toml"), "--worst", "--budget", "2", "--workers", "1", "--json", "--out",
+        str(tmp_path / "box"),
+    )  # fmt: skip
+    assert answer.status == 0
+    result = json.loads(answer.out)
+    assert result["within"] == "ranges"
+    assert [text.partition("=")[0] for text in result["vary"]] == ["mismatch.inertia_factor", "mismatch.delay_samples"]
+    assert result["success"].keys() == {"roll.overshoot_percent", "roll.oscillation_rad"}

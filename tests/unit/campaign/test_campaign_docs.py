@@ -16,6 +16,7 @@ from places import ROOT, script
 
 from cosim.campaign import folder
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
+from cosim.campaign.proof.design_study import design_study, find_design
 from cosim.campaign.search import folder as searches
 from cosim.campaign.search.worst_folder import resolve_worst
 from cosim.campaign.study import keys
@@ -76,7 +77,9 @@ def test_a_command_is_one(words: list[str]) -> None:
         )
         stated = {option: value for option, value in options.items() if option not in elsewhere}
         if stated.pop("worst") or stated["likely"]:
-            resolve_worst(name, **{option: value for option, value in stated.items() if option not in OF_ONE_KEY})
+            designed = find_design(ROOT / name)
+            drawn = {option: value for option, value in stated.items() if option not in OF_ONE_KEY}
+            resolve_worst(name if designed is None else design_study(designed, "", 1), **drawn)
         else:
             searches.resolve_search(name, **{key: stated[key] for key in stated if key not in ("likely", "within")})
 

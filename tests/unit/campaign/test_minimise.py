@@ -105,6 +105,20 @@ def test_every_point_is_in_the_region_that_is_left() -> None:
     assert far[-result.since :].max() <= result.distance + 1e-9  # nothing further than what is known already
 
 
+def test_what_does_not_exist_neither_fails_nor_is_the_worst() -> None:
+    """A ball is no place, and behind it is a plane that fails."""
+
+    def margin(x: Array) -> float:
+        return float("nan") if np.linalg.norm(x - 1.0) < 0.8 else 3.0 - float(np.sum(x)) / sqrt(3.0)
+
+    nearest = found(margin, Ball(6.0), 3, 800, nearest=True)
+    assert 3.0 <= nearest.distance < 3.0 + 3.0 * NEAR
+    worst = found(margin, Ball(1.8), 3, 500)
+    assert np.isfinite(worst.margin)
+    assert np.linalg.norm(worst.point - 1.0) >= 0.8
+    assert not found(lambda x: float("nan"), Ball(6.0), 3, 50).fails
+
+
 def test_a_needle_in_a_haystack_is_not_found() -> None:
     """What docs/campaigns.md says: a margin that is the same everywhere else shows no way."""
     result = found(lambda x: -1.0 if np.all(x > 0.9) else 1.0, Box(), 6, 1000)

@@ -17,7 +17,7 @@ from cosim.campaign.search.worst_case import WorstSearch, search_worst
 from cosim.campaign.search.worst_folder import resolve_worst
 from cosim.campaign.study.draws import draws
 from cosim.campaign.study.options import open_study
-from cosim.campaign.study.plan import Flight
+from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row, failed_row
 
@@ -159,6 +159,37 @@ def test_the_smallest_margin_of_all_seeds_counts() -> None:
     assert (case.seed, case.fails) == (4, True)
     assert case.flights <= 300
     assert "noise and turbulence are of the seeds 3, 4, 5 in every flight" in result.notes[0]
+
+
+class Possible(Measured):
+    """The same, of flights that can be made alone."""
+
+    def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
+        for flight in flights:
+            try:
+                scenario_of(study, flight).resolved_vehicle()
+            except InputError as error:
+                self.flown += 1
+                yield failed_row(study, flight, str(error))
+            else:
+                yield from super().fly(study, [flight])
+
+
+def test_a_vehicle_that_no_body_is_does_not_fail() -> None:
+    """About z more than about x and y together: the search leaves it out, and says so."""
+    inertia = "vehicle.inertia_kg_m2.2"
+    study, plan = resolve_worst(
+        "gust", vary=[f"{inertia}=0.05:0.2"], success=[f"{METRIC}<=1"], within="ranges", budget=80
+    )
+    workers = Possible(lambda values, seed: 5.0 * values[inertia])
+    result = search_worst(plan, Prober(study, plan.seeds, 0.0, workers))  # type: ignore[arg-type]
+    (case,) = result.cases
+    most = sum(study.base().resolved_vehicle()[0].inertia_kg_m2[:2])
+    assert case.values[inertia] == pytest.approx(most, abs=2e-3)
+    assert case.values[inertia] <= most
+    assert not case.fails
+    assert case.impossible > 0
+    assert any("no body has one moment above the sum of the others" in note for note in result.notes)
 
 
 # ---- the same search
