@@ -10,15 +10,17 @@ answered by one descent:
 
 The descent is the covariance matrix adaptation of Hansen and Ostermeier (2001), by the package cmaes; a point that
 leaves the region is put back to its surface.  Where a descent has converged, stalls, or comes to where an earlier one
-has ended, the next one begins at a random point of the region; after a nearer failure the next one begins there.  It
-needs a margin that says which way is worse: where it is the same everywhere but in the failure itself, this is no
-better than random draws.
+has ended, the next one begins at a random point of the region; after a nearer failure the next one begins there.  Where
+a quarter of the evaluations allows all corners of a box, these are the first, and a descent begins at the worst of
+them.  It needs a margin that says which way is worse: where it is the same everywhere but in the failure itself, this
+is no better than random draws.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from math import inf
 from typing import Any, Protocol
 
@@ -37,6 +39,7 @@ COARSE = 0.08  # the same for any other
 ALIKE = 0.8  # of the region's size: a descent that comes so near to the end of an earlier one ends there too
 STALLED = 12  # generations in a row that are no better than those before: it is at an end, or knows no direction
 SLIGHT = 0.001  # of the largest difference of margins in a generation: what is less is no better
+CORNERS = 4  # over the budget: the corners of a box are evaluated first, if they are no more than that
 RAY_POINTS = 4  # points of a way to a failure that are evaluated at a time
 
 
@@ -52,6 +55,9 @@ class Region(Protocol):
 
     def draw(self, random: np.random.Generator, dimension: int) -> Array:
         """Return a point anywhere in the region."""
+
+    def corners(self, dimension: int, most: int) -> Array:
+        """Return the corners of the region, a row each; none where it has none, or more than ``most``."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,10 @@ class Ball:
         turned = random.standard_normal(dimension)
         return np.asarray(turned / np.linalg.norm(turned) * self.size * random.random() ** (1.0 / dimension))
 
+    def corners(self, dimension: int, most: int) -> Array:
+        """Return none: a ball has no corners."""
+        return np.zeros((0, dimension))
+
 
 @dataclass(frozen=True)
 class Box:
@@ -84,6 +94,12 @@ class Box:
     def draw(self, random: np.random.Generator, dimension: int) -> Array:
         """Return a point of the box, uniform in its volume."""
         return random.uniform(-self.size, self.size, dimension)
+
+    def corners(self, dimension: int, most: int) -> Array:
+        """Return all corners, or none if there are more than ``most``."""
+        if 2**dimension > most:
+            return np.zeros((0, dimension))
+        return self.size * np.array(list(product((-1.0, 1.0), repeat=dimension)))
 
 
 @dataclass(frozen=True)
@@ -139,6 +155,9 @@ def descend(
     try:
         descent.margins(np.zeros((1, dimension)))
         descent.shrink()
+        corners = region.corners(dimension, budget // CORNERS)
+        if len(corners):
+            descent.margins(corners)
         while descent.region.size > 0.0:
             random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(starts,)))
             improved = descent.best_at > begun
@@ -146,7 +165,7 @@ def descend(
             size = descent.region.size
             if starts == 0:
                 start, sigma = np.zeros(dimension), size / 3.0
-            elif nearest and improved and descent.best.fails:
+            elif (nearest and improved and descent.best.fails) or (len(corners) and starts == 1):
                 start, sigma = descent.region.project(descent.best.point[None, :])[0], size / 10.0
             else:
                 start, sigma = descent.region.draw(random, dimension), size / 5.0

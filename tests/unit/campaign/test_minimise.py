@@ -67,6 +67,17 @@ def test_the_worst_of_a_box_may_be_a_corner() -> None:
     assert worst.margin == pytest.approx(-4.0)
 
 
+def test_a_box_is_never_better_than_its_corners() -> None:
+    """A narrow dip in one of eight corners, where a slope from the middle leads to the one that lies opposite."""
+
+    def margin(x: Array) -> float:
+        return 1.0 + 0.1 * float(np.sum(x)) - 2.0 * float(np.all(x > 0.98))
+
+    corner = found(margin, Box(), 3, 40)
+    assert corner.margin == pytest.approx(-0.7)
+    assert found(margin, Box(), 3, 24).margin > 0.5  # the corners would be more than a quarter
+
+
 def test_where_the_middle_fails_there_is_nothing_nearer() -> None:
     nearest = found(lambda x: -1.0, Ball(6.0), 3, 100, nearest=True)
     assert (nearest.distance, nearest.evaluations, nearest.starts) == (0.0, 1, 0)
@@ -121,6 +132,6 @@ def test_what_does_not_exist_neither_fails_nor_is_the_worst() -> None:
 
 def test_a_needle_in_a_haystack_is_not_found() -> None:
     """What docs/campaigns.md says: a margin that is the same everywhere else shows no way."""
-    result = found(lambda x: -1.0 if np.all(x > 0.9) else 1.0, Box(), 6, 1000)
+    result = found(lambda x: -1.0 if np.all(abs(x - 0.7) < 0.1) else 1.0, Box(), 6, 1000)
     assert not result.fails
     assert result.starts > 5  # and no time is lost where nothing changes
