@@ -37,6 +37,7 @@ COMMANDS = {  # module of each command: only the one that runs is imported
     "margins": "controllers.margins:margins",
     "open": "results.open:open_",
     "prove": "studies.prove:prove",
+    "rare": "studies.campaign:rare",
     "replay": "controllers.replay:replay",
     "report": "results.runs:report",
     "search": "studies.campaign:search",

@@ -58,6 +58,14 @@ def light(study: Study, flight: Flight) -> Row:
     return row | {"success": mass > 5.42, "outcome": "completed"}
 
 
+def windy(study: Study, flight: Flight) -> Row:
+    """A flight of known margin, which is not flown: 2.5 less the wind from the west, of a standard normal distribution."""
+    wind = flight.values["environment.wind_ned_m_s.1"]
+    assert isinstance(wind, float)
+    row = failed_row(study, flight, "too windy")
+    return row | {"success": wind <= 2.5, "outcome": "completed", "steps": 50, "margin": 2.5 - wind}
+
+
 def lost_once(study: Study, flight: Flight) -> Row:
     """The process is killed in one flight, the first time."""
     mark = Path(os.environ[NOTES]) / "lost"

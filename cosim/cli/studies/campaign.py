@@ -1,4 +1,4 @@
-"""hexjet sweep and search: many flights."""
+"""hexjet sweep, search and rare: many flights."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from cosim.cli.console import on_terminal, output_to_stderr, part_progress, say,
 from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, aircraft_settings, example, plugin_settings
 
 if TYPE_CHECKING:
+    from cosim.campaign.rare.result import SavedRare
     from cosim.campaign.search.result import SavedSearch
     from cosim.campaign.search.worst_folder import SavedWorst
     from cosim.campaign.store import Campaign, Tally
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class CampaignOptions(opt.Output):
-    """Options of ``hexjet sweep`` and ``search`` that are not those of the study."""
+    """Options of ``hexjet sweep``, ``search`` and ``rare`` that are not those of the study."""
 
     name: str
     aircraft: str | None
@@ -246,6 +247,62 @@ def _searching(options: Search, name: str) -> Iterator[tuple[Path, Callable[[int
         yield folder, tell, flying
 
 
+class Rare(CampaignOptions):
+    """Options of ``hexjet rare``."""
+
+    name = opt.argument(metavar="SCENARIO|STUDY")
+    vary = opt.words("--vary", "KEY=...", "As in hexjet sweep.")
+    controllers = opt.words("--controller", "NAME|FILE", "The one that flies, of a study with several.")
+    correlate = opt.words("--correlate", "KEY,KEY=R", "Rank correlation of what is drawn for two keys.")
+    success = opt.words("--success", "METRIC<=X", "What a completed flight must keep to count.")
+    target: float = opt.option(
+        "--target",
+        type=opt.Number(1e-9, 0.5),
+        default=1e-6,
+        show_default="1e-6",
+        help="The smallest probability to look for: with the budget, how many flights a level has.",
+    )
+    budget = opt.whole("--budget", None, "Flights at most.", min=1, default=5000)
+    same_seed = opt.flag("--same-seed", "Fly all with one seed: wind and noise are no part of what varies.")
+    aircraft, engine, nominal_engine = _AIRCRAFT, _ENGINE, opt.NOMINAL_ENGINE
+    settings, metrics, wind = opt.SETTINGS, _METRICS, _WIND
+    seed = opt.whole("--seed", None, "Of the draws.")
+    workers = _WORKERS
+    cluster = opt.word("--cluster", "ADDRESS|local", "As in hexjet sweep.")
+    time_limit = opt.positive("--time-limit", "S", "For a flight.")
+    out = opt.OUT
+    resume = opt.flag("--resume", "Go on with the same simulation in DIR; nothing is flown twice.")
+    as_json = _JSON
+
+
+@click.command(epilog=example("hexjet rare roll-doublet --vary 'mismatch.delay_samples=normal(0,4,-20,40)'"))
+@opt.takes(Rare)
+def rare(options: Rare) -> int:
+    """Find the probability of a failure that is too rare to be counted, down to one in a million and beyond.
+
+    Leaves rare.json, rare.html, every flight, and the most likely failures.  Status 0: done, whatever was found; 1: it
+    was stopped before, or a failure came out otherwise when it was flown again.
+    """
+    from cosim.campaign.rare.folder import resolve_rare, run_rare
+    from cosim.campaign.run import choose_workers
+
+    simulated = options.chosen(
+        "vary", "controllers", "correlate", "success", "target", "budget", "same_seed", "seed", "nominal_engine"
+    )
+    study, plan = resolve_rare(options.name, settings=options.study_settings(), **simulated)
+    if options.resume and options.out is None:
+        raise InputError("--resume: give the folder of the simulation with --out")
+    folder = options.run_folder(f"rare-{study.name}")
+    with (
+        output_to_stderr(options.as_json),
+        search_progress(folder, quiet=options.as_json, what="rare") as tell,
+        choose_workers(options.workers, options.cluster, options.time_limit) as flying,
+    ):
+        saved = run_rare(study, plan, folder, flying, options.resume, tell)
+    options.answer(saved.to_json, lambda: print_rare(saved))
+    return DONE if saved.confirmed else FLIGHT_FAILED
+
+
 @contextmanager
 def _report_interruption(describe: Callable[[], str]) -> Iterator[None]:
     """Answer Ctrl-C in a line that says what is kept, wherever it comes."""
@@ -371,8 +428,26 @@ def print_worst(saved: SavedWorst) -> None:
     say(f"report: {saved.folder / 'search.html'}", wrap=False)
 
 
+def print_rare(saved: SavedRare) -> None:
+    """Print the probability and how it was made, what the failures have in common, and the files."""
+    from cosim.campaign.rare.page import LIMITS, shift_rows
+    from cosim.campaign.rare.simulation import describe_plan
+
+    result = saved.result
+    for line in (result.sentence, result.estimate.method, describe_plan(result.plan), result.study.engine_note):
+        say(line, wrap=False) if line else None
+    if result.failures:
+        titles = ["key", "mean [standard deviations]", "spread"]
+        show_table(titles, shift_rows(result), [1, 2], plain=True, pad_edge=False)
+    for case in saved.cases:
+        ending = case.reason if case.same else f"flown again it ended {case.reason}, not as before"
+        say(f"{case.name}: flight {case.flight}, {case.distance:.2f} standard deviations out; {ending}", wrap=False)
+    for line in (LIMITS, f"folder: {saved.folder}", f"report: {saved.folder / 'rare.html'}"):
+        say(line, wrap=False)
+
+
 @contextmanager
-def search_progress(folder: Path, quiet: bool) -> Iterator[Callable[[int], None]]:
+def search_progress(folder: Path, quiet: bool, what: str = "search") -> Iterator[Callable[[int], None]]:
     """Yield a function that is told how many flights there are so far; Ctrl-C is answered in a line, wherever."""
     reached = 0
 
@@ -381,7 +456,7 @@ def search_progress(folder: Path, quiet: bool) -> Iterator[Callable[[int], None]
             return "; before the first flight"
         return f"; {reached} flights are kept: the same command with --out {folder} --resume goes on"
 
-    with _report_interruption(describe_kept), part_progress("search", quiet) as show:
+    with _report_interruption(describe_kept), part_progress(what, quiet) as show:
 
         def tell(flights: int) -> None:
             nonlocal reached

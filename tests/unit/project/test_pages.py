@@ -108,6 +108,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/margins.md": ("test_measured_margins.py", "test_engine_tolerances.py"),
     "docs/metrics.md": ("test_metrics_docs.py",),
     "docs/requirements.md": ("test_requirements.py",),
+    "docs/rare.md": ("marks", "test_rare.py"),
     "docs/real-engine.md": ("test_engine_jetcat.py",),
     "docs/prove.md": ("test_prove.py",),
     "docs/sensors.md": ("marks", "test_sensor_profile.py"),

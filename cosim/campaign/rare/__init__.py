@@ -1,0 +1,1 @@
+"""The probability of failures that are too rare to be counted."""

@@ -1,0 +1,144 @@
+"""A rare failure's probability from a command line to a folder.
+
+``study/`` has the study and the scenario with all their numbers, ``rare.toml`` what was asked, ``flights.jsonl`` a line
+a flight as it came, ``flights.parquet`` a row a flight in the order in which they were asked for, ``rare.json`` and
+``rare.html`` the result, and ``cases/`` the runs of the failures that are most likely: their ``scenario.toml`` flies as
+it is.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.storage.files import lock_file, map_os_errors, write_whole
+from cosim.base.storage.toml import read_toml, toml_text
+from cosim.campaign.folder import FrozenStudy, freeze
+from cosim.campaign.folder import load as load_study
+from cosim.campaign.rare.estimate import Budget
+from cosim.campaign.rare.page import write_page
+from cosim.campaign.rare.result import RareCase, SavedRare
+from cosim.campaign.rare.simulation import Failure, Plan, RareResult, only_controller, simulate
+from cosim.campaign.search.probe import Journal
+from cosim.campaign.search.search import describe_flight
+from cosim.campaign.study.normal_space import NormalSpace
+from cosim.campaign.study.options import open_study
+from cosim.campaign.study.plan import Flight, scenario_of
+from cosim.campaign.study.sequential import MAX_TESTED
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import kinds
+from cosim.campaign.workers.protocol import Workers
+from cosim.flight import fly
+from cosim.results.log.arrow import write_table
+from cosim.results.log.digest import log_digest
+
+STUDY, QUESTION, JOURNAL, ROWS = "study", "rare.toml", "flights.jsonl", "flights.parquet"
+RESULT, REPORT, CASES = "rare.json", "rare.html", "cases"
+CASES_RECORDED = 3  # failures that are flown again, the most likely first
+
+
+def resolve_rare(
+    name: str | Path,
+    *,
+    target: float = 1e-6,
+    budget: int = 5000,
+    same_seed: bool = False,
+    **options: Any,
+) -> tuple[Study, Plan]:
+    """Return the study and the plan that a command line states; ``options`` are those of ``open_study``.
+
+    ``target`` is the smallest probability that the levels reach, ``budget`` the flights at most; with ``same_seed`` all
+    flights have one seed.  Raises InputError.
+    """
+    plan = Plan(Budget(target, budget), not same_seed)
+    plan.budget.check()
+    # the points are not those of a study's design; as many runs as any claim of its file may need
+    study = open_study(name, **options | {"design": "random", "runs": MAX_TESTED})
+    study = study.changed(until=None, runs=budget)
+    only_controller(study)
+    NormalSpace(study)
+    return study, plan
+
+
+def run_rare(
+    study: Study,
+    plan: Plan,
+    out: Path,
+    workers: Workers,
+    resume: bool = False,
+    progress: Callable[[int], None] = lambda flights: None,
+) -> SavedRare:
+    """Simulate, and leave everything in ``out``; ``progress`` is told how many flights there are so far.
+
+    ``resume``: go on with what the folder holds, if it holds anything; nothing is flown twice, and the result is the
+    same as without a stop.  Raises InputError if study or folder is not usable (another simulation's, in use, or one
+    that is not resumed), and nothing is overwritten then; FlightError if no more can be flown or written.
+    """
+    frozen = freeze(study)
+    with map_os_errors(FlightError, out):
+        if not _holds(out, frozen, plan, resume):
+            _begin(out, frozen, plan)
+        with lock_file(out / JOURNAL, f"{out}: another process is at work there"):
+            result = simulate(load_study(out / STUDY), plan, workers, Journal(out / JOURNAL), progress)
+            shutil.rmtree(out / CASES, ignore_errors=True)  # left by one that was stopped while it flew them
+            saved = SavedRare(out, result, tuple(_cases(result, out / CASES)))
+            _write(saved)
+    return saved
+
+
+def _holds(out: Path, frozen: FrozenStudy, plan: Plan, resume: bool) -> bool:
+    """Return whether the folder holds this very simulation, to be resumed; InputError if it holds anything else."""
+    if not out.exists() or not any(out.iterdir()):
+        return False
+    if not (out / QUESTION).is_file():
+        raise InputError(f"{out}: is not empty and holds no simulation of rare failures; choose another folder")
+    if not resume:
+        raise InputError(f"{out}: already holds one; choose another folder, or --resume goes on with it")
+    difference = next(iter(frozen.differences(out / STUDY)), None)
+    saved, asked = read_toml(out / QUESTION), plan.table()
+    differing = [key for key in asked if asked[key] != saved.get(key)]
+    if difference is None and differing:
+        difference = f"{QUESTION}: {differing[0]} is {saved.get(differing[0])} there and {asked[differing[0]]} here"
+    if difference is not None:
+        raise InputError(f"{out}: holds another one; {difference}")
+    return True
+
+
+def _begin(out: Path, frozen: FrozenStudy, plan: Plan) -> None:
+    (out / STUDY).mkdir(parents=True)
+    frozen.write(out / STUDY)
+    (out / JOURNAL).touch()
+    write_whole(out / QUESTION, toml_text(plan.table()))  # the last: a folder that has it has all
+
+
+def _cases(result: RareResult, folder: Path) -> Iterator[RareCase]:
+    """Fly the most likely failures once more, recorded in full."""
+    likely = sorted(result.failures, key=lambda failure: (failure.distance, failure.number))
+    for place, failure in enumerate(likely[:CASES_RECORDED], 1):
+        yield _fly_again(result, failure, folder / f"failure-{place}")
+
+
+def _fly_again(result: RareResult, failure: Failure, folder: Path) -> RareCase:
+    row = result.rows[failure.number]
+    seed, values = int(row["seed"] or 0), {name: row[name] for name in result.study.drawn}
+    flight = Flight(failure.number, failure.number, result.controller, seed, values)  # type: ignore[arg-type]
+    try:
+        run = fly(scenario_of(result.study, flight), folder)
+        same = row["log_sha256"] == log_digest(run.log) and row["outcome"] == run.outcome
+        reason = describe_flight(result.study, row) if same else f"{run.outcome}, {run.summary.reason}"
+    except InputError as error:  # it could not be flown the first time either, which is how it failed
+        same, reason = row["reason"] == str(error), str(error)
+    return RareCase(folder.name, failure.number, failure.distance, seed, values, reason, same)
+
+
+def _write(saved: SavedRare) -> None:
+    result, folder = saved.result, saved.folder
+    columns = {"repeat": int, "level": int} | kinds(result.study) | {"margin": float}
+    table = {name: [row.get(name) for row in result.rows] for name in columns}
+    write_table(folder / ROWS, table, kinds=columns)
+    write_whole(folder / RESULT, json.dumps(saved.to_json(), indent=1, allow_nan=False) + "\n")
+    write_page(saved, folder / REPORT)

@@ -1,0 +1,120 @@
+"""The page of a rare failure: its probability, how it was reached, and what the failures have in common."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.campaign.rare.estimate import probability_text
+from cosim.campaign.rare.result import SavedRare
+from cosim.campaign.rare.simulation import RareResult, describe_plan
+from cosim.campaign.rare.subset import Repeat
+from cosim.results.report.page import render
+from cosim.results.report.plot import ABOVE, GREY, RED, layout, run_colour
+from cosim.results.run import REPORT, SCENARIO
+from cosim.spec.controller_name import short_name
+
+Figure = dict[str, Any]
+
+TEMPLATE = Path(__file__).parent / "templates" / "rare.html"
+POINTS = 40  # of a curve, each at a margin that so many parts of a level's flights lie apart
+SHOWN = 12  # keys of the table, those that the failures are furthest out in
+LIMITS = (
+    "The margin must lead there: failures that nothing announces, in a region that no level leads to, are not found, "
+    "and not in the interval"
+)
+
+
+def write_page(saved: SavedRare, path: Path) -> None:
+    """Write the page of a simulation.  Raises FlightError if the file cannot be written."""
+    result = saved.result
+    base = result.study.base()
+    cases = []
+    for case in saved.cases:
+        folder = saved.folder / "cases" / case.name
+        link = f"cases/{case.name}/{REPORT}" if (folder / REPORT).is_file() else ""
+        values = ", ".join(f"{key} = {_text(value)}" for key, value in case.values.items())
+        command = f"hexjet fly {shlex.quote((folder / SCENARIO).as_posix())}"
+        cases.append({"case": case, "values": values, "link": link, "command": command})
+    render(
+        TEMPLATE,
+        path,
+        {"levels": _levels(result)},
+        result=result,
+        base=base,
+        controller=short_name(result.controller),
+        sentence=result.sentence,
+        plan=describe_plan(result.plan),
+        limits=LIMITS,
+        repeats=repeat_rows(result),
+        shifts=shift_rows(result),
+        cases=cases,
+    )
+
+
+def repeat_rows(result: RareResult) -> list[list[str]]:
+    """Return a row for each repeat: its number, flights, thresholds and probability."""
+    rows = []
+    for number, repeat in enumerate(result.repeats, 1):
+        log = repeat.log_probability
+        thresholds = ", ".join(f"{level.threshold:.3g}" for level in repeat.levels[:-1])
+        text = "no failure" if log is None else probability_text(float(np.exp(log)))
+        rows.append([str(number), str(repeat.flights), thresholds or "-", text])
+    return rows
+
+
+def shift_rows(result: RareResult) -> list[list[str]]:
+    """Return a row for each key: where the failures are in it, in standard deviations, and how wide they lie."""
+    return [[shift.name, f"{shift.mean:+.2f}", f"{shift.spread:.2f}"] for shift in result.shifts[:SHOWN]]
+
+
+def _levels(result: RareResult) -> Figure:
+    """Return the figure of the probability of a margin below a number, a curve a repeat, and the levels' thresholds."""
+    data: list[Figure] = []
+    for number, repeat in enumerate(result.repeats):
+        margins, probabilities = _curve(repeat)
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": f"simulation {number + 1}",
+                "x": margins,
+                "y": probabilities,
+                "line": {"color": run_colour(number), "width": 1.5},
+                "hovertemplate": "margin %{x:.3g}: %{y:.2e}<extra></extra>",
+            }
+        )
+    figure = layout(
+        420,
+        80,
+        16,
+        30,
+        46,
+        hovermode="closest",
+        showlegend=True,
+        legend={"orientation": "h", "x": 0, "y": 1.0, **ABOVE},
+    )
+    figure["xaxis"] = {"title": {"text": "margin"}}
+    figure["yaxis"] = {"title": {"text": "probability of less"}, "type": "log"}
+    upright = {"type": "line", "xref": "x", "yref": "paper", "x0": 0.0, "x1": 0.0, "y0": 0, "y1": 1}
+    figure["shapes"] = [upright | {"line": {"color": RED if result.failures else GREY, "width": 1.4, "dash": "dot"}}]
+    return {"data": data, "layout": figure}
+
+
+def _curve(repeat: Repeat) -> tuple[list[float], list[float]]:
+    """Return margins, falling, and the probability of less than each, level by level."""
+    margins: list[float] = []
+    for level in repeat.levels:
+        inside = np.unique(level.margins[level.margins >= level.threshold])[::-1]
+        margins += inside[:: max(1, inside.size // POINTS)].tolist()
+    margins = sorted({*margins, 0.0}, reverse=True)
+    logs = [(margin, repeat.log_below(margin)) for margin in margins]
+    kept = [(margin, float(np.exp(log))) for margin, log in logs if log is not None]
+    return [margin for margin, _ in kept], [probability for _, probability in kept]
+
+
+def _text(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,280 @@
+"""The flights of subset simulations: from coordinates to rows by any workers, and from rows to a result.
+
+What is flown depends on the study and its seed alone, never on who flies it, in what order, or how often it stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import FlightError, InputError
+from cosim.campaign.analysis.margin import row_margin
+from cosim.campaign.rare.estimate import Budget, Estimate, estimate, probability_text
+from cosim.campaign.rare.subset import Candidates, Repeat, run_repeats, subset_simulation
+from cosim.campaign.search.probe import Journal, Point
+from cosim.campaign.study.draws import flight_seed
+from cosim.campaign.study.normal_space import NormalSpace
+from cosim.campaign.study.plan import Flight, controllers
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import Row
+from cosim.campaign.workers.protocol import Workers
+from cosim.spec.controller_name import short_name
+
+REPEAT_STREAMS = 2  # index of the repeats' random streams of a study's seed, beside those of its draws
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is asked: how rare, in how many flights, and whether the seed of noise and turbulence varies too."""
+
+    budget: Budget
+    seeds_vary: bool = True
+
+    def table(self) -> dict[str, Any]:
+        """Return the plan as a table."""
+        return {**asdict(self.budget), "seeds_vary": self.seeds_vary}
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A flight that failed: its number, where it lies in standard deviations, and its part of the probability."""
+
+    number: int
+    point: Array
+    weight: float
+
+    @property
+    def distance(self) -> float:
+        """How many standard deviations it lies from the middle of all draws: |u|."""
+        return float(np.sqrt(np.sum(self.point**2)))
+
+
+@dataclass(frozen=True)
+class KeyShift:
+    """Where one coordinate is in the failures, in standard deviations: mean and spread; 0 and 1 in all flights."""
+
+    name: str
+    mean: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class RareResult:
+    """The result of subset simulations of one controller.
+
+    ``rows`` are all flights in the order in which they were asked for, ``repeat`` and ``level`` of each beside them.
+    """
+
+    study: Study
+    plan: Plan
+    controller: str
+    estimate: Estimate
+    repeats: tuple[Repeat, ...]
+    failures: tuple[Failure, ...]
+    rows: tuple[Row, ...]
+    names: tuple[str, ...]
+
+    @property
+    def flights(self) -> int:
+        """How many flights it took."""
+        return len(self.rows)
+
+    @property
+    def not_flown(self) -> int:
+        """How many flights could not be flown at all, and count as failures."""
+        return sum(row["outcome"] == "failed" and not row.get("steps") for row in self.rows)
+
+    @property
+    def sentence(self) -> str:
+        """The result in one sentence."""
+        vary = "are" if self.plan.seeds_vary else "are not"
+        not_flown = f"; {self.not_flown} flights could not be flown, and count as failures" if self.not_flown else ""
+        return (
+            f"{self.study.base().name} with {short_name(self.controller)} fails with a probability of "
+            f"{self.estimate.text} after {self.flights:,} flights; seeds of wind and noise {vary} part of what varies"
+            f"{not_flown}"
+        )
+
+    @property
+    def shifts(self) -> list[KeyShift]:
+        """Where the failures lie, the coordinate that they are furthest out in first; nothing without a failure."""
+        if not self.failures:
+            return []
+        weights = np.array([failure.weight for failure in self.failures])
+        points = np.array([failure.point for failure in self.failures])
+        means = weights @ points / weights.sum()
+        spreads = np.sqrt(weights @ (points - means) ** 2 / weights.sum())
+        squares = means**2 + spreads**2
+        return [
+            KeyShift(self.names[i], float(means[i]), float(spreads[i])) for i in np.argsort(-squares, kind="stable")
+        ]
+
+    @property
+    def nearest(self) -> Failure | None:
+        """The failure that is most likely of those met: with the smallest |u|."""
+        return min(self.failures, key=lambda failure: failure.distance, default=None)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as a table: what is asked, what came of it, and each repeat's levels."""
+        base, nearest = self.study.base(), self.nearest
+        return {
+            "sentence": self.sentence,
+            "study": self.study.name,
+            "scenario": base.name,
+            "aircraft": base.aircraft_name,
+            "engine": base.engine,
+            "controller": self.controller,
+            "seed": self.study.seed,
+            **self.plan.table(),
+            **asdict(self.estimate),
+            "flights": self.flights,
+            "not_flown": self.not_flown,
+            "failures": len(self.failures),
+            "shifts": [asdict(shift) for shift in self.shifts],
+            "nearest": None if nearest is None else self._flight_table(nearest),
+            "simulations": [
+                {
+                    "flights": repeat.flights,
+                    "probability": None if (log := repeat.log_probability) is None else float(np.exp(log)),
+                    "levels": [
+                        {"threshold": level.threshold, "below": level.below, "flights": level.margins.size}
+                        for level in repeat.levels
+                    ],
+                }
+                for repeat in self.repeats
+            ],
+        }
+
+    def _flight_table(self, failure: Failure) -> dict[str, Any]:
+        row = self.rows[failure.number]
+        return {
+            "flight": failure.number,
+            "seed": row["seed"],
+            "values": {name: row[name] for name in self.study.drawn},
+            "outcome": row["outcome"],
+            "reason": row["reason"],
+            "distance": failure.distance,
+        }
+
+
+def simulate(
+    study: Study,
+    plan: Plan,
+    workers: Workers,
+    journal: Journal | None = None,
+    progress: Callable[[int], None] = lambda flights: None,
+) -> RareResult:
+    """Fly a study's subset simulations.
+
+    Flights that ``journal`` has are not flown again.  Raises InputError for a study with more controllers than one or
+    a budget that is too small, FlightError if flights cannot be flown.
+    """
+    controller = only_controller(study)
+    plan.budget.check()
+    space = NormalSpace(study)
+    flyer = _Flyer(study, space, controller, workers, journal, progress)
+    seed = None if plan.seeds_vary else flight_seed(study.seed, 0)
+    generators = [
+        subset_simulation(space.dimension, plan.budget.size, plan.budget.most_levels, random, seed)
+        for random in map(np.random.default_rng, np.random.SeedSequence(study.seed, spawn_key=(REPEAT_STREAMS,)).spawn(
+            plan.budget.repeats
+        ))
+    ]  # fmt: skip
+    repeats = run_repeats(generators, flyer.margins)
+    return RareResult(
+        study, plan, controller, estimate(repeats), tuple(repeats), tuple(flyer.failures(repeats)), tuple(flyer.rows),
+        tuple(space.names),
+    )  # fmt: skip
+
+
+def only_controller(study: Study) -> str:
+    """Return the one controller of a study.  Raises InputError where there are several."""
+    names = controllers(study)
+    if len(names) > 1:
+        raise InputError(
+            f"study {study.name}: has {len(names)} controllers, and a rare failure is one's; --controller NAME says "
+            f"which: {', '.join(map(short_name, names))}"
+        )
+    return names[0]
+
+
+class _Flyer:
+    """Flies candidates, each once, and numbers them in the order in which they were asked for."""
+
+    def __init__(
+        self,
+        study: Study,
+        space: NormalSpace,
+        controller: str,
+        workers: Workers,
+        journal: Journal | None,
+        progress: Callable[[int], None],
+    ) -> None:
+        self._study, self._space, self._controller, self._workers = study, space, controller, workers
+        self._journal, self._progress = journal, progress
+        self._flown = journal.read() if journal is not None else {}
+        self.rows: list[Row] = []
+        self._points: list[Array] = []
+        self._numbers: dict[int, list[int]] = {}  # of each repeat's flights
+
+    def margins(self, asked: Mapping[int, Candidates]) -> dict[int, Array]:
+        """Return the margins of the candidates of each repeat.  Raises FlightError if flights cannot be flown."""
+        requests: list[tuple[int, int, tuple[Point, int]]] = []  # repeat, level, what is flown
+        for repeat, candidates in asked.items():
+            self._points += list(candidates.points)
+            for values, seed in zip(self._space.values(candidates.points), candidates.seeds, strict=True):
+                requests.append((repeat, candidates.level, (Point.of(self._controller, values), seed)))
+        self._fly([key for *_, key in requests])
+        margins: dict[int, list[float]] = {repeat: [] for repeat in asked}
+        for repeat, level, key in requests:
+            row = self._flown[key]
+            number = len(self.rows)
+            margin = row_margin(row, self._study)
+            self.rows.append(
+                {**row, "flight": number, "draw": number, "repeat": repeat, "level": level, "margin": margin}
+            )
+            self._numbers.setdefault(repeat, []).append(number)
+            margins[repeat].append(margin)
+        return {repeat: np.array(values) for repeat, values in margins.items()}
+
+    def failures(self, repeats: list[Repeat]) -> list[Failure]:
+        """Return the failed flights of the last levels, each with its part of the probability."""
+        weights: dict[int, float] = {}
+        for repeat, numbers in enumerate(self._numbers.values()):
+            last = repeats[repeat].levels[-1]
+            each = float(np.exp(repeats[repeat].log_reached)) / last.margins.size
+            for number in last.numbers[last.margins < 0.0].tolist():
+                weights[numbers[number]] = weights.get(numbers[number], 0.0) + each
+        total = sum(weights.values()) or 1.0
+        return [Failure(number, self._points[number], weight / total) for number, weight in sorted(weights.items())]
+
+    def _fly(self, keys: list[tuple[Point, int]]) -> None:
+        missing = list(dict.fromkeys(key for key in keys if key not in self._flown))
+        first = len(self._flown)
+        numbered = {first + number: key for number, key in enumerate(missing)}
+        flights = [
+            Flight(number, number, point.controller, seed, dict(point.values))
+            for number, (point, seed) in numbered.items()
+        ]
+        for row in self._workers.fly(self._study, flights):
+            key = numbered.pop(int(row["flight"] or 0))
+            self._flown[key] = row
+            if self._journal is not None:
+                self._journal.add(*key, row)
+            self._progress(len(self._flown))
+        if numbered:
+            raise FlightError(f"{len(numbered)} flights were not flown")
+
+
+def describe_plan(plan: Plan) -> str:
+    """Return what is simulated, in words."""
+    budget = plan.budget
+    return (
+        f"{budget.repeats} subset simulations of at most {budget.most_levels} levels with {budget.size} flights each, "
+        f"for probabilities down to {probability_text(budget.target)}: {budget.flights:,} flights at most"
+    )
