@@ -221,7 +221,7 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
     north, east = (run.log[name][begin:] for name in ("north_m", "east_m"))
     drift = max((hypot(n - north[0], e - east[0]) for n, e in zip(north, east, strict=True)), default=nan)
     sink = float(run.log["velocity_down_m_s"][-1])
-    verdict = judge_outcome(run.outcome, run.log, STEP_S)
+    verdict, _ = judge_outcome(run)
     if verdict is Verdict.HELD and sink > SINK_M_S:
         verdict = Verdict.AIRBORNE
     detection = None if detected is None else detected - begin + 1

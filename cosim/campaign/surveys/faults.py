@@ -74,6 +74,7 @@ class Row:
     detected_s: float | None  # from the fault to the monitor's first verdict
     reason: str
     controller_sha256: str | None = None  # of one from outside
+    margin_deg: float | None = None  # by which it is held; below 0: it is not, and the less, the earlier it was lost
     case: str = ""  # its scenario, as seen from the folder of the result
 
 
@@ -288,17 +289,19 @@ def _fly(flight: _Flight) -> Row:
     run = fly(scenario)
     begin = scenario.count(SETTLED_S[start], "start_s")
     lean, lost, detected = measure_flight(run.log, begin)
+    verdict, margin = judge_outcome(run)
     return Row(
         case.kind,
         case.place,
         start,
         controller,
-        judge_outcome(run.outcome, run.log, scenario.step_s),
+        verdict,
         lean,
         lost,
         None if detected is None or case.fault is None else (detected - begin + 1) * scenario.step_s,
         run.reason,
         scenario.controller_sha256,
+        margin_deg=margin,
     )
 
 
@@ -313,7 +316,7 @@ def _scan(task: tuple[Subject, str, str, str, EngineDraw | None]) -> Limit:
         if quantity != LOSS:
             scenario = scenario.replace(vehicle=merge(scenario.vehicle, {"control": {"monitor": {"confirm_s": value}}}))
         run = fly(draw_engine(scenario, draw, f"{quantity} {start}"))
-        verdict = judge_outcome(run.outcome, run.log, scenario.step_s)
+        verdict, _ = judge_outcome(run)
         if verdict is Verdict.LOST:
             lost_at = value
             break

@@ -19,7 +19,8 @@ from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import load_engine
 from cosim.results.log.columns import jets_in
 from cosim.results.log.recorder import Log
-from cosim.results.metrics import wrap
+from cosim.results.requirements import FlightSignals, Lost, Requirement
+from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, load_vehicle
 
@@ -99,12 +100,20 @@ def measure_flight(log: Log, begin: int) -> tuple[float, float, int | None]:
     return lean, max(0.0, float(height[0] - height.min())), int(ill[0]) if ill.size else None
 
 
-def judge_outcome(outcome: str, log: Log, step: float) -> Verdict:
-    """Return whether a vehicle is held (level to a few degrees), airborne and no more than that, or lost."""
-    if outcome != "completed":
-        return Verdict.LOST
-    rows = round(1.0 / step)
-    worst = max(
-        float(np.max(np.abs(wrap(log[f"{axis}_setpoint_rad"][-rows:] - log[f"{axis}_rad"][-rows:])))) for axis in AXES
-    )
-    return Verdict.HELD if degrees(worst) <= LEVEL_DEG else Verdict.AIRBORNE
+def held_requirement(duration_s: float) -> Requirement:
+    """Return what a vehicle keeps that is held: every axis level to ``LEVEL_DEG`` over the last second."""
+    level = " and ".join(f"abs({axis}_error_deg) <= {LEVEL_DEG:g}" for axis in AXES)
+    return Requirement(name="held", formula=f"after({duration_s - 1.0:.9g} s, always({level}))")
+
+
+def judge_outcome(run: Run) -> tuple[Verdict, float | None]:
+    """Return whether a vehicle is held, airborne and no more than that, or lost; and by how much it is held [deg].
+
+    The margin is that of :func:`held_requirement`, None where an axis has no set-point.
+    """
+    summary = run.summary
+    lost = None if summary.outcome == "completed" else Lost(summary.duration_s, summary.planned_s)
+    held = held_requirement(summary.planned_s).assess(FlightSignals(run.log, summary.step_s, {}, {}), lost)
+    if lost is not None:
+        return Verdict.LOST, held.margin
+    return Verdict.HELD if held.kept else Verdict.AIRBORNE, held.margin

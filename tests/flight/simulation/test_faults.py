@@ -468,8 +468,8 @@ class Commander:
         self.acts = acts
         self.simulation: Simulation | None = None
 
-        def keep(scenario: Scenario, own: Source | None = None) -> Simulation:
-            self.simulation = build(scenario, own)
+        def keep(scenario: Scenario, own: Source | None = None, with_ledger: bool = True) -> Simulation:
+            self.simulation = build(scenario, own, with_ledger)
             return self.simulation
 
         monkeypatch.setattr("cosim.simulation.build.build", keep)

@@ -6,6 +6,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import campaigns
@@ -15,6 +16,7 @@ from places import DOCS
 
 from cosim import Scenario, fly
 from cosim.base.errors import InputError
+from cosim.base.outcomes import Verdict
 from cosim.campaign.analysis.page import write_campaign_report
 from cosim.campaign.analysis.summary import unmet_criteria
 from cosim.campaign.analysis.table import read_flight_table
@@ -22,6 +24,7 @@ from cosim.campaign.proof.requirements import proven_requirements
 from cosim.campaign.search.search import describe_flight
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
+from cosim.campaign.surveys.survey import judge_outcome
 from cosim.campaign.workers.flight_row import MARGIN_OF, fly_one, kinds
 from cosim.results.expectations import check_expected
 from cosim.results.limits import find_exceeded
@@ -341,3 +344,22 @@ def test_a_campaign_says_which_requirement_was_broken(tmp_path: Path) -> None:
     assert (level.says, level.broken, level.told) == ("level: always(abs(roll_deg) < 30)", 2, 4)
     write_campaign_report(made)
     assert "requirement level broken" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("degrees", "outcome", "verdict", "margin"),
+    [
+        ([9.0, 4.0, -4.5], "completed", Verdict.HELD, 0.5),  # the first row is more than a second before the end
+        ([0.0, 0.0, 5.5], "completed", Verdict.AIRBORNE, -0.5),
+        ([0.0, np.nan, np.nan], "completed", Verdict.AIRBORNE, None),  # rates are commanded: nobody asks for an angle
+        ([0.0, 0.0], "diverged", Verdict.LOST, -6.667),
+    ],
+)
+def test_the_verdict_of_a_survey_is_a_requirement(
+    degrees: list[float], outcome: str, verdict: Verdict, margin: float | None
+) -> None:
+    table = np.zeros((len(NAMES), len(degrees)))
+    table[NAMES.index("yaw_setpoint_rad")] = np.radians(degrees)
+    summary = SimpleNamespace(outcome=outcome, planned_s=1.5, duration_s=0.5 * len(degrees), step_s=0.5)
+    run: Any = SimpleNamespace(log=MemoryLog([table], NAMES, COLUMNS), summary=summary)
+    assert judge_outcome(run) == (verdict, margin if margin is None else pytest.approx(margin, abs=1e-3))
