@@ -33,6 +33,7 @@ from cosim.campaign.proof.failure import LIKELY, SAID, search_failures
 from cosim.campaign.proof.failure import WORST as WORST_CASE
 from cosim.campaign.proof.limit import flown_limits
 from cosim.campaign.proof.page import write_page
+from cosim.campaign.proof.rare_failure import simulate_rare
 from cosim.campaign.proof.requirements import proven_requirements
 from cosim.campaign.proof.result import LEAST, NEAREST, Part, Proof, WorstFlight
 from cosim.campaign.proof.scope import kinds_not_varied, not_covered
@@ -50,6 +51,8 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import aircraft_names
 
 CAMPAIGN, SEARCHES, WORST, RESULT, REPORT = "campaign", "searches", "worst", "proof.json", "proof.html"
+RARE = "rare"
+NOT_RARE = "no method for rare failures was used: what flights that succeed can show is all that is shown"
 LISTED = 3  # flights with the smallest margins that are flown again
 PACKAGE = "hexjet-cosim"
 
@@ -62,6 +65,7 @@ class Request:
 
     limit: bool = True  # the distance of the controller to the best
     search: int = 0  # flights for each search, of the most likely failure and of the worst case; 0: none is made
+    rare: int = 0  # flights for the probability of failures that are too rare to count; 0: none is estimated
     comparisons: Sequence[dict[str, Any]] = field(default_factory=tuple)  # what replay.json says of recorded flights
 
 
@@ -133,11 +137,14 @@ def conclude(
 
 
 def _search(study: Study, out: Path, request: Request, workers: Workers | int | None, say: Say) -> Mapping[str, Part]:
-    """Search for the most likely failure and the worst case, where that is asked for."""
-    if not request.search:
-        return {name: Part(None, text) for name, text in SAID.items()}
+    """Search the most likely failure, the worst case and how probable a rare failure is, where that is asked for."""
+    parts = {name: Part(None, text) for name, text in SAID.items()} | {RARE: Part(None, NOT_RARE)}
     with open_workers(workers) as flying:
-        return search_failures(study, out / SEARCHES, request.search, flying, say)
+        if request.search:
+            parts |= search_failures(study, out / SEARCHES, request.search, flying, say)
+        if request.rare:
+            parts[RARE] = simulate_rare(study, out / SEARCHES / RARE, request.rare, flying, say)
+    return parts
 
 
 def _conclude(
@@ -148,7 +155,6 @@ def _conclude(
     scenario = with_values(study.base(), {"controller": study.tried[0]})
     worst = list(_fly_worst(campaign, table, out, say))
     limits = flown_limits(scenario, say) if request.limit else "it was left out (--no-limit)"
-    rare = Part(None, "no method for rare failures was used: what flights that succeed can show is all that is shown")
     evidence = _evidence(study, table, scenario, worst, request, searched)
     return Proof(
         folder=out,
@@ -164,13 +170,13 @@ def _conclude(
         worst=worst,
         likely=searched[LIKELY],
         worst_case=searched[WORST_CASE],
-        rare=rare,
+        rare=searched[RARE],
         limits={} if isinstance(limits, str) else limits,
         axis=_commanded_axis(scenario),
         no_limits=limits if isinstance(limits, str) else "",
         not_covered=not_covered(
             study,
-            [part.says for part in (*searched.values(), rare) if part.result is None],
+            [part.says for part in searched.values() if part.result is None],
             [reason for kind, reason in zip(table.kind, table.reason, strict=True) if KINDS[kind] == "failed"],
         ),
         credibility=assess_credibility(evidence),
@@ -262,6 +268,7 @@ def _repeat(out: Path, campaign: Campaign, request: Request) -> dict[str, Any]:
     for row in zip(*columns, strict=True):
         digest.update(f"{row}\n".encode())
     file = shlex.quote((out / CAMPAIGN / STUDY).as_posix())
-    beside = f" --search {request.search}{'' if request.limit else ' --no-limit'}"
+    beside = f" --search {request.search}{f' --rare {request.rare}' if request.rare else ''}"
+    beside += "" if request.limit else " --no-limit"
     command = f"hexjet prove {file} --claim {study.until} --budget {study.draws}{beside} --out AGAIN"
     return {"command": command, "rows_sha256": digest.hexdigest(), "versions": versions()}

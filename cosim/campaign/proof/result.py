@@ -85,7 +85,8 @@ class Proof:
     @property
     def sentence(self) -> str:
         """The result in one sentence: what is shown, the most likely failure, and the controller beside the best."""
-        return f"{self._shown()}; {self._failure()}; {self._limit()}."
+        parts = [self._shown(), *([self.rare.says] if self.rare.result else []), self._failure(), self._limit()]
+        return f"{'; '.join(parts)}."
 
     def _shown(self) -> str:
         study = self.study

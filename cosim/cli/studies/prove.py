@@ -36,6 +36,10 @@ class Prove(CampaignOptions):
         "--search", "N", "Flights for each search: of the most likely failure, and of the worst case; 0: none.",
         min=0, default=500,
     )  # fmt: skip
+    rare = opt.whole(
+        "--rare", "N", "Flights for the probability of failures too rare to count, as hexjet rare; 0: none.",
+        min=0, default=0,
+    )  # fmt: skip
     limit: bool = opt.option(
         "--limit/--no-limit", default=True,
         help="Compare the controller with the best that any linear one could do; a minute.  [default: --limit]",
@@ -65,13 +69,17 @@ def prove(options: Prove) -> int:
     from cosim.campaign.folder import is_campaign
     from cosim.campaign.proof.credibility import read_comparison
     from cosim.campaign.proof.prove import CAMPAIGN, Request, conclude, fly_study
+    from cosim.campaign.proof.rare_failure import check_flights
     from cosim.campaign.proof.source import proof_study
     from cosim.campaign.run import choose_workers
 
     is_begun = is_campaign(Path(options.name) / CAMPAIGN)
     if is_begun and not options.resume:
         raise InputError(f"{options.name}: already holds a proof; --resume goes on with it")
-    request = Request(options.limit, options.search, tuple(map(read_comparison, options.replays)))
+    if options.rare:
+        check_flights(options.rare)
+    comparisons = tuple(map(read_comparison, options.replays))
+    request = Request(options.limit, options.search, options.rare, comparisons)
     if is_begun:
         study, folder = None, Path(options.name)
     else:

@@ -20,7 +20,7 @@ from cosim.campaign.proof.scope import kinds_not_varied
 from cosim.campaign.proof.source import proof_study
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Row, fly_one
+from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
 from cosim.cli.main import main
 from cosim.flight import fly
 from cosim.results.log.digest import log_digest
@@ -49,6 +49,7 @@ formula = "always(abs(roll_deg) < 30)"
 "altitude.max_abs_error_m" = { max = 0.5 }
 """
 
+HEAVY_KG = 5.35  # 3.5 standard deviations below the middle of EDGE's mass
 EDGE = """
 name = "edge"
 scenario = "hover"
@@ -235,6 +236,33 @@ def test_the_most_likely_failure_and_the_worst_case_are_runs(hexjet: Hexjet, tmp
     assert {**told(tmp_path / "p"), "repeat": 0} == {**data, "repeat": 0}
 
 
+class Known:
+    """A worker that flies nothing: a flight fails where the mass is below a threshold, by how far it is."""
+
+    def fly(self, study: Study, planned: Iterable[Flight]) -> Iterator[Row]:
+        for flight in planned:
+            mass = float(flight.values["vehicle.mass_kg"] or 0.0)
+            row = failed_row(study, flight, "too light")
+            margin = (mass - HEAVY_KG) / 0.05
+            yield row | {"success": margin > 0.0, "outcome": "completed", "steps": 1, "margin": margin}
+
+
+def test_a_rare_failure_has_its_probability(tmp_path: Path) -> None:
+    """Of a known truth, 3.5 standard deviations out: one flight in 4,300."""
+    edge = tmp_path / "edge.toml"
+    edge.write_text(EDGE)
+    out = tmp_path / "p"
+    flown = fly_study(proof_study(str(edge), "60%@90%"), out, Known())  # type: ignore[arg-type]
+    proof = conclude(flown, out, Request(limit=False, rare=2800), Known())  # type: ignore[arg-type]
+    data = json.loads((out / "proof.json").read_text())["rare"]
+    assert data["done"]
+    assert data["low"] < 2.33e-4 < data["high"] < 2e-3
+    assert data["says"] in proof.sentence
+    assert data["says"] in (out / "proof.html").read_text()
+    assert "no method for rare failures" not in " ".join(proof.not_covered)
+    assert "--rare 2800" in proof.repeat["command"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
@@ -245,6 +273,7 @@ def test_the_most_likely_failure_and_the_worst_case_are_runs(hexjet: Hexjet, tmp
         (["predictor-robustness"], "states no claim (until); --claim says what is to be shown"),
         (["DESIGN"], "a design states no claim"),
         (["DESIGN", "--claim", "99%@95%", "--controller", "smith"], "a design brings its own controllers"),
+        (["STUDY", "--rare", "100"], "--rare 100: 8 repeats of 7 levels down to"),
         (["STUDY", "--resume"], "give the folder of the proof"),
         (["STUDY", "--out", "."], "is not empty; choose another folder"),
         (["STUDY", "--replay", "."], "is no replay.json of hexjet replay"),
