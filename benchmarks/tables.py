@@ -341,8 +341,9 @@ def _campaign(cost: CampaignCost) -> Iterator[Table]:
         ]
         duration = f"{study.flights} flights in {study.wall_s:.0f} s, one run"
         note = f"{duration}; {spread(study.rate)} flights a second over its tenths."
+        cheap = [] if cost.cheap_s is None else [f'With `substeps = "campaign"` they take {cost.cheap_s:.0f} s.']
         title = f"a study of {study.flights} flights, two workers: resident memory, MB"
-        yield Table(title, (f"after {EARLY} flights", "after the last"), held, [note])
+        yield Table(title, (f"after {EARLY} flights", "after the last"), held, [note, *cheap])
 
 
 def _mb(value: float | None) -> str:

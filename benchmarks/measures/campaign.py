@@ -66,7 +66,10 @@ class LongStudy:
 
 @dataclass(frozen=True)
 class CampaignCost:
-    """``share``: the campaign's gain by bare JSBSim's gain, round by round."""
+    """``share``: the campaign's gain by bare JSBSim's gain, round by round.
+
+    ``cheap_s``: what the study takes by the clock with as many JSBSim runs a step as ``substeps = "campaign"`` flies.
+    """
 
     flight_s: float
     flights: int  # a worker flies in a round
@@ -75,6 +78,7 @@ class CampaignCost:
     share: Spread
     flight: FlightCost
     study: LongStudy | None
+    cheap_s: float | None
 
 
 class _Look(NamedTuple):
@@ -149,12 +153,11 @@ def measure_campaign(plan: CampaignPlan, folder: Path, on_round: Callable[[], ob
     cost = measure_flight_cost(
         make_study(plan.flights, plan.flight_s), plan.flight_s, plan.fixed_rounds, folder, on_round
     )
-    long = None
+    long = cheap_s = None
     if plan.study:
-        with _workers(PROCESSES[-1]) as fresh:
-            begin = time.perf_counter()
-            looks = fly_study(make_study(plan.study, plan.flight_s), fresh, folder / "long")
-            long = _long(looks, time.perf_counter() - begin)
+        looks, wall_s = _fly_long(make_study(plan.study, plan.flight_s), folder / "long")
+        long = _long(looks, wall_s)
+        _, cheap_s = _fly_long(make_study(plan.study, plan.flight_s, substeps="campaign"), folder / "cheap")
         on_round()
     gains = [[two / one for one, two in zip(*by.values(), strict=True)] for by in (bare, rates)]
     return CampaignCost(
@@ -165,7 +168,16 @@ def measure_campaign(plan: CampaignPlan, folder: Path, on_round: Callable[[], ob
         Spread.of([ours / theirs for theirs, ours in zip(*gains, strict=True)]),
         cost,
         long,
+        cheap_s,
     )
+
+
+def _fly_long(study: Study, folder: Path) -> tuple[list[_Look], float]:
+    """Fly a study with new workers, and return when its rows came, and the time by the clock."""
+    with _workers(PROCESSES[-1]) as fresh:
+        begin = time.perf_counter()
+        looks = fly_study(study, fresh, folder)
+        return looks, time.perf_counter() - begin
 
 
 def _scaling(rates: dict[int, list[float]], gain: list[float]) -> Scaling:
@@ -187,14 +199,14 @@ def fly_study(study: Study, workers: Workers, folder: Path) -> list[_Look]:
     return watched.looks
 
 
-def make_study(flights: int, seconds: float) -> Study:
-    """``roll-doublet`` for so long, its mass a little other each time."""
+def make_study(flights: int, seconds: float, **settings: str) -> Study:
+    """``roll-doublet`` for so long, its mass a little other each time; ``settings`` are further ones."""
     from cosim.campaign.study.study import Study
 
     table = {
         "name": "benchmark",
         "scenario": "roll-doublet",
-        "settings": {"duration_s": seconds},
+        "settings": {"duration_s": seconds} | settings,
         "design": "latin-hypercube",
         "runs": flights,
         "vary": [{"key": "vehicle.mass_kg", "relative": "factor", "range": [0.95, 1.05]}],

@@ -519,6 +519,7 @@ def test_a_second_worker_beside_a_second_process(result: dict[str, Any]) -> None
     study = found["study"]
     assert study["flights"] == 24 == sum(each["flights"] for each in study["workers"])
     assert len(study["workers"]) == 2
+    assert found["cheap_s"] > 0.0
 
 
 def test_the_campaigns_gain_is_held_against_bare_jsbsims(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
