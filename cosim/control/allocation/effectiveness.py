@@ -329,7 +329,9 @@ class EffectivenessAllocator:
         pitching moment.  Also answered is what is missing of the force ahead [N].
         """
         jets, last = self._jets, self._last
-        least = sum([low for low, _ in self._thrust_limits])
+        least = 0.0
+        for low, _ in self._thrust_limits:
+            least += low
         asked = lift
         for number in range(self._hinges, len(self._effectors)):  # jets do not counteract the lift of surfaces
             asked += self.pressure * last[jets + number] * self._effectors[number].wrench[2]
@@ -360,8 +362,12 @@ class EffectivenessAllocator:
         ``is_balanced``: the fraction of the equal parts' pitching moment that is taken out."""
         jets = self._jets
         arms = self._solver.pitch_arms(self._neutral)
-        mean = sum(arms) / jets
-        spread = sum([(arm - mean) * (arm - mean) for arm in arms])
+        total = spread = 0.0
+        for arm in arms:
+            total += arm
+        mean = total / jets
+        for arm in arms:
+            spread += (arm - mean) * (arm - mean)
         per_arm = balanced * mean / spread if spread else 0.0
         return [self._weight * (1.0 / jets - per_arm * (arm - mean)) for arm in arms]
 

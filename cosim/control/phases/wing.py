@@ -114,7 +114,13 @@ class WingFlight(FlightLaw):
     ) -> None:
         super().__init__(loops)
         self._allocator = allocator
-        self._settings, self._table, self._mass, self._step, self._lag = settings, table, mass, step, lag
+        self._table, self._mass, self._step, self._lag = table, mass, step, lag
+        # numbers, which a step reads sooner than a model's fields
+        self._limits = (settings.acceleration_m_s2, settings.braking_m_s2)
+        self._integral_gain, self._integral_limit = settings.integral_1_s2, settings.integral_limit_m_s2
+        self._gain, self._open = settings.velocity_1_s, settings.open_m_s
+        self._alpha_lag, self._alphas = settings.alpha_filter_s, settings.alpha_rad
+        self._aside_gain, self._most_bank = settings.aside_1_s, settings.bank_rad
         self.tilts = list(tilts)
         self.reset()
 
@@ -164,7 +170,8 @@ class WingFlight(FlightLaw):
 
     def attitude(self, command: Command, speed_setpoint: float, measured: Measured) -> Command:
         """Return the command with the attitude for a speed ahead [m/s]; called once a step, before the loops."""
-        settings, step = self._settings, self._step
+        step, open_speed = self._step, self._open
+        speeding, braking = self._limits
         yaw = heading_of(measured.attitude)
         north, east, down = measured.velocity
         speed = north * cos(yaw) + east * sin(yaw)
@@ -174,26 +181,26 @@ class WingFlight(FlightLaw):
             self._missing_ahead = 0.0
         previous = self._setpoint
         speeds_up = speed_setpoint * previous >= 0.0 and abs(speed_setpoint) > abs(previous)
-        limit = settings.acceleration_m_s2 if speeds_up else settings.braking_m_s2
+        limit = speeding if speeds_up else braking
         self._setpoint = speed + clamp(previous + clamp(speed_setpoint - previous, limit * step) - speed, MOST_LEAD_M_S)
         error = self._setpoint - speed
         if self._missing_ahead * error <= 0.0:
-            integral = self._integral + settings.integral_1_s2 * step * error
-            self._integral = clamp(integral, settings.integral_limit_m_s2)
+            integral = self._integral + self._integral_gain * step * error
+            self._integral = clamp(integral, self._integral_limit)
         acceleration = clamp((self._setpoint - previous) / step, limit)
-        self._acceleration = acceleration + settings.velocity_1_s * error + self._integral
+        self._acceleration = acceleration + self._gain * error + self._integral
         self._speed = speed
-        opening = clamp(max(speed, 0.0) / settings.open_m_s, 1.0)
+        opening = clamp(max(speed, 0.0) / open_speed, 1.0)
         self._pressure = 0.5 * DENSITY * speed * speed
         alpha = opening * self._table.angle_for(self._vertical / max(self._pressure, LEAST_PRESSURE))
-        self._alpha += step / (settings.alpha_filter_s + step) * (alpha - self._alpha)
-        self._path = path = opening * clamp(atan2(-down, max(speed, settings.open_m_s)), STEEPEST_RAD)
+        self._alpha += step / (self._alpha_lag + step) * (alpha - self._alpha)
+        self._path = path = opening * clamp(atan2(-down, max(speed, open_speed)), STEEPEST_RAD)
         # A path that bends has to turn the nose too, and the attitude follows late.  The alpha that is short until then
         # would cost lift, at 25 m/s more than half of what the height loop asks for.
-        bend = opening * (self._vertical / self._mass - GRAVITY) / max(speed, settings.open_m_s)
-        path += clamp(self._lag * bend, MOST_LEAD * settings.alpha_rad[1])
+        bend = opening * (self._vertical / self._mass - GRAVITY) / max(speed, open_speed)
+        path += clamp(self._lag * bend, MOST_LEAD * self._alphas[1])
         roll, pitch, heading = command.attitude
-        bank = clamp(settings.aside_1_s * side_speed / GRAVITY, settings.bank_rad)
+        bank = clamp(self._aside_gain * side_speed / GRAVITY, self._most_bank)
         attitude = (roll - bank, pitch + path + self._alpha, heading)
         return Command(attitude, command.altitude, command.rate, command.collective, command.place, command.ahead)
 
@@ -216,7 +223,7 @@ class WingFlight(FlightLaw):
         Jets that cannot push down are no limit of the height loop while the wing can still lift less.
         """
         self._missing_ahead = ahead
-        least = self._settings.alpha_rad[0]
+        least = self._alphas[0]
         if unallocated.collective < 0.0 and self._alpha > least + ALPHA_MARGIN:
             return Unallocated(unallocated.roll, unallocated.pitch, unallocated.yaw, 0.0)
         return unallocated

@@ -232,6 +232,19 @@ def modal_observer(modes: Modes, bandwidth: float, step: float, disturbance: boo
     return F, np.asarray(np.linalg.solve(F, characteristic @ np.linalg.solve(observability, np.eye(n)[:, -1])))
 
 
+class _Mode:
+    """A mode with a real pole: its numbers in :class:`ModalPredictor`, and its state ``x``."""
+
+    def __init__(self, pole: float, share: float, residue: float, gain: float, weight: float) -> None:
+        self.pole, self.share, self.residue, self.gain, self.weight = pole, share, residue, gain, weight
+        self.x = 0.0
+
+    def step(self, disturbance: float, now: float, before: float) -> float:
+        """Return the state after a step under two commands that follow each other."""
+        self.x = self.pole * self.x + disturbance + self.share * now + (1.0 - self.share) * before
+        return self.x
+
+
 class ModalPredictor:
     """Ours: what :class:`StatePredictor` with :class:`ModelObserver` does, for a model of any order.
 
@@ -260,11 +273,17 @@ class ModalPredictor:
             *[_product_sum(residues, [p ** (n - 1 - j) for p in poles]).real for j in range(n)],
         ]
         self.diagnostics: Diagnostics = (nan, nan, model.delay_samples)
+        self._is_real = not any(isinstance(pole, complex) for pole in modes.poles)
+        # pole, share, residue, gain and weight of each mode where all are real
+        numbers = zip(modes.poles, modes.shares, modes.residues, self.gain, self.state_weights, strict=False)
+        self._modes = [_Mode(*[number.real for number in mode]) for mode in numbers]
         self.reset()
 
     def reset(self) -> None:
         """Return to rest, with no command in transport."""
         self._x: list[complex] = [0.0] * len(self.poles)
+        for mode in self._modes:
+            mode.x = 0.0
         self._d = 0.0
         self._sent = [0.0] * len(self.weights)
 
@@ -273,13 +292,25 @@ class ModalPredictor:
         sent.append(applied)
         del sent[0]
         before, now, d = sent[0], sent[1], self._d
+        ahead = _dot(self.weights, sent)
+        if self._is_real:
+            rate = after = 0.0
+            for mode in self._modes:
+                rate += mode.residue * mode.step(d, now, before)
+            error = measured - rate
+            for mode in self._modes:
+                mode.x += mode.gain * error
+                after += mode.weight * mode.x
+            if self.with_disturbance:
+                self._d = d = d + self.gain[-1].real * error
+            return after + ahead + self.command_weight * d
         old, shares = self._x, self.shares
         x = [p * old[i] + d + shares[i] * now + (1.0 - shares[i]) * before for i, p in enumerate(self.poles)]
         error = measured - _product_sum(self.residues, x).real
         self._x = x = [value + self.gain[i] * error for i, value in enumerate(x)]
         if self.with_disturbance:
             self._d = d = d + self.gain[-1].real * error
-        return _product_sum(self.state_weights, x).real + _dot(self.weights, sent) + self.command_weight * d
+        return _product_sum(self.state_weights, x).real + ahead + self.command_weight * d
 
 
 def _dot(a: list[float], b: list[float]) -> float:

@@ -7,6 +7,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from math import cos, isfinite, log, pi, radians, sin
 from pathlib import Path
+from typing import Final
 
 from cosim.base.errors import InputError, nearest
 from cosim.base.signals import Command
@@ -24,7 +25,16 @@ from cosim.spec.scenario import (
 
 Waveform = Callable[[int], float]
 STICKS = ("roll", "pitch", "yaw", "throttle")
-_ROLL, _PITCH, _YAW, _ALTITUDE, _P, _Q, _R, _COLLECTIVE, _AHEAD = range(len(SIGNALS))
+# indices in SIGNALS
+_ROLL: Final = 0
+_PITCH: Final = 1
+_YAW: Final = 2
+_ALTITUDE: Final = 3
+_P: Final = 4
+_Q: Final = 5
+_R: Final = 6
+_COLLECTIVE: Final = 7
+_AHEAD: Final = 8
 _IN_DEGREES = frozenset({_ROLL, _PITCH, _YAW, _P, _Q, _R})
 
 

@@ -70,7 +70,8 @@ class Tracker:
             return self._move(0.0, 0.0)
         # the speed from which whole steps of braking end at the target
         unit = self._b * self._step
-        scale = min(speed, self._b * (sqrt(0.25 + 2.0 * distance / unit) - 0.5), distance / self._step) / distance
+        braking = self._b * (sqrt(0.25 + 2.0 * distance / unit) - 0.5)
+        scale = min(min(speed, braking), distance / self._step) / distance
         return self._move(n * scale, e * scale)
 
     def at_velocity(self, velocity: Pair) -> Track:
