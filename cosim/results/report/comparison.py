@@ -24,6 +24,7 @@ from cosim.results.report.flight import axis_cell, verdict, verdict_badge
 from cosim.results.report.flight_figures import comparison_figures, subtract_first
 from cosim.results.report.page import TEMPLATES, Flights, render
 from cosim.results.report.plot import run_colour
+from cosim.results.report.requirements import compared_margins
 from cosim.results.report.signals_data import FlightData, read_vehicle, run_data
 from cosim.results.run import REPORT, Run
 from cosim.results.summary import Summary
@@ -75,6 +76,7 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[LogCo
             for number, (flight, summary) in enumerate(zip(flights, summaries, strict=True))
         ],
         rows=comparison_rows(summaries),
+        requirements=compared_margins(summaries),
         pairs=[
             {
                 "pair": pair,

@@ -65,7 +65,7 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
                 events=events,
                 vehicle=vehicle,
                 jets_m=summary.jets_m,
-                derived=make_rest_columns(run.log, summary) | margin_columns(margins),
+                derived=make_rest_columns(run.log, summary) | margin_columns(margins, len(run.log)),
                 made=[ZERO, *(margin.column for margin in margins)],
                 upsets=Reader(run.log, summary.step_s).upsets(),
                 reach=summary.reach,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,7 @@ class MarginOverTime(NamedTuple):
 
     result: RequirementResult
     column: Column
-    values: Array
+    values: Callable[[], Array]
 
 
 def margins_over_time(log: Log, summary: Summary) -> list[MarginOverTime]:
@@ -36,23 +36,25 @@ def margins_over_time(log: Log, summary: Summary) -> list[MarginOverTime]:
     flight = FlightSignals(log, summary.step_s, summary.flat_metrics, summary.event_times_s)
     found: dict[str, MarginOverTime] = {}
     for result in by_margin(summary):
-        values = result.requirement.assess(flight).margin_over_time
         name = f"margin_{result.name}"
         name = f"margin_{result.source}_{result.name}" if name in found else name
-        if values is not None:
+        if result.decided_at_s is not None and not flight.metrics.keys() >= set(result.requirement.names):
             meaning = f"margin of {result.decided_by or result.formula}: positive kept, negative broken; not in the log"
-            found[name] = MarginOverTime(result, Column(name, _unit(result), "", meaning), values)
+            column = Column(name, _unit(result), "", meaning)
+            found[name] = MarginOverTime(result, column, partial(_values, flight, result))
     return list(found.values())
 
 
-def margin_columns(margins: Sequence[MarginOverTime]) -> dict[str, Callable[[], Array]]:
+def _values(flight: FlightSignals, result: RequirementResult) -> Array:
+    """Return a margin in every row: one column at a time is held, an hour of which takes 7 MB."""
+    values = result.requirement.assess(flight).margin_over_time
+    return np.full(flight.rows, np.nan) if values is None else values
+
+
+def margin_columns(margins: Sequence[MarginOverTime], rows: int) -> dict[str, Callable[[], Array]]:
     """Return what makes the columns that a page has of margins, beside the log's."""
-    columns: dict[str, Callable[[], Array]] = {margin.column.name: partial(_values, margin) for margin in margins}
-    return columns | {ZERO.name: lambda: np.zeros(margins[0].values.size)} if margins else {}
-
-
-def _values(margin: MarginOverTime) -> Array:
-    return margin.values
+    columns = {margin.column.name: margin.values for margin in margins}
+    return columns | {ZERO.name: partial(np.zeros, rows)} if margins else {}
 
 
 def by_margin(summary: Summary) -> list[RequirementResult]:
@@ -64,15 +66,11 @@ def requirement_rows(summary: Summary) -> list[dict[str, str]]:
     """Return the requirements as texts, the smallest margin first."""
     rows = []
     for result in by_margin(summary):
-        unit, factor = display_unit(result.unit)
-        margin = (
-            NONE if result.margin is None else f"{factor * result.margin:.4g} {'' if unit == '1' else unit}".strip()
-        )
         rows.append(
             {
                 "name": result.name,
                 "source": SOURCES[result.source],
-                "margin": margin,
+                "margin": _describe_margin(result),
                 "share": NONE if result.margin is None else f"{100.0 * result.margin / result.scale:.0f} %",
                 "at": "the whole flight" if result.decided_at_s is None else f"{result.decided_at_s:.3f}",
                 "formula": result.formula if result.source == "require" else shortened(result.formula),
@@ -82,6 +80,31 @@ def requirement_rows(summary: Summary) -> list[dict[str, str]]:
             }
         )
     return rows
+
+
+def compared_margins(summaries: Sequence[Summary | None]) -> list[dict[str, Any]]:
+    """Return a row for each requirement that one of several flights states, with a cell for each flight."""
+    stated = [
+        {result.name: result for result in (summary.requirements if summary else ()) if result.source == "require"}
+        for summary in summaries
+    ]
+    formulas = {(name, result.formula) for results in stated for name, result in results.items()}
+    rows = []
+    for name, formula in sorted(formulas):
+        found = [results.get(name) for results in stated]
+        same = [result if result is not None and result.formula == formula else None for result in found]
+        cells = [("", "") if result is None else _margin_cell(result) for result in same]
+        rows.append({"name": name, "formula": formula, "cells": cells})
+    return rows
+
+
+def _margin_cell(result: RequirementResult) -> tuple[str, str]:
+    return _describe_margin(result) if result.margin is not None else result.note, "" if result.kept else "unmet"
+
+
+def _describe_margin(result: RequirementResult) -> str:
+    unit, factor = display_unit(result.unit)
+    return NONE if result.margin is None else f"{factor * result.margin:.4g} {'' if unit == '1' else unit}".strip()
 
 
 def shortened(formula: str) -> str:

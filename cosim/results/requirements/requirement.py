@@ -104,15 +104,15 @@ class Requirement(Record):
 
     def assess(self, flight: FlightSignals, lost: Lost | None = None) -> Assessment:
         """Return what a flight comes to; of a flight that was ``lost`` nothing that the user requires is kept."""
-        formula = self.parsed.formula
+        formula, whole = self.parsed.formula, self._is_whole(flight)
+        flight = flight.one_row() if whole else flight
         value = float(formula.margins(flight)[0]) if flight.rows else nan
         end, latest = flight.rows * flight.step_s, formula.latest_s([0.0], flight.times_s)
-        if value >= 0.0 and latest > end + 0.5 * flight.step_s:
+        if not whole and value >= 0.0 and latest > end + 0.5 * flight.step_s:
             note = f"the flight ends at {end:g} s, before {latest:g} s"
             assessment = Assessment(self, None, kept=False, note=note)
         elif isfinite(value):
             comparison, row, sign = formula.deciding(flight, 0)
-            whole = flight.metrics.keys() >= set(comparison.names)
             assessment = Assessment(
                 self,
                 value,
@@ -123,12 +123,16 @@ class Requirement(Record):
             )
         else:
             kept = value > 0.0 or not self.need
-            has_none = flight.metrics.keys() >= set(self.names)
-            note = "" if kept else "the flight has none" if has_none else "never tested in this flight"
+            note = "" if kept else "the flight has none" if whole else "never tested in this flight"
             assessment = Assessment(self, None, kept, note=note)
+        flight.forget()
         if lost is None or self.source not in ("require", "success"):
             return assessment
         return self._of_lost(assessment, lost)
+
+    def _is_whole(self, flight: FlightSignals) -> bool:
+        """Return whether it speaks of metrics of the whole flight alone, which are the same in every row."""
+        return flight.metrics.keys() >= set(self.names) and not list(self.parsed.formula.events)
 
     def _of_lost(self, assessment: Assessment, lost: Lost) -> Assessment:
         """Return an assessment as that of a flight that was lost: broken, the more, the earlier that was."""

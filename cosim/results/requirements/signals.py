@@ -89,7 +89,8 @@ DERIVED: dict[str, DerivedSignal] = {
 class FlightSignals:
     """A finished flight as a formula sees it.
 
-    ``metrics``: of the whole flight, by name; ``times_s``: when each event happens that its scenario states.
+    ``metrics``: of the whole flight, by name; ``times_s``: when each event happens that its scenario states; ``rows``:
+    the first ones that are looked at, all where it is None.
     """
 
     def __init__(
@@ -98,13 +99,23 @@ class FlightSignals:
         step_s: float,
         metrics: Mapping[str, float | None],
         times_s: Mapping[str, Sequence[float]],
+        rows: int | None = None,
     ) -> None:
-        self.step_s, self.rows = step_s, len(log)
+        self.step_s, self.rows = step_s, len(log) if rows is None else rows
         self.margins: dict[Formula, Array] = {}
         self.metrics = metrics
         self.times_s = {name: list(times) for name, times in times_s.items()}
         self._log = log
         self._signals: dict[str, Array] = {}
+
+    def one_row(self) -> FlightSignals:
+        """Return the flight as its metrics alone have it: the same in every row, of which one is enough."""
+        return FlightSignals(self._log, self.step_s, self.metrics, self.times_s, min(self.rows, 1))
+
+    def forget(self) -> None:
+        """Let go of what was read and evaluated: an hour of one column takes 7 MB."""
+        self.margins.clear()
+        self._signals.clear()
 
     def signal(self, name: str) -> Array:
         """Return a column, a derived quantity, or a metric as the same number in every row; NaN for what is not."""

@@ -31,8 +31,9 @@ from cosim.results.limits import find_exceeded
 from cosim.results.log.columns import COLUMNS, NAMES
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.metrics import check_expectations
+from cosim.results.report.comparison import compare_report
 from cosim.results.report.flight import write_report
-from cosim.results.report.requirements import margins_over_time, shortened
+from cosim.results.report.requirements import compared_margins, margins_over_time, shortened
 from cosim.results.requirements import (
     FlightSignals,
     Lost,
@@ -313,9 +314,19 @@ def test_margins_over_time_meet_the_margin_where_it_is_decided(flown: Run) -> No
     for margin in margins:
         assert margin.result.decided_at_s is not None
         row = round(margin.result.decided_at_s / flown.summary.step_s)
-        assert margin.values[row] == margin.result.margin
+        assert margin.values()[row] == margin.result.margin
     scaled = [margin.result.scaled or 0.0 for margin in margins]
     assert scaled == sorted(scaled)
+
+
+def test_a_comparison_has_margins_side_by_side(flown: Run, tmp_path: Path) -> None:
+    other = fly(flown.scenario.replace(require=[LEVEL], controller="state"))
+    (late, lean, level) = compared_margins([flown.summary, other.summary, None])
+    assert [row["name"] for row in (late, lean, level)] == ["late", "lean", "level"]
+    assert [kind for _, kind in lean["cells"]] == ["unmet", "", ""]
+    assert [bool(text) for text, _ in level["cells"]] == [True, True, False]
+    compare_report([flown, other], tmp_path / "both.html")
+    assert "<h2>Margins of requirements</h2>" in (tmp_path / "both.html").read_text(encoding="utf-8")
 
 
 def test_made_formulas_are_short_for_people() -> None:
