@@ -304,7 +304,7 @@ def rare(options: Rare) -> int:
 
 
 @contextmanager
-def _report_interruption(describe: Callable[[], str]) -> Iterator[None]:
+def report_interruption(describe: Callable[[], str]) -> Iterator[None]:
     """Answer Ctrl-C in a line that says what is kept, wherever it comes."""
     try:
         yield
@@ -331,7 +331,7 @@ def sweep_progress(
         command = goes_on or f"hexjet sweep {folder}"
         return f"; {finished} of {total} flights are kept: {command} --resume goes on"
 
-    with _report_interruption(describe_kept), _sweep_bar(quiet) as show:
+    with report_interruption(describe_kept), _sweep_bar(quiet) as show:
 
         def tell(tally: Tally, now_finished: int, all_flights: int) -> None:
             nonlocal finished, total
@@ -456,7 +456,7 @@ def search_progress(folder: Path, quiet: bool, what: str = "search") -> Iterator
             return "; before the first flight"
         return f"; {reached} flights are kept: the same command with --out {folder} --resume goes on"
 
-    with _report_interruption(describe_kept), part_progress(what, quiet) as show:
+    with report_interruption(describe_kept), part_progress(what, quiet) as show:
 
         def tell(flights: int) -> None:
             nonlocal reached

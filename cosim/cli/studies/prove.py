@@ -11,7 +11,7 @@ from cosim.base.errors import InputError
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, part_progress, say, show_table
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
-from cosim.cli.studies.campaign import CampaignOptions, sweep_progress
+from cosim.cli.studies.campaign import CampaignOptions, report_interruption, sweep_progress
 
 if TYPE_CHECKING:
     from cosim.campaign.proof.result import Proof
@@ -96,7 +96,8 @@ def prove(options: Prove) -> int:
             click.echo(f"hexjet: note: {text}", err=True)
         with sweep_progress(folder / CAMPAIGN, quiet=options.as_json, goes_on=f"hexjet prove {folder}") as tell:
             campaign = fly_study(study, folder, flying, options.resume, tell)
-        with part_progress("prove", options.as_json) as show:
+        goes_on = f"; what was flown is kept: hexjet prove {folder} --resume goes on"
+        with report_interruption(lambda: goes_on), part_progress("prove", options.as_json) as show:
             proof = conclude(campaign, folder, request, flying, lambda text: show(text, 0, 1))
     options.answer(proof.to_json, lambda: print_proof(proof))
     return DONE if proof.decision == "shown" else FLIGHT_FAILED
