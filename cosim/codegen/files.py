@@ -216,6 +216,11 @@ def _observer_fields(predictor: Form) -> Fields:
     return values, [("x", len(predictor["gain"]))]
 
 
+def _linear_fields(predictor: Form) -> Fields:
+    names = ("transition", "of_rate", "of_command", "of_state")
+    return {name: predictor[name] for name in names}, [("x", len(predictor["of_state"]))]
+
+
 # By the kind in a form: the title, and what gives constants and states.
 PREDICTOR_KINDS: dict[str, tuple[str, Callable[[Form], Fields]]] = {
     "none": ("none", lambda predictor: ({}, [])),
@@ -223,6 +228,7 @@ PREDICTOR_KINDS: dict[str, tuple[str, Callable[[Form], Fields]]] = {
     "early-late-filtered": ("Smith's predictor with a robustness filter", _smith_fields),
     "double-integrator": ("state predictor with a double-integrator observer", _integrator_fields),
     "model-observer": ("state predictor with an observer of the identified model", _observer_fields),
+    "linear": ("linear predictor", _linear_fields),
     "modes": ("state predictor with an observer of the identified model, mode by mode", _modal_fields),
 }
 
@@ -242,6 +248,7 @@ def _values(f: Form) -> list[tuple[str, Any]]:
         ("mass", f["mass"]),
         ("attitude_gain", f["attitude"]["gain"]),
         ("attitude_limit", f["attitude"]["limit"]),
+        *([("rate_scale", [axis["scale"] for axis in f["axes"]])] if f["law"] else []),
     ]
     for axis in f["axes"]:
         values.append((axis["name"], axis["gains"]))

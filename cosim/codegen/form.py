@@ -19,6 +19,7 @@ from cosim.control.allocation.reallocation import command_to_torque
 from cosim.control.allocation.thrust_map import Inverse, ThrustMap
 from cosim.control.attitude import AttitudeController
 from cosim.control.cascade import Cascade
+from cosim.control.laws.axis import RateLaw
 from cosim.control.lead import Lead
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.predictors.smith import (
@@ -29,13 +30,20 @@ from cosim.control.predictors.smith import (
     NoPredictor,
     SmithPredictor,
 )
-from cosim.control.predictors.state import DoubleIntegratorObserver, ModalPredictor, ModelObserver, StatePredictor
+from cosim.control.predictors.state import (
+    DoubleIntegratorObserver,
+    LinearPredictor,
+    ModalPredictor,
+    ModelObserver,
+    StatePredictor,
+)
 from cosim.control.rate import RateController
 from cosim.control.schedule import FINE
 from cosim.simulation.step import Simulation
 from cosim.spec.vehicle import EngineLead, RateGains, Vehicle
 
 Form = dict[str, Any]
+LAWS = ("pid", "pid-smith", "pid-filtered-smith", "pid-state", "pid-state-disturbance", "optimal")  # that have one
 
 
 def make_form(simulation: Simulation, loops: bool = False) -> Form:
@@ -45,16 +53,14 @@ def make_form(simulation: Simulation, loops: bool = False) -> Form:
 
     Raises InputError for a controller, predictor or allocator that has no C form.
     """
-    if simulation.controller_source is not None:
-        allowed = ", ".join(PREDICTORS)
-        raise InputError(
-            f"controller {simulation.controller_source.label} has no C form; allowed: {allowed}, or a design's file"
-        )
+    law = _law_axes(simulation)
     cascade, vehicle, step = simulation.cascade, simulation.vehicle, simulation.dt
     for loop, built_in in ((cascade.attitude, AttitudeController), (cascade.rate, RateController)):
         if type(loop) is not built_in:
             raise InputError(f"the loop {type(loop).__name__} has no C form; allowed: the built-in ones")
     schedule = _schedule(vehicle, step)
+    if schedule is not None and law is not None:
+        raise InputError(f"controller {simulation.scenario.controller} has no C form where gains follow the thrust")
     leads = [_lead(getattr(vehicle.control.lead, axis, None), step) for axis in AXES]
     rate = vehicle.control.rate
     predictors = cascade.rate.predictors
@@ -70,6 +76,7 @@ def make_form(simulation: Simulation, loops: bool = False) -> Form:
     ]
     height = vehicle.control.altitude
     return {
+        "law": law is not None,
         "jets": len(vehicle.jets),
         "step": step,
         "mass": vehicle.mass_kg,
@@ -77,7 +84,7 @@ def make_form(simulation: Simulation, loops: bool = False) -> Form:
             "gain": list(vehicle.control.attitude.gain_1_s),
             "limit": list(vehicle.control.attitude.rate_limit_rad_s),
         },
-        "axes": axes,
+        "axes": law or axes,
         "altitude": {
             "position": height.position_1_s,
             "up": height.climb_limit_m_s,
@@ -95,6 +102,32 @@ def make_form(simulation: Simulation, loops: bool = False) -> Form:
         "thrust": _thrust(cascade.thrust_map, loops),
         "delay": 0 if loops else simulation.scenario.added_delay_samples,
     }
+
+
+def _law_axes(simulation: Simulation) -> list[Form] | None:
+    """Return the axes of a rate law that is a PID with a predictor on each; None where the built-in loops fly.
+
+    Raises InputError for any other controller from outside.
+    """
+    source, step = simulation.controller_source, simulation.dt
+    if source is None:
+        return None
+    law = getattr(simulation.cascade.loops.custom_rate, "block", None) if source.level == "rate" else None
+    axes = law.pid_axes if isinstance(law, RateLaw) else None
+    if axes is None:
+        allowed = ", ".join([*PREDICTORS, *LAWS])
+        raise InputError(f"controller {source.label} has no C form; allowed: {allowed}, or a design's file")
+    return [
+        {
+            "name": name,
+            "gains": _gains(axis.gains, step),
+            "scale": scale,
+            "predictor": make_predictor_form(axis.predictor, name),
+            "lead": None,
+            "scheduled": False,
+        }
+        for name, (axis, scale) in zip(AXES, axes, strict=True)
+    ]
 
 
 def _gains(gains: RateGains, step: float) -> Form:
@@ -245,6 +278,11 @@ def _state(predictor: StatePredictor) -> Form:
     raise InputError(f"the observer {type(observer).__name__} has no C form; allowed: the built-in ones")
 
 
+def _linear(predictor: LinearPredictor) -> Form:
+    names = ("transition", "of_rate", "of_command", "of_state", "weights")
+    return {"kind": "linear"} | {name: getattr(predictor, name) for name in names}
+
+
 def _modal(predictor: ModalPredictor) -> Form:
     vectors = {
         "poles": predictor.poles,
@@ -271,5 +309,6 @@ _PREDICTORS: dict[type, Callable[[Any], Form]] = {
     SmithPredictor: _smith,
     FilteredSmithPredictor: _filtered,
     StatePredictor: _state,
+    LinearPredictor: _linear,
     ModalPredictor: _modal,
 }

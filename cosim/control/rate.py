@@ -127,6 +127,11 @@ class RateAxis:
             self._set_predictor(predictor)
 
     @property
+    def gains(self) -> RateGains:
+        """The nominal gains."""
+        return self._nominal
+
+    @property
     def predictor(self) -> Predictor:
         """The predictor from the next update on."""
         return self._predictor

@@ -205,11 +205,13 @@ def add_limits(design: Design, say: Say = lambda text: None) -> Design:
     need_solver()
     limits = {}
     for axis in AXES:
-        after = design.axes[axis].after
+        channel, after = design.axes[axis].channel, design.axes[axis].after
         if after is not None and after.load_error is not None:
             say(f"{axis}: the limit of performance")
             with suppress(InputError):  # an axis without a limit of this kind
-                limits[axis] = axis_limit(fine_loop(design.axes[axis].channel, after.tuning), after.load_error)
+                limits[axis] = axis_limit(
+                    fine_loop(channel, after.tuning), after.load_error, priced=not channel.is_by_servo
+                )
     return replace(design, performance=limits)
 
 

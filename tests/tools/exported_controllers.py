@@ -115,6 +115,8 @@ CASES = {
     "a schedule without leads": (HEXJET, {"control": {"schedule": LEVELS}}),
     "a rotorcraft, three predictors": (HEXJET, {"controller": "smith", "aircraft": "quadrotor", "engine": "motor"}),
     "hinges in chains": ("trijet-roll-doublet", {"controller": "baseline"}),
+    "a rate law of PIDs": (HEXJET, {"controller": "pid-smith"}),
+    "a rate law, optimal": (HEXJET, {"controller": "optimal"}),
     "nozzles, and no horizontal force": ("quadjet-roll-doublet", {"controller": "baseline"}),
 }  # fmt: skip
 LOOPS = {

@@ -84,7 +84,7 @@ class DesignOptions(opt.Output):
         help="End with the proof: measured past the crossover, flown at the corners of the tolerances.  [default: "
         "--proof]",
     )
-    limit = opt.flag("--limit", "Compare each axis with the best that any linear controller could do; half a minute.")
+    limit = opt.flag("--limit", "Compare each axis with the best that any linear controller could do; a minute.")
     settings = opt.words("--set", "KEY=VALUE", "As in hexjet fly, over a plain hover.")
     out = opt.path("--out", "FILE.toml", "[default: a new folder in runs/]", dir_okay=False, writable=True)
     as_json = opt.JSON

@@ -163,6 +163,17 @@ static Real predict_[[ axis.name ]](const [[ n ]]_[[ A ]]Predictor *p, [[ n ]]_[
 {% endif %}
     const Real now = discrete_model(p->now_b, p->now_a, s->now, [[ q.now.a|length ]], applied);
     return measured + (now - then) + (filtered - difference);
+{% elif q.kind == "linear" %}
+    send(s->sent, [[ q.weights|length ]], applied);
+    const Real late = s->sent[0];
+    Real ahead[ [[- q.of_state|length ]]];
+    for (int i = 0; i < [[ q.of_state|length ]]; i++) {
+        ahead[i] = dot(p->transition[i], s->x, [[ q.of_state|length ]]) + p->of_rate[i] * measured + p->of_command[i] * late;
+    }
+    for (int i = 0; i < [[ q.of_state|length ]]; i++) {
+        s->x[i] = ahead[i];
+    }
+    return dot(p->of_state, s->x, [[ q.of_state|length ]]) + dot(p->weights, s->sent, [[ q.weights|length ]]);
 {% else %}
     send(s->sent, [[ q.weights|length ]], applied);
     const Real before = s->sent[0];
@@ -517,14 +528,19 @@ static void rates(const [[ n ]]_Parameters *p, [[ n ]]_State *s, const Real setp
 {% for axis in f.axes %}
 {% set i = loop.index0 %}
 {% set a = axis.name %}
+{% set left = a ~ "_left" if f.law else "s->unallocated[" ~ i ~ "]" %}
+{% if f.law %}
+    /* a rate law is told what was applied, from which comes what was not */
+    const Real [[ a ]]_left = s->[[ a ]].command - (s->[[ a ]].command - s->unallocated[ [[- i ]]]);
+{% endif %}
 {% if axis.predictor.kind == "none" %}
     const Real [[ a ]] = measured[ [[- i ]]];
 {% else %}
     const Real [[ a ]] = predict_[[ a ]](&p->[[ a ]]_predictor, &s->[[ a ]]_predictor, measured[ [[- i ]]],
-        s->[[ a ]].command - s->unallocated[ [[- i ]]]);
+        s->[[ a ]].command - [[ left ]]);
 {% endif %}
-    s->[[ a ]].command = pid({% if axis.scheduled %}&s->roll_gains{% else %}&p->[[ a ]]{% endif %}, &s->[[ a ]], setpoint[ [[- i ]]], [[ a ]],
-        s->unallocated[ [[- i ]]], p->step);
+    s->[[ a ]].command = pid({% if axis.scheduled %}&s->roll_gains{% else %}&p->[[ a ]]{% endif %}, &s->[[ a ]], {% if f.law %}p->rate_scale[ [[- i ]]] * {% endif %}setpoint[ [[- i ]]], [[ a ]],
+        [[ left ]], p->step);
 {% if axis.lead %}
     s->[[ a ]].command = lead({% if axis.scheduled %}&s->roll_lead_now{% else %}&p->[[ a ]]_lead{% endif %}, &s->[[ a ]]_lead, s->[[ a ]].command, s->unallocated[ [[- i ]]]);
 {% endif %}

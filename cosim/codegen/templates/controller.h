@@ -162,6 +162,9 @@ typedef struct {
     [[ n ]]_Real mass; /* kg, tank full */
     [[ n ]]_Real attitude_gain[3];  /* 1/s */
     [[ n ]]_Real attitude_limit[3]; /* rad/s */
+{% if f.law %}
+    [[ n ]]_Real rate_scale[3];     /* of the rates asked for: the law's own attitude gain over that above */
+{% endif %}
 {% for axis in f.axes %}
     [[ n ]]_RateGains [[ axis.name ]];
 {% if axis.predictor.kind != "none" %}

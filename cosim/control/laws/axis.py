@@ -141,6 +141,10 @@ class RateLaw:
         """Return the law of one axis.  Raises InputError where its model does not do."""
         raise NotImplementedError
 
+    def make_axis(self, axis: Axis, values: Mapping[str, float]) -> tuple[AxisLaw, float]:
+        """Return the law of one axis and the gain of the attitude loop above it, 1/s.  Raises as the law does."""
+        return self.make_axis_law(axis, values), values["angle"] / axis.delay
+
     def prepare(self, belief: Belief) -> None:
         """Make a law for every axis with a model.  Raises InputError if there is none."""
         if not belief.models:
@@ -158,8 +162,9 @@ class RateLaw:
                 self._scales.append(1.0)
             else:
                 axis = Axis(belief, name, model)
-                self._laws.append(self.make_axis_law(axis, values))
-                self._scales.append(values["angle"] / axis.delay / control.attitude.gain_1_s[index])
+                law, attitude = self.make_axis(axis, values)
+                self._laws.append(law)
+                self._scales.append(attitude / control.attitude.gain_1_s[index])
 
     def reset(self) -> None:
         """Return to rest."""
@@ -176,6 +181,12 @@ class RateLaw:
         )
 
     @property
+    def pid_axes(self) -> list[tuple[RateAxis, float]] | None:
+        """The built-in PIDs that it consists of, with what scales their set-points; None where it is another law."""
+        axes = [law.axis for law in self._laws if isinstance(law, Pid)]
+        return list(zip(axes, self._scales, strict=True)) if len(axes) == len(self._laws) else None
+
+    @property
     def predicted(self) -> Vector3:
         """The rates that are fed back, rad/s."""
         x, y, z = (getattr(law, "predicted", nan) for law in self._laws)
@@ -186,16 +197,16 @@ class Pid:
     """The built-in PID with its predictor, as an :class:`AxisLaw`."""
 
     def __init__(self, axis: RateAxis) -> None:
-        self._axis, self._command = axis, 0.0
+        self.axis, self._command = axis, 0.0
 
     def reset(self) -> None:
-        self._axis.reset()
+        self.axis.reset()
         self._command = 0.0
 
     def update(self, setpoint: float, measured: float, applied: float) -> float:
-        self._command = self._axis.update(setpoint, measured, self._command - applied)
+        self._command = self.axis.update(setpoint, measured, self._command - applied)
         return self._command
 
     @property
     def predicted(self) -> float:
-        return self._axis.predicted
+        return self.axis.predicted

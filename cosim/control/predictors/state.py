@@ -177,6 +177,41 @@ class StatePredictor:
         return of_x * x + of_v * v + _dot(self.weights, sent) + self.of_disturbance * disturbance
 
 
+class LinearPredictor:
+    """Any linear predictor of a finite order: ``x = F x + g y + h u_late``, ``y^ = c x`` and a weight for each command.
+
+    ``u_late`` is the oldest of the commands in transport, whose weight is the first.
+    """
+
+    def __init__(
+        self,
+        transition: list[list[float]],
+        of_rate: list[float],
+        of_command: list[float],
+        of_state: list[float],
+        weights: list[float],
+    ) -> None:
+        self.transition, self.of_rate, self.of_command = transition, of_rate, of_command
+        self.of_state, self.weights = of_state, weights
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to rest, with no command in transport."""
+        self._state = [0.0] * len(self.of_state)
+        self._sent = [0.0] * len(self.weights)
+
+    def update(self, measured: float, applied: float) -> float:
+        sent = self._sent
+        sent.append(applied)
+        del sent[0]
+        late, old = sent[0], self._state
+        rows, of_rate, of_command = self.transition, self.of_rate, self.of_command
+        self._state = state = [
+            _dot(row, old) + of_rate[i] * measured + of_command[i] * late for i, row in enumerate(rows)
+        ]
+        return _dot(self.of_state, state) + _dot(self.weights, sent)
+
+
 class Modes:
     """An identified response of any order as a sum of modes: ``x_i' = p_i x_i + u``, ``rate = sum c_i x_i``.
 

@@ -27,8 +27,8 @@ which is a little pessimistic: what it finds is then at most too high.  The prog
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.util import find_spec
 from math import pi
@@ -52,7 +52,14 @@ FREQUENCIES = 620  # of the sensitivity, even in the logarithm
 LOWEST = 2e-3  # rad per sample, the first of them
 ON_CIRCLE = 1e-6  # zeros so near to the unit circle are not inverted, and a pole of the rate as near to 1 is at 1
 QUARTER = 0.25  # of a sample, by which a loop's own tolerance of the delay is found
+RELAXED = 0.1  # of a bound, by which it is relaxed to see its price
 FACTOR = 2.0  # by which the peak sensitivity may grow with an error of the delay
+WORDS = {
+    "peak_sensitivity": "more peak sensitivity",
+    "noise": "more noise",
+    "step_error": "more step error",
+    "delay_error": "less tolerance of the delay",
+}
 HINT = "pip install 'hexjet-cosim[limit]'"
 
 
@@ -76,6 +83,7 @@ class Limit:
     peak_sensitivity: float
     complementary: Array  # t, sample by sample from its first
     setpoint: Array  # y, the same
+    window_s: float  # over which errors are integrated
 
 
 @dataclass(frozen=True)
@@ -85,6 +93,7 @@ class AxisLimit:
     load_error: float  # of the loop
     least: Limit
     tolerant: Limit | None  # with the loop's own tolerance of the delay too; None where it has none
+    prices: Mapping[str, float] = field(default_factory=dict)  # of each bound: see bound_prices; empty: not asked for
 
     @property
     def times(self) -> float:
@@ -105,6 +114,7 @@ class AxisLimit:
             "times": self.times,
             "least_as_tolerant": None if self.tolerant is None else self.tolerant.load_error,
             "times_as_tolerant": self.times_tolerant,
+            "prices": dict(self.prices),
             "delay_error_samples": bounds.delay_error,
             "peak_sensitivity": bounds.peak_sensitivity,
             "noise": bounds.noise,
@@ -117,20 +127,43 @@ class AxisLimit:
             f"its error after a load is {self.times:.2f} times the least that any linear controller leaves with the "
             "same peak sensitivity, noise and step error"
         )
-        if self.tolerant is None:
+        if self.tolerant is not None:
+            text += (
+                f", and {self.times_tolerant:.2f} times where its tolerance of the delay, "
+                f"{self.tolerant.bounds.delay_error:g} samples either way, is kept too"
+            )
+        if not self.prices:
             return text
-        return (
-            f"{text}, and {self.times_tolerant:.2f} times where its tolerance of the delay, "
-            f"{self.tolerant.bounds.delay_error:g} samples either way, is kept too"
-        )
+        parts = ", ".join(f"{WORDS[name]} by {100.0 * price:.1f} %" for name, price in self.prices.items())
+        return f"{text}; that least falls with {100.0 * RELAXED:.0f} % {parts}"
 
 
-def axis_limit(closed: ClosedLoop, load_error: float) -> AxisLimit:
-    """Return a closed loop, with this load error, beside the limit.  Raises InputError as :func:`find_limit`."""
+def axis_limit(closed: ClosedLoop, load_error: float, priced: bool = False) -> AxisLimit:
+    """Return a closed loop, with this load error, beside the limit; ``priced``: with what each bound costs.
+
+    Raises InputError as :func:`find_limit`.
+    """
     channel, bounds = closed.points.channel, loop_bounds(closed)
     least = find_limit(channel, bounds)
     error = _delay_error(closed)
-    return AxisLimit(load_error, least, find_limit(channel, bounds._replace(delay_error=error)) if error else None)
+    tolerant = find_limit(channel, bounds._replace(delay_error=error)) if error else None
+    return AxisLimit(load_error, least, tolerant, bound_prices(channel, tolerant or least) if priced else {})
+
+
+def bound_prices(channel: Channel, limit: Limit) -> dict[str, float]:
+    """Return by which share the least load error falls where one bound is relaxed by RELAXED, by the bound's name.
+
+    A bound that costs nothing was not in the way; a tolerance of the delay is relaxed where there is less of it.
+    """
+    bounds = limit.bounds
+    prices = {}
+    for name in WORDS:
+        value = getattr(bounds, name)
+        if value:
+            relaxed = value * (1.0 - RELAXED if name == "delay_error" else 1.0 + RELAXED)
+            found = find_limit(channel, bounds._replace(**{name: relaxed}), limit.window_s)
+            prices[name] = max(0.0, 1.0 - found.load_error / limit.load_error)
+    return prices
 
 
 def loop_bounds(closed: ClosedLoop) -> Bounds:
@@ -172,8 +205,8 @@ def find_limit(channel: Channel, bounds: Bounds, window: float | None = None) ->
     measurements that are held), or no linear controller keeps the bounds.
     """
     need_solver()
-    plant = _Plant(channel, round((window or window_s(channel)) / channel.step))
-    solution = _Programme(plant, bounds).solve()
+    plant = Plant(channel, round((window or window_s(channel)) / channel.step))
+    solution = Programme(plant, bounds).solve()
     return plant.evaluate(bounds, *solution)
 
 
@@ -183,7 +216,7 @@ def need_solver() -> None:
         raise InputError(f"the limit of performance is computed with Clarabel, which is not installed: {HINT}")
 
 
-class _Plant:
+class Plant:
     """A channel as polynomials in ``q``, and its answers in time."""
 
     def __init__(self, channel: Channel, samples: int) -> None:
@@ -210,6 +243,11 @@ class _Plant:
         if self.length < 8 * self.late:
             raise InputError(f"{channel.name}: {samples} samples are too few for a limit; its delay is {self.late}")
 
+    def keep(self, basis: Array) -> Array:
+        """Return a basis with the zeros that cannot be inverted, as long as responses are looked at."""
+        missing = self.length - len(basis)
+        return np.asarray(lfilter(self.kept, [1.0], np.pad(basis, ((0, missing), (0, 0))), axis=0))
+
     def to_command(self, response: Array) -> Array:
         """Return ``a / b`` of columns of responses."""
         return np.asarray(lfilter(self.denominator, self.inverted, response, axis=0))
@@ -227,8 +265,7 @@ class _Plant:
 
     def noise_of(self, t: Array, y: Array) -> tuple[Array, Array, Array]:
         """Return the command after impulses of noise of its size: the gyro's by ``t`` and by ``y``, and the angle's."""
-        pad = np.zeros((EVEN_DELAYS * self.late, *t.shape[1:]))
-        t, y = np.concatenate([t, pad]), np.concatenate([y, pad])
+        t, y = (np.concatenate([each, np.zeros((EVEN_DELAYS * self.late, *each.shape[1:]))]) for each in (t, y))
         late = self.angle_late + self.shift - self.rate_late
         of_rate = self.channel.rate_noise
         by_y = self.to_command(lfilter(np.r_[np.zeros(late), 0.5, 0.5], [1.0], y, axis=0))
@@ -248,6 +285,7 @@ class _Plant:
             float(np.abs(sensitivity).max()),
             t,
             y,
+            self.samples * self.step,
         )
 
     def _delayed(self, response: Array, samples: int) -> Array:
@@ -258,7 +296,7 @@ class _Plant:
         return late
 
 
-class _Cone(NamedTuple):
+class Cone(NamedTuple):
     """Rows ``b - A x`` of a programme that lie in a cone: ``zero``, ``nonnegative`` or ``second-order``."""
 
     kind: str
@@ -266,37 +304,41 @@ class _Cone(NamedTuple):
     offset: Array
 
 
-class _Programme:
+class Programme:
     """The convex programme: coefficients of ``t`` and ``y``, and bounds on the absolute errors in time.
 
     minimise sum w e  subject to  |angle after load| <= e,  |1 - angle after a step| <= f,  sum w f <= step error,
     |noise| <= bound,  |1 - T_i| <= M at every frequency, or the same with a tolerance of the delay.
     """
 
-    def __init__(self, plant: _Plant, bounds: Bounds) -> None:
-        self.plant, self.bounds = plant, bounds
+    def __init__(
+        self,
+        plant: Plant,
+        bounds: Bounds,
+        basis: tuple[Array, Array] | None = None,
+        frequencies: int = FREQUENCIES,
+    ) -> None:
+        self.plant, self.bounds, self.frequencies = plant, bounds, frequencies
         if plant.late * plant.step >= bounds.step_error:
             raise InputError(f"{plant.channel.name}: no controller has a step error below the delay itself")
-        self.basis = _splines(plant.length - len(plant.kept) + 1, plant.late)
-        self.basis = np.asarray(
-            lfilter(plant.kept, [1.0], np.pad(self.basis, ((0, len(plant.kept) - 1), (0, 0))), axis=0)
-        )
-        self.count = self.basis.shape[1]
+        self.of_t, self.of_y = (plant.keep(each) for each in basis or (self._splines(),) * 2)
         step = max(1, plant.late // 6)
         near = np.arange(plant.late, min(10 * plant.late, plant.samples), max(1, step // 2))
         self.times = np.r_[near, np.arange(near[-1] + step, plant.samples, step)]
         self.weights = np.gradient(self.times.astype(float)) * plant.step
-        self.columns = 2 * self.count + 2 * len(self.times)
         self.tolerant = bounds.delay_error > 0.0
+
+    def _splines(self) -> Array:
+        return _splines(self.plant.length - len(self.plant.kept) + 1, self.plant.late)
 
     @cached_property
     def _theta(self) -> Array:
-        return np.geomspace(LOWEST, pi, FREQUENCIES)
+        return np.geomspace(LOWEST, pi, self.frequencies)
 
     def _rows(self, t: Any = None, y: Any = None, load: Any = None, step: Any = None, sizes: Any = None) -> Any:
         """Return rows of the matrix from the blocks that they have; ``sizes`` are bounds on |S| and |T_i|, if any."""
         blocks = [t, y, load, step, *([sizes] if self.tolerant else [])]
-        widths = [self.count, self.count, len(self.times), len(self.times), 2 * FREQUENCIES]
+        widths = [self.of_t.shape[1], self.of_y.shape[1], len(self.times), len(self.times), 2 * self.frequencies]
         height = next(block.shape[0] for block in blocks if block is not None)
         return sparse.hstack(
             [
@@ -318,7 +360,8 @@ class _Programme:
         matrix = sparse.vstack([cone.matrix for cone in cones]).tocsc()
         width = matrix.shape[1]
         cost = np.zeros(width)
-        cost[2 * self.count : 2 * self.count + len(self.times)] = self.weights
+        count, first = self.of_t.shape[1], self.of_t.shape[1] + self.of_y.shape[1]
+        cost[first : first + len(self.times)] = self.weights
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         solution = clarabel.DefaultSolver(
@@ -333,65 +376,67 @@ class _Programme:
                 f"({solution.status})"
             )
         x = np.array(solution.x)
-        return self.basis @ x[: self.count], self.basis @ x[self.count : 2 * self.count]
+        return self.of_t @ x[:count], self.of_y @ x[count:first]
 
-    def _at_rest(self) -> list[_Cone]:
+    def _at_rest(self) -> list[Cone]:
         """At rest ``t`` and ``y`` are 1; where the rate has a pole at 1, ``T_i`` has no slope there."""
-        sums = self.basis.sum(0)[None]
         cones = [
-            _Cone("zero", self._rows(t=sums), np.ones(1)),
-            _Cone("zero", self._rows(y=sums), np.ones(1)),
+            Cone("zero", self._rows(t=self.of_t.sum(0)[None]), np.ones(1)),
+            Cone("zero", self._rows(y=self.of_y.sum(0)[None]), np.ones(1)),
         ]
         if self.plant.is_double:
             late = self.plant.late + self.plant.rate_late
-            moments = ((np.arange(len(self.basis)) + late) @ self.basis)[None]
-            cones.append(_Cone("zero", self._rows(t=moments / late), np.zeros(1)))
+            moments = ((np.arange(len(self.of_t)) + late) @ self.of_t)[None]
+            cones.append(Cone("zero", self._rows(t=moments / late), np.zeros(1)))
         return cones
 
-    def _errors(self) -> list[_Cone]:
+    def _errors(self) -> list[Cone]:
         plant, identity = self.plant, -sparse.identity(len(self.times), format="csr")
         free = plant.angle_of_load()
         scale = abs(float(free[2 * plant.late + 1]))  # what a load does before any control can answer
-        load, free = plant.angle_of_load(self.basis)[self.times] / scale, free[self.times] / scale
-        step = plant.angle_of_setpoint(self.basis)[self.times]
+        load, free = plant.angle_of_load(self.of_t)[self.times] / scale, free[self.times] / scale
+        step = plant.angle_of_setpoint(self.of_y)[self.times]
         before = plant.late * plant.step
         return [
-            _Cone("nonnegative", self._rows(t=-load, load=identity), -free),
-            _Cone("nonnegative", self._rows(t=load, load=identity), free),
-            _Cone("nonnegative", self._rows(y=-step, step=identity), -np.ones(len(self.times))),
-            _Cone("nonnegative", self._rows(y=step, step=identity), np.ones(len(self.times))),
-            _Cone("nonnegative", self._rows(step=self.weights[None]), np.array([self.bounds.step_error - before])),
+            Cone("nonnegative", self._rows(t=-load, load=identity), -free),
+            Cone("nonnegative", self._rows(t=load, load=identity), free),
+            Cone("nonnegative", self._rows(y=-step, step=identity), -np.ones(len(self.times))),
+            Cone("nonnegative", self._rows(y=step, step=identity), np.ones(len(self.times))),
+            Cone("nonnegative", self._rows(step=self.weights[None]), np.array([self.bounds.step_error - before])),
         ]
 
-    def _noise(self) -> _Cone:
-        by_t, by_y, of_angle = self.plant.noise_of(self.basis, self.basis)
-        stacked = np.vstack([np.hstack([by_t, by_y]), np.hstack([np.zeros_like(of_angle), of_angle])])
+    def _noise(self) -> Cone:
+        by_t, by_y, of_angle = self.plant.noise_of(self.of_t, self.of_y)
+        stacked = np.vstack([np.hstack([by_t, by_y]), np.hstack([np.zeros((len(of_angle), by_t.shape[1])), of_angle])])
         root: Array = np.asarray(np.linalg.qr(stacked, mode="r")) / self.bounds.noise
         rows = np.vstack([np.zeros(root.shape[1]), -root])
-        return _Cone("second-order", self._rows(t=rows[:, : self.count], y=rows[:, self.count :]), np.eye(len(rows))[0])
+        return Cone(
+            "second-order", self._rows(t=rows[:, : by_t.shape[1]], y=rows[:, by_t.shape[1] :]), np.eye(len(rows))[0]
+        )
 
-    def _sensitivity(self) -> list[_Cone]:
+    def _sensitivity(self) -> list[Cone]:
         late = self.plant.late + self.plant.rate_late
-        responses: Complex = np.exp(-1j * np.outer(self._theta, np.arange(len(self.basis)) + late)) @ self.basis
+        responses: Complex = np.exp(-1j * np.outer(self._theta, np.arange(len(self.of_t)) + late)) @ self.of_t
         peak = self.bounds.peak_sensitivity
         if not self.tolerant:
             return [
-                _Cone("second-order", self._rows(t=_plane(response)), np.array([peak, 1.0, 0.0]))
+                Cone("second-order", self._rows(t=_plane(response)), np.array([peak, 1.0, 0.0]))
                 for response in responses
             ]
-        identity, ones = sparse.identity(FREQUENCIES, format="csr"), np.ones(FREQUENCIES)
+        count = self.frequencies
+        identity, ones = sparse.identity(count, format="csr"), np.ones(count)
         turned = 2.0 * np.sin(0.5 * np.minimum(self._theta * self.bounds.delay_error, pi))
-        nothing = sparse.csr_matrix((FREQUENCIES, FREQUENCIES))
+        nothing = sparse.csr_matrix((count, count))
         both = sparse.hstack([identity, sparse.diags(FACTOR * peak * turned)])
         cones = [
-            _Cone("nonnegative", self._rows(sizes=sparse.hstack([identity, nothing])), peak * ones),
-            _Cone("nonnegative", self._rows(sizes=both), FACTOR * peak * ones),
+            Cone("nonnegative", self._rows(sizes=sparse.hstack([identity, nothing])), peak * ones),
+            Cone("nonnegative", self._rows(sizes=both), FACTOR * peak * ones),
         ]
         for k, response in enumerate(responses):
-            for offset, index in ((1.0, k), (0.0, FREQUENCIES + k)):
-                size = sparse.csr_matrix(([-1.0], ([0], [index])), shape=(3, 2 * FREQUENCIES))
+            for offset, index in ((1.0, k), (0.0, count + k)):
+                size = sparse.csr_matrix(([-1.0], ([0], [index])), shape=(3, 2 * count))
                 cones.append(
-                    _Cone("second-order", self._rows(t=_plane(response), sizes=size), np.array([0.0, offset, 0.0]))
+                    Cone("second-order", self._rows(t=_plane(response), sizes=size), np.array([0.0, offset, 0.0]))
                 )
         return cones
 

@@ -21,7 +21,7 @@ from cosim.design.assessment import shipped_tuning
 from cosim.design.loop import limit as limits
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.loop.limit import Bounds, Limit, find_limit
+from cosim.design.loop.limit import AxisLimit, Bounds, Limit, bound_prices, find_limit
 from cosim.design.measured.computed import find_loop_limit
 from cosim.engine import load_engine
 from cosim.spec.scenario import Scenario
@@ -175,6 +175,18 @@ def test_a_rate_with_a_pole_at_one_is_followed_without_a_slope() -> None:
     assert float(t.sum()) == pytest.approx(1.0, abs=1e-6)
     assert float((late * t).sum()) == pytest.approx(0.0, abs=1e-4)
     check(free, found)
+
+
+def test_what_a_bound_costs_is_what_the_least_falls_by_without_a_tenth_of_it() -> None:
+    found = least("pid")
+    prices = bound_prices(roll(), found)
+    assert list(prices) == ["peak_sensitivity", "noise", "step_error"]
+    looser = find_limit(roll(), found.bounds._replace(noise=1.1 * found.bounds.noise))
+    assert prices["noise"] == pytest.approx(1.0 - looser.load_error / found.load_error)
+    assert min(prices["peak_sensitivity"], prices["noise"]) > 0.02
+    said = AxisLimit(2.0 * found.load_error, found, None, prices).describe()
+    assert said.startswith("its error after a load is 2.00 times the least")
+    assert f"; that least falls with 10 % more peak sensitivity by {100.0 * prices['peak_sensitivity']:.1f} %, " in said
 
 
 def test_margins_end_with_the_limit_and_the_tolerance_of_the_delay_beside_it(hexjet: Hexjet, tmp_path: Path) -> None:

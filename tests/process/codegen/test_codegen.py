@@ -19,7 +19,7 @@ from cosim.base.errors import InputError
 from cosim.cli.main import main
 from cosim.codegen import measure
 from cosim.codegen.export import ExportedController, export_controller
-from cosim.codegen.form import make_form, make_predictor_form
+from cosim.codegen.form import LAWS, make_form, make_predictor_form
 from cosim.codegen.vectors import INPUTS, list_output_names, record_vectors
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.flight import fly
@@ -366,7 +366,16 @@ def test_the_page_has_every_variable_of_the_fmus() -> None:
 def test_every_built_in_predictor_has_a_c_form() -> None:
     """And is among those whose bits are compared."""
     ours = {spec.name for spec in PREDICTORS.values() if spec.make.__module__.startswith("cosim.")}
-    assert ours == {changes.get("controller", "smith") for _, changes in CASES.values()}
+    assert ours | {"pid-smith", "optimal"} == {changes.get("controller", "smith") for _, changes in CASES.values()}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_laws_that_are_named_have_a_c_form_and_others_say_which_have(name: str) -> None:
+    with build(scenario(HEXJET).replace(controller=name)) as simulation:
+        assert make_form(simulation)["law"]
+    refused = rf"^controller adrc.* has no C form; allowed: baseline, .*{name}"
+    with build(scenario(HEXJET).replace(controller="adrc")) as simulation, pytest.raises(InputError, match=refused):
+        make_form(simulation)
 
 
 def test_a_flight_by_requests_is_refused(tmp_path: Path) -> None:

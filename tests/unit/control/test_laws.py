@@ -27,6 +27,7 @@ from cosim.control.laws.axis import Actuators, Axis
 from cosim.control.laws.indi import DAMPING, IndiAxis, SecondOrder
 from cosim.control.laws.lqg import KalmanFilter, add_delay, discrete_model, regulator
 from cosim.control.laws.mpc import MpcAxis
+from cosim.control.laws.optimal import ModelForm, Optimal, Target, fit_weights, make_predictor
 from cosim.control.laws.px4 import ACCELERATION_HZ, FADES, LowPass, Px4Axis
 from cosim.control.predictors.linear import model_response
 from cosim.control.rate import RateController
@@ -54,6 +55,7 @@ TITLES = {
     "indi": "INDI",
     "lqg": "LQG",
     "mpc": "MPC",
+    "optimal": "optimal, of low order",
 }
 STEP = 0.004
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 10.0, "width_s": 0.3}
@@ -202,6 +204,10 @@ def test_what_the_page_says_was_chosen() -> None:
     stated(PAGE, "errors of the model's {} samples with which the peak stays", roll().model.delay_samples)
     stated(PAGE, "the model has {} samples", roll().model.delay_samples)
     stated(PAGE, "engines that answer {} s late", STEP * roll().model.delay_samples)
+    predictor, _, _ = make_predictor(roll().model, optimal_target(roll().delay))
+    stated(PAGE, "behind a linear predictor of {} states and the commands on their way", len(predictor.of_state))
+    tuned = script("laws")
+    stated(PAGE, "a peak below {} at {} samples of error of the delay", 2.0 * tuned.ROBUST, tuned.TOLERATED)
     study, other = Study.load("equal-sensitivity"), Study.load("predictor-robustness")
     assert (study.vary, study.success, study.settings) == (other.vary, other.success, other.settings)
     assert set(study.controllers) == set(LAWS) == set(TITLES)
@@ -383,3 +389,77 @@ def test_parameters_are_numbers_above_0_with_a_meaning() -> None:
         parameters: tuple[Parameter, ...] = getattr(importlib.import_module(module), made).parameters
         assert parameters[0].name == "angle"
         assert all(each.meaning and 0.0 <= each.least <= each.default <= each.most for each in parameters)
+
+
+class Behind:
+    """A proportional gain behind the predictor of a target, for a channel's own model."""
+
+    def __init__(self, channel: Channel, target: Target, room: float = 1e9) -> None:
+        predictor, gain, self.attitude = make_predictor(channel.model("exact"), target)
+        self._predictor, self._gain, self._room = predictor, gain, room
+
+    def reset(self) -> None:
+        self._predictor.reset()
+
+    def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
+        asked = self._gain * (setpoint[0] - self._predictor.update(measured[0], applied[0]))
+        return (max(-self._room, min(self._room, asked)), 0.0, 0.0)
+
+
+def optimal_target(delay: float) -> Target:
+    return Target.of({each.name: each.default for each in Optimal.parameters}, delay)
+
+
+@pytest.mark.parametrize("damping", [None, 0.0, 0.4, 8.0])
+def test_optimal_makes_the_loop_that_its_target_says(damping: float | None) -> None:
+    """``S = 1 - q^N t`` at every frequency, whether the rate fades slowly or not, and no load leaves a lean."""
+    channel = replace(place()[3], rate_filter_s=0.0, rate_latency=0, angle_latency=0)
+    channel = channel if damping is None else replace(channel, damping_1_s=damping)
+    target = optimal_target(roll().delay)
+    block = Behind(channel, target)
+    found = LawLoop(channel, block, block.attitude, 20.0)
+    form, basis = ModelForm.of(channel.model("exact"), target), target.basis(STEP)
+    t = np.convolve(form.kept, basis @ fit_weights(form, basis, np.sqrt(STEP) * np.array(target.weights)))
+    late = np.r_[np.zeros(form.late), t][: found.samples]
+    assert np.abs(found.sensitivity - (1.0 - np.fft.rfft(late, 2 * (len(found.theta) - 1)))).max() < 1e-6
+    assert abs(found.load_left) < 1e-6 * np.abs(np.cumsum(found._load.angle)).max()
+    # the answer to a set-point: three lags behind the delay
+    steps = np.arange(found.samples) - form.late
+    pole = target.lag(STEP)
+    lags = np.where(steps < 0, 0.0, (1.0 - pole) ** 3 * (steps + 1) * (steps + 2) / 2.0 * pole ** np.maximum(steps, 0))
+    rate = np.convolve(lags, form.kept)[: found.samples]
+    assert np.diff(found.angle, prepend=0.0) == pytest.approx(0.5 * (rate + np.r_[0.0, rate[:-1]]), abs=1e-9)
+
+
+def test_limits_do_not_wind_optimal_up() -> None:
+    """A step that asks for several times what there is comes back with little overshoot: it is told what was applied."""
+    channel = replace(place()[3], rate_filter_s=0.0, rate_latency=0, angle_latency=0)
+    free = Behind(channel, optimal_target(roll().delay))
+    most = LawLoop(channel, free, free.attitude).step_peak
+    bound = Behind(channel, optimal_target(roll().delay), 0.3 * most)
+    command = script("law_loop")
+    turned = np.cumsum(command.run(channel, free, free.attitude, 1000, setpoint=1e-3).angle)
+    assert turned[-1] == pytest.approx(1e-3, rel=1e-3)
+    angle = integrated(channel, bound, bound.attitude)
+    assert max(angle) < 1.15
+    assert angle[-1] == pytest.approx(1.0, abs=0.01)
+
+
+def integrated(channel: Channel, block: Any, gain: float) -> list[float]:
+    """The angle after a lasting set-point of 1 rad, on a channel of one lag and no damping of its own sensors."""
+    (now, before, earlier), pole = channel.rate_dynamics
+    body, late = channel.actuator.model, int(channel.actuator.model.delay_samples)
+    sent, force, past, rate, angle = [0.0] * late, 0.0, (0.0, 0.0), 0.0, 0.0
+    angles, asked = [], (0.0, 0.0, 0.0)
+    block.reset()
+    for _ in range(1500):
+        angles.append(angle)
+        asked = block.update((gain * (1.0 - angle), 0.0, 0.0), (rate, 0.0, 0.0), asked)
+        sent.append(asked[0])
+        force_now = force
+        force = body.poles[0] * force + body.gain * sent.pop(0)
+        last = rate
+        rate = pole * rate + channel.gain * STEP * (now * force + before * past[0] + earlier * past[1])
+        past = (force, force_now)
+        angle += 0.5 * STEP * (last + rate)
+    return angles
