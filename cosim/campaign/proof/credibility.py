@@ -122,10 +122,9 @@ def _validation(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
         level, raised = 0, "mend the model until every recorded flight is explained"
     elif same:
         level, raised = 2, "flights over all that is claimed here, and in the weather that is flown in"
-    elif any(not one["agrees"] for one in known if one.get("aircraft")):
-        level = 0
     else:
-        level = 1 if known else 0
+        of_aircraft = [one["agrees"] for one in known if one.get("aircraft")]  # of its engine alone it is none of it
+        level = int(bool(of_aircraft) and all(of_aircraft))
     return Factor(
         CAPABILITY, "Validation", level, "; ".join(texts) or "compared with no measurement of the real vehicle", raised
     )

@@ -121,7 +121,8 @@ class Proof:
                 if failed
                 else "the flight nearest to failing"
             )
-            return f"{what} is {one.run or f'flight {one.flight}'}, and no likelier failure was searched for"
+            more = "likelier one" if failed else "failure"
+            return f"{what} is {one.run or f'flight {one.flight}'}, and no {more} was searched for"
         return "no failure was searched for"
 
     def _limit(self) -> str:

@@ -78,6 +78,7 @@ def test_the_most_that_is_given() -> None:
         ({"comparisons": [], "is_shipped": False}, "Validation", 0),
         ({"comparisons": [], "aircraft": "crazyflie"}, "Validation", 0),  # compared, and not explained
         ({"comparisons": [], "aircraft": "octojet"}, "Validation", 0),
+        ({"comparisons": [], "aircraft": "octojet", "engine": "jetcat-p300"}, "Validation", 0),  # of the engine alone
         ({"comparisons": [GOOD.comparisons[0] | {"verdict": "not explained"}]}, "Validation", 0),
         ({"comparisons": [GOOD.comparisons[0] | {"aircraft": "mine"}]}, "Validation", 1),
         ({"is_shipped": False}, "Development process and product management", 1),
