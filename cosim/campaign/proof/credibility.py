@@ -139,9 +139,7 @@ def _development_review(evidence: Evidence, record: Mapping[str, Any]) -> Factor
 
 def _development_management(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
     if evidence.is_shipped and record["verification"]["version"] == evidence.version:
-        text = (
-            "released under a version, its rules are written down (CONTRIBUTING.md) and every change passes its tests"
-        )
+        text = "kept under versions, its rules are written down (CONTRIBUTING.md) and every change passes its tests"
         return Factor(CAPABILITY, "Development process and product management", 2, text, "an audit that measures this")
     text = "model files outside the package, known by their hashes alone"
     if evidence.is_shipped:
@@ -193,12 +191,12 @@ def _robustness(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
         text = "a search over all keys together" if level else "no sensitivity is known"
         return Factor(RESULTS, name, level, text, "more flights, for the keys' effects to be told from chance")
     text = f"the effect of {evidence.ranked} of {evidence.varied} drawn numbers is known, one at a time"
-    if evidence.searched and evidence.ranked == evidence.varied:
-        return Factor(
-            RESULTS, name, 3, f"{text}, and all together by a search for the worst case",
-            f"the same for {_listed(evidence.not_varied)}" if evidence.not_varied else "joint effects",
-        )  # fmt: skip
-    return Factor(RESULTS, name, 2, text, "more flights" if evidence.searched else search)
+    if not evidence.searched or evidence.ranked < evidence.varied:
+        return Factor(RESULTS, name, 2, text, "more flights" if evidence.searched else search)
+    text += ", and all together by a search for the worst case"
+    if evidence.not_varied:
+        return Factor(RESULTS, name, 2, text, f"the same for {_listed(evidence.not_varied)}")
+    return Factor(RESULTS, name, 3, text, "what the numbers do together")
 
 
 def _use_review(evidence: Evidence, record: Mapping[str, Any]) -> Factor:

@@ -7,18 +7,31 @@ from collections.abc import Callable
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS
+from cosim.design.loop.channel import Channel
 from cosim.design.loop.limit import AxisLimit, need_solver
+from cosim.design.loop.tuning import Tuning
 from cosim.design.measured.computed import find_loop_limit, find_tunings, make_plants
 from cosim.design.tune import fine_loop
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 
 
-def flown_limits(scenario: Scenario, say: Callable[[str], None] = lambda text: None) -> dict[str, AxisLimit] | str:
-    """Return each axis of the nominal vehicle beside the limit of performance, by axis; or why there is none.
+def flown_limits(scenario: Scenario, say: Callable[[str], None] = lambda text: None) -> dict[str, AxisLimit | str]:
+    """Return each axis of the nominal vehicle beside the limit of performance, or why it has none, by axis."""
+    loops = _loops(scenario)
+    if isinstance(loops, str):
+        return dict.fromkeys(AXES, loops)
+    limits: dict[str, AxisLimit | str] = {}
+    for axis, (channel, tuning) in loops.items():
+        say(f"limit of {axis}")
+        closed = fine_loop(channel, tuning)
+        unstable = "the linear loop of the nominal vehicle is not stable"
+        limits[axis] = unstable if closed.unstable_poles else find_loop_limit(closed)
+    return limits
 
-    An axis whose loop has no such limit is left out.
-    """
+
+def _loops(scenario: Scenario) -> dict[str, tuple[Channel, Tuning]] | str:
+    """Return channel and tuning of each axis, or why they are not known."""
     chosen = PREDICTORS.get(scenario.controller)
     if chosen is None or chosen.response is None:
         return "the controller is not one whose linear loop is known"
@@ -32,16 +45,4 @@ def flown_limits(scenario: Scenario, say: Callable[[str], None] = lambda text: N
     if isinstance(plants, str):
         return plants
     tunings = find_tunings(plants, scenario, vehicle, AXES)
-    limits: dict[str, AxisLimit] = {}
-    reasons: list[str] = []
-    for axis in AXES:
-        say(f"limit of {axis}")
-        closed = fine_loop(plants.channels[axis], tunings[axis])
-        if closed.unstable_poles:
-            return f"{axis}: the linear loop of the nominal vehicle is not stable"
-        limit = find_loop_limit(closed)
-        if isinstance(limit, AxisLimit):
-            limits[axis] = limit
-        else:
-            reasons.append(limit)
-    return limits or "; ".join(dict.fromkeys(reasons))
+    return {axis: (plants.channels[axis], tunings[axis]) for axis in AXES}

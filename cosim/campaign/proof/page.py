@@ -36,6 +36,7 @@ def write_page(proof: Proof, path: Path) -> None:
         method=describe_method(proof),
         claims=list(proof.claim.lines()),
         requirements=list(proof.requirement_rows()),
-        limits=proof.limits.items(),
+        limits=[(axis, limit) for axis, limit in proof.limits.items() if not isinstance(limit, str)],
+        no_limits=[(axis, limit) for axis, limit in proof.limits.items() if isinstance(limit, str)],
         groups=[(title, [one for one in proof.credibility if one.assessment == key]) for key, title in groups.items()],
     )

@@ -154,7 +154,7 @@ def _conclude(
     study, table = campaign.study, read_flight_table(campaign)
     scenario = with_values(study.base(), {"controller": study.tried[0]})
     worst = list(_fly_worst(campaign, table, out, say))
-    limits = flown_limits(scenario, say) if request.limit else "it was left out (--no-limit)"
+    limits = flown_limits(scenario, say) if request.limit else dict.fromkeys(AXES, "it was left out (--no-limit)")
     evidence = _evidence(study, table, scenario, worst, request, searched)
     return Proof(
         folder=out,
@@ -171,9 +171,8 @@ def _conclude(
         likely=searched[LIKELY],
         worst_case=searched[WORST_CASE],
         rare=searched[RARE],
-        limits={} if isinstance(limits, str) else limits,
+        limits=limits,
         axis=_commanded_axis(scenario),
-        no_limits=limits if isinstance(limits, str) else "",
         not_covered=not_covered(
             study,
             [part.says for part in searched.values() if part.result is None],

@@ -65,9 +65,8 @@ class Proof:
     likely: Part  # the most likely failure, searched for
     worst_case: Part  # the worst case, searched for
     rare: Part  # the probability of failure by a method for rare ones
-    limits: Mapping[str, AxisLimit]  # by axis; empty: not done
+    limits: Mapping[str, AxisLimit | str]  # by axis; or why there is none
     axis: str  # whose limit the sentence states
-    no_limits: str  # why there are none
     not_covered: Sequence[str]
     credibility: Sequence[Factor]
     repeat: Mapping[str, Any]  # command, rows_sha256, versions
@@ -126,9 +125,9 @@ class Proof:
         return "no failure was searched for"
 
     def _limit(self) -> str:
-        limit = self.limits.get(self.axis)
-        if limit is None:
-            return f"how far its controller is from the best is not known: {self.no_limits}"
+        limit = self.limits[self.axis]
+        if isinstance(limit, str):
+            return f"how far its controller is from the best is not known: {limit}"
         tolerant = limit.times_tolerant
         more = "" if tolerant is None else f", and {tolerant:.2g} times with its tolerance of the delay kept"
         return (
@@ -152,8 +151,10 @@ class Proof:
             "most_likely_failure": _part(self.likely),
             "worst_case": _part(self.worst_case),
             "rare": _part(self.rare),
-            "limit": {axis: limit.to_dict() for axis, limit in self.limits.items()} or None,
-            "no_limit": self.no_limits or None,
+            "limit": {
+                axis: {"done": False, "says": limit} if isinstance(limit, str) else {"done": True, **limit.to_dict()}
+                for axis, limit in self.limits.items()
+            },
             "not_covered": list(self.not_covered),
             "credibility": [factor._asdict() for factor in self.credibility],
             "repeat": dict(self.repeat),

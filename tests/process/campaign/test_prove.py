@@ -15,6 +15,7 @@ from command_tools import Done, Hexjet
 from places import DESIGNS
 
 from cosim.base.errors import InputError
+from cosim.base.signals import AXES
 from cosim.campaign.proof.prove import Request, conclude, fly_study, prove
 from cosim.campaign.proof.scope import kinds_not_varied
 from cosim.campaign.proof.source import proof_study
@@ -134,7 +135,7 @@ def test_99_percent_is_shown_on_one_page_and_in_one_json(proven: Path) -> None:
     assert (data["requirements"][2]["broken"], data["requirements"][2]["unit"]) == (0, "m")
     assert 0.0 < data["requirements"][2]["margin"] < 0.5
     assert {data[part]["done"] for part in ("most_likely_failure", "worst_case", "rare")} == {False}
-    assert data["limit"] is None
+    assert {axis: limit["done"] for axis, limit in data["limit"].items()} == dict.fromkeys(AXES, False)
     assert any("no key varies engines, delay, thrust" in text for text in data["not_covered"])
     page = (proven / "proof.html").read_text()
     for text in (data["sentence"], data["repeat"]["command"], *(one["name"] for one in data["credibility"])):
@@ -336,5 +337,6 @@ def test_the_shipped_example_and_its_page(hexjet: Hexjet, tmp_path: Path) -> Non
     assert (done.status, data["decision"]) == (0, "shown")
     shown = " ".join((DOCS / "prove.md").read_text(encoding="utf-8").split())
     assert data["sentence"] in shown
-    assert set(data["limit"]) == {"roll", "pitch", "yaw"}
-    assert all(limit["times"] >= 1.0 for limit in data["limit"].values())
+    assert set(data["limit"]) == set(AXES)
+    assert data["limit"]["roll"]["times"] > data["limit"]["roll"]["times_as_tolerant"] > 1.0
+    assert all(limit["times"] >= 1.0 if limit["done"] else limit["says"] for limit in data["limit"].values())

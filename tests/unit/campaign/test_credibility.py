@@ -91,6 +91,7 @@ def test_the_most_that_is_given() -> None:
         ({"varied": 0}, "Uncertainty characterization", 0),
         ({"searched": False}, "Results robustness", 2),
         ({"ranked": 3}, "Results robustness", 2),
+        ({"not_varied": ["servos"]}, "Results robustness", 2),
         ({"ranked": 0}, "Results robustness", 1),
         ({"ranked": 0, "searched": False}, "Results robustness", 0),
         ({"replayed_same": 2}, "Use process and product management", 0),
