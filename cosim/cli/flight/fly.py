@@ -83,8 +83,8 @@ def fly(options: Fly) -> int:
 
     Leaves a folder with summary, resolved scenario, log and report.  Status 0: as planned; or completed within its
     limits, nothing checked, where the scenario expects nothing of what flew; or with --flight the same as in the
-    campaign, bit for bit.  1: the flight failed, went beyond its limits or did not come to what the scenario expects,
-    or is not the same.  2: wrong input.
+    campaign, bit for bit.  1: the flight failed, went beyond its limits or did not come to what the scenario expects
+    or requires, or is not the same.  2: wrong input.
     """
     if options.flight is not None:
         why = "a flight of a campaign is flown as it was; leave it out with --flight"
