@@ -383,12 +383,13 @@ def test_px4_filters_acceleration_at_its_corner() -> None:
     assert [block.update(1.0) for _ in range(200)][-1] == pytest.approx(1.0)
 
 
-def test_parameters_are_numbers_above_0_with_a_meaning() -> None:
+def test_parameters_are_numbers_with_a_meaning_and_above_0_but_for_weights() -> None:
     for name in LAWS:
         module, _, made = LAWS[name].partition(":")
         parameters: tuple[Parameter, ...] = getattr(importlib.import_module(module), made).parameters
-        assert parameters[0].name == "angle"
-        assert all(each.meaning and 0.0 <= each.least <= each.default <= each.most for each in parameters)
+        assert parameters[0].name == ("response" if name == "optimal" else "angle")
+        assert all(each.meaning and each.least <= each.default <= each.most for each in parameters)
+        assert all(each.least >= 0.0 for each in parameters if not each.name.startswith("weight_"))
 
 
 class Behind:
