@@ -51,6 +51,7 @@ def write_page(saved: SavedRare, path: Path) -> None:
         limits=LIMITS,
         repeats=repeat_rows(result),
         shifts=shift_rows(result),
+        deciders=describe_deciders(result),
         cases=cases,
     )
 
@@ -69,6 +70,12 @@ def repeat_rows(result: RareResult) -> list[list[str]]:
 def shift_rows(result: RareResult) -> list[list[str]]:
     """Return a row for each key: where the failures are in it, in standard deviations, and how wide they lie."""
     return [[shift.name, f"{shift.mean:+.2f}", f"{shift.spread:.2f}"] for shift in result.shifts[:SHOWN]]
+
+
+def describe_deciders(result: RareResult) -> str:
+    """Return which requirements the failures break furthest, in words; empty without a failure."""
+    named = ", ".join(f"{name} in {100.0 * part:.0f} % of them" for name, part in result.deciders.items())
+    return f"what the failures break furthest is {named}" if named else ""
 
 
 def _levels(result: RareResult) -> Figure:

@@ -115,6 +115,16 @@ class RareResult:
         ]
 
     @property
+    def deciders(self) -> dict[str, float]:
+        """The requirements that failures break furthest, each with its part of the failures, the largest first."""
+        parts: dict[str, float] = {}
+        for failure in self.failures:
+            name = str(self.rows[failure.number].get("decided_by") or "")
+            parts[name] = parts.get(name, 0.0) + failure.weight
+        parts.pop("", None)  # of flights that could not be flown
+        return dict(sorted(parts.items(), key=lambda part: (-part[1], part[0])))
+
+    @property
     def nearest(self) -> Failure | None:
         """The failure that is most likely of those met: with the smallest |u|."""
         return min(self.failures, key=lambda failure: failure.distance, default=None)
@@ -135,6 +145,7 @@ class RareResult:
             "flights": self.flights,
             "not_flown": self.not_flown,
             "failures": len(self.failures),
+            "deciders": self.deciders,
             "shifts": [asdict(shift) for shift in self.shifts],
             "nearest": None if nearest is None else self._flight_table(nearest),
             "simulations": [

@@ -430,7 +430,7 @@ def print_worst(saved: SavedWorst) -> None:
 
 def print_rare(saved: SavedRare) -> None:
     """Print the probability and how it was made, what the failures have in common, and the files."""
-    from cosim.campaign.rare.page import LIMITS, shift_rows
+    from cosim.campaign.rare.page import LIMITS, describe_deciders, shift_rows
     from cosim.campaign.rare.simulation import describe_plan
 
     result = saved.result
@@ -439,6 +439,8 @@ def print_rare(saved: SavedRare) -> None:
     if result.failures:
         titles = ["key", "mean [standard deviations]", "spread"]
         show_table(titles, shift_rows(result), [1, 2], plain=True, pad_edge=False)
+        if result.deciders:
+            say(describe_deciders(result), wrap=False)
     for case in saved.cases:
         ending = case.reason if case.same else f"flown again it ended {case.reason}, not as before"
         say(f"{case.name}: flight {case.flight}, {case.distance:.2f} standard deviations out; {ending}", wrap=False)

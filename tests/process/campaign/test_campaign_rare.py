@@ -97,6 +97,7 @@ def test_a_known_truth_is_in_the_interval_and_all_is_kept(whole: SavedRare) -> N
     assert nearest.distance == pytest.approx(2.5, abs=0.2)
     assert [shift.name for shift in whole.result.shifts] == [WIND, "vehicle.mass_kg"]
     assert whole.result.shifts[0].mean == pytest.approx(2.8, abs=0.2)  # of a normal number above 2.5: 2.82
+    assert whole.result.deciders == {}  # nobody flew
     page = (whole.folder / "rare.html").read_text()
     assert found.text in page
     assert "What the failures have in common" in page
@@ -134,6 +135,7 @@ def test_true_flights_beyond_a_known_lean(tmp_path: Path) -> None:
     assert saved.result.estimate.low < 0.01 < saved.result.estimate.high
     assert "seeds of wind and noise are not part of what varies" in saved.result.sentence
     assert {row["seed"] for row in saved.result.rows} == {saved.result.rows[0]["seed"]}
+    assert saved.result.deciders == {"roll.max_abs_error_rad": pytest.approx(1.0)}
     assert saved.confirmed
     first = saved.cases[0]
     assert 2.5758 - 1e-4 < first.distance < 2.7
