@@ -149,12 +149,13 @@ def cells(truth: Truth, probability: float, ended: Sequence[tuple[Estimate, list
     widths = [sqrt(each.high / each.low) for each in found if each.low]
     parts = [f"{100.0 * count / studies:.1f} %" for count in (held, above, studies - held - above, near)]
     made = [f"{np.median(widths):.1f}", f"{np.mean(flights):,.0f}", f"{max(flights):,}"]
-    return [truth.name, f"1e{round(np.log10(probability))}", *parts, *made]
+    return [truth.name, f"1e{round(np.log10(probability))}", str(studies), *parts, *made]
 
 
 TITLES = [
     "failures",
     "probability",
+    "studies",
     "held",
     "too high",
     "too low",

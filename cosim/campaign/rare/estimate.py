@@ -3,9 +3,9 @@
 The usual interval of one subset simulation takes its chains for less correlated than they are, and is too narrow.  Here
 the whole simulation is repeated, each repeat from its own random numbers, and how far the repeats lie apart is what the
 method does not know.  Their probabilities are nearly lognormal, so the interval is Cox's of a lognormal mean with
-Student's t: y + s^2 / 2 +- t sqrt(s^2 / K + s^4 / (2 (K - 1))) with mean y and variance s^2 of K logarithms
-(X. H. Zhou and S. Gao, Statist. Med. 16 (1997) 783-790; U. Olsson, J. Statist. Educ. 13 (2005) no. 1).  How often it
-holds the truth is measured: docs/rare.md.
+Student's t: y + s^2 / 2 +- t sqrt(s^2 / K + s^4 / (2 (K + 1))) with mean y and variance s^2 of K logarithms (X. H. Zhou
+and S. Gao, Statist. Med. 16 (1997) 783-790), the second term with K + 1 because it is unbiased so.  How often it holds
+the truth is measured: docs/rare.md.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from cosim.campaign.rare.subset import LEVEL_FRACTION, Repeat
 
 REPEATS = 8  # chosen by us: t of 7 degrees of freedom, and levels that are not too small
 CONFIDENCE = 0.95
+SEEDS_DECIDE = 0.5  # of seed_effect: below it noise decides; 0.4 to 0.1 where half of the margin's variance is its
 SMALLEST_LEVEL = 50  # flights a level: five starts
 
 
@@ -87,8 +88,15 @@ def estimate(repeats: Sequence[Repeat]) -> Estimate:
         value if value is not None else repeat.log_reached - log(repeat.levels[-1].margins.size)
         for value, repeat in zip(logs, repeats, strict=True)
     ]
-    note = f"; {missing} of them met none, and count as one of the flights of their last level" if missing else ""
+    note = (
+        f"; {missing} of them met none, and count as one of the flights of their last level, and no upper end is below "
+        "what all of them reached"
+        if missing
+        else ""
+    )
     low, high = lognormal_interval(filled)
+    if missing:
+        high = max(high, _reached_by_all(repeats, CONFIDENCE)[1])
     probability = float(np.mean(np.exp(filled)))
     return Estimate(
         probability,
@@ -98,6 +106,17 @@ def estimate(repeats: Sequence[Repeat]) -> Estimate:
     )
 
 
+def seed_effect(repeats: Sequence[Repeat]) -> float | None:
+    """Return how often a candidate with a new seed is accepted, over how often one with the seed before it is.
+
+    Near 1 where noise and turbulence do not decide.  None where no seed was drawn anew.
+    """
+    (new, of_new), (same, of_same) = (
+        np.sum([getattr(repeat, name) for repeat in repeats], axis=0).tolist() for name in ("redrawn", "kept")
+    )
+    return (new / of_new) / (same / of_same) if of_new and same else None
+
+
 def lognormal_interval(logs: Sequence[float], confidence: float = CONFIDENCE) -> tuple[float, float]:
     """Return Cox's two-sided interval, with Student's t, of the mean of lognormal numbers from their logarithms."""
     from scipy.special import stdtrit
@@ -105,7 +124,7 @@ def lognormal_interval(logs: Sequence[float], confidence: float = CONFIDENCE) ->
     count = len(logs)
     mean, variance = float(np.mean(logs)), float(np.var(logs, ddof=1))
     reach = float(stdtrit(count - 1, 0.5 + confidence / 2.0))
-    reach *= sqrt(variance / count + variance**2 / (2.0 * (count - 1)))
+    reach *= sqrt(variance / count + variance**2 / (2.0 * (count + 1)))
     return exp(mean + variance / 2.0 - reach), exp(min(mean + variance / 2.0 + reach, 0.0))
 
 
@@ -148,9 +167,7 @@ def _bound(repeats: Sequence[Repeat]) -> Estimate:
     without = [repeat for repeat in repeats if repeat.log_probability is None]
     if any(len(repeat.levels) == 1 for repeat in without):
         return _counted_bound(repeats)
-    reached = max(map(_reached, without))
-    logs = [value for repeat in repeats if (value := repeat.log_below(reached)) is not None]
-    _, high = lognormal_interval(logs, 2.0 * CONFIDENCE - 1.0)  # its upper end alone is of CONFIDENCE
+    reached, high = _reached_by_all(repeats, 2.0 * CONFIDENCE - 1.0)  # whose upper end alone is of CONFIDENCE
     return Estimate(
         None,
         0.0,
@@ -160,11 +177,18 @@ def _bound(repeats: Sequence[Repeat]) -> Estimate:
     )
 
 
+def _reached_by_all(repeats: Sequence[Repeat], confidence: float) -> tuple[float, float]:
+    """Return a margin that every repeat has reached, and the upper end of the interval of the probability of less."""
+    reached = max(_reached(repeat) for repeat in repeats if repeat.log_probability is None)
+    logs = [value for repeat in repeats if (value := repeat.log_below(reached)) is not None]
+    return reached, lognormal_interval(logs, confidence)[1]
+
+
 def _reached(repeat: Repeat) -> float:
     """Return the margin that the next level would have begun at, or else the last one did."""
     last = repeat.levels[-1].margins
     margin = float(np.sort(last)[round(LEVEL_FRACTION * last.size)])
-    return repeat.levels[-2].threshold if repeat.log_below(margin) is None else margin
+    return repeat.levels[-2].threshold if repeat.log_below(margin) is None and len(repeat.levels) > 1 else margin
 
 
 def probability_text(probability: float) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.campaign.analysis.margin import row_margin
-from cosim.campaign.rare.estimate import Budget, Estimate, estimate, probability_text
+from cosim.campaign.rare.estimate import SEEDS_DECIDE, Budget, Estimate, estimate, probability_text, seed_effect
 from cosim.campaign.rare.subset import Candidates, Repeat, run_repeats, subset_simulation
 from cosim.campaign.search.probe import Journal, Point
 from cosim.campaign.study.draws import flight_seed
@@ -101,6 +101,17 @@ class RareResult:
         )
 
     @property
+    def seed_note(self) -> str:
+        """A warning where noise and turbulence decide, which no chain can lead to failure; empty elsewhere."""
+        effect = seed_effect(self.repeats)
+        if effect is None or effect >= SEEDS_DECIDE:
+            return ""
+        return (
+            f"a flight with another seed stays as near to failure {effect:.2f} times as often as with the same one: "
+            "wind and noise decide, no chain leads there, and the interval is wide (docs/rare.md)"
+        )
+
+    @property
     def shifts(self) -> list[KeyShift]:
         """Where the failures lie, the coordinate that they are furthest out in first; nothing without a failure."""
         if not self.failures:
@@ -144,6 +155,7 @@ class RareResult:
             **asdict(self.estimate),
             "flights": self.flights,
             "not_flown": self.not_flown,
+            "seed_effect": seed_effect(self.repeats),
             "failures": len(self.failures),
             "deciders": self.deciders,
             "shifts": [asdict(shift) for shift in self.shifts],

@@ -71,10 +71,15 @@ class Level:
 
 @dataclass(frozen=True)
 class Repeat:
-    """One subset simulation from beginning to end: its levels, and how many flights it took."""
+    """One subset simulation from beginning to end: its levels, and how many flights it took.
+
+    ``redrawn`` and ``kept``: of the candidates with a new seed, and with the one before, those accepted and all.
+    """
 
     levels: tuple[Level, ...]
     flights: int
+    redrawn: tuple[int, int] = (0, 0)
+    kept: tuple[int, int] = (0, 0)
 
     @property
     def log_probability(self) -> float | None:
@@ -134,13 +139,14 @@ def subset_simulation(
     margins = yield Candidates(points, seeds, 0)
     states = _States(points, seeds, margins, np.arange(size))
     levels: list[Level] = []
+    judgements: list[Array] = [np.zeros((0, 2))]  # of each candidate: whether it had a new seed, and was accepted
     flights, scale = size, FIRST_STEP
     while True:
         failed = int(np.count_nonzero(states.margins < 0.0))
         threshold = _next_threshold(states.margins, round(LEVEL_FRACTION * size))
         if failed >= round(LEVEL_FRACTION * size) or len(levels) + 1 == most_levels or threshold is None:
             levels.append(Level(states.margins, states.numbers, 0.0, failed))
-            return Repeat(tuple(levels), flights)
+            return Repeat(tuple(levels), flights, *_count_accepted(np.concatenate(judgements)))
         starting = np.flatnonzero(states.margins < threshold)
         levels.append(Level(states.margins, states.numbers, threshold, starting.size))
         model = _LinearModel(states, threshold, starting)
@@ -167,12 +173,22 @@ def subset_simulation(
             new = _States(candidates, seeds, margins, flights + np.arange(moving))
             now.replace(np.flatnonzero(accepted), new)
             chains.replace(np.flatnonzero(accepted), new)
+            judgements.append(np.stack([redrawn, accepted], axis=1))
             judged = ~redrawn & ~by_model
             if np.any(judged):
                 scale = min(scale * exp((float(np.mean(accepted[judged])) - ACCEPTED) / sqrt(steps)), 10.0)
             parts.append(now)
             flights, left = flights + moving, left - moving
         states = _States.joined(parts)
+
+
+def _count_accepted(judgements: Array) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return how many candidates with a new seed were accepted, of how many; and of those with the one before."""
+    redrawn, accepted = judgements.astype(bool).T
+    return (
+        (int(np.sum(accepted & redrawn)), int(np.sum(redrawn))),
+        (int(np.sum(accepted & ~redrawn)), int(np.sum(~redrawn))),
+    )
 
 
 Margins = Callable[[Mapping[int, Candidates]], Mapping[int, Array]]

@@ -434,8 +434,9 @@ def print_rare(saved: SavedRare) -> None:
     from cosim.campaign.rare.simulation import describe_plan
 
     result = saved.result
-    for line in (result.sentence, result.estimate.method, describe_plan(result.plan), result.study.engine_note):
-        say(line, wrap=False) if line else None
+    method = (result.estimate.method, result.seed_note, describe_plan(result.plan), result.study.engine_note)
+    for line in (result.sentence, *filter(None, method)):
+        say(line, wrap=False)
     if result.failures:
         titles = ["key", "mean [standard deviations]", "spread"]
         show_table(titles, shift_rows(result), [1, 2], plain=True, pad_edge=False)
