@@ -6,6 +6,8 @@ import json
 import subprocess
 import sys
 import time
+from itertools import combinations, product
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,9 @@ from patience import PATIENCE
 from places import DESIGNS
 
 from cosim.campaign.search.folder import JOURNAL, RESULT
+from cosim.campaign.search.probe import Point, Prober
 from cosim.campaign.search.worst_folder import SavedWorst, resolve_worst, run_worst
+from cosim.campaign.study.draws import draws
 from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.results.log.digest import log_digest
@@ -26,6 +30,26 @@ SEARCH = [
     "hover", "--likely", "--vary", "environment.wind_ned_m_s.1=normal(0,3,-30,30)", "--vary",
     "vehicle.mass_kg=normal(5.6,0.05,5.2,6)", "--set", "duration_s=0.4", "--success", "speed.max_m_s<=0.05", "--budget", "60",
 ]  # fmt: skip
+
+
+PLANTED = """
+from math import prod
+from cosim.base.protocols import Parameter
+
+class Planted:
+    level = "predictor"
+    parameters = tuple(Parameter(f"k{n}", 0.5, "", "one of six that break it together", 0.0, 1.0) for n in range(6))
+
+    def prepare(self, belief):
+        self.share = 1.0 - 1.9 * prod(0.5 + 0.5 * value for value in belief.parameters.values())
+
+    def reset(self):
+        pass
+
+    def update(self, measured, applied):
+        return self.share * measured
+"""  # the rate is fed back with less of it, at last with the wrong sign, the nearer all six come to 1
+KEYS = [f"controller_parameters.k{n}" for n in range(6)]
 
 
 def plan() -> tuple[Any, Any]:
@@ -143,3 +167,36 @@ def test_of_a_design_it_is_the_box_of_its_tolerances(hexjet: Hexjet, tmp_path: P
     assert result["within"] == "ranges"
     assert [text.partition("=")[0] for text in result["vary"]] == ["mismatch.inertia_factor", "mismatch.delay_samples"]
     assert result["success"].keys() == {"roll.overshoot_percent", "roll.oscillation_rad"}
+
+
+@pytest.mark.long
+def test_a_law_that_breaks_in_a_corner_of_six_keys_is_found_in_flight(tmp_path: Path) -> None:
+    """No key alone and no pair shows it, nor do 2,000 draws; the search does, within 300 flights."""
+    (tmp_path / "law.py").write_text(PLANTED)
+    study, asked = resolve_worst(
+        "roll-doublet", vary=[f"{key}=0:1" for key in KEYS], controllers=[f"{tmp_path / 'law.py'}:Planted"],
+        settings=["engine='edf'", "command.0.start_s=0.1", "duration_s=0.9"],
+        success=["roll.overshoot_percent<=500"], within="5", budget=300,
+    )  # fmt: skip
+    with LocalWorkers(2) as workers:
+        prober = Prober(study, (1,), 0.0, workers)
+        controller, middle = study.controller_names[0], dict.fromkeys(KEYS, 0.5)
+        pairs = [
+            Point.of(controller, middle | dict(zip(pair, ends, strict=True)))
+            for pair in combinations(KEYS, 2) for ends in product((0.0, 1.0), repeat=2)
+        ]  # fmt: skip
+        singles = [Point.of(controller, middle | {key: end}) for key in KEYS for end in (0.0, 1.0)]
+        assert not any(prober.evaluate([*singles, *pairs]))
+        safe = 2.0 * 0.7 ** (1.0 / 6.0) - 1.0  # six of it have a product of 0.7 in the law, and keep
+        assert not any(prober.evaluate([Point.of(controller, dict.fromkeys(KEYS, safe))]))
+        counted = [
+            prod(0.5 + 0.5 * float(draw.values[key]) for key in KEYS) for draw in draws(study.changed(runs=2000))
+        ]
+        assert len(counted) == 2000
+        assert max(counted) < 0.7
+        saved = run_worst(study, asked, tmp_path / "worst", workers)
+    (found,), (case,) = saved.result.cases, saved.cases
+    assert found.fails
+    assert found.flights <= 300
+    assert all(effect.alone is not None and effect.alone > 0.0 for effect in found.effects)
+    assert case.same
