@@ -148,8 +148,8 @@ class WorstSearch:
             if case.flat > MUCH_FLAT:
                 lines.append(
                     f"{short_name(case.controller)}: {100.0 * case.flat:.0f} % of the flights have the same margin, "
-                    "which says nothing of where it is worse: there the search is no better than random draws; "
-                    "--success METRIC<=X gives a flight that completes a margin"
+                    "which says nothing of where it is worse: there the search is no better than random draws; a "
+                    "requirement, or --success METRIC<=X, gives a flight that completes a margin"
                 )
         return lines
 
