@@ -55,6 +55,7 @@ def write_page(result: WorstSearch, cases: Sequence[Case], path: Path) -> None:
         flown.append(
             {name: getattr(case, name) for name in ("name", "seed", "reason", "same")}
             | {"report": report, "command": command}
+            | {"what": ", ".join(f"{key} = {text(value)}" for key, value in case.values.items())}
         )
     render(
         TEMPLATE,
