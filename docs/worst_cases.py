@@ -35,7 +35,7 @@ from cosim.results.report.marks import table, write_marks
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "control-design.md"
 DELAY, THRUST = "mismatch.delay_samples", "mismatch.thrust_factor_{}"
-TITLES = ("design", "box", "at the proof's points", "at all corners", "worst found", "flights", "there")
+TITLES = ("design", "box", "at the proof's points", "at all corners", "worst found", "flights", "where, and how")
 SETTLED = 2.0  # sides of the doublet that an engine which is off has for its trim before the doublet, as in the proof
 
 
@@ -44,7 +44,7 @@ class Outcome:
     """The least margins of one design in one box."""
 
     proved: float  # at the points that the proof flies
-    corners: float
+    corners: Array  # at each of them
     case: WorstCase
     is_corner: bool  # whether the worst case found is a corner of the box
     flights: int
@@ -113,7 +113,7 @@ def fly_box(name: str, odd: bool, out: Path, workers: LocalWorkers, budget: int)
     found = Point.of(case.controller, case.values)
     return Outcome(
         float(margins(places(flown, proved)).min()),
-        float(margins(corners).min()),
+        margins(corners),
         case,
         found in points,
         len(Journal(folder / JOURNAL).read()),
@@ -123,10 +123,12 @@ def fly_box(name: str, odd: bool, out: Path, workers: LocalWorkers, budget: int)
 def row(name: str, odd: bool, of: Outcome) -> list[str]:
     """Return the row of the table."""
     box = "gain, delay" + (", one engine's thrust" if odd else "")
-    where = "; ".join(f"`{effect.name}` {effect.place:+.2f}" for effect in of.case.effects)
-    kept = "a corner" if of.is_corner else where
-    worst = f"**{of.case.margin:.3f}**" if of.case.margin < 0.0 else f"{of.case.margin:.3f}"
-    return [name, box, f"{of.proved:.3f}", f"{of.corners:.3f}", worst, f"{of.flights}", kept]
+    values = ", ".join(f"`{key.removeprefix('mismatch.')}` {value:.3g}" for key, value in of.case.values.items())
+    where = f"{'a corner' if of.is_corner else 'no corner'}: {values}"
+    if of.case.fails:
+        where += f": {of.case.reason}; {int(np.sum(of.corners < 0.0))} of {len(of.corners)} corners fail"
+    margins = [f"{margin:.2f}" for margin in (of.proved, float(of.corners.min()), of.case.margin)]
+    return [name, box, *margins, f"{of.flights}", where]
 
 
 def main() -> None:
