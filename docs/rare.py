@@ -3,7 +3,7 @@
     python docs/rare.py [--studies 300] [--write] [--only two]
 
 Each study is one whole simulation with margins of known probability in the place of flights, with the command's
-defaults: 1e-6 in 5,000 flights.  It takes ten minutes of a processor.
+defaults: 1e-6 in 5,000 flights.  It takes some minutes of a processor.
 """
 
 from __future__ import annotations
