@@ -10,11 +10,11 @@ from math import isfinite
 
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row
+from cosim.results.requirements import LOST, Lost
 from cosim.spec.scenario import Range
 
 MARGIN = "margin"  # the column of a row that states its margin
 SMALLEST = 1e-9  # size of the margin of a failure of which no more is known, chosen by us
-LOST = 1.0  # a flight lost at its very end has -LOST, one lost at its start -2 LOST
 
 
 def row_margin(row: Row, study: Study) -> float:
@@ -50,10 +50,8 @@ def success_margin(values: Mapping[str, object], success: Mapping[str, Range]) -
 
 
 def _lost(row: Row, study: Study) -> float:
-    planned = study.base().duration_s
     flown = row.get("duration_s")
-    fraction = _number(flown) / planned if flown is not None and planned else 0.0
-    return -LOST * (2.0 - min(max(fraction, 0.0), 1.0))
+    return -Lost(0.0 if flown is None else _number(flown), study.base().duration_s).scales
 
 
 def _number(value: object) -> float:
