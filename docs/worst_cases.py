@@ -22,8 +22,8 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.campaign.proof.design_study import design_study
-from cosim.campaign.search.folder import JOURNAL
 from cosim.campaign.search.probe import Journal, Point, Prober
+from cosim.campaign.search.question import JOURNAL
 from cosim.campaign.search.worst_case import PlaceMargins, WorstCase, WorstPlan
 from cosim.campaign.search.worst_folder import run_worst
 from cosim.campaign.study.normal_space import NormalSpace

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from cosim.campaign.proof.result import Part
-from cosim.campaign.search.folder import CASES
+from cosim.campaign.search.question import CASES
 from cosim.campaign.search.worst_case import LIKELY_WITHIN, WORST_WITHIN, WorstCase, WorstPlan, important
 from cosim.campaign.search.worst_folder import SavedWorst, run_worst
 from cosim.campaign.study.study import Study

@@ -8,8 +8,9 @@ from pathlib import Path
 from cosim.base.errors import InputError
 from cosim.campaign.proof.result import Part
 from cosim.campaign.rare.estimate import Budget
-from cosim.campaign.rare.folder import CASES, run_rare
+from cosim.campaign.rare.folder import run_rare
 from cosim.campaign.rare.simulation import Plan
+from cosim.campaign.search.question import CASES
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.protocol import Workers
 

@@ -14,30 +14,27 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import FlightError
 from cosim.base.storage.files import lock_file, map_os_errors, write_whole
-from cosim.base.storage.toml import read_toml, toml_text
-from cosim.campaign.folder import FrozenStudy, freeze
+from cosim.campaign.folder import freeze
 from cosim.campaign.folder import load as load_study
 from cosim.campaign.rare.estimate import Budget
 from cosim.campaign.rare.page import write_page
 from cosim.campaign.rare.result import RareCase, SavedRare
 from cosim.campaign.rare.simulation import Failure, Plan, RareResult, only_controller, simulate
 from cosim.campaign.search.probe import Journal
-from cosim.campaign.search.search import describe_flight
+from cosim.campaign.search.question import CASES, JOURNAL, STUDY, Words, begin_question, fly_row_again, holds_question
 from cosim.campaign.study.normal_space import NormalSpace
 from cosim.campaign.study.options import open_study
-from cosim.campaign.study.plan import Flight, scenario_of
+from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.sequential import MAX_TESTED
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import kinds
 from cosim.campaign.workers.protocol import Workers
-from cosim.flight import fly
 from cosim.results.log.arrow import write_table
-from cosim.results.log.digest import log_digest
 
-STUDY, QUESTION, JOURNAL, ROWS = "study", "rare.toml", "flights.jsonl", "flights.parquet"
-RESULT, REPORT, CASES = "rare.json", "rare.html", "cases"
+ROWS, RESULT, REPORT = "flights.parquet", "rare.json", "rare.html"
+RARE = Words("rare.toml", "simulation of rare failures", "one", "another one")
 CASES_RECORDED = 3  # failures that are flown again, the most likely first
 
 
@@ -80,39 +77,14 @@ def run_rare(
     """
     frozen = freeze(study)
     with map_os_errors(FlightError, out):
-        if not _holds(out, frozen, plan, resume):
-            _begin(out, frozen, plan)
+        if not holds_question(out, frozen, plan.table(), resume, RARE):
+            begin_question(out, frozen, plan.table(), RARE)
         with lock_file(out / JOURNAL, f"{out}: another process is at work there"):
             result = simulate(load_study(out / STUDY), plan, workers, Journal(out / JOURNAL), progress)
             shutil.rmtree(out / CASES, ignore_errors=True)  # left by one that was stopped while it flew them
             saved = SavedRare(out, result, tuple(_cases(result, out / CASES)))
             _write(saved)
     return saved
-
-
-def _holds(out: Path, frozen: FrozenStudy, plan: Plan, resume: bool) -> bool:
-    """Return whether the folder holds this very simulation, to be resumed; InputError if it holds anything else."""
-    if not out.exists() or not any(out.iterdir()):
-        return False
-    if not (out / QUESTION).is_file():
-        raise InputError(f"{out}: is not empty and holds no simulation of rare failures; choose another folder")
-    if not resume:
-        raise InputError(f"{out}: already holds one; choose another folder, or --resume goes on with it")
-    difference = next(iter(frozen.differences(out / STUDY)), None)
-    saved, asked = read_toml(out / QUESTION), plan.table()
-    differing = [key for key in asked if asked[key] != saved.get(key)]
-    if difference is None and differing:
-        difference = f"{QUESTION}: {differing[0]} is {saved.get(differing[0])} there and {asked[differing[0]]} here"
-    if difference is not None:
-        raise InputError(f"{out}: holds another one; {difference}")
-    return True
-
-
-def _begin(out: Path, frozen: FrozenStudy, plan: Plan) -> None:
-    (out / STUDY).mkdir(parents=True)
-    frozen.write(out / STUDY)
-    (out / JOURNAL).touch()
-    write_whole(out / QUESTION, toml_text(plan.table()))  # the last: a folder that has it has all
 
 
 def _cases(result: RareResult, folder: Path) -> Iterator[RareCase]:
@@ -126,13 +98,8 @@ def _fly_again(result: RareResult, failure: Failure, folder: Path) -> RareCase:
     row = result.rows[failure.number]
     seed, values = int(row["seed"] or 0), {name: row[name] for name in result.study.drawn}
     flight = Flight(failure.number, failure.number, result.controller, seed, values)  # type: ignore[arg-type]
-    try:
-        run = fly(scenario_of(result.study, flight), folder)
-        same = row["log_sha256"] == log_digest(run.log) and row["outcome"] == run.outcome
-        reason = describe_flight(result.study, row) if same else f"{run.outcome}, {run.summary.reason}"
-    except InputError as error:  # it could not be flown the first time either, which is how it failed
-        same, reason = row["reason"] == str(error), str(error)
-    return RareCase(folder.name, failure.number, failure.distance, seed, values, reason, same)
+    again = fly_row_again(result.study, flight, row, folder)
+    return RareCase(folder.name, failure.number, failure.distance, seed, values, again.reason, again.same)
 
 
 def _write(saved: SavedRare) -> None:

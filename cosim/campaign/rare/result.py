@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 from cosim.campaign.rare.simulation import RareResult
+from cosim.campaign.search.question import Answered
 
 
 @dataclass(frozen=True)
@@ -22,20 +22,4 @@ class RareCase:
     same: bool
 
 
-@dataclass(frozen=True)
-class SavedRare:
-    """A finished simulation and its folder."""
-
-    folder: Path
-    result: RareResult
-    cases: tuple[RareCase, ...]
-
-    @property
-    def confirmed(self) -> bool:
-        """Whether every case came out as it had in the simulation."""
-        return all(case.same for case in self.cases)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the table that ``rare.json`` holds."""
-        cases = [asdict(case) for case in self.cases]
-        return {"folder": str(self.folder), **self.result.to_json(), "cases": cases, "confirmed": self.confirmed}
+SavedRare = Answered[RareResult, RareCase]

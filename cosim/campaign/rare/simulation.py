@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import InputError
 from cosim.campaign.analysis.margin import row_margin
 from cosim.campaign.rare.estimate import SEEDS_DECIDE, Budget, Estimate, estimate, probability_text, seed_effect
 from cosim.campaign.rare.subset import Candidates, Repeat, run_repeats, subset_simulation
-from cosim.campaign.search.probe import Journal, Point
+from cosim.campaign.search.probe import FlownRows, Journal, Point
 from cosim.campaign.study.draws import flight_seed
 from cosim.campaign.study.normal_space import NormalSpace
 from cosim.campaign.study.plan import Flight, controllers
@@ -238,9 +238,8 @@ class _Flyer:
         journal: Journal | None,
         progress: Callable[[int], None],
     ) -> None:
-        self._study, self._space, self._controller, self._workers = study, space, controller, workers
-        self._journal, self._progress = journal, progress
-        self._flown = journal.read() if journal is not None else {}
+        self._study, self._space, self._controller = study, space, controller
+        self._flown = FlownRows(study, workers, journal, progress)
         self.rows: list[Row] = []
         self._points: list[Array] = []
         self._numbers: dict[int, list[int]] = {}  # of each repeat's flights
@@ -252,10 +251,10 @@ class _Flyer:
             self._points += list(candidates.points)
             for values, seed in zip(self._space.values(candidates.points), candidates.seeds, strict=True):
                 requests.append((repeat, candidates.level, (Point.of(self._controller, values), seed)))
-        self._fly([key for *_, key in requests])
+        self._flown.fly([key for *_, key in requests], _flight)
         margins: dict[int, list[float]] = {repeat: [] for repeat in asked}
         for repeat, level, key in requests:
-            row = self._flown[key]
+            row = self._flown.rows[key]
             number = len(self.rows)
             margin = row_margin(row, self._study)
             self.rows.append(
@@ -276,22 +275,9 @@ class _Flyer:
         total = sum(weights.values()) or 1.0
         return [Failure(number, self._points[number], weight / total) for number, weight in sorted(weights.items())]
 
-    def _fly(self, keys: list[tuple[Point, int]]) -> None:
-        missing = list(dict.fromkeys(key for key in keys if key not in self._flown))
-        first = len(self._flown)
-        numbered = {first + number: key for number, key in enumerate(missing)}
-        flights = [
-            Flight(number, number, point.controller, seed, dict(point.values))
-            for number, (point, seed) in numbered.items()
-        ]
-        for row in self._workers.fly(self._study, flights):
-            key = numbered.pop(int(row["flight"] or 0))
-            self._flown[key] = row
-            if self._journal is not None:
-                self._journal.add(*key, row)
-            self._progress(len(self._flown))
-        if numbered:
-            raise FlightError(f"{len(numbered)} flights were not flown")
+
+def _flight(point: Point, seed: int, number: int) -> Flight:
+    return Flight(number, number, point.controller, seed, dict(point.values))
 
 
 def describe_plan(plan: Plan) -> str:

@@ -10,40 +10,31 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import lock_file, map_os_errors, write_whole
-from cosim.base.storage.toml import read_toml, toml_text
-from cosim.campaign.folder import FrozenStudy, freeze
+from cosim.campaign.folder import freeze
 from cosim.campaign.folder import load as load_study
 from cosim.campaign.search.page import write_page
 from cosim.campaign.search.probe import Journal, Point, Prober
+from cosim.campaign.search.question import CASES, JOURNAL, STUDY, Words, begin_question, fly_row_again, holds_question
 from cosim.campaign.search.result import Case, SavedSearch, plan_table
-from cosim.campaign.search.search import Edge, JointResult, Plan, SearchResult, SecondKey, describe_flight, search
+from cosim.campaign.search.search import Edge, JointResult, Plan, SearchResult, SecondKey, search
 from cosim.campaign.search.span import span
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_number, parse_vary
 from cosim.campaign.study.engine_draw import default_draw, engine_draw
 from cosim.campaign.study.options import open_study
-from cosim.campaign.study.plan import scenario_of
 from cosim.campaign.study.study import Study
 from cosim.campaign.study.values import check_vary, levels
 from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.protocol import Workers
-from cosim.flight import fly
-from cosim.results.log.digest import log_digest
 from cosim.spec.controller_name import short_name
 
-STUDY, QUESTION, JOURNAL, RESULT, REPORT, CASES = (
-    "study",
-    "search.toml",
-    "flights.jsonl",
-    "search.json",
-    "search.html",
-    "cases",
-)
+RESULT, REPORT = "search.json", "search.html"
+SEARCH = Words("search.toml", "search", "a search", "another search")
 
 
 def resolve_search(
@@ -85,14 +76,11 @@ def resolve_search(
     if len(study.vary) > len(keys):
         raise InputError(f"{name}: is a study, which draws; a search takes its scenario, {study.scenario}")
     fine = _tolerances(tolerance, [entry.key for entry in varied])
-    first = study.base().seed if seed is None else seed
-    if not 0 <= first <= 2**53 - seeds:
-        raise InputError(f"--seed {first}: must be from 0 to {2**53 - seeds}")
     over_key = study.key(over_entries[0].key) if over_entries else None
     plan = Plan(
         spans=tuple(span(entry, study.key(entry.key), fine.get(entry.key)) for entry in varied),
         over=None if over_key is None else SecondKey(over_key, tuple(levels(over_entries[0], over_key))),
-        seeds=tuple(range(first, first + seeds)),
+        seeds=point_seeds(study, seed, seeds),
         share=share,
         budget=budget,
         draws_engine=seeds > 1 and default_draw(study.base(), study.nominal_engine, keys)[0] is not None,
@@ -100,6 +88,17 @@ def resolve_search(
     if over_entries:
         check_vary(over_entries[0], study.key(over_entries[0].key))
     return study, plan
+
+
+def point_seeds(study: Study, first: int | None, count: int) -> tuple[int, ...]:
+    """Return the seeds of a point's flights: the ``first``, or the scenario's, and those that follow it.
+
+    Raises InputError.
+    """
+    first = study.base().seed if first is None else first
+    if not 0 <= first <= 2**53 - count:
+        raise InputError(f"--seed {first}: must be from 0 to {2**53 - count}")
+    return tuple(range(first, first + count))
 
 
 def _parse_over(text: str | None) -> list[Vary]:
@@ -139,8 +138,8 @@ def run_search(
     """
     frozen = freeze(study)
     with map_os_errors(FlightError, out):
-        if not holds_search(out, frozen, plan_table(plan), resume):
-            begin(out, frozen, plan_table(plan))
+        if not holds_question(out, frozen, plan_table(plan), resume, SEARCH):
+            begin_question(out, frozen, plan_table(plan), SEARCH)
         with lock_file(out / JOURNAL, f"{out}: another search is at work there"):
             flown = load_study(out / STUDY)
             engine = engine_draw(flown.base()) if plan.draws_engine else None
@@ -154,36 +153,6 @@ def run_search(
     return searched
 
 
-def holds_search(out: Path, frozen: FrozenStudy, current: Mapping[str, Any], resume: bool) -> bool:
-    """Return whether the folder holds this very search, to be resumed; InputError if it holds anything else.
-
-    ``current`` is what is searched, as a table.
-    """
-    if not out.exists() or not any(out.iterdir()):
-        return False
-    if not (out / QUESTION).is_file():
-        raise InputError(f"{out}: is not empty and holds no search; choose another folder")
-    if not resume:
-        raise InputError(f"{out}: already holds a search; choose another folder, or --resume goes on with it")
-    difference = next(iter(frozen.differences(out / STUDY)), None)
-    saved = read_toml(out / QUESTION)
-    differing = [key for key in current.keys() | saved.keys() if current.get(key) != saved.get(key)]
-    if difference is None and differing:
-        key = min(differing)
-        difference = f"{QUESTION}: {key} is {saved.get(key)} there and {current.get(key)} here"
-    if difference is not None:
-        raise InputError(f"{out}: holds another search; {difference}")
-    return True
-
-
-def begin(out: Path, frozen: FrozenStudy, question: Mapping[str, Any]) -> None:
-    """Write what a folder of a search needs before its first flight."""
-    (out / STUDY).mkdir(parents=True)
-    frozen.write(out / STUDY)
-    (out / JOURNAL).touch()
-    write_whole(out / QUESTION, toml_text(dict(question)))  # the last: a folder that has it has all
-
-
 def _cases(result: SearchResult, prober: Prober, folder: Path) -> Iterator[Case]:
     """Fly what breaks and what just holds once more, recorded in full."""
     for name, point, breaks in _points_to_record(result):
@@ -194,15 +163,9 @@ def _cases(result: SearchResult, prober: Prober, folder: Path) -> Iterator[Case]
 
 def fly_case(prober: Prober, point: Point, row: Row, breaks: bool, folder: Path) -> Case:
     """Fly a flight of a search once more, recorded in full in ``folder``, and compare it with its row."""
-    seed, values = int(row["seed"] or 0), dict(point.values)
-    try:
-        run = fly(scenario_of(prober.study, prober.flight(point, seed)), folder)
-    except InputError as error:  # it could not be flown the first time either, which is how it failed
-        is_same = row["reason"] == str(error)
-        return Case(folder.name, point.controller, breaks, values, seed, "failed", str(error), is_same)
-    is_same = row["log_sha256"] == log_digest(run.log) and row["outcome"] == run.outcome
-    ended = describe_flight(prober.study, row) if is_same else f"{run.outcome}, {run.summary.reason}"
-    return Case(folder.name, point.controller, breaks, values, seed, run.outcome, ended, is_same)
+    seed = int(row["seed"] or 0)
+    again = fly_row_again(prober.study, prober.flight(point, seed), row, folder)
+    return Case(folder.name, point.controller, breaks, dict(point.values), seed, *again)
 
 
 def _first_success(result: SearchResult, prober: Prober, point: Point) -> Row:

@@ -52,6 +52,33 @@ def count_needed(fraction: float, flights: int) -> int:
     return max(1, ceil(fraction * flights - 1e-9))
 
 
+class FlownRows:
+    """The rows of what was asked for: each flown once, by any workers, and written to a journal as it comes."""
+
+    def __init__(
+        self, study: Study, workers: Workers, journal: Journal | None, progress: Callable[[int], None]
+    ) -> None:
+        self._study, self._workers, self._journal, self._progress = study, workers, journal, progress
+        self.rows: Rows = journal.read() if journal else {}
+
+    def fly(self, keys: Sequence[tuple[Point, int]], flight: Callable[[Point, int, int], Flight]) -> None:
+        """Fly those that have no row yet; ``flight`` makes one of a point, a seed and a number.
+
+        Raises FlightError if a flight cannot be flown.
+        """
+        missing = list(dict.fromkeys(key for key in keys if key not in self.rows))
+        numbered = dict(enumerate(missing, len(self.rows)))
+        flights = [flight(*key, number) for number, key in numbered.items()]
+        for row in self._workers.fly(self._study, flights):
+            key = numbered.pop(int(row["flight"] or 0))
+            self.rows[key] = row
+            if self._journal:
+                self._journal.add(*key, row)
+            self._progress(len(self.rows))
+        if numbered:
+            raise FlightError(f"{len(numbered)} flights were not flown")
+
+
 class Prober:
     """Flies points with every seed.
 
@@ -74,10 +101,7 @@ class Prober:
         self.seeds = tuple(seeds)
         self.needed = count_needed(fraction, len(self.seeds))
         self.remaining: int | None = None  # flights that are still allowed; None: as many as it takes
-        self._workers = workers
-        self._journal = journal
-        self._progress = progress
-        self._rows: Rows = journal.read() if journal else {}
+        self._flown = FlownRows(study, workers, journal, progress)
         self._requests: dict[tuple[Point, int], None] = {}  # keys are in the order of the requests
 
     @property
@@ -97,13 +121,13 @@ class Prober:
 
     def result(self, point: Point) -> PointResult:
         """Return the outcome of a point that was flown."""
-        rows = [self._rows[point, seed] for seed in self.seeds]
+        rows = [self._flown.rows[point, seed] for seed in self.seeds]
         broken = [row for row in rows if not row["success"]]
         return PointResult(len(broken), len(rows), len(broken) >= self.needed, (broken or rows)[0])
 
     def row(self, point: Point, seed: int) -> Row:
         """Return the row of a flown point with a seed."""
-        return self._rows[point, seed]
+        return self._flown.rows[point, seed]
 
     def flight(self, point: Point, seed: int, number: int = 0) -> Flight:
         """Return the flight of a point with a seed; all but the first seed bring a draw of an uncertain engine."""
@@ -120,18 +144,7 @@ class Prober:
             if self.remaining < 0:
                 raise BudgetSpentError
         self._requests.update(dict.fromkeys(new))
-        missing = [key for key in new if key not in self._rows]
-        first = len(self._rows)
-        numbered = {first + number: key for number, key in enumerate(missing)}
-        flights = [self.flight(*key, number) for number, key in numbered.items()]
-        for row in self._workers.fly(self.study, flights):
-            key = numbered.pop(int(row["flight"] or 0))
-            self._rows[key] = row
-            if self._journal:
-                self._journal.add(*key, row)
-            self._progress(len(self._rows))
-        if numbered:
-            raise FlightError(f"{len(numbered)} flights were not flown")
+        self._flown.fly(new, self.flight)
 
 
 class Journal:

@@ -10,7 +10,6 @@ import json
 import re
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,9 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import lock_file, map_os_errors, write_whole
 from cosim.campaign.folder import freeze
 from cosim.campaign.folder import load as load_study
-from cosim.campaign.search.folder import CASES, JOURNAL, REPORT, RESULT, STUDY, begin, fly_case, holds_search
+from cosim.campaign.search.folder import REPORT, RESULT, SEARCH, fly_case, point_seeds
 from cosim.campaign.search.probe import Journal, Point, Prober
+from cosim.campaign.search.question import CASES, JOURNAL, STUDY, Answered, begin_question, holds_question
 from cosim.campaign.search.result import Case
 from cosim.campaign.search.worst_case import (
     LIKELY_WITHIN,
@@ -41,23 +41,7 @@ from cosim.spec.controller_name import short_name
 RANGES = "ranges"
 
 
-@dataclass(frozen=True)
-class SavedWorst:
-    """A finished search for the worst case and its folder."""
-
-    folder: Path
-    result: WorstSearch
-    cases: tuple[Case, ...]
-
-    @property
-    def confirmed(self) -> bool:
-        """Whether every case came out as it had in the search."""
-        return all(case.same for case in self.cases)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the table that ``search.json`` holds."""
-        cases = [asdict(case) for case in self.cases]
-        return {"folder": str(self.folder), **self.result.to_json(), "cases": cases, "confirmed": self.confirmed}
+SavedWorst = Answered[WorstSearch, Case]
 
 
 def resolve_worst(
@@ -78,10 +62,7 @@ def resolve_worst(
     """
     opened: dict[str, Any] = {"design": "random", "runs": 1, "until": ""} | options
     study = name if isinstance(name, Study) else open_study(name, **opened)
-    first = study.base().seed if seed is None else seed
-    if not 0 <= first <= 2**53 - seeds:
-        raise InputError(f"--seed {first}: must be from 0 to {2**53 - seeds}")
-    plan = WorstPlan(likely, _within(within, likely), tuple(range(first, first + seeds)), budget, study.seed)
+    plan = WorstPlan(likely, _within(within, likely), point_seeds(study, seed, seeds), budget, study.seed)
     check_region(study, plan)
     return study, plan
 
@@ -115,8 +96,8 @@ def run_worst(
     """
     frozen = freeze(study)
     with map_os_errors(FlightError, out):
-        if not holds_search(out, frozen, plan.table(), resume):
-            begin(out, frozen, plan.table())
+        if not holds_question(out, frozen, plan.table(), resume, SEARCH):
+            begin_question(out, frozen, plan.table(), SEARCH)
         with lock_file(out / JOURNAL, f"{out}: another search is at work there"):
             flown = load_study(out / STUDY)
             prober = Prober(flown, plan.seeds, 0.0, workers, Journal(out / JOURNAL), progress)

@@ -232,16 +232,22 @@ _SEARCHED = ("vary", "controllers", "seeds", "success", "budget", "seed", "nomin
 
 
 @contextmanager
-def _searching(options: Search, name: str) -> Iterator[tuple[Path, Callable[[int], None], Workers]]:
-    """Yield the folder of a search, a function that is told how many flights there are, and the workers."""
+def _searching(
+    options: Search | Rare, name: str, what: str = "search"
+) -> Iterator[tuple[Path, Callable[[int], None], Workers]]:
+    """Yield the folder of a search, a function that is told how many flights there are, and the workers.
+
+    ``what`` is the name of the command, whose folder it is.
+    """
     from cosim.campaign.run import choose_workers
 
     if options.resume and options.out is None:
-        raise InputError("--resume: give the folder of the search with --out")
+        asked = {"search": "search", "rare": "simulation"}[what]
+        raise InputError(f"--resume: give the folder of the {asked} with --out")
     folder = options.run_folder(name)
     with (
         output_to_stderr(options.as_json),
-        search_progress(folder, quiet=options.as_json) as tell,
+        search_progress(folder, quiet=options.as_json, what=what) as tell,
         choose_workers(options.workers, options.cluster, options.time_limit) as flying,
     ):
         yield folder, tell, flying
@@ -284,20 +290,12 @@ def rare(options: Rare) -> int:
     was stopped before, or a failure came out otherwise when it was flown again.
     """
     from cosim.campaign.rare.folder import resolve_rare, run_rare
-    from cosim.campaign.run import choose_workers
 
     simulated = options.chosen(
         "vary", "controllers", "correlate", "success", "target", "budget", "same_seed", "seed", "nominal_engine"
     )
     study, plan = resolve_rare(options.name, settings=options.study_settings(), **simulated)
-    if options.resume and options.out is None:
-        raise InputError("--resume: give the folder of the simulation with --out")
-    folder = options.run_folder(f"rare-{study.name}")
-    with (
-        output_to_stderr(options.as_json),
-        search_progress(folder, quiet=options.as_json, what="rare") as tell,
-        choose_workers(options.workers, options.cluster, options.time_limit) as flying,
-    ):
+    with _searching(options, f"rare-{study.name}", "rare") as (folder, tell, flying):
         saved = run_rare(study, plan, folder, flying, options.resume, tell)
     options.answer(saved.to_json, lambda: print_rare(saved))
     return DONE if saved.confirmed else FLIGHT_FAILED

@@ -17,8 +17,9 @@ from command_tools import Hexjet
 from patience import PATIENCE
 from places import DESIGNS
 
-from cosim.campaign.search.folder import JOURNAL, RESULT
+from cosim.campaign.search.folder import RESULT
 from cosim.campaign.search.probe import Point, Prober
+from cosim.campaign.search.question import JOURNAL
 from cosim.campaign.search.worst_folder import SavedWorst, resolve_worst, run_worst
 from cosim.campaign.study.draws import draws
 from cosim.campaign.workers.cluster import DaskWorkers

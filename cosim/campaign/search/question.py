@@ -1,0 +1,123 @@
+"""The folder of a question about a study that flights answer: a search, or the probability of a rare failure.
+
+``study/`` has the study and the scenario with all their numbers, a TOML file what was asked, ``flights.jsonl`` a line a
+flight as it came, and ``cases/`` the runs of the flights that show the answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+
+from cosim.base.errors import InputError
+from cosim.base.storage.files import write_whole
+from cosim.base.storage.toml import read_toml, toml_text
+from cosim.campaign.folder import FrozenStudy
+from cosim.campaign.search.search import describe_flight
+from cosim.campaign.study.plan import Flight, scenario_of
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import Row
+from cosim.flight import fly
+from cosim.results.log.digest import log_digest
+
+STUDY, JOURNAL, CASES = "study", "flights.jsonl", "cases"
+
+
+class Words(NamedTuple):
+    """How messages name the file that has what was asked, what a folder may lack or hold, and another one of it."""
+
+    file: str
+    none: str
+    one: str
+    other: str
+
+
+def holds_question(out: Path, frozen: FrozenStudy, asked: Mapping[str, Any], resume: bool, words: Words) -> bool:
+    """Return whether the folder holds this very question, to be resumed; InputError if it holds anything else.
+
+    ``asked`` is what is asked, as a table.
+    """
+    if not out.exists() or not any(out.iterdir()):
+        return False
+    if not (out / words.file).is_file():
+        raise InputError(f"{out}: is not empty and holds no {words.none}; choose another folder")
+    if not resume:
+        raise InputError(f"{out}: already holds {words.one}; choose another folder, or --resume goes on with it")
+    difference = next(iter(frozen.differences(out / STUDY)), None)
+    saved = read_toml(out / words.file)
+    differing = [key for key in asked.keys() | saved.keys() if asked.get(key) != saved.get(key)]
+    if difference is None and differing:
+        key = min(differing)
+        difference = f"{words.file}: {key} is {saved.get(key)} there and {asked.get(key)} here"
+    if difference is not None:
+        raise InputError(f"{out}: holds {words.other}; {difference}")
+    return True
+
+
+def begin_question(out: Path, frozen: FrozenStudy, asked: Mapping[str, Any], words: Words) -> None:
+    """Write what the folder needs before its first flight."""
+    (out / STUDY).mkdir(parents=True)
+    frozen.write(out / STUDY)
+    (out / JOURNAL).touch()
+    write_whole(out / words.file, toml_text(dict(asked)))  # the last: a folder that has it has all
+
+
+class FlownCase(Protocol):
+    """A flight that shows the answer, flown again: a dataclass."""
+
+    @property
+    def same(self) -> bool:
+        """Whether it is as it was before, bit for bit."""
+        ...
+
+
+class Answer(Protocol):
+    """What came of a question."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as a table."""
+        ...
+
+
+A = TypeVar("A", bound=Answer)
+C = TypeVar("C", bound=FlownCase)
+
+
+@dataclass(frozen=True)
+class Answered(Generic[A, C]):
+    """An answer, its folder, and the flights that show it, flown again."""
+
+    folder: Path
+    result: A
+    cases: tuple[C, ...]
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether every case came out as it had before."""
+        return all(case.same for case in self.cases)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the table that the folder's JSON file holds."""
+        cases = [asdict(case) for case in self.cases]  # type: ignore[call-overload]
+        return {"folder": str(self.folder), **self.result.to_json(), "cases": cases, "confirmed": self.confirmed}
+
+
+class FlownAgain(NamedTuple):
+    """A flight flown again: its outcome, what came of it in words, and whether it is as in its row, bit for bit."""
+
+    outcome: str
+    reason: str
+    same: bool
+
+
+def fly_row_again(study: Study, flight: Flight, row: Row, folder: Path) -> FlownAgain:
+    """Fly a flight that has a row once more, recorded in full in ``folder``, and compare it with its row."""
+    try:
+        run = fly(scenario_of(study, flight), folder)
+    except InputError as error:  # it could not be flown the first time either, which is how it failed
+        return FlownAgain("failed", str(error), row["reason"] == str(error))
+    same = row["log_sha256"] == log_digest(run.log) and row["outcome"] == run.outcome
+    reason = describe_flight(study, row) if same else f"{run.outcome}, {run.summary.reason}"
+    return FlownAgain(run.outcome, reason, same)
