@@ -53,7 +53,11 @@ class FrozenStudy:
 
     def differences(self, folder: Path) -> Iterator[str]:
         """Yield a line for each difference between this study and the one in ``folder``, the study itself first."""
-        defaults = {name: field.default for name, field in Study.model_fields.items() if not field.is_required()}
+        defaults = {
+            name: field.get_default(call_default_factory=True)
+            for name, field in Study.model_fields.items()
+            if not field.is_required()
+        }
         for name, table, unstated in ((STUDY, self.study, defaults), (SCENARIO, self.scenario, {})):
             saved = read_toml(folder / name)
             ignored = {key for key in PROVENANCE if name == SCENARIO and (key == "changed" or key not in saved)}
