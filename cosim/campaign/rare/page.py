@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,10 @@ from cosim.campaign.rare.estimate import probability_text
 from cosim.campaign.rare.result import SavedRare
 from cosim.campaign.rare.simulation import RareResult, describe_plan
 from cosim.campaign.rare.subset import Repeat
+from cosim.campaign.search.page import text
+from cosim.campaign.search.question import CASES, case_links
 from cosim.results.report.page import render
 from cosim.results.report.plot import ABOVE, GREY, RED, layout, run_colour
-from cosim.results.run import REPORT, SCENARIO
 from cosim.spec.controller_name import short_name
 
 Figure = dict[str, Any]
@@ -34,11 +34,8 @@ def write_page(saved: SavedRare, path: Path) -> None:
     base = result.study.base()
     cases = []
     for case in saved.cases:
-        folder = saved.folder / "cases" / case.name
-        link = f"cases/{case.name}/{REPORT}" if (folder / REPORT).is_file() else ""
-        values = ", ".join(f"{key} = {_text(value)}" for key, value in case.values.items())
-        command = f"hexjet fly {shlex.quote((folder / SCENARIO).as_posix())}"
-        cases.append({"case": case, "values": values, "link": link, "command": command})
+        values = ", ".join(f"{key} = {text(value)}" for key, value in case.values.items())
+        cases.append({"case": case, "what": values} | case_links(saved.folder / CASES / case.name, path))
     render(
         TEMPLATE,
         path,
@@ -62,8 +59,8 @@ def repeat_rows(result: RareResult) -> list[list[str]]:
     for number, repeat in enumerate(result.repeats, 1):
         log = repeat.log_probability
         thresholds = ", ".join(f"{level.threshold:.3g}" for level in repeat.levels[:-1])
-        text = "no failure" if log is None else probability_text(float(np.exp(log)))
-        rows.append([str(number), str(repeat.flights), thresholds or "-", text])
+        probability = "no failure" if log is None else probability_text(float(np.exp(log)))
+        rows.append([str(number), str(repeat.flights), thresholds or "-", probability])
     return rows
 
 
@@ -121,7 +118,3 @@ def _curve(repeat: Repeat) -> tuple[list[float], list[float]]:
     logs = [(margin, repeat.log_below(margin)) for margin in margins]
     kept = [(margin, float(np.exp(log))) for margin, log in logs if log is not None]
     return [margin for margin, _ in kept], [probability for _, probability in kept]
-
-
-def _text(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

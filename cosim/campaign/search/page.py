@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import shlex
 from math import cos, log10, pi, sin
 from pathlib import Path
 from typing import Any
 
 from cosim.campaign.search.probe import Point
+from cosim.campaign.search.question import CASES, case_links
 from cosim.campaign.search.result import SavedSearch
 from cosim.campaign.search.search import Edge, JointResult, Plan, SearchResult
 from cosim.campaign.search.span import Span
 from cosim.campaign.study.key import Value
 from cosim.results.report.page import render
 from cosim.results.report.plot import ABOVE, GREEN, GREY, RED, layout, run_colour
-from cosim.results.run import REPORT, SCENARIO
 from cosim.spec.controller_name import short_name
 from cosim.spec.scenario import flown_parameters, list_changes
 
@@ -36,12 +34,8 @@ def write_page(searched: SavedSearch, path: Path) -> None:
     columns, rows = table(result)
     cases = []
     for case in searched.cases:
-        folder = searched.folder / "cases" / case.name
-        replayed = (folder / REPORT).is_file()
         values = ", ".join(f"{key} = {value}" for key, value in case.values.items())
-        link = Path(os.path.relpath(folder / REPORT, path.parent)).as_posix() if replayed else ""
-        command = shlex.quote((folder / SCENARIO).as_posix())
-        links = {"what": values, "report": link, "command": command}
+        links = {"what": values} | case_links(searched.folder / CASES / case.name, path)
         cases.append({name: getattr(case, name) for name in ("name", "seed", "outcome", "reason", "same")} | links)
     base = result.study.base()
     render(

@@ -6,6 +6,8 @@ flight as it came, and ``cases/`` the runs of the flights that show the answer.
 
 from __future__ import annotations
 
+import os
+import shlex
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,6 +23,7 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row
 from cosim.flight import fly
 from cosim.results.log.digest import log_digest
+from cosim.results.run import REPORT, SCENARIO
 
 STUDY, JOURNAL, CASES = "study", "flights.jsonl", "cases"
 
@@ -121,3 +124,10 @@ def fly_row_again(study: Study, flight: Flight, row: Row, folder: Path) -> Flown
     same = row["log_sha256"] == log_digest(run.log) and row["outcome"] == run.outcome
     reason = describe_flight(study, row) if same else f"{run.outcome}, {run.summary.reason}"
     return FlownAgain(run.outcome, reason, same)
+
+
+def case_links(folder: Path, page: Path) -> dict[str, str]:
+    """Return the ``report`` of a case's folder as linked from a page, empty without one, and the ``command``'s file."""
+    report = folder / REPORT
+    link = Path(os.path.relpath(report, page.parent)).as_posix() if report.is_file() else ""
+    return {"report": link, "command": shlex.quote((folder / SCENARIO).as_posix())}

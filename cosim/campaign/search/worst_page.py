@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from cosim.campaign.search.page import ROW_PX, text
+from cosim.campaign.search.question import CASES, case_links
 from cosim.campaign.search.result import Case
 from cosim.campaign.search.worst_case import WorstCase, WorstSearch, important
 from cosim.results.report.page import render
 from cosim.results.report.plot import ABOVE, layout, run_colour
-from cosim.results.run import REPORT, SCENARIO
 from cosim.spec.controller_name import short_name
 
 TEMPLATE = Path(__file__).parent / "templates" / "worst.html"
@@ -49,12 +48,9 @@ def write_page(result: WorstSearch, cases: Sequence[Case], path: Path) -> None:
     base = result.study.base()
     flown = []
     for case in cases:
-        folder = path.parent / "cases" / case.name
-        report = (folder / REPORT).relative_to(path.parent).as_posix() if (folder / REPORT).is_file() else ""
-        command = shlex.quote((folder / SCENARIO).as_posix())
         flown.append(
             {name: getattr(case, name) for name in ("name", "seed", "reason", "same")}
-            | {"report": report, "command": command}
+            | case_links(path.parent / CASES / case.name, path)
             | {"what": ", ".join(f"{key} = {text(value)}" for key, value in case.values.items())}
         )
     render(

@@ -101,6 +101,8 @@ def test_a_known_truth_is_in_the_interval_and_all_is_kept(whole: SavedRare) -> N
     page = (whole.folder / "rare.html").read_text()
     assert found.text in page
     assert "What the failures have in common" in page
+    for case in whole.cases:
+        assert ", ".join(f"{key} = {value:.6g}" for key, value in case.values.items()) in page
 
 
 @pytest.mark.parametrize("count", [1, 2])
@@ -158,6 +160,10 @@ def test_a_folder_is_of_one_simulation(whole: SavedRare, tmp_path: Path) -> None
         run_rare(known(), Plan(Budget(1e-3, 1700)), whole.folder, Here(), resume=True)
     with pytest.raises(InputError, match=r"holds another one; study.toml: seed is 1 there and 4 here"):
         run_rare(known().changed(seed=4), SMALL, whole.folder, Here(), resume=True)
+    with pytest.raises(
+        InputError, match=r"holds another one; study.toml: controllers is \['smith'\] there and \[\] here"
+    ):
+        run_rare(known().changed(controllers=[]), SMALL, whole.folder, Here(), resume=True)
     (tmp_path / "else").touch()
     with pytest.raises(InputError, match="is not empty and holds no simulation of rare failures"):
         run_rare(known(), SMALL, tmp_path, Here())
