@@ -67,7 +67,7 @@ def test_residuals(parts: Sequence[Part], residual: Array, delay: float, total: 
         moving.append(means[active])
         quiet.append(means[~active])
     row = max(float(np.median(np.diff(part.command_times))) for part in parts)
-    swing = float(np.ptp(np.concatenate([part.output for part in parts])))
+    swing = output_swing(parts)
     least = max(LEAST_SIZE, ROW_SIZE * row / total)
     grown = _compare_noise(np.concatenate(moving), np.concatenate(quiet), swing)._replace(least_size=least)
     if grown.failed or not blocks:
@@ -157,10 +157,19 @@ def first_half(parts: Sequence[Part]) -> list[NDArray[np.bool_]] | None:
     return early
 
 
-def describe_held_back(held_back: tuple[float, float], unit: str) -> str:
-    """Describe how far a model fitted on the first half of the movements is off in the second, and in the first."""
+def output_swing(parts: Sequence[Part]) -> float:
+    """Return the range of all logs' output, in its unit."""
+    return float(np.ptp(np.concatenate([part.output for part in parts])))
+
+
+def describe_held_back(held_back: tuple[float, float], unit: str, swing: float) -> str:
+    """Describe how far a model fitted on the first half of the movements is off in the second, and in the first.
+
+    ``swing``: the output's range, beyond which it does not matter by how much.
+    """
+    second = f"{held_back[1]:.3g} {unit}" if held_back[1] < swing else "more than the output's whole range"
     return (
-        f"fitted on the first half of the movements it is off by {held_back[1]:.3g} {unit} in the second, "
+        f"fitted on the first half of the movements it is off by {second} in the second, "
         f"and by {held_back[0]:.3g} {unit} where it was fitted"
     ).replace("  ", " ")
 

@@ -12,7 +12,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError, NotIdentifiedError, nearest
 from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.engine.fmu.variables import Variable
-from cosim.identify.bench.evidence import Misfit, describe_held_back, first_half, test_residuals
+from cosim.identify.bench.evidence import Misfit, describe_held_back, first_half, output_swing, test_residuals
 from cosim.identify.bench.fit import Part, Problem
 from cosim.identify.bench.record import BenchRecord
 from cosim.identify.bench.robust import invert, memory_rows, robust_factor
@@ -74,7 +74,7 @@ class GreyIdentification:
     @property
     def swing(self) -> float:
         """Range of the output."""
-        return float(np.ptp(np.concatenate([part.output for part in self.parts])))
+        return output_swing(self.parts)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the signals, for JSON."""
@@ -182,7 +182,7 @@ def fit_engine(records: Sequence[BenchRecord], choices: GreyChoices) -> GreyIden
         size = f"{100.0 * misfit.size:.2g} % of the output's swing (rms)"
         notes.append(f"not explained: what is left over still belongs to the command, {size}; bounds do not cover that")
     if held_back is not None and held_back[1] > POOR_PREDICTION * held_back[0]:
-        notes.append(describe_held_back(held_back, output_unit(records[0])))
+        notes.append(describe_held_back(held_back, output_unit(records[0]), output_swing(parts)))
     return GreyIdentification(
         tuple(records), choices, model.with_values(values[1:]), values, covariance, residual, tuple(parts),
         misfit, held_back, tuple(notes),

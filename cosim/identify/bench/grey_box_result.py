@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.storage.toml import read_toml, toml_text
+from cosim.identify.bench.evidence import describe_held_back
 from cosim.identify.bench.grey_box import STEP_S, GreyIdentification, output_unit
 from cosim.identify.bench.result import lay_behind
 from cosim.identify.engine_file import DEVIATIONS_95, uncertainty_table
@@ -81,9 +82,7 @@ def summary(result: GreyIdentification) -> str:
     names = ", ".join(record.path.name for record in result.records)
     unit, held = output_unit(first), ""
     if result.held_back is not None:
-        held = (
-            f"; fitted on the first half of the movements it is off by {result.held_back[1]:.3g} {unit} in the second"
-        )
+        held = f"; {describe_held_back(result.held_back, unit, result.swing)}"
     share = 100.0 * result.residual_rms / result.swing
     return (
         f"{names}: {first.command_name} to {first.output_name}, {result.choices.engine}; left over "

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.identify.bench.command import moves_on
-from cosim.identify.bench.evidence import Misfit, describe_held_back, predict_held_back, test_residuals
+from cosim.identify.bench.evidence import Misfit, describe_held_back, output_swing, predict_held_back, test_residuals
 from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, make_part
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
@@ -151,7 +151,7 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     held_back = predict_held_back(problem, chosen)
     found = BenchIdentification(
         tuple(records), problem, limits, known, straight, estimates, misfit, held_back, spread,
-        (*notes, *doubts, *_doubts(chosen, misfit, held_back, records[0])), (),
+        (*notes, *doubts, *_doubts(chosen, misfit, held_back, records[0], output_swing(problem.parts))), (),
     )  # fmt: skip
     return replace(
         found, untold=tuple(describe_missing_evidence(chosen, records, limits, problem.longest_delay, straight))
@@ -319,7 +319,9 @@ def _compare_logs(
     return spread, doubts
 
 
-def _doubts(chosen: Estimate, misfit: Misfit, held_back: tuple[float, float] | None, record: BenchRecord) -> list[str]:
+def _doubts(
+    chosen: Estimate, misfit: Misfit, held_back: tuple[float, float] | None, record: BenchRecord, swing: float
+) -> list[str]:
     doubts = []
     if chosen.gain < 0.0:
         doubts.append(
@@ -329,7 +331,7 @@ def _doubts(chosen: Estimate, misfit: Misfit, held_back: tuple[float, float] | N
     if misfit.failed:
         doubts.append(misfit.words)
     if held_back is not None and held_back[1] > POOR_PREDICTION * held_back[0]:
-        doubts.append(describe_held_back(held_back, record.output_unit))
+        doubts.append(describe_held_back(held_back, record.output_unit, swing))
     if chosen.delay_bounds[0] == 0.0:
         doubts.append("no delay at all is within the bounds")
     return doubts

@@ -12,6 +12,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import toml_text
+from cosim.identify.bench.evidence import describe_held_back, output_swing
 from cosim.identify.bench.fit import Estimate, Part
 from cosim.identify.bench.identify import BenchIdentification
 from cosim.identify.engine_file import (
@@ -71,10 +72,8 @@ def page(result: BenchIdentification) -> Page:
     """Return the page of an identification."""
     held = "nothing could be held back to test it"
     if result.held_back is not None:
-        held = (
-            f"fitted on the first half of the movements alone {result.held_back[0]:.3g} there and "
-            f"{result.held_back[1]:.3g} in the second half"
-        )
+        swing = output_swing(result.problem.parts)
+        held = describe_held_back(result.held_back, result.records[0].output_unit, swing)
     left_over = (
         f"Left over: {result.residual_rms:.3g} (rms); {held}. Of that {100.0 * result.misfit.share:.2g} % follow the "
         f"command (p {result.misfit.p:.2g})."

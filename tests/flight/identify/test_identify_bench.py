@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,9 @@ from known_benches import EXCITATIONS, Truth, bench_log
 from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.engine import EngineBank, load_engine
 from cosim.identify.bench import BenchIdentification, Choices, Columns, identify_bench, read_records
+from cosim.identify.bench.evidence import describe_held_back
 from cosim.identify.bench.identify import throttle_limits
+from cosim.identify.bench.result import page
 
 RECORDINGS = Path(__file__).parents[4] / "shared" / "data" / "jetcat-p300" / "recordings"
 ONE = Truth()
@@ -54,6 +57,28 @@ def test_a_load_cell_at_a_kilohertz_tells_the_delay_to_a_millisecond(tmp_path: P
     assert result.chosen.delay == pytest.approx(0.1, abs=0.001)
     assert result.records[0].step == pytest.approx(0.001, rel=1e-6)
     assert not any("averaged" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(
+    ("second", "unit", "words"),
+    [
+        (1.5, "N", "off by 1.5 N in the second, and by 0.2 N where it was fitted"),
+        (1.5, "", "off by 1.5 in the second, and by 0.2 where it was fitted"),
+        (4.17e6, "rpm", "off by more than the output's whole range in the second, and by 0.2 rpm where it was fitted"),
+        (float("nan"), "", "off by more than the output's whole range in the second, and by 0.2 where it was fitted"),
+    ],
+)
+def test_beyond_the_range_of_the_output_it_is_not_said_by_how_much(second: float, unit: str, words: str) -> None:
+    described = describe_held_back((0.2, second), unit, 100.0)
+    assert described == f"fitted on the first half of the movements it is {words}"
+
+
+def test_the_page_says_it_in_the_same_words(tmp_path: Path) -> None:
+    result = found(tmp_path, "stairs of 5 s", 10.0)
+    assert result.held_back is not None
+    assert f"off by {result.held_back[1]:.3g} N in the second" in page(result).cards[1].text
+    far = page(replace(result, held_back=(0.2, 4.17e6))).cards[1].text
+    assert describe_held_back((0.2, 4.17e6), "N", 100.0) in far
 
 
 def test_rows_of_a_kilohertz_are_averaged_and_the_delay_stays_where_it_is(tmp_path: Path) -> None:
