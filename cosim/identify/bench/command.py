@@ -28,7 +28,8 @@ class Command:
     times: Array
     values: Array
     slopes: Array
-    _known: dict[float, Array] = field(default_factory=dict, compare=False, repr=False)  # states by lag, the last few
+    # states by lag, or by the lags of one that goes with the level, the last few
+    _known: dict[float | tuple[float, float], Array] = field(default_factory=dict, compare=False, repr=False)
 
     def lagged(self, lag: float, at: Array) -> Array:
         """Return the answer of ``1 / (lag s + 1)`` at these times [s], from rest at the first value."""
@@ -67,8 +68,7 @@ class Command:
         ``lags``: at an answer of 0 and of 1, s.  Of a command that is held alone: of ``e = u - y`` and ``c = a + b u``
         then ``s exp(s)``, ``s = -b e / c``, falls as ``exp(-t / c)``, which Lambert's W undoes.
         """
-        piece = np.maximum(np.searchsorted(self.times, at, side="right") - 1, 0)
-        within = np.maximum(at - self.times[piece], 0.0)
+        piece, within = self._pieces(at)
         return np.asarray(self.values[piece] - self._errors_by_level(lags, piece, within))
 
     def lagged_by_level_means(self, lags: tuple[float, float], begins: Array, ends: Array) -> Array:
@@ -89,27 +89,34 @@ class Command:
         whole = np.concatenate([[0.0], np.cumsum(over)])
 
         def missing(at: Array) -> Array:
-            piece = np.maximum(np.searchsorted(self.times, at, side="right") - 1, 0)
-            error = self._errors_by_level(lags, piece, np.maximum(at - self.times[piece], 0.0))
+            piece, within = self._pieces(at)
+            error = self._errors_by_level(lags, piece, within)
             return np.asarray(whole[piece] + area(piece, first[piece]) - area(piece, error))
 
         seconds = ends - begins
         command = (self._integral(ends) - self._integral(begins)) / seconds
         return np.asarray(command - (missing(ends) - missing(begins)) / seconds)
 
+    def _pieces(self, at: Array) -> tuple[NDArray[np.intp], Array]:
+        """Return the pieces in which these times [s] are, and the seconds since they began; 0 before the first."""
+        piece = np.maximum(np.searchsorted(self.times, at, side="right") - 1, 0)
+        return piece, np.maximum(at - self.times[piece], 0.0)
+
     def _errors_by_level(self, lags: tuple[float, float], piece: NDArray[np.intp], within: Array) -> Array:
         """Return command less answer so many seconds into these pieces."""
-        base, slope = lags[0], lags[1] - lags[0]
-        settled = base + slope * self.values
-        if abs(slope) < SAME_LAG * max(lags):
-            slope = SAME_LAG * max(lags)
+        settled = lags[0] + (lags[1] - lags[0]) * self.values[piece]
+        return _fade_by_level(_slope(lags), self._states_by_level(lags)[piece], settled, within)
+
+    def _states_by_level(self, lags: tuple[float, float]) -> Array:
+        """Return command less answer where each piece begins."""
+        if lags in self._known:
+            return self._known[lags]
+        slope, settled = _slope(lags), lags[0] + (lags[1] - lags[0]) * self.values
         state, h = np.zeros(len(self.times)), np.diff(self.times)
         for k in range(1, len(state)):
-            before = state[k - 1]
-            left = _undo(-slope * before / settled[k - 1], h[k - 1] / settled[k - 1]) * settled[k - 1] / -slope
+            left = _fade_by_level(slope, state[k - 1], settled[k - 1], h[k - 1])
             state[k] = left + self.values[k] - self.values[k - 1]
-        own = settled[piece]
-        return np.asarray(_undo(-slope * state[piece] / own, within / own) * own / -slope)
+        return self._keep(lags, state)
 
     def _integral(self, at: Array) -> Array:
         """Return the command's integral from its first time to these times [s]."""
@@ -135,18 +142,27 @@ class Command:
                 state[begin] = np.exp(-h[begin - 1] / lag) * state[begin - 1] + forced[begin - 1]
             grown = np.exp(since[begin + 1 : end] - since[begin])
             state[begin + 1 : end] = (state[begin] + np.cumsum(grown * forced[begin : end - 1])) / grown
+        return self._keep(lag, state)
+
+    def _keep(self, lag: float | tuple[float, float], state: Array) -> Array:
         if len(self._known) >= MOST_KNOWN:
             self._known.clear()
         self._known[lag] = state
         return state
 
 
-def _undo(start: Array, fallen: Array) -> Array:
-    """Return the ``s`` whose ``s exp(s)`` is that of ``start`` times ``exp(-fallen)``."""
+def _slope(lags: tuple[float, float]) -> float:
+    """Return by how much a lag grows with the answer, not quite 0 where it does not."""
+    slope, least = lags[1] - lags[0], SAME_LAG * max(lags)
+    return least if abs(slope) < least else slope
+
+
+def _fade_by_level(slope: float, error: Array, settled: Array, seconds: Array) -> Array:
+    """Return what is left of these errors after so many seconds, where the lag is ``settled`` s without an error."""
     from scipy.special import lambertw
 
-    start = np.clip(start, -1.0, STEEPEST)
-    return np.asarray(lambertw(start * np.exp(start - fallen)).real)
+    start = np.clip(-slope * error / settled, -1.0, STEEPEST)
+    return np.asarray(lambertw(start * np.exp(start - seconds / settled)).real * settled / -slope)
 
 
 def _over(lag: float, seconds: Array, state: Array, value: Array, slope: Array) -> Array:
