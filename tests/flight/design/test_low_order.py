@@ -8,11 +8,10 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from optimal_block import Behind
 from places import script
 
 from cosim.base.errors import InputError
-from cosim.base.signals import Vector3
-from cosim.control.laws.optimal import make_predictor
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.limit import Bounds, find_limit
 from cosim.design.loop.low_order import START, LowOrder, free_weights, reduce_limit
@@ -39,21 +38,8 @@ def reduced() -> LowOrder:
     return reduce_limit(roll(), roll().model("exact"), BOUNDS, LAG_S, rounds=0)
 
 
-class Behind:
-    """A proportional gain behind the predictor of a target."""
-
-    def __init__(self, low: LowOrder) -> None:
-        self._predictor, self._gain, self.attitude = make_predictor(roll().model("exact"), low.target)
-
-    def reset(self) -> None:
-        self._predictor.reset()
-
-    def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
-        return (self._gain * (setpoint[0] - self._predictor.update(measured[0], applied[0])), 0.0, 0.0)
-
-
 def test_a_low_order_keeps_the_bounds_in_the_loop_and_is_near_the_limit() -> None:
-    low, block = reduced(), Behind(reduced())
+    low, block = reduced(), Behind(roll(), reduced().target)
     loop = script("law_loop").LawLoop(roll(), block, block.attitude)
     assert loop.load_error == pytest.approx(low.loop.load_error, rel=1e-4)
     assert loop.step_error == pytest.approx(low.loop.step_error, rel=1e-4)
@@ -79,7 +65,7 @@ def test_weights_that_are_free_leave_the_loop_exact_at_rest() -> None:
     free = free_weights(roll().model("exact"), low)
     assert free.shape == (2 * len(START), 2 * len(START) - 3)
     moved = replace(low, weights=tuple((np.array(low.weights) + 0.05 * free[:, 0]).tolist()))
-    block = Behind(LowOrder(moved, reduced().loop))
+    block = Behind(roll(), moved)
     loop = script("law_loop").LawLoop(roll(), block, block.attitude, 12.0)
     assert abs(loop.load_left) < 1e-5 * loop.load_error
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from optimal_block import Behind
 from places import ROOT, script
 from scipy.linalg import expm
 from scipy.optimize import lsq_linear
@@ -390,21 +391,6 @@ def test_parameters_are_numbers_with_a_meaning_and_above_0_but_for_weights() -> 
         assert parameters[0].name == ("response" if name == "optimal" else "angle")
         assert all(each.meaning and each.least <= each.default <= each.most for each in parameters)
         assert all(each.least >= 0.0 for each in parameters if not each.name.startswith("weight_"))
-
-
-class Behind:
-    """A proportional gain behind the predictor of a target, for a channel's own model."""
-
-    def __init__(self, channel: Channel, target: Target, room: float = 1e9) -> None:
-        predictor, gain, self.attitude = make_predictor(channel.model("exact"), target)
-        self._predictor, self._gain, self._room = predictor, gain, room
-
-    def reset(self) -> None:
-        self._predictor.reset()
-
-    def update(self, setpoint: Vector3, measured: Vector3, applied: Vector3) -> Vector3:
-        asked = self._gain * (setpoint[0] - self._predictor.update(measured[0], applied[0]))
-        return (max(-self._room, min(self._room, asked)), 0.0, 0.0)
 
 
 def optimal_target(delay: float) -> Target:
