@@ -116,9 +116,10 @@ def test_an_ecu_that_reads_ten_times_a_second_is_a_longer_delay(tmp_path: Path) 
     assert abs(value - 0.55) < 4.0 * deviation
 
 
-def test_the_command_leaves_such_an_engine(hexjet: Hexjet, tmp_path: Path) -> None:
+def test_the_command_leaves_such_an_engine(hexjet: Hexjet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from cosim.engine import load_engine
 
+    monkeypatch.setenv("COLUMNS", "120")  # on a narrower terminal the table breaks its names into lines
     log(tmp_path, "stairs of 5 s", LEVELS)
     done = hexjet("identify", "bench", str(tmp_path / "bench.csv"), "--out", str(tmp_path / "mine"))
     assert done.status == 0
