@@ -17,7 +17,7 @@ from cosim.base.constants import SENSORS
 from cosim.base.errors import FlightError, InputError
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.log.columns import jets_in, logged_vehicle_of
-from cosim.results.metrics import Record, find_contact_changes, find_contact_rows
+from cosim.results.metrics import CONTACTS, Record, find_contact_changes, find_contact_rows
 
 if TYPE_CHECKING:
     from cosim.results.log.recorder import Log
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import DisturbanceEntry, Fault, Scenario
 
 Kind = Literal["fault", "monitor", "disturbance", "contact", "pilot", "requirement"]
-LEAVES, TOUCHES = "leaves the ground", "touches the ground"
 MOST = 500  # events of one kind that are kept; the log has all of them
 
 
@@ -151,7 +150,7 @@ def _health_text(health: float) -> str:
 def find_contacts(log: Log, step: float) -> Iterator[Event]:
     """Yield when the vehicle leaves the ground and stands on it again, bounces left out."""
     for row, stands in find_contact_changes(find_contact_rows(log), step):
-        yield Event(time_s=row * step, kind="contact", text=TOUCHES if stands else LEAVES)
+        yield Event(time_s=row * step, kind="contact", text=CONTACTS[stands])
 
 
 def find_disturbances(scenario: Scenario, end: float) -> Iterator[Event]:

@@ -29,6 +29,7 @@ SMALLEST_STEP_RAD = 1e-3  # chosen by us: a smaller offset at the start is trim 
 SETTLING_BAND = 0.05  # of the step's size, the common 5 % convention
 FINAL_S = 1.0  # the end of the flight that tells whether it is at rest
 APART_S = 0.5  # contacts nearer to each other than this are one
+CONTACTS = ("leaves the ground", "touches the ground")  # what happens when it does not stand any more, and does
 FLIGHT_M = 0.2  # chosen by us: less is a hop at take-off or a bounce
 REVERSAL = 0.01  # of a command's range, chosen by us: 10 us of a pulse that spans 1000, several dead bands of a servo
 AT_LIMIT = 1e-9  # throttle, rad: rounding between a limit and a command that was cut there

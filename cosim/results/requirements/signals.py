@@ -12,15 +12,13 @@ from cosim.base.arrays import Array
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES
 from cosim.results.log.columns import RATES
-from cosim.results.metrics import POSITION_SETPOINT, find_contact_changes, find_contact_rows, wrap
+from cosim.results.metrics import CONTACTS, POSITION_SETPOINT, find_contact_changes, find_contact_rows, wrap
 from cosim.results.requirements.units import in_si
 
 if TYPE_CHECKING:
     from cosim.results.log.recorder import Log
     from cosim.results.requirements.formula import Formula
     from cosim.spec.scenario import Scenario
-
-CONTACTS = ("leaves the ground", "touches the ground")  # events that the log alone tells, False and True
 
 
 class DerivedSignal(NamedTuple):

@@ -30,7 +30,7 @@ from cosim.results.expectations import check_expected
 from cosim.results.limits import find_exceeded
 from cosim.results.log.columns import COLUMNS, NAMES
 from cosim.results.log.recorder import MemoryLog
-from cosim.results.metrics import check_expectations
+from cosim.results.metrics import CONTACTS, check_expectations
 from cosim.results.report.comparison import compare_report
 from cosim.results.report.flight import write_report
 from cosim.results.report.requirements import compared_margins, margins_over_time, shortened
@@ -44,7 +44,7 @@ from cosim.results.requirements import (
     smallest_margin,
 )
 from cosim.results.requirements.grammar import WORDS
-from cosim.results.requirements.signals import CONTACTS, DERIVED, event_times
+from cosim.results.requirements.signals import DERIVED, event_times
 from cosim.results.requirements.units import UNITS
 from cosim.results.run import Run, open_run
 from cosim.spec.scenario import Range
