@@ -11,7 +11,7 @@ from cosim.engine.fmu.mapping import is_mapping
 from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.engine.fmu.ports import PortError, expand_engine_variables, has_several_engines
 from cosim.engine.fmu.starting import CONSTANTS
-from cosim.engine.fmu.uncertainty import ParameterRange
+from cosim.engine.fmu.uncertainty import ParameterRange, Uncertainty
 from cosim.engine.fmu.variables import Variable
 from cosim.engine.measure import EngineMeasurement, measure_once
 from cosim.engine.response import ResponseError, settling_window
@@ -47,7 +47,7 @@ def load_unchecked(
     if not any(port in archive.ports for port in AMBIENT):
         air = STANDARD_AIR
     resolved, settings = resolve_parameters(source, parameters)
-    ledger = engine.ledger if engine else {}
+    uncertainty, ledger = source.uncertainty, engine.ledger if engine else {}
     delay = resolved.get(ledger.get("delay", ""))
     try:
         if measured is None and measure_foreign is not None:
@@ -89,8 +89,8 @@ def load_unchecked(
             Sibling(other.curve, other.small, _logged(source, slot))
             for slot, other in enumerate(measured.others, start=1)
         ),
-        uncertainty=source.uncertainty,
-        uncertain_ranges=_uncertain_ranges(source),
+        uncertainty=uncertainty,
+        uncertain_ranges=() if uncertainty is None else _uncertain_ranges(source, uncertainty),
     )
 
 
@@ -127,14 +127,11 @@ def _logged(source: EngineSource, slot: int) -> tuple[tuple[str, Variable], ...]
     return tuple(columns)
 
 
-def _uncertain_ranges(source: EngineSource) -> tuple[ParameterRange, ...]:
-    table = source.uncertainty
-    if table is None:
-        return ()
+def _uncertain_ranges(source: EngineSource, uncertainty: Uncertainty) -> tuple[ParameterRange, ...]:
     parameters = source.archive.parameters
     starts = {variable.name: variable.start for variable in parameters if isinstance(variable.start, (int, float))}
     nominal = {name: float(value) for name, value in (starts | source.mapping.parameters).items()}
-    return tuple(table.ranges(nominal, parameters))
+    return tuple(uncertainty.ranges(nominal, parameters))
 
 
 def _flame_out(source: EngineSource) -> FlameOutLaw | None:
