@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from cosim.base.constants import SENSORS
 from cosim.base.errors import FlightError, InputError
 from cosim.results.autopilot.autopilot_record import read_pilot_record
+from cosim.results.contacts import CONTACTS, find_contact_changes, find_contact_rows
 from cosim.results.log.columns import jets_in, logged_vehicle_of
-from cosim.results.metrics import CONTACTS, Record, find_contact_changes, find_contact_rows
+from cosim.results.metrics import Record
 
 if TYPE_CHECKING:
     from cosim.results.log.recorder import Log
@@ -159,7 +160,7 @@ def find_disturbances(scenario: Scenario, end: float) -> Iterator[Event]:
         yield Event(time_s=0.0, kind="disturbance", text=f"wind of {_speed(scenario.environment.wind_ned_m_s)}")
     for entry in scenario.disturbance:
         if entry.start_s < end:
-            length = entry.rise_s + entry.hold_s + entry.fall_s if entry.kind == "gust" else entry.duration_s
+            length = entry.duration_s
             end_s = None if length is None or entry.start_s + length > end else entry.start_s + length
             yield Event(time_s=entry.start_s, kind="disturbance", text=_disturbance(entry), end_s=end_s, banded=True)
 

@@ -21,6 +21,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import nearest
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES, JETS
+from cosim.results.contacts import find_contact_rows, height_error
 from cosim.results.log.columns import HEXJET, RATES, LoggedVehicle, jets_in, log_columns, logged_vehicle_of, servos_in
 from cosim.spec.scenario import Range
 
@@ -28,8 +29,6 @@ HOLD_S = 0.2  # chosen by us: shorter than any doublet worth flying, longer than
 SMALLEST_STEP_RAD = 1e-3  # chosen by us: a smaller offset at the start is trim or noise, not a command
 SETTLING_BAND = 0.05  # of the step's size, the common 5 % convention
 FINAL_S = 1.0  # the end of the flight that tells whether it is at rest
-APART_S = 0.5  # contacts nearer to each other than this are one
-CONTACTS = ("leaves the ground", "touches the ground")  # what happens when it does not stand any more, and does
 FLIGHT_M = 0.2  # chosen by us: less is a hop at take-off or a bounce
 REVERSAL = 0.01  # of a command's range, chosen by us: 10 us of a pulse that spans 1000, several dead bands of a servo
 AT_LIMIT = 1e-9  # throttle, rad: rounding between a limit and a command that was cut there
@@ -249,13 +248,8 @@ def settling_time(error: Array, size: float, step_s: float) -> float | None:
 
 
 def altitude_metrics(setpoint: Array, altitude: Array, contact: NDArray[np.bool_] | None = None) -> AltitudeMetrics:
-    """Return the height error (m) on the rows that have a set-point.
-
-    Where the vehicle stands (``contact``) and a lower height is asked for there is no error: the ground carries it.
-    """
-    error = setpoint - altitude
-    if contact is not None:
-        error[contact & (error < 0.0)] = 0.0
+    """Return the metrics of the height error (m), over the rows that have a set-point."""
+    error = height_error(setpoint, altitude, contact)
     size = np.abs(error)
     return AltitudeMetrics(rmse_m=_rms(error), max_abs_error_m=_largest(size), final_error_m=_at_end(size))
 
@@ -274,22 +268,6 @@ def position_metrics(drift: Array, off: Array) -> PositionMetrics:
 def speed_metrics(speed: Array) -> SpeedMetrics:
     """Return the metrics of the horizontal speed (m/s)."""
     return SpeedMetrics(max_m_s=_largest(speed), final_m_s=_at_end(speed))
-
-
-def find_contact_rows(log: Columns) -> NDArray[np.bool_]:
-    """Return the rows on which a leg or the hull touches the ground."""
-    return (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
-
-
-def find_contact_changes(contact: NDArray[np.bool_], step_s: float) -> Iterator[tuple[int, bool]]:
-    """Yield the rows on which the vehicle leaves the ground, or stands on it again (True), bounces left out."""
-    edges = np.flatnonzero(np.diff(contact.astype(np.int8))) + 1
-    last = contact[0]
-    for index, row in enumerate(edges.tolist()):
-        following = edges[index + 1] if index + 1 < edges.size else contact.size
-        if contact[row] != last and (following - row) * step_s >= APART_S:
-            last = contact[row]
-            yield row, bool(last)
 
 
 def saturation_in_flight(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:

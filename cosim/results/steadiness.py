@@ -17,6 +17,7 @@ from cosim.base.arrays import Array
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES
+from cosim.results.contacts import find_contact_rows
 from cosim.results.metrics import (
     FINAL_S,
     SETTLING_BAND,
@@ -25,7 +26,6 @@ from cosim.results.metrics import (
     WIND,
     Record,
     Step,
-    find_contact_rows,
     find_steps,
     settling_time,
     wrap,

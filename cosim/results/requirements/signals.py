@@ -11,8 +11,9 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES
+from cosim.results.contacts import CONTACTS, find_contact_changes, find_contact_rows, height_error
 from cosim.results.log.columns import RATES
-from cosim.results.metrics import CONTACTS, POSITION_SETPOINT, find_contact_changes, find_contact_rows, wrap
+from cosim.results.metrics import POSITION_SETPOINT, wrap
 from cosim.results.requirements.units import in_si
 
 if TYPE_CHECKING:
@@ -44,8 +45,7 @@ def _rate_error(rate: str) -> DerivedSignal:
 
 
 def _altitude_error(log: Columns) -> Array:
-    error = log["altitude_setpoint_m"] - log["altitude_m"]
-    return np.where(find_contact_rows(log) & (error < 0.0), 0.0, error)
+    return height_error(log["altitude_setpoint_m"], log["altitude_m"], find_contact_rows(log))
 
 
 def _position_error(log: Columns) -> Array:
@@ -165,18 +165,7 @@ def event_times(scenario: Scenario) -> dict[str, list[float]]:
     for entry in (*scenario.command, *scenario.disturbance, *scenario.fault):
         kind = entry.kind.replace("_", " ")
         times.setdefault(f"{kind} begins", []).append(entry.start_s)
-        length = _length(entry)
+        length: float | None = getattr(entry, "duration_s", None)  # None: to the end, or its file says so
         if length is not None:
             times.setdefault(f"{kind} ends", []).append(entry.start_s + length)
     return {name: sorted(values) for name, values in times.items()}
-
-
-def _length(entry: object) -> float | None:
-    """Return how long a command, a disturbance or a fault lasts [s]; None: to the end, or its file says so."""
-    match getattr(entry, "kind", ""):
-        case "doublet":
-            return 2.0 * entry.width_s  # type: ignore[attr-defined, no-any-return]
-        case "gust":
-            return entry.rise_s + entry.hold_s + entry.fall_s  # type: ignore[attr-defined, no-any-return]
-    length: float | None = getattr(entry, "duration_s", None)
-    return length

@@ -7,8 +7,8 @@ from math import inf
 from typing import TYPE_CHECKING
 
 from cosim.base.errors import InputError, nearest
+from cosim.results.contacts import CONTACTS
 from cosim.results.log.columns import log_columns, logged_vehicle
-from cosim.results.metrics import CONTACTS
 from cosim.results.requirements.requirement import Requirement
 from cosim.results.requirements.signals import DERIVED, event_times, needed_columns
 from cosim.results.requirements.units import in_degrees, in_si

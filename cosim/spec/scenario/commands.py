@@ -44,6 +44,11 @@ class DoubletCommand(SignalCommand):
     kind: Literal["doublet"]
     width_s: Duration
 
+    @property
+    def duration_s(self) -> float:
+        """How long both sides last, s."""
+        return 2.0 * self.width_s
+
 
 class RampCommand(SignalCommand):
     """From nothing at ``start_s`` to ``amplitude`` after ``duration_s``, held from then on."""

@@ -82,6 +82,11 @@ class GustDisturbance(Model):
     hold_s: Seconds
     fall_s: Duration
 
+    @property
+    def duration_s(self) -> float:
+        """How long it lasts, s."""
+        return self.rise_s + self.hold_s + self.fall_s
+
 
 DisturbanceEntry = Annotated[
     ForceDisturbance

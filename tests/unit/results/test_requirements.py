@@ -26,11 +26,12 @@ from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
 from cosim.campaign.surveys.survey import judge_outcome
 from cosim.campaign.workers.flight_row import MARGIN_OF, fly_one, kinds
+from cosim.results.contacts import CONTACTS
 from cosim.results.expectations import check_expected
 from cosim.results.limits import find_exceeded
 from cosim.results.log.columns import COLUMNS, NAMES
 from cosim.results.log.recorder import MemoryLog
-from cosim.results.metrics import CONTACTS, check_expectations
+from cosim.results.metrics import check_expectations
 from cosim.results.report.comparison import compare_report
 from cosim.results.report.flight import write_report
 from cosim.results.report.requirements import compared_margins, margins_over_time, shortened
