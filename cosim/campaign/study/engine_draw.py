@@ -18,7 +18,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.keys import FLOWN_PARAMETERS, FLOWN_STATIONS, engine_source, flown_engine_keys
-from cosim.engine.fmu.uncertainty import CUT, Uncertainty
+from cosim.engine.fmu.uncertainty import Uncertainty, cut_normal
 from cosim.spec.scenario import Scenario
 
 ENGINE = "engine"  # the key that is varied so
@@ -48,7 +48,6 @@ class EngineDraw:
 
     def __init__(self, table: Uncertainty, parameters: Sequence[_Parameter]) -> None:
         self._table, self._parameters = table, parameters
-        self._factor = table.factor
         self.keys = [key for of in parameters for key in (*([of.common] if of.deviation else []), *of.stations)]
         self.sides = len(parameters) + sum(len(of.stations) for of in parameters)
 
@@ -69,21 +68,18 @@ class EngineDraw:
 
     def values(self, points: Array) -> list[list[Value]]:
         """Return a column of values for each key from ``points``, a row a draw and a column a side."""
-        from scipy.special import ndtr, ndtri
+        from scipy.special import ndtri
 
         count = len(self._parameters)
-        normal = ndtri(points[:, :count])
         side, columns = count, []
-        for row, of in enumerate(self._parameters):
-            # summed here and not by a matrix product, whose order of additions is the machine's
-            together = sum(self._factor[row][column] * normal[:, column] for column in range(row + 1))
+        for of, quantiles in zip(self._parameters, self._table.quantiles(ndtri(points[:, :count])), strict=True):
             centre = np.full(len(points), _nominal(of.common))
-            drawn = _cut_normal(ndtr(together), centre, of.deviation, of.common)
+            drawn = cut_normal(quantiles, centre, of.deviation, of.common.low, of.common.high)
             if of.deviation:
                 columns.append(_fit(drawn, of.common))
             for key in of.stations:
                 centre = np.clip(drawn + (_nominal(key) - _nominal(of.common)), key.low, key.high)
-                columns.append(_fit(_cut_normal(points[:, side], centre, of.spread, key), key))
+                columns.append(_fit(cut_normal(points[:, side], centre, of.spread, key.low, key.high), key))
                 side += 1
         return columns
 
@@ -136,18 +132,6 @@ def brings_engine(key: str) -> bool:
 def _nominal(key: Key) -> float:
     assert isinstance(key.nominal, (int, float))
     return float(key.nominal)
-
-
-def _cut_normal(quantiles: Array, centre: Array, deviation: float, key: Key) -> Array:
-    """Return the quantiles of a normal distribution about each centre, cut off at its ends and at the key's bounds."""
-    if not deviation:
-        return centre
-    from scipy.special import ndtr, ndtri
-
-    low = ndtr(np.maximum((key.low - centre) / deviation, -CUT))
-    high = ndtr(np.minimum((key.high - centre) / deviation, CUT))
-    drawn = centre + deviation * ndtri(low + quantiles * (high - low))
-    return np.asarray(np.clip(drawn, key.low, key.high))  # rounding may have left the bounds by a bit
 
 
 def _fit(drawn: Array, key: Key) -> list[Value]:

@@ -21,7 +21,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.design.loop.channel import Channel
 from cosim.engine import EngineSpec, load_engine
-from cosim.engine.fmu.uncertainty import CUT, Uncertainty
+from cosim.engine.fmu.uncertainty import CUT, Uncertainty, cut_normal
 from cosim.engine.fmu.variables import INTEGERS
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.simulation.engine_reference import measure_small_steps
@@ -101,10 +101,17 @@ class EngineSensitivity:
                 width, low, high = moved
                 ratio = self._answers(high, hertz) / self._answers(low, hertz)
                 logs[row] = (np.log(np.abs(ratio)) + 1j * np.unwrap(np.angle(ratio))) / width
-        random = np.random.default_rng(0)
-        normal = np.clip(random.standard_normal((2, DRAWS, len(logs))), -CUT, CUT)
-        common = np.clip(normal[0] @ np.array(self.table.factor).T, -CUT, CUT) * np.array(self.table.deviation)
-        return np.asarray(np.exp((common + normal[1] * np.array(self.table.spreads)) @ logs))
+        from scipy.special import ndtr
+
+        normal, nominal = np.random.default_rng(0).standard_normal((2, DRAWS, len(logs))), np.zeros(DRAWS)
+        each = zip(
+            self.table.quantiles(normal[0]), ndtr(normal[1].T), self.table.deviation, self.table.spreads, strict=True
+        )
+        deviations = [
+            cut_normal(common, nominal, deviation) + cut_normal(single, nominal, spread)
+            for common, single, deviation, spread in each
+        ]
+        return np.asarray(np.exp(np.column_stack(deviations) @ logs))
 
     def _answer(self, spec: EngineSpec, hertz: float) -> complex:
         return complex(self._answers(spec, np.array([hertz]))[0])

@@ -2,7 +2,8 @@
 
 The parameters of an engine are ``nominal + u + v``: ``u`` is normal with covariance ``deviation_i correlation_ij
 deviation_j`` and the same for all engines of a vehicle, ``v`` is normal with the standard deviation ``spread_i``, drawn
-for each engine by itself.  Both are cut off at :data:`CUT` standard deviations and at the FMU's own limits.
+for each engine by itself.  Both are cut off at :data:`CUT` standard deviations and at the FMU's own limits: the common
+ones through a Gaussian copula, so that each parameter keeps its distribution whatever it is correlated with.
 """
 
 import re
@@ -15,6 +16,7 @@ from typing import Annotated, NamedTuple, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError, nearest
 from cosim.base.storage.toml import Model, NotNegative, read_toml, toml_text
 from cosim.engine.fmu.variables import LEVERS, Variable
@@ -95,6 +97,16 @@ class Uncertainty(Model):
         """The lower triangle L of the correlation R = L L^T, in which a deviation that others fix has a column of 0."""
         return lower_factor(self.correlations)
 
+    def quantiles(self, normal: Array) -> list[Array]:
+        """Return the quantile of each parameter's common deviation, from independent normal numbers, a row a draw."""
+        from scipy.special import ndtr
+
+        return [
+            # summed here and not by a matrix product, whose order of additions is the machine's
+            np.asarray(ndtr(sum(factors[column] * normal[:, column] for column in range(row + 1))))
+            for row, factors in enumerate(self.factor)
+        ]
+
     def ranges(self, nominal: Mapping[str, float], variables: Iterable[Variable]) -> list[ParameterRange]:
         """Return the 95 % range of each parameter about its nominal value: of one engine, within the FMU's limits."""
         limits = {variable.name: (variable.min, variable.max) for variable in variables}
@@ -163,3 +175,15 @@ def without_uncertainty(path: Path) -> tuple[bytes, bytes]:
     table = read_toml(path)
     table.pop("uncertainty", None)
     return toml_text(table).encode(), _OLDER_CUT.sub(b"", path.read_bytes())
+
+
+def cut_normal(quantiles: Array, centre: Array, deviation: float, low: float = -np.inf, high: float = np.inf) -> Array:
+    """Return quantiles of a normal distribution about each centre, cut off at :data:`CUT` deviations and at limits."""
+    if not deviation:
+        return centre
+    from scipy.special import ndtr, ndtri
+
+    least = ndtr(np.maximum((low - centre) / deviation, -CUT))
+    most = ndtr(np.minimum((high - centre) / deviation, CUT))
+    drawn = centre + deviation * ndtri(least + quantiles * (most - least))
+    return np.asarray(np.clip(drawn, low, high))  # rounding may have left the limits by a bit

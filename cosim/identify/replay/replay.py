@@ -11,6 +11,8 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.signals import ZERO3, Vector3
 from cosim.engine import EngineSpec
+from cosim.engine.fmu.uncertainty import CUT, cut_normal
+from cosim.engine.fmu.variables import INTEGERS
 from cosim.identify.replay.causes import Causes, find_causes, without_windows
 from cosim.identify.replay.closed_loop import cut_whole, fly_setpoints
 from cosim.identify.replay.flown import Change, Flown, Model, Starts
@@ -28,7 +30,6 @@ ALIKE: Final = (1.0, 10.0)  # dB and deg of measured over modelled that are not 
 FAR_DB: Final = 10.0  # beyond which the one is no answer to the other
 CORRECTIONS: Final = 2  # of the starts
 SPREAD: Final = 2.0  # standard deviations of the noise around the draws
-CUT: Final = 3.0  # standard deviations at which draws of tolerances end
 
 CLOSED: Final = (
     "the loop is closed: the controller hides what is wrong with a vehicle, and may be another than the one that flew; "
@@ -284,17 +285,15 @@ def _drawn_parameters(engine: EngineSpec, rng: np.random.Generator) -> dict[str,
     """Return the parameters of the engines, drawn by their uncertainty; what each has by itself is left out."""
     table = engine.uncertainty
     assert table is not None
-    normal = np.clip(rng.standard_normal(len(table.parameters)), -CUT, CUT)
-    deviations = np.array(table.deviation) * (np.array(table.factor) @ normal)
-    values = {}
     known = {variable.name: variable for variable in engine.archive.parameters}
-    for name, deviation in zip(table.parameters, deviations.tolist(), strict=True):
-        variable, value = known[name], engine.parameters[name] + deviation
-        if variable.type.lower().startswith("int"):
-            value = round(value)
+    quantiles = table.quantiles(rng.standard_normal((1, len(table.parameters))))
+    values = {}
+    for name, quantile, deviation in zip(table.parameters, quantiles, table.deviation, strict=True):
+        variable, nominal = known[name], np.array([engine.parameters[name]])
         low = -np.inf if variable.min is None else variable.min
         high = np.inf if variable.max is None else variable.max
-        values[name] = float(np.clip(value, low, high))
+        value = float(cut_normal(quantile, nominal, deviation, low, high)[0])
+        values[name] = float(round(value)) if variable.type in INTEGERS else value
     return values
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from hashlib import sha256
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -13,8 +15,10 @@ from engine_tools import archive
 from cosim.base.errors import InputError
 from cosim.cli.results.show import show
 from cosim.engine import load_engine
-from cosim.engine.fmu.uncertainty import lower_factor, without_uncertainty
+from cosim.engine.fmu.uncertainty import CUT, lower_factor, without_uncertainty
 from cosim.engine.spec import find_source
+from cosim.identify.replay.flown import Model
+from cosim.identify.replay.replay import Choices, draw
 
 TABLE = """[uncertainty]
 source = "bench.csv: 6 steps"
@@ -149,3 +153,18 @@ def test_the_factor_gives_the_correlation_again(rank: int) -> None:
     lower = np.array(lower_factor((rows @ rows.T).tolist()))
     assert np.allclose(lower @ lower.T, rows @ rows.T, atol=1e-6)
     assert np.allclose(lower, np.tril(lower))
+
+
+def test_a_replay_draws_each_parameter_cut_off_at_its_own_deviation_whatever_it_is_correlated_with(
+    tmp_path: Path,
+) -> None:
+    engine = load_engine(str(mapping(tmp_path)), {}, 0.004, unchecked=True)
+    drawn = list(draw(cast(Model, SimpleNamespace(engine=engine)), Choices(draws=6000)))
+    pole, gain = (np.array([change.parameters[name] for change in drawn]) for name in ("pole", "gain"))
+    for name, values, deviation in (("pole", pole, 0.006), ("gain", gain, 0.02)):
+        off = (values - engine.parameters[name]) / deviation
+        assert np.max(np.abs(off)) <= CUT
+        assert np.std(off) == pytest.approx(0.9866, rel=4.0 / np.sqrt(2.0 * 6000))  # of a normal number cut off at 3
+    delay = np.array([change.parameters["delay_samples"] for change in drawn])
+    assert np.all(delay == np.round(delay))
+    assert np.corrcoef(delay, pole)[0, 1] == pytest.approx(-0.8, abs=0.04)
