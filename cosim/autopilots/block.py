@@ -89,6 +89,11 @@ class AutopilotBlock:
         self._belief = belief
         self._pilot = StickPilot(belief, radians(self._handling.lean_deg), radians(self._handling.turn_deg_s))
 
+    @property
+    def start_s(self) -> float:
+        """Time from the autopilot's first frame to the flight's first step, s."""
+        return self._handling.before_s
+
     def reset(self) -> None:
         """Reset the stick pilot before the flight."""
         self._pilot.reset()

@@ -7,7 +7,7 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -97,6 +97,14 @@ class StartTiming:
     unarmed: str = ""  # end of the message where the autopilot did not arm
 
 
+class FirmwareReport(NamedTuple):
+    """What an autopilot's own log says of it, where it keeps one that is read here."""
+
+    version: str = ""  # its release and revision; empty: not known
+    parameters: Mapping[str, float] = {}  # all that it flew with
+    messages: Sequence[tuple[float, int, str]] = ()  # time from its first frame s, severity as in syslog, text
+
+
 class Autopilot(Protocol):
     """One autopilot and the connection to it."""
 
@@ -114,6 +122,9 @@ class Autopilot(Protocol):
         Return why that cannot be done, in words; "" where it was done, now or before the flight, or no name was given.
         Raises FlightError with the names.
         """
+
+    def report(self) -> FirmwareReport:
+        """Return what its own log says, when it has flown and is closed."""
 
     def close(self) -> None:
         """End it; may be called twice."""
@@ -253,6 +264,10 @@ class Sitl:
     def check_parameters(self) -> str:
         """Return nothing: an autopilot that refuses a parameter ends the flight before it begins."""
         return ""
+
+    def report(self) -> FirmwareReport:
+        """Return nothing: of its own log nothing is read."""
+        return FirmwareReport()
 
     def close(self) -> None:
         """End it; may be called twice."""

@@ -173,6 +173,11 @@ def px4_target(vehicle: Vehicle, step: float, target: str) -> dict[str, float]:
     return parameters if target == "board" else parameters | px4_link(step)
 
 
+def leave_px4_gains(parameters: Mapping[str, float]) -> dict[str, float]:
+    """Return PX4's parameters without gains, rate limits and filters, so that these are as PX4 ships."""
+    return {name: value for name, value in parameters.items() if not name.startswith(("MC_", "IMU_GYRO", "IMU_DGYRO"))}
+
+
 # Frames of ArduCopter with four motors, by FRAME_TYPE: what it calls the frame, and for where a motor stands and how it
 # turns (front, right, counter-clockwise: 1, 0 or -1 each) the motor's number (AP_MotorsMatrix::setup_quad_matrix,
 # read in 4.6; 18 was flown, by 4.5.0-dev of July 2023).

@@ -15,6 +15,7 @@ from cosim.autopilots.lockstep import LOCAL, Autopilot, find_configured_program
 from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
     ardupilot_parameters,
+    leave_px4_gains,
     parameter_file,
     px4_external_rates,
     px4_target,
@@ -45,7 +46,7 @@ class Setup:
     instance: int = 0  # number of the instance, where several run at the same time
     limit_s: float = 5.0  # wall-clock time limit of an answer
     port: int | None = None  # Betaflight: its first port; None: that of the instance
-    gains: str = "vehicle"  # whose are in the scenario's vehicle: its own, or a file's; "stock": as Betaflight ships
+    gains: str = "vehicle"  # whose are in the scenario's vehicle: its own, or a file's; "stock": as it ships
     lines: Sequence[str] = ()  # Betaflight: lines for its console
     parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: over those made from the vehicle
     magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: the Earth's at the place
@@ -161,6 +162,8 @@ def _px4(
 ) -> PreparedAutopilot:
     vehicle, _ = scenario.resolved_vehicle()
     parameters, external = px4_target(vehicle, scenario.step_s, "sitl"), None
+    if setup.gains == "stock":
+        parameters = leave_px4_gains(parameters)
     if rates is not None:
         rate_parameters, gain = px4_external_rates(vehicle)
         parameters, external = parameters | rate_parameters, make_external_rate_loop(rates, gain, has_gyro=True)

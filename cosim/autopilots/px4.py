@@ -22,6 +22,7 @@ from cosim.autopilots.lockstep import (
     STICKS_S,
     ActuatorOutputs,
     AnswerTimer,
+    FirmwareReport,
     Program,
     SensorFrame,
     Sitl,
@@ -37,6 +38,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp, clip
 from cosim.base.signals import Vector3
+from cosim.identify.logs.ulog import read_notes
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.atmosphere import standard_air
 
@@ -59,6 +61,7 @@ _START_S = 60.0  # time limit of its connection, for a start on a busy machine
 _MOST_NOISE = 64  # bytes without MAVLink after which the connection is refused as no PX4
 _ACCEPT_EVERY = 16  # frames between two checks for a second connection
 _UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
+_KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver_sw_release; 255: a release
 _BOOT_TIMEOUT = 0.02  # s of the clock for an answer before there was one
 
 
@@ -77,6 +80,18 @@ def check_unknown_parameters(log: Path, parameters: Collection[str]) -> None:
     unknown = [name for name in dict.fromkeys(_UNKNOWN.findall(log.read_text(errors="replace"))) if name in parameters]
     if unknown:
         raise InputError(f"px4: {describe_unknown(unknown, set(parameters) - set(unknown), 'PX4')} (--param; {log})")
+
+
+def describe_version(facts: Mapping[str, str | int]) -> str:
+    """Return the release and the revision that PX4 states in its log, such as ``1.17.0 (3fa4bc0a)``."""
+    release, revision = facts.get("ver_sw_release"), facts.get("ver_sw")
+    words = []
+    if isinstance(release, int):
+        kind = _KINDS.get(release & 0xFF, "")
+        words.append(f"{release >> 24}.{release >> 16 & 0xFF}.{release >> 8 & 0xFF}{kind}")
+    if isinstance(revision, str):
+        words.append(f"({revision[:8]})" if words else revision[:8])
+    return " ".join(words)
 
 
 @dataclass(frozen=True)
@@ -163,6 +178,14 @@ class Px4(Sitl):
             if answer is not None:
                 self._count_answer(timer)
                 return answer
+
+    def report(self) -> FirmwareReport:
+        """See :class:`cosim.autopilots.lockstep.Autopilot`; from the newest ULog of its folder."""
+        logs = sorted(self._folder.rglob("*.ulg"), key=lambda path: path.stat().st_mtime)
+        if self._binary is None or not logs:
+            return FirmwareReport()
+        notes = read_notes(logs[-1])
+        return FirmwareReport(describe_version(notes.facts), notes.parameters, notes.messages)
 
     @property
     def _ended(self) -> str:

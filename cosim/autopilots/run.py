@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import IO, Any
 
 from cosim.autopilots.block import AutopilotBlock, ExternalRateLoop
-from cosim.autopilots.lockstep import Autopilot, LockstepCounts
+from cosim.autopilots.lockstep import Autopilot, FirmwareReport, LockstepCounts
 from cosim.autopilots.stand import StationarySensors
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import gravity
 from cosim.base.protocols import Observer
 from cosim.base.signals import Sample, Vector3
+from cosim.base.storage.files import write_whole
 from cosim.flight import record, with_page
 from cosim.results.resolved_scenario import resolve
-from cosim.results.run import Run
+from cosim.results.run import AUTOPILOT, Run
 from cosim.simulation.build import build
 from cosim.simulation.controllers.recorded import ACTUATORS, COLUMNS, format_header, format_row
 from cosim.simulation.controllers.source import Source
@@ -95,6 +96,30 @@ def _close_and_check_names(ending: Ending, autopilot: Autopilot) -> Ending:
     return Ending(ending.outcome, "; ".join(filter(None, (ending.reason, unchecked_reason))))
 
 
+def _identify_parameters(firmware: FirmwareReport, details: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the hash of the parameters that flew: all of the autopilot's by its log, else those that it was given."""
+    flown = firmware.parameters or details.get("parameters") or {}
+    if not flown:
+        return {}
+    text = "".join(f"{name}={value:.9g}\n" for name, value in sorted(flown.items()))
+    return {"parameters_flown": len(flown), "parameters_sha256": sha256(text.encode()).hexdigest()}
+
+
+def _write_messages(folder: Path, firmware: FirmwareReport, start: float, step: float) -> None:
+    """Write what the autopilot said into the run's record, from which its page has it; ``start`` [s] of the flight.
+
+    What it said before is at the first step.
+    """
+    if not firmware.messages:
+        return
+    said = [] if not firmware.version else [(start, 6, f"version {firmware.version}")]
+    lines = [
+        json.dumps({"k": max(round((time_s - start) / step), 0), "kind": "message", "severity": severity, "text": text})
+        for time_s, severity, text in [*said, *firmware.messages]
+    ]
+    write_whole(folder / AUTOPILOT, "\n".join([*lines, ""]), FlightError)
+
+
 def fly_autopilot(
     scenario: Scenario,
     block: AutopilotBlock,
@@ -166,7 +191,10 @@ def fly_autopilot(
             recording.replace_scenario(
                 resolve(simulation)[0].model_copy(update=recorded | {"controller_sha256": digest})
             )
-            report = {"autopilot": label, "steps": simulation.k, **asdict(autopilot.counts), **(details or {})}
+            firmware = autopilot.report()
+            _write_messages(folder, firmware, block.start_s, simulation.dt)
+            report = {"autopilot": label, "version": firmware.version, "steps": simulation.k}
+            report |= {**asdict(autopilot.counts), **(details or {}), **_identify_parameters(firmware, details or {})}
             (folder / LOCKSTEP).write_text(json.dumps(report, indent=2) + "\n")
             run = recording.finish(ending.outcome, ending.reason, wall, pace.report if realtime_factor else None)
             return AutopilotRun(with_page(run) if page else run, autopilot.counts, label)

@@ -21,9 +21,10 @@ import json
 import os
 import re
 import socket
+import struct
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -38,6 +39,7 @@ PATIENCE_S = 60.0
 BOOT = 9  # samples before the first answer
 ESTIMATOR_S = 2.0  # from then on answers wait for it
 READY_S = 10.0  # before that it does not arm
+TAKEOFF_S = 30.198  # when it says that it has taken off
 SAME = 1e-6  # values that are nearer to each other are the same
 STALE = {"mag": 1000, "baro": 100}  # so many of the same in a row
 
@@ -251,6 +253,7 @@ class Px4Program:
         self.channels: tuple[int, ...] = (0,) * 18
         self.armed_at: int | None = None
         self.answers = self.runs = 0
+        self.said: list[tuple[int, str]] = []
         self.mag: Array | None = None
         self.sums: dict[str, list[float]] = {}
 
@@ -306,6 +309,9 @@ class Px4Program:
             armed_s = 0.0 if self.armed_at is None else 1e-6 * (self.times[-1] - self.armed_at)
             self.loops.attitude(self.channels, self.seen, armed_s, every * dt)
         self._note(force)
+        if self.times[-1] > TAKEOFF_S * 1e6 and len(self.said) == 1:
+            self.said.append((self.times[-1], "Takeoff detected"))
+            self.write()
         self.answers += 1
         return [0.0] * 16 if self.armed_at is None else self.loops.outputs(torque)
 
@@ -320,6 +326,7 @@ class Px4Program:
             and 1e-6 * self.times[-1] > READY_S
         ):
             self.armed_at = self.times[-1]
+            self.said.append((self.armed_at, "Armed by RC"))
 
     def _note(self, force: Array) -> None:
         """Means of the accelerometer, as it stands disarmed and as it flies."""
@@ -330,7 +337,11 @@ class Px4Program:
             total[index] += float(value)
 
     def write(self) -> None:
-        """What was seen, for a test to read."""
+        """What was seen, for a test to read; and its own log, as its logger writes it."""
+        log = self.folder / "log" / "2026-11-27" / "08_00_00.ulg"
+        log.parent.mkdir(parents=True, exist_ok=True)
+        whole = {name for name, value in DEFAULTS.items() if isinstance(value, int)}
+        log.write_bytes(b"".join(ulog(self.values, whole, self.said)))
         seen = {
             "frames": len(self.times),
             "answers": self.answers,
@@ -343,6 +354,30 @@ class Px4Program:
         part = self.folder / "seen.part"
         part.write_text(json.dumps(seen))
         part.rename(self.folder / "seen.json")
+
+
+def ulog(values: Mapping[str, float], whole: set[str], said: list[tuple[int, str]]) -> Iterator[bytes]:
+    """A ULog without topics: facts, parameters, and what was said when, each message with its size and its kind."""
+
+    def message(kind: bytes, body: bytes) -> bytes:
+        return struct.pack("<Hc", len(body), kind) + body
+
+    def entry(kind: bytes, key: str, value: bytes) -> bytes:
+        return message(kind, bytes([len(key)]) + key.encode() + value)
+
+    yield b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
+    revision = "0123abcd" + 32 * "0"
+    yield entry(b"I", f"char[{len(revision)}] ver_sw", revision.encode())
+    yield entry(b"I", "uint32_t ver_sw_release", struct.pack("<I", 0x011100C0))
+    for name, value in values.items():
+        if name in whole:
+            yield entry(b"P", f"int32_t {name}", struct.pack("<i", int(value)))
+        else:
+            yield entry(b"P", f"float {name}", struct.pack("<f", value))
+    yield message(b"A", struct.pack("<BH", 0, 0) + b"no_topic")
+    for time_us, text in said:
+        yield message(b"L", b"6" + struct.pack("<Q", time_us) + text.encode())
+    yield struct.pack("<Hc", 400, b"D") + b"cut short"
 
 
 def main(arguments: list[str]) -> None:

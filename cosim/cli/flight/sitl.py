@@ -137,12 +137,12 @@ _GAINS = opt.word(
 )
 
 
-def _designed(gains: str | None) -> str:
-    """Return what the run says of its gains.  Raises InputError for what is no file of hexjet design."""
+def _designed(gains: str | None, *words: str) -> str:
+    """Return what the run says of its gains.  Raises InputError for what is no such word and no file of a design."""
     if gains is None:
         return "vehicle"
-    if not gains.lower().endswith(".toml"):
-        raise InputError(f"--gains {gains}: must be a file of hexjet design (.toml)")
+    if gains not in words and not gains.lower().endswith(".toml"):
+        raise InputError(f"--gains {gains}: must be {', '.join([*words, 'a file of hexjet design (.toml)'])}")
     return gains
 
 
@@ -150,7 +150,11 @@ class Px4(Sitl):
     """Options of ``hexjet sitl px4``."""
 
     instance: int = _INSTANCE
-    gains: str | None = _GAINS
+    gains = opt.word(
+        "--gains",
+        "vehicle|stock|FILE.toml",
+        "Rate and attitude gains: the vehicle's own, as PX4 ships, or of hexjet design --for px4.  [default: vehicle]",
+    )
     rates: str | None = _RATES
     parameters = opt.words("--param", "NAME=VALUE", "Over those of hexjet sitl params px4.")
     field = opt.word("--field", "N,E,D", "The magnetic field [gauss].  [default: the Earth's at the place]")
@@ -168,14 +172,16 @@ def px4(options: Px4) -> int:
     from cosim.autopilots.prepare import Setup
     from cosim.base.storage.toml import parse_numbers
 
+    gains = _designed(options.gains, "vehicle", "stock")
     setup = Setup(
         options.instance,
         options.timeout,
-        gains=_designed(options.gains),
+        gains=gains,
         parameters=parse_numbers(options.parameters, "--param"),
         magnetic_field=_magnetic_field(options.field),
     )
-    return _fly(options, options.read(options.gains), "px4", setup, options.rates)
+    scenario = options.read(None if gains in ("vehicle", "stock") else gains)
+    return _fly(options, scenario, "px4", setup, options.rates)
 
 
 class ArduPilot(Sitl):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import signal
+import struct
 import subprocess
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +24,8 @@ HEAD_BYTES = 16
 MOST_S, MOST_S_A_MB = 20.0, 3.0  # of CPU, to begin with and for every MB: some ten times what pyulog takes
 MOST_MB, MOST_MB_A_MB = 2048.0, 40.0  # of address space; what is resident is ten times the file
 MOST_SILENT = 30.0  # times its limit of CPU that it may take by the clock: on a machine that is busy, or asleep
+_NUMBERS = {"float": "<f", "int32_t": "<i"}  # types of a parameter's value
+_LOGGED, _TAGGED = ord("L"), ord("C")
 _PROGRAM = Path(__file__).with_name("ulog_child.py")
 _RUN = 'import runpy; del sys.argv[0]; runpy.run_path(sys.argv[0], run_name="__main__")'
 
@@ -113,3 +117,54 @@ def _ends(data: bytes, begin: int) -> bool:
     while at + 3 <= end:
         at += 3 + (data[at] | data[at + 1] << 8)
     return at == end
+
+
+class UlogNotes(NamedTuple):
+    """What a ULog says in words and of its program, beside its topics."""
+
+    facts: dict[str, str | int]  # such as ver_sw and ver_sw_release
+    parameters: dict[str, float]  # those at its beginning
+    messages: list[tuple[float, int, str]]  # time s, severity as in syslog, text
+
+
+def read_notes(path: Path) -> UlogNotes:
+    """Read the facts, parameters and messages of a ULog, by its messages' sizes alone, also of one that was cut short.
+
+    Topics are passed over, so that it takes no pyulog.  What does not have the form of its kind is passed over too.
+    Raises InputError for a file that cannot be read.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    facts: dict[str, str | int] = {}
+    parameters: dict[str, float] = {}
+    messages: list[tuple[float, int, str]] = []
+    begun = False  # a parameter that comes behind the definitions was changed in flight
+    for kind, body in _walk(data):
+        if kind in (_LOGGED, _TAGGED):
+            begin = 9 if kind == _LOGGED else 11
+            if len(body) >= begin:
+                (stamp,) = struct.unpack_from("<Q", body, begin - 8)
+                messages.append((1e-6 * stamp, body[0] & 7, body[begin:].decode("utf-8", "replace")))
+        elif kind in b"IP" and body and len(body) > body[0]:
+            typed, _, name = body[1 : 1 + body[0]].decode("ascii", "replace").partition(" ")
+            value = body[1 + body[0] :]
+            if kind == ord("P") and not begun and typed in _NUMBERS and len(value) == 4:
+                parameters[name] = struct.unpack(_NUMBERS[typed], value)[0]
+            elif kind == ord("I") and typed.startswith("char["):
+                facts[name] = value.decode("utf-8", "replace")
+            elif kind == ord("I") and typed == "uint32_t" and len(value) == 4:
+                facts[name] = int.from_bytes(value, "little")
+        begun = begun or kind == ord("D")
+    return UlogNotes(facts, parameters, messages)
+
+
+def _walk(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield the kind and the body of every whole message of a ULog."""
+    at, end = HEAD_BYTES, len(data) if data.startswith(MAGIC) else 0
+    while at + 3 <= end:
+        size = data[at] | data[at + 1] << 8
+        if at + 3 + size <= end:
+            yield data[at + 2], data[at + 3 : at + 3 + size]
+        at += 3 + size

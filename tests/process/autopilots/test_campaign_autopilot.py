@@ -91,7 +91,7 @@ def test_more_than_there_are_numbers_is_said(monkeypatch: pytest.MonkeyPatch) ->
         ),
         ({"name": "px4", "channels": ["8=2000"]}, "channels: allowed for ardupilot, and this is px4"),
         ({"name": "ardupilot", "channels": ["3=2000"]}, "channels 3=2000: must be a channel"),
-        ({"name": "px4", "gains": "stock"}, "only betaflight flies as it ships, and this is px4"),
+        ({"name": "ardupilot", "gains": "stock"}, "allowed for betaflight and px4, and this is ardupilot"),
         ({"name": "inav"}, "autopilot.name"),
         ({"name": "px4", "timeout_s": 0.0}, "timeout_s"),
     ],

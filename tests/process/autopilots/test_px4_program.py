@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import socket
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from command_tools import Done, Hexjet
-from px4_program import installed
+from px4_program import DEFAULTS, installed
 
 from cosim.autopilots.parameters import px4_parameters, px4_torque_scale
+from cosim.results.events import list_events
 from cosim.results.run import open_run
 from cosim.spec.scenario import Scenario
 
@@ -121,6 +123,27 @@ def test_the_gains_of_a_design_are_flown_and_named(hexjet: Hexjet) -> None:
     assert seen()["values"]["MC_ROLLRATE_P"] == float(np.float32(told["parameters"]["MC_ROLLRATE_P"]))
 
 
+def test_gains_as_it_ships_and_what_its_own_log_says(hexjet: Hexjet) -> None:
+    """None of its gains and filters is stated; version, parameters and messages come from its log."""
+    done = flown(hexjet, "--gains", "stock", "--set", "duration_s=0.5")
+    assert done.status == 0, done.out + done.err
+    told = books()
+    assert told["gains"] == "stock"
+    assert not any(name.startswith(("MC_", "IMU_GYRO", "IMU_DGYRO")) for name in seen()["values"])
+    assert told["version"] == "1.17.0-rc (0123abcd)"
+    values = DEFAULTS | seen()["values"]
+    text = "".join(f"{name}={float(np.float32(value)):.9g}\n" for name, value in sorted(values.items()))
+    assert (told["parameters_flown"], told["parameters_sha256"]) == (len(values), sha256(text.encode()).hexdigest())
+    said = [event for event in list_events(open_run(Path("run"))) if event.kind == "pilot"]
+    assert [(event.time_s, event.text) for event in said] == [
+        (0.0, "version 1.17.0-rc (0123abcd)"),
+        (0.0, "Armed by RC"),
+        (0.2, "Takeoff detected"),
+    ]
+    page = Path("run/report.html").read_text(encoding="utf-8")
+    assert "Takeoff detected" in page
+
+
 def test_what_is_not_to_be_had_is_one_line(hexjet: Hexjet) -> None:
     """A parameter's name that it does not have, by its own words; a design where no gains are taken from; no file."""
     done = flown(hexjet, "--param", "MC_ROLRATE_P=0.1", "--param", "MC_ROLL_P=5")
@@ -135,7 +158,7 @@ def test_what_is_not_to_be_had_is_one_line(hexjet: Hexjet) -> None:
             ["--set", f"controller={DESIGN}"],
             "in the place of the controller; the gains of a design go into it by --gains",
         ),
-        (["--gains", "stock"], "--gains stock: must be a file of hexjet design (.toml)"),
+        (["--gains", "mine"], "--gains mine: must be vehicle, stock, a file of hexjet design (.toml)"),
         (["--gains", "nowhere.toml"], "nowhere.toml"),
     ):
         done = hexjet("sitl", "px4", "--binary", "/bin/true", *given)
