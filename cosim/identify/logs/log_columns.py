@@ -19,6 +19,7 @@ from cosim.results.log.tables import TIME
 
 _TRUTH = "_groundtruth"  # of a simulation, PX4's or ours, behind the name of a topic
 _ATTITUDE = "vehicle_attitude{}.q[{}]"  # of PX4: w first, body to NED
+_ASKED = "vehicle_attitude_setpoint.q_d[{}]"
 _LOCAL = "vehicle_local_position{}.{}"
 _NED = "LOCAL_POSITION_NED."  # of MAVLink
 _AXES = tuple(zip(RATES, AXES, strict=True))
@@ -97,9 +98,13 @@ def match_columns(log: FlightLog) -> dict[str, Channel]:
     """Return what a log of another flight controller has, by our column names and in their units."""
     columns = _rates(log)
     true, estimated = (log.has(_ATTITUDE.format(suffix, 3)) for suffix in (_TRUTH, ""))
-    for there, suffix, name in ((true, _TRUTH, "{}_rad"), (estimated, "", "{}_measured_rad" if true else "{}_rad")):
+    for there, pattern, name in (
+        (true, _ATTITUDE.replace("{}", _TRUTH, 1), "{}_rad"),
+        (estimated, _ATTITUDE.replace("{}", "", 1), "{}_measured_rad" if true else "{}_rad"),
+        (log.has(_ASKED.format(3)), _ASKED, "{}_setpoint_rad"),
+    ):
         if there:
-            components = [log.channels[_ATTITUDE.format(suffix, n)] for n in range(4)]
+            components = [log.channels[pattern.format(n)] for n in range(4)]
             for axis, values in zip(AXES, _euler(*(part.values for part in components)), strict=True):
                 columns[name.format(axis)] = Channel(components[0].times, values)
     for name, choices in _SUMS.items():

@@ -142,7 +142,8 @@ def signals_of(log: FlightLog, key: str) -> LogSignals:
     for choice in choices:
         if log.has(choice.command) and log.has(choice.output):
             return choice if log.has(choice.setpoint) else choice._replace(setpoint="")
-    needed = " or ".join(f"{choice.command} with {choice.output}" for choice in choices)
+    near = [choice for choice in choices if log.has(choice.command) or log.has(choice.output)]
+    needed = " or ".join(f"{choice.command} with {choice.output}" for choice in near or choices)
     raise InputError(f"{log.path}: it has no {key}; say --command and --output, or log one of: {needed}")
 
 
@@ -171,6 +172,10 @@ def _axis(n: int) -> list[LogSignals]:
         ),
         LogSignals(
             f"vehicle_torque_setpoint.xyz[{n}]", f"sensor_combined.gyro_rad[{n}]", f"vehicle_rates_setpoint.{axis}"
+        ),
+        *(  # PX4 up to 1.13
+            LogSignals(f"actuator_controls_0.control[{n}]", output, f"vehicle_rates_setpoint.{axis}")
+            for output in (f"vehicle_angular_velocity.xyz[{n}]", f"sensor_combined.gyro_rad[{n}]")
         ),
         LogSignals(f"RATE.{letter}Out", f"deg(RATE.{letter})", f"deg(RATE.{letter}Des)"),
         LogSignals(f"RATE.{letter}Out", f"IMU[0].Gyr{gyro}", f"deg(RATE.{letter}Des)"),

@@ -21,18 +21,26 @@ from cosim.spec.vehicle import Vehicle
 XYZ: Final = ("x", "y", "z")
 NED: Final = ("north", "east", "down")
 SLOWEST_COMMAND_S = 0.03  # between two commands: what engines do between slower ones is not in the log
+SLOWEST_SETPOINT_S = 0.11  # between two set-points of the attitude, which autopilots log ten times a second
 LONGEST_GAP = 5.0  # control steps, or rows of the log, without a row: nothing is flown across a longer one
 MOST_THROTTLE = 1.5  # beyond it they are no throttles from 0 to 1
 LEAST_S = 2.0  # of commands and measurements, for a verdict of any kind
-COUNTS: Final = {  # what 0 and 1 of a throttle are, by the kind of log
+OUTPUTS: Final = "actuator_outputs"  # of PX4: what its outputs had, in microseconds
+MICROSECONDS: Final = (1000.0, 2000.0)
+COUNTS: Final = {  # what 0 and 1 of a throttle are, by the kind of log, or by the topic
+    OUTPUTS: MICROSECONDS,
     "Crazyflie": (0.0, 65535.0),
-    "ArduPilot DataFlash": (1000.0, 2000.0),
-    "MAVLink telemetry log": (1000.0, 2000.0),
+    "ArduPilot DataFlash": MICROSECONDS,
+    "MAVLink telemetry log": MICROSECONDS,
     "Betaflight blackbox": (48.0, 2047.0),
 }
+_FASTER: Final = {  # how a kind of log has commands oftener
+    "ULog": "PX4: SDLOG_PROFILE with high rate; of ours: hexjet export --to ulog --rates all",
+    "ArduPilot DataFlash": "ArduPilot writes RCOU ten times a second; hexjet identify log --axis takes RATE.ROut",
+}
 _MOTORS: Final = (  # where the command of engine n may stand; {n} from 1, {m} from 0
-    "throttle_{n}", "hexjet_throttle.throttle[{m}]", "actuator_motors.control[{m}]", "motor.m{n}", "RCOU.C{n}",
-    "motor[{m}]", "SERVO_OUTPUT_RAW.servo{n}_raw",
+    "throttle_{n}", "hexjet_throttle.throttle[{m}]", "actuator_motors.control[{m}]", OUTPUTS + ".output[{m}]",
+    "motor.m{n}", "RCOU.C{n}", "motor[{m}]", "SERVO_OUTPUT_RAW.servo{n}_raw",
 )  # fmt: skip
 _FORCES: Final = (  # m/s^2 or g; FRD but for LEFT_AND_UP
     "specific_force_{x}_measured_m_s2", "specific_force_{x}_m_s2", "sensor_combined.accelerometer_m_s2[{m}]",
@@ -41,6 +49,7 @@ _FORCES: Final = (  # m/s^2 or g; FRD but for LEFT_AND_UP
 _GYROS: Final = (  # rad/s, FRD, where the log has not what its kind is known by
     "vehicle_angular_velocity.xyz[{m}]", "sensor_combined.gyro_rad[{m}]", "IMU[0].Gyr{X}", "IMU.Gyr{X}",
 )  # fmt: skip
+_LIKE_MOTORS: Final = ("throttle_", "motor", "rcou", "output", "pwm")  # in the names of what may be commands
 _UNITS: Final = {"acc.": GRAVITY, "SCALED_IMU": 1e-3 * GRAVITY, "RAW_IMU": 1e-3 * GRAVITY}  # m/s^2
 
 
@@ -91,8 +100,16 @@ class RecordedFlight:
 
 
 def has_commands(log: FlightLog, mapping: ThrottleChannels) -> bool:
-    """Return whether the log has the command of any engine."""
-    return bool(mapping.throttles) or _motor(log, 1, mapping) is not None
+    """Return whether the commands of engines are flown: the log has some, often enough, or nothing in their place."""
+    if mapping.throttles:
+        return True
+    name = _motor(log, 1, mapping)
+    return name is not None and (_apart(log.channels[name]) <= SLOWEST_COMMAND_S or not _setpoints(_all_columns(log)))
+
+
+def _all_columns(log: FlightLog) -> dict[str, Channel]:
+    """Return what a log has, by its own names and as far as they are known by ours."""
+    return match_columns(log) | dict(log.channels)
 
 
 def record_flight(
@@ -101,21 +118,21 @@ def record_flight(
     """Put a log on the clock of a vehicle's control steps, between the times ``part`` [s].
 
     A command holds from its stamp to the next; where the log has several rows in a step, they are averaged.  Without
-    commands of engines the set-points are taken.  Raises InputError for a log that lacks both, or rates, or has
-    commands of another number of engines.
+    commands of engines, or with slow ones, the set-points are taken.  Raises InputError for a log that lacks both, or
+    rates, or has commands of another number of engines.
     """
     notes: list[str] = list(log.remarks)
-    columns = match_columns(log) | {name: log.channels[name] for name in log.channels}
+    columns = _all_columns(log)
     gyros = _gyros(log, columns, notes)
+    slow: list[Channel] = []  # commands that say no more than when the engines run
     if has_commands(log, mapping) or not (setpoints := _setpoints(columns)):
         throttles, tilts, setpoints = _throttles(log, vehicle, mapping, notes), _tilts(columns, vehicle), []
     else:
         throttles, tilts = [], []
-        notes.append(
-            "no commands of engines in the log: its set-points are flown, by the controller of the vehicle here"
-        )
+        slow = _throttles(log, vehicle, mapping, notes) if _motor(log, 1, mapping) else []
+        notes.append(f"{_why_setpoints(log, mapping)}: its set-points are flown, by the controller of the vehicle here")
     clock = _clock(log, [*(throttles or setpoints[:1]), *gyros], step, part)
-    _check_command_rate(log, throttles or setpoints)
+    _check_command_rate(log, (throttles or setpoints)[0], SLOWEST_COMMAND_S if throttles else SLOWEST_SETPOINT_S)
     throttle, tilt, wanted = (_held(channels, clock, step) for channels in (throttles, tilts, setpoints))
     if throttles and (most := float(np.nanmax(throttle))) > MOST_THROTTLE:
         raise InputError(f"{log.path}: throttles up to {most:g}: say what 0 and 1 are, --throttle-range LOW HIGH")
@@ -125,9 +142,12 @@ def record_flight(
     usable = np.isfinite(np.concatenate(commanded, axis=1)).all(axis=1) & ~(ground > 0.5)
     for channel in ((throttles or setpoints)[0], gyros[0]):
         usable &= _near_rows(channel, clock, step)
+    if slow:
+        usable &= np.nan_to_num(_held(slow, clock, step)).max(axis=1) > 0.0
     if (seconds := float(np.sum(usable)) * step) < LEAST_S:
         raise InputError(
-            f"{log.path}: {seconds:.2g} s have commands and rates without a gap; at least {LEAST_S:g} s are needed"
+            f"{log.path}: {seconds:.2f} s have commands and rates without a gap, off the ground and with engines that "
+            f"run; at least {LEAST_S:g} s are needed"
         )
     return RecordedFlight(
         step,
@@ -201,7 +221,7 @@ def _throttles(log: FlightLog, vehicle: Vehicle, mapping: ThrottleChannels, note
     names = [_motor(log, n, mapping) for n in range(1, jets + 1)]
     if None in names:
         commanded = sum(name is not None for name in names)
-        have = ", ".join(name for name in log.channels if any(key in name.lower() for key in ("thr", "mot", "rcou")))
+        have = ", ".join(name for name in log.channels if any(key in name.lower() for key in _LIKE_MOTORS))
         what = f"commands of {commanded} engines" if commanded else "no commands of engines"
         raise InputError(
             f"{log.path}: {what}, and {vehicle.name} has {jets}; say --throttle N=CHANNEL; of that kind it has "
@@ -214,9 +234,10 @@ def _throttles(log: FlightLog, vehicle: Vehicle, mapping: ThrottleChannels, note
         )
     low, high = mapping.limits or (0.0, 1.0)
     first = str(names[0])
-    if mapping.limits is None and log.kind in COUNTS and not first.startswith(("throttle_", "actuator_motors")):
-        low, high = COUNTS[log.kind]
-        notes.append(f"{first} and the like: {low:g} is taken for throttle 0 and {high:g} for 1, as {log.kind} has it")
+    kind = next((kind for kind in (first.partition(".")[0], log.kind) if kind in COUNTS), None)
+    if mapping.limits is None and kind and not first.startswith(("throttle_", "actuator_motors")):
+        low, high = COUNTS[kind]
+        notes.append(f"{first} and the like: {low:g} is taken for throttle 0 and {high:g} for 1, as {kind} has it")
     channels = [_clean(log.signal(str(name)), str(name), notes) for name in names]
     return [channel._replace(values=(channel.values - low) / (high - low)) for channel in channels]
 
@@ -285,13 +306,31 @@ def _clock(log: FlightLog, channels: Sequence[Channel], step: float, part: tuple
     return np.asarray(begin + step * np.arange(steps + 1), np.float64)
 
 
-def _check_command_rate(log: FlightLog, throttles: Sequence[Channel]) -> None:
-    apart = float(np.median(np.diff(throttles[0].times)))
-    if apart > SLOWEST_COMMAND_S:
+def _apart(channel: Channel) -> float:
+    """Return the time between two rows [s]; infinite where there are no two."""
+    return float(np.median(np.diff(channel.times))) if len(channel.times) > 1 else np.inf
+
+
+def _why_setpoints(log: FlightLog, mapping: ThrottleChannels) -> str:
+    """Return why no commands of engines are flown."""
+    name = _motor(log, 1, mapping)
+    if name is None:
+        return "no commands of engines in the log"
+    return f"{name} and the like are {1e3 * _apart(log.channels[name]):.3g} ms apart{_hint(log)}"
+
+
+def _check_command_rate(log: FlightLog, command: Channel, slowest: float) -> None:
+    apart = _apart(command)
+    if apart > slowest:
         raise InputError(
-            f"{log.path}: its commands are {1e3 * apart:.3g} ms apart; at most {1e3 * SLOWEST_COMMAND_S:g} ms "
-            "tell what they did (of a ULog of ours: hexjet export --to ulog --rates all)"
+            f"{log.path}: its commands are {1e3 * apart:.3g} ms apart; at most {1e3 * slowest:g} ms tell what they did"
+            f"{_hint(log)}"
         )
+
+
+def _hint(log: FlightLog) -> str:
+    """Return in brackets how commands are logged oftener, where that is known of a kind of log."""
+    return f" ({_FASTER[log.kind]})" if log.kind in _FASTER else ""
 
 
 def _hold(channel: Channel, clock: Array, step: float) -> Array:

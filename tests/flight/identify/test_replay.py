@@ -19,7 +19,7 @@ from cosim.identify.logs import Channel, FlightLog, read_flight_log
 from cosim.identify.replay import Choices, RecordedFlight, Replay, ThrottleChannels, record_flight
 from cosim.identify.replay import replay as fly_again
 from cosim.identify.replay.measures import theil
-from cosim.identify.replay.recorded import SLOWEST_COMMAND_S
+from cosim.identify.replay.recorded import SLOWEST_COMMAND_S, SLOWEST_SETPOINT_S, has_commands
 from cosim.identify.replay.replay import EXPLAINED, NEEDED, NOT_EXPLAINED, NOT_TOLD
 from cosim.results.export.csv_file import export_csv
 from cosim.results.export.mat import export_mat
@@ -274,6 +274,46 @@ def test_logs_that_are_short_slow_or_of_another_unit_are_refused() -> None:
     assert "throttles up to 30000: say what 0 and 1 are" in refusal(log_of(**counts))
 
 
+def autopilots(kind: str, **others: np.ndarray) -> FlightLog:
+    """A log as an autopilot has it unless told otherwise: commands ten times a second, or none."""
+    log = lacking(log_of(), *(f"throttle_{jet}" for jet in range(1, 7)))
+    slow = np.arange(40) / 10.0
+    channels = {name: Channel(slow, values) for name, values in others.items()}
+    return replace(log, kind=kind, channels={**log.channels, **channels})
+
+
+SLOW = {f"actuator_outputs.output[{jet}]": np.where(np.arange(40) < 5, 900.0, 1500.0) for jet in range(6)}
+ASKED = {f"vehicle_attitude_setpoint.q_d[{n}]": np.full(40, float(n == 0)) for n in range(4)}
+
+
+def test_commands_ten_times_a_second_leave_the_set_points() -> None:
+    """The commands then say when the engines run, and a note how to log them oftener; without set-points a refusal."""
+    log = autopilots("ULog", **SLOW, **ASKED)
+    assert not has_commands(log, ThrottleChannels())
+    flight = record_flight(log, VEHICLE, 0.004, ThrottleChannels(), WHOLE)
+    assert flight.setpoints is not None
+    assert any("100 ms apart (PX4: SDLOG_PROFILE" in note for note in flight.notes)
+    assert not flight.usable[:120].any()
+    assert flight.usable[130:].all()
+    assert "100 ms apart; at most 30 ms tell what they did (PX4" in refusal(autopilots("ULog", **SLOW))
+    rest = dict.fromkeys(SLOW, np.full(40, 900.0))
+    assert "0.00 s have commands and rates" in refusal(autopilots("ULog", **rest, **ASKED))
+    desired = {f"ATT.Des{axis}": np.zeros(40) for axis in ("Roll", "Pitch", "Yaw")}
+    outputs = {f"RCOU.C{jet}": np.full(40, 1500.0) for jet in range(1, 7)}
+    flight = record_flight(
+        autopilots("ArduPilot DataFlash", **outputs, **desired), VEHICLE, 0.004, ThrottleChannels(), WHOLE
+    )
+    assert flight.setpoints is not None
+
+
+def test_microseconds_of_a_ulog_are_throttles() -> None:
+    log = autopilots("ULog")
+    quick = {name: Channel(np.arange(1000) / 250.0, np.full(1000, 1500.0)) for name in SLOW}
+    flight = record_flight(replace(log, channels={**log.channels, **quick}), VEHICLE, 0.004, ThrottleChannels(), WHOLE)
+    np.testing.assert_allclose(flight.throttle, 0.5)
+    assert any("1000 is taken for throttle 0 and 2000 for 1" in note for note in flight.notes)
+
+
 def test_values_that_are_no_numbers_are_left_out_and_counted() -> None:
     rate = np.full(1000, 0.5)
     rate[100:110] = np.nan
@@ -299,6 +339,7 @@ def test_theils_parts_are_those_of_the_definition() -> None:
 def test_the_page_has_the_numbers_of_the_code() -> None:
     page, usual = "docs/replay.md", Choices()
     stated(page, "the command of every engine, every {} ms or faster", 1e3 * SLOWEST_COMMAND_S)
+    stated(page, "`ATT.DesRoll`, every {} ms or faster)", 1e3 * SLOWEST_SETPOINT_S)
     stated(
         page, "moments of inertia ({} %, standard deviation), mass ({} %)", 100.0 * usual.inertia, 100.0 * usual.mass
     )

@@ -208,6 +208,18 @@ def test_other_logs_become_columns_as_far_as_they_go(tmp_path: Path) -> None:
         as_columns(FlightLog(tmp_path / "x", "made up", {"a": Channel(fast, fast)}))
 
 
+def test_what_a_log_lacks_is_named_beside_what_it_has() -> None:
+    """Older PX4s log what is asked of an axis as ``actuator_controls_0``; of a log without it, its own kind is named."""
+    gyro, asked = Channel(TIMES, WAVE), Channel(TIMES, WAVE)
+    log = FlightLog(Path("flight.ulg"), "ULog", {"sensor_combined.gyro_rad[1]": gyro})
+    with pytest.raises(InputError) as error:
+        signals_of(log, "pitch")
+    assert "actuator_controls_0.control[1] with sensor_combined.gyro_rad[1]" in str(error.value)
+    assert "motor.m1" not in str(error.value)
+    log = FlightLog(Path("flight.ulg"), "ULog", {**log.channels, "actuator_controls_0.control[1]": asked})
+    assert signals_of(log, "pitch")[:2] == ("actuator_controls_0.control[1]", "sensor_combined.gyro_rad[1]")
+
+
 def test_a_sum_is_read_as_written() -> None:
     assert terms("- a.b[0] + 0.5*deg(c) - 2 * d") == [(-1.0, "a.b[0]"), (0.5, "deg(c)"), (-2.0, "d")]
     for text in ("", "a b", "a + + b", "3*", "a -"):
