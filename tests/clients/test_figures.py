@@ -36,6 +36,11 @@ FIGURES = {
         "layout": {"height": 200, "barmode": "stack", "hovermode": "closest", "yaxis": {"autorange": "reversed"},
                    "xaxis": {"range": [0, 100]}},
     },
+    "keys": {
+        "data": [{"type": "bar", "orientation": "h", "name": "moved", "x": [1.0, 2.0],
+                  "y": ["mmmmmmmm.WWWWWWWWWW.gyro.noise_rad_s", "vehicle.mass_kg"]}],
+        "layout": {"height": 200, "yaxis": {"automargin": True, "autorange": "reversed"}},
+    },
     "map": {
         "data": [{"type": "heatmap", "x": [0.0, 1.0, 2.0], "y": [0.0, 1.0, 2.0], "z": MAP, "zmin": 1.0, "zmax": 4.0,
                   "colorscale": [[0.0, "#000000"], [0.5, "#808080"], [1.0, "#ffffff"]],
@@ -81,6 +86,17 @@ def test_a_line_goes_through_its_points_on_a_logarithmic_axis(page: Any) -> None
     assert middle == pytest.approx([(first[0] + last[0]) / 2, (first[1] + last[1]) / 2], abs=0.2)
     assert first[1] > last[1]
     assert {"1", "10", "100", "f [Hz]"} <= set(labels(page, "lines"))
+
+
+@pytest.mark.parametrize("width", [1200, 360])
+def test_a_long_name_beside_its_bar_is_within_the_figure(page: Any, width: int) -> None:
+    page.set_viewport_size({"width": width, "height": 800})
+    page.evaluate("window.dispatchEvent(new Event('resize'))")
+    figure = page.locator('[data-figure="keys"] svg')
+    page.wait_for_function(f"document.querySelector('[data-figure=\"keys\"] svg').clientWidth < {width}")
+    (name,) = [text for text in labels(page, "keys") if text.endswith("gyro.noise_rad_s")]
+    assert figure.locator("text", has_text=name).bounding_box()["x"] >= figure.bounding_box()["x"]
+    assert name.startswith("mmmmmmmm.W" if width == 1200 else "…")
 
 
 def test_the_pointer_reads_every_line_at_its_place(page: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite
 
 from cosim.campaign.analysis.table import describe_range
@@ -28,39 +29,30 @@ def proven_requirements(campaign: Campaign) -> list[ProvenRequirement]:
 
 
 def _formula(campaign: Campaign, label: str, entry: RequireEntry) -> ProvenRequirement:
-    """Return a requirement of the scenario or the study with the margins that the rows have of it."""
-    column = campaign.columns.get(MARGIN_OF + entry.name, [])
-    margins = [
-        (float(value), int(number or 0))
-        for number, value in zip(campaign.columns["flight"], column, strict=False)
-        if isinstance(value, (int, float)) and isfinite(value)
-    ]
-    broken = len(campaign) - sum(margin >= 0.0 for margin, _ in margins)  # one that was not tested is not kept
-    least, flight = min(margins, default=(None, None))
+    """Return a requirement of the scenario or the study; a flight that was lost broke it."""
     unit = parse_formula(entry.formula).unit
     says = f"{entry.name}: {entry.formula}"
-    return ProvenRequirement(label, says, broken, len(campaign), least, "" if unit == "1" else unit, flight)
+    return _proven(campaign, label, says, entry.name, range(len(campaign)), 1.0, "" if unit == "1" else unit)
 
 
 def _condition(campaign: Campaign, label: str, name: str, allowed: Range) -> ProvenRequirement:
-    """Return the requirement on one metric; its margin is of the flights that completed and have it."""
-    of, columns = metric(name), campaign.columns
-    smallest: tuple[float, int] | None = None
-    broken = told = 0
-    rows = zip(columns["flight"], columns["outcome"], columns.get(name, [None] * len(campaign)), strict=True)
-    for number, outcome, value in rows:
-        if outcome != "completed":
-            continue
-        told += 1
-        if not isinstance(value, (int, float)) or not isfinite(value):
-            broken += 1  # a metric that the flight does not have is not within its range
-            continue
-        ends = [allowed.max - value] if allowed.max is not None else []
-        ends += [value - allowed.min] if allowed.min is not None else []
-        margin = of.factor * min(ends)
-        broken += margin < 0.0
-        if smallest is None or margin < smallest[0]:
-            smallest = margin, int(number or 0)
+    """Return the requirement on one metric, of the flights that completed."""
+    of, outcomes = metric(name), campaign.columns["outcome"]
+    completed = [index for index, outcome in enumerate(outcomes) if outcome == "completed"]
     says = f"{of.label} {describe_range(name, allowed)}"
-    least, flight = smallest or (None, None)
-    return ProvenRequirement(label, says, broken, told, least, of.unit, flight)
+    return _proven(campaign, label, says, name, completed, of.factor, of.unit)
+
+
+def _proven(
+    campaign: Campaign, label: str, says: str, name: str, indices: Sequence[int], factor: float, unit: str
+) -> ProvenRequirement:
+    """Return a requirement with what the rows of ``indices`` say of its margin, shown ``factor`` times as large."""
+    column, numbers = campaign.columns.get(MARGIN_OF + name, [None] * len(campaign)), campaign.columns["flight"]
+    margins = [
+        (factor * float(value), int(numbers[index] or 0))
+        for index in indices
+        if isinstance(value := column[index], (int, float)) and isfinite(value)
+    ]
+    broken = len(indices) - sum(margin >= 0.0 for margin, _ in margins)  # one that was not tested is not kept
+    least, flight = min(margins, default=(None, None))
+    return ProvenRequirement(label, says, broken, len(indices), least, unit, flight)

@@ -9,9 +9,9 @@ from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
 from cosim.campaign.proof.design_study import design_study, find_design
 from cosim.campaign.study.options import open_study
+from cosim.campaign.study.plan import only_controller
 from cosim.campaign.study.sequential import default_runs, parse_claim
 from cosim.campaign.study.study import Study, find_study, study_names
-from cosim.spec.controller_name import short_name
 
 
 def proof_study(name: str, claim: str | None, budget: int | None = None, **options: Any) -> Study:
@@ -45,10 +45,5 @@ def _checked(study: Study, claim: str) -> Study:
     """Raise InputError for a claim that compares controllers, and a study with more than one of them."""
     if parse_claim(claim).pair is not None:
         raise InputError(f"--claim {claim}: compares two controllers, which hexjet sweep --until does")
-    names = study.controller_names
-    if len(names) > 1:
-        listed = ", ".join(map(short_name, names))
-        raise InputError(
-            f"study {study.name}: has {len(names)} controllers, {listed}; --controller says which is meant"
-        )
+    only_controller(study, "a proof")
     return study

@@ -21,12 +21,12 @@ from cosim.campaign.folder import load as load_study
 from cosim.campaign.rare.estimate import Budget
 from cosim.campaign.rare.page import write_page
 from cosim.campaign.rare.result import RareCase, SavedRare
-from cosim.campaign.rare.simulation import Failure, Plan, RareResult, only_controller, simulate
+from cosim.campaign.rare.simulation import ASKED, Failure, Plan, RareResult, simulate
 from cosim.campaign.search.probe import Journal
 from cosim.campaign.search.question import CASES, JOURNAL, STUDY, Words, begin_question, fly_row_again, holds_question
 from cosim.campaign.study.normal_space import NormalSpace
 from cosim.campaign.study.options import open_study
-from cosim.campaign.study.plan import Flight
+from cosim.campaign.study.plan import Flight, only_controller
 from cosim.campaign.study.sequential import MAX_TESTED
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import kinds
@@ -56,7 +56,7 @@ def resolve_rare(
     # the points are not those of a study's design; as many runs as any claim of its file may need
     study = open_study(name, **options | {"design": "random", "runs": MAX_TESTED})
     study = study.changed(until=None, runs=budget)
-    only_controller(study)
+    only_controller(study, ASKED)
     NormalSpace(study)
     return study, plan
 

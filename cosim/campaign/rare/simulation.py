@@ -12,19 +12,19 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import InputError
 from cosim.campaign.analysis.margin import row_margin
 from cosim.campaign.rare.estimate import SEEDS_DECIDE, Budget, Estimate, estimate, probability_text, seed_effect
 from cosim.campaign.rare.subset import Candidates, Repeat, run_repeats, subset_simulation
 from cosim.campaign.search.probe import FlownRows, Journal, Point
 from cosim.campaign.study.draws import flight_seed
 from cosim.campaign.study.normal_space import NormalSpace
-from cosim.campaign.study.plan import Flight, controllers
+from cosim.campaign.study.plan import Flight, only_controller
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.protocol import Workers
 from cosim.spec.controller_name import short_name
 
+ASKED = "a rare failure"
 REPEAT_STREAMS = 2  # index of the repeats' random streams of a study's seed, beside those of its draws
 
 
@@ -197,7 +197,7 @@ def simulate(
     Flights that ``journal`` has are not flown again.  Raises InputError for a study with more controllers than one or
     a budget that is too small, FlightError if flights cannot be flown.
     """
-    controller = only_controller(study)
+    controller = only_controller(study, ASKED)
     plan.budget.check()
     space = NormalSpace(study)
     flyer = _Flyer(study, space, controller, workers, journal, progress)
@@ -213,17 +213,6 @@ def simulate(
         study, plan, controller, estimate(repeats), tuple(repeats), tuple(flyer.failures(repeats)), tuple(flyer.rows),
         tuple(space.names),
     )  # fmt: skip
-
-
-def only_controller(study: Study) -> str:
-    """Return the one controller of a study.  Raises InputError where there are several."""
-    names = controllers(study)
-    if len(names) > 1:
-        raise InputError(
-            f"study {study.name}: has {len(names)} controllers, and a rare failure is one's; --controller NAME says "
-            f"which: {', '.join(map(short_name, names))}"
-        )
-    return names[0]
 
 
 class _Flyer:

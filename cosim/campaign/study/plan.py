@@ -16,7 +16,7 @@ from cosim.campaign.study.key import Value
 from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.sequential import StoppingRule, parse_claim
 from cosim.campaign.study.study import Study
-from cosim.spec.controller_name import file_name, seen_from
+from cosim.spec.controller_name import file_name, seen_from, short_name
 
 if TYPE_CHECKING:
     from cosim.campaign.study.draws import Draw
@@ -76,6 +76,17 @@ def flight_count(study: Study) -> int:
 def controllers(study: Study) -> list[str]:
     """Return each draw's controllers as rows name them: a file by its name relative to the study's folder."""
     return [_relative_name(study.folder, name) for name in study.controller_names]
+
+
+def only_controller(study: Study, what: str) -> str:
+    """Return the one controller of a study, of which ``what`` is asked.  Raises InputError where there are several."""
+    names = controllers(study)
+    if len(names) > 1:
+        raise InputError(
+            f"study {study.name}: has {len(names)} controllers, and {what} is one's; --controller NAME says which: "
+            f"{', '.join(map(short_name, names))}"
+        )
+    return names[0]
 
 
 def stopping_rule(study: Study) -> StoppingRule | None:

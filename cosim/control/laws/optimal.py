@@ -41,7 +41,7 @@ from cosim.spec.vehicle import RateModel
 LAGS = 3  # of the answer to a set-point
 PAIRS = 4  # of poles of the answer to a load
 ROUNDING = 1e-16
-ON_CIRCLE = 1e-6  # zeros so near to the unit circle are kept
+ON_CIRCLE = 1e-6  # zeros so near to the unit circle are not inverted, and a pole of the rate as near to 1 is at 1
 SLOW = 0.5  # of how far the slowest pole of ``t`` is from 1: a pole of the rate as near as this is answered as rest is
 FORGOTTEN = 28.0  # lags until an answer is rounding
 AT_ZERO = LAGS + 1  # states that keep the last samples, for answers that end
@@ -99,8 +99,8 @@ class ModelForm:
     def of(cls, model: RateModel, target: Target) -> ModelForm:
         """Return a model in this form, its delay in whole steps, rounded to the nearest."""
         zeros, poles = model.all_zeros, model.all_poles
-        kept = _polynomial([zero for zero in zeros if abs(zero) > 1.0 - ON_CIRCLE])
-        inside = _polynomial([zero for zero in zeros if abs(zero) <= 1.0 - ON_CIRCLE])
+        kept = polynomial([zero for zero in zeros if abs(zero) > 1.0 - ON_CIRCLE])
+        inside = polynomial([zero for zero in zeros if abs(zero) <= 1.0 - ON_CIRCLE])
         slow = max(model.poles, default=0.0)
         is_slow = 1.0 - slow < SLOW * (1.0 - target.slowest(model.sample_time_s))
         fast = list(poles)
@@ -111,7 +111,7 @@ class ModelForm:
             round(model.delay_samples) + len(poles) - len(zeros),
             kept / kept.sum(),
             model.gain * float(kept.sum()) * inside,
-            _polynomial(poles),
+            polynomial(poles),
             slow if is_slow else None,
             tuple(fast),
         )
@@ -160,7 +160,7 @@ class Target:
 
     def denominators(self, step: float) -> list[Array]:
         """Return the polynomials in ``q`` of the poles of ``t``."""
-        return [_polynomial(pole_pair(natural, damping, step)) for natural, damping in self.pairs]
+        return [polynomial(pole_pair(natural, damping, step)) for natural, damping in self.pairs]
 
     def basis(self, step: float) -> Array:
         """Return the functions that ``t`` is a sum of, for as long as they last."""
@@ -203,7 +203,7 @@ def make_predictor(model: RateModel, target: Target) -> tuple[LinearPredictor, f
 
     # y = kept top / bottom, of which what is kept goes out again
     pole = target.lag(step)
-    bottom, top = _polynomial([pole] * LAGS), (1.0 - pole) ** LAGS
+    bottom, top = polynomial([pole] * LAGS), (1.0 - pole) ** LAGS
     of_rate = extended(np.convolve(bottom / top, t)) - extended(np.array([0.5, 0.5]))
     of_rate = step * np.cumsum(of_rate)
     ends = extended(np.array([1.0])) - extended(np.r_[np.zeros(form.late), np.convolve(form.kept, t)])
@@ -227,7 +227,7 @@ def make_predictor(model: RateModel, target: Target) -> tuple[LinearPredictor, f
     return predictor, 1.0 / float(of_command[0]), attitude
 
 
-def _polynomial(roots: Sequence[complex]) -> Array:
+def polynomial(roots: Sequence[complex]) -> Array:
     """Return the coefficients in ``q`` of a polynomial with these roots in ``z``, which is 1 at ``q = 0``."""
     return np.atleast_1d(np.real(np.poly(roots)))
 
@@ -236,7 +236,7 @@ def _sections(poles: Sequence[complex]) -> list[Array]:
     """Return real polynomials of degree 1 or 2 with these poles."""
     pairs = [[pole, pole.conjugate()] for pole in poles if complex(pole).imag > 0.0]
     single = [[pole] for pole in poles if complex(pole).imag == 0.0]
-    return [_polynomial(roots) for roots in (*single, *pairs)]
+    return [polynomial(roots) for roots in (*single, *pairs)]
 
 
 def _pairs(*pairs: tuple[float, float]) -> list[Parameter]:

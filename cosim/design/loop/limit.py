@@ -41,6 +41,7 @@ from scipy.signal import lfilter
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
+from cosim.control.laws.optimal import ON_CIRCLE, polynomial
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import ClosedLoop, window_s
 
@@ -50,7 +51,6 @@ EVEN_DELAYS = 24  # for so many delays knots are as close; behind them their dis
 GROWTH, FARTHEST = 1.08, 8.0  # from knot to knot, up to so many times the first distance
 FREQUENCIES = 620  # of the sensitivity, even in the logarithm
 LOWEST = 2e-3  # rad per sample, the first of them
-ON_CIRCLE = 1e-6  # zeros so near to the unit circle are not inverted, and a pole of the rate as near to 1 is at 1
 QUARTER = 0.25  # of a sample, by which a loop's own tolerance of the delay is found
 RELAXED = 0.1  # of a bound, by which it is relaxed to see its price
 FACTOR = 2.0  # by which the peak sensitivity may grow with an error of the delay
@@ -232,10 +232,10 @@ class Plant:
         zeros = [*model.zeros, *_pairs(model.zero_pairs)]
         poles = [*model.poles, *_pairs(model.pole_pairs)]
         self.late = int(model.delay_samples) + channel.added_delay + len(poles) - len(zeros)
-        self.denominator = _polynomial(poles)
-        kept = _polynomial([zero for zero in zeros if abs(zero) > 1.0 - ON_CIRCLE])
+        self.denominator = polynomial(poles)
+        kept = polynomial([zero for zero in zeros if abs(zero) > 1.0 - ON_CIRCLE])
         self.kept = kept / kept.sum()
-        inside = _polynomial([zero for zero in zeros if abs(zero) <= 1.0 - ON_CIRCLE])
+        inside = polynomial([zero for zero in zeros if abs(zero) <= 1.0 - ON_CIRCLE])
         self.inverted = model.gain * float(kept.sum()) * inside
         self.is_double = any(abs(pole - 1.0) < ON_CIRCLE for pole in poles)
         self.shift = max(self.rate_late - self.angle_late, 0)
@@ -369,12 +369,7 @@ class Programme:
             [kinds[cone.kind](len(cone.offset)) for cone in cones], settings,
         ).solve()  # fmt: skip
         if str(solution.status) not in ("Solved", "AlmostSolved"):
-            bounds = self.bounds
-            raise InputError(
-                f"{self.plant.channel.name}: no linear controller was found with a peak sensitivity of at most "
-                f"{bounds.peak_sensitivity:.3g}, noise {bounds.noise:.3g} and step error {bounds.step_error:.3g} "
-                f"({solution.status})"
-            )
+            raise InputError(f"{self.plant.channel.name}: {_describe_none(self.bounds, str(solution.status))}")
         x = np.array(solution.x)
         return self.of_t @ x[:count], self.of_y @ x[count:first]
 
@@ -441,14 +436,20 @@ class Programme:
         return cones
 
 
+def _describe_none(bounds: Bounds, status: str) -> str:
+    """Return why a programme has no solution, by the solver's status: it is shown to have none, or was not solved."""
+    kept = (
+        f"a peak sensitivity of at most {bounds.peak_sensitivity:.3g}, noise {bounds.noise:.3g} and step error "
+        f"{bounds.step_error:.3g}"
+    )
+    if "Infeasible" in status:
+        return f"no linear controller was found with {kept}"
+    return f"the limit with {kept} is not known: the solver stopped before it was found ({status})"
+
+
 def _plane(response: Complex) -> Array:
     """Return rows with nothing, the real and the imaginary part."""
     return np.vstack([np.zeros(len(response)), response.real, response.imag])
-
-
-def _polynomial(roots: Sequence[complex]) -> Array:
-    """Return the coefficients in ``q`` of a polynomial with these roots in ``z``, which is 1 at ``q = 0``."""
-    return np.atleast_1d(np.real(np.poly(roots)))
 
 
 def _pairs(pairs: Sequence[tuple[float, float]]) -> list[complex]:

@@ -72,6 +72,7 @@ def render(
         lstrip_blocks=True,
         bytecode_cache=CompiledTemplates(),
     )
+    environment.filters["capital_first"] = _capital_first
     page = environment.get_template(template.name).generate(
         figures={name: figure_json(figure) for name, figure in figures.items()},
         drawing=(_asset(FIGURE_STYLE), "".join(map(_asset, FIGURES))) if figures else None,
@@ -80,6 +81,11 @@ def render(
         **values,
     )
     write_whole(path, page, FlightError)
+
+
+def _capital_first(text: str) -> str:
+    """Return a text as the beginning of a sentence; the rest of it stays as it is."""
+    return text[:1].upper() + text[1:]
 
 
 def notices(*held: str) -> str:

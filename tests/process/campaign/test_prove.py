@@ -270,7 +270,10 @@ def test_a_rare_failure_has_its_probability(tmp_path: Path) -> None:
         (["hover", "--claim", "99.9%@95%", "--budget", "100"], "nothing varies"),
         (["STUDY", "--claim", "99.9%@95%", "--budget", "100"], "100 flights do not show it, even if all succeed"),
         (["STUDY", "--claim", "smith>baseline@95%"], "compares two controllers, which hexjet sweep --until does"),
-        (["predictor-robustness", "--claim", "99%@95%"], "has 5 controllers, baseline, smith, filtered-smith, state"),
+        (
+            ["predictor-robustness", "--claim", "99%@95%"],
+            "has 5 controllers, and a proof is one's; --controller NAME says which: baseline, smith",
+        ),
         (["predictor-robustness"], "states no claim (until); --claim says what is to be shown"),
         (["DESIGN"], "a design states no claim"),
         (["DESIGN", "--claim", "99%@95%", "--controller", "smith"], "a design brings its own controllers"),

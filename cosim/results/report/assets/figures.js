@@ -6,6 +6,13 @@
   const PAPER = { width: 690, share: 0.78 };  // on paper: the width of a page, and two figures a page
   const LINE = 15;  // px from one line of text to the next
   const CHARACTER = 6.4;  // px of a character, on average
+  const GAP = 16;  // px from the left edge to names, and from names to their axis
+  const pen = document.createElement("canvas").getContext("2d");
+  const fitted = (name, room) => {  // a name without its first letters, where there is no room for them
+    let cut = name;
+    while (cut.length > 2 && pen.measureText(cut).width > room) cut = `…${cut.slice(cut === name ? 1 : 2)}`;
+    return cut;
+  };
   const element = (kind, attributes, ...children) => {
     const made = document.createElement(kind);
     for (const [key, value] of Object.entries(attributes)) key.startsWith("on") ? made.addEventListener(key.slice(2), value) : made.setAttribute(key, value);
@@ -105,8 +112,9 @@
       for (const axis of Object.values(this.axes)) axis.range = this.zoom[together(axis)] || [...ends[together(axis)]];
       for (const axis of Object.values(this.axes)) {
         if (axis.letter !== "y" || !axis.categories && !axis.about.automargin) continue;
-        const most = Math.max(0, ...axis.categories ? axis.categories.flatMap(lines).map((text) => text.length) : [6]);
-        margin.l = Math.max(axis.about.title ? 64 : 20, Math.min(0.45 * this.width, 16 + CHARACTER * most));
+        pen.font = `12px ${getComputedStyle(this.body).fontFamily}`;  // as figures.css has it
+        const widest = axis.categories ? Math.max(0, ...axis.categories.flatMap(lines).map((text) => pen.measureText(text).width)) : 6 * CHARACTER;
+        margin.l = Math.max(axis.about.title ? 64 : 20, Math.min(0.6 * this.width, GAP + widest));
       }
       this.margin = margin;
       const put = (letter) => {
@@ -163,7 +171,7 @@
           }
           if (named) text((axis.from + axis.to) / 2, other.from + 21 + LINE * (labelled ? deep : 0), named, "middle", 'class="title"');
         } else {
-          if (labelled) for (const tick of ticks) text(other.from - 6, axis.at(tick.even) + 4 - LINE * (lines(tick.text).length - 1) / 2, tick.text, "end");
+          if (labelled) for (const tick of ticks) text(other.from - 6, axis.at(tick.even) + 4 - LINE * (lines(tick.text).length - 1) / 2, axis.categories ? lines(tick.text).map((row) => fitted(row, other.from - 8)).join("<br>") : tick.text, "end");
           if (named) { const at = [other.from - (axis.beside || 50), (axis.from + axis.to) / 2]; text(...at, named, "middle", `class="title" transform="rotate(-90 ${at[0].toFixed(1)} ${at[1].toFixed(1)})"`); }
         }
       }
