@@ -1,6 +1,6 @@
 """Flies what docs/sensors.md says: the flagship flights with the sensors as stated and with the profile ``measured``.
 
-The README and docs/full-scale.md get a line of it, between their marks.
+docs/full-scale.md gets a line of it, between its marks.
 
     python docs/sensors.py
 """
@@ -18,7 +18,6 @@ from cosim.results.report.marks import table, write_marks
 PAGE = Path(__file__).parent / "sensors.md"
 MARK = "sensors in a line"
 LINES = {  # pages with flights of the table in a line
-    Path(__file__).parents[1] / "README.md": ("roll doublet, baseline", "roll doublet, Smith", "landing"),
     Path(__file__).parent / "full-scale.md": ("full-scale roll doublet", "full-scale gust"),
 }
 SEEDS = range(1, 6)

@@ -84,17 +84,23 @@ def tally(claims: Iterable[ClaimRow]) -> dict[str, dict[str, int]]:
     return counted
 
 
-def counts_in_words(claims: Iterable[ClaimRow]) -> str:
-    """Describe how many claims came to each verdict: the sentence of terminal, report, README and docs."""
+def count_choices(claims: Iterable[ClaimRow]) -> list[int]:
+    """Count, by fidelity, the claims that hold and follow from a choice of ours."""
     rows = list(claims)
-    linear, flight = tally(rows).values()
-    chosen = [
+    return [
         sum(
             judgement is not None and judgement.verdict == "holds" and judgement.basis == "follows from a choice"
             for judgement in judged
         )
         for judged in ([row.linear for row in rows], [row.flight for row in rows])
     ]
+
+
+def counts_in_words(claims: Iterable[ClaimRow]) -> str:
+    """Describe how many claims came to each verdict: the sentence of terminal and report."""
+    rows = list(claims)
+    linear, flight = tally(rows).values()
+    chosen = count_choices(rows)
     text = (
         f"Of {len(rows)} claims of the paper {linear['holds']} hold on the linear plant and {flight['holds']} in six "
         f"degrees of freedom ({chosen[0]} and {chosen[1]} of them follow from a choice of ours); "

@@ -1,4 +1,4 @@
-"""What ``hexjet paper`` writes between the marks of README.md and docs/paper.md: one text for report and pages."""
+"""What ``hexjet paper`` writes between the marks of docs/paper.md."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from hexjet_paper import numbers
 from hexjet_paper.claims import ClaimRow, Evidence, Judgement
 from hexjet_paper.experiments import Metrics, Result
 from hexjet_paper.report.figures import FIDELITIES, NAMES
-from hexjet_paper.report.page import counts_in_words, verified_in_words
-from hexjet_paper.report.readings import model_error_table, model_errors_in_words, readings_table
+from hexjet_paper.report.page import count_choices, tally, verified_in_words
+from hexjet_paper.report.readings import model_error_table, readings_table
 
 if TYPE_CHECKING:
     from hexjet_paper.report.result import Reproduction
@@ -22,12 +22,10 @@ if TYPE_CHECKING:
 COUNTS, DOUBLET, HELD_CLAIMS, DIFFERS, CONSTRUCTED, TURBOJET = (
     "paper: " + part for part in ("counts", "doublet", "held", "differs", "by construction", "turbojet")
 )
-READINGS, CONSISTENT, VERIFIED, OFF, OFF_IN_A_LINE = (
-    "paper: " + part for part in ("readings", "consistency", "verification", "model errors", "model errors in a line")
+READINGS, CONSISTENT, VERIFIED, OFF = (
+    "paper: " + part for part in ("readings", "consistency", "verification", "model errors")
 )
-NAMED = (
-    COUNTS, DOUBLET, HELD_CLAIMS, DIFFERS, CONSTRUCTED, TURBOJET, READINGS, CONSISTENT, VERIFIED, OFF, OFF_IN_A_LINE,
-)  # fmt: skip
+NAMED = (COUNTS, DOUBLET, HELD_CLAIMS, DIFFERS, CONSTRUCTED, TURBOJET, READINGS, CONSISTENT, VERIFIED, OFF)
 
 
 def check_page(path: Path) -> None:
@@ -49,7 +47,7 @@ def write_page(path: Path, reproduction: Reproduction) -> None:
 def page_parts(reproduction: Reproduction) -> dict[str, str]:
     """Return every part by its mark's name."""
     return {
-        COUNTS: counts_in_words(reproduction.claims) + "\n",
+        COUNTS: counts_table(reproduction.claims),
         DOUBLET: _doublet(reproduction),
         HELD_CLAIMS: _claims_that_hold(reproduction),
         DIFFERS: _claims_that_differ(reproduction),
@@ -59,8 +57,24 @@ def page_parts(reproduction: Reproduction) -> dict[str, str]:
         CONSISTENT: _consistency(reproduction.consistency),
         VERIFIED: verified_in_words(reproduction) + "\n",
         OFF: model_error_table(reproduction.model_errors).markdown(),
-        OFF_IN_A_LINE: model_errors_in_words(reproduction.model_errors) + "\n",
     }
+
+
+def counts_table(claims: Iterable[ClaimRow]) -> str:
+    """Return the table of how many claims came to each verdict, by fidelity."""
+    claims = list(claims)
+    counts, chosen = tally(claims), dict(zip(FIDELITIES, count_choices(claims), strict=True))
+    labels = {
+        "holds": "holds",
+        "under a condition": "holds under a stated condition",
+        "by construction": "holds by construction: no evidence",
+        "does not hold": "does not hold",
+        "not flown": "not flown",
+    }
+    rows = [(label, *(str(counts[name][verdict]) for name in FIDELITIES)) for verdict, label in labels.items()]
+    rows.insert(1, ("of these, by a choice of ours", *(str(chosen[name]) for name in FIDELITIES)))
+    rows.append(("claims", *(str(sum(counts[name].values())) for name in FIDELITIES)))
+    return table(("verdict", *FIDELITIES), rows, left=1)
 
 
 def constructed_table(claims: Iterable[ClaimRow]) -> str:

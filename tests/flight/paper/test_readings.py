@@ -171,9 +171,7 @@ def test_smith_holds_with_models_that_are_off() -> None:
     assert all(error.stable for error in errors)
     said = parts_of((ROOT / PAGE).read_text(encoding="utf-8"), PAGE)["paper: model errors"]
     assert said == model_error_table(errors).markdown()
-    readme = parts_of((ROOT / "README.md").read_text(encoding="utf-8"), "README.md")["paper: model errors in a line"]
-    assert readme == model_errors_in_words(errors) + "\n"
-    assert "8 of 8 flights settle" in readme
+    assert "8 of 8 flights settle" in model_errors_in_words(errors)
     lost = errors[0].model_copy(update={"stable": False})
     assert "7 of 8 flights settle" in model_errors_in_words([lost, *errors[1:]])
 
