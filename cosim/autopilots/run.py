@@ -76,11 +76,13 @@ class _AnswerWriter:
 
 
 def make_external_rate_loop(scenario: Scenario, gain: Vector3, has_gyro: bool = False) -> ExternalRateLoop:
-    """Return the rate loop of a scenario's controller.  Raises InputError for a user-supplied controller."""
+    """Return the rate loop of a scenario's controller.  Raises InputError for one that is more than a rate loop."""
     with build(scenario) as simulation:
-        if simulation.controller_source is not None:
+        source = simulation.controller_source
+        if source is not None and source.level not in ("predictor", "rate"):
             raise InputError(
-                f"--rates {scenario.controller}: its rate loop is its own; allowed are built-in controllers"
+                f"--rates {scenario.controller}: is of level {source.level}; allowed are built-in controllers, and "
+                "others of level predictor or rate"
             )
         return ExternalRateLoop(simulation.cascade, gain, has_gyro)
 

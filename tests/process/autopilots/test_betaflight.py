@@ -308,6 +308,21 @@ def test_a_rate_loop_of_ours_flies_it_from_outside(tmp_path: Path) -> None:
     assert again.log["roll_rad"].tobytes() == run.log["roll_rad"].tobytes()
 
 
+def test_the_controller_at_the_limit_flies_it_from_outside(tmp_path: Path) -> None:
+    doublet = Scenario.load("roll-doublet").replace(duration_s=8.0)
+    vehicle, _ = doublet.resolved_vehicle()
+    lines = [*theirs.make_gain_settings(vehicle), *theirs.EXTERNAL_RATES]
+    assert BINARY is not None
+    autopilot = theirs.Betaflight(BINARY, tmp_path / "its", vehicle, doublet.step_s, lines, free_port(), 60.0)
+    rates = make_external_rate_loop(doublet.replace(controller="optimal"), theirs.compute_external_rate_gain(vehicle))
+    run = fly_with(autopilot, doublet, tmp_path / "run", rates=rates).run
+    roll = run.metrics["roll"]
+    assert (run.outcome, roll.settling_time_s is None) == ("completed", False)
+    stated("docs/autopilots.md", "with `--rates optimal` it settles in {} s", roll.settling_time_s or 0.0)
+    assert roll.overshoot_percent is not None
+    assert roll.overshoot_percent < 2.0  # it is a lag of third order behind the delay
+
+
 CONTROLLER_FILE = """controller = "baseline"
 [vehicle.control.attitude]
 gain_1_s = [1.6, 1.6, 6.0]

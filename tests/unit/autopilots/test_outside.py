@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from command_tools import Hexjet
@@ -19,6 +21,7 @@ DOUBLET = Scenario.load("roll-doublet").replace(expect=[], controller="smith")
 FLOWN = {
     "hexjet": DOUBLET,
     "hexjet-p220": Scenario.load("full-scale-roll-doublet").replace(expect=[], controller="smith"),
+    "a law": DOUBLET.replace(controller="optimal"),
     "quadrotor": DOUBLET.replace(aircraft="quadrotor", engine="motor", step_s=0.0025),
 }
 
@@ -78,8 +81,24 @@ def test_the_inverse_gives_back_what_the_allocation_was_told() -> None:
     assert command_to_torque(4, Banks()) == wanted
 
 
-def test_a_controller_without_a_rate_loop_of_ours_is_refused(hexjet: Hexjet) -> None:
+LEAN = """class Lean:
+    level = "attitude"
+
+    def reset(self):
+        pass
+
+    def update(self, command, measured):
+        return (0.0, 0.0, 0.0)
+"""
+
+
+def test_a_controller_without_a_rate_loop_of_ours_is_refused(hexjet: Hexjet, tmp_path: Path) -> None:
+    (tmp_path / "lean.py").write_text(LEAN)
     for given, said in (
+        (
+            ["betaflight", "--rates", f"{tmp_path}/lean.py:Lean", "--trust"],
+            "is of level attitude; allowed are built-in",
+        ),
         (["betaflight", "--rates", "nobody"], "nobody"),
         (["betaflight", "--rates", "baseline", "--aircraft", "trijet"], "torques are not those of banks or rotors"),
         (["px4", "--rates", "nobody"], "nobody"),
