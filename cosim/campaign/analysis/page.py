@@ -29,11 +29,12 @@ from cosim.campaign.analysis.summary import (
     ranked_result,
     success_fractions,
 )
-from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn, describe_criterion, read_flight_table
+from cosim.campaign.analysis.table import FlightTable, KeyColumn, describe_criterion, read_flight_table
 from cosim.campaign.analysis.worst_cases import case_rows
 from cosim.campaign.folder import REPORT
 from cosim.campaign.study.engine_draw import DRAWN_BY
 from cosim.campaign.study.keys import FLOWN_STATIONS
+from cosim.campaign.workers.flight_row import describe_not_flown
 from cosim.results.report.page import render
 from cosim.results.report.plot import run_colour
 from cosim.results.wording import Metric
@@ -268,12 +269,8 @@ def warnings(campaign: Campaign, table: FlightTable, stops: bool = False) -> lis
             "Flights that are lost early end early, so that the finished ones may look worse than all will."
             + (" Of a grid only a part is here." if table.grid else "")
         )
-    failed = int(np.sum(table.kind == KINDS.index("failed")))
-    if failed:
-        lines.append(
-            f"{failed:,} flight{'s' if failed > 1 else ''} could not be flown to a verdict (failed): "
-            f"{'they count' if failed > 1 else 'it counts'} as no success everywhere; the reasons are below."
-        )
+    if table.not_flown:
+        lines.append(f"{describe_not_flown(len(table.not_flown), table.not_flown[0])}; all reasons are below.")
     changed = [name for name, values in collect_sources(campaign).items() if len(values) > 1]
     if changed:
         lines.append(

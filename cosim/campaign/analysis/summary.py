@@ -26,6 +26,7 @@ from cosim.campaign.analysis.statistics import (
     proportion,
 )
 from cosim.campaign.analysis.table import KINDS, FlightTable, Mask, describe_criterion, read_flight_table
+from cosim.campaign.workers.flight_row import describe_not_flown
 from cosim.results.wording import metric
 
 if TYPE_CHECKING:
@@ -192,6 +193,7 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
                 zip(table.controllers, success_fractions(table), strict=True)
             )
         },
+        "not_flown": describe_not_flown(len(table.not_flown), table.not_flown[0]) if table.not_flown else None,
         "comparisons": [_comparison(table, comparison) for comparison in compare_controllers(table)],
         "reasons": {
             name: dict(count_reasons(table, table.rows_of(controller), study.success).most_common(10))
@@ -273,6 +275,8 @@ def success_lines(summary: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {line}"
     for name, entry in summary["controllers"].items():
         yield f"  {name}: {_probability(entry)}{_describe_losses(entry['outcomes'])}"
+    if summary["not_flown"]:
+        yield f"  {summary['not_flown']}"
 
 
 def spread_table(summary: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:

@@ -92,6 +92,11 @@ class FlightTable(NamedTuple):
         """Whether each flight came to its planned end."""
         return self.kind <= KINDS.index("missed")
 
+    @property
+    def not_flown(self) -> list[str]:
+        """Why flights have no verdict, a reason each."""
+        return [reason for kind, reason in zip(self.kind, self.reason, strict=True) if KINDS[kind] == "failed"]
+
     def rows_of(self, controller: int) -> Mask:
         """Return the mask of the rows of one controller."""
         return np.equal(self.controller, controller)

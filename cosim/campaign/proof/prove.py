@@ -25,7 +25,7 @@ from cosim.campaign.analysis.claim import ClaimResult, judge_claim
 from cosim.campaign.analysis.margin import row_margin
 from cosim.campaign.analysis.page import key_rows, write_campaign_report
 from cosim.campaign.analysis.summary import SUCCESS, rank_keys
-from cosim.campaign.analysis.table import KINDS, FlightTable, read_flight_table
+from cosim.campaign.analysis.table import FlightTable, read_flight_table
 from cosim.campaign.analysis.worst_cases import eccentricity
 from cosim.campaign.folder import STUDY, is_campaign
 from cosim.campaign.proof.credibility import CHOSEN, Evidence, assess_credibility
@@ -176,7 +176,7 @@ def _conclude(
         not_covered=not_covered(
             study,
             [part.says for part in searched.values() if part.result is None],
-            [reason for kind, reason in zip(table.kind, table.reason, strict=True) if KINDS[kind] == "failed"],
+            table.not_flown,
         ),
         credibility=assess_credibility(evidence),
         repeat=_repeat(out, campaign, request),

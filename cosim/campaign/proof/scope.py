@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import describe_not_flown
 from cosim.engine.fmu.uncertainty import CUT
 
 # Kinds of numbers that a real vehicle does not have as stated, by what the keys begin with that vary them.
@@ -42,8 +43,7 @@ def not_covered(study: Study, missing: Sequence[str], not_flown: Sequence[str]) 
     left = kinds_not_varied(study)
     lines = [f"{part}" for part in missing]
     if not_flown:
-        flights = f"{len(not_flown):,} flight{'s' if len(not_flown) != 1 else ''}"
-        lines.append(f"{flights} could not be flown and count as failed, the first because: {not_flown[0]}")
+        lines.append(describe_not_flown(len(not_flown), not_flown[0]))
     if left:
         lines.append(f"no key varies {', '.join(left)}: they are as the vehicle's files state them in every flight")
     lines.append(

@@ -20,7 +20,7 @@ from cosim.campaign.study.draws import flight_seed
 from cosim.campaign.study.normal_space import NormalSpace
 from cosim.campaign.study.plan import Flight, only_controller
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Row
+from cosim.campaign.workers.flight_row import Row, describe_not_flown
 from cosim.campaign.workers.protocol import Workers
 from cosim.spec.controller_name import short_name
 
@@ -85,15 +85,16 @@ class RareResult:
         return len(self.rows)
 
     @property
-    def not_flown(self) -> int:
-        """How many flights could not be flown at all, and count as failures."""
-        return sum(row["outcome"] == "failed" and not row.get("steps") for row in self.rows)
+    def not_flown(self) -> list[str]:
+        """Why flights could not be flown at all, which count as failures, a reason each."""
+        return [str(row["reason"]) for row in self.rows if row["outcome"] == "failed" and not row.get("steps")]
 
     @property
     def sentence(self) -> str:
         """The result in one sentence."""
         vary = "are" if self.plan.seeds_vary else "are not"
-        not_flown = f"; {self.not_flown} flights could not be flown, and count as failures" if self.not_flown else ""
+        reasons = self.not_flown
+        not_flown = f"; {describe_not_flown(len(reasons), reasons[0])}" if reasons else ""
         return (
             f"{self.study.base().name} with {short_name(self.controller)} fails with a probability of "
             f"{self.estimate.text} after {self.flights:,} flights; seeds of wind and noise {vary} part of what varies"
@@ -154,7 +155,7 @@ class RareResult:
             **self.plan.table(),
             **asdict(self.estimate),
             "flights": self.flights,
-            "not_flown": self.not_flown,
+            "not_flown": len(self.not_flown),
             "seed_effect": seed_effect(self.repeats),
             "failures": len(self.failures),
             "deciders": self.deciders,

@@ -29,7 +29,7 @@ from cosim.campaign.study.key import Value
 from cosim.campaign.study.normal_space import FURTHEST, NormalSpace
 from cosim.campaign.study.plan import scenario_of
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Row
+from cosim.campaign.workers.flight_row import NOT_FLOWN, Row
 from cosim.simulation.build import build
 from cosim.spec.controller_name import short_name
 
@@ -142,8 +142,8 @@ class WorstSearch:
         for case in self.cases:
             if case.impossible:
                 lines.append(
-                    f"{short_name(case.controller)}: {case.impossible} points were left out, because there is no such "
-                    f"flight: {case.impossible_reason}"
+                    f"{short_name(case.controller)}: {case.impossible} points were left out, the first because: "
+                    f"{case.impossible_reason}; {NOT_FLOWN}"
                 )
             if case.flat > MUCH_FLAT:
                 lines.append(

@@ -57,6 +57,8 @@ _LAST: Kinds = {
     "wall_s": float,
     "worker": str,
 }
+# the one rule for flights without a verdict: there is no such vehicle, say, or no such scenario
+NOT_FLOWN = "what cannot be flown is no success wherever flights are counted, and no failure that a search finds"
 # of an autopilot of others: states that it was told, and answers that never came
 _LOCKSTEP: Kinds = {"autopilot": str, "autopilot_frames": int, "autopilot_missing": int}
 _KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}
@@ -181,6 +183,12 @@ def failed_row(study: Study, flight: Flight, reason: str) -> Row:
     numbers: Row = {"flight": flight.number, "draw": flight.draw, "controller": flight.controller, "seed": flight.seed}
     failed: Row = {"outcome": "failed", "reason": reason, "success": False}
     return {**dict.fromkeys(kinds(study)), **numbers, **flight.values, **failed}
+
+
+def describe_not_flown(flights: int, reason: str) -> str:
+    """Return how many flights have no verdict, why the first has none, and what they count as."""
+    many = "" if flights == 1 else "s"
+    return f"{flights:,} flight{many} could not be flown to a verdict, the first because: {reason}; {NOT_FLOWN}"
 
 
 def inputs(run: Run) -> str:

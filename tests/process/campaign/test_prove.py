@@ -16,12 +16,14 @@ from places import DESIGNS
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
+from cosim.campaign import open_campaign
+from cosim.campaign.analysis.summary import campaign_summary, success_lines
 from cosim.campaign.proof.prove import Request, conclude, fly_study, prove
 from cosim.campaign.proof.scope import kinds_not_varied
 from cosim.campaign.proof.source import proof_study
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
+from cosim.campaign.workers.flight_row import NOT_FLOWN, Row, failed_row, fly_one
 from cosim.cli.main import main
 from cosim.flight import fly
 from cosim.results.log.digest import log_digest
@@ -196,7 +198,7 @@ def test_refuted_and_open_are_no_success(study: Path, hexjet: Hexjet, tmp_path: 
 
 
 def test_what_could_not_be_flown_is_said(tmp_path: Path) -> None:
-    """A moment of inertia above the sum of the others is no body's: its flights count as failed."""
+    """A moment of inertia above the sum of the others is no body's: its flights count as failed, by one rule."""
     impossible = tmp_path / "impossible.toml"
     impossible.write_text(
         HOVER.replace('key = "vehicle.mass_kg"', 'key = "vehicle.inertia_kg_m2.2"\nrelative = "factor"').replace(
@@ -205,7 +207,9 @@ def test_what_could_not_be_flown_is_said(tmp_path: Path) -> None:
     )
     proof = prove(proof_study(str(impossible), "50%@90%", 40), tmp_path / "p", 1, request=Request(limit=False))
     (line,) = [text for text in proof.not_covered if "could not be flown" in text]
-    assert "count as failed, the first because:" in line
+    assert "to a verdict, the first because:" in line
+    assert line.endswith(NOT_FLOWN)
+    assert NOT_FLOWN in " ".join(success_lines(campaign_summary(open_campaign(tmp_path / "p" / "campaign"))))
     assert "no body has one moment above the sum of the others" in line
     assert proof.requirements[0].broken > 0
     assert proof.worst[-1].run == ""
