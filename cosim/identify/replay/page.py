@@ -70,6 +70,7 @@ def band_rows(result: Replay) -> list[tuple[str, ...]]:
         (
             c.name,
             f"{b.low_hz:.2g} to {b.high_hz:.2g}",
+            f"{100.0 * b.within:.1f} %",
             f"{b.u:.3f}",
             f"{b.coherence:.2f}",
             "" if b.gain_db is None else f"{b.gain_db:+.1f}",

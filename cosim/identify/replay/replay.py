@@ -16,7 +16,15 @@ from cosim.engine.fmu.variables import INTEGERS
 from cosim.identify.replay.causes import Causes, find_causes, without_windows
 from cosim.identify.replay.closed_loop import cut_whole, fly_setpoints
 from cosim.identify.replay.flown import Change, Flown, Model, Starts
-from cosim.identify.replay.measures import LEVEL, Band, ChannelMeasures, Ratio, measure_channels, measure_ratio
+from cosim.identify.replay.measures import (
+    LEVEL,
+    Band,
+    ChannelMeasures,
+    Envelope,
+    Ratio,
+    measure_channels,
+    measure_ratio,
+)
 from cosim.identify.replay.recorded import RecordedFlight
 from cosim.identify.replay.wind import Wind, estimate_wind
 from cosim.identify.replay.windows import CHANNELS, Flying, accelerometer_zero, cut, slopes
@@ -29,7 +37,6 @@ SPAN_M: Final = 0.4  # of the Hex-Jet, whose windows are a second
 ALIKE: Final = (1.0, 10.0)  # dB and deg of measured over modelled that are not worth a word
 FAR_DB: Final = 10.0  # beyond which the one is no answer to the other
 CORRECTIONS: Final = 2  # of the starts
-SPREAD: Final = 2.0  # standard deviations of the noise around the draws
 
 CLOSED: Final = (
     "the loop is closed: the controller hides what is wrong with a vehicle, and may be another than the one that flew; "
@@ -216,14 +223,13 @@ def replay(
     modelled = flying.modelled(flown)
     zero = np.zeros(len(CHANNELS))
     zero[FORCES] = accelerometer_zero((flying.measured() - modelled)[:, :, FORCES], model.vehicle)
-    low = high = modelled = modelled + zero
+    modelled = modelled + zero
+    lags = np.repeat([model.vehicle.sensors.gyro.filter_s, 0.0], [FORCES.start, len(CHANNELS) - FORCES.start])
+    envelope = Envelope(modelled, flight.step, flying.scale, lags)
     for number, change in enumerate(draw(model, choices)):
         tell("draws", number + 1, count)
-        drawn = flying.modelled(fly(change)) + zero
-        low, high = np.minimum(low, drawn), np.maximum(high, drawn)
-    margin = SPREAD * flying.scale
-    low, high = low - margin, high + margin
-    channels = measure_channels(flying, modelled, low, high)
+        envelope.include(flying.modelled(fly(change)) + zero)
+    channels = measure_channels(flying, modelled, envelope)
     tell("causes", count - 1, count)
     causes = Causes(float("nan"), (), (), CLOSED)
     if flight.setpoints is None:
@@ -231,7 +237,7 @@ def replay(
     engine = model.engine
     assert engine is not None
     return Replay(
-        log, model.vehicle, engine.name, choices, flying, modelled, low, high, flown, channels,
+        log, model.vehicle, engine.name, choices, flying, modelled, *envelope.ends, flown, channels,
         _ratios(flying, modelled, channels), wind, causes, _tolerances(engine, choices), _notes(flight),
     )  # fmt: skip
 

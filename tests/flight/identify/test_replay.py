@@ -68,6 +68,7 @@ def check_explained(result: Replay) -> None:
     assert roll.theil.u < 0.02
     assert roll.rms < 1.2 * roll.noise
     assert roll.bands[0].coherence > 0.99
+    assert all(band.within > NEEDED for band in roll.bands if band.excited)
     assert roll.bands[0].gain_db == pytest.approx(0.0, abs=0.1)
 
 
@@ -145,6 +146,32 @@ def test_a_number_that_is_wrong_is_named_with_its_value(
     assert named.bound is not None
     assert named.bound < near
     assert named.removed > 0.95
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("flown", "is_swapped", "names"),
+    [
+        (HEAVY | LATE, False, {"moment of inertia about x", "all engines and servos later by"}),
+        (LATE, True, {"engines 1 and 2 swapped", "all engines and servos later by"}),
+        (HEAVY, True, {"engines 1 and 2 swapped", "moment of inertia about x"}),
+    ],
+)
+def test_two_causes_at_once_are_both_named(
+    tmp_path: Path, flown: dict[str, object], is_swapped: bool, names: set[str]
+) -> None:
+    fly(DOUBLET.replace(**flown), tmp_path / "run")
+    flight = recorded(tmp_path / "run")
+    if is_swapped:
+        flight = replace(flight, throttle=flight.throttle[:, [1, 0, 2, 3, 4, 5]])
+    result = replayed(flight)
+    (named,) = result.causes.named
+    truth = {"moment of inertia about x": 1.3, "all engines and servos later by": 0.02}
+    assert {part.name for part in named.parts} == names
+    for part in named.parts:
+        if part.value is not None:
+            assert part.value == pytest.approx(truth[part.name], rel=0.05)
+    assert result.causes.to_dict()["named"][0]["parts"][0]["name"] in names
 
 
 def test_a_mass_that_is_wrong_is_named_though_nothing_moves(tmp_path: Path) -> None:
