@@ -71,32 +71,32 @@ def find_causes(model: Model, flying: Flying, wind: Vector3) -> Causes:
     if not told.any():
         return Causes(misfit, (), (), "no channel that moves is off")
     exchanges = tuple(list_exchanges(model, flying.flight.throttle))
-    return search_causes(residuals, (nominal, told), tuple(list_numbers(model)), exchanges, misfit)
+    return search_causes(residuals, nominal, told, tuple(list_numbers(model)), exchanges, misfit)
 
 
 def search_causes(
     residuals: Residuals,
-    nominal: tuple[Array, Flags],
+    nominal: Array,
+    told: Flags,
     numbers: Sequence[Cause],
     exchanges: Sequence[Exchange],
     misfit: float,
 ) -> Causes:
     """Fit each cause alone, then two at once where the best leaves more than noise, and name what windows bear out.
 
-    ``nominal``: the residuals of the vehicle as stated, (w, n, c), and the channels that are to be explained.
+    ``nominal``: the residuals of the vehicle as stated, (w, n, c); ``told``: the channels that are to be explained.
     """
-    left = nominal[0]
-    search = _Search(residuals, Judge(*nominal, residuals), numbers)
-    slopes = search.slopes(Hypothesis(), left)
+    search = _Search(residuals, Judge(nominal, told, residuals), numbers)
+    slopes = search.slopes(Hypothesis(), nominal)
     singles = [(one, search.fit(one)) for one in (Hypothesis((), each) for each in exchanges)]
-    singles += [(one, search.fit(one, left)) for one in (Hypothesis((slope.cause,)) for slope in slopes[:REFINED])]
+    singles += [(one, search.fit(one, nominal)) for one in (Hypothesis((slope.cause,)) for slope in slopes[:REFINED])]
     singles = [(one, fitted) for one, fitted in singles if isfinite(fitted.removed)]
     singles.sort(key=lambda pair: -pair[1].removed)
     tried = tuple(fitted for _, fitted in singles)
     pairs: tuple[Fitted, ...] = ()
     if tried and tried[0].over_noise > MISFIT:
         exchanged = next((one for one, _ in singles if one.exchange), None)
-        found = [search.fit(pair) for pair in search.list_pairs(slopes, left, exchanged)]
+        found = [search.fit(pair) for pair in search.list_pairs(slopes, nominal, exchanged)]
         pairs = tuple(sorted((one for one in found if isfinite(one.removed)), key=lambda one: -one.removed))
     named, reason = search.judge.name(tried, pairs)
     return Causes(misfit, named, tried[:8], reason, pairs)

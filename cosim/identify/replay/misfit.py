@@ -123,7 +123,7 @@ class Residuals:
         self.has_force = flying.flight.has_force
         self._weights = np.ones(6 if self.has_force else 3)
 
-    def balance(self, nominal: Array) -> tuple[Array, Array]:
+    def balance(self, nominal: Array) -> tuple[Array, Flags]:
         """Let channels with a misfit count alike from here on, others little.
 
         Return the model's own residuals so, and which channels are to be explained, (c,): those that move and are off.
@@ -180,7 +180,7 @@ class Residuals:
 class Judge:
     """What the windows say of a cause beside the model as stated, and beside another cause."""
 
-    def __init__(self, nominal: Array, told: Array, residuals: Residuals) -> None:
+    def __init__(self, nominal: Array, told: Flags, residuals: Residuals) -> None:
         self._told, self._floor, self._nominal = told, residuals.floor, np.sum(nominal**2, axis=1)
         self._windows = self._misfits(nominal)
         movement = np.sum(residuals.movement() ** 2, axis=(0, 1)) - len(nominal) * self._floor

@@ -46,7 +46,7 @@ def searched(residuals: Straight) -> Causes:
     nominal = residuals.of(Hypothesis())
     told = np.ones(CHANNELS, bool)
     numbers = [cause(name) for name in NAMES]
-    return search_causes(residuals, (nominal, told), numbers, [SWAPPED], float(np.mean(nominal**2)))
+    return search_causes(residuals, nominal, told, numbers, [SWAPPED], float(np.mean(nominal**2)))
 
 
 @pytest.mark.parametrize("truth", [{"first": 1.3, "third": 0.8}, {"second": 1.2, "fourth": 1.1}])
