@@ -73,6 +73,8 @@ class Flight:
     )
     bound_deg: float  # bound of the lean with throttles and tilts
     limit_deg: float  # the lean at which a flight counts as lost
+    # by which every axis is level over the last second; below 0: it is not, and the less, the earlier it was lost
+    margin_deg: float | None = None
 
 
 @dataclass(frozen=True)
@@ -221,7 +223,7 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
     north, east = (run.log[name][begin:] for name in ("north_m", "east_m"))
     drift = max((hypot(n - north[0], e - east[0]) for n, e in zip(north, east, strict=True)), default=nan)
     sink = float(run.log["velocity_down_m_s"][-1])
-    verdict, _ = judge_outcome(run)
+    verdict, margin = judge_outcome(run)
     if verdict is Verdict.HELD and sink > SINK_M_S:
         verdict = Verdict.AIRBORNE
     detection = None if detected is None else detected - begin + 1
@@ -247,6 +249,7 @@ def _fly(task: tuple[Scenario, int, Means]) -> Flight:
         throttles_deg=throttles.lean_deg,
         bound_deg=bound.lean_deg,
         limit_deg=limit,
+        margin_deg=margin,
     )
 
 

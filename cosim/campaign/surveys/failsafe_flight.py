@@ -100,6 +100,9 @@ class Row:
     log_sha256: str  # of every sample of the flight (cosim.results.log.digest): what flies it again must have the same
     number: int = 0  # of the flights of its cell; 0: it began in the air
     hover_s: float = nan  # from the end of the take-off until it failed, or less where the fuel did not last; NaN: none
+    # by which its legs touched slower than they take, and than it tips; below 0: faster; NaN: none touched
+    margin_m_s: float = nan
+    margin_m: float = nan  # by which what is to hold is within of its place; below 0: it is not; NaN: another failsafe
 
     @property
     def start(self) -> Start:
@@ -230,6 +233,8 @@ class _Flight:
             self._sink.hexdigest(),
             task.number,
             task.hover if task.number else nan,
+            self._touch_margin(),
+            target.margin() if case.holds else nan,
         )
         # times are rounded to steps, so what a product of floats is off does not matter; the file shall be readable
         scenario = simulation.scenario.replace(fault=[], duration_s=round(simulation.k * dt, 9))
@@ -247,6 +252,14 @@ class _Flight:
             self._touched = k if isnan(self._touched) else self._touched
         self._ending = simulation.check_end(sample, [self._recorder.observe])
         return sample
+
+    def _touch_margin(self) -> float:
+        """Return by how much its legs touched slower than they take and than it tips, m/s; NaN where none touched."""
+        if isnan(self._touched):
+            return nan
+        scenario, limits = self.simulation.scenario, self.simulation.vehicle.limits
+        trip = tip_speed(scenario.aircraft, scenario.engine)
+        return min(limits.touchdown_m_s - self._touchdown, trip - self._sideways)
 
     def _verdict(self, disarmed: bool, target: HoldTarget) -> Verdict:
         """Return what became of it."""
@@ -286,14 +299,16 @@ class HoldTarget:
         north, east = self._position
         return hypot(state.position[0] - north, state.position[1] - east), state.altitude - self._height
 
+    def margin(self) -> float:
+        """Return by how much the vehicle is within of the place and of the height, m."""
+        distance, height_error = self.deviation()
+        return min(self._within - distance, HOLD_HEIGHT_M - abs(height_error))
+
     def is_held(self) -> bool:
         """Return whether it is slow in HOLD, near that place, at that height."""
-        distance, height_error = self.deviation()
         north, east, down = self._simulation.state.velocity
         is_slow = hypot(north, east) < SLOW_M_S and abs(down) < SLOW_M_S
-        return (
-            self._pilot.mode is Mode.HOLD and distance < self._within and abs(height_error) < HOLD_HEIGHT_M and is_slow
-        )
+        return self._pilot.mode is Mode.HOLD and self.margin() > 0.0 and is_slow
 
 
 def _last(messages: Any) -> str:

@@ -162,6 +162,7 @@ def test_what_touches_faster_sideways_has_not_landed(monkeypatch: pytest.MonkeyP
     row = flown("GNSS lost").row
     assert row.verdict == "slid"
     assert 0.0 < row.sideways_m_s < 0.3
+    assert row.margin_m_s == -row.sideways_m_s
 
 
 @pytest.mark.parametrize(
@@ -536,6 +537,8 @@ def test_who_holds_is_where_and_as_high_as_it_was_to_hold(aircraft: str, wind: f
     # it held at north 0, east 0; the place and the height are the set-point's, measured through the sensors
     assert row.off_m < failsafe_flight.HOLD_RADIUS_M
     assert abs(row.height_off_m) < failsafe_flight.HOLD_HEIGHT_M
+    assert 0.0 < row.margin_m <= failsafe_flight.HOLD_HEIGHT_M
+    assert isnan(row.margin_m_s)
 
 
 @pytest.mark.parametrize("moved", [rq.Goto(4.0, 0.0), rq.Goto(altitude=4.0)])
@@ -547,6 +550,7 @@ def test_who_is_in_hold_elsewhere_does_not_hold(moved: rq.Goto, monkeypatch: pyt
     row = table.fly_case(table.Task(elsewhere, table.Start(3.0, 0.0), scenario)).row
     assert row.verdict == "flies on"
     assert max(row.off_m, abs(row.height_off_m)) > 0.9
+    assert row.margin_m < 0.0
 
 
 def test_the_command_writes_the_table_and_the_part_of_a_page(tmp_path: Path, hexjet: Hexjet) -> None:

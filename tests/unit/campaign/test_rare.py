@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from places import DOCS, script
 from scipy.stats import binom
+from stated_figures import stated
 
 from cosim.base.errors import InputError
 from cosim.campaign.rare.estimate import (
@@ -172,6 +173,14 @@ def test_the_page_has_what_was_measured_and_it_is_what_an_interval_states() -> N
         most = 1.0 if row[0] == TRUTHS["noise"].name else 0.97  # wide, as the page says and the result warns
         assert binom.ppf(0.005, studies, 0.93) <= round(held * studies) <= binom.ppf(0.995, studies, most), row
         assert int(row[9].replace(",", "")) <= measured.FLIGHTS, row
+    shares = [float(row[3].removesuffix("%")) for row in cells if row[0] != TRUTHS["noise"].name]
+    stated("docs/rare.md", "over all lines without a seed it is {}", sum(shares) / len(shares))
+    by_chance = (binom.ppf(at, 300, 0.95) / 3.0 for at in (0.025, 0.975))
+    stated("docs/rare.md", "an honest interval of 95 % holds the truth in {} to {} of 100 by chance", *by_chance)
+    near = {(row[0], row[1]): float(row[6].removesuffix("%")) for row in cells}
+    bent = (near[TRUTHS[key].name, "1e-6"] for key in ("two", "parabola"))
+    stated("docs/rare.md", "fewer are, {} and {} of 100 at `1e-6`", *bent)
+    stated("docs/rare.md", "{} of 100 estimates of `1e-5` are within a factor of two", near["a plane, 6 keys", "1e-5"])
 
 
 def test_what_is_said() -> None:
