@@ -21,6 +21,7 @@ import psutil
 import pyarrow.dataset as ds
 import pytest
 from campaign_tools import NOTES, without_chance
+from long_cases import long_after
 from patience import FLIGHT_PATIENCE, PATIENCE
 from places import TOOLS
 
@@ -417,7 +418,7 @@ def test_ten_kills_at_random_moments_lose_nothing_and_double_nothing(
         assert without_chance(campaign.row(number)) == without_chance(fly_one(campaign.study, planned[number]))
 
 
-@pytest.mark.parametrize(("sent", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("sent", "status"), long_after(1, [(signal.SIGINT, 130), (signal.SIGTERM, 143)]))
 def test_ctrl_c_ends_it_at_once_and_says_how_to_go_on(tmp_path: Path, sent: signal.Signals, status: int) -> None:
     """And so does SIGTERM, as a batch system sends it."""
     command = [

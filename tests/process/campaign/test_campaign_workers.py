@@ -16,6 +16,7 @@ import campaign_tools as tools
 import psutil
 import pytest
 from campaign_tools import NOTES, TROUBLED, without_chance
+from long_cases import long_after
 from patience import PATIENCE, stretched
 from places import TOOLS
 
@@ -234,7 +235,7 @@ def test_the_flight_of_a_killed_worker_is_flown_again(study: Study, rows: list[R
     assert found == [without_chance(row) for row in rows]
 
 
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("count", long_after(1, [1, 2]))
 def test_a_worker_whose_folder_was_cleared_away_is_replaced(
     study: Study, rows: list[Row], notes: Path, count: int
 ) -> None:
@@ -275,9 +276,10 @@ def test_a_flight_that_does_not_end_is_ended(study: Study, rows: list[Row], note
     assert len(found) == 12
 
 
-def test_processes_that_do_not_start_end_it(study: Study) -> None:
+def test_processes_that_do_not_start_end_it(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local, "STARTS", 3)
     with LocalWorkers(2, fly=tools.Deadly()) as workers:  # type: ignore[arg-type]
-        with pytest.raises(FlightError, match="8 processes in a row ended before they could fly; the last left with"):
+        with pytest.raises(FlightError, match="3 processes in a row ended before they could fly; the last left with"):
             list(workers.fly(study, flights(study)))
         assert all_gone()
 
@@ -286,6 +288,7 @@ def test_processes_that_start_too_slowly_are_called_that(study: Study, monkeypat
     """They have neither left nor closed anything: the machine has too much to do."""
     monkeypatch.setattr(local, "START_LIMIT_S", 0.0)
     monkeypatch.setattr(local, "LOOK_S", 0.0)
+    monkeypatch.setattr(local, "STARTS", 2)
     with LocalWorkers(1) as workers:
         with pytest.raises(FlightError, match="the last was not ready after 0 s"):
             list(workers.fly(study, flights(study)))
