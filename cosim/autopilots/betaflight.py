@@ -256,7 +256,7 @@ class Betaflight(Sitl):
         return left, right
 
     def _channels(self, frame: SensorFrame) -> list[int]:
-        roll, pitch, yaw, throttle, armed = frame.sticks
+        roll, pitch, yaw, throttle, armed, _ = frame.sticks
         fraction = clip((throttle - self.idle) / (1.0 - self.idle), 0.0, 1.0)
         low = 1010.0  # min_check: a pulse below it is no throttle
         sticks = [

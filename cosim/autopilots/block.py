@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import radians
+from math import inf, radians
 
 import numpy as np
 
@@ -62,16 +62,22 @@ class AutopilotBlock:
     stands in a stand as it begins the flight: level or not, still, on its engines of a flight that has begun; the
     autopilot calibrates and is armed.  ``rows``: what it answered in the flight, step by step.
     ``truth``: the true motion, for the autopilot's own log.  ``stand``: the sensors before the flight.
-    ``rates``: flies in the place of its rate loop.
+    ``rates``: flies in the place of its rate loop.  ``hold_from``: second of the flight from which it holds its place.
     """
 
     level = "controller"
     columns = COLUMNS
 
     def __init__(
-        self, autopilot: Autopilot, label: str, handling: StartTiming, rates: ExternalRateLoop | None = None
+        self,
+        autopilot: Autopilot,
+        label: str,
+        handling: StartTiming,
+        rates: ExternalRateLoop | None = None,
+        hold_from: float = inf,
     ) -> None:
         self.autopilot, self.label, self._handling, self.rates = autopilot, label, handling, rates
+        self._hold_from = hold_from
         self.rows: list[Row] = []
         self.shown: tuple[float, ...] = (0.0, 0.0)
         self._frames = 0
@@ -87,7 +93,8 @@ class AutopilotBlock:
                 "tilting banks; not of hinges, surfaces and other axes"
             )
         self._belief = belief
-        self._pilot = StickPilot(belief, radians(self._handling.lean_deg), radians(self._handling.turn_deg_s))
+        lean, turn = radians(self._handling.lean_deg), radians(self._handling.turn_deg_s)
+        self._pilot = StickPilot(belief, lean, turn, self._hold_from)
 
     @property
     def start_s(self) -> float:

@@ -28,13 +28,14 @@ CHECK_S = 0.25  # chosen by us: the longest wait between two checks of the progr
 
 
 class StickPositions(NamedTuple):
-    """A pilot's transmitter: lean and turn as fractions of full stick, throttle from 0 to 1, and the arming switch."""
+    """A pilot's transmitter: lean and turn as fractions of full stick, throttle from 0 to 1, and two switches."""
 
     roll: float = 0.0  # 1: right
     pitch: float = 0.0  # 1: forward, nose down
     yaw: float = 0.0  # 1: nose right
     throttle: float = 0.0
     armed: bool = False
+    holds_place: bool = False  # the mode switch: the autopilot holds place and height, the sticks ask for speeds
 
 
 STICKS_S = 0.02  # longest time between two messages of the sticks: as often as a receiver sends them

@@ -149,8 +149,8 @@ def px4_link(step: float) -> dict[str, float]:
     """Return what PX4 needs for a flight of ours, of ``step`` [s]: its estimator's pace, and sticks by the link.
 
     Its answer to a sample waits for its estimator, which has to run at each.  Sticks are in proportion, without a dead
-    zone, and Stabilized in every position of the switch; the fifth channel arms.  Raises InputError for a step that
-    PX4's estimator does not follow.
+    zone; the fifth channel arms, and the sixth selects the mode: Stabilized, and Position at its upper end.  Raises
+    InputError for a step that PX4's estimator does not follow.
     """
     if step < 1.0 / _MOST_IMU_HZ:
         raise InputError(f"px4: step_s = {step:g}: its estimator takes {_MOST_IMU_HZ} samples a second at most")
@@ -158,7 +158,7 @@ def px4_link(step: float) -> dict[str, float]:
     parameters |= {"COM_RC_IN_MODE": 0, "RC_MAP_ROLL": 1, "RC_MAP_PITCH": 2, "RC_MAP_THROTTLE": 3, "RC_MAP_YAW": 4}
     parameters |= {"RC_MAP_ARM_SW": 5, "RC_MAP_FLTMODE": 6, "RC_CHAN_CNT": 8, "RC3_TRIM": 1000}
     parameters |= {"MAN_DEADZONE": 0.0, "MPC_THR_CURVE": 1, "MPC_MANTHR_MIN": 0.0}
-    return parameters | {f"COM_FLTMODE{slot}": 8 for slot in range(1, 7)}
+    return parameters | {f"COM_FLTMODE{slot}": 8 for slot in range(1, 6)} | {"COM_FLTMODE6": 2}
 
 
 PX4_TARGETS = ("sitl", "hil", "board")

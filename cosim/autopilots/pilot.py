@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import pi
+from math import inf, pi
 
 from cosim.autopilots.lockstep import StickPositions
 from cosim.base.errors import FlightError
@@ -14,6 +14,14 @@ from cosim.control.belief import Belief
 
 # Chosen by us: a vehicle commanded below the ground that has been this still for this long has landed.
 STILL_SPEED, STILL_TIME = 0.1, 1.0
+# Where the autopilot holds place and height: climb that full throttle stick asks for, and the fraction of a stick below
+# which a pilot lets go of it, which is the autopilots' own dead zone.
+CLIMB, LET_GO = 3.0, 0.1
+
+
+def let_go(fraction: float) -> float:
+    """Return the fraction of a stick, or 0 where it is within the autopilot's dead zone."""
+    return fraction if abs(fraction) > LET_GO else 0.0
 
 
 class StickPilot:
@@ -23,36 +31,48 @@ class StickPilot:
     is held with the altitude loop of ``vehicle.toml`` and becomes a throttle: what the autopilot does with it is its
     own.  Heading is held by a turn in proportion to its error, with the yaw gain of the vehicle's attitude loop.
     Once a height below the ground is asked for and the vehicle stands still, it is disarmed, and stays so.
+    From ``hold_from`` [s] of the flight on the autopilot holds place and height: the sticks are let go of, but for a
+    height or a heading that is off by more than the autopilot's dead zone.
     """
 
-    def __init__(self, belief: Belief, lean: float, turn: float) -> None:
+    def __init__(self, belief: Belief, lean: float, turn: float, hold_from: float = inf) -> None:
         gains, vehicle = belief.vehicle.control, belief.vehicle
         self._map, self._jets = belief.thrust_map, len(vehicle.jets)
         self._altitude = AltitudeController(gains.altitude, vehicle.mass_kg, self._map.collective, belief.step_s)
         self._heading = gains.attitude.gain_1_s[2]
-        self._lean, self._turn = lean, turn
+        self._lean, self._turn, self._climb = lean, turn, gains.altitude.position_1_s / CLIMB
+        self._step, self._hold_from, self._steps = belief.step_s, hold_from, 0
         self._still_needed, self._still = round(STILL_TIME / belief.step_s), 0
         self.hover = self._throttle(belief.hover)
 
     def reset(self) -> None:
         """Reset the height loop, and forget a landing."""
         self._altitude.reset()
-        self._still = 0
+        self._still = self._steps = 0
 
     def update(self, command: Command, measured: Measured, burnt: float) -> StickPositions:
         """Return the sticks for a command.  Raises FlightError for one of body rates, which they cannot state."""
         if command.rate is not None:
             raise FlightError("the scenario asks for body rates; its sticks ask for angles: roll, pitch, yaw, altitude")
+        now, self._steps = self._steps * self._step, self._steps + 1
         if self._landed(command.altitude, measured.velocity[2]):
             return StickPositions()
         roll, pitch, yaw = command.attitude
         heading = heading_of(measured.attitude)
         heading_error = (yaw - heading + pi) % (2.0 * pi) - pi
+        turn = self._heading * heading_error / self._turn
+        if now >= self._hold_from:
+            if roll or pitch:
+                raise FlightError(
+                    "the scenario asks for a lean; where the autopilot holds the place its sticks ask for speed"
+                )
+            climb = clip(self._climb * (command.altitude - measured.altitude), -1.0, 1.0)
+            return StickPositions(yaw=let_go(turn), throttle=0.5 + 0.5 * let_go(climb), armed=True, holds_place=True)
         collective = self._altitude.update(command, measured, Unallocated(), burnt)
         return StickPositions(
             roll / self._lean,
             -pitch / self._lean,
-            self._heading * heading_error / self._turn,
+            turn,
             self._throttle(collective),
             True,
         )

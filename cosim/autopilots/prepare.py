@@ -6,6 +6,7 @@ import socket
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,7 @@ class Setup:
     lines: Sequence[str] = ()  # Betaflight: lines for its console
     parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: over those made from the vehicle
     magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: the Earth's at the place
+    hold_from_s: float | None = None  # PX4: of the flight; from then on it holds place and height by itself
     defaults: Path | None = None  # ArduPilot: its parameters; None: those made from the vehicle
     channels: Sequence[str] = ()  # ArduPilot: NUMBER=PULSE or NUMBER=PULSE@SECONDS, beside the sticks
     station: int | None = None  # ArduPilot: the UDP port of this machine to which it talks MAVLink
@@ -65,6 +67,7 @@ class PreparedAutopilot:
     endpoint: str  # address that a program started by hand connects to
     details: Mapping[str, Any]
     rates: ExternalRateLoop | None = None
+    hold_from_s: float = inf  # of the flight
 
     def fly(
         self, scenario: Scenario, folder: Path, page: bool = True, realtime_factor: float | None = None, **details: Any
@@ -73,7 +76,7 @@ class PreparedAutopilot:
         module = {"betaflight": betaflight, "px4": px4, "ardupilot": ardupilot}[self.name]
         return fly_autopilot(
             scenario,
-            AutopilotBlock(self.autopilot, self.name, module.HANDLING, self.rates),
+            AutopilotBlock(self.autopilot, self.name, module.HANDLING, self.rates, self.hold_from_s),
             folder,
             files=[] if self.program is None else [self.program],
             details=dict(self.details) | details,
@@ -171,8 +174,9 @@ def _px4(
     launch = px4.LaunchOptions(setup.instance, setup.limit_s, parameters, setup.magnetic_field)
     autopilot = px4.Px4(program, folder, vehicle, scenario.step_s, _geodesy(scenario), launch)
     endpoint = f"TCP port {px4.PORT + setup.instance}"
-    details = {"gains": setup.gains, "parameters": parameters}
-    return PreparedAutopilot("px4", autopilot, program, endpoint, details, external)
+    details = {"gains": setup.gains, "hold_from_s": setup.hold_from_s, "parameters": parameters}
+    hold_from = inf if setup.hold_from_s is None else setup.hold_from_s
+    return PreparedAutopilot("px4", autopilot, program, endpoint, details, external, hold_from)
 
 
 def _ardupilot(

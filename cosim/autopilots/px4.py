@@ -283,15 +283,16 @@ class Px4(Sitl):
         return b"".join(parts)
 
     def _stick_message(self, frame: SensorFrame) -> bytes:
-        roll, pitch, yaw, throttle, armed = frame.sticks
+        roll, pitch, yaw, throttle, armed, holds_place = frame.sticks
         pulses = [
             to_pulse(roll),
             to_pulse(pitch),  # PX4: a higher pulse is forward
             round(1000.0 + 1000.0 * clip(throttle, 0.0, 1.0)),
             to_pulse(invert_yaw_curve(yaw)),
             2000 if armed else 1000,
+            2000 if holds_place else 1500,
         ]
-        channels = [*pulses, *[1500] * 3, *[0xFFFF] * 10]
+        channels = [*pulses, *[1500] * 2, *[0xFFFF] * 10]
         return self._writer.pack_frame(hil.RC_CHANNELS, round(1e3 * frame.time), *channels, 8, 255)
 
     def _gnss_message(self, frame: SensorFrame, now: int) -> bytes:

@@ -40,6 +40,7 @@ BOOT = 9  # samples before the first answer
 ESTIMATOR_S = 2.0  # from then on answers wait for it
 READY_S = 10.0  # before that it does not arm
 TAKEOFF_S = 30.198  # when it says that it has taken off
+HOLD_DEAD = 0.1  # MPC_HOLD_DZ: a stick within it is let go of
 SAME = 1e-6  # values that are nearer to each other are the same
 STALE = {"mag": 1000, "baro": 100}  # so many of the same in a row
 
@@ -170,6 +171,7 @@ class Loops:
         self.asked = np.zeros(3, np.float32)  # rates, of the attitude loop of the sample before
         self.most, self.thrust, self.turn, self.yaw_torque = 0.0, 0.0, 0.0, 0.0
         self.heading: float | None = None
+        self.position = Position()
 
     def stick(self, channels: tuple[int, ...], name: str) -> float:
         """From -1 to 1, by the ends and the middle of its channel; 0 where no channel is named."""
@@ -180,6 +182,12 @@ class Loops:
         if name == "THROTTLE" and middle == low:
             middle = 0.5 * (low + high)
         return float(np.interp(channels[number - 1], (low, middle, high), (-1.0, 0.0, 1.0)))
+
+    def mode(self, channels: tuple[int, ...]) -> int:
+        """What the slot of its switch selects, six of them over the channel's range."""
+        number = int(self.values["RC_MAP_FLTMODE"])
+        slot = 1 + min(int(6.0 * np.interp(channels[number - 1], (1000, 2000), (0.0, 1.0))), 5) if number else 1
+        return int(self.values[f"COM_FLTMODE{slot}"])
 
     def attitude(self, channels: tuple[int, ...], seen: Estimator, armed_s: float, dt: float) -> None:
         """Rate set-points and thrust from the sticks."""
@@ -201,9 +209,14 @@ class Loops:
         elif self.heading is None:
             self.heading = seen.yaw
         full = np.radians(v["MPC_MAN_TILT_MAX"])
+        roll, pitch = full * self.stick(channels, "ROLL"), -full * self.stick(channels, "PITCH")
+        if self.mode(channels) == 2:
+            roll, pitch, self.thrust = self.position.hold(self.thrust, seen.yaw, throttle, dt)
+        else:
+            self.position.place = None
         errors = np.array([
-            full * self.stick(channels, "ROLL") - seen.roll,
-            -full * self.stick(channels, "PITCH") - seen.pitch,
+            roll - seen.roll,
+            pitch - seen.pitch,
             0.0 if self.heading is None else _wrapped(self.heading - seen.yaw),
         ])  # fmt: skip
         gains = np.array([v[f"MC_{axis}_P"] for axis in _AXES])
@@ -242,6 +255,39 @@ class Loops:
         return [float(by.get(int(self.values[f"PWM_MAIN_FUNC{n}"]), 0.0)) for n in range(1, 17)]
 
 
+class Position:
+    """Place and height held by GNSS and barometer, from where the mode begins, and moved by the sticks beyond a dead zone.
+
+    Its hover throttle is that which flew when the mode begins.
+    """
+
+    def __init__(self) -> None:
+        self.place: Array | None = None  # degrees of latitude and longitude at which it began
+        self.fix, self.speed = np.zeros(2), np.zeros(3)
+        self.height = self.held = self.hover = self.lift = 0.0
+        self.drift = np.zeros(2)
+
+    def hear(self, told: Any) -> None:
+        self.fix = 1e-7 * np.array([told.lat, told.lon])
+        self.speed = 0.01 * np.array([told.vn, told.ve, told.vd])
+
+    def hold(self, thrust: float, yaw: float, climb_stick: float, dt: float) -> tuple[float, float, float]:
+        """Roll and pitch to be asked for [rad], and thrust."""
+        if self.place is None:
+            self.place, self.held, self.hover, self.lift, self.drift = self.fix, self.height, thrust, 0.0, np.zeros(2)
+        climb = 3.0 * climb_stick if abs(climb_stick) > HOLD_DEAD else 0.0
+        self.held = self.height if climb else self.held
+        off = (self.place - self.fix) * 111_190.0 * np.array([1.0, np.cos(np.radians(self.place[0]))])
+        error = 0.95 * off - self.speed[:2]
+        self.drift = np.clip(self.drift + 0.4 * error * dt, -2.0, 2.0)
+        north, east = np.clip(1.8 * error + self.drift, -4.0, 4.0)
+        forward, right = north * np.cos(yaw) + east * np.sin(yaw), east * np.cos(yaw) - north * np.sin(yaw)
+        rise = (climb or (self.held - self.height)) + self.speed[2]
+        self.lift = float(np.clip(self.lift + 2.0 * rise * dt, -4.0, 4.0))
+        up = float(np.clip(4.0 * rise + self.lift, -6.0, 6.0))
+        return right / 9.81, -forward / 9.81, self.hover * (1.0 + up / 9.81)
+
+
 class Px4Program:
     """The program: a link, a clock that the link moves, and what runs at each of its samples."""
 
@@ -275,6 +321,8 @@ class Px4Program:
                 for message in link.parse_buffer(data) or []:
                     if message.get_type() == "RC_CHANNELS":
                         self.channels = tuple(getattr(message, f"chan{n}_raw") for n in range(1, 19))
+                    elif message.get_type() == "HIL_GPS":
+                        self.loops.position.hear(message)
                     elif message.get_type() == "HIL_SENSOR" and (controls := self.sample(message)) is not None:
                         mode = 129 if self.armed_at is not None else 1
                         connected.sendall(
@@ -293,6 +341,7 @@ class Px4Program:
             self.mag = np.array([told.xmag, told.ymag, told.zmag], np.float32)
         if told.fields_updated & 6656:
             self.sensors["baro"].heard((told.abs_pressure, told.temperature))
+            self.loops.position.height = told.pressure_alt
         if len(self.times) <= BOOT:
             return None
         dt = 1e-6 * (self.times[-1] - self.times[-2])

@@ -158,6 +158,12 @@ class Px4(Sitl):
     rates: str | None = _RATES
     parameters = opt.words("--param", "NAME=VALUE", "Over those of hexjet sitl params px4.")
     field = opt.word("--field", "N,E,D", "The magnetic field [gauss].  [default: the Earth's at the place]")
+    hold = opt.number(
+        "--hold",
+        "S",
+        "From this second of the flight on it holds place and height by itself, by GNSS: Position mode.",
+        min=0.0,
+    )
 
 
 @sitl.command(epilog=example("hexjet sitl px4 --binary px4_sitl_default/bin/px4 --param MC_ROLLRATE_P=0.05"))
@@ -166,8 +172,8 @@ def px4(options: Px4) -> int:
     """Fly PX4's SITL: that of --binary or PX4_SITL, or one that you start; the port is 4560 and the instance.
 
     It flies in Stabilized and is flown by the sticks: lean as the scenario asks, height and heading held by the pilot
-    with the vehicle's own loops. Time is the flight's, but PX4's threads share it in an order of their own: two flights
-    are not the same to the bit, their repetitions by hexjet fly are.
+    with the vehicle's own loops; with --hold in Position. Time is the flight's, but PX4's threads share it in an order
+    of their own: two flights are not the same to the bit, their repetitions by hexjet fly are.
     """
     from cosim.autopilots.prepare import Setup
     from cosim.base.storage.toml import parse_numbers
@@ -179,8 +185,12 @@ def px4(options: Px4) -> int:
         gains=gains,
         parameters=parse_numbers(options.parameters, "--param"),
         magnetic_field=_magnetic_field(options.field),
+        hold_from_s=options.hold,
     )
     scenario = options.read(None if gains in ("vehicle", "stock") else gains)
+    if options.hold is not None and scenario.limits.oscillation_rad is None:
+        # it leans as it likes to hold its place, which nobody commands
+        scenario = scenario.replace(limits=scenario.limits.model_dump() | {"oscillation_rad": False})
     return _fly(options, scenario, "px4", setup, options.rates)
 
 

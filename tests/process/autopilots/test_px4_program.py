@@ -123,6 +123,17 @@ def test_the_gains_of_a_design_are_flown_and_named(hexjet: Hexjet) -> None:
     assert seen()["values"]["MC_ROLLRATE_P"] == float(np.float32(told["parameters"]["MC_ROLLRATE_P"]))
 
 
+def test_it_holds_its_place_by_itself_once_the_switch_is_raised(hexjet: Hexjet) -> None:
+    """In the wind, which would carry it away by then: 3 m/s push it 6 m aside in Stabilized."""
+    wind = ("--set", "environment.wind_ned_m_s=[0,3,0]", "--set", "duration_s=6")
+    done = flown(hexjet, "--hold", "0.5", "--set", 'engine="edf"', *wind)
+    assert done.status == 0, done.out + done.err
+    assert books()["hold_from_s"] == 0.5
+    away = np.hypot(errors("north_m"), errors("east_m"))
+    assert away[-1] < 1.0
+    assert np.abs(errors("altitude_m") - 10.0).max() < 0.3
+
+
 def test_gains_as_it_ships_and_what_its_own_log_says(hexjet: Hexjet) -> None:
     """None of its gains and filters is stated; version, parameters and messages come from its log."""
     done = flown(hexjet, "--gains", "stock", "--set", "duration_s=0.5")

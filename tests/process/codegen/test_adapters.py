@@ -47,7 +47,7 @@ HEADERS = {
     ),
     "px4": (
         "drivers/drv_hrt.h",
-        *(f"px4_platform_common/{name}" for name in ("defines.h", "log.h", "module.h", "px4_work_queue/WorkItem.hpp")),
+        *(f"px4_platform_common/{name}" for name in ("atomic.h", "defines.h", "log.h", "px4_work_queue/WorkItem.hpp")),
         *(f"uORB/{name}.hpp" for name in ("Publication", "Subscription", "SubscriptionCallback")),
         *(f"uORB/topics/vehicle_{name}.h" for name in ("angular_velocity", "control_mode", "land_detected")),
         *(f"uORB/topics/vehicle_{name}_setpoint.h" for name in ("rates", "thrust", "torque")),

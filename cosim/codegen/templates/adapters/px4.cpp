@@ -5,9 +5,9 @@
  * every [[ step ]] s; torque and thrust are published then.
  */
 #include <drivers/drv_hrt.h>
+#include <px4_platform_common/atomic.h>
 #include <px4_platform_common/defines.h>
 #include <px4_platform_common/log.h>
-#include <px4_platform_common/module.h>
 #include <px4_platform_common/px4_work_queue/WorkItem.hpp>
 #include <uORB/Publication.hpp>
 #include <uORB/Subscription.hpp>
@@ -19,19 +19,19 @@
 #include <uORB/topics/vehicle_thrust_setpoint.h>
 #include <uORB/topics/vehicle_torque_setpoint.h>
 
+#include <cstring>
+
 #include "[[ n ]]_rates.h"
 
-class [[ Class ]] : public ModuleBase<[[ Class ]]>, public px4::WorkItem
+/* Its start, stop and status are its own: PX4's ModuleBase is a template up to 1.17 and none after it. */
+class [[ Class ]] : public px4::WorkItem
 {
 public:
 	[[ Class ]]();
 	~[[ Class ]]() override = default;
 
-	static int task_spawn(int argc, char *argv[]);
-	static int custom_command(int argc, char *argv[]);
-	static int print_usage(const char *reason = nullptr);
-
 	bool init();
+	void stop() { _stops.store(true); }
 
 private:
 	static constexpr hrt_abstime STEP_US = [[ step_us ]];
@@ -51,10 +51,13 @@ private:
 	vehicle_rates_setpoint_s _rates_setpoint{};
 
 	[[ n ]]_Rates _rates{};
+	px4::atomic_bool _stops{false};
 	bool _begun{false};
 	hrt_abstime _before{0}; // sample
 	hrt_abstime _due{0};
 };
+
+static px4::atomic<[[ Class ]] *> running{nullptr};
 
 [[ Class ]]::[[ Class ]]() :
 	WorkItem(MODULE_NAME, px4::wq_configurations::rate_ctrl)
@@ -99,9 +102,10 @@ bool [[ Class ]]::due(hrt_abstime now)
 
 void [[ Class ]]::Run()
 {
-	if (should_exit()) {
+	if (_stops.load()) {
 		_angular_velocity_sub.unregisterCallback();
-		exit_and_cleanup();
+		running.store(nullptr);
+		delete this; // here, because nothing else of it runs while its queue runs it
 		return;
 	}
 
@@ -154,51 +158,51 @@ void [[ Class ]]::Run()
 	_torque_setpoint_pub.publish(torque_setpoint);
 }
 
-int [[ Class ]]::task_spawn(int argc, char *argv[])
+static int start()
 {
-	(void)argc;
-	(void)argv;
+	if (running.load() != nullptr) {
+		PX4_ERR("already running");
+		return PX4_ERROR;
+	}
+
 	[[ Class ]] *instance = new [[ Class ]]();
 
-	if (instance) {
-		_object.store(instance);
-		_task_id = task_id_is_work_queue;
-
-		if (instance->init()) {
-			return PX4_OK;
-		}
-
-	} else {
+	if (instance == nullptr) {
 		PX4_ERR("alloc failed");
+		return PX4_ERROR;
 	}
 
-	delete instance;
-	_object.store(nullptr);
-	_task_id = -1;
-	return PX4_ERROR;
-}
+	running.store(instance);
 
-int [[ Class ]]::custom_command(int argc, char *argv[])
-{
-	(void)argc;
-	(void)argv;
-	return print_usage("unknown command");
-}
-
-int [[ Class ]]::print_usage(const char *reason)
-{
-	if (reason) {
-		PX4_WARN("%s\n", reason);
+	if (!instance->init()) {
+		running.store(nullptr);
+		delete instance;
+		return PX4_ERROR;
 	}
 
-	PRINT_MODULE_DESCRIPTION("### Description\n[[ title ]]: a rate loop in the place of mc_rate_control's.\n");
-	PRINT_MODULE_USAGE_NAME("[[ n ]]", "controller");
-	PRINT_MODULE_USAGE_COMMAND("start");
-	PRINT_MODULE_USAGE_DEFAULT_COMMANDS();
-	return 0;
+	return PX4_OK;
 }
 
 extern "C" __EXPORT int [[ n ]]_main(int argc, char *argv[])
 {
-	return [[ Class ]]::main(argc, argv);
+	const char *word = argc > 1 ? argv[1] : "";
+
+	if (std::strcmp(word, "start") == 0) {
+		return start();
+	}
+
+	[[ Class ]] *instance = running.load();
+
+	if (std::strcmp(word, "stop") == 0 && instance != nullptr) {
+		instance->stop(); // at its next gyro sample
+		return PX4_OK;
+	}
+
+	if (std::strcmp(word, "stop") == 0 || std::strcmp(word, "status") == 0) {
+		PX4_INFO("%s", instance != nullptr ? "running" : "not running");
+		return PX4_OK;
+	}
+
+	PX4_INFO("[[ title ]]: a rate loop in the place of mc_rate_control's; allowed: start, stop, status");
+	return PX4_ERROR;
 }

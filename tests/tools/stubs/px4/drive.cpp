@@ -28,7 +28,8 @@ int main(int argc, char *argv[])
 	}
 	char name[] = "ours", start[] = "start", stop[] = "stop", wrong[] = "wrong";
 	char *starts[] = {name, start}, *stops[] = {name, stop}, *wrongs[] = {name, wrong};
-	if (ours_main(2, starts) != PX4_OK || ours_main(2, wrongs) != 0) {
+	if (ours_main(2, stops) != PX4_OK || ours_main(2, starts) != PX4_OK || ours_main(2, starts) == PX4_OK
+	    || ours_main(2, wrongs) == PX4_OK) {
 		return 2;
 	}
 	uORB::Publication<vehicle_angular_velocity_s> gyro{ORB_ID(vehicle_angular_velocity)};
@@ -77,5 +78,9 @@ int main(int argc, char *argv[])
 	}
 	ours_main(2, stops);
 	uORB::SubscriptionCallbackWorkItem::called->ScheduleNow();
-	return uORB::SubscriptionCallbackWorkItem::called == nullptr ? 0 : 6;
+	if (uORB::SubscriptionCallbackWorkItem::called != nullptr) {
+		return 6;
+	}
+	// after its end it starts again
+	return ours_main(2, starts) == PX4_OK && uORB::SubscriptionCallbackWorkItem::called != nullptr ? 0 : 7;
 }

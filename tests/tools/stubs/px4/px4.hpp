@@ -1,4 +1,4 @@
-/* Of PX4 (1.15 to 1.17) what a rate controller's module uses: declarations, and topics that a test reads and writes. */
+/* Of PX4 (1.15 and later) what a rate controller's module uses: declarations, and topics that a test reads and writes. */
 #pragma once
 
 #include <cmath>
@@ -12,12 +12,7 @@
 #define PX4_ERROR (-1)
 #define PX4_ISFINITE(x) std::isfinite(x)
 #define PX4_ERR(...) std::fprintf(stderr, __VA_ARGS__)
-#define PX4_WARN(...) std::fprintf(stderr, __VA_ARGS__)
-#define PRINT_MODULE_USAGE_COMMAND(name) (void)(name)
-#define PRINT_MODULE_USAGE_DEFAULT_COMMANDS() (void)0
-
-inline void PRINT_MODULE_DESCRIPTION(const char *) {}
-inline void PRINT_MODULE_USAGE_NAME(const char *, const char *) {}
+#define PX4_INFO(...) std::fprintf(stderr, __VA_ARGS__)
 
 typedef uint64_t hrt_abstime;
 hrt_abstime hrt_absolute_time();
@@ -60,6 +55,7 @@ public:
 private:
 	T _value;
 };
+using atomic_bool = atomic<bool>;
 }
 
 namespace uORB {
@@ -99,26 +95,3 @@ private:
 	const orb_metadata *_meta;
 };
 }
-
-template<class T> class ModuleBase {
-public:
-	ModuleBase() = default;
-	virtual ~ModuleBase() = default;
-	static int main(int argc, char *argv[])
-	{
-		if (argc > 1 && std::strcmp(argv[1], "start") == 0) { return T::task_spawn(argc - 1, argv + 1); }
-		if (argc > 1 && std::strcmp(argv[1], "stop") == 0) { _object.load()->request_stop(); return 0; }
-		return T::custom_command(argc - 1, argv + 1);
-	}
-protected:
-	virtual void request_stop() { _exit = true; }
-	bool should_exit() const { return _exit; }
-	static void exit_and_cleanup() { delete _object.load(); _object.store(nullptr); _task_id = -1; }
-	static px4::atomic<T *> _object;
-	static int _task_id;
-	static constexpr const int task_id_is_work_queue = -2;
-private:
-	bool _exit{false};
-};
-template<class T> px4::atomic<T *> ModuleBase<T>::_object{nullptr};
-template<class T> int ModuleBase<T>::_task_id = -1;

@@ -1,0 +1,242 @@
+"""Flies other people's autopilots, as programs that you name, and writes the tables of docs/autopilots.md.
+
+    python docs/autopilots.py --px4 px4_sitl_default/bin/px4 --ardupilot build/sitl/bin/arducopter --betaflight
+        [--px4-inside PROGRAM] [--betaflight-inside PROGRAM] [--ardupilot-inside PROGRAM]
+        [--only TEXT] [--instance N] [--out runs/autopilots]
+
+``--X-inside``: the same autopilot built with an exported predictor in the place of its rate loop.  Of an autopilot that
+is not named, the table stays as it is.  What is in the folder is taken up and not flown again: after a change of the
+program take another folder.  Each flight is flown a second time from its record, without the autopilot, and compared
+bit for bit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from math import degrees
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from cosim.autopilots.prepare import find_program
+from cosim.cli.main import main as hexjet
+from cosim.flight import fly
+from cosim.results.report.marks import check_marks, table, write_marks
+from cosim.results.run import open_run
+from cosim.results.wording import metric
+
+PAGE = Path(__file__).parent / "autopilots.md"
+NAMES = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}
+HOVER, ROLL, YAW, LAND, OUT = FLIGHTS = ("hover", "roll doublet", "yaw doublet", "climb and land", "flame-out")
+OWN = dict(zip(FLIGHTS, ("hover", "roll-doublet", "yaw-doublet", "climb-and-land", "fault-flame-out"), strict=True))
+FULL_SCALE = {name: f"full-scale-{of}" for name, of in OWN.items() if name != OUT}
+OCTOJET = {name: f"octojet-{OWN[name]}" for name in (HOVER, ROLL, LAND)}
+# nothing holds the place in the modes that are flown by attitude, which the limit on drift does not know of
+ALWAYS = ("--set", "limits.drift_m=false", "--set", "expect=[]")
+STOCK, VEHICLE, DESIGNED, OUTSIDE, INSIDE = "stock", "vehicle", "designed", "smith, from outside", "smith, inside it"
+
+
+@dataclass(frozen=True)
+class Craft:
+    """A vehicle with its engines, and what flies it."""
+
+    name: str
+    engines: str  # in words
+    flights: Mapping[str, str]
+    gains: Sequence[str] = (STOCK, VEHICLE, DESIGNED)
+    options: Sequence[str] = ()  # of every flight and of the design
+    flown: Sequence[str] = ()  # of every flight alone
+
+    @property
+    def key(self) -> str:
+        return f"{self.name}-{self.engines}".replace(" ", "-")
+
+
+HEXJET = Craft("hexjet", "at once", OWN, options=("--engine", "edf"))
+HEXJET_LATE = Craft("hexjet", "0.1 s late", OWN, options=("--engine", "edf-as-flown"))
+QUADROTOR = Craft("quadrotor", "at once", OWN, options=("--engine", "motor"))
+QUADROTOR_LATE = Craft(
+    "quadrotor", "0.1 s late", OWN, options=("--engine", "motor", "--set", "engine_parameters.delay_samples=40")
+)
+LATE = (STOCK, VEHICLE, DESIGNED, OUTSIDE, INSIDE)
+
+
+def with_gains(craft: Craft, gains: Sequence[str]) -> Craft:
+    """The same, flown with these."""
+    return Craft(craft.name, craft.engines, craft.flights, gains, craft.options, craft.flown)
+
+
+def with_steps(craft: Craft, step_s: float) -> Craft:
+    """The same, flown at another step."""
+    options = (*craft.options, "--set", f"step_s={step_s}")
+    return Craft(craft.name, craft.engines, craft.flights, craft.gains, options, craft.flown)
+
+
+BIG = (VEHICLE, DESIGNED)
+CRAFTS: Mapping[str, Sequence[Craft]] = {
+    "px4": (
+        HEXJET,
+        with_gains(HEXJET_LATE, LATE),
+        QUADROTOR,
+        QUADROTOR_LATE,
+        Craft("hexjet-p220", "p220", FULL_SCALE, BIG, ("--engine", "p220")),
+        Craft("hexjet-100", "turbine-100", {name: OWN[name] for name in (HOVER, ROLL)}, BIG),
+        Craft("octojet", "turbine-100", OCTOJET, BIG),
+    ),
+    "ardupilot": (
+        with_steps(QUADROTOR, 0.0025),
+        with_gains(with_steps(QUADROTOR_LATE, 0.0025), (VEHICLE, DESIGNED, INSIDE)),
+    ),
+    "betaflight": (HEXJET, with_gains(HEXJET_LATE, LATE)),
+}
+
+
+def run(arguments: Sequence[str]) -> int:
+    """The status of a command of hexjet."""
+    try:
+        hexjet([str(argument) for argument in arguments])
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 2 if end.code else 0
+    return 0
+
+
+def designed(autopilot: str, craft: Craft, out: Path) -> Path | None:
+    """The file of ``hexjet design --for`` an autopilot, made if it is not there; None: none keeps the requirements."""
+    file = out / "designs" / f"{autopilot}-{craft.key}.toml"
+    if not file.is_file():
+        run(["design", "--for", autopilot, "--aircraft", craft.name, *craft.options, "--no-proof", "--out", file])
+    return file if file.is_file() else None
+
+
+def gains_of(autopilot: str, gains: str, craft: Craft, out: Path) -> Sequence[str] | None:
+    """Options that say what flies it; None: there is no such design."""
+    if gains == OUTSIDE:
+        return ("--rates", "smith")
+    if gains in (VEHICLE, INSIDE):
+        return () if autopilot == "ardupilot" else ("--gains", "vehicle")
+    if gains == STOCK:
+        return ("--gains", "stock")
+    file = designed(autopilot, craft, out)
+    return None if file is None else ("--gains", str(file))
+
+
+def flown(autopilot: str, program: str, options: Sequence[str], craft: Craft, flight: str, folder: Path) -> None:
+    """One flight into its folder, and whether its repetition without the autopilot is the same."""
+    named = ["--binary", program] if program else []
+    what = ["--aircraft", craft.name, "--scenario", craft.flights[flight], *craft.options, *craft.flown]
+    run(["sitl", autopilot, *named, *what, *ALWAYS, *options, "--out", str(folder)])
+    if not (folder / "summary.json").is_file():
+        return
+    first, again = open_run(folder).log, fly(folder / "scenario.toml", report=False).log
+    same = first.columns == again.columns and all(
+        first[name].tobytes() == again[name].tobytes() for name in again.columns
+    )
+    (folder / "repeated.json").write_text(json.dumps(same))
+
+
+def cell(folder: Path, flight: str) -> str:
+    """What came of a flight, in few words."""
+    if not (folder / "summary.json").is_file():
+        return "did not start"
+    summary = open_run(folder).summary
+    if summary.outcome in ("diverged", "crashed"):
+        return f"lost at {summary.duration_s:.1f} s"
+    if summary.outcome != "completed":
+        return f"failed at {summary.duration_s:.1f} s"
+    axes, flat = summary.metrics, summary.flat_metrics
+    leans = max(degrees(axes[axis].max_abs_error_rad or 0.0) for axis in ("roll", "pitch"))
+    if flight in (ROLL, YAW):
+        axis = axes["roll" if flight == ROLL else "yaw"]
+        settled = "not settled" if axis.settling_time_s is None else f"{axis.settling_time_s:.2f} s"
+        swing = degrees(axis.oscillation_rad or 0.0)
+        said = f"{axis.overshoot_percent or 0.0:.0f} %, {settled}" + (f", swings ±{swing:.1f}°" if swing >= 1.0 else "")
+    elif flight == LAND:
+        landed = summary.touchdown_m_s
+        said = "did not land" if landed is None else f"{landed:.2f} m/s, drift {flat['position.drift_m'] or 0.0:.1f} m"
+    else:
+        height, yaw = flat["altitude.max_abs_error_m"] or 0.0, degrees(axes["yaw"].max_abs_error_rad or 0.0)
+        drift = flat["position.drift_m"] or 0.0
+        said = f"drift {drift:.1f} m, height {height:.2f} m, lean {leans:.1f}°, heading {yaw:.1f}°"
+    beyond = [
+        metric(name).label
+        for name in summary.beyond
+        if not (name.endswith("settling_time_s") and "not settled" in said)
+    ]
+    return said + (f"; beyond limits: {', '.join(beyond)}" if beyond else "")
+
+
+def rows(
+    autopilot: str, programs: Mapping[str, str | None], given: argparse.Namespace
+) -> tuple[list[list[str]], list[Path]]:
+    """The table's rows, flown as far as they are not there; and the folders of all flights."""
+    lines, folders = [], []
+    extra = [] if autopilot == "betaflight" else ["--instance", str(given.instance)]
+    for craft in CRAFTS[autopilot]:
+        for gains in craft.gains:
+            program = programs["inside" if gains == INSIDE else "plain"]
+            if program is None:
+                continue
+            wanted = given.only is None or given.only in f"{craft.key}-{gains}"
+            options = gains_of(autopilot, gains, craft, given.out) if wanted else ()
+            cells, factors = [], []
+            for flight in FLIGHTS:
+                folder = given.out / autopilot / f"{craft.key}-{gains}-{flight}".replace(" ", "-").replace(",", "")
+                if flight in craft.flights and options is not None:
+                    if wanted and not (folder / "summary.json").is_file():
+                        flown(autopilot, program, [*options, *extra], craft, flight, folder)
+                    if folder.is_dir():
+                        folders.append(folder)
+                        summary = folder / "summary.json"
+                        factors += (
+                            [json.loads(summary.read_text())["realtime_factor"] or 0.0] if summary.is_file() else []
+                        )
+                cells.append(cell(folder, flight) if folder.is_dir() else "" if options is not None else "no design")
+            pace = f"{median(factors):.0f}" if factors else ""
+            lines.append([craft.name, craft.engines, gains, *cells, pace])
+    return lines, folders
+
+
+def part(autopilot: str, lines: Sequence[Sequence[str]], folders: Sequence[Path]) -> str:
+    """The table, and under it what flew, when, and whether it can be repeated."""
+    records: list[Any] = [
+        json.loads((folder / "lockstep.json").read_text()) for folder in folders if (folder / "lockstep.json").is_file()
+    ]
+    versions = sorted({record.get("version") or "version not known" for record in records})
+    same = [
+        json.loads((folder / "repeated.json").read_text()) for folder in folders if (folder / "repeated.json").is_file()
+    ]
+    missing = sum(record["frames"] - record["boot"] - record["answers"] for record in records)
+    text = table(["vehicle", "engines", "gains", *FLIGHTS, "× real time"], lines, left=8)
+    return (
+        f"{text}\n{NAMES[autopilot]} {', '.join(versions)}, {datetime.now(UTC):%d %B %Y}: {len(folders)} flights, "
+        f"{sum(record['frames'] for record in records):,} states told, {missing} answers missing; flown again without "
+        f"it, {sum(same)} of {len(same)} the same to the last bit.\n"
+    )
+
+
+def main() -> None:
+    """Fly what is named, and write its tables."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    for name in NAMES:
+        parser.add_argument(f"--{name}", metavar="PROGRAM", nargs="?", const="")
+        parser.add_argument(f"--{name}-inside", metavar="PROGRAM")
+    parser.add_argument("--only", metavar="TEXT", help="fly vehicles, engines and gains that have this in their name")
+    parser.add_argument("--instance", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("runs/autopilots"))
+    given = parser.parse_args()
+    named = [name for name in NAMES if getattr(given, name) is not None]
+    check_marks(PAGE, [f"flown: {name}" for name in named])
+    for name in named:
+        stated = getattr(given, name)
+        program = find_program(name, Path(stated) if stated else None)
+        programs = {"plain": str(program or ""), "inside": getattr(given, f"{name}_inside")}
+        lines, folders = rows(name, programs, given)
+        write_marks(PAGE, {f"flown: {name}": part(name, lines, folders)})
+
+
+if __name__ == "__main__":
+    main()
