@@ -34,7 +34,7 @@ from cosim.simulation.build import build
 STEP = 0.004
 # A child needs half a second to start, and longer on a busy machine, where it seems to hang in whatever it is at: then it
 # is tried again with more patience.
-SILENCES = (2.0, 10.0, 50.0, 250.0)  # s
+SILENCES = (1.0, 5.0, 25.0, 250.0)  # s
 LIMITS = Limits(seconds=PATIENCE, silence=SILENCES[-1], megabytes=300.0)
 
 every_broken = pytest.mark.parametrize("broken", BROKEN, ids=[each.name for each in BROKEN])
