@@ -30,7 +30,7 @@ REFERENCE = "Reference"  # the heading below which the generated pages come
 def sources() -> Iterator[Path]:
     """Every page of the repository."""
     yield from sorted(ROOT.glob("*.md"))
-    yield from sorted(page for page in DOCS.glob("*.md") if page.name != "README.md")
+    yield from sorted(page for page in DOCS.rglob("*.md") if page.name != "README.md")
     for folder in ("aircraft", "benchmarks", "engines", "fmus"):
         yield from sorted((ROOT / folder).rglob("*.md"))
 

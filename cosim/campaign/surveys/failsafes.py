@@ -49,7 +49,7 @@ from cosim.spec.vehicle import Vehicle, aircraft_name
 if TYPE_CHECKING:
     from cosim.control.autopilot.energy import Energy
 
-# Of docs/failsafes.md, every one that ships with an autopilot; vehicles of one's own by their names.
+# Of docs/tables/failsafes.md, every one that ships with an autopilot; vehicles of one's own by their names.
 TABLED = ("hexjet", "hexjet-100", "hexjet-p220", "quadrotor", "octojet", "quadjet", "trijet", "jetwing")
 HEIGHTS_M = (3.0, 10.0, 30.0)
 TALL_M = (100.0, 300.0)  # heights [m] of flights that wait for the fuel, one flight each

@@ -700,7 +700,7 @@ def test_a_cell_of_several_flights_tells_how_many_landed_and_the_worst() -> None
 
 def rows_of_the_page(aircraft: str) -> tuple[list[str], list[list[str]]]:
     """The starts and the lines of a vehicle's table of flights after a take-off."""
-    text = marks.parts_of((DOCS / "failsafes.md").read_text(encoding="utf-8"), "")[tables.mark(aircraft)]
+    text = marks.parts_of((DOCS / "tables/failsafes.md").read_text(encoding="utf-8"), "")[tables.mark(aircraft)]
     lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|"]
     return lines[0][1:], lines[2:]
 
@@ -730,7 +730,7 @@ def test_after_a_take_off_what_does_not_land_is_what_the_page_explains(aircraft:
     assert tip == tip_of(aircraft)
     starts, rows = rows_of_the_page(aircraft)
     assert [name for name, *_ in rows] == [case.name for case in table.cases(vehicle)]
-    text = (DOCS / "failsafes.md").read_text(encoding="utf-8")
+    text = (DOCS / "tables/failsafes.md").read_text(encoding="utf-8")
     assert (
         f"{vehicle.limits.touchdown_m_s:.2f} m/s counts as a crash, and what touches faster than {tip:.2f} m/s" in text
     )
@@ -791,7 +791,7 @@ def test_docs_failsafes_md_states_what_an_engine_lost_between_its_heights_does()
 
 
 def test_every_vehicle_with_an_autopilot_has_its_table_on_the_page() -> None:
-    page = (DOCS / "failsafes.md").read_text(encoding="utf-8")
+    page = (DOCS / "tables/failsafes.md").read_text(encoding="utf-8")
     piloted = {each for each in aircraft_names() if load_vehicle(each)[0].control.pilot is not None}
     assert piloted == set(table.TABLED)
     for name in table.TABLED:

@@ -89,6 +89,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
         "test_quadrotor.py",
         "test_reduced_attitude.py",
     ),
+    "docs/tables/failsafes.md": ("marks", "test_failsafes.py"),
     "docs/faults.md": ("marks", "test_pages.py", "test_engine_out.py", "test_faults.py", "test_quadrotor.py"),
     "docs/full-scale.md": (
         "marks",
