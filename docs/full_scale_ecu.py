@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from math import degrees
 from multiprocessing import get_context
@@ -35,7 +35,8 @@ from cosim.spec.vehicle import load_vehicle
 AIRCRAFT, REAL, STEP = "hexjet-p220", "jetcat-p300", 0.004
 PAGE = Path(__file__).parent / "full-scale.md"
 DESIGNS = Path(__file__).parents[1] / "tests" / "designs"
-PARTS = ("real ecu", "real ecu, six that differ", "real ecu, the vehicle")
+LATE, DIFFER, CHANGES, OUT = "real ecu", "real ecu, six that differ", "real ecu, the vehicle", "real ecu, one out"
+PARTS = (LATE, DIFFER, CHANGES, OUT)
 NAMES = ("hover", "roll-doublet", "gust")
 LEAN_DEG = 10.0  # most that a gust may lean a vehicle that "flies"
 SWING_DEG = 2.0  # peak to peak, in the last ten seconds of its hover
@@ -54,6 +55,7 @@ TUNED = "tuned in flight"
 SLOWED, DESIGNED, VANES = "turbine-220's, roll slowed to 0.4", "designed for jetcat-p300", "with vanes"
 SHIPPED, TURBINE = "as shipped", "turbine-220's"
 GAINS = (SHIPPED, TURBINE, SLOWED, TUNED, VANES)
+VANES_SHUT = "with vanes, opposite shut off"
 SLOWER = 0.4  # by trial in steps of a tenth: with more the hover on the real engine swings, with less the gust carries
 DRAWS = 3
 SIX = {number: {"command_interval": steps} for number, steps in zip("123456", (23, 24, 25, 25, 26, 27), strict=True)}
@@ -104,12 +106,15 @@ def longer(factor: float, grows: bool) -> dict[str, Any]:
     return {**changed, "jets": jets, "inertia_kg_m2": {"0": inertia[0] + more, "2": inertia[2] + more}}
 
 
-def turned_aside(out: Path, range_rad: float, nozzle_m: float = 0.1535, lag_s: float = 0.02) -> Path:
+def turned_aside(
+    out: Path, range_rad: float, nozzle_m: float = 0.1535, lag_s: float = 0.02, shuts_opposite: bool = False
+) -> Path:
     """The vehicle with its thrust turned sideways ``nozzle_m`` below the engines' middles: a vane in each nozzle.
 
     Roll is then for what turns.  Gains as of the trijet, whose vanes they are, slowed for the banks' servo.
     """
-    path = out / f"vanes-{1e3 * range_rad:.0f}-{1e3 * nozzle_m:.0f}-{1e3 * lag_s:.0f}" / "vehicle.toml"
+    name = f"vanes-{1e3 * range_rad:.0f}-{1e3 * nozzle_m:.0f}-{1e3 * lag_s:.0f}" + "-shut" * shuts_opposite
+    path = out / name / "vehicle.toml"
     vehicle, _ = load_vehicle(AIRCRAFT)
     stated = vehicle.model_dump(mode="json", exclude_none=True)
     servo, control = stated.pop("servo"), stated["control"]
@@ -135,7 +140,7 @@ def turned_aside(out: Path, range_rad: float, nozzle_m: float = 0.1535, lag_s: f
     control["altitude"] |= slow["altitude"]
     control["lead"] = {"altitude": slow["lead"]["altitude"]}
     control["allocation"]["method"] = "effectiveness"
-    control["monitor"] |= {"shut_opposite": False, "catch": False}
+    control["monitor"] |= {"shut_opposite": shuts_opposite, "catch": False}
     control.pop("schedule", None)
     stated |= {"name": f"{AIRCRAFT}-aside", "title": "Hex-Jet, full scale, thrust turned sideways"}
     stated["airflow"]["intake_m"] += nozzle_m
@@ -153,8 +158,9 @@ def gains(name: str, out: Path, engine: str = REAL) -> dict[str, Any]:
         return {"controller": "baseline", "vehicle": slowed(SLOWER)}
     if name == TUNED:
         return {"controller": "baseline", "vehicle": tuned()}
-    if name == VANES:
-        return {"controller": "baseline", "aircraft": str(turned_aside(out, 0.26).resolve())}
+    if name in (VANES, VANES_SHUT):
+        aircraft = turned_aside(out, 0.26, shuts_opposite=name == VANES_SHUT)
+        return {"controller": "baseline", "aircraft": str(aircraft.resolve())}
     file = read_controller(DESIGNS / "turbine-220.toml" if name == TURBINE else made_for_real(out))
     # a predictor has an identified model of its own engine alone
     return {"controller": file.controller if engine == file.design.engine else "baseline", "vehicle": file.vehicle}
@@ -201,6 +207,29 @@ def tried(
         if name == "hover" and run.outcome != "completed":
             break
     return found
+
+
+def lost_engine(jet: int, changed: Mapping[str, Any]) -> dict[str, Any]:
+    """Hover of the real engine as fitted, in which one of six loses its flame after a second."""
+    out = {"kind": "flame_out", "jet": jet, "start_s": 1.0}
+    run = fly(Scenario.load("full-scale-hover").replace(engine=REAL, expect=[], fault=[out], **changed))
+    log = run.log
+    north, east, height = (np.asarray(log[name]) for name in ("north_m", "east_m", "altitude_m"))
+    lean = np.degrees(np.hypot(log["roll_rad"], log["pitch_rad"]))
+    return {
+        "outcome": run.outcome,
+        "lean_deg": float(lean.max()),
+        "end_deg": float(lean[-LAST:].max()) if len(lean) > LAST else 90.0,
+        "fallen_m": float(height[0] - height.min()),
+        "drift_m": float(np.hypot(north - north[0], east - east[0]).max()),
+    }
+
+
+def said_of_loss(found: Mapping[str, Any]) -> str:
+    """A cell: greatest lean, height lost and drift, where it is level again at the end."""
+    if found["outcome"] != "completed" or found["end_deg"] > LEAN_DEG:
+        return f"lost: {found['lean_deg']:.0f}°"
+    return f"held: {found['lean_deg']:.0f}°, {found['fallen_m']:.1f} m, {found['drift_m']:.0f} m"
 
 
 def flies(found: Mapping[str, Any]) -> bool:
@@ -255,6 +284,9 @@ def cell(job: Sequence[Any], out: Path) -> Any:
     if kind == "six":
         case, name = rest
         return tried(REAL, {}, gains(name, out), CASES[case])
+    if kind == "out":
+        jet, name = rest
+        return lost_engine(jet, gains(name, out))
     if kind == "lever":
         factor, grows = rest
         return tried(REAL, {}, {"controller": "baseline", "vehicle": longer(factor, grows)}, {})
@@ -280,29 +312,47 @@ ASIDE = {
 }
 
 
-def jobs() -> dict[str, Sequence[Any]]:
-    """All cells, by name."""
-    all_ = [("delay", label, delay, name) for label in ENGINES for delay in DELAYS_S for name in GAINS]
-    all_ += [("delay", REAL, None, name) for name in GAINS]
-    all_ += [("six", case, name) for case in CASES for name in COLUMNS]
-    all_ += [("lever", *each) for each in LEVERS]
-    return {json.dumps(each): each for each in (*all_, *(("least", *each) for each in ASIDE.values()))}
+LOSSES = (SHIPPED, TUNED, VANES, VANES_SHUT)
 
 
-def written(found: Mapping[str, Any]) -> dict[str, str]:
-    """The page's parts."""
+def jobs(part: str) -> list[Sequence[Any]]:
+    """The cells of a part of the page."""
+    if part == LATE:
+        late = [("delay", label, delay, name) for label in ENGINES for delay in DELAYS_S for name in GAINS]
+        return [*late, *(("delay", REAL, None, name) for name in GAINS)]
+    if part == DIFFER:
+        return [("six", case, name) for case in CASES for name in COLUMNS]
+    if part == OUT:
+        return [("out", int(jet), name) for jet in SIX for name in LOSSES]
+    return [*(("lever", *each) for each in LEVERS), *(("least", *each) for each in ASIDE.values())]
+
+
+def written(found: Mapping[str, Any], part: str) -> str:
+    """One part of the page."""
 
     def of(*job: Any) -> Any:
         return found[json.dumps(job)]
 
-    late = [
-        [label, f"{delay:.1f} s", *(said(of("delay", label, delay, name)) for name in GAINS)]
-        for label in ENGINES
-        for delay in DELAYS_S
-    ]
-    fitted = load_engine(REAL, {}, STEP).parameters["delay_samples"] * STEP
-    late.append([REAL, f"{fitted:.2f} s, as fitted", *(said(of("delay", REAL, None, name)) for name in GAINS)])
-    differ = [[case, *(said(of("six", case, name)) for name in COLUMNS)] for case in CASES]
+    if part == LATE:
+        late = [
+            [label, f"{delay:.1f} s", *(said(of("delay", label, delay, name)) for name in GAINS)]
+            for label in ENGINES
+            for delay in DELAYS_S
+        ]
+        fitted = load_engine(REAL, {}, STEP).parameters["delay_samples"] * STEP
+        late.append([REAL, f"{fitted:.2f} s, as fitted", *(said(of("delay", REAL, None, name)) for name in GAINS)])
+        rule = f"*Flies*: hover within {SWING_DEG:g}° peak to peak, the doublet settles, the gust leans it by "
+        return f"{rule}{LEAN_DEG:g}° at most.\n\n" + table(["engine", "ECU late by", *GAINS], late, left=2)
+    if part == DIFFER:
+        return table([REAL, *COLUMNS], [[case, *(said(of("six", case, name)) for name in COLUMNS)] for case in CASES])
+    if part == OUT:
+        rows = [[f"jet {jet}", *(said_of_loss(of("out", int(jet), name)) for name in LOSSES)] for jet in SIX]
+        return table([f"{REAL}, out", *LOSSES], rows)
+    return changes_table(of)
+
+
+def changes_table(of: Callable[..., Any]) -> str:
+    """What would have to change of the vehicle; ``of`` returns a cell."""
     vehicle, _ = load_vehicle(AIRCRAFT)
     lever = abs(vehicle.jets[0].position_m[1])
     changes = []
@@ -313,27 +363,23 @@ def written(found: Mapping[str, Any]) -> dict[str, str]:
     for what, each in ASIDE.items():
         deg = of("least", *each)
         changes.append([what, "none to 15°" if deg is None else f"flies from {deg:.1f}° of range on"])
-    rule = f"*Flies*: hover within {SWING_DEG:g}° peak to peak, the doublet settles, the gust leans it by "
-    rule += f"{LEAN_DEG:g}° at most.\n\n"
-    parts = (
-        rule + table(["engine", "ECU late by", *GAINS], late, left=2),
-        table([f"{REAL}", *COLUMNS], differ),
-        table(["change of the vehicle", f"{REAL}: hover, doublet, gust"], changes),
-    )
-    return dict(zip(PARTS, parts, strict=True))
+    return table(["change of the vehicle", f"{REAL}: hover, doublet, gust"], changes)
 
 
-def study(out: Path, workers: int) -> dict[str, Any]:
-    """Every cell, from the folder where it is there."""
+def study(out: Path, workers: int, parts: Sequence[str]) -> dict[str, Any]:
+    """Every cell of these parts, from the folder where it is there."""
     out.mkdir(parents=True, exist_ok=True)
     one_thread()
     os.environ["PYTHONSAFEPATH"] = "1"  # no process sees the current folder's modules
-    made_for_real(out)
+    if DIFFER in parts:
+        made_for_real(out)  # before workers ask for it at once
     turned_aside(out, 0.26)
+    turned_aside(out, 0.26, shuts_opposite=True)
     file = out / "cells.json"
     found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        todo = {name: pool.submit(cell, job, out) for name, job in jobs().items() if name not in found}
+        wanted = {json.dumps(job): job for part in parts for job in jobs(part)}
+        todo = {name: pool.submit(cell, job, out) for name, job in wanted.items() if name not in found}
         names = {future: name for name, future in todo.items()}
         for future in as_completed(names):
             name = names[future]
@@ -348,9 +394,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("runs/full-scale-ecu"))
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--only", choices=PARTS, action="append", help="a part of the page; may stand several times")
     given = parser.parse_args()
-    check_marks(PAGE, PARTS)
-    write_marks(PAGE, written(study(given.out, given.workers)))
+    parts = given.only or PARTS
+    check_marks(PAGE, parts)
+    found = study(given.out, given.workers, parts)
+    write_marks(PAGE, {part: written(found, part) for part in parts})
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from scipy.optimize import least_squares
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.engine import load_engine, make_bank
+from cosim.results.report.marks import check_marks, write_marks
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -231,21 +232,17 @@ def main() -> None:
     parser.add_argument("--page", type=Path, default=Path(__file__).parent / "real-engine.md")
     parser.add_argument("--fit", action="store_true", help="fit jetcat-p300 anew and write that table")
     chosen = parser.parse_args()
+    mark = "fit" if chosen.fit else "steps"
+    check_marks(chosen.page, [mark])
     steps = read_steps(chosen.recordings)
     if chosen.fit:
-        mark, rows = "fit", fit_table(steps)
+        rows = fit_table(steps)
         print("\n".join(rows))
     else:
         answers = {name: [model(name, step) for step in steps] for name in ENGINES}
         draw(steps, answers, chosen.page.parent / "pictures" / "real-engine.png")
-        mark, rows = "steps", table(steps, answers)
-    opening = f"<!-- measured: {mark} -->\n"
-    head, found, rest = chosen.page.read_text(encoding="utf-8").partition(opening)
-    if not found:
-        raise SystemExit(f"{chosen.page}: no line {opening.strip()}")
-    tail = rest.partition("<!-- end -->")[2]
-    body = "\n".join(rows)
-    chosen.page.write_text(f"{head}{opening}{body}\n<!-- end -->{tail}", encoding="utf-8")
+        rows = table(steps, answers)
+    write_marks(chosen.page, {mark: "\n".join(rows) + "\n"})
 
 
 if __name__ == "__main__":

@@ -34,6 +34,15 @@ def test_the_vehicle_as_shipped_is_lost_and_with_vanes_flies(tmp_path: Path) -> 
     assert f"| {ecu.said(vanes)} |" in row_of("real ecu", ecu.REAL, "0.32 s, as fitted")
 
 
+def test_one_engine_out_is_held_with_the_opposite_shut_off(tmp_path: Path) -> None:
+    """As the page's row of jet 5; a flight that ends, but leans, is lost."""
+    held = ecu.lost_engine(5, ecu.gains(ecu.VANES_SHUT, tmp_path))
+    assert row_of("real ecu, one out", "jet 5").endswith(f"| {ecu.said_of_loss(held)} |")
+    assert ecu.said_of_loss(held).startswith("held")
+    assert ecu.said_of_loss(held | {"end_deg": 10.1}).startswith("lost")
+    assert ecu.said_of_loss(held | {"outcome": "diverged"}).startswith("lost")
+
+
 def test_a_flight_that_swings_or_leans_too_far_does_not_count() -> None:
     hover, gust = {"outcome": "completed", "swing_deg": 1.0}, {"outcome": "completed", "lean_deg": 9.0}
     found = {"hover": hover, "roll-doublet": {"outcome": "completed", "settling": 2.0}, "gust": gust}
