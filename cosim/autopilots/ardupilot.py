@@ -28,6 +28,7 @@ from cosim.autopilots.lockstep import (
     STICKS_S,
     ActuatorOutputs,
     AnswerTimer,
+    FirmwareReport,
     Program,
     SensorFrame,
     Sitl,
@@ -40,7 +41,7 @@ from cosim.autopilots.lockstep import (
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp, clip
-from cosim.identify.logs.dataflash import parameter_names
+from cosim.identify.logs.dataflash import read_notes
 from cosim.spec.vehicle import Vehicle
 
 PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10
@@ -65,6 +66,7 @@ _START_S = 60.0  # time limit for its first packet, s
 # A packet that comes again this soon after it was answered was sent before that.  It is not answered again: ArduPilot
 # would take the second answer for that to its next packet, and be a step late from there on.  It waits for a second.
 _REPEAT_S = 0.5
+_INFO = 6  # severity as in syslog
 _LONGEST_STEP_S = 0.1  # s; a longer step does not advance its clock
 
 
@@ -244,7 +246,7 @@ class ArduPilot(Sitl):
         if self._program is None or self._launch.defaults is None or self.counts.answers == 0:
             return ""
         new_logs = sorted(self._logs() - self._earlier_logs)
-        known_names = next((names for path in new_logs if (names := parameter_names(path)) is not None), None)
+        known_names = next((known for path in new_logs if (known := read_notes(path).parameters) is not None), None)
         if known_names is None:
             return f"the names of its parameters were not checked: no log in {self._folder / 'logs'} has all of them"
         # ArduPilot ignores the case of parameter names
@@ -252,6 +254,17 @@ class ArduPilot(Sitl):
             text = describe_unknown(unknown, known_names, "ArduCopter")
             raise FlightError(f"ardupilot: {text} (--param, --defaults; {new_logs[0].parent})")
         return ""
+
+    def report(self) -> FirmwareReport:
+        """See :class:`cosim.autopilots.lockstep.Autopilot`; from the newest log of its folder.
+
+        It logs no severity of what it says.
+        """
+        new_logs = sorted(self._logs() - self._earlier_logs)
+        if self._program is None or not new_logs:
+            return FirmwareReport()
+        notes = read_notes(new_logs[-1])
+        return FirmwareReport(notes.version, notes.parameters or {}, [(at, _INFO, text) for at, text in notes.messages])
 
     def _logs(self) -> set[Path]:
         return set((self._folder / "logs").glob("*.BIN"))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,20 +78,48 @@ def read(path: Path) -> FlightLog:
     return FlightLog(path, "ArduPilot DataFlash", channels, tuple(remarks), events)
 
 
-def parameter_names(path: Path) -> frozenset[str] | None:
-    """Return the names of all parameters of the ArduPilot that wrote a log; None where not all of them are in it.
+class DataFlashNotes(NamedTuple):
+    """What a DataFlash log says in words and of its program, beside its measurements."""
 
-    It logs them one after the other when a log begins, and then its version (VER).
+    version: str  # as the program calls itself; empty: the log does not say
+    parameters: dict[str, float] | None  # those at its beginning, all of them; None where not all are in it
+    messages: list[tuple[float, str]]  # time s, text
+
+
+def read_notes(path: Path) -> DataFlashNotes:
+    """Read version, parameters and messages of a DataFlash log.
+
+    ArduPilot logs its parameters one after the other when a log begins, and then its version (VER).
     """
     data = path.read_bytes()
     formats, offsets, _, _ = _index_messages(data)
+    raw = np.frombuffer(data, np.uint8)
     kinds = {name: kind for kind, (name, _, _, _) in formats.items()}
+
+    def table(name: str, *labels: str) -> np.ndarray | None:
+        kind = kinds.get(name, -1)
+        if kind < 0 or not set(labels) <= set(formats[kind][3]):
+            return None
+        return _rows(raw, offsets.get(kind, ()), *formats[kind][1:])
+
     listed, version = (offsets.get(kinds.get(name, -1), []) for name in ("PARM", "VER"))
-    if not listed or not version or version[0] < listed[0]:
-        return None
-    _, length, columns, labels = formats[kinds["PARM"]]
-    rows = _rows(np.frombuffer(data, np.uint8), listed, length, columns, labels)
-    return frozenset(_text(name) for name in rows["Name"].tolist()) if rows is not None and "Name" in labels else None
+    parameters: dict[str, float] | None = None
+    if listed and version and version[0] > listed[0] and (rows := table("PARM", "Name", "Value")) is not None:
+        first = int(np.searchsorted(listed, version[0]))  # what comes behind was changed in flight
+        pairs = zip(rows["Name"][:first].tolist(), rows["Value"][:first].tolist(), strict=True)
+        parameters = {_text(name): float(value) for name, value in pairs}
+    said = table("MSG", "TimeUS", "Message")
+    named = table("VER", "FWS")
+    return DataFlashNotes(
+        "" if named is None else _text(named["FWS"][0]),
+        parameters,
+        []
+        if said is None
+        else [
+            (1e-6 * stamp, _text(text))
+            for stamp, text in zip(said["TimeUS"].tolist(), said["Message"].tolist(), strict=True)
+        ],
+    )
 
 
 def _rows(
