@@ -10,6 +10,7 @@ from cosim.autopilots.betaflight import (
 )
 from cosim.autopilots.parameters import (
     ardupilot_parameters,
+    ardupilot_script,
     ardupilot_torque_scale,
     parameter_file,
     px4_target,
@@ -36,6 +37,17 @@ def format_firmware_parameters(autopilot: str, vehicle: Vehicle, step: float, ta
         return "\n".join(lines) + "\n"
     parameters = px4_target(vehicle, step, target) if autopilot == "px4" else ardupilot_parameters(vehicle, step)
     return parameter_file(autopilot, parameters)
+
+
+def format_mixer_script(vehicle: Vehicle) -> str:
+    """Return the Lua script that is ArduPilot's mixer of the vehicle.
+
+    Raises InputError for a vehicle that is a frame of ArduCopter and needs none.
+    """
+    script = ardupilot_script(vehicle)
+    if script is None:
+        raise InputError(f"--script: {vehicle.name}: has no tilting banks; its frame needs no script")
+    return script
 
 
 def find_torque_scale(autopilot: str, vehicle: Vehicle) -> Vector3:

@@ -23,6 +23,7 @@ _THRUST = 6.5  # default of CA_ROTOR_CT
 _LEAST_OFFSET = 0.01  # m, to the left or right, below which PX4 gives a tilt no yaw
 _MOST_ROTORS = 12  # limit of PX4's control allocation
 _LEAST_IMU_HZ, _MOST_IMU_HZ = 100, 1000  # range of IMU_INTEG_RATE
+_MOST_MOTORS = 12  # of ArduCopter, AP_MOTORS_MAX_NUM_MOTORS in 4.6
 
 
 def px4_torque_scale(vehicle: Vehicle) -> Vector3:
@@ -214,14 +215,10 @@ def ardupilot_frame(vehicle: Vehicle) -> tuple[int, list[int]]:
     Raises InputError for a vehicle that none of its frames with four motors is.
     """
     jets = vehicle.jets
-    if vehicle.servo or len(jets) != 4:
-        engines = f"{len(jets)} engines"
-        reason = (
-            f"has {engines} on two tilting banks" if vehicle.servo else f"with {engines} is known here, only with four"
-        )
+    if len(jets) != 4:
         raise InputError(
-            f"ardupilot: {vehicle.name}: no frame of ArduCopter {reason}; state parameters of "
-            "yours (--defaults): the first outputs are the engines, the next two the tilts, left and right"
+            f"ardupilot: {vehicle.name}: no frame of ArduCopter with {len(jets)} engines is known here, only with "
+            "four; state parameters of yours (--defaults): the first outputs are the engines"
         )
     positions = [tuple(int(np.sign(v)) for v in (*jet.position_m[:2], jet.reaction_m)) for jet in jets]
     for number, (_, motors) in _QUAD_FRAMES.items():
@@ -235,21 +232,70 @@ def ardupilot_frame(vehicle: Vehicle) -> tuple[int, list[int]]:
     )
 
 
-def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
-    """Return ArduPilot's parameters of a quadrotor: frame, gains, filters, sticks, and the flight's rate.
+def ardupilot_script(vehicle: Vehicle) -> str | None:
+    """Return the Lua script that is the mixer of a vehicle with two tilting banks; None for a frame of ArduCopter.
 
-    Raises InputError for a vehicle that is no frame of ArduCopter, see :func:`ardupilot_frame`.
+    ``Motors_6DoF`` takes a motor's part of roll, pitch, yaw and throttle as they are
+    (``AP_MotorsMatrix_6DoF_Scripting`` and ``AC_AttitudeControl_Multi_6DoF``, read in 4.6): an engine has throttle and
+    roll, and a tilt is a motor that goes both ways, with pitch and yaw alone.  That frame flies sideways without a lean
+    as it ships, which is switched off.
+    Raises InputError for more outputs than it has.
+    """
+    if vehicle.servo is None:
+        return None
+    jets = vehicle.jets
+    if len(jets) + 2 > _MOST_MOTORS:
+        raise InputError(
+            f"ardupilot: {vehicle.name}: {len(jets)} engines and two tilts; allowed are {_MOST_MOTORS} outputs at most"
+        )
+    pitch = 1 if sum(jet.position_m[2] for jet in jets) > 0.0 else -1  # a tilt to the front, below the centre: nose up
+    rows = [("0.5" if jet.servo == "left" else "-0.5", 0, 0, 1, "false") for jet in jets]
+    rows += [("0", pitch, yaw, 0, "true") for yaw in (1, -1)]
+    return "\n".join(
+        [
+            f"-- {vehicle.name}: {len(jets)} engines, then the left and the right tilt. For ArduCopter's folder",
+            "-- scripts, with FRAME_CLASS 16 and SCR_ENABLE 1. Of each: number; roll, pitch, yaw, throttle, forward,",
+            "-- right; whether it goes both ways; order in the motor test.",
+            *(
+                f"Motors_6DoF:add_motor({index}, {roll}, {tilt}, {yaw}, {throttle}, 0, 0, {both}, {index + 1})"
+                for index, (roll, tilt, yaw, throttle, both) in enumerate(rows)
+            ),
+            f"assert(Motors_6DoF:init({len(rows)}), 'hexjet: the motors were not set up')",
+            f"motors:set_frame_string('{vehicle.name[:20]}')",
+            "attitude_control:set_forward_enable(false)",
+            "attitude_control:set_lateral_enable(false)",
+            "",
+        ]
+    )
+
+
+def _ardupilot_frame_parameters(vehicle: Vehicle) -> dict[str, float]:
+    """Return the frame, and which output is which motor."""
+    if ardupilot_script(vehicle) is None:
+        frame, motors = ardupilot_frame(vehicle)
+        parameters: dict[str, float] = {"FRAME_CLASS": 1, "FRAME_TYPE": frame}
+    else:
+        motors = list(range(1, len(vehicle.jets) + 3))
+        # A motor that goes both ways has a dead zone as large as the room that is kept for yaw.
+        parameters = {"FRAME_CLASS": 16, "SCR_ENABLE": 1, "MOT_YAW_HEADROOM": 0}
+    for number, motor in enumerate(motors, 1):
+        parameters[f"SERVO{number}_FUNCTION"] = (32 if motor <= 8 else 73) + motor
+        parameters |= {f"SERVO{number}_MIN": 1000, f"SERVO{number}_MAX": 2000}
+    return parameters
+
+
+def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
+    """Return ArduPilot's parameters of a vehicle: frame, gains, filters, sticks, and the flight's rate.
+
+    Raises InputError for a vehicle that is no frame of ArduCopter, see :func:`ardupilot_frame`, and that no script
+    makes one, see :func:`ardupilot_script`.
     """
     control = vehicle.control
     if vehicle.allocation == "effectiveness":
         raise InputError(f"ardupilot: {vehicle.name}: is flown by effectiveness, whose gains are not in throttle")
-    frame, motors = ardupilot_frame(vehicle)
     throttle_min = control.allocation.throttle_min
     parameters: dict[str, float] = {"SIM_RATE_HZ": round(1.0 / step), "SCHED_LOOP_RATE": min(round(1.0 / step), 400)}
-    parameters |= {"FRAME_CLASS": 1, "FRAME_TYPE": frame}
-    for number, motor in enumerate(motors, 1):
-        parameters[f"SERVO{number}_FUNCTION"] = 32 + motor
-        parameters |= {f"SERVO{number}_MIN": 1000, f"SERVO{number}_MAX": 2000}
+    parameters |= _ardupilot_frame_parameters(vehicle)
     for axis, gains, scale in pair_rate_gains(vehicle, ardupilot_torque_scale(vehicle)):
         name = f"ATC_RAT_{'RLL' if axis == 'roll' else 'PIT' if axis == 'pitch' else 'YAW'}"
         parameters |= {f"{name}_P": gains.p / scale, f"{name}_I": gains.i / scale, f"{name}_D": gains.d / scale}
@@ -258,9 +304,20 @@ def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
         parameters[f"{name}_IMAX"] = min(gains.integral_limit / scale, 1.0)
     names = [f"ATC_ANG_{axis}_P" for axis in ("RLL", "PIT", "YAW")]
     parameters |= dict(zip(names, control.attitude.gain_1_s, strict=True))
+    # Its shaping of what is asked and its feed-forward of that are together the attitude gain alone then, and without
+    # limits of acceleration large errors count as small ones do: cosim.design.loop.firmware.
+    parameters |= {"ATC_RATE_FF_ENAB": 1, "ATC_INPUT_TC": 1.0 / control.attitude.gain_1_s[0]}
+    parameters |= {f"ATC_ACCEL_{axis}_MAX": 0 for axis in "RPY"}
     parameters |= {"MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_THST_EXPO": 0.0, "MOT_SPIN_MAX": 1.0}
     parameters |= {"MOT_SPIN_MIN": throttle_min, "MOT_SPIN_ARM": throttle_min, "INS_GYRO_FILTER": 0}
     return parameters | ARDUPILOT_STICKS
+
+
+def leave_ardupilot_gains(parameters: Mapping[str, float]) -> dict[str, float]:
+    """Return ArduPilot's parameters without gains, shaping, filters and thrust curve: these are as ArduCopter ships."""
+    kept = {name: value for name, value in parameters.items() if not name.startswith(("ATC_", "INS_GYRO"))}
+    kept.pop("MOT_THST_EXPO", None)
+    return kept
 
 
 def read_parameters(path: Path) -> dict[str, float]:
@@ -310,8 +367,8 @@ NOTES = {
         "by PX4's rule of signs that is what they do. A positive output tilts forward: the first servo is the left.",
     ),
     "ardupilot": (
-        "The shipped quadrotor's flew ArduCopter 4.5.0-dev in its SITL, a hover and a roll doublet; no",
-        "hardware has flown with them.",
+        "The shipped quadrotor's flew ArduCopter 4.5.0-dev in its SITL, a hover and a roll doublet;",
+        "those of tilting banks, with a script, have not. No hardware has flown with any of them.",
         "RCn_*, RC7_OPTION, ARMING_CHECK = 0 and SIM_RATE_HZ are for hexjet sitl. On hardware leave",
         "them out: calibrate your transmitter, and keep the arming checks.",
     ),

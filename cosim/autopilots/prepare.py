@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
+from shutil import which
 from typing import Any
 
 from cosim.autopilots import ardupilot, betaflight, px4
@@ -16,6 +17,8 @@ from cosim.autopilots.lockstep import LOCAL, Autopilot, find_configured_program
 from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
     ardupilot_parameters,
+    ardupilot_script,
+    leave_ardupilot_gains,
     leave_px4_gains,
     parameter_file,
     px4_external_rates,
@@ -34,6 +37,11 @@ from cosim.spec.vehicle import Vehicle
 INSTANCE_PORTS = 32_760  # the first of the ports that stand for a number; chosen by us, nobody's
 MOST_INSTANCES = 250  # numbers: as many instances as hexjet sitl takes
 VARIABLES = {"px4": "PX4_SITL", "ardupilot": "ARDUPILOT_SITL"}  # of the environment: a program that nobody states
+PROGRAMS = {"px4": "px4", "ardupilot": "arducopter"}  # names by which they are looked for on the path
+BUILDS = {  # how their makers build them, and where they say so
+    "px4": "make px4_sitl; docs.px4.io, Building PX4 Software",
+    "ardupilot": "./waf configure --board sitl && ./waf copter; ardupilot.org/dev, Building the code",
+}
 PORT_SPACING = 20  # ports of Betaflight from one instance to the next: fourteen are one's
 
 
@@ -104,12 +112,22 @@ def reserve_instance() -> Iterator[int]:
 
 
 def find_program(name: str, binary: Path | None) -> Path | None:
-    """Return the program that is given, that the environment names, or that is installed.
+    """Return the program that is given, that the environment names, or that is installed or on the path.
 
     None: there is none, and the autopilot is started by hand; Betaflight never is.  Raises InputError for what is no
     program.
     """
-    return betaflight.find_program(binary) if name == "betaflight" else find_configured_program(binary, VARIABLES[name])
+    if name == "betaflight":
+        return betaflight.find_program(binary)
+    found = find_configured_program(binary, VARIABLES[name])
+    if found is None and (on_path := which(PROGRAMS[name])) is not None:
+        found = Path(on_path).absolute()
+    return found
+
+
+def describe_missing(name: str) -> str:
+    """Return where a program was looked for, and how its makers build it."""
+    return f"--binary, {VARIABLES[name]}, {PROGRAMS[name]} on the path; its makers build it by {BUILDS[name]}"
 
 
 def require_program(name: str, binary: Path | None) -> Path:
@@ -121,7 +139,10 @@ def require_program(name: str, binary: Path | None) -> Path:
     if binary is not None:
         need_trust([code_of(binary)], name)
     if program is None:
-        raise InputError(f"{name}: no program is named; allowed: binary in the table [autopilot], or {VARIABLES[name]}")
+        raise InputError(
+            f"{name}: no program is named; allowed: binary in the table [autopilot], {VARIABLES[name]}, or "
+            f"{PROGRAMS[name]} on the path"
+        )
     return program
 
 
@@ -191,6 +212,9 @@ def _ardupilot(
         defaults = folder / "hexjet.parm"
         folder.mkdir(parents=True, exist_ok=True)
         defaults.write_text(parameter_file("ardupilot", parameters))
+        if setup.defaults is None and (script := ardupilot_script(vehicle)) is not None:
+            (folder / "scripts").mkdir(exist_ok=True)
+            (folder / "scripts" / "hexjet.lua").write_text(script)
     launch = ardupilot.LaunchOptions(
         setup.instance,
         setup.limit_s,
@@ -218,7 +242,8 @@ def _ardupilot_parameters(vehicle: Vehicle, step: float, program: Path | None, s
     if setup.defaults is not None:
         return ARDUPILOT_STICKS | read_parameters(setup.defaults) | dict(setup.parameters)
     try:
-        return ardupilot_parameters(vehicle, step) | dict(setup.parameters)
+        parameters = ardupilot_parameters(vehicle, step)
+        return (leave_ardupilot_gains(parameters) if setup.gains == "stock" else parameters) | dict(setup.parameters)
     except InputError:
         if program is not None:
             raise

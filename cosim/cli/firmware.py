@@ -28,7 +28,7 @@ def firmware_for(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firm
         return Firmware(
             autopilot, units=compute_gain_units(vehicle), max_gain=MOST_GAIN, common_filter=True, common_angle=True
         )
-    return Firmware(autopilot, common_filter=autopilot == "px4")
+    return Firmware(autopilot, common_filter=autopilot == "px4", common_angle=autopilot == "ardupilot")
 
 
 def search_gains(autopilot: str, scenario: Scenario, settings: Sequence[str], out: Path, quiet: bool) -> Path:
@@ -64,11 +64,16 @@ def search_gains(autopilot: str, scenario: Scenario, settings: Sequence[str], ou
 
 
 def write_parameters(autopilot: str, aircraft: str, controller: Path, step: float) -> Path:
-    """Write the parameter file beside the controller file and return its path.  Raises FlightError."""
-    from cosim.autopilots.firmware_parameters import format_firmware_parameters
+    """Write the parameter file beside the controller file and return its path.
+
+    For ArduPilot the mixer of tilting banks, a script, is written beside it.  Raises FlightError.
+    """
+    from cosim.autopilots.firmware_parameters import format_firmware_parameters, format_mixer_script
 
     vehicle, _ = load_scenario("hover", str(controller), (), None, (), None, aircraft).resolved_vehicle()
     path = controller.with_suffix(".txt" if autopilot == "betaflight" else ".params" if autopilot == "px4" else ".parm")
     with map_os_errors(FlightError, path):
         path.write_text(format_firmware_parameters(autopilot, vehicle, step))
+        if autopilot == "ardupilot" and vehicle.servo is not None:
+            path.with_suffix(".lua").write_text(format_mixer_script(vehicle))
     return path

@@ -4,8 +4,8 @@ Written from the sources of ArduCopter 4.6 and measured beside one that flew, 4.
 library alone.  When it is armed it begins a log with all its parameters.  It waits for a ground station on its first serial port unless it is told otherwise; listens on TCP on the others; goes at real time unless it
 is told otherwise; its frame rate begins at 1200 and slides; it refuses to be armed early, holds its motors for 2 s after
 that, and lets them go slowly; its sticks have ranges and dead zones and the throttle's is bent; its mixer has the signs
-of its frames.  Of its attitude loops there are the proportional ones and the rate loops, without shaping of what is
-asked; its attitude is the one that it is told.
+of its frames, or of the script that it finds.  It lets what is asked follow the sticks slowly and feeds its rate
+forward; its attitude is the one that it is told.
 
     arducopter_standin.py --model JSON:127.0.0.1 --home 0,0,0,0 -I0 --defaults FILE --serial0 tcp:0 --speedup 100
 """
@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import re
 import socket
 import struct
 import sys
@@ -37,6 +38,8 @@ DEFAULTS: dict[str, float] = {
        for key, value in (("P", p), ("I", i), ("D", d), ("FLTT", 20), ("FLTE", f if axis == "YAW" else 0),
                           ("FLTD", 20), ("IMAX", 0.5))},
     **{f"ATC_ANG_{axis}_P": 4.5 for axis in ("RLL", "PIT", "YAW")},
+    "ATC_INPUT_TC": 0.15, "ATC_RATE_FF_ENAB": 1, "ATC_ACCEL_R_MAX": 110000, "ATC_ACCEL_P_MAX": 110000,
+    "ATC_ACCEL_Y_MAX": 27000, "SCR_ENABLE": 0, "MOT_YAW_HEADROOM": 200,
 }  # fmt: skip
 # FRAME_TYPE of four motors: of every motor where it is, degrees to the right of the nose, and 1 for counter-clockwise.
 _X = ((45, 1), (-135, 1), (-45, -1), (135, -1))
@@ -55,6 +58,8 @@ SERIALS = {0: "tcp:0:wait", 1: "tcp:2", 2: "tcp:3", 5: "tcp:5", 6: "tcp:6", 7: "
 HOLDS_S = 2.0  # after arming
 READY_S = 25.0  # its estimator's, before which it is not armed
 AXES = ("RLL", "PIT", "YAW")
+LEAST_ACCEL, MOST_ACCEL = (40.0, 40.0, 10.0), (720.0, 720.0, 120.0)  # of large errors, deg/s^2
+ROW = re.compile(r"^Motors_6DoF:add_motor\(([^)]*)\)")
 # Messages of its log by their name: number, format characters and fields.
 LOGGED = {"FMT": (128, "BBnNZ", "Type,Length,Name,Format,Columns"), "PARM": (64, "QNff", "TimeUS,Name,Value,Default"),
           "VER": (65, "QBBBZ", "TimeUS,Maj,Min,Pat,FWS")}  # fmt: skip
@@ -72,6 +77,14 @@ def limit(value: float, low: float, high: float) -> float:
 def part(hertz: float, dt: float) -> float:
     """Of a first-order low-pass, in a step; no low-pass for 0 Hz."""
     return 1.0 if hertz <= 0.0 else dt / (dt + 1.0 / (2.0 * math.pi * hertz))
+
+
+def root(error: float, gain: float, most: float, dt: float) -> float:
+    """In proportion to a small error and by the root of a large one, so that ``most`` slows it down; at most all of it."""
+    part = most / gain**2 if most > 0.0 else math.inf
+    size = abs(error)
+    asked = gain * size if size <= part else math.sqrt(2.0 * most * (size - 0.5 * part))
+    return math.copysign(min(asked, size / dt), error)
 
 
 def log_message(name: str, *values: float | str) -> bytes:
@@ -148,16 +161,19 @@ class Motors:
     """Spooling, mixing and pulses of a quadrotor."""
 
     def __init__(self, parameters: dict[str, float]) -> None:
-        frame = FRAMES[int(parameters["FRAME_TYPE"])]
-        if int(parameters["FRAME_CLASS"]) != 1:
-            raise SystemExit("no such frame")
         self._parameters = parameters
-        # in its own order, by roll (left up), pitch (nose up) and yaw (nose right), the greatest a half
-        rows = [(-math.sin(math.radians(angle)), math.cos(math.radians(angle)), float(turn)) for angle, turn in frame]
-        most = [max(abs(row[k]) for row in rows) for k in range(3)]
-        self._mix = [tuple(0.5 * row[k] / most[k] for k in range(3)) for row in rows]
+        self._mix = self._make_mix()
         self.state, self._spun, self.most = "SHUT_DOWN", 0.0, 0.0
         self.limited = True
+
+    def _make_mix(self) -> list[tuple[float, ...]]:
+        """In its own order, by roll (left up), pitch (nose up) and yaw (nose right), the greatest a half."""
+        if int(self._parameters["FRAME_CLASS"]) != 1:
+            raise SystemExit("no such frame")
+        frame = FRAMES[int(self._parameters["FRAME_TYPE"])]
+        rows = [(-math.sin(math.radians(angle)), math.cos(math.radians(angle)), float(turn)) for angle, turn in frame]
+        most = [max(abs(row[k]) for row in rows) for k in range(3)]
+        return [tuple(0.5 * row[k] / most[k] for k in range(3)) for row in rows]
 
     def spool(self, dt: float, runs: bool, wanted: str, throttle: float) -> None:
         """As its states go: shut down, idling, going up, free, going down."""
@@ -216,11 +232,52 @@ class Motors:
         return (expo - 1.0 + math.sqrt((1.0 - expo) ** 2 + 4.0 * expo * thrust)) / (2.0 * expo)
 
 
+class Motors6(Motors):
+    """Of a script: every motor's parts as they are; one that goes both ways has a dead zone around its middle."""
+
+    def _make_mix(self) -> list[tuple[float, ...]]:
+        """By roll, pitch, yaw and throttle, then whether it goes both ways; nothing without a script."""
+        scripts = sorted(Path("scripts").glob("*.lua")) if self._parameters["SCR_ENABLE"] else []
+        lines = [line for path in scripts for line in path.read_text(encoding="utf-8").splitlines()]
+        words = [found[1].replace(" ", "").split(",") for line in lines if (found := ROW.match(line))]
+        if not any(f"init({len(words)})" in line for line in lines):
+            say("Check frame class and type")
+        said = "\n".join(lines)
+        self.flies_level = any(f"set_{way}_enable(false)" not in said for way in ("forward", "lateral"))
+        return [(*map(float, row[1:5]), float(row[7] == "true")) for row in words]
+
+    def pulses(self, torque: tuple[float, float, float], throttle: float) -> list[int]:
+        throttle = min(throttle, self.most)
+        turns = [sum(a * b for a, b in zip(row[:3], torque, strict=True)) for row in self._mix]
+        kept, room = [throttle * row[3] for row in self._mix], 1.0
+        for turn, base in zip(turns, kept, strict=True):
+            if abs(base + turn) > 1.0:
+                room, self.limited = min(room, (math.copysign(1.0, base + turn) - base) / turn), True
+        asked = [limit(base + room * turn, -1.0, 1.0) for base, turn in zip(kept, turns, strict=True)]
+        made, dead = [0] * 16, limit(1e-3 * self._parameters["MOT_YAW_HEADROOM"], 0.0, 0.25)
+        for output in range(16):
+            motor = int(self._parameters[f"SERVO{output + 1}_FUNCTION"])
+            motor -= 33 if motor < 82 else 74
+            if 0 <= motor < len(asked):
+                made[output] = self._pulse(asked[motor], self._mix[motor][4] > 0.0, dead)
+        return made
+
+    def _pulse(self, asked: float, both: bool, dead: float) -> int:
+        turns = self.state not in ("SHUT_DOWN", "GROUND_IDLE")
+        least, most = self._parameters["MOT_SPIN_MIN"], self._parameters["MOT_SPIN_MAX"]
+        if both:
+            return int(1500 + 500 * most * asked * turns * (abs(asked) >= dead))
+        spun = least + (most - least) * self._linear(limit(asked, 0.0, 1.0), self._parameters["MOT_THST_EXPO"])
+        return int(1000 + 1000 * spun * turns)
+
+
 class Copter:
     """Arming, sticks, attitude and rate loops."""
 
     def __init__(self, parameters: dict[str, float], radio: Radio) -> None:
-        self.parameters, self.radio, self.motors = parameters, radio, Motors(parameters)
+        self.parameters, self.radio = parameters, radio
+        self.motors = (Motors6 if parameters["FRAME_CLASS"] == 16 else Motors)(parameters)
+        self._goal, self._goal_rate = [0.0] * 3, [0.0] * 3
         self.armed_at: float | None = None
         self._switches: dict[int, str] = {}
         self._closed_since: float | None = 0.0
@@ -290,18 +347,39 @@ class Copter:
         yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         full = math.radians(self.parameters["ANGLE_MAX"] / 100.0)
         wanted = [full * self.radio.angle(1), full * self.radio.angle(2)]
+        if getattr(self.motors, "flies_level", False):
+            wanted = [0.0, 0.0]  # it would push sideways and stay level
         turn, bend = self.radio.angle(4), self.parameters["PILOT_Y_EXPO"]
         turn = math.radians(self.parameters["PILOT_Y_RATE"]) * (1.0 - bend) * turn / (1.0 - bend * abs(turn))
-        self._heading = yaw if self._heading is None else self._heading + turn * dt
-        off = (self._heading - yaw + math.pi) % (2.0 * math.pi) - math.pi
-        errors = (wanted[0] - roll, wanted[1] - pitch, off)
-        self._asked = [self.parameters[f"ATC_ANG_{axis}_P"] * error for axis, error in zip(AXES, errors, strict=True)]
-        self._asked[2] += turn
+        self._shape(wanted, turn, yaw, dt)
+        off = (self._goal[2] - yaw + math.pi) % (2.0 * math.pi) - math.pi
+        errors = (self._goal[0] - roll, self._goal[1] - pitch, off)
+        for k, (axis, error) in enumerate(zip(AXES, errors, strict=True)):
+            most = self.parameters[f"ATC_ACCEL_{axis[0]}_MAX"] / 100.0
+            most = math.radians(limit(most / 2.0, LEAST_ACCEL[k], MOST_ACCEL[k])) if most > 0.0 else 0.0
+            self._asked[k] = root(error, self.parameters[f"ATC_ANG_{axis}_P"], most, dt) + self._goal_rate[k]
         self._throttle = self.radio.throttle(self.parameters["MOT_THST_HOVER"])
         if self.parameters["ATC_ANGLE_BOOST"]:
             self._throttle /= limit(math.cos(wanted[0]) * math.cos(wanted[1]), 0.1, 1.0)
         if self.motors.state in ("SHUT_DOWN", "GROUND_IDLE"):
             self._throttle = 0.0 if self._closed_since is not None else self._throttle
+
+    def _shape(self, wanted: list[float], turn: float, yaw: float, dt: float) -> None:
+        """Let the goal follow the sticks, of roll and pitch by ATC_INPUT_TC; its rate is fed forward."""
+        feeds = self.parameters["ATC_RATE_FF_ENAB"] != 0.0
+        self._goal = [goal + rate * dt for goal, rate in zip(self._goal, self._goal_rate, strict=True)]
+        if self._heading is None:
+            self._goal[2], self._goal_rate[2] = yaw, 0.0
+        self._heading = yaw
+        for k, axis in enumerate(AXES):
+            most = math.radians(self.parameters[f"ATC_ACCEL_{axis[0]}_MAX"] / 100.0)
+            gain = 1.0 / max(self.parameters["ATC_INPUT_TC"], 0.01)
+            asked = turn if k == 2 else root(wanted[k] - self._goal[k], gain, most, dt)
+            if most > 0.0:
+                asked = limit(asked, self._goal_rate[k] - most * dt, self._goal_rate[k] + most * dt)
+            self._goal_rate[k] = asked
+        if not feeds:
+            self._goal, self._goal_rate = [*wanted, self._goal[2] + turn * dt], [0.0] * 3
 
 
 def lines_of(text: str) -> list[str]:

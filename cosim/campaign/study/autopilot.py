@@ -18,7 +18,7 @@ class StudyAutopilot(Model):
 
     name: Literal["betaflight", "px4", "ardupilot"]
     binary: str = ""  # its program, as seen from the study's folder; none: the one that the environment names
-    gains: Literal["vehicle", "stock"] = "vehicle"  # stock: as it ships; not ArduPilot's
+    gains: Literal["vehicle", "stock"] = "vehicle"  # stock: as it ships
     lines: list[str] = Field(default_factory=list)  # commands for Betaflight's console
     parameters: dict[str, float] = Field(
         default_factory=dict
@@ -37,8 +37,6 @@ class StudyAutopilot(Model):
             from cosim.autopilots.ardupilot import parse_channel
         for text in self.channels:
             parse_channel(text, "channels")
-        if self.gains != "vehicle" and self.name == "ardupilot":
-            raise ValueError(f"gains = {self.gains!r}: allowed for betaflight and px4, and this is {self.name}")
         return self
 
     def seen_from(self, folder: Path) -> StudyAutopilot:

@@ -132,9 +132,6 @@ _INSTANCE = opt.whole(
     max=250,
     default=0,
 )
-_GAINS = opt.word(
-    "--gains", "FILE.toml", "Rate and attitude gains of hexjet design --for it.  [default: the vehicle's own]"
-)
 
 
 def _designed(gains: str | None, *words: str) -> str:
@@ -169,7 +166,7 @@ class Px4(Sitl):
 @sitl.command(epilog=example("hexjet sitl px4 --binary px4_sitl_default/bin/px4 --param MC_ROLLRATE_P=0.05"))
 @opt.takes(Px4)
 def px4(options: Px4) -> int:
-    """Fly PX4's SITL: that of --binary or PX4_SITL, or one that you start; the port is 4560 and the instance.
+    """Fly PX4's SITL: that of --binary, PX4_SITL or the path, or one that you start; port 4560 and the instance.
 
     It flies in Stabilized and is flown by the sticks: lean as the scenario asks, height and heading held by the pilot
     with the vehicle's own loops; with --hold in Position. Time is the flight's, but PX4's threads share it in an order
@@ -198,7 +195,12 @@ class ArduPilot(Sitl):
     """Options of ``hexjet sitl ardupilot``."""
 
     instance: int = _INSTANCE
-    gains: str | None = _GAINS
+    gains = opt.word(
+        "--gains",
+        "vehicle|stock|FILE.toml",
+        "Rate and attitude gains: the vehicle's own, as ArduCopter ships, or of hexjet design --for ardupilot.  "
+        "[default: vehicle]",
+    )
     defaults = opt.path(
         "--defaults",
         "FILE.parm",
@@ -222,7 +224,7 @@ class ArduPilot(Sitl):
 @sitl.command(epilog=example("hexjet sitl ardupilot --binary build/sitl/bin/arducopter --set step_s=0.0025"))
 @opt.takes(ArduPilot)
 def ardupilot(options: ArduPilot) -> int:
-    """Fly ArduPilot's SITL over its JSON backend: that of --binary or ARDUPILOT_SITL, or one that you start.
+    """Fly ArduPilot's SITL over its JSON backend: that of --binary, ARDUPILOT_SITL or the path, or one that you start.
 
     The port is 9002, and ten more for each instance. It flies in Stabilize and is flown by the sticks, as PX4 is. It
     must ask for as many frames a second as the flight has steps: SIM_RATE_HZ. A parameter's name that its log does not
@@ -231,16 +233,18 @@ def ardupilot(options: ArduPilot) -> int:
     from cosim.autopilots.prepare import Setup
     from cosim.base.storage.toml import parse_numbers
 
+    gains = _designed(options.gains, "vehicle", "stock")
     setup = Setup(
         options.instance,
         options.timeout,
-        gains=_designed(options.gains),
+        gains=gains,
         parameters=parse_numbers(options.parameters, "--param"),
         defaults=options.defaults,
         channels=options.channels,
         station=options.station,
     )
-    return _fly(options, options.read(options.gains), "ardupilot", setup)
+    scenario = options.read(None if gains in ("vehicle", "stock") else gains)
+    return _fly(options, scenario, "ardupilot", setup)
 
 
 class Parameters(opt.Record):
@@ -256,6 +260,7 @@ class Parameters(opt.Record):
         "PX4's: its SITL, a board in the loop, or one that flies, which keeps its own radio.",
         "sitl",
     )
+    script = opt.flag("--script", "ArduPilot's mixer of tilting banks, a Lua script, in the place of parameters.")
 
 
 @sitl.command(epilog=example("hexjet sitl params px4 > hexjet.params"))
@@ -266,12 +271,17 @@ def params(options: Parameters) -> int:
     What cannot be said in its parameters stands in the lines that begin with #. For Betaflight they are lines for its
     console.
     """
-    from cosim.autopilots.firmware_parameters import format_firmware_parameters
+    from cosim.autopilots.firmware_parameters import format_firmware_parameters, format_mixer_script
 
     autopilot, target = options.autopilot, options.target
     if target != "sitl" and autopilot != "px4":
         raise InputError(f"--target {target}: {autopilot} has one set of parameters; allowed is px4")
+    if options.script and autopilot != "ardupilot":
+        raise InputError(f"--script: {autopilot} has none; allowed is ardupilot")
     vehicle, _ = load_scenario("hover", options.gains, (), None, (), None, options.aircraft).resolved_vehicle()
+    if options.script:
+        click.echo(format_mixer_script(vehicle), nl=False)
+        return DONE
     click.echo(format_firmware_parameters(autopilot, vehicle, 1.0 / options.rate, target), nl=False)
     return DONE
 
@@ -280,7 +290,7 @@ def _fly(options: Sitl, scenario: Scenario, name: str, setup: Setup, rates: str 
     """Fly, and print what it came to; ``rates``: the controller whose rate loop flies in the place of its own."""
     from dataclasses import asdict
 
-    from cosim.autopilots.prepare import find_program, prepare
+    from cosim.autopilots.prepare import describe_missing, find_program, prepare
 
     program, folder = find_program(name, options.binary), options.run_folder(f"{scenario.name}-{name}")
     autopilot = prepare(name, scenario, folder, program, setup, options.read(rates) if rates else None)
@@ -295,7 +305,7 @@ def _fly(options: Sitl, scenario: Scenario, name: str, setup: Setup, rates: str 
         )
     if program is None:
         where = f"waiting for one at {autopilot.endpoint} of this machine"
-        click.echo(f"hexjet: no {_TITLES[name]} is named (--binary): {where}", err=True)
+        click.echo(f"hexjet: no {_TITLES[name]} is named ({describe_missing(name)}): {where}", err=True)
     details: dict[str, Any] = {} if name == "ardupilot" else {"rates": rates}
     with output_to_stderr(options.as_json):
         flown = autopilot.fly(scenario, folder, realtime_factor=options.rtf or None, **details)

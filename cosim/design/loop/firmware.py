@@ -18,7 +18,11 @@ That PX4's and ArduPilot's rate loops hear the attitude loop one step later foll
 in a queue of a lower one (``nav_and_controllers``).  ArduPilot: the fast tasks of ``Copter.cpp`` are gyro, rate loop,
 motors, estimator, and then the flight mode with its attitude loop.  It was measured with neither program.
 
-Of limits and anti-windup nothing is in it, nor of gains that follow the throttle: our settings switch these off.
+Of limits and anti-windup nothing is in it, nor of gains that follow the throttle: our settings switch these off.  So
+they do with ArduPilot's limits of acceleration (``ATC_ACCEL_R_MAX`` and the others), and the square root of a large
+error that comes with them.  Its target follows the pilot's with ``ATC_INPUT_TC``, and the target's rate is fed forward:
+``target' = (pilot - target) / tc``, ``rate = gain (target - angle) + target'``.  With ``tc`` = 1 / ``gain`` that is
+``gain (pilot - angle)``, step by step; so it is set, and roll and pitch, which have one ``tc``, have one attitude gain.
 """
 
 from __future__ import annotations
@@ -104,8 +108,8 @@ class Firmware:
     """An autopilot's structure on an axis, and what its gains may be.
 
     ``units``: what one of the attitude gain [1/s] and of P, I and D [command per rad/s and so on] is, where it has
-    whole numbers of them.  ``most``: the largest of these.  ``common_filter``, ``common_angle``: of all axes, and of
-    roll and pitch; ``d_filter_s`` and ``angle_gain``: those that another axis has chosen.
+    whole numbers of them.  ``max_gain``: the largest of these.  ``common_filter``, ``common_angle``: one of all axes,
+    and of roll and pitch; ``d_filter_s`` and ``angle_gain``: those that another axis has chosen.
     """
 
     name: str

@@ -91,7 +91,6 @@ def test_more_than_there_are_numbers_is_said(monkeypatch: pytest.MonkeyPatch) ->
         ),
         ({"name": "px4", "channels": ["8=2000"]}, "channels: allowed for ardupilot, and this is px4"),
         ({"name": "ardupilot", "channels": ["3=2000"]}, "channels 3=2000: must be a channel"),
-        ({"name": "ardupilot", "gains": "stock"}, "allowed for betaflight and px4, and this is ardupilot"),
         ({"name": "inav"}, "autopilot.name"),
         ({"name": "px4", "timeout_s": 0.0}, "timeout_s"),
     ],
@@ -119,7 +118,7 @@ def test_it_flies_on_this_machine_alone_and_only_if_it_is_here(
     path.write_text(text + '[autopilot]\nname = "px4"\n', encoding="utf-8")
     done = hexjet("sweep", str(path), "--out", str(tmp_path / "out"))
     assert (done.status, done.err) == (
-        2, "hexjet: px4: no program is named; allowed: binary in the table [autopilot], or PX4_SITL\n",
+        2, "hexjet: px4: no program is named; allowed: binary in the table [autopilot], PX4_SITL, or px4 on the path\n",
     )  # fmt: skip
     path.write_text(text + '[autopilot]\nname = "px4"\nbinary = "nothing"\n', encoding="utf-8")
     done = hexjet("sweep", str(path), "--out", str(tmp_path / "out"))

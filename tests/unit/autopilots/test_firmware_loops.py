@@ -134,6 +134,16 @@ def test_a_firmwares_loop_is_that_of_its_lines(name: str, written: type[Written]
     assert abs(ours.step_error / exact.step_error - 1.0) > 1e-3  # its filters and delays are there
 
 
+def test_what_ardupilot_shapes_and_feeds_forward_is_the_attitude_gain_alone() -> None:
+    """Its lines with our ATC_INPUT_TC, of a pilot who moves the stick at random, and of an angle that does not follow."""
+    pilot = np.cumsum(np.random.default_rng(2).normal(0.0, 0.01, 500))
+    target, rate, angle = 0.0, 0.0, 0.03
+    for asked in pilot:
+        target += STEP * rate  # update_attitude_target, at the beginning of its loop
+        rate = (asked - target) * ANGLE  # input_shaping_angle, without a limit of acceleration
+        assert ANGLE * (target - angle) + rate == pytest.approx(ANGLE * (asked - angle), abs=1e-12)
+
+
 def test_gains_are_whole_and_no_neighbour_is_better() -> None:
     """From a start beside it, in Betaflight's units; what is written into its console are those numbers."""
     vehicle, channel = place()
@@ -169,7 +179,7 @@ def values(found: Tuning) -> tuple[float, float, float]:
 @pytest.mark.parametrize(
     ("told", "said"),
     [
-        (["--for", "ardupilot"], "no frame of ArduCopter"),
+        (["--for", "ardupilot", "--aircraft", "trijet"], "is flown by effectiveness"),
         (["--for", "px4", "--controller", "smith"], "no predictor of ours"),
         (["--for", "betaflight", "--start", "gains.toml"], "no predictor of ours"),
         (["--for", "inav"], "is not one of"),

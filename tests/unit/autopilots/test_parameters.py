@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import atan2, cos, degrees, radians, sqrt
 
 import pytest
@@ -10,12 +11,15 @@ from command_tools import Hexjet
 
 from cosim.autopilots.parameters import (
     ardupilot_parameters,
+    ardupilot_script,
+    ardupilot_torque_scale,
     parameter_file,
     px4_outputs,
     px4_parameters,
     px4_torque_scale,
 )
 from cosim.base.errors import InputError
+from cosim.control.allocation.allocation import TiltAllocator
 from cosim.spec.vehicle import Vehicle, load_vehicle
 
 HEXJET = load_vehicle("hexjet")[0]
@@ -110,6 +114,51 @@ def test_ardupilots_quadrotor() -> None:
     assert (told["ANGLE_MAX"], told["PILOT_Y_RATE"]) == (3000.0, 202.0)
 
 
+# AP_MotorsMatrix_6DoF_Scripting: number; roll, pitch, yaw, throttle, forward, right; both ways, order of the motor test
+ROW = re.compile(r"Motors_6DoF:add_motor\((\d+), (\S+), (\S+), (\S+), (\S+), 0, 0, (true|false), (\d+)\)")
+
+
+@pytest.mark.parametrize("name", ["hexjet", "hexjet-100", "hexjet-p220", "octojet"])
+def test_a_script_mixes_tilting_banks_as_our_allocation_does(name: str) -> None:
+    """By its rows and scales ArduCopter's answer to torques is ours, at hover thrust: throttles and tilts."""
+    vehicle = load_vehicle(name)[0]
+    assert vehicle.servo is not None
+    script, told, jets = ardupilot_script(vehicle), ardupilot_parameters(vehicle, 0.004), len(vehicle.jets)
+    assert script is not None
+    rows = [(float(r), float(p), float(y), float(t), both == "true") for _, r, p, y, t, both, _ in ROW.findall(script)]
+    assert [int(row[0]) for row in ROW.findall(script)] == list(range(jets + 2))
+    assert f"init({jets + 2})" in script
+    functions = [told[f"SERVO{n}_FUNCTION"] for n in range(1, jets + 3)]
+    assert functions == [*range(33, 41), 82, 83, 84, 85][: jets + 2]  # k_motor1 to 8, 9 to 12
+    assert (told["FRAME_CLASS"], told["SCR_ENABLE"], told["MOT_YAW_HEADROOM"]) == (16, 1, 0)
+    limits = vehicle.control.allocation
+    ours = TiltAllocator(vehicle.jets, limits, vehicle.servo.range_rad, 0.5)
+    scale = ardupilot_torque_scale(vehicle)
+    torque = (0.03, 0.05, -0.02)
+    flown = ours.allocate(0.5, torque)
+    for k, (roll, pitch, yaw, throttle, both) in enumerate(rows):
+        asked = [value / one for value, one in zip(torque, scale, strict=True)]
+        stick = (0.5 - limits.throttle_min) / (1.0 - limits.throttle_min)
+        thrust = throttle * stick + roll * asked[0] + pitch * asked[1] + yaw * asked[2]
+        if both:
+            assert thrust * vehicle.servo.range_rad == pytest.approx(flown.tilt[k - jets])
+        else:
+            assert limits.throttle_min + (1.0 - limits.throttle_min) * thrust == pytest.approx(flown.throttle[k])
+
+
+def test_a_script_is_for_tilting_banks_alone(hexjet: Hexjet) -> None:
+    assert ardupilot_script(QUADROTOR) is None
+    done = hexjet("sitl", "params", "ardupilot", "--script")
+    assert (done.status, done.out) == (0, ardupilot_script(HEXJET))
+    done = hexjet("sitl", "params", "ardupilot", "--script", "--aircraft", "quadrotor")
+    assert (done.status, "quadrotor: has no tilting banks" in done.err) == (2, True)
+    done = hexjet("sitl", "params", "px4", "--script")
+    assert (done.status, "--script: px4 has none; allowed is ardupilot" in done.err) == (2, True)
+    many = HEXJET.model_copy(update={"jets": list(HEXJET.jets) * 2})
+    with pytest.raises(InputError, match="hexjet: 12 engines and two tilts; allowed are 12 outputs at most"):
+        ardupilot_parameters(many, 0.004)
+
+
 def test_the_files(hexjet: Hexjet) -> None:
     """For PX4 counts are whole numbers and the rest is real, whatever its value; what is not to be had is one line."""
     lines = [line.split("\t") for line in parameter_file("px4", px4_parameters(HEXJET)).splitlines() if line[0] != "#"]
@@ -120,9 +169,9 @@ def test_the_files(hexjet: Hexjet) -> None:
         "9",
         "9",
     )
-    done = hexjet("sitl", "params", "ardupilot")
+    done = hexjet("sitl", "params", "ardupilot", "--aircraft", "quadjet")
     assert done.status == 2
-    assert done.err.startswith("hexjet: ardupilot: hexjet: no frame of ArduCopter has 6 engines on two tilting banks")
+    assert done.err.splitlines()[-1].startswith("hexjet: ardupilot: quadjet: is flown by effectiveness")
     done = hexjet("sitl", "params", "betaflight", "--aircraft", "quadrotor")
     assert done.status == 0
     assert done.out.splitlines()[0] == "mixer CUSTOM"

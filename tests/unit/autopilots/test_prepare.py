@@ -12,6 +12,7 @@ from cosim.autopilots import prepare as preparation
 from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
     ardupilot_parameters,
+    ardupilot_script,
     parameter_file,
     px4_external_rates,
     px4_target,
@@ -87,6 +88,22 @@ def test_ardupilots_parameters_are_a_file_where_it_is_started_here(tmp_path: Pat
     assert own.details["channels"] == ["8=2000@2"]
 
 
+def test_as_it_ships_ardupilot_keeps_its_gains_and_flies_our_frame_and_sticks(tmp_path: Path) -> None:
+    stock = prepare("ardupilot", QUAD, tmp_path, PROGRAM, Setup(gains="stock", parameters={"ATC_INPUT_TC": 0.2}))
+    told = stock.details["parameters"]
+    assert [name for name in told if name.startswith(("ATC_", "INS_", "MOT_THST"))] == ["ATC_INPUT_TC"]
+    assert ARDUPILOT_STICKS.items() <= told.items()
+    assert (told["FRAME_TYPE"], told["MOT_SPIN_MAX"]) == (18, 1.0)
+
+
+def test_a_script_is_written_for_tilting_banks_where_it_is_started_here(tmp_path: Path) -> None:
+    prepare("ardupilot", HOVER, tmp_path, PROGRAM, Setup())
+    script = ardupilot_script(HOVER.resolved_vehicle()[0])
+    assert (tmp_path / "ardupilot" / "scripts" / "hexjet.lua").read_text() == script
+    prepare("ardupilot", QUAD, tmp_path / "other", PROGRAM, Setup())
+    assert not (tmp_path / "other" / "ardupilot" / "scripts").exists()
+
+
 def test_a_file_of_ones_own_flies_with_the_sticks_that_are_sent(tmp_path: Path) -> None:
     """Ranges that it does not state are those of the pulses; what it states, and what is stated over it, holds."""
     file = tmp_path / "mine.parm"
@@ -131,11 +148,25 @@ def test_the_stand_in_for_px4_has_nothing_of_the_project_in_it() -> None:
 
 def test_who_may_be_started_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("PX4_SITL", raising=False)
+    monkeypatch.setenv("PATH", "/nowhere")
     assert find_program("px4", None) is None
-    with pytest.raises(InputError, match=r"px4: no program is named; allowed: binary in the table .*, or PX4_SITL"):
+    with pytest.raises(InputError, match=r"px4: no program is named; allowed: .*, PX4_SITL, or px4 on the path"):
         require_program("px4", None)
     monkeypatch.setenv("PX4_SITL", str(PROGRAM))
     assert require_program("px4", None) == PROGRAM
+
+
+@pytest.mark.parametrize(("name", "program"), [("px4", "px4"), ("ardupilot", "arducopter")])
+def test_a_program_is_found_on_the_path_behind_what_is_named(
+    name: str, program: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / program).symlink_to(PROGRAM)
+    variable = f"{name.upper()}_SITL"
+    monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert find_program(name, None) == require_program(name, None) == tmp_path / program
+    monkeypatch.setenv(variable, str(PROGRAM))
+    assert find_program(name, None) == PROGRAM
 
 
 @pytest.mark.parametrize("name", ["px4", "ardupilot", "betaflight"])
