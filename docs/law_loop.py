@@ -15,9 +15,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import ceil, inf, log, pi
+from math import ceil, exp, inf, log, pi
 
 import numpy as np
+from scipy.signal import lfilter
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
@@ -31,6 +32,8 @@ from cosim.design.tune import SEED, UNSTABLE
 from cosim.simulation.controllers.controller_file import STEP_RAD
 
 SMALL = 1e-3  # rad, rad/s, and of the command: what the impulses are
+FILTERS_S = (0.02, 0.1, 0.5)  # lags from which a set-point filter is searched, with half as much lead and with more
+NO_OVERSHOOT = 0.005  # of a step: less is none
 LOST = 1e3  # times the impulse: the loop runs away
 DOUBLET = 2.0 * STEP_RAD  # its middle step, from one side to the other
 HELD = 1000.0  # what the square of missing the peak sensitivity costs: it is then held to less than 1 %
@@ -94,6 +97,45 @@ def run(channel: Channel, law: RateLoop, gain_1_s: float, samples: int, setpoint
         noise = 0.0
         angle = [angle[0] + 0.5 * T * (last + rate), *angle[:-1]]
     return Record(commands, angles)
+
+
+@dataclass(frozen=True)
+class SetpointFilter:
+    """``(1 + lead s) / (1 + lag s)`` before a loop, held over a step, and the answer to a set-point behind it."""
+
+    lead_s: float
+    lag_s: float
+    step_error: float  # as LawLoop has it
+    overshoot: float
+    step_peak: float
+
+    @classmethod
+    def of(cls, loop: LawLoop, lead_s: float, lag_s: float) -> SetpointFilter:
+        """Return the filter with what the loop does behind it."""
+        pole, ratio = exp(-loop.channel.step / lag_s), lead_s / lag_s
+        numerator, denominator = [ratio, 1.0 - ratio - pole], [1.0, -pole]  # lead / lag at once, 1 at rest
+        angle, command = (lfilter(numerator, denominator, each) for each in (loop.angle, loop.command))
+        error = float(np.abs(1.0 - angle).sum()) * loop.channel.step
+        return cls(lead_s, lag_s, error, max(0.0, float(angle.max()) - 1.0), float(np.abs(command).max()))
+
+    @classmethod
+    def best(cls, loop: LawLoop, room: float) -> SetpointFilter:
+        """Return the one with the least step error that overshoots no more than the loop does without it.
+
+        The steps of the roll doublet stay within ``room``, and the lag is a control step at least.
+        """
+        from scipy.optimize import minimize
+
+        def cost(x: Array) -> float:
+            each = cls.of(loop, *np.exp(x).tolist())
+            missed = max(0.0, each.step_peak * DOUBLET / room - 1.0), max(0.0, each.overshoot / allowed - 1.0)
+            short = max(0.0, log(loop.channel.step) - x[1])
+            return log(each.step_error) + HELD * float(np.square([*missed, short]).sum())
+
+        allowed = max(loop.overshoot, NO_OVERSHOOT)
+        starts = [np.log([share * lag, lag]) for lag in FILTERS_S for share in (0.5, 1.5)]
+        found = min((minimize(cost, x, method="Nelder-Mead") for x in starts), key=lambda each: float(each.fun))
+        return cls.of(loop, *np.exp(found.x).tolist())
 
 
 class LawLoop:
@@ -189,6 +231,11 @@ class LawLoop:
         return np.cumsum(self._set.angle)
 
     @property
+    def command(self) -> Array:
+        """The command after a unit step of the set-point."""
+        return np.cumsum(self._set.command)
+
+    @property
     def step_error(self) -> float:
         """Integrated absolute error after it, rad s per rad."""
         return float(np.abs(1.0 - self.angle).sum()) * self.channel.step
@@ -217,7 +264,7 @@ class LawLoop:
     @property
     def step_peak(self) -> float:
         """Largest command that a unit step of the set-point asks for."""
-        return float(np.abs(np.cumsum(self._set.command)).max())
+        return float(np.abs(self.command).max())
 
     @cached_property
     def noise(self) -> float:

@@ -1,9 +1,10 @@
 """Compares the laws of cosim/control/laws at the same peak sensitivity and writes docs/laws.md and its picture.
 
-    python docs/laws.py [--out runs/laws] [--runs 60] [--workers 2]
+    python docs/laws.py [--out runs/laws] [--runs N] [--workers 2]
     python docs/laws.py --tune [LAW ...]
 
-``--tune`` searches parameters anew, at a peak sensitivity of 1.7, and prints them: those are the laws' defaults.
+``--runs`` flies the first N draws of the study; what is flown in the folder is not flown again.  ``--tune`` searches
+parameters anew, at a peak sensitivity of 1.7, and prints them: those are the laws' defaults.
 """
 
 from __future__ import annotations
@@ -13,18 +14,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
-from math import degrees, log
+from math import degrees, log, nan
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from law_loop import HELD, LawLoop, both, tune
+from law_loop import HELD, LawLoop, SetpointFilter, both, tune
 
 from cosim import InputError, Scenario, fly
 from cosim.base.protocols import Parameter, RateLoop
 from cosim.campaign import open_campaign
-from cosim.campaign.analysis.summary import controller_indices, success_fractions
+from cosim.campaign.analysis.statistics import count_pairs, newcombe
+from cosim.campaign.analysis.summary import common_draws, controller_indices, success_fractions
 from cosim.campaign.analysis.table import FlightTable, read_flight_table
 from cosim.control.laws.axis import Axis
 from cosim.design import design as make
@@ -78,7 +80,19 @@ LIKE_INDI, TOLERATED = 1.3e-3, 7.5
 FIRST, SIMPLEX_ROUNDS, LOST_COST = 0.02, 120, 100.0  # of its simplex
 STUDY = "equal-sensitivity"
 ACTIVITY = "effort.throttle_1_s"
-MARKS = ("answer", "parameters", "loops", "limits", "horizons", "flights", "robustness", "robustness by delay")
+MARKS = (
+    "answer",
+    "parameters",
+    "loops",
+    "limits",
+    "horizons",
+    "filters",
+    "flights",
+    "robustness",
+    "robustness by delay",
+)
+ALONE = ("filters", "horizons", "limits", "robustness")
+NO_GAIN = 0.005  # of a step error: a filter that takes off less is none
 HORIZONS_S = (2.0, 3.0, 5.0, 7.0, 14.0)  # over which errors are integrated; parameters are tuned for 7 s
 SECONDS = 20.0  # for which impulses are followed on the page; a design's 7 s for the errors
 DOUBLET = Scenario.load("roll-doublet").replace(expect=[])
@@ -301,6 +315,24 @@ def horizons() -> str:
     return table(["law", *(f"{end:g} s" for end in HORIZONS_S)], rows)
 
 
+def filters(found: Mapping[str, LawLoop]) -> str:
+    """What a filter of the set-point, of first order, makes of each law's answer to one; all else stays."""
+    filtered = {name: SetpointFilter.best(each, roll().room) for name, each in found.items()}
+    pid = found["pid"]
+    means = {
+        name: ((each.step_error * found[name].load_error) / (pid.step_error * pid.load_error)) ** 0.5
+        for name, each in filtered.items()
+    }
+    order = sorted(means, key=lambda name: means[name])
+    rows = []
+    for name, each in filtered.items():
+        gains = each.step_error < (1.0 - NO_GAIN) * found[name].step_error
+        times = [f"{1e3 * each.lead_s:.0f}", f"{1e3 * each.lag_s:.0f}"] if gains else ["none", "none"]
+        errors = [f"{found[name].step_error:.3f}", f"{each.step_error:.3f}"]
+        rows.append([LAWS[name], *errors, *times, f"{means[name]:.2f} ({1 + order.index(name)})"])
+    return table(("law", "step", "with a filter", "lead [ms]", "lag [ms]", "mean"), rows)
+
+
 def flown() -> str:
     """The paper's experiments on the Hex-Jet."""
     runs = {name: {key: fly(scenario.replace(controller=name)) for key, scenario in FLIGHTS.items()} for name in LAWS}
@@ -334,18 +366,29 @@ def flown() -> str:
 
 
 def robust(found: FlightTable) -> str:
-    """How often each succeeds, how many flights it loses, and what the throttles do."""
-    activity = found.values[ACTIVITY]
+    """How often each succeeds, also draw by draw beside PID, how many flights it loses, and what the throttles do."""
+    activity, pid = found.values[ACTIVITY], found.controllers.index("pid")
     rows = []
     for place, share in zip(controller_indices(found), success_fractions(found), strict=True):
         low, high = share.wilson
         mine = found.rows_of(place)
         gone = np.count_nonzero(lost(found) & mine)
         middle, most = np.nanmedian(activity[mine]), np.nanmax(activity[mine])
-        cells = [_percent(share.value or 0.0), f"{100.0 * low:.0f} to {_percent(high)}", f"{gone}"]
-        rows.append([LAWS[found.controllers[place]], *cells, f"{middle:.2f}", f"{most:.2f}"])
-    head = ["law", "succeeds", "95 %", f"lost, of {success_fractions(found)[0].of}", "throttle [1/s], median", "most"]
-    return table(head, rows)
+        cells = [_percent(share.value or 0.0), f"{100.0 * low:.0f} to {_percent(high)}", _beside(found, pid, place)]
+        rows.append([LAWS[found.controllers[place]], *cells, f"{gone}", f"{middle:.2f}", f"{most:.2f}"])
+    draws = success_fractions(found)[0].of
+    head = ["law", "succeeds", "95 %", "points beside PID", "lost", "throttle [1/s], median", "most"]
+    return f"{draws:,} draws, each flown with all {len(LAWS)} laws.\n\n" + table(head, rows)
+
+
+def _beside(found: FlightTable, first: int, second: int) -> str:
+    """The difference of success on the same draws, with its interval."""
+    if first == second:
+        return "-"
+    rows, others = common_draws(found, first, second)
+    pairs = count_pairs(found.success[rows], found.success[others])
+    low, high = newcombe(pairs) or (nan, nan)
+    return f"{100.0 * (pairs.difference or 0.0):+.1f} ({100.0 * low:+.1f} to {100.0 * high:+.1f})"
 
 
 def by_delay(found: FlightTable) -> str:
@@ -462,13 +505,21 @@ def draw(found: Mapping[str, LawLoop]) -> None:
     figure.savefig(PICTURE, dpi=130)
 
 
+def flown_study(found: Mapping[str, LawLoop], out: Path, runs: int | None, workers: int) -> dict[str, str]:
+    """The parts of the page that the study's flights are behind; what is not flown yet is flown."""
+    folder = out / (STUDY if runs is None else f"{STUDY}-{runs}")
+    run(f"hexjet sweep {STUDY}" + (f" --runs {runs}" if runs else ""), folder, workers)
+    study = read_flight_table(open_campaign(folder))
+    return {"robustness": robust(study), "robustness by delay": by_delay(study), "answer": answer(found, study)}
+
+
 def main() -> None:
     """The page, or parameters anew."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("runs/laws"))
-    parser.add_argument("--runs", type=int, default=60)
+    parser.add_argument("--runs", type=int, help="draws; none: all of the study")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--only", choices=("horizons", "limits"), help="this table alone, limits with the picture")
+    parser.add_argument("--only", choices=ALONE, help="this table alone, limits with the picture")
     parser.add_argument("--tune", nargs="*", metavar="LAW", help="none: all")
     asked = parser.parse_args()
     if asked.tune is not None:
@@ -484,24 +535,26 @@ def main() -> None:
         write_marks(PAGE, {"horizons": horizons()})
         return
     found = {name: loop(name) for name in LAWS}
-    if asked.only:
-        draw(found)
-        write_marks(PAGE, {"limits": limits(found)})
+    if asked.only == "filters":
+        write_marks(PAGE, {"filters": filters(found)})
+        return
+    if asked.only == "robustness":
+        write_marks(PAGE, flown_study(found, asked.out, asked.runs, asked.workers))
         return
     draw(found)
+    if asked.only == "limits":
+        write_marks(PAGE, {"limits": limits(found)})
+        return
     parts = {
         "parameters": given(),
         "loops": loops(found),
         "limits": limits(found),
         "horizons": horizons(),
+        "filters": filters(found),
         "flights": flown(),
     }
     write_marks(PAGE, parts)
-    folder = asked.out / f"{STUDY}-{asked.runs}"
-    run(f"hexjet sweep {STUDY} --runs {asked.runs}", folder, asked.workers)
-    study = read_flight_table(open_campaign(folder))
-    parts = {"robustness": robust(study), "robustness by delay": by_delay(study), "answer": answer(found, study)}
-    write_marks(PAGE, parts)
+    write_marks(PAGE, flown_study(found, asked.out, asked.runs, asked.workers))
 
 
 if __name__ == "__main__":

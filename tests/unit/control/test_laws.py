@@ -43,7 +43,7 @@ from cosim.simulation.build import build
 from cosim.simulation.controllers.models import make_predictors, make_scenario_belief
 from cosim.spec.vehicle import Vehicle
 
-LawLoop = script("law_loop").LawLoop
+LawLoop, SetpointFilter = script("law_loop").LawLoop, script("law_loop").SetpointFilter
 PAGE = "docs/laws.md"
 TITLES = {
     "pid": "PID",
@@ -191,6 +191,30 @@ def test_the_rank_of_smith_depends_on_the_horizon_as_the_page_says() -> None:
     for cell, window in ((smith[4], WINDOW * channel.slowness_s), (cells[3].split()[0], 7.0)):
         (step, load), (a, b) = (found[name].errors_within(window) for name in ("pid-smith", "pid"))
         assert (step * load / (a * b)) ** 0.5 == pytest.approx(float(cell), abs=0.0051)
+
+
+def test_a_filter_of_the_set_point_is_the_pages() -> None:
+    """One of equal lag and lead is none; the page's keeps the overshoot, and is what its own difference equation says."""
+    vehicle, _, _, channel = place()
+    each = LawLoop(channel, law("pid"), vehicle.control.attitude.gain_1_s[0])
+    assert SetpointFilter.of(each, 0.3, 0.3).step_error == pytest.approx(each.step_error, rel=1e-12)
+    found = SetpointFilter.best(each, channel.room)
+    assert found.overshoot <= each.overshoot + 1e-3
+    assert found.lag_s > 0.95 * STEP
+    part = parts_of((ROOT / PAGE).read_text(encoding="utf-8"), PAGE)["filters"]
+    cells = {
+        row[0]: row[1:] for row in ([cell.strip() for cell in line.split("|")[1:]] for line in part.splitlines()[2:])
+    }
+    assert set(cells) == set(TITLES.values())
+    gained = {name: 1.0 - float(cells[title][1]) / float(cells[title][0]) for name, title in TITLES.items()}
+    assert max(gained[name] for name in gained if name.startswith(("pid", "px4"))) < 0.03
+    assert all(0.12 < gained[name] < 0.18 for name in ("mpc", "optimal"))
+    step, filtered, lead, *_ = cells[TITLES["pid"]]
+    for cell, value in ((step, each.step_error), (filtered, found.step_error), (lead, 1e3 * found.lead_s)):
+        assert abs(float(cell) - value) <= 0.6 * last_digit(cell)
+    after = 1.0 - (1.0 - found.lead_s / found.lag_s) * np.exp(-STEP / found.lag_s) ** np.arange(each.samples)
+    answer = np.convolve(np.diff(after, prepend=0.0), each.angle)[: each.samples]  # of the loop to what the filter says
+    assert float(np.abs(1.0 - answer).sum()) * STEP == pytest.approx(found.step_error, rel=1e-9)
 
 
 def test_what_the_page_says_was_chosen() -> None:
