@@ -505,6 +505,7 @@ def corner(north: float, east: float, height: float) -> mis.MissionItem:
     return mis.MissionItem(latitude, longitude, height, speed_m_s=5.0, is_fly_through=True, acceptance_radius_m=1.5)
 
 
+@pytest.mark.long  # test_gcs_conformance.py flies one as QGroundControl
 def test_a_mission_of_four_waypoints(drone: Drone) -> None:
     mission = drone.mission
     corners = [(12.0, 0.0, 8.0), (12.0, 12.0, 9.0), (0.0, 12.0, 10.0), (-6.0, 0.0, 8.0)]
@@ -595,6 +596,7 @@ def listed(drone: Drone) -> list[logs.Entry]:
         return []
 
 
+@pytest.mark.long
 def test_a_new_flight_and_the_log_of_the_old_one(tmp_path: Path) -> None:
     """A vehicle of its own: its first flight is short, and so is the log."""
     drone = Drone(tmp_path)

@@ -723,6 +723,7 @@ def test_every_campaign_gets_a_page(state: str, pages: dict[str, Path]) -> None:
         assert (pages[state] / link).is_file()
 
 
+@pytest.mark.long
 def test_a_large_campaign_makes_a_page_that_opens(tmp_path: Path) -> None:
     """20,000 flights of six keys: all of it stays below 1 MB."""
     made = campaign(tmp_path, study(runs=10_000, vary=SIX))

@@ -31,7 +31,7 @@ class Waiting(Flight):
 
 @pytest.mark.parametrize(
     ("aircraft", "engine", "idle_n", "seconds"),
-    [("hexjet", "edf-as-flown", 1.0, 0.4), ("octojet", "turbine-100", 7.1, 60.0)],
+    [("hexjet", "edf-as-flown", 1.0, 0.4), pytest.param("octojet", "turbine-100", 7.1, 60.0, marks=pytest.mark.long)],
 )
 def test_off_until_armed_and_again_after_a_landing(aircraft: str, engine: str, idle_n: float, seconds: float) -> None:
     """A fan is up after its delay and lag, a turbine after its start: the take-off waits for it, twice."""

@@ -50,6 +50,7 @@ def test_a_drawn_fence_is_kept_in_flight() -> None:
         assert flight.away(0.0, 0.0) < 1.5
 
 
+@pytest.mark.long
 def test_the_fence_is_passed_by_the_way_to_stop_that_the_page_states() -> None:
     fans, slowest, jets = TABLED[:3]
     stated(

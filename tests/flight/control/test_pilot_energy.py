@@ -167,7 +167,8 @@ def test_the_descent_is_flown_in_the_time_that_is_reckoned(
     [
         (60.0, 0.0, {}),
         pytest.param(60.0, 0.0, {"HJ_SPEED_UP": 0.5, "RTL_RETURN_ALT": 50.0}, marks=pytest.mark.long),
-        (1500.0, 10.0, {"MPC_XY_VEL_MAX": 50.0}),
+        (600.0, 10.0, {"MPC_XY_VEL_MAX": 50.0}),
+        pytest.param(1500.0, 10.0, {"MPC_XY_VEL_MAX": 50.0}, marks=pytest.mark.long),
         pytest.param(1500.0, 10.0, {"MPC_XY_VEL_MAX": 20.0}, marks=pytest.mark.long),
         pytest.param(600.0, 5.0, {"MPC_XY_VEL_MAX": 50.0, "HJ_LEAN_MAX": 10.0}, marks=pytest.mark.long),
     ],

@@ -368,7 +368,7 @@ def test_no_throttle_hits_the_ground(
         assert flight.descent(0) < (1.5 * land if mode == "ALTCTL" else legs)
 
 
-@pytest.mark.parametrize(("aircraft", "controller"), long_after(2, FLOWN))
+@pytest.mark.parametrize(("aircraft", "controller"), long_after(1, FLOWN))
 def test_the_throttle_let_go_at_a_height_is_caught(aircraft: str, controller: str) -> None:
     """In STABILIZED, from 40 m with the throttle at its stop; it lands, and is found to have landed."""
     with in_the_air(aircraft, controller, 40.0) as flight:
@@ -390,7 +390,7 @@ def test_reversals_of_the_throttle_do_not_hit_the_ground() -> None:
             assert flight.descent(0) < 1.0
 
 
-@pytest.mark.parametrize(("aircraft", "controller"), long_after(2, FLOWN))
+@pytest.mark.parametrize(("aircraft", "controller"), long_after(1, FLOWN))
 def test_set_points_from_outside_are_bounded_too(aircraft: str, controller: str) -> None:
     """Attitudes, velocities, places and rates that jump from one end to the other."""
     with in_the_air(aircraft, controller, 60.0) as flight:
@@ -412,6 +412,7 @@ def test_set_points_from_outside_are_bounded_too(aircraft: str, controller: str)
             assert max(map(lean, flight.samples[begun:])) < OVER * most
 
 
+@pytest.mark.long
 def test_the_full_scale_vehicle_holds_its_place_in_a_wind_that_it_did_not_know_of() -> None:
     """A push of 5 m/s from one step to the next; see the aircraft's README for what is attainable."""
     with in_the_air("hexjet-p220", "baseline", 20.0, environment={"wind_ned_m_s": [0.0, 5.0, 0.0]}) as flight:

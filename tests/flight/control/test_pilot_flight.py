@@ -8,6 +8,7 @@ from math import hypot, radians
 from typing import Any
 
 import pytest
+from long_cases import long_after
 from pilot_flights import Flight
 
 from cosim.base.errors import InputError
@@ -71,7 +72,7 @@ def test_from_the_ground_to_a_place_and_back() -> None:
         assert flight.samples[-1].actuation.tilt == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("aircraft", ["hexjet-100", "hexjet-p220"])
+@pytest.mark.parametrize("aircraft", long_after(1, ["hexjet-p220", "hexjet-100"]))
 def test_the_larger_ones_take_off_and_hold(aircraft: str) -> None:
     """As they come: their own engine, their own gains."""
     with Flight(aircraft=aircraft, engine=load_vehicle(aircraft)[0].engine) as flight:
@@ -375,6 +376,7 @@ def test_gains_and_predictor_change_in_hover_without_a_bump() -> None:
         assert flight.ending is None
 
 
+@pytest.mark.long
 def test_the_quadrotor_flies_as_well() -> None:
     """Another vehicle, another step, no model for a predictor's delay to matter."""
     with Flight(aircraft="quadrotor", engine="motor", controller="baseline", step_s=0.0025) as flight:

@@ -107,7 +107,7 @@ def test_a_point_on_the_limit_is_crossed() -> None:
 AIRCRAFT = ("hexjet", "hexjet-100", "hexjet-p220", "octojet", "quadjet", "trijet", "jetwing", "quadrotor")
 
 
-@pytest.mark.parametrize("aircraft", long_after(2, AIRCRAFT))
+@pytest.mark.parametrize("aircraft", long_after(1, AIRCRAFT))
 def test_the_computed_margins_are_those_of_a_count_of_the_encirclements(aircraft: str) -> None:
     """Of every axis: half a per cent either side of a gain margin the turns of ``1 + k L`` about 0 are other ones and
     between are not; lag, lead and delay put a point on -1, and less of them does not.  On a grid of its own."""

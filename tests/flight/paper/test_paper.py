@@ -364,6 +364,7 @@ def test_a_wrong_calibration_file_is_refused(tmp_path: Path) -> None:
         load(path)
 
 
+@pytest.mark.long
 def test_the_first_stage_can_be_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """From scratch, to the last digit of the file: the whole calibration takes a minute, its first stage seconds."""
     monkeypatch.setattr(calibration, "STAGES", STAGES[:1])

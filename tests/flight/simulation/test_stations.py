@@ -291,6 +291,7 @@ def test_a_run_with_foreign_engines_flies_again_from_its_folder(foreign: Path, t
     flown = scenario(
         duration_s=1.0,
         sensor_noise=True,
+        engine_unchecked=True,
         engine=str(foreign / "fan.toml"),
         stations={
             "2": {"engine": str(foreign / "jets" / "engine.fmu")},

@@ -250,6 +250,7 @@ def stopped(processes: Processes, out: Path, stop: Callable[[subprocess.Popen[st
     return flying.returncode, said.rstrip("\n")
 
 
+@pytest.mark.long
 def test_a_sweep_is_interrupted(processes: Processes, tmp_path: Path) -> None:
     status, said = stopped(processes, tmp_path / "out", lambda flying: flying.send_signal(signal.SIGINT))
     assert re.fullmatch(r"hexjet: stopped; \d+ of 2000 flights are kept: .* --resume goes on", said), said

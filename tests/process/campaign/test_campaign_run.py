@@ -155,6 +155,7 @@ OWN = """
 name = "own"
 duration_s = 0.2
 engine = "own.fmu"
+engine_unchecked = true
 controller = "baseline"
 
 [[command]]

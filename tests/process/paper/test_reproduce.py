@@ -109,6 +109,12 @@ def cheap(folder: Path, names: str) -> dict[str, Any]:
     return {name: (leave_mark, (str(folder), name)) for name in names}
 
 
+@pytest.fixture
+def _here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parts are run in this process: what is asked is what is kept of them."""
+    monkeypatch.setattr(reproduce, "as_finished", lambda act, tasks, _: enumerate(map(act, tasks)))
+
+
 def test_parts_are_run_once_and_then_taken_up(tmp_path: Path) -> None:
     said: list[tuple[str, int, int]] = []
     tasks = cheap(tmp_path, "abc")
@@ -121,6 +127,7 @@ def test_parts_are_run_once_and_then_taken_up(tmp_path: Path) -> None:
     assert [times_run(tmp_path, name) for name in "abc"] == [1, 1, 1]
 
 
+@pytest.mark.usefixtures("_here")
 def test_a_damaged_part_is_run_again(tmp_path: Path) -> None:
     tasks = cheap(tmp_path, "ab")
     parts = tmp_path / "parts"
@@ -132,6 +139,7 @@ def test_a_damaged_part_is_run_again(tmp_path: Path) -> None:
     assert [times_run(tmp_path, name) for name in "ab"] == [2, 1]
 
 
+@pytest.mark.usefixtures("_here")
 def test_parts_of_other_sources_are_not_taken_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tasks = cheap(tmp_path, "a")
     (tmp_path / "parts").mkdir()
@@ -160,6 +168,7 @@ class Trap:
         return Path.touch, (self.mark,)
 
 
+@pytest.mark.usefixtures("_here")
 def test_a_part_of_somebody_elses_runs_nothing(tmp_path: Path) -> None:
     """Whatever lies in the folder under whatever name a part has or had: it is data, or it is made again."""
     parts, mark = tmp_path / "parts", tmp_path / "ran"
@@ -189,7 +198,10 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT], ids=["killed", "ctrl-c"])
+@pytest.mark.parametrize(
+    "how",
+    [pytest.param(signal.SIGINT, id="ctrl-c"), pytest.param(signal.SIGKILL, id="killed", marks=pytest.mark.long)],
+)
 def test_after_an_interruption_finished_parts_are_not_repeated(tmp_path: Path, how: signal.Signals) -> None:
     (tmp_path / "parts").mkdir()
     script = tmp_path / "script.py"

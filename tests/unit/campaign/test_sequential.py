@@ -128,6 +128,7 @@ def test_the_error_is_used_up(all_ends: tuple[float, float, list[tuple[Verdict, 
         assert shown > 0.6 * error
 
 
+@pytest.mark.long
 def test_a_thousand_drawn_studies_are_held_by_their_intervals() -> None:
     random = np.random.default_rng(7)
     held = shown = 0

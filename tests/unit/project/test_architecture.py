@@ -100,6 +100,12 @@ def is_in(path: Path, places: list[str]) -> bool:
 
 
 @cache
+def nodes(path: Path) -> list[ast.AST]:
+    """Everything in a module's text."""
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+@cache
 def imported(path: Path) -> list[tuple[str, int]]:
     """The full dotted names that a module imports anywhere in its text, and the lines."""
     return list(_imports(path))
@@ -107,7 +113,7 @@ def imported(path: Path) -> list[tuple[str, int]]:
 
 def _imports(path: Path) -> Iterator[tuple[str, int]]:
     package = path.relative_to(ROOT).parent.parts
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -147,7 +153,7 @@ def test_laws_and_effects_are_compiled() -> None:
         place(path)
         for path in modules()
         if path.parent in (PACKAGE / "control" / "phases", PACKAGE / "vehicle" / "effects")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in nodes(path)
         if isinstance(node, ast.ClassDef) and {"FlightLaw", "Effect"} & {ast.unparse(base) for base in node.bases}
     }
     assert {"control/phases/wing.py", "vehicle/effects/banks.py"} <= found <= set(MODULES)
@@ -190,7 +196,7 @@ def test_blocks_call_nothing_that_reads_or_writes_the_outside_world() -> None:
         f"{place(path)}:{node.lineno} {node.func.id}"
         for path in modules()
         if is_in(path, BLOCKS)
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in nodes(path)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in READS_THE_OUTSIDE_WORLD
     ]
     assert not found
@@ -202,7 +208,7 @@ def test_blocks_have_no_global_state() -> None:
     for path in modules():
         if not is_in(path, BLOCKS):
             continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             if isinstance(node, ast.Global):
                 found.append(f"{place(path)}:{node.lineno} global {', '.join(node.names)}")
             shared = isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("np.random", "numpy.random")
@@ -295,7 +301,7 @@ def test_the_library_leaves_the_garbage_collector_alone() -> None:
     calls = [
         place(path)
         for path in modules()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in nodes(path)
         if isinstance(node, ast.Attribute) and node.attr in ("set_threshold", "disable", "freeze")
         and isinstance(node.value, ast.Name) and node.value.id == "gc"
     ]  # fmt: skip
