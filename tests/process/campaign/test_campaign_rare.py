@@ -145,6 +145,7 @@ def test_true_flights_beyond_a_known_lean(tmp_path: Path) -> None:
     assert log_digest(again.log) == saved.result.rows[first.flight]["log_sha256"]
 
 
+@pytest.mark.long  # test_campaign_cluster.py has the same of a study
 def test_a_cluster_flies_the_same_rows(tmp_path: Path) -> None:
     study = tilted(2.0)
     here = run_rare(study, TINY, tmp_path / "here", Here(fly_one))

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from command_tools import Hexjet
 from exported_controllers import CASES, CC, HEXJET, LOOPS, STRICT, driven, made, scenario, written
+from long_cases import long_after
 from places import DESIGNS, DOCS, TOOLS
 
 from cosim.base.errors import InputError
@@ -293,7 +294,7 @@ BACK = {
 }
 
 
-@pytest.mark.parametrize("case", BACK)
+@pytest.mark.parametrize("case", long_after(2, BACK))
 def test_flown_back_it_leaves_the_same_log(case: str, exported: ExportedController, tmp_path: Path) -> None:
     """Every sample of every column, as bytes: NaN included."""
     file, name, changes = BACK[case]

@@ -242,6 +242,7 @@ def test_a_reboot_begins_a_new_flight_in_a_new_folder(vehicle: Any, station_at: 
     assert [open_run(tmp_path / name).outcome for name in ("run", "run-2")] == ["completed", "completed"]
 
 
+@pytest.mark.long  # test_gcs_conformance.py has a flood too, and two who fly
 def test_several_stations_are_served_whatever_one_of_them_does(vehicle: Any, station_at: Any) -> None:
     """One is silent after its first words, one floods; the third flies."""
     process, port = vehicle()
@@ -284,24 +285,24 @@ def test_several_stations_are_served_whatever_one_of_them_does(vehicle: Any, sta
         (["--system", "two"], "--system"),
     ],
 )
-def test_wrong_input_is_told_in_one_line(tmp_path: Path, arguments: list[str], said: str) -> None:
+def test_wrong_input_is_told_in_one_line(hexjet: Hexjet, arguments: list[str], said: str) -> None:
     if "--mavlink" not in arguments:
         arguments = ["--mavlink", "udpin:127.0.0.1:0", *arguments]
-    done = subprocess.run([*HEXJET, "gcs", *arguments], capture_output=True, text=True, cwd=tmp_path, timeout=PATIENCE)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.count("\n") == 1
-    assert said in done.stderr
-    assert not (tmp_path / "runs").exists()
+    done = hexjet("gcs", *arguments)
+    assert (done.status, done.out) == (2, "")
+    assert done.err.count("\n") == 1
+    assert said in done.err
+    assert not Path("runs").exists()
 
 
-def test_a_port_in_use_is_told(tmp_path: Path) -> None:
+def test_a_port_in_use_is_told(hexjet: Hexjet) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         url = f"udpin:127.0.0.1:{other.getsockname()[1]}"
-        done = subprocess.run([*HEXJET, "gcs", "--mavlink", url], capture_output=True, text=True, cwd=tmp_path)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert url in done.stderr
-    assert not (tmp_path / "runs").exists()
+        done = hexjet("gcs", "--mavlink", url)
+    assert (done.status, done.err.count("\n")) == (2, 1)
+    assert url in done.err
+    assert not Path("runs").exists()
 
 
 def test_a_scripted_flight_is_seen_over_mavlink(tmp_path: Path) -> None:
@@ -329,22 +330,16 @@ def test_a_scripted_flight_is_seen_over_mavlink(tmp_path: Path) -> None:
     assert (tmp_path / "run" / "telemetry.tlog").stat().st_size > 1000
 
 
-def test_a_folder_that_is_refused_is_refused_before_it_says_that_it_is_ready(tmp_path: Path) -> None:
+def test_a_folder_that_is_refused_is_refused_before_it_says_that_it_is_ready(tmp_path: Path, hexjet: Hexjet) -> None:
     run = tmp_path / "run"
     run.mkdir()
     (run / "summary.json").write_text("{}")
     (tmp_path / "file").write_text("")
     for out, said in ((run, "already holds a run"), (tmp_path / "file", "is a file; hexjet gcs writes a folder")):
-        done = subprocess.run(
-            [*HEXJET, "gcs", "--mavlink", "udpin:127.0.0.1:0", "--out", str(out)],
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-            timeout=PATIENCE,
-        )
-        assert (done.returncode, done.stdout) == (2, "")
-        assert said in done.stderr
-        assert done.stderr.count("\n") == 1
+        done = hexjet("gcs", "--mavlink", "udpin:127.0.0.1:0", "--out", str(out))
+        assert (done.status, done.out) == (2, "")
+        assert said in done.err
+        assert done.err.count("\n") == 1
 
 
 def test_a_session_ends_with_a_line_that_tells_how_it_went(vehicle: Any, station_at: Any, tmp_path: Path) -> None:
