@@ -11,13 +11,14 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from secrets import token_hex
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.compiled import PACKAGE, child_environment
+from cosim.base.runtime.page import Page, describe_page, open_page
 from cosim.base.runtime.pipes import ANSWER_S, Pipes, require_poll
 
 if TYPE_CHECKING:
@@ -97,17 +98,23 @@ class Child(subprocess.Popen[bytes]):
         The code finds the file descriptors of its own ends in ``sys.argv``, that to read from first.  Raises OSError
         where it cannot be started, InputError where the system has no such pipes, as Windows.
         """
-        require_poll()
-        down, up = os.pipe(), os.pipe()
-        pipes, other = Pipes(up[0], down[1], ANSWER_S), (down[0], up[1])
-        try:
-            return cls(python_command(code, *map(str, other)), None, pass_fds=other, **_SILENT), pipes
-        except BaseException:
-            pipes.close()
-            raise
-        finally:
-            for number in other:
-                os.close(number)
+
+        def start(environ: Mapping[str, str], numbers: tuple[int, ...]) -> Child:
+            return cls(python_command(code, *map(str, numbers[:2])), environ, pass_fds=numbers, **_SILENT)
+
+        return _start_with_pipes(start)
+
+    @classmethod
+    def open_program(cls, command: Sequence[str], **how: Any) -> tuple[Child, Pipes]:
+        """Start a command; return the process and the pipes that are its standard input and output.
+
+        Raises as :meth:`open_pipes`.
+        """
+
+        def start(environ: Mapping[str, str], numbers: tuple[int, ...]) -> Child:
+            return cls(command, environ, stdin=numbers[0], stdout=numbers[1], pass_fds=numbers[2:], **how)
+
+        return _start_with_pipes(start)
 
     def finish(self, limit: float) -> tuple[bytes, bytes]:
         """Return what it prints until its end, and leave nothing of it behind.
@@ -143,6 +150,30 @@ class Child(subprocess.Popen[bytes]):
         end_group(self)
         if sys.platform == "linux":
             _kill_marked(f"{_MARK}={self._mark}".encode())
+
+
+def _start_with_pipes(start: Callable[[Mapping[str, str], tuple[int, ...]], Child]) -> tuple[Child, Pipes]:
+    """Return a process and the pipes to it.
+
+    ``start`` is called with its environment and the file descriptors that are its: the ends of the pipes, that to read
+    from first, and a page of memory where there can be one.
+    """
+    require_poll()
+    down, up = os.pipe(), os.pipe()
+    number, environ = open_page(), child_environment()
+    numbers: tuple[int, ...] = (down[0], up[1])
+    if number is not None:
+        environ |= describe_page(number, *numbers)
+        numbers = (*numbers, number)
+    pipes = Pipes(up[0], down[1], ANSWER_S, None if number is None else Page(number, 0))
+    try:
+        return start(environ, numbers), pipes
+    except BaseException:
+        pipes.close()
+        raise
+    finally:
+        for end in numbers:
+            os.close(end)
 
 
 def run_child(command: Sequence[str], limit: float, **how: Any) -> subprocess.CompletedProcess[str]:

@@ -10,18 +10,15 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
 from cosim.base import controller_wire as wire
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
-from cosim.base.runtime.pipes import ANSWER_S, Pipes, require_poll
 from cosim.base.runtime.processes import Child
 from cosim.base.signals import ControlSignals
 from cosim.base.storage.scratch import scratch
@@ -40,16 +37,10 @@ class Connection:
     """One process, from its start to its end."""
 
     def __init__(self, command: Sequence[str], folder: Path, errors: IO[bytes] | None = None) -> None:
-        require_poll()
         try:
-            self._process = Child(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, cwd=folder, bufsize=0
-            )
+            self._process, self._pipes = Child.open_program(command, stderr=errors, cwd=folder)
         except OSError as error:
             raise InputError(f"cannot be started: {error.strerror or error}") from error
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._pipes = Pipes(self._process.stdout.fileno(), self._process.stdin.fileno(), ANSWER_S)
 
     def read_line(self, limit: float) -> bytes:
         """Read one line of its output.  Raises FlightError."""
@@ -84,10 +75,7 @@ class Connection:
 
     def close(self) -> None:
         """End it; may be called twice."""
-        for stream in (self._process.stdin, self._process.stdout):
-            with suppress(OSError):
-                if stream is not None:
-                    stream.close()
+        self._pipes.close()
         self._process.end(END_S)
 
 
