@@ -128,7 +128,12 @@ def controller_numbers(ahead: bool, command: Command, measured: Measured, applie
 
 def frame_layout(count: int) -> struct.Struct:
     """Return the binary layout of a frame: the step's number and ``count`` others."""
-    return struct.Struct(f"<{count + 1}d")
+    return layout(count + 1)
+
+
+def layout(count: int) -> struct.Struct:
+    """Return the binary layout of so many numbers of a frame."""
+    return struct.Struct(f"<{count}d")
 
 
 def numbers(arguments: Sequence[Any], level: str, ahead: bool = False) -> tuple[float, ...]:

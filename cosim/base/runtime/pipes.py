@@ -122,8 +122,10 @@ class Pipes:
     def _take(self, count: int, end: float | None) -> bytes:
         """Return the next ``count`` bytes; what has come beyond them stays for the next call."""
         data = self._rest
-        if len(data) < count:
-            data += self._read(end)  # which is all of it, as a rule
+        if count and not data:
+            data = self._read(end)
+            if len(data) == count:  # as a rule
+                return data
         parts, size = [data], len(data)
         while size < count:
             parts.append(self._read(end))
@@ -176,11 +178,14 @@ class Pipes:
         stop = begun + self._look_s
         if end is not None and end < stop:
             stop = end
-        page = self._page
-        self._is_announced = page is not None
-        while not (found := self._glance()) and monotonic() <= stop:
-            pass
-        if page is not None:
+        poll, page = self._poll.poll, self._page
+        if page is None:
+            while not (found := bool(poll(0))) and monotonic() <= stop:
+                pass
+        else:
+            self._is_announced = True
+            while not (found := page.look() or bool(poll(0))) and monotonic() <= stop:
+                pass
             page.rest()
         now = monotonic()
         if now > stop:  # in vain, or others had the processor meanwhile
@@ -188,10 +193,6 @@ class Pipes:
         else:
             self._credit = min(self._credit + _EARNED, _MOST_CREDIT)
         return found
-
-    def _glance(self) -> bool:
-        page = self._page
-        return (page is not None and page.look()) or bool(self._poll.poll(0))
 
     def _send(self, data: bytes, end: float | None) -> None:
         if self._page is not None and self._page.put(data):

@@ -26,7 +26,6 @@ from ctypes import byref, c_bool, c_double, c_int, c_size_t, c_uint32, c_void_p
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +56,7 @@ from cosim.engine.library import platform_folder
 MAPPING = ".fmu.toml"
 _SERVE = "from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"
 _MOST_BYTES = 2**26  # of what it is told, which is ours
+_STEP, _NUMBER = wire.frame_layout(0), 8  # the number of the step in a frame, and bytes of a number
 _ON_GROUND = "on_ground"  # a parameter that the simulation sets, if there is one
 _DOUBLES = {"Real": "fmi2", "Float64": "fmi3"}  # types of doubles, and what their functions' names begin with
 _KINDS = {*REALS, *INTEGERS, "Boolean"}
@@ -276,8 +276,7 @@ def serve(path: str) -> None:
                 raise RuntimeError(f"is for {fmu.jets} jets and {moved}; {name} has {jets} and {has}")
             instance = _Instance(fmu, folder, settings)
             while (frame := _receive(pipes, input_frame.size)) is not None:
-                values = input_frame.unpack(frame)
-                pipes.send(output_frame.pack(values[0], *instance.step(int(values[0]), values[1:])))
+                pipes.send(frame[:_NUMBER] + instance.step(frame))
     except Exception as error:
         pipes.send(output_frame.pack(-1.0, *[0.0] * len(settings["outputs"])) + f"{to_one_line(error)}\n".encode())
 
@@ -289,8 +288,8 @@ def _receive(pipes: Pipes, count: int) -> bytes | None:
     return None
 
 
-def _bind(instance: Any, name: str, *arguments: Any) -> Callable[..., None]:
-    """Return a function of the FMU with its first arguments, which raises for its status what FMPy's own raises.
+def _bind(instance: Any, name: str, *arguments: Any) -> Callable[[], None]:
+    """Return a function of the FMU with its arguments, which raises for its status what FMPy's own raises.
 
     FMPy's looks it up and converts every argument in each call, which takes three times as long.
     """
@@ -298,8 +297,8 @@ def _bind(instance: Any, name: str, *arguments: Any) -> Callable[..., None]:
 
     call = partial(instance.dll[name], c_void_p(instance.component), *arguments)
 
-    def checked(*more: Any) -> None:
-        status = call(*more)
+    def checked() -> None:
+        status = call()
         if status > 1:  # neither OK nor a warning
             raise FMICallException(function=name, status=status)
 
@@ -315,33 +314,51 @@ class _Group:
         setter, self._getter = getattr(instance, f"set{kind}"), partial(getattr(instance, f"get{kind}"), references)
         self._setter: Callable[[Sequence[float]], object] = lambda values: setter(references, [*map(make, values)])
 
-    def set(self, values: Sequence[float]) -> None:
+    def set(self, numbers: bytes) -> None:
+        """Set them from the numbers of a frame, little-endian doubles."""
+        values = memoryview(numbers).cast("d")
         self._setter([values[position] for position in self.positions])
 
-    def get(self) -> Sequence[float]:
-        return list(map(float, self._getter()))
+    def get(self) -> bytes:
+        """Return them as the numbers of a frame, one behind the other."""
+        values = [*map(float, self._getter())]
+        return struct.pack(f"<{len(values)}d", *values)
 
 
 class _Doubles(_Group):
-    """Variables that are doubles, in an array that is made once: FMPy's setters and getters make two in every call."""
+    """Variables that are doubles, in an array that is made once: FMPy's setters and getters make two in every call.
+
+    The numbers of a frame are such doubles already, and are copied in runs.
+    """
 
     def __init__(self, instance: Any, kind: str, positions: Sequence[int], references: Sequence[int]) -> None:
         self.positions = positions
         prefix, count = _DOUBLES[kind], len(references)
-        self._form, self._values = struct.Struct(f"{count}d"), (c_double * count)()
-        self._pick = itemgetter(*positions) if count > 1 else lambda values: (values[positions[0]],)
-        arguments: tuple[Any, ...] = ((c_uint32 * count)(*references), c_size_t(count), self._values)
+        values = (c_double * count)()
+        self._bytes = memoryview(values).cast("B")
+        self._runs = [(slice(*to), slice(*at)) for to, at in _byte_runs(positions)]
+        arguments: tuple[Any, ...] = ((c_uint32 * count)(*references), c_size_t(count), values)
         arguments += () if kind == "Real" else (c_size_t(count),)
         self._set = _bind(instance, f"{prefix}Set{kind}", *arguments)
         self._get = _bind(instance, f"{prefix}Get{kind}", *arguments)
 
-    def set(self, values: Sequence[float]) -> None:
-        self._form.pack_into(self._values, 0, *self._pick(values))
+    def set(self, numbers: bytes) -> None:
+        for to, at in self._runs:
+            self._bytes[to] = numbers[at]
         self._set()
 
-    def get(self) -> Sequence[float]:
+    def get(self) -> bytes:
         self._get()
-        return self._form.unpack_from(self._values)
+        return self._bytes.tobytes()
+
+
+def _byte_runs(positions: Sequence[int]) -> list[list[tuple[int, int]]]:
+    """Return where the doubles at ``positions`` go in an array of their own, and where they are: bytes from and to."""
+    starts = [i for i, position in enumerate(positions) if i == 0 or position != positions[i - 1] + 1]
+    return [
+        [(_NUMBER * first, _NUMBER * last), (_NUMBER * positions[first], _NUMBER * (positions[last - 1] + 1))]
+        for first, last in zip(starts, [*starts[1:], len(positions)], strict=True)
+    ]
 
 
 def _make_group(instance: Any, kind: str, positions: Sequence[int], references: Sequence[int]) -> _Group:
@@ -357,14 +374,20 @@ def _by_type(instance: Any, positions: Sequence[int], variables: Sequence[Any]) 
     return groups
 
 
-def _bind_step(instance: Any, fmi: int, dt: float) -> Callable[[float], object]:
+def _bind_step(instance: Any, fmi: int, dt: float) -> Callable[[float], None]:
     """Return what advances an instance by ``dt`` from a time [s]; FMPy's ``doStep`` makes its arguments every time."""
+    now, step = c_double(), c_double(dt)
     if fmi == 2:
-        do_step = _bind(instance, "fmi2DoStep")
-        return lambda time: do_step(c_double(time), c_double(dt), c_int(1))
-    results = [*(byref(c_bool()) for _ in range(3)), byref(c_double())]
-    do_step = _bind(instance, "fmi3DoStep")
-    return lambda time: do_step(c_double(time), c_double(dt), c_bool(True), *results)
+        do_step = _bind(instance, "fmi2DoStep", now, step, c_int(1))
+    else:
+        results = [*(byref(c_bool()) for _ in range(3)), byref(c_double())]
+        do_step = _bind(instance, "fmi3DoStep", now, step, c_bool(True), *results)
+
+    def advance(time: float) -> None:
+        now.value = time
+        do_step()
+
+    return advance
 
 
 class _Instance:
@@ -386,21 +409,24 @@ class _Instance:
         except DAMAGE as error:
             raise RuntimeError(f"cannot be unpacked: {to_one_line(error)}") from error
 
-    def step(self, k: int, values: Sequence[float]) -> Sequence[float]:
+    def step(self, frame: bytes) -> bytes:
+        """Return the numbers of the answer to a frame."""
+        k, numbers = int(_STEP.unpack_from(frame)[0]), frame[_NUMBER:]
         if k == 0:
-            self._begin(values)
+            self._begin(numbers)
         else:
-            self._set_inputs(values)
+            self._set_inputs(numbers)
         self._do_step(k * self._dt)
         if self._is_one_group:
             return self._outputs[0].get()
-        answer = [0.0] * self._count
+        answer = bytearray(_NUMBER * self._count)
         for group in self._outputs:
-            for position, value in zip(group.positions, group.get(), strict=True):
-                answer[position] = value
-        return answer
+            values = group.get()
+            for (at, end), (place, last) in _byte_runs(group.positions):
+                answer[place:last] = values[at:end]
+        return bytes(answer)
 
-    def _begin(self, values: Sequence[float]) -> None:
+    def _begin(self, numbers: bytes) -> None:
         from fmpy.fmi2 import FMU2Slave  # type: ignore[import-untyped]
         from fmpy.fmi3 import FMU3Slave  # type: ignore[import-untyped]
 
@@ -429,7 +455,7 @@ class _Instance:
             if value is not None:
                 self._set(v, value)
         instance.enterInitializationMode()
-        self._set_inputs(values)
+        self._set_inputs(numbers)
         instance.exitInitializationMode()
 
     def _group_variables(self) -> None:
@@ -441,9 +467,9 @@ class _Instance:
         self._outputs = _by_type(self._instance, range(self._count), answers)
         self._is_one_group = len(self._outputs) == 1  # whose numbers are all of the answer, in its order
 
-    def _set_inputs(self, values: Sequence[float]) -> None:
+    def _set_inputs(self, numbers: bytes) -> None:
         for group in self._inputs:
-            group.set(values)
+            group.set(numbers)
 
     def _set(self, v: Any, value: float) -> None:
-        _make_group(self._instance, v.type, (0,), [v.valueReference]).set((value,))
+        _make_group(self._instance, v.type, (0,), [v.valueReference]).set(struct.pack("<d", value))

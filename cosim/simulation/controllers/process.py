@@ -154,7 +154,12 @@ class ProcessBlock:
         inputs = wire.input_names(self._level, jets, vehicle.actuators, self._ahead)
         outputs = wire.output_names(self._level, jets, moved, self._extras)
         self._outputs = len(outputs)
-        self._in, self._out = wire.frame_layout(len(inputs)), wire.frame_layout(len(outputs) + len(self.columns))
+        answered = len(outputs) + len(self.columns)
+        self._in, self._out, self._answer = (
+            wire.frame_layout(len(inputs)),
+            wire.frame_layout(answered),
+            wire.layout(answered),
+        )
         belief_table = {
             "protocol": wire.PROTOCOL,
             "version": wire.VERSION,
@@ -199,9 +204,10 @@ class ProcessBlock:
             self._frames_sent.append(frame)
             self._frames_received.append(answer)
         self._k += 1
-        values = self._out.unpack(answer)[1:]
-        self.shown = values[self._outputs :]
-        values = values[: self._outputs]
+        values = self._answer.unpack_from(answer, _STEP.size)
+        if self.columns:
+            self.shown = values[self._outputs :]
+            values = values[: self._outputs]
         if self._level == "predictor":
             return values[0]
         if self._level != "controller":
