@@ -361,7 +361,7 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Mapping[int, Path]:
     return build_faulty(tmp_path_factory.mktemp("faulty"))
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_an_engine_that_fails_in_the_sweep(faulty: Mapping[int, Path], fmi: int) -> None:
     """Names the engine and what it said; wrong input, for there is nothing to identify."""
     with pytest.raises(InputError, match=r"sweep of .*engine 1 \(faulty.*flame out") as error:

@@ -109,6 +109,7 @@ def test_two_workers_come_to_the_same(searched: SavedWorst, tmp_path: Path) -> N
     assert rows(tmp_path / "two") == rows(searched.folder)
 
 
+@pytest.mark.long  # test_campaign_cluster.py has the same of a study
 def test_dask_comes_to_the_same(searched: SavedWorst, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     with DaskWorkers(None, 2) as workers:

@@ -645,6 +645,7 @@ def test_the_autopilot_flies_it_and_what_it_has_not_cannot_be_set(tmp_path: Path
     assert meanings[pilot.parameters["HJ_PRED_TYPE"]] == f"{name}.py:{classes[name]}"
 
 
+@pytest.mark.long
 def test_a_cluster_gets_it_by_its_contents(mine: str, tmp_path: Path) -> None:
     vary = ["controller_parameters.share=0,1"]
     study = open_study("roll-doublet", vary=vary, controllers=[mine], settings=["duration_s=0.1"])
