@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from math import degrees
 from pathlib import Path
+from shutil import rmtree
 from statistics import median
 from typing import Any
 
@@ -30,6 +31,7 @@ from cosim.results.run import open_run
 from cosim.results.wording import metric
 
 PAGE = Path(__file__).parent / "autopilots.md"
+STOPPED = 128  # statuses above it are a signal's
 NAMES = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}
 HOVER, ROLL, YAW, LAND, OUT = FLIGHTS = ("hover", "roll doublet", "yaw doublet", "climb and land", "flame-out")
 OWN = dict(zip(FLIGHTS, ("hover", "roll-doublet", "yaw-doublet", "climb-and-land", "fault-flame-out"), strict=True))
@@ -96,10 +98,12 @@ CRAFTS: Mapping[str, Sequence[Craft]] = {
 
 
 def run(arguments: Sequence[str]) -> int:
-    """The status of a command of hexjet."""
+    """The status of a command of hexjet.  Raises SystemExit for one that was interrupted."""
     try:
         hexjet([str(argument) for argument in arguments])
     except SystemExit as end:
+        if isinstance(end.code, int) and end.code > STOPPED:
+            raise
         return end.code if isinstance(end.code, int) else 2 if end.code else 0
     return 0
 
@@ -126,6 +130,8 @@ def gains_of(autopilot: str, gains: str, craft: Craft, out: Path) -> Sequence[st
 
 def flown(autopilot: str, program: str, options: Sequence[str], craft: Craft, flight: str, folder: Path) -> None:
     """One flight into its folder, and whether its repetition without the autopilot is the same."""
+    if folder.is_dir():  # of a call that was interrupted
+        rmtree(folder)
     named = ["--binary", program] if program else []
     what = ["--aircraft", craft.name, "--scenario", craft.flights[flight], *craft.options, *craft.flown]
     run(["sitl", autopilot, *named, *what, *ALWAYS, *options, "--out", str(folder)])
@@ -195,8 +201,9 @@ def rows(
                             [json.loads(summary.read_text())["realtime_factor"] or 0.0] if summary.is_file() else []
                         )
                 cells.append(cell(folder, flight) if folder.is_dir() else "" if options is not None else "no design")
-            pace = f"{median(factors):.0f}" if factors else ""
-            lines.append([craft.name, craft.engines, gains, *cells, pace])
+            if any(cells):
+                pace = f"{median(factors):.0f}" if factors else ""
+                lines.append([craft.name, craft.engines, gains, *cells, pace])
     return lines, folders
 
 

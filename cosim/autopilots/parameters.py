@@ -16,12 +16,14 @@ import numpy as np
 
 from cosim.autopilots.ardupilot import HANDLING
 from cosim.base.errors import InputError
+from cosim.base.limits import clip
 from cosim.base.signals import AXES, Vector3
 from cosim.spec.vehicle import RateGains, Vehicle
 
 _THRUST = 6.5  # default of CA_ROTOR_CT
 _LEAST_OFFSET = 0.01  # m, to the left or right, below which PX4 gives a tilt no yaw
 _MOST_ROTORS = 12  # limit of PX4's control allocation
+_HOVER_RANGE = (0.1, 0.8)  # of MPC_THR_HOVER
 _LEAST_IMU_HZ, _MOST_IMU_HZ = 100, 1000  # range of IMU_INTEG_RATE
 _MOST_MOTORS = 12  # of ArduCopter, AP_MOTORS_MAX_NUM_MOTORS in 4.6
 
@@ -160,6 +162,11 @@ def px4_link(step: float) -> dict[str, float]:
     parameters |= {"RC_MAP_ARM_SW": 5, "RC_MAP_FLTMODE": 6, "RC_CHAN_CNT": 8, "RC3_TRIM": 1000}
     parameters |= {"MAN_DEADZONE": 0.0, "MPC_THR_CURVE": 1, "MPC_MANTHR_MIN": 0.0}
     return parameters | {f"COM_FLTMODE{slot}": 8 for slot in range(1, 6)} | {"COM_FLTMODE6": 2}
+
+
+def px4_hover(throttle: float) -> dict[str, float]:
+    """Return PX4's own idea of the throttle of hover, from which its control of the height and its landing start."""
+    return {"MPC_THR_HOVER": clip(throttle, *_HOVER_RANGE)}
 
 
 PX4_TARGETS = ("sitl", "hil", "board")

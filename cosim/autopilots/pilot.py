@@ -9,6 +9,7 @@ from cosim.base.errors import FlightError
 from cosim.base.frames import heading_of
 from cosim.base.limits import clip
 from cosim.base.signals import Command, Measured, PerJet, Unallocated
+from cosim.control.allocation.thrust_map import ThrustMap
 from cosim.control.altitude import AltitudeController
 from cosim.control.belief import Belief
 
@@ -17,6 +18,16 @@ STILL_SPEED, STILL_TIME = 0.1, 1.0
 # Where the autopilot holds place and height: climb that full throttle stick asks for, and the fraction of a stick below
 # which a pilot lets go of it, which is the autopilots' own dead zone.
 CLIMB, LET_GO = 3.0, 0.1
+
+
+def find_hover_throttle(belief: Belief) -> float:
+    """Return the mean throttle of the engines at which the vehicle hovers, as it begins the flight."""
+    return _mean_throttle(belief.thrust_map, belief.hover, len(belief.vehicle.jets))
+
+
+def _mean_throttle(thrust_map: ThrustMap, fraction: float, jets: int) -> float:
+    throttle: PerJet = thrust_map.throttle((clip(fraction, 0.0, 1.0),) * jets)
+    return sum(throttle) / len(throttle)
 
 
 def let_go(fraction: float) -> float:
@@ -43,7 +54,7 @@ class StickPilot:
         self._lean, self._turn, self._climb = lean, turn, gains.altitude.position_1_s / CLIMB
         self._step, self._hold_from, self._steps = belief.step_s, hold_from, 0
         self._still_needed, self._still = round(STILL_TIME / belief.step_s), 0
-        self.hover = self._throttle(belief.hover)
+        self.hover = find_hover_throttle(belief)
 
     def reset(self) -> None:
         """Reset the height loop, and forget a landing."""
@@ -84,5 +95,4 @@ class StickPilot:
         return self._still >= self._still_needed
 
     def _throttle(self, fraction: float) -> float:
-        throttle: PerJet = self._map.throttle((clip(fraction, 0.0, 1.0),) * self._jets)
-        return sum(throttle) / len(throttle)
+        return _mean_throttle(self._map, fraction, self._jets)

@@ -62,6 +62,7 @@ _MOST_NOISE = 64  # bytes without MAVLink after which the connection is refused 
 _ACCEPT_EVERY = 16  # frames between two checks for a second connection
 _UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
 _KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver_sw_release; 255: a release
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of a terminal
 _BOOT_TIMEOUT = 0.02  # s of the clock for an answer before there was one
 
 
@@ -80,6 +81,13 @@ def check_unknown_parameters(log: Path, parameters: Collection[str]) -> None:
     unknown = [name for name in dict.fromkeys(_UNKNOWN.findall(log.read_text(errors="replace"))) if name in parameters]
     if unknown:
         raise InputError(f"px4: {describe_unknown(unknown, set(parameters) - set(unknown), 'PX4')} (--param; {log})")
+
+
+def _describe_last_line(log: Path) -> str:
+    """Return what it printed last, in words that follow what became of it."""
+    lines = log.read_text(errors="replace").split("\n") if log.is_file() else []
+    last = next((line for line in reversed(lines) if line.strip()), "")
+    return f"; the last that it printed: {_COLOUR.sub('', last).strip()} ({log})" if last else ""
 
 
 def describe_version(facts: Mapping[str, str | int]) -> str:
@@ -139,7 +147,10 @@ class Px4(Sitl):
             self._program = Program(command, self._folder, log, environment)
         timer = AnswerTimer("px4", _START_S, self._program, f"did not connect to port {port}")
         while self._link is None:
-            self._server.settimeout(timer.remaining())
+            try:
+                self._server.settimeout(timer.remaining())
+            except FlightError as error:
+                raise FlightError(f"{error}{_describe_last_line(log)}") from None
             with suppress(TimeoutError):
                 self._link = self._own(self._server.accept()[0])
         if self._program is not None:
@@ -185,7 +196,8 @@ class Px4(Sitl):
         if self._binary is None or not logs:
             return FirmwareReport()
         notes = read_notes(logs[-1])
-        return FirmwareReport(describe_version(notes.facts), notes.parameters, notes.messages)
+        messages = [(time_s, severity, _COLOUR.sub("", text).strip()) for time_s, severity, text in notes.messages]
+        return FirmwareReport(describe_version(notes.facts), notes.parameters, messages)
 
     @property
     def _ended(self) -> str:

@@ -129,6 +129,7 @@ def test_it_holds_its_place_by_itself_once_the_switch_is_raised(hexjet: Hexjet) 
     done = flown(hexjet, "--hold", "0.5", "--set", 'engine="edf"', *wind)
     assert done.status == 0, done.out + done.err
     assert books()["hold_from_s"] == 0.5
+    assert books()["parameters"]["MPC_THR_HOVER"] == pytest.approx(0.451, abs=0.001)  # PX4's own is 0.5
     away = np.hypot(errors("north_m"), errors("east_m"))
     assert away[-1] < 1.0
     assert np.abs(errors("altitude_m") - 10.0).max() < 0.3
