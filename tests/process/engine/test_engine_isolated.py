@@ -7,7 +7,7 @@ import pickle
 import re
 import shutil
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from threading import Thread
@@ -228,6 +228,13 @@ class Evil:
         return Path.write_text, (self.target, "run here")
 
 
+@pytest.fixture(scope="module")
+def turbine() -> Iterator[IsolatedBank]:
+    bank = IsolatedBank([load_engine("turbine-20", {}, STEP)], STEP, in_flight=True)
+    yield bank
+    bank.close()
+
+
 @pytest.mark.parametrize("head", [b"p", b"s", b""])
 @pytest.mark.parametrize(
     "answer",
@@ -241,12 +248,14 @@ class Evil:
         lambda target: b"\xff" * 7,
     ],
 )
-def test_what_a_child_answers_runs_nothing_here(head: bytes, answer: Callable[[Path], bytes], tmp_path: Path) -> None:
+def test_what_a_child_answers_runs_nothing_here(
+    head: bytes, answer: Callable[[Path], bytes], turbine: IsolatedBank, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It is an engine's library that has the pipe there, and can send whatever it likes."""
-    bank = IsolatedBank([load_engine("turbine-20", {}, STEP)], STEP, in_flight=True)
+    bank = turbine
     reader, writer = os.pipe()
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    real, bank._pipes = bank._pipes, Pipes(reader, nowhere)
+    monkeypatch.setattr(bank, "_pipes", Pipes(reader, nowhere))
     sender = Pipes(reader, writer)
     data, calls = (
         head + answer(tmp_path / "ran"),
@@ -269,20 +278,17 @@ def test_what_a_child_answers_runs_nothing_here(head: bytes, answer: Callable[[P
         bank.step(0, (0.5,))
     for number in (reader, writer, nowhere):
         os.close(number)
-    bank._pipes = real
-    bank.close()
     assert not (tmp_path / "ran").exists()
 
 
-def test_the_bits_of_every_double_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_bits_of_every_double_come_back(turbine: IsolatedBank, monkeypatch: pytest.MonkeyPatch) -> None:
     """NaN of either sign, infinity, the smallest number and zero below zero among them."""
     values = (float("inf"), float("-inf"), 5e-324, -0.0, 0.1, *struct.unpack("<2d", bytes(6) + b"\xf8\xff" + bytes(6) + b"\xf8\x7f"))  # fmt: skip
-    bank = IsolatedBank([load_engine("turbine-20", {}, STEP)], STEP)
-    monkeypatch.setattr(bank, "_exchange", lambda *_: isolated._double_answer(values))
-    for answer in (bank.step(0, (0.5,)), bank.reset(0.5), bank.run_down(1.0)):
+    monkeypatch.setattr(turbine, "_exchange", lambda *_: isolated._double_answer(values))
+    monkeypatch.setattr(turbine, "_in_flight", False)
+    for answer in (turbine.step(0, (0.5,)), turbine.reset(0.5), turbine.run_down(1.0)):
         got = [value for row in answer for value in row]
         assert struct.pack("<7d", *got) == struct.pack("<7d", *values)
-    bank.close()
 
 
 @pytest.fixture(scope="module")
