@@ -90,7 +90,7 @@ def open_page() -> int | None:
         os.ftruncate(number, 2 * _SIZE)
         # a page that the other cuts short would end this process
         fcntl.fcntl(number, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
-    except OSError:
+    except (OSError, AttributeError):  # a Python that was built on a system without them
         os.close(number)
         return None
     return number

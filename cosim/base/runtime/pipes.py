@@ -69,7 +69,7 @@ class Pipes:
 
     def close(self) -> None:
         """Close both ends; may be called twice.  Only for who opened them by their numbers."""
-        numbers, self._open = self._open, ()
+        numbers, self._open, self._page = self._open, (), None
         for number in numbers:
             os.close(number)
 

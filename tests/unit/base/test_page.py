@@ -6,6 +6,7 @@ import os
 import platform
 from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 from random import Random
 from threading import Thread
 
@@ -212,3 +213,7 @@ os._exit(3)
     finally:
         pipes.close()
         child.end()
+    assert "memfd:exchange" not in Path("/proc/self/maps").read_text()
+    assert not [
+        link for link in Path("/proc/self/fd").iterdir() if link.is_symlink() and "exchange" in os.readlink(link)
+    ]
