@@ -23,6 +23,7 @@ from cosim.campaign.proof.scope import kinds_not_varied
 from cosim.campaign.proof.source import proof_study
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
+from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.flight_row import NOT_FLOWN, Row, failed_row, fly_one
 from cosim.cli.main import main
 from cosim.flight import fly
@@ -167,6 +168,18 @@ def test_stopped_and_resumed_it_comes_to_the_same(proven: Path, study: Path, hex
     assert hexjet("prove", str(tmp_path / "p"), "--resume", "--no-limit", "--search", "0").status == 0
     data = told(tmp_path / "p")
     first = told(proven)
+    assert data["repeat"]["rows_sha256"] == first["repeat"]["rows_sha256"]
+    assert {**data, "repeat": 0} == {**first, "repeat": 0}
+
+
+@pytest.mark.long
+def test_on_a_cluster_it_comes_to_the_same(proven: Path, study: Path, tmp_path: Path) -> None:
+    """Killed before, and gone on with by Dask: the rows, the verdict and all that follows are those of two workers."""
+    pytest.importorskip("distributed")
+    fly_study(proof_study(str(study), "90%@95%"), tmp_path / "p", Some(20))  # type: ignore[arg-type]
+    with DaskWorkers(None, 2) as workers:
+        conclude(fly_study(None, tmp_path / "p", workers, True), tmp_path / "p", Request(limit=False), workers)
+    data, first = told(tmp_path / "p"), told(proven)
     assert data["repeat"]["rows_sha256"] == first["repeat"]["rows_sha256"]
     assert {**data, "repeat": 0} == {**first, "repeat": 0}
 
