@@ -11,6 +11,8 @@ with Stepper("hover") as flight:  # one control step at a time
 
 from __future__ import annotations
 
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.compiled import select_modules
@@ -18,6 +20,12 @@ from cosim.base.errors import EngineError, FlightError, InputError
 from cosim.base.runtime.kernels import load_with_reference
 
 if TYPE_CHECKING:
+    from cosim.api.design import design
+    from cosim.api.identify import identify
+    from cosim.api.margins import margins
+    from cosim.api.prove import prove
+    from cosim.api.searches import rare, search
+    from cosim.api.studies import sweep
     from cosim.base.signals import Command
     from cosim.base.trust import trust
     from cosim.flight import fly
@@ -37,10 +45,17 @@ __all__ = [
     "Scenario",
     "Snapshot",
     "Stepper",
+    "design",
     "fly",
+    "identify",
     "load_vehicle",
+    "margins",
     "open_run",
     "plot",
+    "prove",
+    "rare",
+    "search",
+    "sweep",
     "trust",
     "versions",
 ]
@@ -51,13 +66,51 @@ _WHERE = {
     "Stepper": "cosim.stepper",
     "Scenario": "cosim.spec.scenario",
     "fly": "cosim.flight",
+    "margins": "cosim.api.margins",
     "load_vehicle": "cosim.spec.vehicle",
     "Run": "cosim.results.run",
     "open_run": "cosim.results.run",
+    "prove": "cosim.api.prove",
+    "rare": "cosim.api.searches",
+    "search": "cosim.api.searches",
+    "sweep": "cosim.api.studies",
     "plot": "cosim.results.report.time_plot",
     "trust": "cosim.base.trust",
     "versions": "cosim.results.summary",
 }
+
+_ROOMS = ("design", "identify")  # packages that are called, too
+
+
+class _Room(ModuleType):
+    """A package that is called like the function of its name in ``cosim.api``: ``cosim.design(...)`` designs."""
+
+    @property
+    def __signature__(self) -> Any:
+        from inspect import signature
+
+        return signature(self._call())
+
+    def _call(self) -> Any:
+        from importlib import import_module
+
+        name = self.__name__.rpartition(".")[2]
+        return getattr(import_module(f"cosim.api.{name}"), name)
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        return self._call()(*arguments, **named)
+
+
+class _Package(ModuleType):
+    """The package: the import of one of its parts binds that part's name here, whatever else was called so."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in _ROOMS and isinstance(value, ModuleType):
+            value.__class__ = _Room
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
 
 select_modules()  # before any module that may be compiled is imported
 load_with_reference()  # before numpy is
@@ -69,8 +122,10 @@ def __dir__() -> list[str]:
 
 def __getattr__(name: str) -> Any:
     """Load what is asked for and nothing else: half of a short flight's time would go into imports."""
-    if name in _WHERE:
-        from importlib import import_module
+    from importlib import import_module
 
+    if name in _ROOMS:
+        return import_module(f"{__name__}.{name}")
+    if name in _WHERE:
         return getattr(import_module(_WHERE[name]), name)
     raise AttributeError(f"module 'cosim' has no attribute {name!r}")

@@ -30,13 +30,13 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "api.md"
 SECTION = re.compile(r"^(\w+)\n-{3,}\n", re.MULTILINE)
 ENTRY = re.compile(r"^(\S[^\n]*)\n((?:    [^\n]*\n?|\n(?=    ))+)", re.MULTILINE)
-MODULES = ("campaign", "commands", "files", "identify", "loops", "pages")
+MODULES = ("api", "campaign", "commands", "files", "identify", "loops", "pages")
 RECORDS = ("cosim/base/signals.py", "cosim/base/protocols/records.py")
 
 
 def parts() -> dict[str, str]:
     """Return the page's parts: the exports, those of each public module, the protocols, the records."""
-    exports = {name: getattr(cosim, name) for name in cosim.__all__}
+    exports = {name: called(name) for name in cosim.__all__}
     blocks = {name: each for name, each in vars(protocols).items() if getattr(each, "_is_protocol", False)}
     del exports["Command"]  # a record
     text = {
@@ -46,6 +46,12 @@ def parts() -> dict[str, str]:
     }
     text |= {name: list(_module(import_module(f"cosim.{name}"))) for name in MODULES}
     return {f"api: {name}": "\n".join(each).rstrip() + "\n" for name, each in text.items()}
+
+
+def called(name: str) -> Any:
+    """Return an export of the package; of a package that is called, the function."""
+    export = getattr(cosim, name)
+    return getattr(import_module(f"cosim.api.{name}"), name) if inspect.ismodule(export) else export
 
 
 def _module(module: Any) -> Iterator[str]:

@@ -5,18 +5,23 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import click
+
+from cosim.api.progress import Progress
+
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.progress import Progress as Bar
 
 _PIPE_WIDTH = 120  # in a pipe there is no width to fit, unless COLUMNS states one
 _NARROWEST = 20
-_bars: list[Progress] = []  # on the terminal now
+_bars: list[Bar] = []  # on the terminal now
 
 
 @contextmanager
-def on_terminal(bar: Progress) -> Iterator[Progress]:
+def on_terminal(bar: Bar) -> Iterator[Bar]:
     """Show a bar, which gives way to questions (:func:`without_bars`)."""
     with bar:
         _bars.append(bar)
@@ -67,12 +72,38 @@ def part_progress(title: str, quiet: bool) -> Iterator[Callable[[str, int, int],
         yield lambda part, done, of: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with on_terminal(Progress(*columns, console=Console(stderr=True), transient=True)) as progress:
+    with on_terminal(Bar(*columns, console=Console(stderr=True), transient=True)) as progress:
         task = progress.add_task(title, total=None)
         yield lambda part, done, of: progress.update(task, description=part, completed=done, total=of)
+
+
+class CommandProgress(Progress):
+    """What a command shows of a call: notes on standard error, and how far it is with ``show``."""
+
+    def __init__(self, show: Callable[[str, int, int], None]) -> None:
+        self._show = show
+        self.folder = Path()
+        self.done = self.of = 0
+        self.is_concluding = False  # no flights are counted any more
+
+    def begin(self, folder: Path) -> None:
+        """Keep the folder."""
+        self.folder = folder
+
+    def note(self, text: str) -> None:
+        """Print it on standard error."""
+        click.echo(f"hexjet: note: {text}", err=True)
+
+    def update(self, part: str, done: int, of: int) -> None:
+        """Show it, and keep how far it is."""
+        self.is_concluding = done == of == 0
+        if not self.is_concluding:
+            self.done, self.of = done, of
+        self._show(part, done, of)
 
 
 def say(text: str, *, wrap: bool = True, marked: bool = False) -> None:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 from click.core import ParameterSource
 
+from cosim.api import choices
 from cosim.base.errors import InputError
 from cosim.cli import opt
 
@@ -74,7 +74,7 @@ class Flight(opt.Record):
         scenario = load_scenario(
             self.scenario, self.controller, self.engines, self.seed, self.settings, self.model, self.aircraft
         )
-        changes = plugin_changes(self.metrics, self.own_observers, self.sensors, self.wind)
+        changes = choices.plugin_changes(self.metrics, self.own_observers, self.sensors, self.wind)
         if self.sensors or self.wind:  # its expectations do not apply with them
             changes["expect"] = []
         if self.unchecked_engine:
@@ -136,131 +136,10 @@ def load_scenario(
     model: Path | None = None,
     aircraft: str | None = None,
 ) -> Scenario:
-    """Return the scenario with the command line's choices written over it."""
-    from cosim.spec.controller_name import is_design, seen_from
-    from cosim.spec.scenario import Scenario
-
-    designed = Path(controller) if controller is not None and is_design(controller) else None
-    if designed is not None:
-        from cosim.simulation.controllers.controller_file import apply_controller
-
-        scenario, controller = apply_controller(name, designed, settings, aircraft), None
-    else:
-        scenario = Scenario.read(name, list(settings))
-    changes: dict[str, Any] = {}
-    if aircraft is not None:
-        from cosim.spec.vehicle import aircraft_seen_from, engine_of
-
-        aircraft = aircraft_seen_from(aircraft, Path())
-        changes |= {"aircraft": aircraft, "engine": engine_of(aircraft) or scenario.engine}
-        if controller is None and model is None and designed is None and "controller" not in _keys_of(settings):
-            changes |= _controller_without_a_model(aircraft, scenario)
-    if controller is not None:
-        # a file on the command line is meant from here, one in the scenario from the scenario's folder
-        changes["controller"] = seen_from(controller, Path())
-        if any(text.strip().startswith("controller_parameters") for text in settings):
-            changes["controller_parameters"] = scenario.controller_parameters
-    chosen = engine_choices(engines)
-    if "engine" in chosen and scenario.stations:
-        scenario = scenario.model_copy(update={"stations": {}, "expect": []})  # one for all
-    changes |= chosen
-    if seed is not None:
-        changes["seed"] = seed
-    if model is not None:
-        from cosim.spec.scenario import parameter_files
-        from cosim.spec.vehicle import read_models
-
-        changes["vehicle"] = {"identified": read_models(model)}
-        changes["parameter_files"] = parameter_files(scenario.parameter_files, "models", model)
-    if settings or model is not None or designed is not None or "stations" in chosen:
-        changes["expect"] = []
-    scenario = scenario.replace(**changes) if changes else scenario
-    scenario.resolved_vehicle()  # a wrong key is told before anything is built
-    return scenario
+    """Return the scenario with the command line's choices written over it, with notes on standard error."""
+    return choices.load_scenario(name, controller, engines, seed, settings, model, aircraft, print_note)
 
 
-def _keys_of(settings: tuple[str, ...]) -> set[str]:
-    """Return the keys of ``--set`` that are the scenario's own."""
-    return {text.partition("=")[0].strip() for text in settings}
-
-
-def _controller_without_a_model(aircraft: str, scenario: Any) -> dict[str, str]:
-    """Return the baseline where the predictor needs a model and the other aircraft states none; print a note."""
-    from cosim.control.predictors.registry import BASELINE, PREDICTORS
-    from cosim.spec.vehicle import load_vehicle
-
-    spec = PREDICTORS.get(scenario.controller)
-    if spec is None or not spec.needs_model:
-        return {}
-    vehicle, _ = load_vehicle(aircraft)
-    if vehicle.identified or scenario.vehicle.get("identified"):
-        return {}
-    click.echo(
-        f"hexjet: note: {vehicle.name} states no identified model, which controller {scenario.controller} needs; "
-        f"flown with {BASELINE.name}",
-        err=True,
-    )
-    return {"controller": BASELINE.name}
-
-
-def plugin_changes(
-    metrics: tuple[str, ...], observers: tuple[str, ...] = (), sensors: str | None = None, wind: str | None = None
-) -> dict[str, Any]:
-    """Return the user's blocks as changes of a scenario; a file on the command line is meant from here."""
-    from cosim.spec.controller_name import seen_from
-
-    def here(name: str) -> str:
-        return str(Path(name).absolute()) if name.lower().endswith(".csv") else seen_from(name, Path())
-
-    changes: dict[str, Any] = {"metrics": [here(name) for name in metrics]} if metrics else {}
-    changes |= {"observers": [here(name) for name in observers]} if observers else {}
-    return changes | {key: here(name) for key, name in (("sensors", sensors), ("wind", wind)) if name is not None}
-
-
-def plugin_settings(metrics: tuple[str, ...], wind: str | None = None) -> list[str]:
-    """Return the same as settings of a study, ``KEY=VALUE``."""
-
-    return [f"{key}={json.dumps(value)}" for key, value in plugin_changes(metrics, wind=wind).items()]
-
-
-def engine_for(aircraft: str, engine: str | None) -> str:
-    """Return the engine that is named, or else the aircraft's own.  Raises InputError where it has none."""
-    from cosim.spec.vehicle import aircraft_seen_from, engine_of
-
-    chosen = engine or engine_of(aircraft_seen_from(aircraft, Path()))
-    if chosen is None:
-        raise InputError(f"{aircraft}: vehicle.toml names no engine: name one with --engine")
-    return chosen
-
-
-def aircraft_settings(aircraft: str | None) -> list[str]:
-    """Return another aircraft with the engine that it is made for as settings of a study; a path is meant from here."""
-
-    from cosim.spec.vehicle import aircraft_seen_from, engine_of
-
-    if aircraft is None:
-        return []
-    aircraft = aircraft_seen_from(aircraft, Path())
-    engine = engine_of(aircraft)
-    with_engine = [] if engine is None else [f"engine={json.dumps(engine)}"]
-    return [f"aircraft={json.dumps(aircraft)}", *with_engine]
-
-
-def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
-    """Return ``NAME`` or ``N=NAME`` texts as changes of a scenario.  Raises InputError if one is named twice."""
-    from cosim.spec.vehicle import file_seen_from
-
-    changes: dict[str, Any] = {}
-    for text in texts:
-        number, equals, name = text.partition("=")
-        station = number.strip() if equals and number.strip().isdigit() else None
-        engine = (name if station else text).strip()
-        # a file on the command line is meant from here, one in the scenario from the scenario's folder
-        engine = file_seen_from(engine, Path())
-        target = changes if station is None else changes.setdefault("stations", {}).setdefault(station, {})
-        if "engine" in target:
-            raise InputError(
-                f"--engine {text}: there is already another for {f'station {station}' if station else 'all'}"
-            )
-        target["engine"] = engine
-    return changes
+def print_note(text: str) -> None:
+    """Print a note on standard error."""
+    click.echo(f"hexjet: note: {text}", err=True)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from cosim.base.errors import InputError
 from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, part_progress, say, show_table, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, engine_for, example, offer_to_compile, warn_of_fmu_defects
+from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table, terminal
+from cosim.cli.options import DONE, FLIGHT_FAILED, example, offer_to_compile, warn_of_fmu_defects
 
 if TYPE_CHECKING:
     from cosim.design.design import Design
@@ -52,7 +50,7 @@ class DesignOptions(opt.Output):
         min=0.0,
         max=0.95,
     )
-    min_bandwidth = opt.number("--min-bandwidth", "HZ", "Of roll and pitch.", min=0.0, default=0.16)
+    min_bandwidth_hz = opt.number("--min-bandwidth", "HZ", "Of roll and pitch.", min=0.0, default=0.16)
     noise_share = opt.number(
         "--noise-share",
         None,
@@ -104,86 +102,25 @@ def design(options: DesignOptions) -> int:
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
-    from cosim.design.design import add_limits
-    from cosim.design.design import design as make
-    from cosim.design.loop.limit import need_solver
-    from cosim.design.proof import add_proof
-    from cosim.design.result import to_dict, write
-    from cosim.simulation.controllers.controller_file import Requirements
+    from cosim.api.choices import engine_for
+    from cosim.api.design import design as make
+    from cosim.api.design import prepare
 
-    if options.out is not None:  # before minutes of searching
-        _prepare(options.out)
-    if options.limit:
-        need_solver()
+    if options.out is not None:  # before any question
+        prepare(options.out)
     engine = engine_for(options.aircraft, options.engine)
-    autopilot, aircraft, firmware = options.autopilot, options.aircraft, None
-    if autopilot is not None:
-        from cosim.cli.firmware import firmware_for
-        from cosim.control.predictors.registry import BASELINE
-
-        if options.controller not in ("auto", BASELINE.name) or options.start is not None:
-            raise InputError(f"--for {autopilot}: it has no predictor of ours: leave --controller and --start out")
-        firmware = firmware_for(autopilot, aircraft, options.settings)
-        options.controller = BASELINE.name
-        options.lead = options.scheduled = options.proof = False
     offer_to_compile(engine)
     warn_of_fmu_defects(engine)
-    tolerances = options.chosen("delay_tolerance", "gain_tolerance", "engine_spread")
-    need = Requirements(
-        **{name: value for name, value in tolerances.items() if value is not None},
-        max_sensitivity=options.max_sensitivity,
-        min_bandwidth_hz=options.min_bandwidth,
-        noise_share=options.noise_share,
-    )
-    with output_to_stderr(options.as_json), part_progress("design", quiet=options.as_json) as tell:
-        search = partial(
-            make,
-            engine,
-            aircraft,
-            controller=options.controller,
-            need=need,
-            settings=options.settings,
-            model=options.model,
-            amplitude=options.amplitude,
-            lead=options.lead,
-            scheduled=options.scheduled,
-            start=options.start,
-            firmware=firmware,
-            say=lambda text: tell(text, 0, 1),
-        )
-        designed = search()
-        if options.proof:
-            designed = add_proof(designed, lambda text: tell(text, 0, 1), lambda unsure: search(unsure=unsure))
-        if options.limit and designed.ok:
-            designed = add_limits(designed, lambda text: tell(text, 0, 1))
-    paths = write(designed, options.out)
-    if autopilot is not None and designed.ok:
-        from cosim.cli.firmware import write_parameters
-
-        paths["parameters"] = write_parameters(autopilot, aircraft, paths["controller"], designed.scenario.step_s)
-    options.answer(lambda: to_dict(designed, paths), lambda: print_design(designed, paths))
-    return DONE if designed.ok else FLIGHT_FAILED
-
-
-def _prepare(out: Path) -> None:
-    """Make the folder of a controller file.
-
-    Raises InputError for a name that is none, where it cannot be made, and for a file that no design left there.
-    """
-    if out.suffix.lower() != ".toml":
-        raise InputError(f"--out {out}: must end in .toml, by which --controller knows it")
-    from cosim.base.storage.files import read_text
-    from cosim.base.storage.toml import read_toml
-
-    page = out.with_suffix(".html")
-    if out.exists() and not {"controller", "design"} <= read_toml(out).keys():
-        raise InputError(f"--out {out}: is there already, and is no file of hexjet design; choose another name")
-    if page.exists() and " control design</title>" not in read_text(page)[:4096]:
-        raise InputError(f"--out {out}: {page} is there already, and is no page of hexjet design; choose another name")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {out}: cannot be written to: {error.strerror or error}") from error
+    chosen = options.chosen(
+        "aircraft", "controller", "model", "amplitude", "max_sensitivity", "delay_tolerance", "gain_tolerance",
+        "engine_spread", "min_bandwidth_hz", "noise_share", "autopilot", "lead", "scheduled", "start", "proof", "limit",
+        "settings",
+    )  # fmt: skip
+    with output_to_stderr(options.as_json), part_progress("design", quiet=options.as_json) as show:
+        result = make(engine, progress=CommandProgress(show), **chosen)
+    result.write(options.out)
+    options.answer(result.to_dict, lambda: print_design(result.designed, result.files))
+    return DONE if result.ok else FLIGHT_FAILED
 
 
 # columns at a fuel level; the report has every column

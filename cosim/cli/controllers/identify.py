@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,6 +16,7 @@ from cosim.cli.controllers.bench import identify_bench
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
+    from cosim.api.identify import Subject
     from cosim.identify.logs import FlightLog
     from cosim.identify.prediction_error.identify_log import LogIdentification
     from cosim.identify.sweep import Identification
@@ -32,21 +33,22 @@ class Sweep(opt.Output):
     from_hz = opt.number("--from-hz", "HZ", "Lowest frequency of the response.")
     to_hz = opt.number("--to-hz", "HZ", "Highest frequency of the response.")
     amplitude = opt.number("--amplitude", "A", "Of the sweep, in the unit of the command.")
-    duration = opt.number("--duration", "S", "Of the sweep.")
+    duration_s = opt.number("--duration", "S", "Of the sweep.")
     holds = opt.words("--hold", "NAME=VALUE", "Keep a parameter of the model.")
     out = opt.OUT
     as_json = opt.JSON
+    lags: int
 
 
-_SWEPT = ("from_hz", "to_hz", "amplitude", "duration", "lags")
+_SWEPT = ("from_hz", "to_hz", "amplitude", "duration_s", "lags")
 
 
 class EngineSweep(opt.Record):
     """Options of ``hexjet identify engine`` before those of every sweep."""
 
-    name: str = opt.argument(metavar="NAME|FILE.fmu")
+    engine: str = opt.argument(metavar="NAME|FILE.fmu")
     throttle = opt.number("--throttle", None, "Around which it is swept.", default=0.5)
-    step = opt.number("--step", "S", "Sample time.", default=0.004)
+    step_s = opt.number("--step", "S", "Sample time.", default=0.004)
     lags = opt.whole("--lags", None, "Lags beside the first pole.", min=0, max=2, default=0)
     settings = opt.words("--set", "PARAMETER=VALUE", "Set a parameter of the engine.")
 
@@ -62,15 +64,27 @@ def identify_engine(options: SweptEngine) -> int:
 
     Band, amplitude and duration are chosen to suit the engine where they are not given.
     """
+    return _identify(
+        "engine",
+        f"identify-{Path(options.engine).stem}",
+        options,
+        options.chosen("engine", "settings", "throttle", "step_s"),
+    )
+
+
+def _identify(subject: Subject, name: str, options: Sweep, choices: dict[str, Any]) -> int:
+    """Sweep an axis or an engine with the options of every sweep and its own ``choices``; answer with what is found."""
+    from cosim.api.identify import identify as sweep
     from cosim.base.storage.toml import parse_numbers
     from cosim.identify.files import FILES, RECORD
-    from cosim.identify.sweep import identify_engine as identify
 
     options.check_out(RECORD, *FILES)
     with output_to_stderr(options.as_json):
-        numbers, hold = parse_numbers(options.settings, "--set"), parse_numbers(options.holds, "--hold")
-        identification = identify(options.name, numbers, hold=hold, **options.chosen("throttle", "step", *_SWEPT))
-    return _finish_identification(identification, f"identify-{Path(options.name).stem}", options)
+        hold = parse_numbers(options.holds, "--hold")
+        result = sweep(subject, hold=hold, **choices, **options.chosen(*_SWEPT))
+    result.write(options.run_folder(name))
+    options.answer(result.to_dict, lambda: print_identification(result.identification, result.files))
+    return DONE if result.found else FLIGHT_FAILED
 
 
 class AxisSweep(opt.Record):
@@ -89,20 +103,12 @@ class SweptAxis(Sweep, AxisSweep):
     """Options of ``hexjet identify roll``, pitch and yaw."""
 
 
-def _axis_command(axis: str) -> None:
+def _axis_command(axis: Subject) -> None:
     @identify.command(axis, epilog=example(f"hexjet identify {axis} --engine edf --out {axis}-model"))
     @opt.takes(SweptAxis)
     def command(options: SweptAxis) -> int:
-        from cosim.base.storage.toml import parse_numbers
-        from cosim.identify.files import FILES, RECORD
-        from cosim.identify.sweep import identify_axis
-
-        options.check_out(RECORD, *FILES)
-        with output_to_stderr(options.as_json):
-            hold = parse_numbers(options.holds, "--hold")
-            choices = options.chosen("aircraft", "engine", "controller", "substeps", "seed", "settings", *_SWEPT)
-            identification = identify_axis(axis, hold=hold, **choices)
-        return _finish_identification(identification, f"identify-{axis}", options)
+        choices = options.chosen("engine", "settings", "aircraft", "controller", "substeps", "seed")
+        return _identify(axis, f"identify-{axis}", options, choices)
 
     command.help = (
         f"Identify the {axis} axis in flight, torque command to measured rate: a slow pole, a lag and a delay.\n\n"
@@ -110,17 +116,10 @@ def _axis_command(axis: str) -> None:
     )
 
 
-for _axis in AXES:
-    _axis_command(_axis)
+_axis_command("roll")
+_axis_command("pitch")
+_axis_command("yaw")
 identify.add_command(identify_bench)
-
-
-def _finish_identification(identification: Identification, name: str, output: opt.Output) -> int:
-    from cosim.identify.sweep import write
-
-    paths = write(identification, output.run_folder(name))
-    output.answer(identification.to_dict, lambda: print_identification(identification, paths))
-    return FLIGHT_FAILED if identification.refused else DONE
 
 
 class FromLog(opt.LogPart, opt.Output):

@@ -9,7 +9,7 @@ import click
 
 from cosim.base.signals import AXES
 from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, part_progress, say, show_table
+from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table
 from cosim.cli.options import DONE, Flight, example, offer_to_compile, warn_of_fmu_defects
 
 if TYPE_CHECKING:
@@ -50,34 +50,19 @@ def margins(options: Margins) -> int:
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
-    from cosim.design.measured import measure_margins, write
+    from cosim.api.margins import margins as measure
     from cosim.spec.controller_name import folder_name
 
     options.check_out("margins.json", "response.csv", "report.html")
     offer_to_compile(*options.engines)
     loaded, axes = options.load(), options.axes or AXES
     warn_of_fmu_defects(loaded.engine, folder=loaded.folder)
-    with output_to_stderr(options.as_json), part_progress("margins", options.as_json) as progress:
-        done = 0
-
-        def tell(text: str) -> None:
-            nonlocal done
-            progress(text, done, 2 * len(axes) + 1)
-            done += 1
-
-        margins = measure_margins(
-            loaded,
-            axes,
-            amplitude=options.amplitude,
-            from_hz=options.from_hz,
-            to_hz=options.to_hz,
-            period_s=options.period_s,
-            periods=options.periods,
-            limit=options.limit,
-            say=tell,
-        )
-    paths = write(margins, options.run_folder(f"margins-{folder_name(margins.controller)}"))
-    options.answer(margins.to_dict, lambda: print_margins(margins, paths))
+    chosen = options.chosen("amplitude", "from_hz", "to_hz", "period_s", "periods", "limit")
+    with output_to_stderr(options.as_json), part_progress("margins", options.as_json) as show:
+        result = measure(loaded, axes, progress=CommandProgress(show), **chosen)
+    name = f"margins-{folder_name(result.measured.controller)}"
+    paths = result.write(options.run_folder(name)).files
+    options.answer(result.to_dict, lambda: print_margins(result.measured, paths))
     return DONE
 
 

@@ -60,11 +60,12 @@ def report(options: Report) -> int:
     if is_campaign(folder):
         if options.shared_assets:
             raise InputError(f"--shared-assets: {folder} is a campaign, whose page has all in it; leave it out")
+        from cosim.api.studies import SweepResult
         from cosim.campaign import open_campaign
         from cosim.campaign.analysis.page import write_campaign_report
 
         campaign = open_campaign(folder)
-        print_campaign(campaign, write_campaign_report(campaign))
+        print_campaign(SweepResult(campaign, write_campaign_report(campaign)))
         return DONE
     run = open_run(folder)
     write_report(run, folder / REPORT, options.shared_assets)

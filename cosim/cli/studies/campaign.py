@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from cosim.base.errors import InputError
 from cosim.cli import opt
-from cosim.cli.console import on_terminal, output_to_stderr, part_progress, say, show_table
-from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, aircraft_settings, example, plugin_settings
+from cosim.cli.console import CommandProgress, on_terminal, output_to_stderr, part_progress, say, show_table
+from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, example
 
 if TYPE_CHECKING:
+    from cosim.api.searches import SearchResult
+    from cosim.api.studies import SweepResult
     from cosim.campaign.rare.result import SavedRare
     from cosim.campaign.search.result import SavedSearch
     from cosim.campaign.search.worst_folder import SavedWorst
-    from cosim.campaign.store import Campaign, Tally
     from cosim.campaign.study.key import Key
-    from cosim.campaign.workers.protocol import Workers
 
 
 class CampaignOptions(opt.Output):
@@ -35,18 +32,17 @@ class CampaignOptions(opt.Output):
     wind: str | None
     workers: int | None
     cluster: str | None
-    time_limit: float | None
+    time_limit_s: float | None
     resume: bool
     engine: str | None
     nominal_engine: bool
 
-    def study_settings(self) -> list[str]:
-        """Return the settings of the study, with aircraft, engine and blocks of the user's."""
-        from cosim.spec.vehicle import file_seen_from
+    def common(self) -> dict[str, Any]:
+        """Return what every call of a study takes, as keywords."""
+        return self.chosen("aircraft", "engine", "nominal_engine", "settings", "metrics", "wind", *FLEET)
 
-        engine = [f"engine={json.dumps(file_seen_from(self.engine, Path()))}"] if self.engine else []
-        return [*aircraft_settings(self.aircraft), *engine, *self.settings, *plugin_settings(self.metrics, self.wind)]
 
+FLEET = ("workers", "cluster", "time_limit_s", "out", "resume")
 
 _AIRCRAFT = opt.word("--aircraft", "NAME|DIR", "Overrides the scenario's, with the engine that it is made for.")
 _ENGINE = opt.word("--engine", "NAME|FILE", "Overrides the scenario's; drawn by its [uncertainty], where it has one.")
@@ -83,7 +79,7 @@ class Sweep(CampaignOptions):
     )
     workers = _WORKERS
     cluster = opt.word("--cluster", "ADDRESS|local", "A Dask scheduler, such as tcp://HOST:8786, or one made here.")
-    time_limit = opt.positive("--time-limit", "S", "For a flight.  [default: 60, or ten of its lengths]")
+    time_limit_s = opt.positive("--time-limit", "S", "For a flight.  [default: 60, or ten of its lengths]")
     out = opt.OUT
     resume = opt.flag("--resume", "Go on with what the folder holds; nothing that is finished is repeated.")
     keys: str | None = opt.option(
@@ -101,35 +97,25 @@ def sweep(options: Sweep) -> int:
     Leaves one Parquet data set with a row a flight, and a page.  Flights that fail are rows.  Status 0: all are flown,
     whatever became of them; 1: it was stopped before; 2: wrong input.
     """
-    from cosim.campaign.analysis.page import write_campaign_report
-    from cosim.campaign.analysis.summary import campaign_summary
-    from cosim.campaign.run import choose_workers, resolve_campaign, run_campaign
-    from cosim.campaign.study.model_notes import design_warnings, model_notes
+    from cosim.api.studies import sweep as fly_all
 
-    settings = options.study_settings()
     if options.keys is not None:
-        return _list_keys(settings, options.keys, options)
+        return _list_keys(options.keys, options)
     drawn = ("vary", "runs", "repeats", "design", "controllers", "correlate", "success", "seed", "until")
-    varied = options.chosen(*drawn, "nominal_engine")
-    study, folder = resolve_campaign(options.name, options.out, options.resume, settings=settings, **varied)
-    notes = (*study.notes(), *design_warnings(study), *model_notes(study)) if study is not None else ()
-    with output_to_stderr(options.as_json), sweep_progress(folder, quiet=options.as_json) as tell:
-        with choose_workers(options.workers, options.cluster, options.time_limit) as flying:
-            for text in notes:
-                click.echo(f"hexjet: note: {text}", err=True)
-            campaign = run_campaign(study, folder, flying, options.resume, tell)
-        page = write_campaign_report(campaign)
-    paths = {"folder": str(folder), "report": str(page)}
-    options.answer(lambda: paths | campaign_summary(campaign), lambda: print_campaign(campaign, page))
+    with output_to_stderr(options.as_json), sweep_progress(quiet=options.as_json) as progress:
+        swept = fly_all(options.name, progress=progress, **options.chosen(*drawn), **options.common())
+    options.answer(swept.to_dict, lambda: print_campaign(swept))
     return DONE
 
 
-def _list_keys(settings: list[str], pattern: str, options: Sweep) -> int:
+def _list_keys(pattern: str, options: Sweep) -> int:
+    from cosim.api.studies import study_settings
     from cosim.campaign.study.keys import all_keys, matching
     from cosim.campaign.study.study import Study, study_names
     from cosim.spec.scenario import Scenario
 
-    name = options.name
+    name, changes = options.name, options.chosen("settings", "aircraft", "engine", "metrics", "wind")
+    settings = study_settings(**changes)
     base = Study.load(name).base() if name in study_names() else Scenario.load(name, settings)
     keys = matching(all_keys(base), pattern)
     listed = [{"key": key.path, "value": key.nominal, "unit": key.unit, "allowed": key.allowed} for key in keys]
@@ -174,7 +160,7 @@ class Search(CampaignOptions):
     seed = opt.whole("--seed", None, "Of the first flight of a point.  [default: the scenario's]")
     workers = _WORKERS
     cluster = opt.word("--cluster", "ADDRESS|local", "As in hexjet sweep.")
-    time_limit = opt.positive("--time-limit", "S", "For a flight.")
+    time_limit_s = opt.positive("--time-limit", "S", "For a flight.")
     out = opt.OUT
     resume = opt.flag("--resume", "Go on with the same search in DIR; nothing is flown twice.")
     as_json = _JSON
@@ -188,69 +174,16 @@ def search(options: Search) -> int:
     Leaves search.json, search.html, every flight, and the flights that show it.  Status 0: searched, whatever was
     found; 1: it was stopped before, or a flight that shows it came out otherwise when it was flown again.
     """
-    from cosim.campaign.search.folder import resolve_search, run_search
+    from cosim.api.searches import search as find
 
-    if options.worst or options.likely:
-        return _search_worst(options)
-    if options.within is not None:
-        raise InputError("--within: goes with --worst or --likely")
-    searching = options.chosen(*_SEARCHED, "over", "tolerance", "share")
-    study, plan = resolve_search(options.name, settings=options.study_settings(), **searching)
-    with _searching(options, f"search-{study.name}") as (folder, tell, flying):
-        searched = run_search(study, plan, folder, flying, options.resume, tell)
-    options.answer(searched.to_dict, lambda: print_search(searched))
-    return DONE if searched.confirmed else FLIGHT_FAILED
-
-
-def _search_worst(options: Search) -> int:
-    from cosim.campaign.proof.design_study import design_study, find_design
-    from cosim.campaign.search.worst_folder import RANGES, resolve_worst, run_worst
-
-    if options.worst and options.likely:
-        raise InputError("--likely: goes without --worst; each is a search of its own")
-    for option, is_given in (("over", options.over), ("tolerance", options.tolerance), ("share", options.share)):
-        if is_given:
-            raise InputError(f"--{option}: is of a search of one key, and goes with neither --worst nor --likely")
-    settings, searching = options.study_settings(), options.chosen("seeds", "budget", "seed", "likely", "within")
-    drawn = options.chosen("vary", "controllers", "success", "nominal_engine")
-    designed = find_design(Path(options.name))
-    if designed is None:
-        study, plan = resolve_worst(options.name, settings=settings, **drawn, **searching)
-    else:
-        study = design_study(designed, "", 1, settings=settings, **drawn)
-        if options.within is None and not options.likely and not any(vary.uncertainty for vary in study.vary):
-            searching["within"] = RANGES
-        study, plan = resolve_worst(study, **searching)
-    kind = "likely" if plan.likely else "worst"
-    with _searching(options, f"{kind}-{study.name}") as (folder, tell, flying):
-        saved = run_worst(study, plan, folder, flying, options.resume, tell)
-    options.answer(saved.to_json, lambda: print_worst(saved))
-    return DONE if saved.confirmed else FLIGHT_FAILED
-
-
-_SEARCHED = ("vary", "controllers", "seeds", "success", "budget", "seed", "nominal_engine")
-
-
-@contextmanager
-def _searching(
-    options: Search | Rare, name: str, what: str = "search"
-) -> Iterator[tuple[Path, Callable[[int], None], Workers]]:
-    """Yield the folder of a search, a function that is told how many flights there are, and the workers.
-
-    ``what`` is the name of the command, whose folder it is.
-    """
-    from cosim.campaign.run import choose_workers
-
-    if options.resume and options.out is None:
-        asked = {"search": "search", "rare": "simulation"}[what]
-        raise InputError(f"--resume: give the folder of the {asked} with --out")
-    folder = options.run_folder(name)
-    with (
-        output_to_stderr(options.as_json),
-        search_progress(folder, quiet=options.as_json, what=what) as tell,
-        choose_workers(options.workers, options.cluster, options.time_limit) as flying,
-    ):
-        yield folder, tell, flying
+    sought = (
+        "vary", "worst", "likely", "within", "over", "controllers", "tolerance", "seeds", "share", "success", "budget",
+        "seed",
+    )  # fmt: skip
+    with output_to_stderr(options.as_json), search_progress(quiet=options.as_json) as progress:
+        found = find(options.name, progress=progress, **options.chosen(*sought), **options.common())
+    options.answer(found.to_dict, lambda: print_found(found))
+    return DONE if found.confirmed else FLIGHT_FAILED
 
 
 class Rare(CampaignOptions):
@@ -275,7 +208,7 @@ class Rare(CampaignOptions):
     seed = opt.whole("--seed", None, "Of the draws.")
     workers = _WORKERS
     cluster = opt.word("--cluster", "ADDRESS|local", "As in hexjet sweep.")
-    time_limit = opt.positive("--time-limit", "S", "For a flight.")
+    time_limit_s = opt.positive("--time-limit", "S", "For a flight.")
     out = opt.OUT
     resume = opt.flag("--resume", "Go on with the same simulation in DIR; nothing is flown twice.")
     as_json = _JSON
@@ -289,16 +222,13 @@ def rare(options: Rare) -> int:
     Leaves rare.json, rare.html, every flight, and the most likely failures.  Status 0: done, whatever was found; 1: it
     was stopped before, or a failure came out otherwise when it was flown again.
     """
-    from cosim.campaign.rare.folder import resolve_rare, run_rare
+    from cosim.api.searches import rare as simulate
 
-    simulated = options.chosen(
-        "vary", "controllers", "correlate", "success", "target", "budget", "same_seed", "seed", "nominal_engine"
-    )
-    study, plan = resolve_rare(options.name, settings=options.study_settings(), **simulated)
-    with _searching(options, f"rare-{study.name}", "rare") as (folder, tell, flying):
-        saved = run_rare(study, plan, folder, flying, options.resume, tell)
-    options.answer(saved.to_json, lambda: print_rare(saved))
-    return DONE if saved.confirmed else FLIGHT_FAILED
+    simulated = ("vary", "controllers", "correlate", "success", "target", "budget", "same_seed", "seed")
+    with output_to_stderr(options.as_json), search_progress(quiet=options.as_json, what="rare") as progress:
+        result = simulate(options.name, progress=progress, **options.chosen(*simulated), **options.common())
+    options.answer(result.to_dict, lambda: print_rare(result.simulated))
+    return DONE if result.confirmed else FLIGHT_FAILED
 
 
 @contextmanager
@@ -313,68 +243,66 @@ def report_interruption(describe: Callable[[], str]) -> Iterator[None]:
 
 
 @contextmanager
-def sweep_progress(
-    folder: Path, quiet: bool, goes_on: str | None = None
-) -> Iterator[Callable[[Tally, int, int], None]]:
-    """Yield a function that is told what became of the flights, how many are finished, and of how many.
+def sweep_progress(quiet: bool, goes_on: str | None = None) -> Iterator[CommandProgress]:
+    """Yield what is told the fractions of successes, how many flights are finished, and of how many.
 
-    ``goes_on``: the command that goes on with them, by default ``hexjet sweep`` of the folder.  On a terminal it shows
-    them, their rate and the time left.  Ctrl-C is answered in a line, wherever.
+    ``goes_on``: the command that goes on with them in their folder, by default ``hexjet sweep``.  On a terminal it
+    shows them, their rate and the time left.  Ctrl-C is answered in a line, wherever.
     """
-    finished = total = 0
+    with _sweep_bar(quiet) as show:
+        progress = CommandProgress(show)
 
-    def describe_kept() -> str:
-        if not total:
-            return " before the first flight"
-        command = goes_on or f"hexjet sweep {folder}"
-        return f"; {finished} of {total} flights are kept: {command} --resume goes on"
+        def describe_kept() -> str:
+            if not progress.of:
+                return " before the first flight"
+            command = f"{goes_on or 'hexjet sweep'} {progress.folder}"
+            if progress.is_concluding:
+                return f"; what was flown is kept: {command} --resume goes on"
+            return f"; {progress.done} of {progress.of} flights are kept: {command} --resume goes on"
 
-    with report_interruption(describe_kept), _sweep_bar(quiet) as show:
-
-        def tell(tally: Tally, now_finished: int, all_flights: int) -> None:
-            nonlocal finished, total
-            finished, total = now_finished, all_flights
-            show(tally, finished, total)
-
-        yield tell
+        with report_interruption(describe_kept):
+            yield progress
 
 
 @contextmanager
-def _sweep_bar(quiet: bool) -> Iterator[Callable[[Tally, int, int], None]]:
+def _sweep_bar(quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
     if quiet or not sys.stderr.isatty():
-        yield lambda tally, done, of: None
+        yield lambda part, done, of: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
 
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn())
     shares = TextColumn("{task.fields[shares]}")
     # the processor is for the flights
-    bar = Progress(*columns, shares, console=Console(stderr=True), transient=True, refresh_per_second=2)
+    bar = Bar(*columns, shares, console=Console(stderr=True), transient=True, refresh_per_second=2)
     with on_terminal(bar) as progress:
         task = progress.add_task("", total=None, rate="", shares="")
 
-        def show(tally: Tally, done: int, of: int) -> None:
+        def show(part: str, done: int, of: int) -> None:
+            if of == 0:
+                progress.update(task, rate="", shares=part)
+                return
             if progress.tasks[0].total is None:
                 progress.reset(task, total=of, completed=done)  # flights of an earlier run do not count for the rate
             speed = progress.tasks[0].speed
             rate = "" if speed is None else f"{speed:.1f}/s"
-            shares = ", ".join(f"{name} {tally.successes[name] / n:.0%}" for name, n in sorted(tally.flights.items()))
-            progress.update(task, completed=done, rate=rate, shares=shares)
+            progress.update(task, completed=done, rate=rate, shares=part)
 
         yield show
 
 
-def print_campaign(campaign: Campaign, page: Path) -> None:
+def print_campaign(swept: SweepResult) -> None:
     """Print what became of the flights, by controller, and where the data and the page are."""
-    from cosim.campaign.analysis.summary import campaign_summary, comparison_lines, spread_table, success_lines
+    from cosim.campaign.analysis.summary import comparison_lines, spread_table, success_lines
 
-    summary = campaign_summary(campaign)
+    summary = swept.to_dict()
     titles, rows = spread_table(summary)
     for line in success_lines(summary):
         say(line, wrap=False)
     show_table(titles, rows, range(2, len(titles)), plain=True, pad_edge=False)
-    for line in [*comparison_lines(summary), f"folder: {campaign.folder}", f"report: {page}"]:
+    for line in [*comparison_lines(summary), f"folder: {summary['folder']}", f"report: {summary['report']}"]:
         say(line, wrap=False)
 
 
@@ -385,6 +313,17 @@ def print_keys(keys: Sequence[Key]) -> None:
         nominal = str(key.nominal).lower() if isinstance(key.nominal, bool) else key.nominal
         rows.append([key.path, "-" if nominal is None else f"{nominal}", key.unit, key.allowed])
     show_table(["key", "value", "unit", "allowed"], rows, [1], plain=True, pad_edge=False)
+
+
+def print_found(found: SearchResult) -> None:
+    """Print what a search found, of one key or of all at once."""
+    from cosim.campaign.search.result import SavedSearch
+
+    searched = found.searched
+    if isinstance(searched, SavedSearch):
+        print_search(searched)
+    else:
+        print_worst(searched)
 
 
 def print_search(searched: SavedSearch) -> None:
@@ -448,20 +387,16 @@ def print_rare(saved: SavedRare) -> None:
 
 
 @contextmanager
-def search_progress(folder: Path, quiet: bool, what: str = "search") -> Iterator[Callable[[int], None]]:
-    """Yield a function that is told how many flights there are so far; Ctrl-C is answered in a line, wherever."""
-    reached = 0
+def search_progress(quiet: bool, what: str = "search") -> Iterator[CommandProgress]:
+    """Yield what is told how many flights there are so far; Ctrl-C is answered in a line, wherever."""
+    with part_progress(what, quiet) as show:
+        progress = CommandProgress(show)
 
-    def describe_kept() -> str:
-        if not reached:
-            return "; before the first flight"
-        return f"; {reached} flights are kept: the same command with --out {folder} --resume goes on"
+        def describe_kept() -> str:
+            if not progress.done:
+                return "; before the first flight"
+            again = f"the same command with --out {progress.folder} --resume goes on"
+            return f"; {progress.done} flights are kept: {again}"
 
-    with report_interruption(describe_kept), part_progress(what, quiet) as show:
-
-        def tell(flights: int) -> None:
-            nonlocal reached
-            reached = flights
-            show(f"{flights} flights", flights, 0)
-
-        yield tell
+        with report_interruption(describe_kept):
+            yield progress

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cosim.base.errors import InputError
 from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, part_progress, say, show_table
+from cosim.cli.console import output_to_stderr, say, show_table
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
-from cosim.cli.studies.campaign import CampaignOptions, report_interruption, sweep_progress
+from cosim.cli.studies.campaign import FLEET, CampaignOptions, sweep_progress
 
 if TYPE_CHECKING:
     from cosim.campaign.proof.result import Proof
@@ -50,7 +49,7 @@ class Prove(CampaignOptions):
     )  # fmt: skip
     workers = opt.whole("--workers", "N", "Processes.  [default: one a processor]", min=1)
     cluster = opt.word("--cluster", "ADDRESS|local", "As in hexjet sweep.")
-    time_limit = opt.positive("--time-limit", "S", "For a flight.")
+    time_limit_s = opt.positive("--time-limit", "S", "For a flight.")
     out = opt.OUT
     resume = opt.flag("--resume", "Go on with what the folder holds; no flight is repeated.")
     as_json = opt.json("Print one JSON object at the end and nothing else.")
@@ -66,41 +65,21 @@ def prove(options: Prove) -> int:
     with the best linear one, and says what is not covered and how credible the model is.  Status 0: shown; 1: refuted,
     open, or stopped before; 2: wrong input.
     """
-    from cosim.campaign.folder import is_campaign
-    from cosim.campaign.proof.credibility import read_comparison
-    from cosim.campaign.proof.prove import CAMPAIGN, Request, conclude, fly_study
-    from cosim.campaign.proof.rare_failure import check_flights
-    from cosim.campaign.proof.source import proof_study
-    from cosim.campaign.run import choose_workers
+    from cosim.api.prove import prove as show_claim
 
-    is_begun = is_campaign(Path(options.name) / CAMPAIGN)
-    if is_begun and not options.resume:
-        raise InputError(f"{options.name}: already holds a proof; --resume goes on with it")
-    if options.rare:
-        check_flights(options.rare)
-    comparisons = tuple(map(read_comparison, options.replays))
-    request = Request(options.limit, options.search, options.rare, comparisons)
-    if is_begun:
-        study, folder = None, Path(options.name)
-    else:
-        if options.resume and options.out is None:
-            raise InputError("--resume: give the folder of the proof, as in hexjet prove DIR --resume")
-        chosen = options.chosen("controllers", "seed", "nominal_engine")
-        study = proof_study(options.name, options.claim, options.budget, settings=options.study_settings(), **chosen)
-        folder = options.run_folder(f"proof-{study.name}")
+    chosen = ("claim", "budget", "controllers", "seed", "search", "rare", "limit", "replays")
     with (
         output_to_stderr(options.as_json),
-        choose_workers(options.workers, options.cluster, options.time_limit) as flying,
+        sweep_progress(quiet=options.as_json, goes_on="hexjet prove") as progress,
     ):
-        for text in study.notes() if study is not None else ():
-            click.echo(f"hexjet: note: {text}", err=True)
-        with sweep_progress(folder / CAMPAIGN, quiet=options.as_json, goes_on=f"hexjet prove {folder}") as tell:
-            campaign = fly_study(study, folder, flying, options.resume, tell)
-        goes_on = f"; what was flown is kept: hexjet prove {folder} --resume goes on"
-        with report_interruption(lambda: goes_on), part_progress("prove", options.as_json) as show:
-            proof = conclude(campaign, folder, request, flying, lambda text: show(text, 0, 1))
-    options.answer(proof.to_json, lambda: print_proof(proof))
-    return DONE if proof.decision == "shown" else FLIGHT_FAILED
+        proven = show_claim(
+            options.name,
+            progress=progress,
+            **options.chosen(*chosen),
+            **options.chosen("aircraft", "engine", "nominal_engine", "settings", *FLEET),
+        )
+    options.answer(proven.to_dict, lambda: print_proof(proven.proof))
+    return DONE if proven.decision == "shown" else FLIGHT_FAILED
 
 
 def print_proof(proof: Proof) -> None:

@@ -126,13 +126,6 @@ def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
     paths = {"json": folder / "margins.json", "response": folder / "response.csv", "report": folder / "report.html"}
     data = json.dumps(margins.to_dict(), indent=2, allow_nan=False) + "\n"
     write_files({paths["json"]: data, paths["response"]: _csv(margins)})
-    figures: dict[str, Any] = {}
-    for axis, measured in margins.axes.items():
-        figures |= {
-            f"bode_{axis}": _bode(measured),
-            f"nyquist_{axis}": _nyquist(measured),
-            f"peak_{axis}": _peak(measured),
-        }
     tables = [
         (
             axis,
@@ -145,8 +138,20 @@ def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
         for axis, measured in margins.axes.items()
     ]
     engine = engine_rows(margins.engine_ranges)
-    render(TEMPLATE, paths["report"], figures, found=margins, tables=tables, engine=(ENGINE_COLUMNS, engine))
+    render(TEMPLATE, paths["report"], figures(margins), found=margins, tables=tables, engine=(ENGINE_COLUMNS, engine))
     return paths
+
+
+def figures(margins: MeasuredMargins) -> dict[str, Figure]:
+    """Return the figures of the page by their names, three an axis."""
+    drawn: dict[str, Figure] = {}
+    for axis, measured in margins.axes.items():
+        drawn |= {
+            f"bode_{axis}": _bode(measured),
+            f"nyquist_{axis}": _nyquist(measured),
+            f"peak_{axis}": _peak(measured),
+        }
+    return drawn
 
 
 def _csv(margins: MeasuredMargins) -> str:

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 import cosim.simulation.engines
+from cosim.api.choices import engine_choices
 from cosim.base.errors import InputError
 from cosim.base.signals import Sample
 from cosim.base.storage.paths import data_folder
 from cosim.cli.main import main
-from cosim.cli.options import engine_choices, load_scenario
+from cosim.cli.options import load_scenario
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap, invert
 from cosim.engine import EngineBank, load_engine
 from cosim.flight import fly

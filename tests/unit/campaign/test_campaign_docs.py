@@ -65,7 +65,7 @@ def test_a_command_is_one(words: list[str]) -> None:
         elsewhere = (
             "workers",
             "cluster",
-            "time_limit",
+            "time_limit_s",
             "out",
             "resume",
             "as_json",

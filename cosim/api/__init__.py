@@ -1,0 +1,58 @@
+"""Every command of ``hexjet`` as a function, and what each gives back.
+
+from cosim import sweep
+
+swept = sweep("roll-doublet", vary=["vehicle.mass_kg=5:6.5"], controllers=["smith", "baseline"], runs=100)
+swept.columns["success"], swept.folder
+
+A result shows itself in a notebook, knows its files, and ``to_dict()`` is what the command prints with ``--json``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cosim.api.design import DesignResult
+    from cosim.api.identify import IdentifyResult
+    from cosim.api.margins import MarginsResult
+    from cosim.api.progress import Progress
+    from cosim.api.prove import ProofResult
+    from cosim.api.result import Result, Table
+    from cosim.api.searches import RareResult, SearchResult
+    from cosim.api.studies import SweepResult
+
+_WHERE = {
+    "DesignResult": "design",
+    "IdentifyResult": "identify",
+    "MarginsResult": "margins",
+    "Progress": "progress",
+    "ProofResult": "prove",
+    "RareResult": "searches",
+    "Result": "result",
+    "SearchResult": "searches",
+    "SweepResult": "studies",
+    "Table": "result",
+}
+
+__all__ = [
+    "DesignResult",
+    "IdentifyResult",
+    "MarginsResult",
+    "Progress",
+    "ProofResult",
+    "RareResult",
+    "Result",
+    "SearchResult",
+    "SweepResult",
+    "Table",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load what is asked for and nothing else."""
+    if name in _WHERE:
+        from importlib import import_module
+
+        return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,213 @@
+"""What flies: a scenario, with other choices written over it, as the options of the commands do."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.base.errors import InputError
+from cosim.base.trust import mention
+
+if TYPE_CHECKING:
+    from cosim.spec.scenario import Scenario
+
+Note = Callable[[str], None]  # is told in a line what is taken otherwise than it was asked for
+
+
+def as_settings(values: Sequence[str] | Mapping[str, object]) -> list[str]:
+    """Return settings as texts ``KEY=VALUE``; a mapping has the values by their dotted keys.
+
+    Raises InputError for a value that is none of TOML on one line.
+    """
+    if not isinstance(values, Mapping):
+        return list(values)
+    texts = []
+    for key, value in values.items():
+        try:
+            texts.append(f"{key}={json.dumps(str(value) if isinstance(value, Path) else value, allow_nan=False)}")
+        except (TypeError, ValueError):
+            raise InputError(f"settings: {key}: {value!r} is no number, text, truth value or list of these") from None
+    return texts
+
+
+def as_texts(values: Sequence[str] | Mapping[str, str]) -> list[str]:
+    """Return texts ``KEY=TEXT``, where they are a mapping as well."""
+    return [f"{key}={text}" for key, text in values.items()] if isinstance(values, Mapping) else list(values)
+
+
+def choose(
+    scenario: Scenario | str | Path,
+    controller: str | Path | None = None,
+    aircraft: str | Path | None = None,
+    engine: str | Path | Sequence[str] | None = None,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    seed: int | None = None,
+    note: Note = lambda text: None,
+) -> Scenario:
+    """Return the scenario with these choices written over it.  Raises InputError for a wrong one."""
+    from cosim.spec.scenario import Scenario
+
+    texts = tuple(as_settings(settings))
+    engines = () if engine is None else (str(engine),) if isinstance(engine, (str, Path)) else tuple(engine)
+    if isinstance(scenario, Scenario) and not (texts or engines or controller or aircraft or seed is not None):
+        return scenario
+    named = None if controller is None else str(controller)
+    mention([*texts, *engines, *([named] if named else [])], Path())
+    vehicle = None if aircraft is None else str(aircraft)
+    return load_scenario(scenario, named, engines, seed, texts, aircraft=vehicle, note=note)
+
+
+def load_scenario(
+    scenario: Scenario | str | Path,
+    controller: str | None,
+    engines: tuple[str, ...],
+    seed: int | None,
+    settings: tuple[str, ...],
+    model: Path | None = None,
+    aircraft: str | None = None,
+    note: Note = lambda text: None,
+) -> Scenario:
+    """Return the scenario with a command line's choices written over it; ``note`` is told what flies instead."""
+    from cosim.spec.controller_name import is_design, seen_from
+
+    designed = Path(controller) if controller is not None and is_design(controller) else None
+    if designed is not None:
+        from cosim.simulation.controllers.controller_file import apply_controller
+
+        scenario, controller = apply_controller(scenario, designed, settings, aircraft), None
+    else:
+        scenario = _read(scenario, settings)
+    changes: dict[str, Any] = {}
+    if aircraft is not None:
+        from cosim.spec.vehicle import aircraft_seen_from, engine_of
+
+        aircraft = aircraft_seen_from(aircraft, Path())
+        changes |= {"aircraft": aircraft, "engine": engine_of(aircraft) or scenario.engine}
+        if controller is None and model is None and designed is None and "controller" not in _keys_of(settings):
+            changes |= _controller_without_a_model(aircraft, scenario, note)
+    if controller is not None:
+        # a file on the command line is meant from here, one in the scenario from the scenario's folder
+        changes["controller"] = seen_from(controller, Path())
+        if any(text.strip().startswith("controller_parameters") for text in settings):
+            changes["controller_parameters"] = scenario.controller_parameters
+    chosen = engine_choices(engines)
+    if "engine" in chosen and scenario.stations:
+        scenario = scenario.model_copy(update={"stations": {}, "expect": []})  # one for all
+    changes |= chosen
+    if seed is not None:
+        changes["seed"] = seed
+    if model is not None:
+        from cosim.spec.scenario import parameter_files
+        from cosim.spec.vehicle import read_models
+
+        changes["vehicle"] = {"identified": read_models(model)}
+        changes["parameter_files"] = parameter_files(scenario.parameter_files, "models", model)
+    if settings or model is not None or designed is not None or "stations" in chosen:
+        changes["expect"] = []
+    scenario = scenario.replace(**changes) if changes else scenario
+    scenario.resolved_vehicle()  # a wrong key is told before anything is built
+    return scenario
+
+
+def _read(scenario: Scenario | str | Path, settings: Sequence[str]) -> Scenario:
+    """Return a scenario, or the one of a name or a file, with settings over it.  Raises InputError."""
+    from cosim.base.storage.toml import parse_setting, set_path
+    from cosim.spec.scenario import Scenario
+
+    if not isinstance(scenario, Scenario):
+        return Scenario.read(scenario, settings)
+    if not settings:
+        return scenario
+    table, where = scenario.stated(), f"scenario {scenario.name}"
+    for text in settings:
+        key, value = parse_setting(text)
+        set_path(table, key, value, f"{where}: --set")
+    return Scenario.from_table(table, scenario.folder, where, scenario.origin or scenario)
+
+
+def _keys_of(settings: tuple[str, ...]) -> set[str]:
+    """Return the keys of ``--set`` that are the scenario's own."""
+    return {text.partition("=")[0].strip() for text in settings}
+
+
+def _controller_without_a_model(aircraft: str, scenario: Any, note: Note) -> dict[str, str]:
+    """Return the baseline where the predictor needs a model and the other aircraft states none, and note it."""
+    from cosim.control.predictors.registry import BASELINE, PREDICTORS
+    from cosim.spec.vehicle import load_vehicle
+
+    spec = PREDICTORS.get(scenario.controller)
+    if spec is None or not spec.needs_model:
+        return {}
+    vehicle, _ = load_vehicle(aircraft)
+    if vehicle.identified or scenario.vehicle.get("identified"):
+        return {}
+    note(
+        f"{vehicle.name} states no identified model, which controller {scenario.controller} needs; "
+        f"flown with {BASELINE.name}"
+    )
+    return {"controller": BASELINE.name}
+
+
+def plugin_changes(
+    metrics: tuple[str, ...], observers: tuple[str, ...] = (), sensors: str | None = None, wind: str | None = None
+) -> dict[str, Any]:
+    """Return the user's blocks as changes of a scenario; a file on the command line is meant from here."""
+    from cosim.spec.controller_name import seen_from
+
+    def here(name: str) -> str:
+        return str(Path(name).absolute()) if name.lower().endswith(".csv") else seen_from(name, Path())
+
+    changes: dict[str, Any] = {"metrics": [here(name) for name in metrics]} if metrics else {}
+    changes |= {"observers": [here(name) for name in observers]} if observers else {}
+    return changes | {key: here(name) for key, name in (("sensors", sensors), ("wind", wind)) if name is not None}
+
+
+def plugin_settings(metrics: tuple[str, ...], wind: str | None = None) -> list[str]:
+    """Return the same as settings of a study, ``KEY=VALUE``."""
+
+    return [f"{key}={json.dumps(value)}" for key, value in plugin_changes(metrics, wind=wind).items()]
+
+
+def engine_for(aircraft: str, engine: str | None) -> str:
+    """Return the engine that is named, or else the aircraft's own.  Raises InputError where it has none."""
+    from cosim.spec.vehicle import aircraft_seen_from, engine_of
+
+    chosen = engine or engine_of(aircraft_seen_from(aircraft, Path()))
+    if chosen is None:
+        raise InputError(f"{aircraft}: vehicle.toml names no engine: name one with --engine")
+    return chosen
+
+
+def aircraft_settings(aircraft: str | None) -> list[str]:
+    """Return another aircraft with the engine that it is made for as settings of a study; a path is meant from here."""
+
+    from cosim.spec.vehicle import aircraft_seen_from, engine_of
+
+    if aircraft is None:
+        return []
+    aircraft = aircraft_seen_from(aircraft, Path())
+    engine = engine_of(aircraft)
+    with_engine = [] if engine is None else [f"engine={json.dumps(engine)}"]
+    return [f"aircraft={json.dumps(aircraft)}", *with_engine]
+
+
+def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
+    """Return ``NAME`` or ``N=NAME`` texts as changes of a scenario.  Raises InputError if one is named twice."""
+    from cosim.spec.vehicle import file_seen_from
+
+    changes: dict[str, Any] = {}
+    for text in texts:
+        number, equals, name = text.partition("=")
+        station = number.strip() if equals and number.strip().isdigit() else None
+        engine = (name if station else text).strip()
+        # a file on the command line is meant from here, one in the scenario from the scenario's folder
+        engine = file_seen_from(engine, Path())
+        target = changes if station is None else changes.setdefault("stations", {}).setdefault(station, {})
+        if "engine" in target:
+            raise InputError(
+                f"--engine {text}: there is already another for {f'station {station}' if station else 'all'}"
+            )
+        target["engine"] = engine
+    return changes

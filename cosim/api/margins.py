@@ -1,0 +1,188 @@
+"""Gain, phase and delay margins, measured in flight: what ``hexjet margins`` calls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.api.check import checked
+from cosim.api.choices import choose
+from cosim.api.progress import Progress
+from cosim.api.result import Result, Table
+from cosim.spec.scenario import Scenario
+
+if TYPE_CHECKING:
+    from cosim.design.measured import AxisMargins, MeasuredMargins
+
+AXES = ("roll", "pitch", "yaw")
+
+
+class MarginsResult(Result):
+    """The margins of one controller on one vehicle.
+
+    Attributes
+    ----------
+    measured : MeasuredMargins
+        Everything.
+    """
+
+    def __init__(self, measured: MeasuredMargins) -> None:
+        self.measured = measured
+        self.files = {}
+
+    @property
+    def axes(self) -> Mapping[str, AxisMargins]:
+        """By axis: ``axes["roll"].response.margins["phase_deg"]`` has ``value``, ``low`` and ``high``, where told."""
+        return self.measured.axes
+
+    def write(self, folder: Path | str) -> MarginsResult:
+        """Write ``margins.json``, ``response.csv`` and ``report.html``.
+
+        Parameters
+        ----------
+        folder : Path or str
+            Made if need be.
+
+        Returns
+        -------
+        MarginsResult
+            This one, which has the files now.
+
+        Raises
+        ------
+        FlightError
+            If a file cannot be written.
+        """
+        from cosim.design.measured import write
+
+        self.files = write(self.measured, Path(folder))
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet margins --json`` prints."""
+        return self.measured.to_dict()
+
+    def lines(self) -> list[str]:
+        """Return what was measured, and what is to be said about it."""
+        from cosim.design.measured.page import limit_line, uncertainty_line
+
+        measured = self.measured
+        scenario = measured.scenario
+        notes = [f"{axis}: {note}" for axis, each in measured.axes.items() for note in each.notes]
+        more = [line for each in measured.axes.values() for line in (uncertainty_line(each), limit_line(each)) if line]
+        missing = [f"not computed: {measured.uncomputed}"] if measured.uncomputed else []
+        first = f"margins of {measured.controller_shown} on {scenario.aircraft}, engine {scenario.engine}"
+        return [first, *more, *notes, *missing]
+
+    def tables(self) -> list[Table]:
+        """Return a table an axis."""
+        from cosim.design.measured.page import ENGINE_COLUMNS, columns, engine_rows, heading, rows
+
+        measured = self.measured
+        tables = [Table(heading(each), columns(each), rows(each)) for each in measured.axes.values()]
+        if measured.uncertainty_source is not None:
+            tables.append(Table("uncertainty of the engine", ENGINE_COLUMNS, engine_rows(measured.engine_ranges)))
+        return tables
+
+    def _figures(self) -> Mapping[str, Any]:
+        from cosim.design.measured.page import figures
+
+        return figures(self.measured)
+
+
+@checked
+def margins(
+    scenario: Scenario | str | Path = "hover",
+    axes: Sequence[str] = AXES,
+    *,
+    controller: str | Path | None = None,
+    aircraft: str | Path | None = None,
+    engine: str | Path | Sequence[str] | None = None,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    seed: int | None = None,
+    amplitude: float | None = None,
+    from_hz: float | None = None,
+    to_hz: float | None = None,
+    period_s: float | None = None,
+    periods: int = 5,
+    limit: bool = False,
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+) -> MarginsResult:
+    """Measure gain, phase and delay margins, both ways, and peak sensitivity of any controller in flight.
+
+    A multisine is added between the controller and its actuators while the vehicle holds still; what passes before and
+    behind gives the open loop, with 95 % bounds, beside the computed one where the controller is built in.
+
+    Parameters
+    ----------
+    scenario : Scenario or str or Path
+        Vehicle, engine, controller and air; its commands, faults and passing disturbances are left out.
+    axes : sequence of str
+        Of roll, pitch and yaw.
+    controller : str or Path or None
+        In place of the scenario's: a name, a design's file, or one of yours, as ``hexjet fly --controller`` takes it.
+    aircraft : str or Path or None
+        In place of the scenario's, with the engine that it is made for.
+    engine : str or Path or sequence of str or None
+        In place of the scenario's; ``N=NAME`` is the one at station N alone.
+    settings : sequence of str or mapping
+        Written over the scenario's: ``vehicle.mass_kg=6`` or ``{"vehicle.mass_kg": 6.0}``.
+    seed : int or None
+        Of sensor noise and turbulence.
+    amplitude : float or None
+        Peak of what is added, in shares of thrust, rad of tilt or rad/s^2.
+    from_hz : float or None
+        Lowest frequency [Hz]; None: two periods.
+    to_hz : float or None
+        Highest frequency [Hz]; None: a tenth of the control rate.
+    period_s : float or None
+        Of the multisine [s]; None: 20, or 60 for a slow loop.
+    periods : int
+        That are measured.
+    limit : bool
+        Whether each computed loop is compared with the best that any linear controller could do.
+    out : str or Path or None
+        A folder for page and data; without it nothing is written.
+    progress : Progress or None
+        Hears how far it is.
+
+    Returns
+    -------
+    MarginsResult
+        By axis, with bounds.
+
+    Raises
+    ------
+    InputError
+        For a wrong choice, or where the vehicle has no such loop.
+    FlightError
+        Where the vehicle does not stay in the air.
+    """
+    from cosim.base.storage.files import check_results_folder
+    from cosim.design.measured import measure_margins
+
+    hears, done = progress or Progress(), 0
+    if out is not None:
+        check_results_folder(Path(out), "margins.json", "response.csv", "report.html")
+    chosen = choose(scenario, controller, aircraft, engine, settings, seed, hears.note)
+
+    def tell(text: str) -> None:
+        nonlocal done
+        hears.update(text, done, 2 * len(axes) + 1)
+        done += 1
+
+    measured = measure_margins(
+        chosen,
+        axes,
+        amplitude=amplitude,
+        from_hz=from_hz,
+        to_hz=to_hz,
+        period_s=period_s,
+        periods=periods,
+        limit=limit,
+        say=tell,
+    )
+    result = MarginsResult(measured)
+    return result if out is None else result.write(out)

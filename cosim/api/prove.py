@@ -1,0 +1,177 @@
+"""A claim about a study or a design, shown or refuted: what ``hexjet prove`` calls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.api.check import checked
+from cosim.api.progress import Progress
+from cosim.api.result import Result, Table
+from cosim.api.studies import study_settings, tell_tally
+from cosim.base.errors import InputError
+
+if TYPE_CHECKING:
+    from cosim.campaign.proof.result import Proof
+    from cosim.campaign.study.sequential import Decision
+
+
+class ProofResult(Result):
+    """Whether a vehicle keeps its requirements, with what a review asks beside it.
+
+    Attributes
+    ----------
+    proof : Proof
+        Everything.
+    """
+
+    def __init__(self, proof: Proof) -> None:
+        self.proof = proof
+        self.files = {"report": proof.folder / "proof.html", "json": proof.folder / "proof.json"}
+
+    @property
+    def decision(self) -> Decision:
+        """Whether the claim is ``shown``, ``refuted`` or ``open``."""
+        return self.proof.decision
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet prove --json`` prints."""
+        return self.proof.to_json()
+
+    def lines(self) -> list[str]:
+        """Return the result in one sentence, what it does not cover, and the command that repeats it."""
+        proof = self.proof
+        return [
+            proof.sentence,
+            *(f"not covered: {text}" for text in proof.not_covered),
+            f"again: {proof.repeat['command']}",
+        ]
+
+    def tables(self) -> list[Table]:
+        """Return the requirements, and how credible the model is."""
+        proof = self.proof
+        levels = [(one.name, str(one.level)) for one in proof.credibility]
+        return [
+            Table("", ("", "requirement", "broken", "smallest margin"), list(proof.requirement_rows())),
+            Table("", ("credibility, NASA-STD-7009B", "level"), levels),
+        ]
+
+
+@checked
+def prove(
+    name: str | Path,
+    claim: str | None = None,
+    *,
+    budget: int | None = None,
+    controllers: Sequence[str] = (),
+    aircraft: str | Path | None = None,
+    engine: str | Path | None = None,
+    nominal_engine: bool = False,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    seed: int | None = None,
+    search: int = 500,
+    rare: int = 0,
+    limit: bool = True,
+    replays: Sequence[str | Path] = (),
+    workers: int | None = None,
+    cluster: str | None = None,
+    time_limit_s: float | None = None,
+    out: str | Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> ProofResult:
+    """Show or refute that a vehicle keeps its requirements, with what a review asks beside it.
+
+    Flies until the claim is decided, flies the worst again, compares the controller with the best linear one, and says
+    what is not covered and how credible the model is.
+
+    Parameters
+    ----------
+    name : str or Path
+        A study, a scenario, the controller file of a design or its folder; or the folder of a proof to be resumed.
+    claim : str or None
+        What is to be shown: a probability at a confidence, as ``99.9%@95%``; None: the study's.
+    budget : int or None
+        Flights at most; None: ten times what the claim needs at least.
+    controllers : sequence of str
+        Of a study with several, the one that is meant.
+    aircraft : str or Path or None
+        In place of the scenario's, with the engine that it is made for.
+    engine : str or Path or None
+        In place of the scenario's.
+    nominal_engine : bool
+        Whether the engine flies as it is stated, not drawn by its uncertainty.
+    settings : sequence of str or mapping
+        Written over the scenario's.
+    seed : int or None
+        Of the draws.
+    search : int
+        Flights for each search, of the most likely failure and of the worst case; 0: none.
+    rare : int
+        Flights for the probability of failures too rare to count; 0: none.
+    limit : bool
+        Whether the controller is compared with the best that any linear one could do.
+    replays : sequence of str or Path
+        What :func:`replay` left of recorded flights of this vehicle: ``replay.json``, or its folder.
+    workers : int or None
+        Processes; None: one a processor.
+    cluster : str or None
+        The address of a Dask scheduler, or ``local``.
+    time_limit_s : float or None
+        For a flight [s].
+    out : str or Path or None
+        The folder; None: a new one in ``runs/``.
+    resume : bool
+        Whether it goes on with what the folder holds.
+    progress : Progress or None
+        Hears notes and how far it is.
+
+    Returns
+    -------
+    ProofResult
+        The sentence, the requirements and the credibility.
+
+    Raises
+    ------
+    InputError
+        If study, claim or folder is not usable; nothing is overwritten then.
+    FlightError
+        If no more can be flown or written.
+    """
+    from cosim.campaign.folder import is_campaign
+    from cosim.campaign.proof.credibility import read_comparison
+    from cosim.campaign.proof.prove import CAMPAIGN, Request, conclude, fly_study
+    from cosim.campaign.proof.rare_failure import check_flights
+    from cosim.campaign.proof.source import proof_study
+    from cosim.campaign.run import choose_workers
+    from cosim.flight import new_folder
+
+    hears = progress or Progress()
+    is_begun = is_campaign(Path(name) / CAMPAIGN)
+    if is_begun and not resume:
+        raise InputError(f"{name}: already holds a proof; --resume goes on with it")
+    if rare:
+        check_flights(rare)
+    request = Request(limit, search, rare, tuple(read_comparison(Path(path)) for path in replays))
+    if is_begun:
+        study, folder = None, Path(name)
+    else:
+        if resume and out is None:
+            raise InputError("--resume: give the folder of the proof, as in hexjet prove DIR --resume")
+        study = proof_study(
+            str(name),
+            claim,
+            budget,
+            settings=study_settings(settings, aircraft, engine, (), None),
+            controllers=controllers,
+            seed=seed,
+            nominal_engine=nominal_engine,
+        )
+        folder = Path(out) if out is not None else new_folder(Path("runs"), f"proof-{study.name}")
+    hears.begin(folder)
+    with choose_workers(workers, cluster, time_limit_s) as flying:
+        for text in study.notes() if study is not None else ():
+            hears.note(text)
+        campaign = fly_study(study, folder, flying, resume, tell_tally(hears))
+        return ProofResult(conclude(campaign, folder, request, flying, lambda text: hears.update(text, 0, 0)))
