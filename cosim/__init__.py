@@ -20,7 +20,9 @@ from cosim.base.errors import EngineError, FlightError, InputError
 from cosim.base.runtime.kernels import load_with_reference
 
 if TYPE_CHECKING:
+    from cosim.api.compare import compare
     from cosim.api.design import design
+    from cosim.api.export import export, export_controller, export_vehicle
     from cosim.api.identify import identify
     from cosim.api.margins import margins
     from cosim.api.prove import prove
@@ -45,7 +47,11 @@ __all__ = [
     "Scenario",
     "Snapshot",
     "Stepper",
+    "compare",
     "design",
+    "export",
+    "export_controller",
+    "export_vehicle",
     "fly",
     "identify",
     "load_vehicle",
@@ -65,6 +71,10 @@ _WHERE = {
     "Snapshot": "cosim.stepper",
     "Stepper": "cosim.stepper",
     "Scenario": "cosim.spec.scenario",
+    "compare": "cosim.api.compare",
+    "export": "cosim.api.export",
+    "export_controller": "cosim.api.export",
+    "export_vehicle": "cosim.api.export",
     "fly": "cosim.flight",
     "margins": "cosim.api.margins",
     "load_vehicle": "cosim.spec.vehicle",

@@ -13,29 +13,35 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from cosim.api.call import Progress, Result, Table
+    from cosim.api.compare import CompareResult
     from cosim.api.design import DesignResult
+    from cosim.api.export import ControllerExport, VehicleExport
     from cosim.api.identify import IdentifyResult
     from cosim.api.margins import MarginsResult
-    from cosim.api.progress import Progress
     from cosim.api.prove import ProofResult
-    from cosim.api.result import Result, Table
     from cosim.api.searches import RareResult, SearchResult
     from cosim.api.studies import SweepResult
 
 _WHERE = {
+    "CompareResult": "compare",
+    "ControllerExport": "export",
     "DesignResult": "design",
     "IdentifyResult": "identify",
     "MarginsResult": "margins",
-    "Progress": "progress",
+    "Progress": "call",
     "ProofResult": "prove",
     "RareResult": "searches",
-    "Result": "result",
+    "Result": "call",
     "SearchResult": "searches",
     "SweepResult": "studies",
-    "Table": "result",
+    "Table": "call",
+    "VehicleExport": "export",
 }
 
 __all__ = [
+    "CompareResult",
+    "ControllerExport",
     "DesignResult",
     "IdentifyResult",
     "MarginsResult",
@@ -46,6 +52,7 @@ __all__ = [
     "SearchResult",
     "SweepResult",
     "Table",
+    "VehicleExport",
 ]
 
 

@@ -7,10 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.check import checked
+from cosim.api.call import Progress, Result, Table, checked
 from cosim.api.choices import as_settings, engine_for
-from cosim.api.progress import Progress
-from cosim.api.result import Result, Table
 from cosim.base.errors import InputError
 from cosim.base.trust import mention
 

@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.check import checked
+from cosim.api.call import Result, Table, checked
 from cosim.api.choices import as_settings
-from cosim.api.result import Result, Table
 from cosim.base.errors import InputError
 from cosim.base.trust import mention
 

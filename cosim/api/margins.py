@@ -6,10 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.check import checked
+from cosim.api.call import Progress, Result, Table, checked
 from cosim.api.choices import choose
-from cosim.api.progress import Progress
-from cosim.api.result import Result, Table
 from cosim.spec.scenario import Scenario
 
 if TYPE_CHECKING:

@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.check import checked
-from cosim.api.progress import Progress
-from cosim.api.result import Result, Table
+from cosim.api.call import Progress, Result, Table, checked
 from cosim.api.studies import study_settings, tell_tally
 from cosim.base.errors import InputError
 

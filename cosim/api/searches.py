@@ -7,10 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.check import checked
+from cosim.api.call import Progress, Result, Table, checked
 from cosim.api.choices import as_texts
-from cosim.api.progress import Progress
-from cosim.api.result import Result, Table
 from cosim.api.studies import study_settings
 from cosim.base.errors import InputError
 

@@ -6,10 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.check import checked
+from cosim.api.call import Progress, Result, Table, checked
 from cosim.api.choices import aircraft_settings, as_settings, as_texts, plugin_settings
-from cosim.api.progress import Progress
-from cosim.api.result import Result, Table
 
 if TYPE_CHECKING:
     from cosim.campaign.run import RepeatedFlight

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cosim.api.progress import Progress
+from cosim.api.call import Progress
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar

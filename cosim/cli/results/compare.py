@@ -4,27 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from math import isfinite, nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from cosim.base.errors import InputError
 from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, say, show_table, terminal
+from cosim.cli.console import CommandProgress, output_to_stderr, say, show_table, terminal
 from cosim.cli.options import DONE, example
 from cosim.cli.outputs import Out
-from cosim.cli.trust import display_only
 
 if TYPE_CHECKING:
     from cosim.results.comparison import ComparedFlight, LogComparison
 
-PAGE = "comparison.html"
 _OUT = Out(".html")
-LETTERS = "ABCDEFGH"  # one per distinguishable colour
-SIGNALS = ("roll_rad", "pitch_rad", "yaw_rad", "altitude_m", "north_m", "east_m", "collective")
-EARLIEST = 5  # number of further signals shown: the first that differ
 _MAX_INPUTS = 12  # lines in the terminal; the page has all
 
 
@@ -67,117 +61,45 @@ def compare(options: Compare) -> int:
     What is flown runs code (--trust); what was flown is only looked at.  Leaves a page with all of it.  Status 0,
     whatever differs; 2: wrong input.
     """
-    from cosim.base.storage.files import map_os_errors
-    from cosim.results.comparison import compare_with_first
-    from cosim.results.report.comparison import write_comparison
+    from cosim.api.compare import compare as lay_over
+    from cosim.api.compare import expand_campaigns, page_path
 
-    requested = _expand_campaigns(options.names, options.flights)
-    if not 2 <= len(requested) <= len(LETTERS):
-        raise InputError(f"compare: {len(requested)} flights; allowed: 2 to {len(LETTERS)}")
-    out = options.run_folder("comparison")
-    page = None if options.no_page else out if _OUT.is_file(out) else out / PAGE
+    requested = expand_campaigns(options.names, options.flights)
+    page = None if options.no_page else page_path(options.run_folder("comparison"))
     if page is not None and page.exists():
         raise InputError(f"{page}: is there already; choose another name or remove it")
     with output_to_stderr(options.as_json):
-        loaded = _shift_times(
-            [_load_flight(letter, name) for letter, name in zip(LETTERS, requested, strict=False)], options.shifts
-        )
-    compared = compare_with_first(loaded)
-    chosen = _select_signals(compared, options.patterns)
+        result = lay_over(*requested, shift=_shifts(options.shifts), progress=_Warnings(lambda *part: None))
+    chosen = _select_signals(result.compared, options.patterns)
     if page is not None:
-        with map_os_errors(InputError, page.parent):
-            page.parent.mkdir(parents=True, exist_ok=True)
-        write_comparison(loaded, compared, page)
-    options.answer(lambda: _to_dict(loaded, compared, page), lambda: _print(loaded, compared, chosen, page))
+        result.write(page)
+    options.answer(result.to_dict, lambda: _print(result.flights, result.compared, chosen, page))
     return DONE
 
 
-@display_only
-def write_page(names: Sequence[str], folder: Path) -> Path:
-    """Write the comparison of these flights as a page in a new folder and return its path; none is flown."""
-    from cosim.results.comparison import compare_with_first
-    from cosim.results.report.comparison import write_comparison
+class _Warnings(CommandProgress):
+    """Prints what a call notes as a warning."""
 
-    flights = [_load_flight(letter, name) for letter, name in zip(LETTERS, _expand_campaigns(names, ()), strict=False)]
-    folder.mkdir(parents=True, exist_ok=True)
-    write_comparison(flights, compare_with_first(flights), folder / PAGE)
-    return folder / PAGE
+    def note(self, text: str) -> None:
+        """Print it on standard error."""
+        click.echo(f"hexjet: warning: {text}", err=True)
 
 
-def _expand_campaigns(names: Sequence[str], flights: Sequence[int]) -> list[str]:
-    """Return the flights that are meant, one text each; a campaign's folder stands for the ``flights`` of it."""
-    from cosim.campaign.folder import is_campaign
-
-    requested: list[str] = []
-    for name in names:
-        if not is_campaign(Path(name)):
-            requested.append(name)
-        elif not flights:
-            raise InputError(f"{name}: is a campaign; say which flight: {name}:0, or --flight 0")
-        else:
-            requested += [f"{name.rstrip('/')}:{number}" for number in flights]
-    if flights and not any(is_campaign(Path(name)) for name in names):
-        raise InputError("--flight: none of these is a campaign")
-    return requested
-
-
-def _shift_times(flights: Sequence[ComparedFlight], shifts: Sequence[str]) -> list[ComparedFlight]:
-    """Move the times of these flights.  Raises InputError for what is no letter of theirs or no number."""
-    from cosim.results.comparison import shift_times
-
-    moved = list(flights)
-    for text in shifts:
+def _shifts(texts: Sequence[str]) -> dict[str, float]:
+    """Return the seconds that are added to the times of each flight, by its letter.  Raises InputError."""
+    shifts = {}
+    for text in texts:
         letter, _, seconds = text.partition("=")
-        index = LETTERS.find(letter.strip().upper()) if letter.strip() else -1
         try:
-            by = float(seconds)
+            shifts[letter.strip()] = float(seconds)
         except ValueError:
-            by = nan
-        if not 0 <= index < len(moved) or not isfinite(by):
-            raise InputError(f"--shift {text}: is not one of {', '.join(LETTERS[: len(moved)])} = a number of seconds")
-        moved[index] = shift_times(moved[index], by)
-    return moved
-
-
-def _load_flight(letter: str, name: str) -> ComparedFlight:
-    from cosim.campaign import fly_again, open_campaign
-    from cosim.campaign.folder import is_campaign
-    from cosim.flight import fly
-    from cosim.identify.logs import is_flight_log, read_flight_log
-    from cosim.identify.logs.log_columns import as_columns, read_log
-    from cosim.results.comparison import ComparedFlight
-    from cosim.results.run import finish_killed, open_run
-    from cosim.spec.scenario import Scenario, scenario_names
-
-    path = Path(name)
-    label = f"{letter}: {path.name or path.absolute().name}"
-    folder, _, number = name.rpartition(":")
-    if folder and number.isdigit() and is_campaign(Path(folder)):
-        repeated = fly_again(open_campaign(Path(folder)), int(number))
-        if not repeated.same:
-            click.echo(f"hexjet: warning: {name}: {repeated.verdict}: {'; '.join(repeated.otherwise)}", err=True)
-        return ComparedFlight(label, repeated.run.log, repeated.run, name, (f"flown again: {repeated.verdict}",))
-    if path.is_dir():
-        run = open_run(path)
-        return ComparedFlight(label, run.log, run, name)
-    if path.suffix.lower() in (".csv", ".parquet"):
-        log, remarks = read_log(path)
-        return ComparedFlight(label, log, None, name, remarks)
-    if name not in scenario_names() and path.suffix.lower() != ".toml" and is_flight_log(path):
-        log, remarks = as_columns(read_flight_log(path))
-        return ComparedFlight(label, log, None, name, remarks)
-    if path.suffix.lower() == ".toml" or name in scenario_names():
-        finish_killed(path)
-        run = fly(Scenario.read(name, []))
-        return ComparedFlight(label, run.log, run, name, ("flown for this comparison",))
-    raise InputError(
-        f"{name}: no flight; allowed: the folder of a run, CAMPAIGN:NUMBER, a scenario, a log "
-        "(.csv, .parquet, ULog, DataFlash, Betaflight's blackbox, Crazyflie, .tlog)"
-    )
+            raise InputError(f"--shift {text}: is not one of A, B, ... = a number of seconds") from None
+    return shifts
 
 
 def _select_signals(compared: Sequence[LogComparison], patterns: Sequence[str]) -> list[list[str]]:
     """Return the signals of each pair's table.  Raises InputError for a pattern that matches none."""
+    from cosim.api.compare import EARLIEST, SIGNALS
     from cosim.results.report.comparison import by_time
 
     for pattern in patterns:
@@ -191,38 +113,15 @@ def _select_signals(compared: Sequence[LogComparison], patterns: Sequence[str]) 
     ]
 
 
-def _to_dict(flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], page: Path | None) -> dict[str, Any]:
-    """Return the comparison as data for JSON, everything in SI."""
-    from cosim.results.report.comparison import inputs_between
-
-    runs = []
-    for flight in flights:
-        summary = None if flight.run is None else flight.run.summary
-        identity = (
-            {}
-            if summary is None
-            else {key: getattr(summary, key) for key in ("scenario", "aircraft", "engine", "controller", "seed")}
-            | {key: getattr(summary, key) for key in ("outcome", "reason", "verdict", "step_s", "duration_s")}
-            | {"metrics": summary.flat_metrics}
-        )
-        runs.append({"label": flight.label, "source": flight.source, "remarks": list(flight.remarks)} | identity)
-    differences = [
-        pair._asdict()
-        | {"signals": {s.name: s._asdict() for s in pair.signals}}
-        | {"inputs": {key: [first, second] for key, first, second in inputs_between(flights[0], flight)}}
-        for pair, flight in zip(compared, flights[1:], strict=True)
-    ]
-    return {"runs": runs, "differences": differences, "page": None if page is None else str(page)}
-
-
 def _print(
     flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], chosen: Sequence[list[str]], page: Path | None
 ) -> None:
+    from cosim.api.compare import SIGNAL_TITLES, describe
     from cosim.results.report.comparison import describe_pair, inputs_between, signal_cells
 
     for flight in flights:
         terminal().print(f"[bold]{flight.label[0]}[/bold]", end=" ")
-        say(": ".join([flight.source, *_describe(flight)]), wrap=False)
+        say(f"{flight.source}: {describe(flight)}", wrap=False)
     _print_metrics(flights)
     for pair, flight, names in zip(compared, flights[1:], chosen, strict=True):
         say(" ".join(describe_pair(pair)))
@@ -238,20 +137,9 @@ def _print(
             if name in rows
         ]
         if not pair.same:
-            titles = ("signal", "first at, s", "largest", "at, s", "RMS", "unit")
-            show_table(titles, cells, range(1, 5), plain=True, pad_edge=False)
+            show_table(SIGNAL_TITLES, cells, range(1, 5), plain=True, pad_edge=False)
     if page is not None:
         say(f"page: {page}", wrap=False)
-
-
-def _describe(flight: ComparedFlight) -> list[str]:
-    if flight.run is None:
-        text = "a log"
-    else:
-        summary = flight.run.summary
-        text = f"{summary.scenario}, {summary.aircraft}, {summary.engine_shown}, {summary.controller_shown}, "
-        text += summary.ending
-    return ["; ".join([text, *flight.remarks])]
 
 
 def _print_metrics(flights: Sequence[ComparedFlight]) -> None:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
-from cosim.base.errors import InputError
+from cosim.api.call import Result
 from cosim.cli import opt
+from cosim.cli.console import CommandProgress
 from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, offer_to_compile
 from cosim.cli.outputs import Out
 from cosim.cli.trust import display_only
-
-if TYPE_CHECKING:
-    from cosim.codegen.export import ExportedController
+from cosim.results.export import FILES, LOG_ENDINGS
 
 
 class Export(click.Group):
@@ -49,33 +47,15 @@ def export() -> None:
     """
 
 
-_FILES = {
-    "ulog": "flight.ulg",
-    "mcap": "flight.mcap",
-    "mat": "flight.mat",
-    "csv": "flight.csv",
-    "parquet": "flight.parquet",
-}
-_MODULES = {"ulog": "ulog", "mcap": "mcap_file", "mat": "mat", "csv": "csv_file", "parquet": "parquet"}
-_ENDINGS = {"ulog": (".ulg", ".ulog")} | {name: (f".{name}",) for name in _FILES if name != "ulog"}
-_LOG_OUT = Out(*(ending for endings in _ENDINGS.values() for ending in endings))
+_LOG_OUT = Out(*LOG_ENDINGS)
 _VEHICLE_OUT = Out(".fmu", ".ssp")
-
-
-def _log_path(target: str, out: Path) -> Path:
-    """Return the file of a format in ``out``, or ``out`` where it is one.  Raises InputError for another's ending."""
-    if not _LOG_OUT.is_file(out):
-        return out / _FILES[target]
-    if out.suffix.lower() not in _ENDINGS[target]:
-        raise InputError(f"--out {out}: --to {target} writes {' or '.join(_ENDINGS[target])}")
-    return out
 
 
 class Log(opt.Output):
     """Options of ``hexjet export DIR``."""
 
     folder: Path = opt.argument(type=click.Path(path_type=Path), metavar="")
-    target: str = opt.option("--to", type=click.Choice([*_FILES]), required=True, help="The format.")
+    target: Any = opt.option("--to", type=click.Choice([*FILES]), required=True, help="The format.")
     out = opt.out(
         "The file, or its folder; what is there is overwritten.  [default: flight.ulg, .mcap, .mat or .csv in DIR]",
         "FILE|DIR",
@@ -99,13 +79,9 @@ def log(options: Log) -> int:
     csv      every column with all its digits
     parquet  a copy of the run's own, which says what was flown
     """
-    folder, target = options.folder, options.target
-    path = _log_path(target, options.out or folder)
-    if target != "ulog" and options.rates != "all":
-        raise InputError(f"--rates: is for --to ulog; {target} has every step")
-    rates = {"rates": options.rates} if target == "ulog" else {}
-    getattr(import_module(f"cosim.results.export.{_MODULES[target]}"), f"export_{target}")(folder, path, **rates)
-    click.echo(str(path))
+    from cosim.api.export import export as write
+
+    click.echo(str(write(options.folder, options.target, options.out, rates=options.rates)))
     return DONE
 
 
@@ -162,38 +138,18 @@ def controller(options: ExportController) -> int:
     The scenario is flown once; the C is compiled and compared with that flight where there is a compiler.  Status 1:
     it does not repeat the flight to the last bit.
     """
-    from dataclasses import asdict
-
-    from cosim.autopilots.firmware_parameters import find_torque_scale
-    from cosim.codegen.export import export_controller
-    from cosim.spec.controller_name import is_design
+    from cosim.api.export import export_controller
 
     offer_to_compile(*options.engines)
-    loaded, name, licence = options.load(), options.name, options.licence
-    name_or_file = options.controller
-    source = Path(name_or_file).name if name_or_file is not None and is_design(name_or_file) else ""
-    vehicle, _ = loaded.resolved_vehicle()
-    torques = {autopilot: find_torque_scale(autopilot, vehicle) for autopilot in options.inside}
-    out = options.out or Path(name)
-    exported = export_controller(loaded, out, name, licence, not options.no_fmu, source, torques, options.loops)
-    _warn_of_licences(licence, options.inside)
-    options.answer(
-        lambda: asdict(exported) | {"folder": str(exported.folder)}, lambda: _print(exported, options.loops), nan=True
+    result = export_controller(
+        options.load(),
+        options.out,
+        fmus=not options.no_fmu,
+        progress=CommandProgress(lambda *part: None),
+        **options.chosen("name", "licence", "loops", "inside"),
     )
-    return FLIGHT_FAILED if exported.measured is not None and not exported.measured.same else DONE
-
-
-def _warn_of_licences(licence: str | None, inside: tuple[str, ...]) -> None:
-    """Tell on standard error which files of an adapter have another licence than the one that was asked for."""
-    from cosim.codegen.adapters import PROGRAM_LICENCES
-
-    for autopilot in inside:
-        program = PROGRAM_LICENCES.get(autopilot)
-        if program is not None and licence not in (None, program):
-            click.echo(
-                f"hexjet: note: --licence {licence}: not for what touches or includes {autopilot}'s code: {program}",
-                err=True,
-            )
+    options.answer(result.to_dict, lambda: _print(result), nan=True)
+    return FLIGHT_FAILED if result.same is False else DONE
 
 
 class ExportVehicle(ExportOptions):
@@ -220,35 +176,16 @@ def vehicle(options: ExportVehicle) -> int:
     The FMU flies the scenario in a Python with hexjet-cosim, which it starts itself: this one, or that which
     HEXJET_PYTHON names.
     """
-    from cosim.codegen.vehicle import export_vehicle
-    from cosim.codegen.vehicle_ports import VehicleContents
+    from cosim.api.export import export_vehicle
 
     offer_to_compile(*options.engines)
-    loaded, name, kind = options.load(), options.name, options.kind
-    parts = VehicleContents("engines" not in options.outside, "controller" not in options.outside)
-    out = options.out or Path(name)
-    single = _VEHICLE_OUT.is_file(out)
-    if single and out.suffix.lower() != f".{kind}":
-        raise InputError(f"--out {out}: --as {kind} writes .{kind}")
-    folder, file = (out.parent, out.name) if single else (out, "")
-    exported = export_vehicle(loaded, folder, name, parts, system=kind == "ssp", file=file)
-
-    def show() -> None:
-        click.echo(f"{exported.folder}: {', '.join(exported.files)}")
-        ports = f"{exported.inputs} inputs, {exported.outputs} outputs"
-        click.echo(f"{ports}, communication step {exported.step_s:g} s or a multiple")
-        click.echo(f"flown by {exported.python}, unless HEXJET_PYTHON names another")
-
-    options.answer(lambda: exported.json_data, show, nan=True)
+    nothing = CommandProgress(lambda *part: None)
+    chosen = options.chosen("outside", "kind", "name")
+    result = export_vehicle(options.load(), options.out, progress=nothing, **chosen)
+    options.answer(result.to_dict, lambda: _print(result), nan=True)
     return DONE
 
 
-def _print(exported: ExportedController, loops: bool) -> None:
-    from cosim.codegen.export import list_figures
-
-    click.echo(f"{exported.folder}: {', '.join(exported.files)}")
-    click.echo(f"test vectors: {exported.steps} steps")
-    for quantity, value in list_figures(exported.measured, loops):
-        click.echo(f"{quantity}: {value}")
-    if exported.without_fmus is not None:
-        click.echo(f"no FMUs: {exported.without_fmus}")
+def _print(result: Result) -> None:
+    for line in result.lines():
+        click.echo(line)

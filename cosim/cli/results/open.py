@@ -57,7 +57,7 @@ def _write_redirect(url: str) -> Path:
 
 def _compare(folders: Sequence[Path], runs: Path) -> Path:
     """Compare these flights in a new folder of ``runs``.  Raises InputError where some are no flights."""
-    from cosim.cli.results.compare import write_page
+    from cosim.api.compare import write_page
     from cosim.flight import new_folder
 
     if not 2 <= len(folders) <= 8:

@@ -195,7 +195,7 @@ def test_what_was_killed_is_finished_without_its_metric(
 
 
 def test_a_page_of_the_folder_of_runs_compares_without_running(flown: Path, mark: Path) -> None:
-    from cosim.cli.results.compare import write_page
+    from cosim.api.compare import write_page
 
     shutil.copytree(flown / "run", flown / "other")
     write_page([str(flown / "run"), str(flown / "other")], flown / "comparison")

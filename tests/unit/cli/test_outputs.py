@@ -9,9 +9,9 @@ import click
 import pytest
 
 from cosim import InputError, fly
+from cosim.api.export import log_path
 from cosim.cli.main import cli
 from cosim.cli.outputs import Out
-from cosim.cli.results.export import _log_path
 
 
 def commands(command: click.Command, names: tuple[str, ...], context: click.Context) -> Iterator[tuple[str, Out]]:
@@ -55,7 +55,7 @@ def test_a_comparison_is_the_file_that_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.unit
 def test_an_exported_log_goes_into_a_folder_or_is_the_file(tmp_path: Path) -> None:
-    assert _log_path("csv", tmp_path) == tmp_path / "flight.csv"
-    assert _log_path("ulog", tmp_path / "a.ulg") == tmp_path / "a.ulg"
+    assert log_path("csv", tmp_path) == tmp_path / "flight.csv"
+    assert log_path("ulog", tmp_path / "a.ulg") == tmp_path / "a.ulg"
     with pytest.raises(InputError, match=r"--out .*a\.csv: --to mcap writes \.mcap"):
-        _log_path("mcap", tmp_path / "a.csv")
+        log_path("mcap", tmp_path / "a.csv")

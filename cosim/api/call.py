@@ -1,0 +1,218 @@
+"""What every call has: arguments that are checked, a hearer of its progress, and a result that shows itself."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any, NamedTuple, ParamSpec, TypeVar
+
+from cosim.base.errors import InputError, Notice, nearest
+
+P = ParamSpec("P")
+R = TypeVar("R")
+_SHOWN = 40  # characters of a wrong value
+
+
+def checked(call: Callable[P, R]) -> Callable[P, R]:
+    """Return a call that raises InputError, one line, where an argument's type is not the one annotated."""
+    validated: list[Callable[P, R]] = []  # made at the first call: importing it costs nothing
+
+    @functools.wraps(call)
+    def with_check(*arguments: P.args, **named: P.kwargs) -> R:
+        from pydantic import ConfigDict, ValidationError, validate_call
+
+        parameters = inspect.signature(call).parameters
+        for name in named:
+            if name not in parameters:
+                raise InputError(f"{call.__name__}: no argument {name!r}; {nearest(name, parameters)}")
+        try:
+            inspect.signature(call).bind(*arguments, **named)
+        except TypeError as error:
+            raise InputError(f"{call.__name__}: {error}") from None
+        if not validated:
+            config = ConfigDict(arbitrary_types_allowed=True)
+            validated.append(validate_call(config=config)(_checker(call)))
+        try:
+            values = validated[0](*arguments, **named)
+        except ValidationError as error:
+            raise InputError(_line(call, error)) from None
+        return call(**values)  # type: ignore[call-arg, arg-type]
+
+    return with_check
+
+
+def _checker(call: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function with the annotations of ``call`` that gives back its arguments by name."""
+
+    @functools.wraps(call)
+    def give_back(*arguments: Any, **named: Any) -> dict[str, Any]:
+        return dict(inspect.signature(call).bind(*arguments, **named).arguments)
+
+    return give_back
+
+
+def _line(call: Callable[..., Any], error: Any) -> str:
+    """Return the line for the first argument that is wrong."""
+    first = error.errors(include_url=False)[0]
+    parameters = list(inspect.signature(call).parameters.values())
+    place = first["loc"][0]
+    parameter = parameters[place] if isinstance(place, int) else inspect.signature(call).parameters[place]
+    wrong = [each for each in error.errors(include_url=False) if each["loc"][0] == place]
+    value = first["input"]
+    shown = repr(value)
+    shown = shown if len(shown) <= _SHOWN else f"{shown[: _SHOWN - 3]}..."
+    listed = [each["ctx"]["expected"] for each in wrong if each["type"] == "literal_error"]
+    if listed and isinstance(value, str):
+        return f"{call.__name__}: {parameter.name}: {shown}: {nearest(value, _words(listed[0]))}"
+    why = f"; allowed: {listed[0] if listed else parameter.annotation}"
+    return f"{call.__name__}: {parameter.name}: {shown} is a value of type {type(value).__name__}{why}"
+
+
+def _words(listed: str) -> list[str]:
+    """Return the words of a list in quotes: ``'a', 'b' or 'c'``."""
+    return listed.split("'")[1::2]
+
+
+class Progress:
+    """Hears what a call is doing; a subclass says what becomes of it, this one makes warnings of the notes."""
+
+    def begin(self, folder: Path) -> None:
+        """Hear of the folder that everything goes into, before the first flight.
+
+        Parameters
+        ----------
+        folder : Path
+            The folder.
+        """
+
+    def note(self, text: str) -> None:
+        """Hear of something that is taken otherwise than one may think.
+
+        Parameters
+        ----------
+        text : str
+            One line; it becomes a warning, ``cosim.base.errors.Notice``.
+        """
+        warnings.warn(text, Notice, stacklevel=3)
+
+    def update(self, part: str, done: int, of: int) -> None:
+        """Hear how far the call is.
+
+        Parameters
+        ----------
+        part : str
+            What is being done, or what became of the flights so far.
+        done : int
+            Parts that are done.
+        of : int
+            All parts; 0 where that is not known.
+        """
+
+
+class Table(NamedTuple):
+    """A table of a result, as texts."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+class Result:
+    """What a call came to.
+
+    A notebook shows it with its tables; ``print`` gives its lines.
+
+    Attributes
+    ----------
+    files : dict of str to Path
+        What was written, by kind; ``report`` is the page.  Empty where nothing was.
+    """
+
+    files: dict[str, Path]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the command prints with ``--json``.
+
+        Returns
+        -------
+        dict
+            Numbers, texts, lists and tables, in SI units.
+        """
+        raise NotImplementedError
+
+    @property
+    def folder(self) -> Path | None:
+        """The folder that the files are in; None where none were written."""
+        return next((path.parent for path in self.files.values()), None)
+
+    @property
+    def report(self) -> Path | None:
+        """The page; None where none was written."""
+        return self.files.get("report")
+
+    def lines(self) -> list[str]:
+        """Return what it came to in sentences, the most important first.
+
+        Returns
+        -------
+        list of str
+            A line each.
+        """
+        raise NotImplementedError
+
+    def tables(self) -> list[Table]:
+        """Return what it came to in tables.
+
+        Returns
+        -------
+        list of Table
+            Each with title, columns and rows, all of them texts.
+        """
+        return []
+
+    def figures(self) -> Mapping[str, Any]:
+        """Return the figures of the page, which the extra ``notebook`` draws.
+
+        Returns
+        -------
+        dict
+            A ``plotly.graph_objects.Figure`` each, by name.
+
+        Raises
+        ------
+        InputError
+            Where Plotly is not installed.
+        """
+        from cosim.results.report.page import as_plotly
+
+        return {name: as_plotly(figure) for name, figure in self._figures().items()}
+
+    def _figures(self) -> Mapping[str, Any]:
+        """Return the figures in Plotly's schema."""
+        return {}
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def __repr__(self) -> str:
+        where = "" if self.folder is None else f", {self.folder}"
+        first = next(iter(self.lines()), "")
+        return f"<{type(self).__name__}: {first}{where}>"
+
+    def _repr_html_(self) -> str:
+        """Return lines and tables for notebooks, and where the page is."""
+        first, *others = self.lines() or [""]
+        parts = [f"<p><b>{escape(first)}</b></p>"]
+        parts += [f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in others)}</ul>"] if others else []
+        for table in self.tables():
+            parts += [f"<p>{escape(table.title)}</p>"] if table.title else []
+            head = "".join(f"<th>{escape(title)}</th>" for title in table.columns)
+            rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in table.rows)
+            parts.append(f"<table><tr>{head}</tr>{rows}</table>")
+        if self.report is not None:
+            parts.append(f'<p>report: <a href="{escape(self.report.as_posix())}">{escape(str(self.report))}</a></p>')
+        return "".join(parts)

@@ -1,0 +1,262 @@
+"""Flights laid over each other, whoever flew them: what ``hexjet compare`` calls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.api.call import Progress, Result, Table, checked
+from cosim.base.errors import InputError
+from cosim.base.trust import without_code
+from cosim.results.run import Run
+
+if TYPE_CHECKING:
+    from cosim.results.comparison import ComparedFlight, LogComparison
+
+PAGE = "comparison.html"
+LETTERS = "ABCDEFGH"  # one per distinguishable colour
+SIGNALS = ("roll_rad", "pitch_rad", "yaw_rad", "altitude_m", "north_m", "east_m", "collective")
+EARLIEST = 5  # number of further signals shown: the first that differ
+
+
+class CompareResult(Result):
+    """Two to eight flights over each other: metrics side by side, every signal against that of the first.
+
+    Attributes
+    ----------
+    flights : tuple of ComparedFlight
+        Each has ``label``, ``log`` and, where it is one of ours, ``run``.
+    compared : tuple of LogComparison
+        Each flight but the first against the first: its ``signals`` have the largest difference, and when.
+    """
+
+    def __init__(self, flights: Sequence[ComparedFlight], compared: Sequence[LogComparison]) -> None:
+        self.flights = tuple(flights)
+        self.compared = tuple(compared)
+        self.files = {}
+
+    def write(self, page: Path | str) -> CompareResult:
+        """Write the page.
+
+        Parameters
+        ----------
+        page : Path or str
+            A name that ends in ``.html``, or the folder of ``comparison.html``.
+
+        Returns
+        -------
+        CompareResult
+            This one, which has the file now.
+
+        Raises
+        ------
+        InputError
+            If it is there already, or its folder cannot be made.
+        FlightError
+            If it cannot be written.
+        """
+        from cosim.base.storage.files import map_os_errors
+        from cosim.results.report.comparison import write_comparison
+
+        path = page_path(Path(page))
+        if path.exists():
+            raise InputError(f"{path}: is there already; choose another name or remove it")
+        with map_os_errors(InputError, path.parent):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        write_comparison(self.flights, self.compared, path)
+        self.files = {"report": path}
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet compare --json`` prints."""
+        return _to_dict(self.flights, self.compared, self.report)
+
+    def lines(self) -> list[str]:
+        """Return what each flight is, and how far the others are from the first."""
+        from cosim.results.report.comparison import describe_pair
+
+        flights = [f"{flight.label}: {describe(flight)}" for flight in self.flights]
+        return [*flights, *(" ".join(describe_pair(pair)) for pair in self.compared)]
+
+    def tables(self) -> list[Table]:
+        """Return the metrics side by side, and of each pair the signals that differ first."""
+        from cosim.results.report.comparison import by_time, comparison_rows, signal_cells
+
+        rows = [
+            (f"{row['axis']} {row['title']}", *(cell["text"] for cell in row["cells"]), row["unit"])
+            for row in comparison_rows([None if each.run is None else each.run.summary for each in self.flights])
+        ]
+        tables = [Table("", ("metric", *(flight.label for flight in self.flights), "unit"), rows)] if rows else []
+        for pair, flight in zip(self.compared, self.flights[1:], strict=True):
+            cells = [signal_cells(signal) for signal in by_time(pair.signals)[:EARLIEST]]
+            tables += [Table(flight.label, SIGNAL_TITLES, cells)] if cells else []
+        return tables
+
+
+SIGNAL_TITLES = ("signal", "first at, s", "largest", "at, s", "RMS", "unit")
+
+
+@checked
+def compare(
+    *flights: str | Path | Run,
+    shift: Mapping[str, float] | None = None,
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+) -> CompareResult:
+    """Lay two to eight flights over each other: metrics side by side, every signal against that of the first.
+
+    Parameters
+    ----------
+    *flights : str or Path or Run
+        A run or its folder; ``DIR:N``, a flight of a campaign, which is flown again; a scenario, flown here and now; a
+        table, CSV or Parquet; or a log of another flight controller.
+    shift : mapping or None
+        Seconds that are added to the times of a flight, by its letter: ``{"B": -12.4}``.
+    out : str or Path or None
+        The page or its folder; without it nothing is written.
+    progress : Progress or None
+        Hears notes.
+
+    Returns
+    -------
+    CompareResult
+        Metrics and differences.
+
+    Raises
+    ------
+    InputError
+        For what is no flight, and where the page is there already.
+    """
+    from cosim.results.comparison import compare_with_first
+
+    hears = progress or Progress()
+    if not 2 <= len(flights) <= len(LETTERS):
+        raise InputError(f"compare: {len(flights)} flights; allowed: 2 to {len(LETTERS)}")
+    if out is not None and page_path(Path(out)).exists():
+        raise InputError(f"{page_path(Path(out))}: is there already; choose another name or remove it")
+    loaded = [_load_flight(letter, each, hears.note) for letter, each in zip(LETTERS, flights, strict=False)]
+    loaded = _shift_times(loaded, shift or {})
+    result = CompareResult(loaded, compare_with_first(loaded))
+    return result if out is None else result.write(out)
+
+
+def page_path(out: Path) -> Path:
+    """Return the page's path where ``out`` is it or its folder."""
+    return out if out.suffix.lower() == ".html" and not out.is_dir() else out / PAGE
+
+
+def write_page(names: Sequence[str], folder: Path) -> Path:
+    """Write the comparison of these flights as a page in a new folder and return its path; none is flown."""
+    with without_code():
+        page = compare(*expand_campaigns(names, ()), out=folder).report
+    assert page is not None
+    return page
+
+
+def expand_campaigns(names: Sequence[str], flights: Sequence[int]) -> list[str]:
+    """Return the flights that are meant, one text each; a campaign's folder stands for the ``flights`` of it."""
+    from cosim.campaign.folder import is_campaign
+
+    requested: list[str] = []
+    for name in names:
+        if not is_campaign(Path(name)):
+            requested.append(name)
+        elif not flights:
+            raise InputError(f"{name}: is a campaign; say which flight: {name}:0, or --flight 0")
+        else:
+            requested += [f"{name.rstrip('/')}:{number}" for number in flights]
+    if flights and not any(is_campaign(Path(name)) for name in names):
+        raise InputError("--flight: none of these is a campaign")
+    return requested
+
+
+def _load_flight(letter: str, flight: str | Path | Run, note: Callable[[str], None]) -> ComparedFlight:
+    from cosim.campaign import fly_again, open_campaign
+    from cosim.campaign.folder import is_campaign
+    from cosim.flight import fly
+    from cosim.identify.logs import is_flight_log, read_flight_log
+    from cosim.identify.logs.log_columns import as_columns, read_log
+    from cosim.results.comparison import ComparedFlight
+    from cosim.results.run import finish_killed, open_run
+    from cosim.spec.scenario import Scenario, scenario_names
+
+    if isinstance(flight, Run):
+        where = str(flight.folder) if flight.folder is not None else flight.summary.scenario
+        return ComparedFlight(f"{letter}: {Path(where).name}", flight.log, flight, where)
+    name = str(flight)
+    path = Path(name)
+    label = f"{letter}: {path.name or path.absolute().name}"
+    folder, _, number = name.rpartition(":")
+    if folder and number.isdigit() and is_campaign(Path(folder)):
+        repeated = fly_again(open_campaign(Path(folder)), int(number))
+        if not repeated.same:
+            note(f"{name}: {repeated.verdict}: {'; '.join(repeated.otherwise)}")
+        return ComparedFlight(label, repeated.run.log, repeated.run, name, (f"flown again: {repeated.verdict}",))
+    if path.is_dir():
+        run = open_run(path)
+        return ComparedFlight(label, run.log, run, name)
+    if path.suffix.lower() in (".csv", ".parquet"):
+        log, remarks = read_log(path)
+        return ComparedFlight(label, log, None, name, remarks)
+    if name not in scenario_names() and path.suffix.lower() != ".toml" and is_flight_log(path):
+        log, remarks = as_columns(read_flight_log(path))
+        return ComparedFlight(label, log, None, name, remarks)
+    if path.suffix.lower() == ".toml" or name in scenario_names():
+        finish_killed(path)
+        run = fly(Scenario.read(name, []))
+        return ComparedFlight(label, run.log, run, name, ("flown for this comparison",))
+    raise InputError(
+        f"{name}: no flight; allowed: the folder of a run, CAMPAIGN:NUMBER, a scenario, a log "
+        "(.csv, .parquet, ULog, DataFlash, Betaflight's blackbox, Crazyflie, .tlog)"
+    )
+
+
+def _shift_times(flights: Sequence[ComparedFlight], shifts: Mapping[str, float]) -> list[ComparedFlight]:
+    """Move the times of these flights.  Raises InputError for what is no letter of theirs or no number."""
+    from cosim.results.comparison import shift_times
+
+    moved = list(flights)
+    for letter, by in shifts.items():
+        index = LETTERS.find(letter.strip().upper()) if letter.strip() else -1
+        if not 0 <= index < len(moved) or not isfinite(by):
+            allowed = ", ".join(LETTERS[: len(moved)])
+            raise InputError(f"--shift {letter}={by:g}: is not one of {allowed} = a number of seconds")
+        moved[index] = shift_times(moved[index], by)
+    return moved
+
+
+def _to_dict(flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], page: Path | None) -> dict[str, Any]:
+    """Return the comparison as data for JSON, everything in SI."""
+    from cosim.results.report.comparison import inputs_between
+
+    runs = []
+    for flight in flights:
+        summary = None if flight.run is None else flight.run.summary
+        identity = (
+            {}
+            if summary is None
+            else {key: getattr(summary, key) for key in ("scenario", "aircraft", "engine", "controller", "seed")}
+            | {key: getattr(summary, key) for key in ("outcome", "reason", "verdict", "step_s", "duration_s")}
+            | {"metrics": summary.flat_metrics}
+        )
+        runs.append({"label": flight.label, "source": flight.source, "remarks": list(flight.remarks)} | identity)
+    differences = [
+        pair._asdict()
+        | {"signals": {s.name: s._asdict() for s in pair.signals}}
+        | {"inputs": {key: [first, second] for key, first, second in inputs_between(flights[0], flight)}}
+        for pair, flight in zip(compared, flights[1:], strict=True)
+    ]
+    return {"runs": runs, "differences": differences, "page": None if page is None else str(page)}
+
+
+def describe(flight: ComparedFlight) -> str:
+    """Return what a flight is: what flew, how it ended, and what is to be said of its log."""
+    if flight.run is None:
+        text = "a log"
+    else:
+        summary = flight.run.summary
+        text = f"{summary.scenario}, {summary.aircraft}, {summary.engine_shown}, {summary.controller_shown}, "
+        text += summary.ending
+    return "; ".join([text, *flight.remarks])
