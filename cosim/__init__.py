@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from cosim.api.identify import identify
     from cosim.api.margins import margins
     from cosim.api.prove import prove
+    from cosim.api.replay import replay
     from cosim.api.searches import rare, search
+    from cosim.api.show import show
     from cosim.api.studies import sweep
     from cosim.base.signals import Command
     from cosim.base.trust import trust
@@ -60,7 +62,9 @@ __all__ = [
     "plot",
     "prove",
     "rare",
+    "replay",
     "search",
+    "show",
     "sweep",
     "trust",
     "versions",
@@ -81,6 +85,8 @@ _WHERE = {
     "Run": "cosim.results.run",
     "open_run": "cosim.results.run",
     "prove": "cosim.api.prove",
+    "replay": "cosim.api.replay",
+    "show": "cosim.api.show",
     "rare": "cosim.api.searches",
     "search": "cosim.api.searches",
     "sweep": "cosim.api.studies",

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from cosim.api.identify import IdentifyResult
     from cosim.api.margins import MarginsResult
     from cosim.api.prove import ProofResult
+    from cosim.api.replay import ReplayResult
     from cosim.api.searches import RareResult, SearchResult
+    from cosim.api.show import ShowResult
     from cosim.api.studies import SweepResult
 
 _WHERE = {
@@ -32,8 +34,10 @@ _WHERE = {
     "Progress": "call",
     "ProofResult": "prove",
     "RareResult": "searches",
+    "ReplayResult": "replay",
     "Result": "call",
     "SearchResult": "searches",
+    "ShowResult": "show",
     "SweepResult": "studies",
     "Table": "call",
     "VehicleExport": "export",
@@ -48,8 +52,10 @@ __all__ = [
     "Progress",
     "ProofResult",
     "RareResult",
+    "ReplayResult",
     "Result",
     "SearchResult",
+    "ShowResult",
     "SweepResult",
     "Table",
     "VehicleExport",

@@ -9,11 +9,11 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, part_progress, say, show_table
+from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table
 from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, is_given, offer_to_compile
 
 if TYPE_CHECKING:
-    from cosim.identify.replay import Replay, ThrottleChannels
+    from cosim.identify.replay import Replay
 
 
 class Replayed(opt.LogPart, Flight, opt.Output):
@@ -40,7 +40,7 @@ class Replayed(opt.LogPart, Flight, opt.Output):
         metavar="LOW HIGH",
         help="What throttle 0 and 1 are in the log.",
     )
-    window = opt.number("--window", "S", "It starts anew after so long.  [default: by its size]", min=0.1, max=10.0)
+    window_s = opt.number("--window", "S", "It starts anew after so long.  [default: by its size]", min=0.1, max=10.0)
     draws = opt.whole("--draws", None, "Of the vehicle within its tolerances.", min=1, max=1000, default=20)
     inertia = opt.number("--inertia-tolerance", "%", "Standard deviation.", min=0.0, max=50.0, default=5.0)
     mass = opt.number("--mass-tolerance", "%", "The same.", min=0.0, max=50.0, default=2.0)
@@ -66,51 +66,45 @@ def replay(options: Replayed) -> int:
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
-    from cosim.identify.logs import read_flight_log
-    from cosim.identify.replay import Choices, has_commands, record_flight
-    from cosim.identify.replay import replay as fly_again
-    from cosim.identify.replay.page import write
-    from cosim.results.run import SCENARIO
+    from cosim.api.replay import replay as fly_again
 
     options.check_out("replay.json", "replay.csv", "report.html")
     offer_to_compile(*options.engines)
-    with output_to_stderr(options.as_json), part_progress("replay", quiet=options.as_json) as tell:
-        log = read_flight_log(options.log, options.time_column, options.time_unit)
-        if options.log.is_dir() and not is_given("scenario"):
-            options.scenario = str(options.log / SCENARIO)
-        channels = _channels(options)
-        if has_commands(log, channels):  # then no controller flies, and none is loaded
-            options.controller = "baseline"
-        scenario = options.load()
-        vehicle, _ = scenario.resolved_vehicle()
-        part = (options.begin, options.end)
-        flight = record_flight(log, vehicle, scenario.step_s, channels, part)
-        tolerances = (0.01 * options.inertia, 0.01 * options.mass, 0.01 * options.thrust)
-        choices = Choices(options.window, options.draws, *tolerances, options.drawn)
-        result = fly_again(options.log.name, scenario, flight, choices, tell)
-        paths = write(result, options.run_folder("replay"))
-    options.answer(result.to_dict, lambda: print_replay(result, paths))
-    return DONE if result.verdict == "explained" else FLIGHT_FAILED
+    is_own = options.log.is_dir() and not is_given("scenario")
+    chosen = options.chosen("time_column", "time_unit", "begin", "end", "window_s", "draws", "aircraft", "settings")
+    with output_to_stderr(options.as_json), part_progress("replay", quiet=options.as_json) as show:
+        result = fly_again(
+            options.log,
+            None if is_own else options.scenario,
+            throttle=_channels(options),
+            engine=options.engines,
+            throttle_range=options.limits,
+            inertia_tolerance=0.01 * options.inertia,
+            mass_tolerance=0.01 * options.mass,
+            thrust_tolerance=0.01 * options.thrust,
+            seed=options.drawn,
+            progress=CommandProgress(show),
+            **chosen,
+        )
+    result.write(options.run_folder("replay"))
+    options.answer(result.to_dict, lambda: print_replay(result.replayed, result.files))
+    return DONE if result.explained else FLIGHT_FAILED
 
 
-def _channels(options: Replayed) -> ThrottleChannels:
-    """Return what the options say of the engines' commands.  Raises InputError."""
-    from cosim.identify.replay import ThrottleChannels
-
+def _channels(options: Replayed) -> dict[int, str]:
+    """Return the channel of each engine that the options name.  Raises InputError."""
     channels = {}
     for text in options.throttles:
         number, equals, name = text.partition("=")
         if not equals or not number.strip().isdecimal() or not name.strip():
             raise InputError(f"--throttle {text}: must be N=CHANNEL, N the engine from 1")
         channels[int(number)] = name.strip()
-    if options.limits is not None and not options.limits[0] < options.limits[1]:
-        low, high = options.limits
-        raise InputError(f"--throttle-range {low:g} {high:g}: the second must be the larger")
-    return ThrottleChannels(channels, options.limits)
+    return channels
 
 
 def print_replay(result: Replay, paths: dict[str, Path]) -> None:
     """Print the verdict, what it rests on, the channels, what may be wrong, and where the page is."""
+    from cosim.api.replay import CHANNEL_COLUMNS
     from cosim.identify.replay.page import channel_rows
 
     say(f"{result.verdict}: {result.aircraft} with {result.engine} beside {result.log}")
@@ -118,8 +112,7 @@ def print_replay(result: Replay, paths: dict[str, Path]) -> None:
         say(result.fault)
     for line in result.evidence:
         say(f"  {line}")
-    titles = ("channel", "within", "error rms", "movement", "Theil's U", "bias / var / cov %", "told")
-    show_table(titles, channel_rows(result), range(1, 6))
+    show_table(CHANNEL_COLUMNS, channel_rows(result), range(1, 6))
     for note in result.notes:
         say(f"note: {note}")
     say(f"report: {paths['report']}", wrap=False)

@@ -7,14 +7,12 @@ from typing import Any
 
 import click
 
+from cosim.api.show import KINDS, catalogue
 from cosim.base.errors import InputError
-from cosim.base.storage.paths import data_folder, files_in, names_in
 from cosim.cli import opt
 from cosim.cli.console import say
 from cosim.cli.options import DONE, example
 from cosim.cli.trust import display_only
-
-KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
 
 
 class List(opt.Output):
@@ -81,24 +79,3 @@ def print_catalogue(catalogues: dict[str, list[dict[str, Any]]]) -> None:
         width = max((len(entry["name"]) for entry in entries), default=0)
         for entry in entries:
             say(f"  {entry['name']:{width}}  {entry['title']}", wrap=False)
-
-
-def catalogue(kind: str) -> list[dict[str, Any]]:
-    """Return the entries of one kind, each with ``name`` and ``title``."""
-    if kind in ("scenarios", "studies"):
-        return [_entry(name, data_folder(kind) / f"{name}.toml") for name in files_in(kind)]
-    if kind == "controllers":
-        from cosim.control.predictors.registry import PREDICTORS
-        from cosim.simulation.controllers.source import list_installed as custom_controllers
-
-        built_in = [{"name": spec.name, "title": spec.title} for spec in PREDICTORS.values()]
-        return built_in + [{"name": name, "title": title} for name, title in custom_controllers()]
-    marker = {"aircraft": "vehicle.toml", "engines": "engine.toml"}[kind]
-    return [_entry(name, data_folder(kind) / name / marker) for name in names_in(kind, marker)]
-
-
-def _entry(name: str, path: Path) -> dict[str, Any]:
-    from cosim.base.storage.toml import read_toml
-
-    table = read_toml(path)
-    return {"name": name, "title": str(table.get("title", ""))}

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.api.show import catalogue
 from cosim.base.errors import InputError
 from cosim.campaign.study.distributions import (
     LogNormal,
@@ -21,7 +22,6 @@ from cosim.campaign.study.options import open_study, parse_correlate, parse_succ
 from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study, study_names
 from cosim.campaign.workers.flight_row import fly_one
-from cosim.cli.results.runs import catalogue
 from cosim.spec.scenario import Range, Scenario, scenario_names
 
 MASS, GAIN = "vehicle.mass_kg", "engine_parameters.gain"

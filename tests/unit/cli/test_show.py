@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
+from cosim.api.show import _file_rows, _table, catalogue
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
-from cosim.cli.results.runs import catalogue
-from cosim.cli.results.show import _file_rows, _table, show
+from cosim.cli.results.show import show
 from cosim.spec.vehicle import load_vehicle
 
 

@@ -1,0 +1,184 @@
+"""A recorded flight flown again, and the model judged by it: what ``hexjet replay`` calls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.api.call import Progress, Result, Table, checked
+from cosim.api.choices import choose
+from cosim.base.errors import InputError
+from cosim.spec.scenario import Scenario
+
+if TYPE_CHECKING:
+    from cosim.identify.replay import Replay
+
+CHANNEL_COLUMNS = ("channel", "within", "error rms", "movement", "Theil's U", "bias / var / cov %", "told")
+
+
+class ReplayResult(Result):
+    """What a recorded flight says of the model.
+
+    Attributes
+    ----------
+    replayed : Replay
+        Everything.
+    """
+
+    def __init__(self, replayed: Replay) -> None:
+        self.replayed = replayed
+        self.files = {}
+
+    @property
+    def explained(self) -> bool:
+        """Whether the model explains the flight."""
+        return self.replayed.verdict == "explained"
+
+    def write(self, folder: Path | str) -> ReplayResult:
+        """Write ``replay.json``, ``replay.csv`` and ``report.html``.
+
+        Parameters
+        ----------
+        folder : Path or str
+            Made if need be.
+
+        Returns
+        -------
+        ReplayResult
+            This one, which has the files now.
+
+        Raises
+        ------
+        FlightError
+            If a file cannot be written.
+        """
+        from cosim.identify.replay.page import write
+
+        self.files = write(self.replayed, Path(folder))
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet replay --json`` prints."""
+        return self.replayed.to_dict()
+
+    def lines(self) -> list[str]:
+        """Return the verdict, what is wrong with the model where the log tells, and the evidence."""
+        found = self.replayed
+        first = f"{found.verdict}: {found.aircraft} with {found.engine} beside {found.log}"
+        return [first, *([found.fault] if found.fault else []), *found.evidence, *found.notes]
+
+    def tables(self) -> list[Table]:
+        """Return the channels: how long each is within the envelope, and how far it is off."""
+        from cosim.identify.replay.page import channel_rows
+
+        return [Table("", CHANNEL_COLUMNS, channel_rows(self.replayed))]
+
+    def _figures(self) -> Mapping[str, Any]:
+        from cosim.identify.replay.page import figures
+
+        return figures(self.replayed)
+
+
+@checked
+def replay(
+    log: str | Path,
+    scenario: Scenario | str | Path | None = None,
+    *,
+    aircraft: str | Path | None = None,
+    engine: str | Path | Sequence[str] | None = None,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    throttle: Mapping[int, str] | None = None,
+    throttle_range: tuple[float, float] | None = None,
+    time_column: str | None = None,
+    time_unit: str | None = None,
+    begin: float | None = None,
+    end: float | None = None,
+    window_s: float | None = None,
+    draws: int = 20,
+    inertia_tolerance: float = 0.05,
+    mass_tolerance: float = 0.02,
+    thrust_tolerance: float = 0.03,
+    seed: int = 1,
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+) -> ReplayResult:
+    """Fly a recorded flight again, in six degrees of freedom, and judge the model by it.
+
+    The recorded commands drive the vehicle in short windows, each started from the recorded state; the vehicle is drawn
+    within its tolerances.
+
+    Parameters
+    ----------
+    log : str or Path
+        ULog, DataFlash, blackbox, Crazyflie, a table, or the folder of a run.
+    scenario : Scenario or str or Path or None
+        With aircraft, air and mass where they are not given; None: of a run's folder its own, else hover.
+    aircraft : str or Path or None
+        What flies again, with the engine that it is made for.
+    engine : str or Path or sequence of str or None
+        In place of that; ``N=NAME`` is the one at station N alone.
+    settings : sequence of str or mapping
+        Written over the scenario's.
+    throttle : mapping or None
+        The channel of the log, or a sum of some, that is the command of an engine, by its number from 1.
+    throttle_range : tuple of float or None
+        What throttle 0 and 1 are in the log.
+    time_column : str or None
+        A table's column of time.
+    time_unit : str or None
+        Of that column: s, ms, us, ns, min or h.
+    begin : float or None
+        The log is used from here on, in its own time [s].
+    end : float or None
+        And to here [s].
+    window_s : float or None
+        The vehicle starts anew after so long [s]; None: by its size.
+    draws : int
+        Of the vehicle within its tolerances.
+    inertia_tolerance : float
+        Standard deviation of each moment of inertia, as a share of it.
+    mass_tolerance : float
+        Of the mass, the same.
+    thrust_tolerance : float
+        Of the thrust, the same, of an engine that states no uncertainty.
+    seed : int
+        Of the draws.
+    out : str or Path or None
+        A folder for page and data; without it nothing is written.
+    progress : Progress or None
+        Hears notes and how far it is.
+
+    Returns
+    -------
+    ReplayResult
+        Whether the model explains the flight, and what is wrong with it.
+
+    Raises
+    ------
+    InputError
+        For a log that cannot be read, or one that does not say what was commanded.
+    """
+    from cosim.base.storage.files import check_results_folder
+    from cosim.identify.logs import read_flight_log
+    from cosim.identify.replay import Choices, ThrottleChannels, has_commands, record_flight
+    from cosim.identify.replay import replay as fly_again
+    from cosim.results.run import SCENARIO
+
+    hears, path = progress or Progress(), Path(log)
+    if out is not None:
+        check_results_folder(Path(out), "replay.json", "replay.csv", "report.html")
+    if throttle_range is not None and not throttle_range[0] < throttle_range[1]:
+        low, high = throttle_range
+        raise InputError(f"--throttle-range {low:g} {high:g}: the second must be the larger")
+    read = read_flight_log(path, time_column, time_unit)
+    if scenario is None:
+        scenario = path / SCENARIO if path.is_dir() else "hover"
+    channels = ThrottleChannels(dict(throttle or {}), throttle_range)
+    controller = "baseline" if has_commands(read, channels) else None  # then no controller flies, and none is loaded
+    chosen = choose(scenario, controller, aircraft, engine, settings, note=hears.note)
+    vehicle, _ = chosen.resolved_vehicle()
+    flight = record_flight(read, vehicle, chosen.step_s, channels, (begin, end))
+    choices = Choices(window_s, draws, inertia_tolerance, mass_tolerance, thrust_tolerance, seed)
+    result = ReplayResult(fly_again(path.name, chosen, flight, choices, hears.update))
+    return result if out is None else result.write(out)

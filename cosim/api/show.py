@@ -1,0 +1,451 @@
+"""What can be flown, with its numbers, their units and what they mean: what ``hexjet show`` and ``list`` call."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+from cosim.api.call import Result, Table, checked
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError, similar
+from cosim.base.storage.paths import data_folder, files_in, names_in
+from cosim.base.trust import without_code
+from cosim.spec.controller_name import is_design
+
+if TYPE_CHECKING:
+    from cosim.spec.vehicle import Vehicle
+
+KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
+_MEANINGS = {  # of the first part of a key in the file of a scenario or a study
+    "duration_s": "planned length of the flight",
+    "step_s": "control step",
+    "seed": "of all random numbers",
+    "aircraft": "what flies",
+    "engine": "with which engine",
+    "controller": "which controller",
+    "controllers": "each flies all draws",
+    "command": "what is asked for",
+    "initial": "how the flight begins",
+    "disturbance": "what acts from outside",
+    "environment": "wind, turbulence, air",
+    "fault": "what fails",
+    "mismatch": "what the controller does not know",
+    "vehicle": "written over the aircraft's",
+    "engine_parameters": "written over the engine's",
+    "limits": "the most that the flight may come to",
+    "require": "what it must keep",
+    "expect": "what it must come to",
+    "scenario": "what every draw varies",
+    "design": "how the draws are chosen",
+    "runs": "draws",
+    "until": "the claim at which it stops",
+    "vary": "what is drawn, and from where to where",
+    "settings": "written over the scenario's",
+    "success": "what counts as one",
+}
+_MEANINGS_OF_MARGINS = {  # of the last part of a key in the file of a design
+    "peak_sensitivity": "largest |S|",
+    "gain_margin_db": "of more gain",
+    "gain_margin_down_db": "of less gain",
+    "delay_margin_s": "of more delay",
+    "tolerated": "times the tolerances until instability",
+    "overshoot": "share of a step",
+    "settling_s": "of a step, within 5 %",
+}
+_NO_THRUST = 1e-9  # of full thrust: what is left of it when its lag has run down, and no idling
+_TEXTS = ("name", "title", "description")
+
+
+class Number(NamedTuple):
+    """One number, or one word, of something that can be flown."""
+
+    name: str
+    value: Any
+    unit: str
+    meaning: str
+
+
+class ShowResult(Result):
+    """What something is that can be flown.
+
+    Attributes
+    ----------
+    items : list of dict
+        One for each kind that has the name: ``kind``, ``name``, ``title``, ``description``, and ``numbers``, each with
+        ``name``, ``value``, ``unit`` and ``meaning``.
+    """
+
+    def __init__(self, items: list[dict[str, Any]]) -> None:
+        self.items = items
+        self.files = {}
+
+    def to_list(self) -> list[dict[str, Any]]:
+        """Return what ``hexjet show --json`` prints.
+
+        Returns
+        -------
+        list of dict
+            One for each kind that has the name, SI.
+        """
+        return [item | {"numbers": [number._asdict() for number in item["numbers"]]} for item in self.items]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the first of :meth:`to_list`."""
+        return self.to_list()[0]
+
+    def lines(self) -> list[str]:
+        """Return name, kind and title of each, and what it is."""
+        return [
+            line
+            for item in self.items
+            for line in (f"{item['name']}, {kind_of(item)}: {item['title']}", item["description"])
+            if line
+        ]
+
+    def tables(self) -> list[Table]:
+        """Return the numbers of each, in the units of a screen."""
+        return [Table("", ("number", "value", "unit", "meaning"), number_rows(item)) for item in self.items]
+
+
+@checked
+def show(
+    name: str | Path, kind: Literal["scenarios", "studies", "engines", "aircraft", "controllers"] | None = None
+) -> ShowResult:
+    """Show what something is that can be flown: its numbers, their units and what they mean, from its files.
+
+    The thrust of an engine is measured: its FMU is held at throttles until it stands still.
+
+    Parameters
+    ----------
+    name : str or Path
+        A scenario, study, engine, aircraft or controller; the file of a design; or the mapping file of an engine.
+    kind : str or None
+        Where several kinds have the name; None: all that have it.
+
+    Returns
+    -------
+    ShowResult
+        Its numbers.
+
+    Raises
+    ------
+    InputError
+        If nothing is called so.
+    """
+    with without_code():
+        file = None if kind else _design(str(name)) or _engine_file(str(name))
+        return ShowResult([file] if file else _entries(str(name), [kind] if kind else KINDS))
+
+
+def kind_of(item: Mapping[str, Any]) -> str:
+    """Return the kind of an item in the singular."""
+    irregular = {"studies": "study", "aircraft": "aircraft"}
+    kind = str(item["kind"])
+    return irregular.get(kind, kind.removesuffix("s"))
+
+
+def number_rows(item: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return an item's numbers as texts, in the units of a screen."""
+    from cosim.results.wording import display_unit
+
+    rows = []
+    for number in item["numbers"]:
+        unit, factor = display_unit(number.unit)
+        value = factor * number.value if factor != 1.0 and isinstance(number.value, float) else number.value
+        unit = unit if value is not number.value or factor == 1.0 else number.unit
+        rows.append((number.name, _text(value), unit, number.meaning))
+    return rows
+
+
+def _entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
+    """Return what is called so in ``hexjet list``, an entry for each kind.  Raises InputError if nothing is."""
+    catalogues = {kind: catalogue(kind) for kind in kinds}
+    shown = [
+        {"kind": kind, **entry, "description": _description(kind, name), "numbers": list(_numbers(kind, name))}
+        for kind, entries in catalogues.items()
+        for entry in entries
+        if entry["name"] == name
+    ]
+    if not shown:
+        names = {entry["name"] for entries in catalogues.values() for entry in entries}
+        raise InputError(f"nothing that can be flown is called {name!r}; {similar(name, names)}")
+    return shown
+
+
+def _design(name: str) -> dict[str, Any] | None:
+    """Return what a controller file of ``hexjet design`` is, None for any other name.  Raises InputError."""
+    from cosim.base.storage.toml import read_toml
+    from cosim.simulation.controllers.controller_file import describe_proof, read_purpose
+
+    path = Path(name)
+    table = read_toml(path) if is_design(name) and path.is_file() else {}
+    if not isinstance(table.get("design"), Mapping):  # a study's is a word
+        return None
+    purpose = read_purpose(path)
+    margins = [
+        number._replace(meaning=_MEANINGS_OF_MARGINS.get(number.name.rpartition(".")[2], ""))
+        for axis, record in purpose.axes.items()
+        for number in _leaves(record.model_dump(exclude_none=True, exclude={"candidates"}), f"{axis}.")
+    ]
+    return {
+        "kind": "designs",
+        "name": name,
+        "title": f"{table['controller']} for {purpose.aircraft} with engine {purpose.engine}",
+        "description": describe_proof(purpose),
+        "numbers": [*margins, *_file_rows(table["vehicle"])],
+    }
+
+
+def _engine_file(name: str) -> dict[str, Any] | None:
+    """Return what the mapping file of an engine says, None for any other name.  Its FMU is not run.
+
+    Raises InputError.
+    """
+    from cosim.base.storage.toml import read_toml
+    from cosim.engine.spec import find_source, resolve_parameters
+
+    path = Path(name)
+    if path.suffix.lower() != ".toml" or not path.is_file() or "fmu" not in read_toml(path):
+        return None
+    source = find_source(name)
+    values, _ = resolve_parameters(source, {})
+    known = {variable.name: variable for variable in source.archive.parameters}
+    numbers = [Number(each, value, known[each].unit or "", known[each].description) for each, value in values.items()]
+    table = source.mapping.uncertainty
+    uncertain = table.parameters if table is not None else []
+    for index, each in enumerate(uncertain):
+        assert table is not None
+        meaning = table.describe(index)
+        numbers.append(Number(f"uncertainty.{each}", table.deviation[index], known[each].unit or "", meaning))
+    return {
+        "kind": "engines",
+        "name": name,
+        "title": source.mapping.title or source.archive.model,
+        "description": f"uncertainty: {table.source or 'of no stated source'}" if table is not None else "",
+        "numbers": numbers,
+    }
+
+
+def _table(kind: str, name: str) -> dict[str, Any]:
+    """Return the content of its file; empty for a controller, which has none."""
+    if kind == "controllers":
+        return {}
+    inside = {"aircraft": f"{name}/vehicle.toml", "engines": f"{name}/engine.toml"}.get(kind, f"{name}.toml")
+    from cosim.base.storage.toml import read_toml
+
+    return read_toml(data_folder(kind) / inside)
+
+
+def _description(kind: str, name: str) -> str:
+    return " ".join(str(_table(kind, name).get("description", "")).split())
+
+
+def _numbers(kind: str, name: str) -> Iterator[Number]:
+    if kind == "aircraft":
+        return _aircraft(name)
+    if kind == "engines":
+        return _engine(name)
+    if kind == "controllers":
+        return _controller(name)
+    return _scenario(name) if kind == "scenarios" else _file_rows(_table(kind, name))
+
+
+def _scenario(name: str) -> Iterator[Number]:
+    """Yield what flies, where the file leaves that to the defaults too, and what the file states."""
+    from cosim.spec.scenario import Scenario
+
+    scenario, table = Scenario.load(name), _table("scenarios", name)
+    first = ("duration_s", "step_s", "aircraft", "engine", "controller", "seed")
+    for key in first:
+        yield Number(key, getattr(scenario, key), _unit(key), _MEANINGS[key])
+    yield from _file_rows({key: value for key, value in table.items() if key not in first})
+
+
+def _aircraft(name: str) -> Iterator[Number]:
+    from cosim.spec.vehicle import load_vehicle
+
+    vehicle, _ = load_vehicle(name)
+    jets, weight = len(vehicle.jets), vehicle.mass_kg * GRAVITY
+    yield Number("mass", vehicle.mass_kg, "kg", "with fuel, without payload")
+    for axis, inertia in zip("xyz", vehicle.inertia_kg_m2, strict=True):
+        yield Number(f"inertia {axis}", inertia, "kg m^2", f"about the body's {axis}")
+    for pair, product in zip(("x y", "x z", "y z"), vehicle.products_kg_m2, strict=True):
+        if product:
+            yield Number(f"product {pair}", product, "kg m^2", f"integral of {pair} over the mass")
+    yield Number("jets", jets, "", "engines" + ("" if vehicle.servo is None else " on two tilting banks"))
+    yield from _hinges(vehicle)
+    for surface in vehicle.surfaces:
+        yield Number(f"surface {surface.name}", surface.range[1], "", f"the most, {surface.range[0]:g} the least")
+    arms = [(max(abs(jet.position_m[n]) for jet in vehicle.jets), word) for n, word in ((1, "sideways"), (0, "ahead"))]
+    for arm, word in arms:
+        yield Number(f"arm {word}", arm, "m", "of the farthest jet from the centre of gravity")
+    yield Number("hover thrust", weight / jets, "N", "of each jet: weight over jets")
+    if vehicle.engine is not None:
+        yield from _thrusts(vehicle, weight)
+    if vehicle.servo is not None:
+        yield Number("tilt range", vehicle.servo.range_rad, "rad", "of a bank, either way from straight up")
+        yield Number("tilt rate", vehicle.servo.rate_limit_rad_s, "rad/s", "the fastest that a bank turns")
+        yield Number("tilt lag", vehicle.servo.lag_s, "s", "of the first-order servo")
+    if vehicle.fuel is not None:
+        yield Number("fuel", vehicle.fuel.mass_kg, "kg", "in the tank at the start, part of the mass")
+    yield Number("span", vehicle.aero.span_m, "m", "by which turbulence and limits are scaled")
+    for axis, area in zip("xyz", vehicle.aero.drag_area_m2, strict=True):
+        yield Number(f"drag area {axis}", area, "m^2", f"drag coefficient times area along {axis}")
+    yield from _dead_times(vehicle)
+
+
+def _dead_times(vehicle: Vehicle) -> Iterator[Number]:
+    """Yield the dead time of each identified model."""
+    for engine, axes in vehicle.identified.items():
+        for axis, model in axes.items():
+            late = model.delay_samples * model.sample_time_s
+            yield Number(
+                f"dead time, {axis}, {engine}",
+                late,
+                "s",
+                "of the identified model from command to rate, beside its lags",
+            )
+
+
+def _hinges(vehicle: Vehicle) -> Iterator[Number]:
+    """Yield the range of each hinge, and what it moves."""
+    for hinge in vehicle.hinges:
+        effects = [f"carries {', '.join(map(str, hinge.carries))}"] if hinge.carries else []
+        effects += [f"deflects {', '.join(map(str, hinge.deflects))}"] if hinge.deflects else []
+        lowest, highest = hinge.angle_limits
+        name, motion = f"hinge {hinge.name}", " and ".join(effects)
+        if lowest == -highest:
+            yield Number(name, highest, "rad", f"either way; {motion}")
+        else:
+            yield Number(name, highest, "rad", f"the most; {motion}")
+            yield Number(f"{name}, least", lowest, "rad", "the other end of its range")
+
+
+def _thrusts(vehicle: Vehicle, weight: float) -> Iterator[Number]:
+    """Yield what the engines give that it is made for; ``weight`` in N."""
+    assert vehicle.engine is not None
+    kinds = [jet.engine or vehicle.engine for jet in vehicle.jets]
+    full = {kind: _loaded(kind).curve.thrust[-1] for kind in dict.fromkeys(kinds)}
+    yield Number("engine", vehicle.engine, "", "what it is made for")
+    for kind, thrust in full.items():
+        at = ", ".join(str(number) for number, engine in enumerate(kinds, 1) if engine == kind)
+        name, of = ("full thrust", "") if len(full) == 1 else (f"full thrust, {kind}", f"; jets {at}")
+        yield Number(name, thrust, "N", f"of one engine at rest, at full throttle{of}")
+    total = sum(full[kind] for kind in kinds)
+    yield Number("thrust to weight", total / weight, "", "all engines at full throttle")
+
+
+def _engine(name: str) -> Iterator[Number]:
+    from cosim.engine.spec import find_source
+
+    definition = find_source(name).engine
+    assert definition is not None  # it is an engine of the library
+    spec = _loaded(name)
+    throttle = spec.curve.throttle
+    yield Number("full thrust", spec.curve.thrust[-1], "N", f"at rest, at throttle {throttle[-1]:g}")
+    idle = spec.curve.thrust[0] if spec.curve.thrust[0] > _NO_THRUST * spec.curve.thrust[-1] else 0.0
+    yield Number("idle thrust", idle, "N", f"at rest, at throttle {throttle[0]:g}")
+    yield Number("internal step", definition.internal_step, "s", "control steps are whole multiples of it")
+    if spec.delay_samples is not None:
+        delay = spec.delay_samples * definition.internal_step
+        yield Number("dead time", delay, "s", "from throttle to thrust, beside its lags")
+    if definition.rotor_inertia:
+        yield Number("rotor inertia", definition.rotor_inertia, "kg m^2", "of everything that turns")
+    for variable in definition.variables:
+        value = spec.parameters.get(variable.name, variable.start)
+        yield Number(
+            variable.name,
+            variable.causality if value is None or variable.causality != "parameter" else value,
+            variable.unit or "",
+            variable.description,
+        )
+
+
+def _loaded(engine: str) -> Any:
+    """Load an engine at its own step.  Raises InputError."""
+    from cosim.engine import load_engine
+    from cosim.engine.spec import find_source
+
+    definition = find_source(engine).engine
+    return load_engine(engine, {}, 0.004 if definition is None else definition.internal_step)
+
+
+def _controller(name: str) -> Iterator[Number]:
+    from cosim.control.predictors.registry import PREDICTORS
+
+    spec = PREDICTORS.get(name)
+    if spec is None:
+        return
+    yield Number(
+        "model", "yes" if spec.needs_model else "no", "", "whether it needs an identified model of the vehicle"
+    )
+    for parameter in spec.parameters:
+        value = "vehicle's" if parameter.default is None else parameter.default
+        span = f"; {parameter.least:g} to {parameter.most:g}"
+        yield Number(parameter.name, value, parameter.unit, f"{parameter.text}{span}")
+
+
+def _file_rows(table: Mapping[str, Any]) -> Iterator[Number]:
+    """Yield a row for each key of a file; one for each entry of a list of tables."""
+    for key, value in table.items():
+        if key in _TEXTS:
+            continue
+        meaning = _MEANINGS.get(key, "")
+        if isinstance(value, Mapping):
+            yield from (leaf._replace(meaning=meaning) for leaf in _leaves(value, f"{key}."))
+        elif isinstance(value, list) and any(isinstance(element, Mapping) for element in value):
+            for number, item in enumerate(value):
+                yield Number(f"{key}.{number}", " ".join(_words(item)), "", meaning)
+        else:
+            yield Number(key, value, _unit(key), meaning)
+
+
+def _leaves(table: Mapping[str, Any], prefix: str) -> Iterator[Number]:
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{prefix}{key}.")
+        elif isinstance(value, list) and any(isinstance(element, Mapping) for element in value):
+            for number, item in enumerate(value):
+                yield Number(f"{prefix}{key}.{number}", " ".join(_words(item)), "", "")
+        else:
+            yield Number(f"{prefix}{key}", value, _unit(key), "")
+
+
+def _words(table: Mapping[str, Any]) -> Iterator[str]:
+    return (f"{leaf.name}={_text(leaf.value)}" for leaf in _leaves(table, ""))
+
+
+def _unit(key: str) -> str:
+    from cosim.campaign.study.key import unit_of
+
+    return unit_of(key)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return "[" + ", ".join(_text(element) for element in value) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def catalogue(kind: str) -> list[dict[str, Any]]:
+    """Return the entries of one kind, each with ``name`` and ``title``."""
+    if kind in ("scenarios", "studies"):
+        return [_entry(name, data_folder(kind) / f"{name}.toml") for name in files_in(kind)]
+    if kind == "controllers":
+        from cosim.control.predictors.registry import PREDICTORS
+        from cosim.simulation.controllers.source import list_installed as custom_controllers
+
+        built_in = [{"name": spec.name, "title": spec.title} for spec in PREDICTORS.values()]
+        return built_in + [{"name": name, "title": title} for name, title in custom_controllers()]
+    marker = {"aircraft": "vehicle.toml", "engines": "engine.toml"}[kind]
+    return [_entry(name, data_folder(kind) / name / marker) for name in names_in(kind, marker)]
+
+
+def _entry(name: str, path: Path) -> dict[str, Any]:
+    from cosim.base.storage.toml import read_toml
+
+    table = read_toml(path)
+    return {"name": name, "title": str(table.get("title", ""))}
