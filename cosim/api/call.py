@@ -8,7 +8,8 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from types import UnionType
+from typing import Any, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin
 
 from cosim.base.errors import InputError, Notice, nearest
 
@@ -19,57 +20,64 @@ _SHOWN = 40  # characters of a wrong value
 
 def checked(call: Callable[P, R]) -> Callable[P, R]:
     """Return a call that raises InputError, one line, where an argument's type is not the one annotated."""
-    validated: list[Callable[P, R]] = []  # made at the first call: importing it costs nothing
+    adapters: dict[str, Any] = {}  # made at the first call: importing it costs nothing
 
     @functools.wraps(call)
     def with_check(*arguments: P.args, **named: P.kwargs) -> R:
-        from pydantic import ConfigDict, ValidationError, validate_call
-
-        parameters = inspect.signature(call).parameters
+        signature = inspect.signature(call)
         for name in named:
-            if name not in parameters:
-                raise InputError(f"{call.__name__}: no argument {name!r}; {nearest(name, parameters)}")
+            if name not in signature.parameters:
+                raise InputError(f"{call.__name__}: no argument {name!r}; {nearest(name, signature.parameters)}")
         try:
-            inspect.signature(call).bind(*arguments, **named)
+            bound = signature.bind(*arguments, **named)
         except TypeError as error:
             raise InputError(f"{call.__name__}: {error}") from None
-        if not validated:
-            config = ConfigDict(arbitrary_types_allowed=True)
-            validated.append(validate_call(config=config)(_checker(call)))
-        try:
-            values = validated[0](*arguments, **named)
-        except ValidationError as error:
-            raise InputError(_line(call, error)) from None
-        return call(**values)  # type: ignore[call-arg, arg-type]
+        if not adapters:
+            adapters.update(_adapters(call))
+        for name, value in bound.arguments.items():
+            parameter, adapter = signature.parameters[name], adapters[name]
+            if parameter.kind is inspect.Parameter.VAR_POSITIONAL:
+                bound.arguments[name] = tuple(_valid(call, parameter, adapter, each) for each in value)
+            else:
+                bound.arguments[name] = _valid(call, parameter, adapter, value)
+        return call(*bound.args, **bound.kwargs)
 
     return with_check
 
 
-def _checker(call: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function with the annotations of ``call`` that gives back its arguments by name."""
+def _adapters(call: Callable[..., Any]) -> dict[str, Any]:
+    """Return what checks each argument."""
+    from pydantic import InstanceOf, TypeAdapter
 
-    @functools.wraps(call)
-    def give_back(*arguments: Any, **named: Any) -> dict[str, Any]:
-        return dict(inspect.signature(call).bind(*arguments, **named).arguments)
+    def as_instances(hint: Any) -> Any:
+        """Return a type in which a class of ours stands for its instances, which are not looked into."""
+        if isinstance(hint, type) and hint.__module__.startswith("cosim"):
+            return InstanceOf[hint]  # type: ignore[misc]
+        if get_origin(hint) in (Union, UnionType):
+            return Union[tuple(map(as_instances, get_args(hint)))]  # noqa: UP007 - made of a tuple
+        return hint
 
-    return give_back
+    hints = inspect.get_annotations(call, eval_str=True)
+    return {name: TypeAdapter(as_instances(hint)) for name, hint in hints.items() if name != "return"}
 
 
-def _line(call: Callable[..., Any], error: Any) -> str:
-    """Return the line for the first argument that is wrong."""
-    first = error.errors(include_url=False)[0]
-    parameters = list(inspect.signature(call).parameters.values())
-    place = first["loc"][0]
-    parameter = parameters[place] if isinstance(place, int) else inspect.signature(call).parameters[place]
-    wrong = [each for each in error.errors(include_url=False) if each["loc"][0] == place]
-    value = first["input"]
-    shown = repr(value)
-    shown = shown if len(shown) <= _SHOWN else f"{shown[: _SHOWN - 3]}..."
-    listed = [each["ctx"]["expected"] for each in wrong if each["type"] == "literal_error"]
-    if listed and isinstance(value, str):
-        return f"{call.__name__}: {parameter.name}: {shown}: {nearest(value, _words(listed[0]))}"
-    why = f"; allowed: {listed[0] if listed else parameter.annotation}"
-    return f"{call.__name__}: {parameter.name}: {shown} is a value of type {type(value).__name__}{why}"
+def _valid(call: Callable[..., Any], parameter: inspect.Parameter, adapter: Any, value: Any) -> Any:
+    """Return an argument as the call takes it.  Raises InputError."""
+    from pydantic import ValidationError
+
+    try:
+        return adapter.validate_python(value)
+    except ValidationError as error:
+        where = f"{call.__name__}: {parameter.name}"
+        shown = repr(value)
+        shown = shown if len(shown) <= _SHOWN else f"{shown[: _SHOWN - 3]}..."
+        wrong = error.errors(include_url=False)
+        listed = [each["ctx"]["expected"] for each in wrong if each["type"] == "literal_error"]
+        for each in wrong:
+            if listed and isinstance(each["input"], str):
+                raise InputError(f"{where}: {each['input']!r}: {nearest(each['input'], _words(listed[0]))}") from None
+        allowed = listed[0] if listed else parameter.annotation
+        raise InputError(f"{where}: {shown} is a value of type {type(value).__name__}; allowed: {allowed}") from None
 
 
 def _words(listed: str) -> list[str]:
