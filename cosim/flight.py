@@ -34,8 +34,6 @@ def fly(
     realtime_factor: float | None = None,
     report: bool = True,
     shared_assets: bool = False,
-    watch: Callable[[Simulation, Pace, Path | None, float | None], Observer] | None = None,
-    sink: KeepingSink | None = None,
 ) -> Run:
     """Fly a scenario to its end, record every step, and give back the finished run.
 
@@ -58,12 +56,6 @@ def fly(
         Whether ``report.html`` is written into the folder.
     shared_assets : bool
         Whether what draws that page goes into one folder beside those of runs, rather than into each page.
-    watch : callable or None
-        Makes a further observer of the flight when it is built, from the simulation, its pace, the folder and the
-        planned duration [s].
-    sink : KeepingSink or None
-        Keeps of the log what it wants to, at least the columns of :func:`cosim.results.metrics.columns`; the summary
-        has no delay ledger and no notes on how models and vehicle agree, which take longer than a thousand steps.
 
     Returns
     -------
@@ -74,6 +66,55 @@ def fly(
     ------
     InputError
         If the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
+    """
+    check_arguments(scenario, out, realtime_factor)
+    return fly_watched(
+        scenario,
+        out,
+        controller=controller,
+        observers=observers,
+        realtime_factor=realtime_factor,
+        report=report,
+        shared_assets=shared_assets,
+    )
+
+
+def check_arguments(scenario: object, out: object, realtime_factor: object) -> None:
+    """Raise InputError where an argument of :func:`fly` is of no type that it takes."""
+    from cosim.spec.scenario import Scenario
+
+    for name, value, allowed in (
+        ("scenario", scenario, (Scenario, str, Path)),
+        ("out", out, (str, Path, type(None))),
+        ("realtime_factor", realtime_factor, (float, int, type(None))),
+    ):
+        if not isinstance(value, allowed):
+            names = " | ".join("None" if each is type(None) else each.__name__ for each in allowed)
+            raise InputError(f"fly: {name}: {value!r} is a value of type {type(value).__name__}; allowed: {names}")
+        if isinstance(value, (str, Path)) and "\0" in str(value):
+            raise InputError(f"fly: {name}: {str(value)!r} has a zero in it, and is no name")
+    if isinstance(realtime_factor, (float, int)) and not realtime_factor >= 0.0:
+        raise InputError(f"fly: realtime_factor: {realtime_factor:g}; allowed: above 0, or None for as fast as it goes")
+
+
+def fly_watched(
+    scenario: Scenario | str | Path,
+    out: Path | str | None = None,
+    *,
+    controller: Any = None,
+    observers: Sequence[Observer] = (),
+    realtime_factor: float | None = None,
+    report: bool = True,
+    shared_assets: bool = False,
+    watch: Callable[[Simulation, Pace, Path | None, float | None], Observer] | None = None,
+    sink: KeepingSink | None = None,
+) -> Run:
+    """Fly as :func:`fly` does, for what watches the simulation or keeps its own part of the log.
+
+    ``watch`` makes a further observer of the flight when it is built, from the simulation, its pace, the folder and the
+    planned duration [s].  ``sink`` keeps of the log what it wants to, at least the columns of
+    :func:`cosim.results.metrics.columns`; the summary has no delay ledger and no notes on how models and vehicle agree
+    then, which take longer than a thousand steps.  Raises InputError.
     """
     from cosim.results.expectations import check_expected
     from cosim.results.resolved_scenario import resolve

@@ -82,12 +82,7 @@ class Run:
         configuration += (
             "; an object of a program, which no file makes again" if user is not None and not user.again else ""
         )
-        rows = "".join(
-            f"<tr><td>{escape(name)}</td><td>{value:.6g}</td></tr>"
-            for name, value in summary.flat_metrics.items()
-            if value is not None
-        )
-        return f"<p><b>{escape(heading)}</b><br>{escape(configuration)}</p><table>{rows}</table>"
+        return f"<p><b>{escape(heading)}</b><br>{escape(configuration)}</p>{summary.metric_table()}"
 
     def __repr__(self) -> str:
         where = "" if self.folder is None else f", {self.folder}"

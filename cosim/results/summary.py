@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
+from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
 from typing import Any, Self
@@ -249,6 +250,26 @@ class Summary(Setup):
     requirements_kept: bool | None = None  # those of [[require]]; None: it has none
     margin: float | None = None  # the smallest of all, each divided by its scale; below 0: it failed
     decided_by: str = ""  # the name of the requirement that has it
+
+    def __repr__(self) -> str:
+        flown = f"{self.aircraft}, engine {self.engine}, controller {self.controller}, seed {self.seed}"
+        return f"<Summary {self.scenario}: {self.ending}; {flown}>"
+
+    def __str__(self) -> str:
+        return repr(self)
+
+    def _repr_html_(self) -> str:
+        """Return a table for notebooks: how the flight ended, and the metrics."""
+        return f"<p><b>{escape(f'{self.scenario}: {self.ending}')}</b></p>{self.metric_table()}"
+
+    def metric_table(self) -> str:
+        """Return the metrics as a table of HTML."""
+        rows = "".join(
+            f"<tr><td>{escape(name)}</td><td>{value:.6g}</td></tr>"
+            for name, value in self.flat_metrics.items()
+            if value is not None
+        )
+        return f"<table>{rows}</table>"
 
     @property
     def flat_metrics(self) -> dict[str, float | None]:

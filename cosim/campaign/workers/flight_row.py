@@ -20,7 +20,7 @@ from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
 from cosim.base.storage.scratch import temporary
 from cosim.campaign.study.keys import CUSTOM_PARAMETERS
 from cosim.campaign.study.plan import Flight, scenario_of
-from cosim.flight import fly
+from cosim.flight import fly_watched as fly
 from cosim.results import metrics
 from cosim.results.log.columns import logged_vehicle
 from cosim.results.log.digest import DigestSink, log_digest

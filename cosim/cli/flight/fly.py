@@ -90,7 +90,7 @@ def fly(options: Fly) -> int:
         why = "a flight of a campaign is flown as it was; leave it out with --flight"
         refuse_others(why, "scenario", "flight", "out", "as_json")
         return _repeat_flight(Path(options.scenario), options.flight, options)
-    from cosim.flight import fly as fly_scenario
+    from cosim.flight import fly_watched as fly_scenario
     from cosim.results.run import finish_killed
     from cosim.spec.controller_name import folder_name, short_name
 

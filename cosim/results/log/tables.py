@@ -48,6 +48,15 @@ class Columnar:
     def __iter__(self) -> Iterator[str]:
         return iter(self.columns)
 
+    def __repr__(self) -> str:
+        first = ", ".join(self.columns[:4])
+        more = f", and {len(self.columns) - 4} more" if len(self.columns) > 4 else ""
+        return f"<{type(self).__name__}: {len(self)} steps, {len(self.columns)} columns: {first}{more}>"
+
+    def _ipython_key_completions_(self) -> list[str]:
+        """Return what completes ``log["``: the columns."""
+        return list(self.columns)
+
     def table(self, *names: str) -> Any:
         """Return the log as a ``pandas.DataFrame``, which the extra ``notebook`` brings.
 

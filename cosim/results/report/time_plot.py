@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.errors import InputError
 from cosim.results.log.columns import require
 from cosim.results.report.flight_figures import overlay_panels
 from cosim.results.report.log_reader import Reader
@@ -38,9 +39,11 @@ def plot(runs: Run | Sequence[Run], *columns: str) -> Any:
     Raises
     ------
     InputError
-        For a column that a log has not, or where Plotly is not installed.
+        For what is no run, a column that a log has not, or where Plotly is not installed.
     """
-    flights = [runs] if isinstance(runs, Run) else list(runs)
+    flights = [runs] if isinstance(runs, Run) else list(runs) if isinstance(runs, Sequence) else []
+    if not flights or not all(isinstance(run, Run) for run in flights):
+        raise InputError(f"plot: {runs!r:.60}; allowed: a Run, or a sequence of some")
     readers = [Reader(run.log, run.summary.step_s) for run in flights]
     if not columns:
         labels = [

@@ -1,15 +1,17 @@
 """The validated model of a scenario's TOML: vehicle, controller, commands, disturbances and expected results."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from html import escape
 from operator import not_
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, Unpack
 
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import Duration, Model, merge, parse_setting, read_toml, set_path, validate
 from cosim.base.trust import mention
+from cosim.spec.scenario.changes import Changes
 from cosim.spec.scenario.commands import CommandEntry
 from cosim.spec.scenario.disturbances import DisturbanceEntry
 from cosim.spec.scenario.faults import FaultEntry, SensorBias, SensorDropout, ServoJam, StationNumber
@@ -28,6 +30,8 @@ from cosim.spec.scenario.sections import (
 from cosim.spec.scenario.substeps import SUBSTEPS, check_measured_step, runs_for
 from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_aircraft_path
 from cosim.spec.vehicle.sensor_profile import STATED, load_with_profile, profile_names, refuse_restated
+
+_CELL = 200  # letters of a value in a notebook's table
 
 
 class Scenario(Model):
@@ -112,6 +116,21 @@ class Scenario(Model):
             )
         if self.engine_start == "in flight":
             raise ValueError('initial.engines = "off": engine_start = "in flight" starts them; leave one out')
+
+    def __repr__(self) -> str:
+        flown = f"{self.aircraft}, engine {self.engine}, controller {self.controller}"
+        return f"<Scenario {self.name}: {flown}, {self.duration_s:g} s>"
+
+    def __str__(self) -> str:
+        return repr(self)
+
+    def _repr_html_(self) -> str:
+        """Return a table for notebooks: every key that is not left at its default."""
+        table = self.model_dump(mode="json", exclude_defaults=True, exclude={"name", "title", "description"})
+        rows = "".join(
+            f"<tr><td>{escape(key)}</td><td>{escape(_shorten(str(value)))}</td></tr>" for key, value in table.items()
+        )
+        return f"<p><b>{escape(self.name)}</b>: {escape(self.title)}</p><table>{rows}</table>"
 
     @property
     def folder(self) -> Path:
@@ -365,14 +384,14 @@ class Scenario(Model):
             data["substeps"] = self._step_error
         return data
 
-    def replace(self, **changes: Any) -> Self:
+    def replace(self, **changes: Unpack[Changes]) -> Self:
         """Return a copy with changed values.
 
         Code named in the changes is trusted (:func:`cosim.trust`), because the caller names it.
 
         Parameters
         ----------
-        **changes : Any
+        **changes : Changes
             Values by the scenario's keys: tables are merged into its own, everything else is replaced.
 
         Returns
@@ -391,7 +410,7 @@ class Scenario(Model):
             data = {
                 key: value for key, value in data.items() if key not in ("controller_parameters", "controller_sha256")
             }
-        data = merge(data, changes)
+        data = merge(data, dict(changes))
         return self.from_table(data, self.folder, f"scenario {self.name}", self._origin or self)
 
     def resolved(self, **parts: Any) -> Self:
@@ -427,6 +446,11 @@ class Scenario(Model):
         copy = self.model_copy()
         copy._folder = folder.absolute()
         return copy
+
+
+def _shorten(text: str) -> str:
+    """Return a text that fits a cell."""
+    return text if len(text) <= _CELL else f"{text[: _CELL - 3]}..."
 
 
 def _code_names(changes: Mapping[str, Any]) -> Iterator[str]:

@@ -226,7 +226,7 @@ def test_a_machine_that_has_no_more_to_give_is_told_in_a_line(hexjet, monkeypatc
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("cosim.flight.fly", full)
+    monkeypatch.setattr("cosim.flight.fly_watched", full)
     done = hexjet("fly", "hover")
     assert (done.status, done.out) == (1, "")
     assert done.err == f"hexjet: No space left on device; temporary files are in {tempfile.gettempdir()}\n"

@@ -25,7 +25,7 @@ from cosim.base.errors import InputError
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Mode, Severity
 from cosim.control.autopilot.requests import Answer, Result
-from cosim.flight import fly
+from cosim.flight import fly, fly_watched
 from cosim.groundstation.exchange import (
     SENDERS,
     WAITING_PER_SENDER,
@@ -507,7 +507,7 @@ def test_a_scripted_flight_can_be_watched_but_not_changed(tmp_path: Path) -> Non
     for request in (rq.Land(), rq.SetParameter("HJ_ATT_ROLL", 1.0), Restart()):
         exchange.ask(request, answers.append, "test")
     scenario = Scenario.load("roll-doublet").replace(duration_s=4.0, expect=[])
-    watched = fly(scenario, report=False, watch=ReadOnlyObserver(exchange))
+    watched = fly_watched(scenario, report=False, watch=ReadOnlyObserver(exchange))
     alone = fly(scenario, report=False)
     assert differing(watched.log, alone.log) == []
     assert [answer.text for answer in answers] == ["this flight follows its script"] * 3

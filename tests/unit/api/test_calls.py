@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from patience import PATIENCE
@@ -16,6 +17,8 @@ import cosim
 from cosim import InputError
 from cosim.api import Result
 from cosim.cli.results.show import show as show_command
+from cosim.spec.scenario import Scenario
+from cosim.spec.scenario.changes import Changes
 
 CALLS = (
     "compare", "design", "export", "export_controller", "export_vehicle", "identify", "margins", "prove", "rare",
@@ -29,10 +32,9 @@ def test_a_call_is_typed_and_refuses_a_name_that_is_none(name: str) -> None:
     signature = inspect.signature(call)
     assert signature.return_annotation not in (inspect.Signature.empty, "Any")
     assert all(each.annotation is not inspect.Parameter.empty for each in signature.parameters.values())
-    with pytest.raises(InputError, match=rf"^{name}: no argument 'ou'; did you mean 'out'\? "):
-        if "out" not in signature.parameters:
-            raise InputError(f"{name}: no argument 'ou'; did you mean 'out'? it writes nothing")
-        call("hover", ou="x")
+    near, meant = ("ou", "out") if "out" in signature.parameters else ("kin", "kind")
+    with pytest.raises(InputError, match=rf"^{name}: no argument '{near}'; did you mean '{meant}'\? "):
+        call("hover", **{near: "x"})
 
 
 @pytest.mark.parametrize(
@@ -123,3 +125,45 @@ def test_importing_everything_changes_nothing_of_the_caller() -> None:
         [sys.executable, "-c", _STATE], capture_output=True, text=True, timeout=PATIENCE, env=environment
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "line"),
+    [
+        ((42,), {}, "fly: scenario: 42 is a value of type int; allowed: Scenario | str | Path"),
+        ((None,), {}, "fly: scenario: None is a value of type NoneType; allowed: "),
+        (("hover",), {"out": 5}, "fly: out: 5 is a value of type int; allowed: str | Path | None"),
+        (("a\0b",), {}, "fly: scenario: 'a\\x00b' has a zero in it, and is no name"),
+        (("hover",), {"realtime_factor": -1}, "fly: realtime_factor: -1; allowed: above 0"),
+    ],
+)
+def test_a_flight_that_cannot_be_meant_is_one_line(
+    arguments: tuple[Any, ...], options: dict[str, Any], line: str
+) -> None:
+    with pytest.raises(InputError) as error:
+        cosim.fly(*arguments, **options)
+    assert str(error.value).startswith(line)
+
+
+@pytest.mark.parametrize("what", [3, [], "runs/a", [1]])
+def test_what_is_no_run_is_not_drawn(what: Any) -> None:
+    with pytest.raises(InputError, match=r"^plot: .*allowed: a Run, or a sequence of some$"):
+        cosim.plot(what)
+
+
+def test_what_changes_a_scenario_is_typed_with_its_keys() -> None:
+    assert Changes.__annotations__.keys() == Scenario.model_fields.keys()
+
+
+def test_records_show_themselves_on_one_line_and_as_tables() -> None:
+    run = cosim.fly(Scenario.load("hover").replace(duration_s=0.1, expect=[]))
+    for shown, begins in (
+        (run.scenario, "<Scenario hover: hexjet, engine "),
+        (run.summary, "<Summary hover: completed, nothing checked; flew 25 steps"),
+        (run.log, "<MemoryLog: 25 steps, "),
+        (run, "<Run hover: completed, 25 steps>"),
+    ):
+        assert repr(shown).startswith(begins)
+        assert len(repr(shown)) < 200
+        assert "</table>" in shown._repr_html_()
+    assert "roll_rad" in run.log._ipython_key_completions_()
