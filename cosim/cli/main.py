@@ -13,8 +13,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cosim.base.errors import MACHINE_TROUBLE, OUTPUT, FlightError, InputError, Notice, NotIdentifiedError
+from cosim.base.errors import (
+    MACHINE_TROUBLE,
+    OUTPUT,
+    FlightError,
+    InputError,
+    Notice,
+    NotIdentifiedError,
+    nearest,
+)
 from cosim.base.trust import at_a_command
+from cosim.cli.complete import SHELLS, install
+from cosim.cli.groups import GROUPS, OTHERS
 from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, WRONG_INPUT, Terminated, treat_sigterm_as_interrupt
 from cosim.cli.trust import trust_prompt, with_trust
 
@@ -46,6 +56,7 @@ COMMANDS = {  # module of each command: only the one that runs is imported
     "sweep": "studies.campaign:sweep",
     "validate": "controllers.validate:validate",
 }
+_LINE = 60  # letters of a command's line
 ADDED = "hexjet.commands"  # entry points: commands that live outside this package
 
 
@@ -56,6 +67,33 @@ class Commands(click.Group):
         """Return all names, those of installed packages among them."""
         _note_taken_names(ctx, *COMMANDS)
         return sorted({*COMMANDS, *_added(ctx).names})
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands in groups; what another package adds is imported for its line."""
+        names = self.list_commands(ctx)
+        for title, commands in GROUPS.items():
+            rows = [(name, text) for name, text in commands.items() if name in COMMANDS or _is_here(ctx, name)]
+            with formatter.section(title):
+                formatter.write_dl(rows)
+        known = {name for commands in GROUPS.values() for name in commands}
+        others = {name: self.get_command(ctx, name) for name in names if name not in known}
+        rows = [
+            (name, command.get_short_help_str(_LINE))
+            for name, command in others.items()
+            if command is not None and not command.hidden
+        ]
+        if rows:
+            with formatter.section(OTHERS):
+                formatter.write_dl(rows)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that is named, or raise UsageError with the nearest name."""
+        name = args[0]
+        if not name.startswith("-") and self.get_command(ctx, name) is None:
+            ctx.fail(f"no command {name!r}; {nearest(name, self.list_commands(ctx))}")
+        return super().resolve_command(ctx, args)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Return the command, or None; nothing but its own module is imported for it."""
@@ -77,6 +115,14 @@ def _added(ctx: click.Context) -> EntryPoints:
         ctx.meta[ADDED] = entry_points(group=ADDED)
     added: EntryPoints = ctx.meta[ADDED]
     return added
+
+
+def _is_here(ctx: click.Context, name: str) -> bool:
+    """Return whether a command of a package is there; a wheel leaves out some of the sources.  Nothing is imported."""
+    from importlib.util import find_spec
+
+    entries = tuple(_added(ctx).select(name=name))
+    return any(find_spec(entry.module.partition(".")[0]) is not None for entry in entries)
 
 
 def _note_taken_names(ctx: click.Context, *names: str) -> None:
@@ -126,8 +172,19 @@ def _unavailable(name: str, reason: str, hidden: bool = False) -> click.Command:
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(package_name="hexjet-cosim", prog_name="hexjet")
+@click.option(
+    "--install-completion",
+    type=click.Choice(SHELLS),
+    callback=install,
+    expose_value=False,
+    is_eager=True,
+    help="Let a shell complete commands, options and names.",
+)
 def cli() -> None:
-    """Co-simulation of the Hex-Jet: JSBSim airframe, FMU engines, predictor-based control."""
+    """Co-simulation of the Hex-Jet: JSBSim airframe, FMU engines, predictor-based control.
+
+    hexjet COMMAND --help tells a command's options, with an example.
+    """
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -166,10 +223,21 @@ def _explain(error: InputError | FlightError | click.ClickException | OSError) -
     """Return the line for an error that ends a command, and the exit status."""
     if isinstance(error, InputError):
         return str(error), FLIGHT_FAILED if isinstance(error, NotIdentifiedError) else WRONG_INPUT
+    if isinstance(error, click.NoSuchOption) and (key := _key_of(error)) is not None:
+        return f"No such option {error.option_name!r}; --set {key}=... is a key of the scenario", WRONG_INPUT
     if isinstance(error, click.ClickException):
         where = f" ({error.ctx.command_path} --help)" if isinstance(error, click.UsageError) and error.ctx else ""
         return " ".join(error.format_message().split()) + where, WRONG_INPUT
     return (_machine_trouble(error) if isinstance(error, OSError) else str(error)), FLIGHT_FAILED
+
+
+def _key_of(error: click.NoSuchOption) -> str | None:
+    """Return the key that an option would be, of a command that takes keys; None where there is none."""
+    if error.ctx is None or not any("--set" in parameter.opts for parameter in error.ctx.command.params):
+        return None
+    from cosim.spec.scenario import likely_key
+
+    return likely_key(error.option_name.lstrip("-").replace("-", "_"))
 
 
 def _machine_trouble(error: OSError) -> str:

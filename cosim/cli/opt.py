@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar, cast, overload
 
 import click
 
+from cosim.cli.complete import complete_by
 from cosim.cli.outputs import Out
 
 
@@ -151,7 +152,8 @@ def takes(record: type[R]) -> Callable[[Callable[[R], int]], Callable[..., int]]
             return command(record(**values))
 
         for field, declared in reversed(record.options().items()):
-            call = declared.declare(field, *declared.names, **declared.attributes)(call)
+            attributes = complete_by(field, declared.names) | declared.attributes
+            call = declared.declare(field, *declared.names, **attributes)(call)
         return call
 
     return with_options

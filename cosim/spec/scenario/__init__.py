@@ -53,7 +53,7 @@ from cosim.spec.scenario.provenance import (
     list_changes,
     list_differing_keys,
 )
-from cosim.spec.scenario.scenario import Scenario
+from cosim.spec.scenario.scenario import Scenario, likely_key
 from cosim.spec.scenario.sections import (
     Environment,
     Expectation,
@@ -116,6 +116,7 @@ __all__ = [
     "copy_parameters",
     "find_scenario",
     "flown_parameters",
+    "likely_key",
     "list_changes",
     "list_differing_keys",
     "measured_errors",

@@ -342,6 +342,9 @@ class Scenario(Model):
         error = data.get("substeps")
         if isinstance(error, str):
             data = data | {"substeps": runs_for(error, str(data.get("aircraft", "hexjet")), where)}
+        for key in data.keys() - cls.model_fields.keys():
+            if (meant := likely_key(key)) is not None and meant != key:
+                raise InputError(f"{where}: unknown key {key!r}; did you mean {meant!r}?")
         scenario = validate(cls, data, where)
         scenario._folder = folder
         scenario._origin = origin
@@ -446,6 +449,18 @@ class Scenario(Model):
         copy = self.model_copy()
         copy._folder = folder.absolute()
         return copy
+
+
+def likely_key(name: str) -> str | None:
+    """Return the dotted key of a scenario that is called ``name``, with or without its unit; None if none is.
+
+    The scenario's own keys come first, then those of its vehicle and of its sections.
+    """
+    sections = {"vehicle": Vehicle, "environment": Environment, "initial": Initial, "mismatch": Mismatch}
+    tables: dict[str, type[Model]] = {"": Scenario, **{f"{key}.": model for key, model in sections.items()}}
+    keys = {f"{before}{key}": key for before, model in tables.items() for key in model.model_fields}
+    same = [path for path, key in keys.items() if key == name]
+    return next(iter([*same, *(path for path, key in keys.items() if key.startswith(f"{name}_"))]), None)
 
 
 def _shorten(text: str) -> str:

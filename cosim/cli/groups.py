@@ -1,0 +1,43 @@
+"""The commands in groups, each with a line of its own, as ``hexjet --help`` has them."""
+
+from __future__ import annotations
+
+GROUPS = {
+    "Fly": {
+        "fly": "fly a scenario and leave a run's folder",
+        "replay": "fly a recorded flight again, and judge the model by it",
+    },
+    "Look": {
+        "list": "list what can be flown",
+        "show": "show one of them with its numbers and units",
+        "open": "look through runs in the browser",
+        "compare": "lay flights over each other",
+        "report": "write the page of a run or a campaign again",
+    },
+    "Design": {
+        "aircraft": "begin an aircraft of your own, and check one",
+        "fmu": "build and check engines as FMUs",
+        "identify": "fit a model to a sweep or a log",
+        "design": "design predictor and gains for an engine",
+        "margins": "measure gain, phase and delay margins in flight",
+        "validate": "fly a model with the commands of a log",
+    },
+    "Prove": {
+        "sweep": "fly a scenario many times with what varies drawn",
+        "search": "find the smallest change that breaks a controller",
+        "rare": "find the probability of a rare failure",
+        "prove": "show or refute a claim, on one page",
+        "faults": "fly every single fault",
+        "failsafes": "let everything fail that the autopilot answers",
+        "paper": "reproduce the paper",
+    },
+    "Connect": {
+        "gcs": "wait on the ground for a ground station",
+        "sitl": "let an external autopilot fly the vehicle",
+        "export": "write a log, a controller or the vehicle for other tools",
+    },
+    "Develop": {
+        "bench": "measure what a flight costs on this machine",
+    },
+}
+OTHERS = "Of other packages"

@@ -1,0 +1,73 @@
+"""``hexjet --help`` in groups, and nearest names."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from cosim.cli.groups import GROUPS
+from cosim.cli.main import COMMANDS, cli
+
+
+def test_every_command_has_a_group_and_its_line_fits_eighty_columns() -> None:
+    names = [name for commands in GROUPS.values() for name in commands]
+    assert len(names) == len(set(names))
+    assert set(COMMANDS) <= set(names) <= {*COMMANDS, "bench", "paper"}
+    listed = CliRunner(env={"COLUMNS": "80"}).invoke(cli, ["--help"]).output
+    assert "..." not in listed.partition("Fly:")[2]
+    assert max(map(len, listed.splitlines())) <= 80
+    for name in COMMANDS:
+        assert f"\n  {name} " in listed, name
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["fyl"], "no command 'fyl'; did you mean 'fly'? allowed: aircraft, "),
+        (
+            ["fly", "hover", "--duration", "5"],
+            "No such option '--duration'; --set duration_s=... is a key of the scenario",
+        ),
+        (
+            ["fly", "hover", "--mass", "5"],
+            "No such option '--mass'; --set vehicle.mass_kg=... is a key of the scenario",
+        ),
+        (["fly", "hover", "--sed", "5"], "No such option '--sed'. (Did you mean one of: '--seed', "),
+    ],
+)
+def test_a_wrong_name_says_the_nearest(words: list[str], line: str, capsys: pytest.CaptureFixture[Any]) -> None:
+    from cosim.cli.main import main
+
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    assert line in capsys.readouterr().err
+
+
+def test_names_are_completed() -> None:
+    from click.shell_completion import ShellComplete
+
+    def completed(*words: str, of: str) -> list[str]:
+        return [
+            item.value for item in ShellComplete(cli, {}, "hexjet", "_HEXJET_COMPLETE").get_completions([*words], of)
+        ]
+
+    assert "roll-doublet" in completed("fly", of="roll-d")
+    assert "turbojet" in completed("fly", "hover", "--engine", of="turboj")
+    assert completed("fly", "hover", "--aircraft", of="octo")[-1] == "octojet"
+    assert "smith" in completed("fly", "hover", "--controller", of="smi")
+    assert "mass-and-delay-map" not in completed("fly", of="zzz")
+
+
+def test_completion_is_installed_by_one_option(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("XDG_DATA_HOME", raising=False)
+    done = CliRunner().invoke(cli, ["--install-completion", "bash"])
+    path = tmp_path / ".local/share/bash-completion/completions/hexjet"
+    assert done.exit_code == 0
+    assert str(path) in done.output
+    assert "_HEXJET_COMPLETE=bash_complete" in path.read_text()
+    assert isinstance(cli, click.Group)
