@@ -3,18 +3,17 @@
 # %% Write it: C99, its numbers, a flight as test vectors; where there is a C compiler it is compiled and compared
 from pathlib import Path
 
-from cosim import Scenario
-from cosim.codegen.export import export_controller
-from cosim.flight import new_folder
+from cosim import Scenario, export_controller
+from cosim.files import new_folder
 
 doublet = Scenario.load("roll-doublet").replace(duration_s=1.4, expect=[])
 folder = new_folder(Path("runs"), "c-export")
-done = export_controller(doublet, folder, "ours", licence="MIT", fmus=False)  # True: FMUs of FMI 2 and 3 beside it
+done = export_controller(doublet, folder, name="ours", licence="MIT", fmus=False)  # True: FMUs of FMI 2 and 3 beside it
 print(f"{folder}: {', '.join(done.files)}")
-if done.measured is None:
+if done.same is None:
     print("no C compiler here: nothing was compared")
 else:
-    print(f"{done.steps} steps of the flight: {'the same bits' if done.measured.same else 'other bits'}")
+    print(f"{done.to_dict()['steps']} steps of the flight: {'the same bits' if done.same else 'other bits'}")
 
 # %% This is what a flight computer calls, once a control step
 header = (folder / "ours.h").read_text()

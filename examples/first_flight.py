@@ -7,7 +7,7 @@ Run it as a program, or cell by cell in an editor that knows ``# %%``.
 from pathlib import Path
 
 from cosim import Scenario, fly, plot
-from cosim.flight import new_folder
+from cosim.files import new_folder
 
 doublet = Scenario.load("roll-doublet")  # 10 degrees one way and the other; the engines answer 0.1 s late
 folder = new_folder(Path("runs"), "first-flight")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cosim import Scenario, fly
 from cosim.base.protocols import Column, Parameter
-from cosim.flight import new_folder
+from cosim.files import new_folder
 
 
 class Ahead:

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from cosim import Scenario, fly
-from cosim.flight import new_folder
+from cosim.files import new_folder
 
 SOURCE = '''
 from math import exp

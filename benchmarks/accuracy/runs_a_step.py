@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def shipped_flights() -> Iterator[Scenario]:
             yield scenario
     for aircraft, changes in _ELSEWHERE.items():
         vehicle, _ = load_vehicle(aircraft)
-        flown = {"engine": engine_of(aircraft), **changes}
+        flown: Any = {"engine": engine_of(aircraft), **changes}
         for name in _THEIR_FLIGHTS if vehicle.control.position else _WITHOUT_PLACES:
             yield Scenario.load(name).replace(aircraft=aircraft, **flown, expect=[])
 

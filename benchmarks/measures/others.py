@@ -51,8 +51,9 @@ def hover_of(aircraft: str) -> Scenario:
     """Return the hover of an aircraft with the engine that it is made for and no predictor, clear of the ground."""
     engine = engine_of(aircraft)
     assert engine is not None, aircraft
-    changes = {"aircraft": aircraft, "engine": engine, "controller": "baseline", "initial": {"altitude_m": 20.0}}
-    return Scenario.load("hover").replace(**changes)
+    return Scenario.load("hover").replace(
+        aircraft=aircraft, engine=engine, controller="baseline", initial={"altitude_m": 20.0}
+    )
 
 
 def measure_others(seconds: float, rounds: int, folder: Path, on_round: Callable[[], object]) -> Others:

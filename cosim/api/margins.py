@@ -94,7 +94,7 @@ def margins(
     scenario: Scenario | str | Path = "hover",
     axes: Sequence[str] = AXES,
     *,
-    controller: str | Path | None = None,
+    controller: Any = None,
     aircraft: str | Path | None = None,
     engine: str | Path | Sequence[str] | None = None,
     settings: Sequence[str] | Mapping[str, object] = (),
@@ -119,8 +119,9 @@ def margins(
         Vehicle, engine, controller and air; its commands, faults and passing disturbances are left out.
     axes : sequence of str
         Of roll, pitch and yaw.
-    controller : str or Path or None
-        In place of the scenario's: a name, a design's file, or one of yours, as ``hexjet fly --controller`` takes it.
+    controller : str or Path or object or None
+        In place of the scenario's: a name or a file, as ``hexjet fly --controller`` has it; or a class or an object of
+        one's own.
     aircraft : str or Path or None
         In place of the scenario's, with the engine that it is made for.
     engine : str or Path or sequence of str or None
@@ -164,7 +165,8 @@ def margins(
     hears, done = progress or Progress(), 0
     if out is not None:
         check_results_folder(Path(out), "margins.json", "response.csv", "report.html")
-    chosen = choose(scenario, controller, aircraft, engine, settings, seed, hears.note)
+    named = controller if isinstance(controller, (str, Path)) else None
+    chosen = choose(scenario, named, aircraft, engine, settings, seed, hears.note)
 
     def tell(text: str) -> None:
         nonlocal done
@@ -174,6 +176,7 @@ def margins(
     measured = measure_margins(
         chosen,
         axes,
+        controller=None if named is not None else controller,
         amplitude=amplitude,
         from_hz=from_hz,
         to_hz=to_hz,

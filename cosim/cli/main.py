@@ -92,7 +92,7 @@ class Commands(click.Group):
         """Return the command that is named, or raise UsageError with the nearest name."""
         name = args[0]
         if not name.startswith("-") and self.get_command(ctx, name) is None:
-            ctx.fail(f"no command {name!r}; {nearest(name, self.list_commands(ctx))}")
+            ctx.fail(f"No such command {name!r}; {nearest(name, self.list_commands(ctx))}")
         return super().resolve_command(ctx, args)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:

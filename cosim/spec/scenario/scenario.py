@@ -456,8 +456,13 @@ def likely_key(name: str) -> str | None:
 
     The scenario's own keys come first, then those of its vehicle and of its sections.
     """
-    sections = {"vehicle": Vehicle, "environment": Environment, "initial": Initial, "mismatch": Mismatch}
-    tables: dict[str, type[Model]] = {"": Scenario, **{f"{key}.": model for key, model in sections.items()}}
+    tables: dict[str, type[Model]] = {
+        "": Scenario,
+        "vehicle.": Vehicle,
+        "environment.": Environment,
+        "initial.": Initial,
+        "mismatch.": Mismatch,
+    }
     keys = {f"{before}{key}": key for before, model in tables.items() for key in model.model_fields}
     same = [path for path, key in keys.items() if key == name]
     return next(iter([*same, *(path for path, key in keys.items() if key.startswith(f"{name}_"))]), None)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import json
 import os
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +14,7 @@ from typing import Any
 
 import pytest
 from patience import PATIENCE
+from places import DOCS, ROOT
 
 import cosim
 from cosim import InputError
@@ -20,6 +23,7 @@ from cosim.cli.results.show import show as show_command
 from cosim.spec.scenario import Scenario
 from cosim.spec.scenario.changes import Changes
 
+PUBLIC = runpy.run_path(str(DOCS / "api.py"))["MODULES"]
 CALLS = (
     "compare", "design", "export", "export_controller", "export_vehicle", "identify", "margins", "prove", "rare",
     "replay", "search", "show", "sweep",
@@ -167,3 +171,13 @@ def test_records_show_themselves_on_one_line_and_as_tables() -> None:
         assert len(repr(shown)) < 200
         assert "</table>" in shown._repr_html_()
     assert "roll_rad" in run.log._ipython_key_completions_()
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.stem)
+def test_an_example_imports_what_is_public(path: Path) -> None:
+    """As the paper and the benchmarks do, which the import contracts hold."""
+    public = {"cosim", "cosim.base.protocols", *(f"cosim.{name}" for name in PUBLIC)}
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    imported = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    imported |= {each.name for node in ast.walk(tree) if isinstance(node, ast.Import) for each in node.names}
+    assert {name for name in imported if name.partition(".")[0] == "cosim"} <= public

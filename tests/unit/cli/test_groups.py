@@ -26,7 +26,7 @@ def test_every_command_has_a_group_and_its_line_fits_eighty_columns() -> None:
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["fyl"], "no command 'fyl'; did you mean 'fly'? allowed: aircraft, "),
+        (["fyl"], "No such command 'fyl'; did you mean 'fly'? allowed: aircraft, "),
         (
             ["fly", "hover", "--duration", "5"],
             "No such option '--duration'; --set duration_s=... is a key of the scenario",
