@@ -38,11 +38,13 @@ BROWSER_FLAGS = [
 KINDS = {"clients": "client", "process": "process", "flight": "flight", "unit": "unit"}  # those that wait most first
 # the files that take longest: a worker that began one of them last would end long after the others
 LONG = (
-    "test_gcs_conformance", "test_design", "test_campaign_store", "test_mavlink_services", "test_campaign_workers", "test_design_stored",
-    "test_pilot_envelope", "test_failsafes", "test_bench", "test_package", "test_design_proof", "test_engine_broken", "test_gcs_mavsdk",
-    "test_reproduce", "test_campaign_run", "test_campaign_cluster", "test_codegen", "test_gcs_link", "test_web", "test_identify",
-    "test_vehicle_export", "test_measured_margins", "test_own_blocks", "test_engine_system", "test_laws", "test_examples", "test_own_controller",
-    "test_engine_check", "test_scenarios", "test_pilot_flight", "test_engine_library", "test_campaign_report", "test_engine_build",
+    "test_gcs_mavsdk", "test_engine_broken", "test_gcs_conformance", "test_failsafes", "test_campaign_cluster", "test_design_proof",
+    "test_gcs_link", "test_design", "test_pilot_energy", "test_campaign_workers", "test_engine_check", "test_codegen", "test_campaign_store",
+    "test_own_controller", "test_gcs_session", "test_web", "test_pilot_flight", "test_scenarios", "test_campaign_run", "test_reproduce",
+    "test_pilot_envelope", "test_campaign_report", "test_prove", "test_engine_out", "test_faults", "test_identify", "test_measured_margins",
+    "test_campaign_rare", "test_worst_folder", "test_engine_archives", "test_controller_process", "test_bench", "test_package",
+    "test_vehicle_export", "test_design_stored", "test_mavlink_services", "test_own_blocks", "test_engine_system", "test_examples",
+    "test_engine_library", "test_engine_build",
 )  # fmt: skip
 
 

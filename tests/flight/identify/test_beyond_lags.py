@@ -95,6 +95,7 @@ def test_a_single_step_does_not_tell_a_lag_by_the_thrust_from_two_and_its_bounds
         assert any("whether gain and lag are the same at all levels" in line for line in result.untold)
 
 
+@pytest.mark.long
 def test_a_dead_band_is_refused(tmp_path: Path) -> None:
     result = found(tmp_path, "chirp", Truth(dead_band=0.04))
     assert not result.is_explained

@@ -381,6 +381,7 @@ def test_a_session_ends_with_a_line_that_tells_how_it_went(vehicle: Any, station
     assert int(told[1]) == sum(each.missed_deadlines for each in missed if each is not None)
 
 
+@pytest.mark.long
 def test_two_vehicles_fly_beside_each_other(vehicle: Any, station_at: Any, tmp_path: Path) -> None:
     """One command for both stations' ports is obeyed by the vehicle whose id it carries, and by no other."""
     both = [vehicle("--system", str(n), "--out", str(tmp_path / f"of{n}")) for n in (1, 2)]
