@@ -57,7 +57,7 @@ def flown(
 
 
 def tip_of(aircraft: str) -> float:
-    text = marks.parts_of((DOCS / "failsafes.md").read_text(encoding="utf-8"), "")[tables.mark(aircraft)]
+    text = marks.parts_of((DOCS / "tables/failsafes.md").read_text(encoding="utf-8"), "")[tables.mark(aircraft)]
     return float(re.search(r"faster than ([\d.]+) m/s sideways", text)[1])  # type: ignore[index]
 
 
