@@ -1,4 +1,4 @@
-"""The page that every identification leaves, and what all of them say in JSON."""
+"""The page that every identification, validation and replay leaves."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.results.report.page import render
+from cosim.identify.verdict import EXPLAINED, NOT_EXPLAINED, Judgement
+from cosim.results.report.page import Flights, render
 from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, Figure, beneath, panels, trace
 
 TEMPLATE = Path(__file__).parent / "templates" / "identification.html"
 MOST_POINTS = 4000  # a curve
+_BADGES = {EXPLAINED: "met", NOT_EXPLAINED: "unmet"}
 
 
 class Card(NamedTuple):
@@ -31,20 +33,29 @@ class Card(NamedTuple):
 
 @dataclass(frozen=True)
 class Page:
-    """The page of an identification, or of a validation."""
+    """The page of an identification, of a validation, or of a replay."""
 
     kind: str
     heading: str
     summary: str
     source: str
+    judgement: Judgement
     cards: Sequence[Card]
     figures: dict[str, Any]
     notes: Sequence[str] = ()
     refused: Sequence[str] = ()  # why there is no model or engine, a line a reason
 
+    flights: Flights | None = None  # replayed in three dimensions
+
+    @property
+    def badge(self) -> str:
+        """The class of the verdict's badge."""
+        return _BADGES.get(self.judgement.verdict, "none")
+
     def write(self, path: Path) -> None:
         """Write it.  Raises FlightError if the file cannot be written."""
-        render(TEMPLATE, path, self.figures, page=self)
+        many = self.flights is not None and len(self.flights.runs) > 1
+        render(TEMPLATE, path, self.figures, self.flights, page=self, two=many)
 
 
 class Signals(NamedTuple):
@@ -81,19 +92,3 @@ def draw_signals(parts: Iterable[Signals], units: tuple[str, str], left_over: st
 
 def _thin(values: Array) -> Any:
     return np.arange(0, len(values), max(1, len(values) // MOST_POINTS))
-
-
-def shared_record(
-    subject: str, channels: tuple[str, str], units: tuple[str, str], refused: Sequence[str], notes: Sequence[str]
-) -> dict[str, Any]:
-    """Return what every ``identification.json`` has; ``channels`` and ``units`` are those of command and output."""
-    return {
-        "subject": subject,
-        "command": channels[0],
-        "output": channels[1],
-        "command_unit": units[0],
-        "output_unit": units[1],
-        "found": not refused,
-        "refused": list(refused),
-        "notes": list(notes),
-    }

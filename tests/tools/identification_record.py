@@ -1,5 +1,6 @@
-"""What the identification.json of every identification has (docs/identification.md)."""
+"""What the JSON of every identification, validation and replay has (docs/identification.md)."""
 
 SHARED = {
-    "subject", "command", "output", "command_unit", "output_unit", "found", "refused", "estimates", "notes",
+    "subject", "command", "output", "command_unit", "output_unit", "verdict", "evidence", "found", "refused", "estimates",
+    "notes",
 }  # fmt: skip

@@ -29,8 +29,8 @@ def validate(options: Validate) -> int:
     """Fly a model with the commands of a log, beside what happened.
 
     MODEL is the folder that hexjet identify log left, its identification.json, or a model file (.toml) that any
-    hexjet identify wrote; LOG is what hexjet identify log reads, of another flight best.  Leaves a page and
-    validation.json.  Status 0, however well it fits.
+    hexjet identify wrote; LOG is what hexjet identify log reads, of another flight best.  Says whether gain and delay,
+    fitted anew to it, are the model's.  Leaves a page and validation.json.  Status 0, however well it fits.
     """
     from cosim.base.runtime.threads import one_thread
 
@@ -46,7 +46,10 @@ def validate(options: Validate) -> int:
     paths = write(comparison, options.run_folder("validation"))
 
     def show() -> None:
-        say(f"{comparison.model.what} of {comparison.model.path} beside {comparison.log}, {comparison.seconds:.1f} s")
+        judgement = comparison.judgement
+        say(f"{judgement.verdict}: {comparison.model.what} of {comparison.model.path} beside {comparison.log}")
+        for line in judgement.evidence:
+            say(f"  {line}")
         for name, value in rows(comparison):
             say(f"  {name}: {value}")
         for note in comparison.notes:

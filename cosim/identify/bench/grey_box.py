@@ -17,7 +17,7 @@ from cosim.identify.bench.fit import Part, Problem
 from cosim.identify.bench.record import BenchRecord
 from cosim.identify.bench.robust import invert, memory_rows, robust_factor
 from cosim.identify.engine_file import DEVIATIONS_95
-from cosim.identify.page import shared_record
+from cosim.identify.verdict import Judgement, judge_model, shared_record
 
 STEP_S = 0.004  # of the simulation, in which a command is the mean of what it is
 UNIT_DELAY_S = 0.1  # of the delay among parameters that are all near 1
@@ -72,6 +72,15 @@ class GreyIdentification:
         return float(np.sqrt(np.mean(self.residual**2)))
 
     @property
+    def judgement(self) -> Judgement:
+        """Whether the engine explains the logs, by what of the residuals follows the command."""
+        return judge_model(
+            not self.misfit.failed,
+            f"left over: {100.0 * self.residual_rms / self.swing:.2g} % of the output's range (rms)",
+            f"{100.0 * self.misfit.share:.2g} % of that follow the command (p {self.misfit.p:.2g})",
+        )
+
+    @property
     def swing(self) -> float:
         """Range of the output."""
         return output_swing(self.parts)
@@ -84,7 +93,7 @@ class GreyIdentification:
         parameters = dict(zip(self.names, map(float, self.values), strict=True))
         deviations = dict(zip(self.names, map(float, self.deviations), strict=True))
         return {
-            **shared_record("engine", channels, units, refused, self.notes),
+            **shared_record("engine", channels, units, self.judgement, refused, self.notes),
             "logs": [str(record.path) for record in self.records],
             "engine": self.choices.engine,
             "set": dict(self.choices.settings),

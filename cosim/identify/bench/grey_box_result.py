@@ -43,6 +43,7 @@ def write(result: GreyIdentification, folder: Path) -> dict[str, Path]:
         f"{result.choices.engine}: {', '.join(result.names)}",
         summary(result),
         " ".join(str(record.path) for record in result.records),
+        result.judgement,
         cards,
         {"signals": draw_signals(lay_behind(result.parts, result.residual), ("command", "output"))},
         result.notes,

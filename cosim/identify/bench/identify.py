@@ -15,7 +15,7 @@ from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, 
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
 from cosim.identify.engine_file import DEVIATIONS_95
-from cosim.identify.page import shared_record
+from cosim.identify.verdict import Judgement, judge_model, shared_record
 
 LONGEST_DELAY_S = 2.0
 LEAST_DEVIANCE_FALL = 30.0  # that the command is worth, as of a flight's log
@@ -70,6 +70,15 @@ class BenchIdentification:
         return [self.misfit.words] if self.misfit.failed else []
 
     @property
+    def judgement(self) -> Judgement:
+        """Whether the model explains the logs, by what of the residuals follows the command."""
+        return judge_model(
+            self.is_explained,
+            f"left over: {self.residual_rms:.3g} {self.records[0].output_unit}".rstrip() + " (rms)",
+            f"{100.0 * self.misfit.share:.2g} % of that follow the command (p {self.misfit.p:.2g})",
+        )
+
+    @property
     def offset(self) -> float:
         """Output at throttle 0, the mean of all logs."""
         return float(np.mean(self.chosen.offsets))
@@ -84,7 +93,7 @@ class BenchIdentification:
         first = self.records[0]
         channels, units = (first.command_name, first.output_name), (first.command_unit, first.output_unit)
         return {
-            **shared_record("engine", channels, units, self.refused, self.notes),
+            **shared_record("engine", channels, units, self.judgement, self.refused, self.notes),
             "logs": [str(record.path) for record in self.records],
             "throttle_range": list(self.limits),
             "throttle_range_known": self.limits_known,

@@ -94,7 +94,7 @@ def page(result: BenchIdentification) -> Page:
     reason = why_no_engine(result)
     return Page(
         "identification from a bench", ", ".join(record.path.name for record in result.records), summary(result),
-        source, cards, figures, result.notes, [f"no engine: {reason}"] if reason else [],
+        source, result.judgement, cards, figures, result.notes, [f"no engine: {reason}"] if reason else [],
     )  # fmt: skip
 
 

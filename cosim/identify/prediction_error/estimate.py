@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from math import log
+from typing import Any
 
 import numpy as np
 
@@ -95,6 +96,32 @@ class Estimate:
         if self.form.engine:
             slope[0] = -1.0 / float(self.x[0]) ** 2
         return value, float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0)))
+
+
+def estimate_dict(estimate: Estimate, sample: float) -> dict[str, Any]:
+    """Return one form's parameters, standard deviations, bounds and criteria, for JSON."""
+    value, deviation = estimate.all_delay
+    low, high = estimate.delay_bounds
+    bounded = bool(np.isfinite(low))
+    return {
+        "form": estimate.form.label,
+        "gain": estimate.gain,
+        **{name: float(value) for name, value in zip(estimate.form.names, estimate.x, strict=True)},
+        "delay_bounds_95_s": [low, high] if bounded else None,
+        "delay_samples": estimate.delay / sample,
+        "standard_deviations": {
+            "gain": estimate.gain_deviation,
+            **{name: estimate.deviation(i) for i, name in enumerate(estimate.form.names)},
+        },
+        "all_delay_s": value,
+        "all_delay_deviation_s": deviation,
+        "noise_order": estimate.order,
+        "held": list(estimate.fixed),
+        "equations": estimate.count,
+        "residual_rms": float(np.sqrt(estimate.loss / estimate.count)),
+        "aic": estimate.aic,
+        "bic": estimate.bic,
+    }
 
 
 @cache

@@ -14,13 +14,13 @@ from cosim.base.arrays import Array
 from cosim.base.errors import NotIdentifiedError
 from cosim.identify.engine_file import DEVIATIONS_95
 from cosim.identify.logs import Channel, FlightLog, LogSignals
-from cosim.identify.page import shared_record
 from cosim.identify.prediction_error.confidence import identify, robust, with_delay_bounds
-from cosim.identify.prediction_error.estimate import SEPARATE, Estimate, Form
+from cosim.identify.prediction_error.estimate import SEPARATE, Estimate, Form, estimate_dict
 from cosim.identify.prediction_error.problem import Problem
 from cosim.identify.prediction_error.search import fit, solve
 from cosim.identify.prediction_error.stretches import Prepared, halves, prepare
 from cosim.identify.sweep.fit import Model
+from cosim.identify.verdict import Judgement, judge_model, shared_record
 from cosim.spec.vehicle import RateModel
 
 LONGEST_DELAY_S = 0.4  # looked for; four times that of the Hex-Jet's engines
@@ -81,6 +81,12 @@ class LogIdentification:
         return bounds(self.estimates)
 
     @property
+    def judgement(self) -> Judgement:
+        """That the model explains the log, for no other is returned, and how its residuals pass their tests."""
+        tests = (f"{check.name}: p {check.p:.2g}, {100.0 * check.share:.2g} % of their power" for check in self.checks)
+        return judge_model(True, f"{self.prepared.seconds:.1f} s used, {self.chosen.count} equations", *tests)
+
+    @property
     def engine(self) -> bool:
         """Whether it is an engine, and not an axis."""
         return self.chosen.form.engine
@@ -103,7 +109,7 @@ class LogIdentification:
         """Return everything but the signals, for JSON."""
         command, output, setpoint, *units = self.signals
         return {
-            **shared_record(self.what, (command, output), (units[0], units[1]), [], self.notes),
+            **shared_record(self.what, (command, output), (units[0], units[1]), self.judgement, [], self.notes),
             "setpoint": setpoint,
             "log": str(self.path),
             "kind": self.kind,
@@ -122,32 +128,6 @@ class LogIdentification:
             "tells_most_hz": list(self.band_hz),
             "discrete": self.rate_model(step).model_dump(),
         }
-
-
-def estimate_dict(estimate: Estimate, sample: float) -> dict[str, Any]:
-    """Return one form's parameters, standard deviations, bounds and criteria, for JSON."""
-    value, deviation = estimate.all_delay
-    low, high = estimate.delay_bounds
-    bounded = bool(np.isfinite(low))
-    return {
-        "form": estimate.form.label,
-        "gain": estimate.gain,
-        **{name: float(value) for name, value in zip(estimate.form.names, estimate.x, strict=True)},
-        "delay_bounds_95_s": [low, high] if bounded else None,
-        "delay_samples": estimate.delay / sample,
-        "standard_deviations": {
-            "gain": estimate.gain_deviation,
-            **{name: estimate.deviation(i) for i, name in enumerate(estimate.form.names)},
-        },
-        "all_delay_s": value,
-        "all_delay_deviation_s": deviation,
-        "noise_order": estimate.order,
-        "held": list(estimate.fixed),
-        "equations": estimate.count,
-        "residual_rms": float(np.sqrt(estimate.loss / estimate.count)),
-        "aic": estimate.aic,
-        "bic": estimate.bic,
-    }
 
 
 def identify_log(

@@ -79,8 +79,9 @@ def page(result: LogIdentification) -> Page:
     reason = why_no_engine(result) if result.engine else ""
     refused = [f"no engine: {reason}"] if reason else []
     return Page(
-        "identification from a log", heading, summary(result), str(result.path), cards, figures, result.notes, refused
-    )
+        "identification from a log", heading, summary(result), str(result.path), result.judgement, cards, figures,
+        result.notes, refused,
+    )  # fmt: skip
 
 
 def why_no_engine(result: LogIdentification) -> str:

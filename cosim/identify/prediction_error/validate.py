@@ -6,19 +6,25 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, write_files
+from cosim.identify.engine_file import DEVIATIONS_95
 from cosim.identify.logs import FlightLog, LogSignals, signals_of
 from cosim.identify.page import Card, Page, Signals, draw_signals
+from cosim.identify.prediction_error.confidence import robust
 from cosim.identify.prediction_error.estimate import Form
+from cosim.identify.prediction_error.identify_log import LEAST_DEVIANCE_FALL
 from cosim.identify.prediction_error.problem import Problem
-from cosim.identify.prediction_error.stretches import prepare
+from cosim.identify.prediction_error.search import solve
+from cosim.identify.prediction_error.stretches import Prepared, prepare
 from cosim.identify.sweep.fit import Model as Continuous
+from cosim.identify.sweep.verdict import MISFIT
+from cosim.identify.verdict import NOT_EXPLAINED, NOT_TOLD, Judgement, judge_model, shared_record
 from cosim.spec.vehicle import RateModel, read_models
 
 MODELLED = "Measured and modelled"
@@ -27,6 +33,7 @@ ERROR = (
     "add up over the flight, so that the fit of the change tells more than that of the whole."
 )
 AHEAD_S = 1.0  # of the prediction that is judged: the loops that a predictor serves are faster
+WIDEST = 2.0 * MISFIT  # half of a 95 % interval, from where on the log says too little of a gain
 OTHER_FORM = "no held model of a slow pole and lags, which hexjet identify writes; nothing else can be flown here"
 
 
@@ -40,6 +47,23 @@ class StatedModel:
     form: Form
     x: Array
     gain: float
+
+
+class Refit(NamedTuple):
+    """Gain and delay fitted anew to the log, the rest of the model kept, with half of their 95 % intervals."""
+
+    gain: float  # over the model's
+    gain_half: float
+    delay: float  # s, less the model's
+    delay_half: float
+
+    @property
+    def text(self) -> str:
+        """Both, in words."""
+        return (
+            f"fitted to this log its gain is {self.gain:.3g} ±{self.gain_half:.2g} times as stated, and its delay "
+            f"{1e3 * self.delay:+.3g} ±{1e3 * self.delay_half:.2g} ms off"
+        )
 
 
 @dataclass(frozen=True)
@@ -56,31 +80,69 @@ class Validation:
     ahead: float  # the same as fit, of the change of the output over AHEAD_S
     autocorrelation: float  # of the simulation's error from one sample to the next but AHEAD_S
     delay_off: float  # s by which another delay would fit better, the rest of the model kept
+    again: Refit | None  # None: nothing is told, for the log does not move enough
     signals: tuple[tuple[Array, Array, Array, Array], ...]  # of each stretch: times, command, output, model
     notes: tuple[str, ...]
 
+    @property
+    def judgement(self) -> Judgement:
+        """Whether gain and delay, fitted anew to this log, are the model's.
+
+        The gain to a tenth, as a sweep's form has to be, the delay to a tenth of delay and lags, a sample at least: not
+        explained where the 95 % interval lies beyond that, not told where the gain's is wider than twice that.
+        """
+        again, compared = self.again, f"{self.seconds:.1f} s compared"
+        if again is None:
+            return Judgement(NOT_TOLD, (compared, "the output does not show the command"))
+        evidence = (compared, again.text)
+        lags = 1.0 / float(self.model.x[0]) if self.model.form.engine else 0.0
+        least = max(MISFIT * (float(self.model.x[1:].sum()) + lags), self.step)
+        off = abs(again.gain - 1.0) - again.gain_half > MISFIT or abs(again.delay) - again.delay_half > least
+        if not off and again.gain_half > WIDEST:
+            return Judgement(NOT_TOLD, evidence)
+        return judge_model(not off, *evidence)
+
+    @property
+    def refused(self) -> list[str]:
+        """Why the model may not be used for what flew this log; empty where it may, or it is not told."""
+        again, judgement = self.again, self.judgement
+        return [f"not explained: {again.text}"] if again and judgement.verdict == NOT_EXPLAINED else []
+
     def to_dict(self) -> dict[str, Any]:
         """Return everything, for JSON."""
+        model, signals = self.model, self.model.signals
+        channels, units = (signals.command, signals.output), (signals.command_unit, signals.output_unit)
+        again = self.again
         return {
-            "model": str(self.model.path),
+            **shared_record(model.what, channels, units, self.judgement, self.refused, self.notes),
+            "estimates": [
+                {
+                    "form": model.form.label,
+                    "gain": model.gain,
+                    **dict(zip(model.form.names, model.x.tolist(), strict=True)),
+                }
+            ],
+            "model": str(model.path),
             "log": str(self.log),
-            "what": self.model.what,
-            "subject": self.model.what,
-            **self.model.signals._asdict(),
+            "what": model.what,
+            "setpoint": signals.setpoint,
+            "gain_fitted_anew": None if again is None else again.gain,
+            "gain_fitted_anew_bound_95": None if again is None else again.gain_half,
+            "delay_fitted_anew_by_s": None if again is None else again.delay,
+            "delay_fitted_anew_bound_95_s": None if again is None else again.delay_half,
             "seconds": self.seconds,
             "fit": self.fit,
             "nrmse": self.nrmse,
             "theil_u": self.theil,
             "fit_of_changes": self.ahead,
             "changes_over_s": AHEAD_S,
-            "error_autocorrelation": self.autocorrelation,
+            "error_autocorrelation": self.autocorrelation if np.isfinite(self.autocorrelation) else None,
             "better_delay_by_s": self.delay_off,
-            "notes": list(self.notes),
         }
 
 
 def read_model(path: Path, axis: str | None = None) -> StatedModel:
-    """Read ``identification.json`` of ``hexjet identify log``, its folder, or any ``hexjet identify`` model file.
+    """Read ``identification.json`` of ``hexjet identify log`` or of an axis, its folder, or a model file of an axis.
 
     ``axis`` chooses from a model file of more than one.  Raises InputError.
     """
@@ -89,6 +151,8 @@ def read_model(path: Path, axis: str | None = None) -> StatedModel:
         return _of_model_file(file, axis)
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
+        if data.get("kind") == "axis" and (beside := file.parent / "model.toml").is_file():  # of a sweep
+            return _of_model_file(beside, axis)
         best = data["estimates"][0]
         form = Form(bool(data["engine"]), sum(name.startswith("lag") and name.endswith("_s") for name in best))
         wants = LogSignals(*(str(data[name]) for name in LogSignals._fields))
@@ -96,7 +160,7 @@ def read_model(path: Path, axis: str | None = None) -> StatedModel:
         return StatedModel(file, str(data["what"]), wants, form, x, float(best["gain"]))
     except OSError as error:
         raise InputError(f"{file}: {error.strerror or error}") from error
-    except (ValueError, KeyError, IndexError, TypeError) as error:
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise InputError(
             f"{file}: is no identification.json of hexjet identify log ({one_line(error)}); "
             "allowed: that file, its folder, a model file (.toml)"
@@ -172,8 +236,29 @@ def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end
         1.0 - float(np.sqrt(np.mean(missed**2))) / float(np.sqrt(np.mean(moved**2))),
         _correlation([o - m for o, m in fits], lag),
         _better_delay(problems, model, longest),
+        _fit_anew(prepared, model, longest),
         tuple(signals),
         (*log.remarks, *of_sums, *prepared.notes),
+    )
+
+
+def _fit_anew(prepared: Prepared, model: StatedModel, longest: float) -> Refit | None:
+    """Fit gain and delay to the log; None where the command lowers the deviance by too little to tell."""
+    problem = Problem(prepared.by_stamps, prepared.working_step, longest)
+    left = np.where(problem.present, problem.output - _simulate(problem, model, model.x), 0.0)
+    order = problem.best_order(left, float(model.x[1:].sum()))
+    kept = list(range(len(model.x) - 1))
+    try:
+        found = robust(problem, solve(problem, model.form, model.x.copy(), problem.noise(left, order), kept, order))
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    if not problem.without_command(found) - found.deviance >= LEAST_DEVIANCE_FALL or not found.gain_deviation > 0.0:
+        return None
+    return Refit(
+        found.gain / model.gain,
+        DEVIATIONS_95 * found.gain_deviation / abs(model.gain),
+        found.delay - float(model.x[-1]),
+        DEVIATIONS_95 * found.deviation(len(model.x) - 1),
     )
 
 
@@ -220,13 +305,18 @@ def rows(validation: Validation) -> list[tuple[str, str]]:
     if np.isfinite(validation.autocorrelation):
         lines.append((f"autocorrelation of the error after {AHEAD_S:g} s", f"{validation.autocorrelation:.2f}"))
     lines.append(("a delay that fits better by, ms", f"{1e3 * validation.delay_off:+.1f}"))
+    if (again := validation.again) is not None:
+        lines.append(("gain fitted to this log, times as stated", f"{again.gain:.3g} ±{again.gain_half:.2g}"))
+        lines.append(
+            ("delay fitted to this log, off by, ms", f"{1e3 * again.delay:+.3g} ±{1e3 * again.delay_half:.2g}")
+        )
     return lines
 
 
 def write(validation: Validation, folder: Path) -> dict[str, Path]:
     """Write ``validation.json`` and ``report.html``.  Raises FlightError if a file cannot be written."""
     paths = {"json": folder / "validation.json", "report": folder / "report.html"}
-    write_files({paths["json"]: json.dumps(validation.to_dict(), indent=2) + "\n"})
+    write_files({paths["json"]: json.dumps(validation.to_dict(), indent=2, allow_nan=False) + "\n"})
     model, units = validation.model, (validation.model.signals.command_unit, validation.model.signals.output_unit)
     signals = [
         Signals(times, command, times, output, fit, output - fit) for times, command, output, fit in validation.signals
@@ -237,6 +327,7 @@ def write(validation: Validation, folder: Path) -> dict[str, Path]:
         f"{model.path}, flown with {model.signals.command}; {validation.seconds:.1f} s compared, every "
         f"{1e3 * validation.step:.3g} ms.",
         str(validation.log),
+        validation.judgement,
         [Card("How well it fits", ("measure", "value"), rows(validation), ERROR), Card(MODELLED, figure="signals")],
         {"signals": draw_signals(signals, units)},
         validation.notes,

@@ -12,19 +12,43 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.signals import AXES
 from cosim.base.storage.files import write_files
-from cosim.identify.replay.replay import EXPLAINED, NOT_EXPLAINED, Replay
+from cosim.identify.page import Card, Page
+from cosim.identify.replay.replay import Replay
 from cosim.identify.replay.windows import CHANNELS
 from cosim.results.log.columns import COLUMNS
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.log.tables import TIME
-from cosim.results.report.page import Flights, render
+from cosim.results.report.page import Flights
 from cosim.results.report.plot import BLUE, GREY, HOVER, ORANGE, Figure, axis_name, beneath, panels, trace
 from cosim.results.report.signals_data import FlightData, run_data
 
-TEMPLATE: Final = Path(__file__).parent / "templates" / "replayed.html"
 _GROUPS: Final = (("rates", "rate_"), ("forces", "specific_force_"), ("angles", ""))
 _MOST: Final = 6000  # points a curve
-_BADGES: Final = {EXPLAINED: "met", NOT_EXPLAINED: "unmet"}
+_TITLES: Final = {"rates": "Angular rates", "forces": "Specific force", "angles": "Angles"}
+CHANNELS_SHOWN: Final = (
+    "channel", "time within", "error, rms", "movement, rms", "Theil's U", "bias / variance / covariance, %", "told",
+)  # fmt: skip
+BANDS_SHOWN: Final = (
+    "channel", "Hz", "time within", "Theil's U", "coherence", "measured over modelled, dB", "deg",
+)  # fmt: skip
+OPEN_LOOP: Final = (
+    "Open loop, in windows of {:g} s: a vehicle that hovers is not stable without its controller, so the model is "
+    "started anew from the recorded state at the beginning of each. What a window starts with is corrected once by "
+    "what the model was off by in its mean."
+)
+CLOSED_LOOP: Final = "Closed loop, by the set-points, from the recorded start."
+ENVELOPE: Final = (
+    "The envelope is that of {} draws and twice the noise; a channel is explained that is within it for 90 % of the "
+    "time. Theil's U is 0 for equal and 1 for useless, about the mean measured in each window."
+)
+CAUSES: Final = (
+    "Each number was fitted alone, then the most promising two at once. One is named where it removes half of the "
+    "misfit or more and the windows agree on that by three standard errors, two where windows that are held back bear "
+    "both out; another that comes as near is named beside it. An inertia about an axis looks like the levers about it."
+)
+RATIO: Final = (
+    "A gain that is flat and not 0 dB is an inertia, a lever or a thrust; a phase that falls with frequency is a delay."
+)
 
 
 def write(result: Replay, folder: Path) -> dict[str, Path]:
@@ -33,19 +57,56 @@ def write(result: Replay, folder: Path) -> dict[str, Path]:
     text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
     write_files({paths["json"]: text, paths["csv"]: _csv(result)})
     paths["report"] = folder / "report.html"
-    render(
-        TEMPLATE,
-        paths["report"],
-        figures(result),
-        Flights("replay", runs, {}) if (runs := _flights(result)) else None,
-        result=result,
-        badge=_BADGES.get(result.verdict, "none"),
-        channels=channel_rows(result),
-        bands=band_rows(result),
-        causes=[(one.text, f"{100.0 * one.removed:.0f} %", f"{one.sure:.1f}") for one in result.causes.tried],
-        two=True,
-    )
+    page(result).write(paths["report"])
     return paths
+
+
+def page(result: Replay) -> Page:
+    """Return the page of a replay."""
+    drawn, runs = figures(result), _flights(result)
+    cards = [
+        Card("Channels", CHANNELS_SHOWN, channel_rows(result), _describe_comparison(result)),
+        _causes_card(result),
+        *([Card("Bands", BANDS_SHOWN, bands)] if (bands := band_rows(result)) else []),
+        Card("Measured over modelled, by frequency", text=RATIO, figure="ratio"),
+        *(Card(f"{title}, measured and modelled", figure=name) for name, title in _TITLES.items() if name in drawn),
+    ]
+    return Page(
+        "replay of a recorded flight",
+        f"{result.aircraft} with {result.engine}, flown again with the commands of {result.log}",
+        "",
+        result.log,
+        result.judgement,
+        cards,
+        drawn,
+        result.notes,
+        [result.fault] if result.fault else [],
+        Flights("replay", runs, {}) if runs else None,
+    )
+
+
+def _describe_comparison(result: Replay) -> str:
+    """Return how both were compared: how the model was driven, the envelope, what was drawn, moments and wind."""
+    how = OPEN_LOOP.format(result.window_s) if result.flying.flight.setpoints is None else CLOSED_LOOP
+    x, y, z = result.moment_rms
+    wind = result.wind
+    blows = wind.reason or (
+        f"{wind.velocity[0]:.1f}, {wind.velocity[1]:.1f} m/s north, east, within {wind.deviation or 0.0:.1f}"
+    )
+    return (
+        f"{how} {ENVELOPE.format(result.choices.draws)} Drawn: {'; '.join(result.tolerances)}. Each window has a "
+        f"constant moment beside what the engines make, of {x:.2g}, {y:.2g}, {z:.2g} N m (rms) about x, y, z: of the "
+        f"air, or of a centre of gravity or engines that are not where they are stated. Wind: {blows}."
+    )
+
+
+def _causes_card(result: Replay) -> Card:
+    """Return what was tried, one cause a row and two; the reason where nothing was."""
+    title, causes = "What may be wrong with the model", result.causes
+    rows = [(one.text, f"{100.0 * one.removed:.0f} %", f"{one.sure:.1f}") for one in (*causes.tried, *causes.pairs)]
+    if not rows:
+        return Card(title, text=f"{causes.reason}.")
+    return Card(title, ("alone, or two at once", "removes of the misfit", "standard errors, by windows"), rows, CAUSES)
 
 
 def channel_rows(result: Replay) -> list[tuple[str, ...]]:

@@ -28,6 +28,7 @@ from cosim.identify.replay.measures import (
 from cosim.identify.replay.recorded import RecordedFlight
 from cosim.identify.replay.wind import Wind, estimate_wind
 from cosim.identify.replay.windows import CHANNELS, Flying, accelerometer_zero, cut, slopes
+from cosim.identify.verdict import EXPLAINED, NOT_EXPLAINED, NOT_TOLD, Judgement, shared_record
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
@@ -42,7 +43,6 @@ CLOSED: Final = (
     "the loop is closed: the controller hides what is wrong with a vehicle, and may be another than the one that flew; "
     "log the engines' commands"
 )
-EXPLAINED, NOT_EXPLAINED, NOT_TOLD = "explained", "not explained", "not told"
 
 
 @dataclass(frozen=True)
@@ -137,6 +137,11 @@ class Replay:
         return tuple(lines)
 
     @property
+    def judgement(self) -> Judgement:
+        """The verdict with what it rests on."""
+        return Judgement(self.verdict, self.evidence)
+
+    @property
     def fault(self) -> str:
         """What is at fault, in a line."""
         if self.verdict != NOT_EXPLAINED:
@@ -151,14 +156,18 @@ class Replay:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the signals, for JSON."""
+        command = "throttle" if self.flying.flight.setpoints is None else "attitude set-point"
+        channels = (command, ", ".join(channel.name for channel in self.channels))
+        units = ("1" if self.flying.flight.setpoints is None else "rad", ", ".join(c.unit for c in self.channels))
+        refused = [self.fault] if self.fault else []
         return {
+            **shared_record(self.aircraft, channels, units, self.judgement, refused, self.notes),
+            "estimates": [fitted.to_dict() for fitted in self.causes.named],
             "log": self.log,
             "aircraft": self.aircraft,
             "engine": self.engine,
             "way": self.way,
-            "verdict": self.verdict,
             "fault": self.fault,
-            "evidence": list(self.evidence),
             "seconds": self.flying.seconds,
             "windows": len(self.flying.windows),
             "window_s": self.window_s,
@@ -170,7 +179,6 @@ class Replay:
             "moment_rms_n_m": list(self.moment_rms),
             "wind": self.wind.to_dict(),
             "causes": self.causes.to_dict(),
-            "notes": list(self.notes),
         }
 
 

@@ -87,6 +87,7 @@ def write_page(identification: Identification, path: Path) -> None:
         f"{sweep.amplitude:.3g} {identification.command_unit}; "
         f"sampled every {1e3 * identification.response.step:g} ms.",
         identification.source,
+        identification.judgement,
         cards,
         {"response": response_figure(identification)},
         identification.notes,

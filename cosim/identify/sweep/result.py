@@ -11,10 +11,17 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError, NotIdentifiedError
-from cosim.identify.page import shared_record
 from cosim.identify.sweep.fit import LEAST_COHERENCE, Fit
 from cosim.identify.sweep.response import FrequencyResponse, shortest_record
-from cosim.identify.sweep.verdict import all_delay_is_determined, half_width, is_determined, is_none, why_refused
+from cosim.identify.sweep.verdict import (
+    MISFIT,
+    all_delay_is_determined,
+    half_width,
+    is_determined,
+    is_none,
+    why_refused,
+)
+from cosim.identify.verdict import NOT_TOLD, Judgement, judge_model, shared_record
 from cosim.spec.vehicle import RateModel
 
 CHIRP_MARGIN = (0.7, 1.2)  # the chirp runs from this times the lowest to this times the highest frequency of the band
@@ -70,6 +77,18 @@ class Identification:
         return why_refused(self.chosen, self.kind == "engine")
 
     @property
+    def judgement(self) -> Judgement:
+        """Whether the chosen form explains the response; not told where it does and its numbers are not determined."""
+        misfit, points = self.chosen.misfit, len(self.response.hertz)
+        evidence = (
+            f"{self.chosen.label}: {100.0 * misfit:.2g} % off the response at {points} points, coherence at least "
+            f"{self.response.coherence.min():.3g}"
+        )
+        if misfit <= MISFIT and self.refused:
+            return Judgement(NOT_TOLD, (evidence,))
+        return judge_model(misfit <= MISFIT, evidence)
+
+    @property
     def model(self) -> RateModel:
         """The chosen model as a predictor reads it."""
         model = self.chosen.model.discrete(self.source)
@@ -94,7 +113,7 @@ class Identification:
         )
         units = self.command_unit, self.output_unit
         return {
-            **shared_record(self.subject, (channels[0], channels[-1]), units, self.refused, self.notes),
+            **shared_record(self.subject, (channels[0], channels[-1]), units, self.judgement, self.refused, self.notes),
             "kind": self.kind,
             "engine": self.engine,
             "channel": self.channel,

@@ -19,6 +19,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError, Notice, NotIdentifiedError
 from cosim.control.predictors.smith import DelayedModel
 from cosim.engine import load_engine
+from cosim.identify.prediction_error.validate import read_model
 from cosim.identify.sweep import (
     Identification,
     Model,
@@ -524,6 +525,9 @@ def test_the_model_file_flies(hexjet, tmp_path: Path) -> None:  # type: ignore[n
     assert json.loads((tmp_path / "found" / "identification.json").read_text()) == told
     model = tomllib.loads((tmp_path / "found" / "model.toml").read_text())["identified"]["edf"]["roll"]
     assert told.keys() >= SHARED
+    assert told["verdict"] == "explained"
+    stated = read_model(tmp_path / "found")
+    assert stated.gain == pytest.approx(read_model(tmp_path / "found" / "model.toml").gain)
     assert told["fits"] == told["estimates"]
     assert model == told["fits"][0]["discrete"]
     page = (tmp_path / "found" / "report.html").read_text()

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_tools import Hexjet
+from identification_record import SHARED
 from known_logs import Flaws, Log, Truth, closed_loops, drawn
 from scipy.signal import lfilter
 from scipy.special import chdtr, ndtri
@@ -277,6 +278,10 @@ def test_a_model_is_laid_beside_another_flight(hexjet: Hexjet, tmp_path: Path, l
     assert abs(told_by["better_delay_by_s"]) <= TRUTH.step
     assert told_by["fit_of_changes"] > 0.5
     assert 0.0 <= told_by["theil_u"] < 0.5
+    assert told_by.keys() >= SHARED
+    assert told_by["verdict"] == "explained"
+    assert abs(told_by["gain_fitted_anew"] - 1.0) < 0.1
+    assert abs(told_by["delay_fitted_anew_by_s"]) < told_by["delay_fitted_anew_bound_95_s"] + TRUTH.step
     assert (tmp_path / "beside" / "report.html").stat().st_size > 100_000
     stated, written = (read_model(tmp_path / "model" / name) for name in ("identification.json", "model.toml"))
     assert written.what == stated.what == "roll"
@@ -287,6 +292,13 @@ def test_a_model_is_laid_beside_another_flight(hexjet: Hexjet, tmp_path: Path, l
     for name, axis, said in (("model/model.toml", "yaw", "0 models of yaw"), ("other.toml", "roll", "no held model")):
         with pytest.raises(InputError, match=said):
             read_model(tmp_path / name, axis)
+    other = replace(stated, gain=1.3 * stated.gain, signals=LogSignals("u", "y"))
+    wrong = validate(other, flight_log(logs[1]))
+    assert wrong.judgement.verdict == "not explained"
+    assert wrong.again is not None
+    assert wrong.again.gain == pytest.approx(told_by["gain_fitted_anew"] / 1.3, rel=0.01)
+    assert wrong.refused
+    assert wrong.to_dict()["found"] is False
     refused = hexjet("validate", "1.csv", "0.csv")
     assert refused.status == 2
     assert "no identification.json" in refused.err

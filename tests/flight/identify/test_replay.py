@@ -11,6 +11,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 from command_tools import Hexjet
+from identification_record import SHARED
 from stated_figures import stated
 
 from cosim import Scenario, fly
@@ -241,6 +242,7 @@ def test_the_command_leaves_page_json_and_csv(hexjet: Hexjet, doublet: Path, tmp
     data = json.loads(hexjet("replay", str(doublet), "--draws", "1", "--out", str(out), "--json").out)
     assert data == json.loads((out / "replay.json").read_text(encoding="utf-8"))
     assert data["verdict"] == "explained"
+    assert data.keys() >= SHARED
     assert data["engine"] == "edf-as-flown"
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "each started from the recorded state" in page
