@@ -167,9 +167,11 @@ class Program:
         """How the process ended, in words; empty while it runs."""
         return self.process.describe_end(0.0, "was ended by {}", "ended with status {}")
 
-    def close(self) -> None:
-        """End it; may be called twice."""
-        self.process.end()
+    def close(self, patience: float = 0.0) -> None:
+        """End it; may be called twice.  Where it has ``patience`` s to write down what it has, it is asked to first."""
+        if patience and self.process.poll() is None:
+            self.process.terminate()
+        self.process.end(patience)
 
 
 def find_configured_program(binary: Path | None, variable: str) -> Path | None:
@@ -254,6 +256,8 @@ def set_receive_timeout(sock: socket.socket) -> socket.socket:
 class Sitl:
     """Common state of the autopilots that run as programs: counts, program, sockets, and the vehicle's outputs."""
 
+    patience_s = 0.0  # that it has to end by itself once it is asked to
+
     def __init__(self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, limit: float) -> None:
         self.counts = LockstepCounts()
         self.limit = limit  # wall-clock time limit of an answer, s
@@ -273,7 +277,7 @@ class Sitl:
     def close(self) -> None:
         """End it; may be called twice."""
         if self._program is not None:
-            self._program.close()
+            self._program.close(self.patience_s)
         for sock in reversed(self._sockets):
             sock.close()
 

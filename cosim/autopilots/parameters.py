@@ -23,6 +23,9 @@ from cosim.spec.vehicle import RateGains, Vehicle
 _THRUST = 6.5  # default of CA_ROTOR_CT
 _LEAST_OFFSET = 0.01  # m, to the left or right, below which PX4 gives a tilt no yaw
 _MOST_ROTORS = 12  # limit of PX4's control allocation
+# SDLOG_PROFILE: what PX4 logs by itself, and torques and rates at every sample.  It thins them out to 50 Hz else, and a
+# command that is read held for 20 ms seems to act 8 ms sooner than it does.
+_EVERY_SAMPLE = 1 + 8 + 16
 _HOVER_RANGE = (0.1, 0.8)  # of MPC_THR_HOVER
 _LEAST_IMU_HZ, _MOST_IMU_HZ = 100, 1000  # range of IMU_INTEG_RATE
 _MOST_MOTORS = 12  # of ArduCopter, AP_MOTORS_MAX_NUM_MOTORS in 4.6
@@ -178,7 +181,9 @@ def px4_target(vehicle: Vehicle, step: float, target: str) -> dict[str, float]:
     A board that flies keeps its own radio; a name that the target does not have is an error to PX4.
     """
     parameters = px4_parameters(vehicle) | px4_outputs(vehicle, "HIL_ACT" if target == "hil" else "PWM_MAIN")
-    return parameters if target == "board" else parameters | px4_link(step)
+    if target == "board":
+        return parameters
+    return parameters | px4_link(step) | ({"SDLOG_PROFILE": _EVERY_SAMPLE} if target == "sitl" else {})
 
 
 def leave_px4_gains(parameters: Mapping[str, float]) -> dict[str, float]:
@@ -398,6 +403,6 @@ def _is_real(name: str) -> bool:
     """Return whether PX4 stores a parameter as a float, whatever its value."""
     integer_prefixes = (
         "CA_AIRFRAME", "CA_ROTOR_COUNT", "CA_SV_TL_COUNT", "COM_", "RC_MAP", "RC_CHAN", "MC_AIRMODE", "HIL_ACT",
-        "PWM_MAIN", "IMU_INTEG_RATE", "MPC_THR_CURVE",
+        "PWM_MAIN", "IMU_INTEG_RATE", "MPC_THR_CURVE", "SDLOG_",
     )  # fmt: skip
     return not (name.startswith(integer_prefixes) or name.endswith(("_TILT", "_CT", "_TD")))

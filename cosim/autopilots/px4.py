@@ -115,6 +115,8 @@ class LaunchOptions:
 class Px4(Sitl):
     """One PX4 SITL, started here or by hand."""
 
+    patience_s = 1.0  # what it printed and logged last is in its buffers until it is asked to end
+
     def __init__(
         self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: LaunchOptions
     ) -> None:

@@ -51,7 +51,7 @@ DEFAULTS: dict[str, float] = {
     "COM_RC_IN_MODE": 3, "COM_SPOOLUP_TIME": 1.0, "MAN_DEADZONE": 0.1, "MPC_THR_HOVER": 0.5, "MPC_MANTHR_MIN": 0.08,
     "MPC_THR_MAX": 1.0, "MPC_THR_CURVE": 0, "MPC_MAN_TILT_MAX": 35.0, "MPC_MAN_Y_MAX": 150.0, "MPC_MAN_Y_TAU": 0.08,
     "THR_MDL_FAC": 0.0, "RC_MAP_ROLL": 0, "RC_MAP_PITCH": 0, "RC_MAP_YAW": 0, "RC_MAP_THROTTLE": 0, "RC_MAP_ARM_SW": 0,
-    "RC_MAP_FLTMODE": 0, "RC_CHAN_CNT": 0, "SDLOG_MODE": 0,
+    "RC_MAP_FLTMODE": 0, "RC_CHAN_CNT": 0, "SDLOG_MODE": 0, "SDLOG_PROFILE": 1,
     "MC_ROLL_P": 6.5, "MC_PITCH_P": 6.5, "MC_YAW_P": 2.8, "MC_RR_INT_LIM": 0.3, "MC_PR_INT_LIM": 0.3, "MC_YR_INT_LIM": 0.3,
     **{f"MC_{axis}RATE_{key}": value for axis in _AXES
        for key, value in (("P", 0.15), ("I", 0.2), ("D", 0.0), ("FF", 0.0), ("K", 1.0), ("MAX", 220.0))},

@@ -227,8 +227,11 @@ def _throttles(log: FlightLog, vehicle: Vehicle, mapping: ThrottleChannels, note
             f"{log.path}: {what}, and {vehicle.name} has {jets}; say --throttle N=CHANNEL; of that kind it has "
             f"{have or 'nothing'}"[:400]
         )
-    further = _motor(log, jets + 1, mapping)
-    if further is not None and _varies(log.channels[further]):
+    # of the same kind: PX4 logs its servos too, as outputs behind those of the engines
+    further = next(
+        (kind.format(n=jets + 1, m=jets) for kind in _MOTORS if kind.format(n=jets, m=jets - 1) == names[-1]), ""
+    )
+    if further in log.channels and _varies(log.channels[further]):
         raise InputError(
             f"{log.path}: commands of more engines ({further}) than the {jets} of {vehicle.name}: another aircraft?"
         )
@@ -261,6 +264,9 @@ def _tilts(columns: Table[str, Channel], vehicle: Vehicle) -> list[Channel]:
             else (f"deflection_{name}_command", f"hexjet_deflection.command[{surface}]", "hexjet_deflection.command")
         )
         channel = _find(columns, choices, [])
+        fraction = _find(columns, (f"actuator_servos.control[{number}]",), []) if surface < 0 else None
+        if channel is None and fraction is not None and vehicle.servo is not None:  # PX4's, of the banks' whole range
+            channel = fraction._replace(values=vehicle.servo.range_rad * fraction.values)
         if channel is None:
             raise InputError(f"no command of the {name} servo of {vehicle.name}: a column {choices[0]} is needed")
         found.append(channel)

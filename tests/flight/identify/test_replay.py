@@ -295,6 +295,24 @@ def test_what_a_log_lacks_is_said_with_what_it_has() -> None:
     assert "no channel 'nothing'" in refusal(log, ThrottleChannels({1: "nothing"}))
 
 
+def test_px4s_own_topics_are_engines_and_banks_beside_all_its_outputs() -> None:
+    """Its outputs have the servos behind the engines, and are no further engines; its servos are parts of their range."""
+    log = log_of()
+    theirs = {
+        **{f"actuator_motors.control[{n}]": log.channels[f"throttle_{n + 1}"] for n in range(6)},
+        **{f"actuator_servos.control[{n}]": Channel(log.channels["throttle_1"].times, np.linspace(0.0, n + 1.0, 1000) / 4.0)
+           for n in range(2)},
+        **{f"actuator_outputs.output[{n}]": Channel(log.channels["throttle_1"].times, np.linspace(0.0, 1.0, 1000))
+           for n in range(8)},
+    }  # fmt: skip
+    rates = {name: channel for name, channel in log.channels.items() if name.startswith("rate_")}
+    flight = record_flight(replace(log, channels=theirs | rates), VEHICLE, DOUBLET.step_s, ThrottleChannels(), WHOLE)
+    assert np.ptp(flight.throttle) == 0.0
+    assert VEHICLE.servo is not None
+    share = flight.tilt[-1] / VEHICLE.servo.range_rad
+    assert share == pytest.approx((0.25, 0.5), abs=0.01)
+
+
 def test_logs_that_are_short_slow_or_of_another_unit_are_refused() -> None:
     assert "1 s of commands and rates; 2 s are needed" in refusal(log_of(1.004))
     assert "less than two rows" in refusal(log_of(0.004))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 from hashlib import sha256
 from pathlib import Path
@@ -109,6 +110,7 @@ def test_the_yaw_stick_turns_it_as_far_and_as_fast_as_it_is_asked(hexjet: Hexjet
 
 
 def test_the_gains_of_a_design_are_flown_and_named(hexjet: Hexjet) -> None:
+    """Named beside them are version, parameters and messages of its own log."""
     done = flown(hexjet, "--gains", str(DESIGN), "--set", "duration_s=0.5")
     assert done.status == 0, done.out + done.err
     told = books()
@@ -121,27 +123,7 @@ def test_the_gains_of_a_design_are_flown_and_named(hexjet: Hexjet) -> None:
     assert told["parameters"]["MC_ROLLRATE_P"] == vehicle.control.rate.roll.p / px4_torque_scale(vehicle)[0]
     assert told["parameters"]["MC_ROLLRATE_P"] != px4_parameters(own)["MC_ROLLRATE_P"]
     assert seen()["values"]["MC_ROLLRATE_P"] == float(np.float32(told["parameters"]["MC_ROLLRATE_P"]))
-
-
-def test_it_holds_its_place_by_itself_once_the_switch_is_raised(hexjet: Hexjet) -> None:
-    """In the wind, which would carry it away by then: 3 m/s push it 6 m aside in Stabilized."""
-    wind = ("--set", "environment.wind_ned_m_s=[0,3,0]", "--set", "duration_s=6")
-    done = flown(hexjet, "--hold", "0.5", "--set", 'engine="edf"', *wind)
-    assert done.status == 0, done.out + done.err
-    assert books()["hold_from_s"] == 0.5
-    assert books()["parameters"]["MPC_THR_HOVER"] == pytest.approx(0.451, abs=0.001)  # PX4's own is 0.5
-    away = np.hypot(errors("north_m"), errors("east_m"))
-    assert away[-1] < 1.0
-    assert np.abs(errors("altitude_m") - 10.0).max() < 0.3
-
-
-def test_gains_as_it_ships_and_what_its_own_log_says(hexjet: Hexjet) -> None:
-    """None of its gains and filters is stated; version, parameters and messages come from its log."""
-    done = flown(hexjet, "--gains", "stock", "--set", "duration_s=0.5")
-    assert done.status == 0, done.out + done.err
-    told = books()
-    assert told["gains"] == "stock"
-    assert not any(name.startswith(("MC_", "IMU_GYRO", "IMU_DGYRO")) for name in seen()["values"])
+    # what its own log says
     assert told["version"] == "1.17.0-rc (0123abcd)"
     values = DEFAULTS | seen()["values"]
     text = "".join(f"{name}={float(np.float32(value)):.9g}\n" for name, value in sorted(values.items()))
@@ -154,6 +136,34 @@ def test_gains_as_it_ships_and_what_its_own_log_says(hexjet: Hexjet) -> None:
     ]
     page = Path("run/report.html").read_text(encoding="utf-8")
     assert "Takeoff detected" in page
+
+
+def test_it_flies_what_the_page_says_that_px4_flew(hexjet: Hexjet) -> None:
+    """The doublet's first side with the engines 0.1 s late and a predictor outside, beside the real program's row."""
+    page = (Path(__file__).parents[3] / "docs" / "autopilots.md").read_text(encoding="utf-8")
+    (row,) = re.findall(
+        r"^\| hexjet \| 0.1 s late \| smith, from outside \| [^|]* \| (\d+) %, (\d\.\d+) s ", page, re.MULTILINE
+    )
+    overshoot, settling = map(float, row)
+    done = flown(
+        hexjet, "--scenario", "roll-doublet", "--rates", "smith", "--set", "expect=[]", "--set", "duration_s=4"
+    )
+    assert done.status == 0, done.out + done.err
+    roll = open_run(Path("run")).summary.metrics["roll"]
+    assert roll.overshoot_percent == pytest.approx(overshoot, abs=6.0)  # points: noise, and the other side's step
+    assert roll.settling_time_s == pytest.approx(settling, abs=0.15)
+
+
+def test_it_holds_its_place_by_itself_once_the_switch_is_raised(hexjet: Hexjet) -> None:
+    """In the wind, which would carry it away by then: 3 m/s push it 6 m aside in Stabilized."""
+    wind = ("--set", "environment.wind_ned_m_s=[0,3,0]", "--set", "duration_s=6")
+    done = flown(hexjet, "--hold", "0.5", "--set", 'engine="edf"', *wind)
+    assert done.status == 0, done.out + done.err
+    assert books()["hold_from_s"] == 0.5
+    assert books()["parameters"]["MPC_THR_HOVER"] == pytest.approx(0.451, abs=0.001)  # PX4's own is 0.5
+    away = np.hypot(errors("north_m"), errors("east_m"))
+    assert away[-1] < 1.0
+    assert np.abs(errors("altitude_m") - 10.0).max() < 0.3
 
 
 def test_what_is_not_to_be_had_is_one_line(hexjet: Hexjet) -> None:

@@ -74,6 +74,9 @@ def test_px4s_parameters_are_the_vehicles_then_what_is_stated(tmp_path: Path) ->
     told = dict(made.details["parameters"])
     assert told.pop("MPC_THR_HOVER") == pytest.approx(0.451, abs=0.001)
     assert told == px4_target(vehicle, HOVER.step_s, "sitl") | {"MC_ROLL_P": 1.25}
+    stock = prepare("px4", HOVER, tmp_path, None, Setup(gains="stock")).details["parameters"]
+    tuned = ("MC_", "IMU_GYRO", "IMU_DGYRO")
+    assert {name for name in told if not name.startswith(tuned)} == set(stock) - {"MPC_THR_HOVER"}
     assert made.endpoint == f"TCP port {px4.PORT + 2}"
 
 
