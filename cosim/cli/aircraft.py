@@ -29,7 +29,7 @@ class New(opt.Output):
     """Options of ``hexjet aircraft new``."""
 
     name: str = opt.argument()
-    base = opt.word("--from", "NAME", "What it begins as.", "hexjet")
+    base = opt.word("--from", "NAME", "Which shipped aircraft it begins as; see: hexjet list aircraft.", "hexjet")
     out = opt.out("[default: ./NAME]")
 
 

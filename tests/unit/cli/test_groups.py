@@ -8,8 +8,12 @@ import click
 import pytest
 from click.testing import CliRunner
 
+from cosim.base.errors import InputError
+from cosim.base.storage.paths import data_folder
 from cosim.cli.groups import GROUPS
 from cosim.cli.main import COMMANDS, cli
+from cosim.simulation.controllers.controller_file import read_controller
+from cosim.spec.scenario import Scenario
 
 
 def test_every_command_has_a_group_and_its_line_fits_eighty_columns() -> None:
@@ -71,3 +75,23 @@ def test_completion_is_installed_by_one_option(tmp_path: Any, monkeypatch: pytes
     assert str(path) in done.output
     assert "_HEXJET_COMPLETE=bash_complete" in path.read_text()
     assert isinstance(cli, click.Group)
+
+
+@pytest.mark.parametrize(
+    ("file", "what"),
+    [
+        ("aircraft/hexjet/vehicle.toml", "an aircraft, not a scenario; it goes with --aircraft with its folder"),
+        ("studies/roll-doublet-claim.toml", "a study, not a scenario; it goes with hexjet sweep FILE"),
+    ],
+)
+def test_a_file_of_another_kind_is_named_as_what_it_is(file: str, what: str) -> None:
+    path = data_folder(file.partition("/")[0]) / file.partition("/")[2]
+    with pytest.raises(InputError, match=f"{path.name}: is {what}"):
+        Scenario.read(path)
+
+
+def test_a_scenario_is_no_controller() -> None:
+    with pytest.raises(
+        InputError, match=r"hover\.toml: is a scenario, not a controller file of hexjet design; it goes "
+    ):
+        read_controller(data_folder("scenarios") / "hover.toml")

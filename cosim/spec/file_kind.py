@@ -1,0 +1,47 @@
+"""What a TOML file is, by its keys: one that is handed over for another kind is named as what it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cosim.base.errors import InputError
+
+
+class FileKind(NamedTuple):
+    """A kind of file, in words, and how it is used."""
+
+    name: str
+    use: str
+
+
+SCENARIO = FileKind("a scenario", "hexjet fly FILE")
+DESIGN = FileKind("a controller file of hexjet design", "--controller FILE")
+STUDY = FileKind("a study", "hexjet sweep FILE")
+MAPPING = FileKind("the mapping file of an engine", "--engine FILE")
+AIRCRAFT = FileKind("an aircraft", "--aircraft with its folder")
+MODELS = FileKind("a file of identified models", "--model FILE")
+
+
+def find_kind(table: Mapping[str, Any]) -> FileKind | None:
+    """Return the kind of a file with these keys; None where they are no kind's."""
+    if isinstance(table.get("design"), Mapping) and "controller" in table:
+        return DESIGN
+    for kind, keys in (
+        (STUDY, {"scenario", "vary"}),
+        (AIRCRAFT, {"jets", "inertia_kg_m2"}),
+        (SCENARIO, {"duration_s"}),
+        (MAPPING, {"fmu"}),
+        (MODELS, {"identified"}),
+    ):
+        if keys <= table.keys():
+            return kind
+    return None
+
+
+def refuse_other_kind(table: Mapping[str, Any], path: Path, expected: FileKind) -> None:
+    """Raise InputError where a file is of another kind than the one that is expected."""
+    kind = find_kind(table)
+    if kind is not None and kind is not expected:
+        raise InputError(f"{path}: is {kind.name}, not {expected.name}; it goes with {kind.use}")
