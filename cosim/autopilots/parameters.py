@@ -379,8 +379,8 @@ NOTES = {
         "by PX4's rule of signs that is what they do. A positive output tilts forward: the first servo is the left.",
     ),
     "ardupilot": (
-        "The shipped quadrotor's flew ArduCopter 4.5.0-dev in its SITL, a hover and a roll doublet;",
-        "those of tilting banks, with a script, have not. No hardware has flown with any of them.",
+        "The shipped quadrotor's and the Hex-Jet's, with its script, flew ArduCopter 4.6.0-dev in its",
+        "SITL, hover and doublets; no hardware has flown with any of them.",
         "RCn_*, RC7_OPTION, ARMING_CHECK = 0 and SIM_RATE_HZ are for hexjet sitl. On hardware leave",
         "them out: calibrate your transmitter, and keep the arming checks.",
     ),

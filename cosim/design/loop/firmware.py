@@ -16,7 +16,8 @@ That PX4's and ArduPilot's rate loops hear the attitude loop one step later foll
 ``mc_rate_control`` runs at each new rate, in the work queue of the highest priority (``rate_ctrl`` in
 ``WorkQueueManager.hpp``); ``mc_att_control`` runs at each new attitude, which the estimator makes of the same sample,
 in a queue of a lower one (``nav_and_controllers``).  ArduPilot: the fast tasks of ``Copter.cpp`` are gyro, rate loop,
-motors, estimator, and then the flight mode with its attitude loop.  It was measured with neither program.
+motors, estimator, and then the flight mode with its attitude loop.  What the programs flew stands beside what their
+designs say in docs/autopilots.md.
 
 Of limits and anti-windup nothing is in it, nor of gains that follow the throttle: our settings switch these off.  So
 they do with ArduPilot's limits of acceleration (``ATC_ACCEL_R_MAX`` and the others), and the square root of a large

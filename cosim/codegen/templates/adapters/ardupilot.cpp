@@ -55,7 +55,7 @@ Vector3f AC_CustomControl_[[ Class ]]::update()
 // When it is switched on.
 void AC_CustomControl_[[ Class ]]::reset()
 {
-    const float dt = AP::scheduler().get_loop_period_s();
+    const float dt = 1.0f / AP::scheduler().get_loop_rate_hz(); // the period in it may be that of another rate
     _every = static_cast<int>([[ step ]]f / dt + 0.5f);
     const float off = _every * dt - [[ step ]]f;
     if (off > 0.01f * [[ step ]]f || off < -0.01f * [[ step ]]f) {

@@ -43,7 +43,9 @@ class AP_MotorsMulticopter : public AP_Motors {};
 class AP_Scheduler {
 public:
     float period = 0;
-    float get_loop_period_s() { return period; }
+    uint16_t get_loop_rate_hz() { return static_cast<uint16_t>(1.0f / period + 0.5f); }
+    // As in 4.6: kept from before the parameters were read.
+    float get_loop_period_s() { return 0.0025f; }
 };
 
 namespace AP {
