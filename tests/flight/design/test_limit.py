@@ -111,6 +111,7 @@ def test_the_limit_is_a_controller_that_does_what_is_said(name: str) -> None:
     check(roll(), least(name))
 
 
+@pytest.mark.long
 def test_sensors_that_are_late_by_different_steps() -> None:
     late = replace(roll(), rate_latency=3, angle_latency=1)
     check(late, find_limit(late, Bounds(1.8, 1e-3, 0.7)))
@@ -128,6 +129,7 @@ def test_no_law_is_below_it_and_its_bounds_are_kept(name: str) -> None:
     assert found.peak_sensitivity <= 1.001 * bounds.peak_sensitivity
 
 
+@pytest.mark.long
 def test_a_finer_spline_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "KNOTS_A_DELAY", 2.0 * limits.KNOTS_A_DELAY)
     monkeypatch.setattr(limits, "FREQUENCIES", 800)
@@ -177,6 +179,7 @@ def test_a_rate_with_a_pole_at_one_is_followed_without_a_slope() -> None:
     check(free, found)
 
 
+@pytest.mark.long
 def test_what_a_bound_costs_is_what_the_least_falls_by_without_a_tenth_of_it() -> None:
     found = least("pid")
     prices = bound_prices(roll(), found)

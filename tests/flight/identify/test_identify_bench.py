@@ -290,6 +290,7 @@ def test_wrong_logs_are_told_in_a_line(
     assert "Traceback" not in done.err
 
 
+@pytest.mark.long
 def test_a_log_that_no_lag_explains_is_status_1_and_leaves_the_page_that_shows_it(
     hexjet: Hexjet, tmp_path: Path
 ) -> None:

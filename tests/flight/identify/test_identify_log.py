@@ -137,6 +137,7 @@ def test_weak_doublets_in_turbulence_are_refused_for_the_disturbance_and_stronge
         assert low < 0.08 < high
 
 
+@pytest.mark.long
 def test_noise_that_the_controller_feeds_back_at_once_is_no_misfit() -> None:
     """The form is the truth and the manoeuvre is strong: what the controller makes of a sample's noise in that very
     step is in command and residual alike, and was taken for a form that does not fit.
