@@ -15,7 +15,10 @@ from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
     from cosim.identify.bench import BenchIdentification, BenchRecord
+    from cosim.identify.bench.evidence import HeldBack
     from cosim.identify.bench.grey_box import GreyIdentification
+
+MOST_MOVEMENTS = 16  # that a terminal shows; the page has all
 
 
 class Bench(opt.LogPart, opt.Output):
@@ -103,15 +106,17 @@ def _write_fitted(found: GreyIdentification, options: Bench) -> int:
     with output_to_stderr(options.as_json):
         paths = write(found, options.run_folder("identify-bench"))
     options.answer(found.to_dict, lambda: print_fitted(found, paths))
-    return FLIGHT_FAILED if found.misfit.failed else DONE
+    return DONE if found.leaves_engine else FLIGHT_FAILED
 
 
 def print_fitted(found: GreyIdentification, paths: dict[str, Path]) -> None:
     """Print what was fitted of an engine, what is to be said of it, and where the files are."""
+    from cosim.identify.bench.grey_box import output_unit
     from cosim.identify.bench.grey_box_result import rows, summary
 
     say(summary(found))
     show_table(("with 95 % bounds", found.choices.engine), rows(found), (1,))
+    _show_movements(found.held_back, output_unit(found.records[0]), found.swing)
     for note in found.notes:
         say(f"note: {note}")
     if "engine" not in paths:
@@ -121,17 +126,29 @@ def print_fitted(found: GreyIdentification, paths: dict[str, Path]) -> None:
             say(f"{name}: {paths[name]}", wrap=False)
 
 
+def _show_movements(held_back: HeldBack | None, unit: str, swing: float) -> None:
+    from cosim.identify.bench.evidence import MOVEMENT_COLUMNS, movement_rows
+
+    if held_back is not None and 0 < len(held_back.movements) <= MOST_MOVEMENTS:
+        show_table(MOVEMENT_COLUMNS, movement_rows(held_back, unit, swing), range(2, len(MOVEMENT_COLUMNS)))
+
+
 def _choices(options: Bench) -> tuple[tuple[float, float] | None, str, float]:
     return options.limits, options.between, options.longest_delay
 
 
 def print_bench(found: BenchIdentification, paths: dict[str, Path]) -> None:
     """Print the forms beside each other, what is to be said of them, what the log does not tell, and the files."""
-    from cosim.identify.bench.result import rows, summary, why_no_engine
+    from cosim.identify.bench.evidence import output_swing
+    from cosim.identify.bench.result import describe_held, rows, summary, why_no_engine
 
     say(summary(found))
     labels = [estimate.form.label for estimate in found.estimates[:2]]
     show_table(("with 95 % bounds", *labels), [row[:3] for row in rows(found)], range(1, 1 + len(labels)))
+    _show_movements(found.held_back, found.records[0].output_unit, output_swing(found.problem.parts))
+    held = describe_held(found)
+    if held and held not in found.notes:
+        say(f"held back: {held}")
     for note in found.notes:
         say(f"note: {note}")
     for line in found.untold:

@@ -35,7 +35,7 @@ def fit_beyond_lags(found: BenchIdentification, longest_delay: float) -> GreyIde
     for words, own in FORMS.items():
         choices = _choices(found, own, longest_delay)
         try:
-            fitted = fit_engine(found.records, choices)
+            fitted = fit_engine(found.records, choices, is_strict=True)
         except NotIdentifiedError:
             continue
         if not (fitted.misfit.failed or _misfit_of_lags(fitted).failed):

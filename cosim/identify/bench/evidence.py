@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from math import inf, isinf, isnan
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +21,17 @@ LEAST_SIZE = 2e-3  # of the output's swing, that is worth a word
 ROW_SIZE = 0.1  # and of the command's row over delay and lags: when within its row it moved is not known
 ACTIVE = 3.0  # delay and lags, for which the output is on its way after a movement
 LEAST_QUIET = 5.0  # blocks at rest that are as good as independent, to know the noise by
-LEAST_ROWS = 10  # behind each end of a part that is held back
+LEAST_ROWS = 10  # behind each end of a part that is held back, and of a movement
+LEAST_MOVEMENTS = 4  # from which on every second one is held back, and not the second half of them
+REST = 2.0  # delay and lags, for which a command stands before what counts as another movement
+SHARES = (0.1, 0.5, 0.9)  # of the way, whose times are compared
+LEAST_WAY = 0.1  # of the output's range, that a movement goes whose times are compared
+END = 0.1  # of a movement's rows, whose mean is where it ends
+NEAR_TIME = 0.1  # of a measured time, within which a foretold one is near
+UNDER_WAY = 0.05  # of the model's quickest rate, above which a row is on its way
+LEAST_GROUP = 0.15  # of the power of what is left over, that is worth a word
+MOST_GROUPS = 3
+LOPSIDED = 0.3  # mean over rms, above which rows are off to one side
 
 
 class Misfit(NamedTuple):
@@ -162,30 +174,224 @@ def output_swing(parts: Sequence[Part]) -> float:
     return float(np.ptp(np.concatenate([part.output for part in parts])))
 
 
-def describe_held_back(held_back: tuple[float, float], unit: str, swing: float) -> str:
-    """Describe how far a model fitted on the first half of the movements is off in the second, and in the first.
+class Foretold(NamedTuple):
+    """One movement of a command, foretold by the model as fitted to others."""
+
+    log: int  # counted from 0
+    begin: float  # s, in the log's time
+    first: float  # output before it, in its unit
+    last: float  # and at its end
+    rms: float  # by which it is off, in the output's unit
+    measured: tuple[float, ...] = ()  # s to 10, 50, 90 % of the way; none of a movement that goes nowhere
+    model: tuple[float, ...] = ()
+
+    @property
+    def off(self) -> tuple[float, ...]:
+        """By how much each time is off, as a share of the measured one; infinite where the model never gets there."""
+        return tuple(inf if isnan(b) else b / a - 1.0 for a, b in zip(self.measured, self.model, strict=True))
+
+
+class HeldBack(NamedTuple):
+    """How far a model is off that was fitted to a part of the movements, rms in the output's unit."""
+
+    fitted: float  # where it was fitted
+    others: float  # in the others
+    movements: tuple[Foretold, ...] = ()  # each foretold, where every second one was held back
+
+    def to_dict(self) -> dict[str, object]:
+        """Return it for JSON."""
+        movements = [
+            one._asdict() | {"model": [None if isnan(time) else time for time in one.model]} for one in self.movements
+        ]
+        return {"fitted_rms": self.fitted, "others_rms": self.others, "movements": movements}
+
+
+def describe_held_back(held_back: HeldBack, unit: str, swing: float) -> str:
+    """Describe how far a model fitted on a part of the movements is off in the others, and where it was fitted.
 
     ``swing``: the output's range, beyond which it does not matter by how much.
     """
-    second = f"{held_back[1]:.3g} {unit}" if held_back[1] < swing else "more than the output's whole range"
+
+    def far(value: float) -> str:
+        if not value < swing:
+            return "more than the output's whole range"
+        return f"{value:.3g} {unit}".strip() + f" ({100.0 * value / swing:.2g} % of its range)"
+
+    part, rest = (
+        ("every second movement", "others") if held_back.movements else ("the first half of the movements", "second")
+    )
+    words = (
+        f"fitted on {part} it is off by {far(held_back.others)} in the {rest}, and by {far(held_back.fitted)} where it "
+        "was fitted"
+    )
+    off = [(abs(far), share, one) for one in held_back.movements for far, share in zip(one.off, SHARES, strict=False)]
+    if not off:
+        return words
+    worst, share, one = max(off, key=lambda each: each[0])
+    near = sum(far <= NEAR_TIME for far, _, _ in off)
+    by = "is never reached" if isinf(worst) else f"is off by {100.0 * worst:.2g} %"
     return (
-        f"fitted on the first half of the movements it is off by {second} in the second, "
-        f"and by {held_back[0]:.3g} {unit} where it was fitted"
-    ).replace("  ", " ")
+        f"{words}; of {len(off)} times to 10, 50 and 90 % of the way {near} are foretold within "
+        f"{100.0 * NEAR_TIME:g} %, the worst, to {100.0 * share:g} % of the movement at {one.begin:.5g} s, {by}"
+    )
 
 
-def predict_held_back(problem: Problem, estimate: Estimate) -> tuple[float, float] | None:
-    """Return the rms in the first half of the command's movements, fitted alone, and in the second, foretold by it."""
-    early = first_half(problem.parts)
-    if early is None:
-        return None
-    parts = [part.chosen(use) for part, use in zip(problem.parts, early, strict=True)]
-    half = Problem(parts, problem.longest_delay, problem.drift)
-    fitted = fit(half, estimate.form, estimate)
-    linear = half.shares(fitted.form, fitted.x, fitted.memory)[0]
-    off: Array = np.asarray(problem.output - _columns_from(problem, early, fitted) @ linear)
-    before = np.concatenate(early)
-    return float(np.sqrt(np.mean(off[before] ** 2))), float(np.sqrt(np.mean(off[~before] ** 2)))
+def movement_rows(held_back: HeldBack, unit: str, swing: float) -> list[list[str]]:
+    """Return a row of a table for each movement that was foretold; :data:`MOVEMENT_COLUMNS` has its head."""
+    several = any(one.log for one in held_back.movements)
+    return [
+        [
+            f"{f'log {one.log + 1}, ' if several else ''}{one.begin:.5g} s",
+            f"{one.first:.4g} to {one.last:.4g} {unit}".strip(),
+            f"{100.0 * one.rms / swing:.2g} %",
+            *(
+                f"{time:.3g} s ({'never' if isinf(off) else f'{100.0 * off:+.0f} %'})"
+                for time, off in zip(one.measured, one.off, strict=True)
+            ),
+            *([""] * (len(SHARES) - len(one.measured))),
+        ]
+        for one in held_back.movements
+    ]
+
+
+MOVEMENT_COLUMNS = ("movement", "output", "off, of the range", "measured to 10 %", "50 %", "90 %")
+
+
+def describe_lack(parts: Sequence[Part], residual: Array) -> str:
+    """Describe where a model fails that does not explain its logs: up or down, at which levels, and which way.
+
+    Of the rows on their way, by direction and half of the output's range, and of those at rest: the groups with most of
+    the squared residual, and by how much the engine is ahead of the model or behind it.
+    """
+    output = np.concatenate([part.output for part in parts])
+    low, swing = float(output.min()), float(np.ptp(output))
+    begin, rates = 0, []
+    for part in parts:
+        rows = slice(begin, begin + len(part.times))
+        begin = rows.stop
+        rates.append(np.gradient(part.output - residual[rows], part.times))
+    rate = np.concatenate(rates)
+    moving = np.abs(rate) > UNDER_WAY * float(np.percentile(np.abs(rate), 99.0))
+    upper = output - residual > low + 0.5 * swing
+    power, said = max(float(residual @ residual), 1e-300), []
+
+    def add(rows: NDArray[np.bool_], sign: float, words: str) -> None:
+        off = residual[rows]
+        share = float(off @ off) / power
+        if share >= LEAST_GROUP:
+            mean, rms = (100.0 * value / swing for value in (sign * off.mean(), np.sqrt(np.mean(off**2))))
+            side = "ahead of" if mean > 0.0 else "behind"
+            by = f"{side} the model by {abs(mean):.2g} % of the range in the mean, {rms:.2g} % rms"
+            by = by if abs(mean) > LOPSIDED * rms else f"off by {rms:.2g} % of the range, rms"
+            said.append((share, f"{words} the engine is {by} ({100.0 * share:.0f} %)"))
+
+    for way, sign in (("up", 1.0), ("down", -1.0)):
+        for half in ("lower", "upper"):
+            rows_there = moving & (rate * sign > 0.0) & (upper == (half == "upper"))
+            add(rows_there, sign, f"on the way {way} in the {half} half of the range")
+    add(~moving, 0.0, "while the model stands still")
+    groups = "; ".join(words for _, words in sorted(said, reverse=True)[:MOST_GROUPS])
+    return (
+        f"what the model lacks, with its part of the power of what is left over: {groups or 'nothing that stands out'}"
+    )
+
+
+def find_movements(part: Part, rest: float) -> list[tuple[float, float]]:
+    """Return begin and end [s] of the movements of a log's command, before each of which it stands for ``rest`` s.
+
+    A movement ends where the next begins; none where any has too few rows.
+    """
+    changed = np.flatnonzero(np.diff(part.command)) + 1
+    at = part.command_times[changed]
+    begins = part.command_times[changed - 1] if part.straight else at
+    begins = begins[begins - np.concatenate([[-np.inf], at[:-1]]) > rest]
+    begins = begins[(begins >= part.times[0]) & (begins < part.times[-1])]
+    edges = [*begins.tolist(), float(np.nextafter(part.times[-1], np.inf))]
+    spans = list(pairwise(edges))
+    enough = all(np.count_nonzero((part.times >= a) & (part.times < b)) >= LEAST_ROWS for a, b in spans)
+    return spans if enough else []
+
+
+def hold_back(
+    parts: Sequence[Part], total: float, foretell: Callable[[list[NDArray[np.bool_]]], Array]
+) -> HeldBack | None:
+    """Fit to a part of the movements and foretell the others; None where nothing can be held back.
+
+    ``foretell`` fits the rows that it is told and returns the answer at all.  With four movements or more, each after a
+    rest of two times ``total`` (delay and lags together, s), every second one is fitted, then the others; else the
+    first half alone.
+    """
+    spans = [find_movements(part, REST * total) for part in parts]
+    output = np.concatenate([part.output for part in parts])
+    if sum(map(len, spans)) < LEAST_MOVEMENTS or min(map(len, spans)) < 2:
+        early = first_half(parts)
+        if early is None:
+            return None
+        off, before = output - foretell(early), np.concatenate(early)
+        return HeldBack(_rms(off[before]), _rms(off[~before]))
+    known = np.zeros(len(output))
+    answer = np.zeros(len(output))
+    for parity in (0, 1):
+        fitted, count = [], parity
+        for part, own in zip(parts, spans, strict=True):
+            use = part.times < own[0][0]
+            for number, (begin, end) in enumerate(own):
+                if (count + number) % 2 == 0:
+                    use |= (part.times >= begin) & (part.times < end)
+            count += len(own)
+            fitted.append(use)
+        found, rows = foretell(fitted), np.concatenate(fitted)
+        known[rows], answer[~rows] = (output - found)[rows], found[~rows]
+    moved = np.concatenate([part.times >= own[0][0] for part, own in zip(parts, spans, strict=True)])
+    movements, begin = [], 0
+    for log, (part, own) in enumerate(zip(parts, spans, strict=True)):
+        own_answer = answer[begin : begin + len(part.times)]
+        begin += len(part.times)
+        movements += [_foretold(log, part, span, own_answer, output) for span in own]
+    return HeldBack(_rms(known[moved]), _rms((output - answer)[moved]), tuple(movements))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _foretold(log: int, part: Part, span: tuple[float, float], answer: Array, output: Array) -> Foretold:
+    use = (part.times >= span[0]) & (part.times < span[1])
+    times, measured, model = part.times[use] - span[0], part.output[use], answer[use]
+    last = max(2, round(END * len(times)))
+    before = part.output[part.times < span[0]][-last:]
+    first, end = float((before if len(before) else measured[:1]).mean()), float(measured[-last:].mean())
+    found = Foretold(log, span[0], first, end, _rms(measured - model))
+    if abs(end - first) < LEAST_WAY * float(np.ptp(output)):
+        return found
+    real = _crossings(times, measured, first, end)
+    if any(isnan(time) or not time > 0.0 for time in real):
+        return found
+    return found._replace(measured=real, model=_crossings(times, model, float(model[0]), float(model[-last:].mean())))
+
+
+def _crossings(times: Array, values: Array, first: float, end: float) -> tuple[float, ...]:
+    """Return when a part of the way is passed for the first time, s; nan where it never is."""
+    way = (values - first) / (end - first if end != first else np.nan)
+    found = []
+    for share in SHARES:
+        above = np.flatnonzero(way >= share)
+        k = int(above[0]) if len(above) else 0
+        found.append(float(np.interp(share, way[k - 1 : k + 1], times[k - 1 : k + 1])) if k else float("nan"))
+    return tuple(found)
+
+
+def predict_held_back(problem: Problem, estimate: Estimate) -> HeldBack | None:
+    """Return how far a form is off, fitted to a part of the command's movements, there and in the others."""
+
+    def foretell(use: list[NDArray[np.bool_]]) -> Array:
+        parts = [part.chosen(rows) for part, rows in zip(problem.parts, use, strict=True)]
+        half = Problem(parts, problem.longest_delay, problem.drift)
+        fitted = fit(half, estimate.form, estimate)
+        linear = half.shares(fitted.form, fitted.x, fitted.memory)[0]
+        return np.asarray(_columns_from(problem, use, fitted) @ linear)
+
+    return hold_back(problem.parts, estimate.total[0], foretell)
 
 
 def _columns_from(problem: Problem, early: list[NDArray[np.bool_]], fitted: Estimate) -> Array:

@@ -7,12 +7,21 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError, NotIdentifiedError, nearest
 from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.engine.fmu.variables import Variable
-from cosim.identify.bench.evidence import Misfit, describe_held_back, first_half, output_swing, test_residuals
+from cosim.identify.bench.evidence import (
+    HeldBack,
+    Misfit,
+    describe_held_back,
+    describe_lack,
+    hold_back,
+    output_swing,
+    test_residuals,
+)
 from cosim.identify.bench.fit import Part, Problem
 from cosim.identify.bench.record import BenchRecord
 from cosim.identify.bench.robust import invert, memory_rows, robust_factor
@@ -27,6 +36,7 @@ LEVELS = 41  # at which the engine's speed at rest is taken
 FINE = 1e-4  # of a parameter, to see what it does
 ROUNDS = 2  # of fit and memory of the noise in turn
 POOR_PREDICTION = 1.5
+CLOSE = 0.015  # of the output's range (rms), to which movements have to be foretold that are not explained to the noise
 HORIZON_S = 3.0  # for which the output counts as on its way after a movement
 
 
@@ -53,8 +63,18 @@ class GreyIdentification:
     residual: Array
     parts: tuple[Part, ...]
     misfit: Misfit
-    held_back: tuple[float, float] | None
+    held_back: HeldBack | None
     notes: tuple[str, ...]
+
+    @property
+    def is_close(self) -> bool:
+        """Whether the movements that were held back are foretold well, though more than noise is left over."""
+        return self.misfit.failed and _is_close(self.held_back, self.swing)
+
+    @property
+    def leaves_engine(self) -> bool:
+        """Whether the engine explains the logs, or foretells what was held back."""
+        return not self.misfit.failed or self.is_close
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -89,7 +109,7 @@ class GreyIdentification:
         """Return everything but the signals, for JSON."""
         first = self.records[0]
         channels, units = (first.command_name, first.output_name), (first.command_unit, first.output_unit)
-        refused = [self.misfit.words] if self.misfit.failed else []
+        refused = [] if self.leaves_engine else [self.misfit.words]
         parameters = dict(zip(self.names, map(float, self.values), strict=True))
         deviations = dict(zip(self.names, map(float, self.deviations), strict=True))
         return {
@@ -104,7 +124,9 @@ class GreyIdentification:
             "residual_of_swing": self.residual_rms / self.swing,
             "explained": not self.misfit.failed,
             "misfit": self.misfit._asdict() | {"failed": self.misfit.failed},
-            "held_back_rms": None if self.held_back is None else list(self.held_back),
+            "close": self.is_close,
+            "held_back_rms": None if self.held_back is None else list(self.held_back[:2]),
+            "held_back": None if self.held_back is None else self.held_back.to_dict(),
         }
 
 
@@ -162,9 +184,10 @@ def _means(part: Part, throttle: Array, edges: Array) -> Array:
     return np.asarray(np.diff(sums) / np.diff(edges))
 
 
-def fit_engine(records: Sequence[BenchRecord], choices: GreyChoices) -> GreyIdentification:
+def fit_engine(records: Sequence[BenchRecord], choices: GreyChoices, is_strict: bool = False) -> GreyIdentification:
     """Fit parameters of an engine, and the delay before it, to bench logs; each log begins at rest.
 
+    ``is_strict``: what does not explain the logs is of no use, and nothing is held back to see how close it comes.
     Raises InputError for an engine, a parameter or an output that does not serve, NotIdentifiedError where the logs
     do not tell what is asked.
     """
@@ -184,14 +207,24 @@ def fit_engine(records: Sequence[BenchRecord], choices: GreyChoices) -> GreyIden
             f"leave out --fit {unknown[0]}, or log steps over the whole range, up and down"
         )
     misfit = test_residuals(parts, residual, float(values[0]), HORIZON_S)
-    held_back = _predict(model, parts, values)
+    held_back, halves = (None, []) if is_strict and misfit.failed else _predict(model, parts, values)
+    swing = output_swing(parts)
     notes = [*dict.fromkeys(note for record in records for note in record.notes)]
     notes += _at_the_ends(model, values)
+    if model.speed:
+        notes.append(f"the log has no thrust: thrust, fuel and temperature are those of {choices.engine} as it is set")
     if misfit.failed:
         size = f"{100.0 * misfit.size:.2g} % of the output's swing (rms)"
-        notes.append(f"not explained: what is left over still belongs to the command, {size}; bounds do not cover that")
-    if held_back is not None and held_back[1] > POOR_PREDICTION * held_back[0]:
-        notes.append(describe_held_back(held_back, output_unit(records[0]), output_swing(parts)))
+        bounds = "bounds do not cover that"
+        if _is_close(held_back, swing):
+            covariance = _hold_halves(covariance, values, halves)
+            bounds = (
+                "but what was held back is foretold: an engine is left, with bounds that hold the fits of both halves"
+            )
+        notes.append(f"not explained: what is left over still belongs to the command, {size}; {bounds}")
+        notes.append(describe_lack(parts, residual))
+    if held_back is not None and held_back.others > POOR_PREDICTION * held_back.fitted:
+        notes.append(describe_held_back(held_back, output_unit(records[0]), swing))
     return GreyIdentification(
         tuple(records), choices, model.with_values(values[1:]), values, covariance, residual, tuple(parts),
         misfit, held_back, tuple(notes),
@@ -305,16 +338,27 @@ def _slopes(problem: Problem, left: Any, x: Array, memory: float) -> Array:
     return np.column_stack(columns)
 
 
-def _predict(model: _Model, parts: Sequence[Part], values: Array) -> tuple[float, float] | None:
-    """Return the rms in the first half of the movements, fitted alone, and in the second, foretold by it."""
-    early = first_half(parts)
-    if early is None:
-        return None
-    begun = replace(model, start=values)
-    fitted = _fit(begun, [part.chosen(use) for part, use in zip(parts, early, strict=True)])[0]
-    off = np.concatenate([part.output for part in parts]) - model.answer(fitted, parts)
-    before = np.concatenate(early)
-    return float(np.sqrt(np.mean(off[before] ** 2))), float(np.sqrt(np.mean(off[~before] ** 2)))
+def _predict(model: _Model, parts: Sequence[Part], values: Array) -> tuple[HeldBack | None, list[Array]]:
+    """Return how far the engine is off, fitted to a part of the movements, there and in the others; and these fits."""
+    begun, halves = replace(model, start=values), []
+
+    def foretell(use: list[NDArray[np.bool_]]) -> Array:
+        halves.append(_fit(begun, [part.chosen(rows) for part, rows in zip(parts, use, strict=True)])[0])
+        return model.answer(halves[-1], parts)
+
+    return hold_back(parts, HORIZON_S, foretell), halves
+
+
+def _is_close(held_back: HeldBack | None, swing: float) -> bool:
+    return held_back is not None and bool(held_back.movements) and held_back.others <= CLOSE * swing
+
+
+def _hold_halves(covariance: Array, values: Array, halves: Sequence[Array]) -> Array:
+    """Return a covariance whose deviations reach to the fit of each half of the movements; the correlation is kept."""
+    own = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    far = np.max(np.abs(np.array(halves) - values), axis=0)
+    wider = np.maximum(far / own, 1.0)
+    return covariance * np.outer(wider, wider)
 
 
 def _at_the_ends(model: _Model, values: Array) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.identify.bench.evidence import describe_held_back
 from cosim.identify.bench.grey_box import STEP_S, GreyIdentification, output_unit
-from cosim.identify.bench.result import lay_behind
+from cosim.identify.bench.result import lay_behind, movement_cards
 from cosim.identify.engine_file import DEVIATIONS_95, uncertainty_table
 from cosim.identify.files import write_identification
 from cosim.identify.page import Card, Page, draw_signals
@@ -29,13 +29,14 @@ def write(result: GreyIdentification, folder: Path) -> dict[str, Path]:
     paths = {"json": folder / "identification.json"}
     texts = {paths["json"]: json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"}
     archive = None
-    if not result.misfit.failed:
+    if result.leaves_engine:
         paths["engine"], archive = folder / "engine.toml", result.spec.archive.path
         texts[paths["engine"]] = toml_text(engine_table(result))
     write_identification(folder, texts, archive, remove_engine=True)
     paths["report"] = folder / "report.html"
     cards = [
         Card("Models", ["with 95 % bounds", result.choices.engine], rows(result), BOUNDS),
+        *movement_cards(result.held_back, output_unit(result.records[0]), result.swing),
         Card("Measured and modelled", figure="signals"),
     ]
     Page(
@@ -47,7 +48,7 @@ def write(result: GreyIdentification, folder: Path) -> dict[str, Path]:
         cards,
         {"signals": draw_signals(lay_behind(result.parts, result.residual), ("command", "output"))},
         result.notes,
-        ["no engine: with these parameters it does not explain the log"] if result.misfit.failed else [],
+        [] if result.leaves_engine else ["no engine: with these parameters it does not explain the log"],
     ).write(paths["report"])
     return paths
 

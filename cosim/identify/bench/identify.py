@@ -8,9 +8,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.identify.bench.command import moves_on
-from cosim.identify.bench.evidence import Misfit, describe_held_back, output_swing, predict_held_back, test_residuals
+from cosim.identify.bench.evidence import (
+    HeldBack,
+    Misfit,
+    describe_held_back,
+    describe_lack,
+    output_swing,
+    predict_held_back,
+    test_residuals,
+)
 from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, make_part
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
@@ -27,6 +36,8 @@ ENOUGH_ROWS = 4000  # of all logs; more are averaged where they are fine enough
 SHORT = 0.04  # of delay and lags together: over so long rows may be averaged
 CLEAR = 10.0  # by which Schwarz' criterion has to fall for a zero that drifts, or rise for a form to be refuted
 BY_LEVEL = Form(by_level=True)
+SPEEDS = ("rpm", "krpm")
+ECU_RAMP = ("fuel_gain", "fuel_rise_share", "fuel_fall")  # of an ECU's fuel by schedule
 POOR_PREDICTION = 1.5  # times the residual of what was fitted, above which the part held back is ill explained
 
 
@@ -49,7 +60,7 @@ class BenchIdentification:
     straight: bool
     estimates: tuple[Estimate, ...]
     misfit: Misfit
-    held_back: tuple[float, float] | None  # rms of what was fitted, and of what was not
+    held_back: HeldBack | None  # rms of what was fitted, and of what was not
     spread: dict[str, float]  # standard deviations between several logs, of what one engine would have alike
     notes: tuple[str, ...]
     untold: tuple[str, ...]
@@ -103,7 +114,8 @@ class BenchIdentification:
             "explained": self.is_explained,
             "misfit": self.misfit._asdict() | {"failed": self.misfit.failed},
             "residual_rms": self.residual_rms,
-            "held_back_rms": None if self.held_back is None else list(self.held_back),
+            "held_back_rms": None if self.held_back is None else list(self.held_back[:2]),
+            "held_back": None if self.held_back is None else self.held_back.to_dict(),
             "delay_s": self.chosen.delay,
             "delay_bounds_95_s": list(self.chosen.delay_bounds),
             "estimates": [estimate_dict(estimate) for estimate in self.estimates],
@@ -156,11 +168,13 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     estimates = tuple(_widen(problem, one, max(record.clock_deviation for record in records)) for one in estimates)
     chosen = estimates[0]
     spread, doubts = _compare_logs(problem, chosen, records)
-    misfit = test_residuals(problem.parts, problem.residual(chosen), chosen.delay, chosen.total[0])
+    left_over = problem.residual(chosen)
+    misfit = test_residuals(problem.parts, left_over, chosen.delay, chosen.total[0])
+    lacks = _lacks(problem, left_over, records[0]) if misfit.failed else []
     held_back = predict_held_back(problem, chosen)
     found = BenchIdentification(
         tuple(records), problem, limits, known, straight, estimates, misfit, held_back, spread,
-        (*notes, *doubts, *_doubts(chosen, misfit, held_back, records[0], output_swing(problem.parts))), (),
+        (*notes, *doubts, *_doubts(chosen, misfit, held_back, records[0], output_swing(problem.parts)), *lacks), (),
     )  # fmt: skip
     return replace(
         found, untold=tuple(describe_missing_evidence(chosen, records, limits, problem.longest_delay, straight))
@@ -328,8 +342,18 @@ def _compare_logs(
     return spread, doubts
 
 
+def _lacks(problem: Problem, left_over: Array, record: BenchRecord) -> list[str]:
+    lacks = [describe_lack(problem.parts, left_over)]
+    if record.command_unit in SPEEDS and record.output_unit in SPEEDS:
+        options = " ".join(f"--fit {name}" for name in ECU_RAMP)
+        lacks.append(
+            f"a speed that follows its set-point is a turbine's under an ECU: try --engine jetcat-p300 {options}"
+        )
+    return lacks
+
+
 def _doubts(
-    chosen: Estimate, misfit: Misfit, held_back: tuple[float, float] | None, record: BenchRecord, swing: float
+    chosen: Estimate, misfit: Misfit, held_back: HeldBack | None, record: BenchRecord, swing: float
 ) -> list[str]:
     doubts = []
     if chosen.gain < 0.0:
@@ -339,7 +363,7 @@ def _doubts(
         )
     if misfit.failed:
         doubts.append(misfit.words)
-    if held_back is not None and held_back[1] > POOR_PREDICTION * held_back[0]:
+    if held_back is not None and held_back.others > POOR_PREDICTION * held_back.fitted:
         doubts.append(describe_held_back(held_back, record.output_unit, swing))
     if chosen.delay_bounds[0] == 0.0:
         doubts.append("no delay at all is within the bounds")

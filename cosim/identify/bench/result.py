@@ -12,7 +12,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import toml_text
-from cosim.identify.bench.evidence import describe_held_back, output_swing
+from cosim.identify.bench.evidence import MOVEMENT_COLUMNS, HeldBack, describe_held_back, movement_rows, output_swing
 from cosim.identify.bench.fit import Estimate, Part
 from cosim.identify.bench.identify import BenchIdentification
 from cosim.identify.engine_file import (
@@ -70,10 +70,7 @@ def write(result: BenchIdentification, folder: Path) -> dict[str, Path]:
 
 def page(result: BenchIdentification) -> Page:
     """Return the page of an identification."""
-    held = "nothing could be held back to test it"
-    if result.held_back is not None:
-        swing = output_swing(result.problem.parts)
-        held = describe_held_back(result.held_back, result.records[0].output_unit, swing)
+    held = describe_held(result) or "nothing could be held back to test it"
     left_over = (
         f"Left over: {result.residual_rms:.3g} (rms); {held}. Of that {100.0 * result.misfit.share:.2g} % follow the "
         f"command (p {result.misfit.p:.2g})."
@@ -83,6 +80,7 @@ def page(result: BenchIdentification) -> Page:
     cards = [
         Card("Models", columns, rows(result), BOUNDS),
         Card("What the log does not tell, and the next test", text=left_over, lines=untold),
+        *movement_cards(result.held_back, result.records[0].output_unit, output_swing(result.problem.parts)),
         Card("Measured and modelled", figure="signals"),
         Card("Static curve", figure="curve"),
     ]
@@ -96,6 +94,21 @@ def page(result: BenchIdentification) -> Page:
         "identification from a bench", ", ".join(record.path.name for record in result.records), summary(result),
         source, result.judgement, cards, figures, result.notes, [f"no engine: {reason}"] if reason else [],
     )  # fmt: skip
+
+
+def describe_held(result: BenchIdentification) -> str:
+    """Describe how far the model is off where it was not fitted; empty where nothing could be held back."""
+    if result.held_back is None:
+        return ""
+    return describe_held_back(result.held_back, result.records[0].output_unit, output_swing(result.problem.parts))
+
+
+def movement_cards(held_back: HeldBack | None, unit: str, swing: float) -> list[Card]:
+    """Return the card of the movements that were foretold, where there are any."""
+    if held_back is None or not held_back.movements:
+        return []
+    text = "Each by the model as fitted to every second movement, not to this one; times since the command moves."
+    return [Card("Movements, foretold", MOVEMENT_COLUMNS, movement_rows(held_back, unit, swing), text)]
 
 
 def lay_behind(parts: Sequence[Part], left_over: Array, limits: tuple[float, float] = (0.0, 1.0)) -> Iterator[Signals]:

@@ -1,5 +1,6 @@
 """Engines that are no lag: the truth within the bounds, or a refusal, and never a narrow wrong number (docs/bench.md)."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ from known_benches import Truth, bench_log
 from cosim.identify.bench import BenchIdentification, identify_bench, read_records
 from cosim.identify.bench.beyond_lags import fit_beyond_lags
 from cosim.identify.bench.command import make_command
+from cosim.identify.bench.evidence import describe_lack
+from cosim.identify.bench.fit import Part
 
 LEVELS = Truth(lags=(0.8,), full_lag=0.3)
 SLEWING = Truth(lags=(0.2,), slew=(30.0, 20.0))
@@ -95,6 +98,24 @@ def test_a_single_step_does_not_tell_a_lag_by_the_thrust_from_two_and_its_bounds
         assert any("whether gain and lag are the same at all levels" in line for line in result.untold)
 
 
+def test_what_a_model_lacks_is_said_by_direction_level_and_side() -> None:
+    """A ramp up to 100 and one down, and a rest: the engine is 2 ahead of the model on the lower half of the way up."""
+    times = np.linspace(0.0, 30.0, 3001)
+    model = np.interp(times, [0.0, 10.0, 20.0, 30.0], [0.0, 100.0, 0.0, 0.0])
+    residual = np.where((times < 5.0) & (times > 0.0), 2.0, 0.0)
+    part = Part(times, model / 100.0, times, model + residual, 0.01, True)
+    assert describe_lack([part], residual).endswith(
+        "on the way up in the lower half of the range the engine is ahead of the model by 2 % of the range in the mean, "
+        "2 % rms (100 %)"
+    )
+    down = np.where((times > 10.0) & (times < 15.0), 2.0, 0.0)
+    words = describe_lack([replace(part, output=model + down)], down)
+    assert "on the way down in the upper half of the range the engine is behind the model by 2 %" in words
+    rest = np.where(times > 20.0, 3.0 * np.sign(np.sin(20.0 * times)), 0.0)
+    words = describe_lack([replace(part, output=model + rest)], rest)
+    assert "while the model stands still the engine is off by 2.9 % of the range, rms (100 %)" in words
+
+
 @pytest.mark.long
 def test_a_dead_band_is_refused(tmp_path: Path) -> None:
     result = found(tmp_path, "chirp", Truth(dead_band=0.04))
@@ -105,6 +126,7 @@ def test_a_dead_band_is_refused(tmp_path: Path) -> None:
 def test_a_single_step_does_not_tell_limits_and_no_engine_is_left(tmp_path: Path) -> None:
     result = found(tmp_path, "step", SLEWING)
     assert not result.is_explained
+    assert any("what the model lacks" in note and "on the way up" in note for note in result.notes)
     assert fit_beyond_lags(result, 2.0) is None
 
 
