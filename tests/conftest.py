@@ -5,13 +5,14 @@ from __future__ import annotations
 import signal
 import subprocess
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from command_tools import Done, Hexjet
 from hypothesis import HealthCheck, settings
+from patience import PATIENCE
 from places import TESTS
 
 from cosim.base.runtime.kernels import set_for_command
@@ -100,5 +101,17 @@ def browser() -> Iterator[Any]:
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
     with playwright.sync_playwright() as driver:
         started = driver.chromium.launch(executable_path=found, args=BROWSER_FLAGS)
+        started.new_context, started.new_page = patient(started.new_context), patient(started.new_page)
         yield started
         started.close()
+
+
+def patient(make: Callable[..., Any]) -> Callable[..., Any]:
+    """What opens a page or a context that waits as tests wait: half a minute is too short on a busy machine."""
+
+    def opened(**options: Any) -> Any:
+        made = make(**options)
+        made.set_default_timeout(1000.0 * PATIENCE)
+        return made
+
+    return opened
