@@ -227,9 +227,11 @@ def _throttles(log: FlightLog, vehicle: Vehicle, mapping: ThrottleChannels, note
             f"{log.path}: {what}, and {vehicle.name} has {jets}; say --throttle N=CHANNEL; of that kind it has "
             f"{have or 'nothing'}"[:400]
         )
-    # of the same kind: PX4 logs its servos too, as outputs behind those of the engines
+    # of the same kind: the two tilts' outputs may stand behind those of the engines
+    has_tilts = vehicle.servo is not None and str(names[-1]).startswith(("RCOU.", "SERVO_OUTPUT_RAW.", OUTPUTS))
+    behind = jets + (2 if has_tilts else 0)
     further = next(
-        (kind.format(n=jets + 1, m=jets) for kind in _MOTORS if kind.format(n=jets, m=jets - 1) == names[-1]), ""
+        (kind.format(n=behind + 1, m=behind) for kind in _MOTORS if kind.format(n=jets, m=jets - 1) == names[-1]), ""
     )
     if further in log.channels and _varies(log.channels[further]):
         raise InputError(

@@ -295,6 +295,16 @@ def test_what_a_log_lacks_is_said_with_what_it_has() -> None:
     assert "no channel 'nothing'" in refusal(log, ThrottleChannels({1: "nothing"}))
 
 
+def test_ardupilots_outputs_have_the_tilts_behind_the_engines() -> None:
+    """Its seventh and eighth output move the Hex-Jet's banks; a ninth that moves is of another aircraft."""
+    moved = 1500.0 + 100.0 * np.sin(np.arange(1000))
+    outputs = {f"RCOU.C{n}": moved for n in range(1, 9)}
+    log = lacking(log_of(**outputs), *(f"throttle_{jet}" for jet in range(1, 7)))
+    record_flight(log, VEHICLE, DOUBLET.step_s, ThrottleChannels(limits=(1000.0, 2000.0)), WHOLE)
+    more = lacking(log_of(**outputs, **{"RCOU.C9": moved}), *(f"throttle_{jet}" for jet in range(1, 7)))
+    assert "more engines (RCOU.C9) than the 6 of hexjet" in refusal(more)
+
+
 def test_px4s_own_topics_are_engines_and_banks_beside_all_its_outputs() -> None:
     """Its outputs have the servos behind the engines, and are no further engines; its servos are parts of their range."""
     log = log_of()
