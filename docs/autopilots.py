@@ -225,6 +225,44 @@ def part(autopilot: str, lines: Sequence[Sequence[str]], folders: Sequence[Path]
     )
 
 
+def place_held(program: str, out: Path, instance: int) -> str:
+    """What PX4's own position control makes of a minute of the quadrotor's hover."""
+    folder = out / "px4" / "hold"
+    if not (folder / "summary.json").is_file():
+        options = ("--hold", "2", "--set", "duration_s=62", "--instance", str(instance))
+        run(["sitl", "px4", "--binary", program, "--aircraft", "quadrotor", *options, "--out", str(folder)])
+    flat = open_run(folder).summary.flat_metrics
+    return (
+        f"With `--hold 2` the quadrotor stayed within {flat['position.drift_m'] or 0.0:.2f} m of its start, and its "
+        f"height within {flat['altitude.max_abs_error_m'] or 0.0:.2f} m, for a minute.\n"
+    )
+
+
+def log_at_home(inside: str, out: Path, instance: int) -> str:
+    """What ``identify log`` and ``replay`` make of PX4's own log of a doublet, the predictor inside it."""
+    folder, found, again = (out / "px4" / name for name in ("home", "home-identified", "home-replayed"))
+    if not (folder / "summary.json").is_file():
+        options = ("--scenario", "roll-doublet", "--set", "expect=[]", "--instance", str(instance))
+        run(["sitl", "px4", "--binary", inside, *options, "--out", str(folder)])
+    (log,) = folder.rglob("*.ulg")
+    if not found.is_dir():
+        run(["identify", "log", str(log), "--axis", "roll", "--from", "30", "--out", str(found)])
+    if not again.is_dir():
+        engine = ("--aircraft", "hexjet", "--engine", "edf-as-flown")
+        run(["replay", str(log), *engine, "--from", "30.2", "--out", str(again)])
+    summary = open_run(folder).summary
+    flew = next(row.samples for row in summary.delay_ledger if row.element == "transport delay")
+    told = json.loads((found / "identification.json").read_text())
+    low, high = (1e3 * bound for bound in told["delay_bounds_95_s"])
+    replayed = json.loads((again / "replay.json").read_text())
+    within = next(each["within"] for each in replayed["channels"] if each["name"] == "rate_p")
+    return (
+        f"PX4's own log of the doublet tells a delay of {1e3 * told['delay_s']:.0f} ms ({low:.0f} to {high:.0f}); "
+        f"{1e3 * summary.step_s * (flew or 0.0):.0f} ms flew. `hexjet replay` calls the flight {replayed['verdict']}, "
+        f"{100.0 * within:.1f} % of its roll rate within what the model with its uncertainty has.\n"
+    )
+
+
 def main() -> None:
     """Fly what is named, and write its tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
@@ -242,7 +280,12 @@ def main() -> None:
         program = find_program(name, Path(stated) if stated else None)
         programs = {"plain": str(program or ""), "inside": getattr(given, f"{name}_inside")}
         lines, folders = rows(name, programs, given)
-        write_marks(PAGE, {f"flown: {name}": part(name, lines, folders)})
+        parts = {f"flown: {name}": part(name, lines, folders)}
+        if name == "px4":
+            parts["px4: its place"] = place_held(programs["plain"], given.out, given.instance)
+        if name == "px4" and programs["inside"]:
+            parts["px4: its log"] = log_at_home(programs["inside"], given.out, given.instance)
+        write_marks(PAGE, parts)
 
 
 if __name__ == "__main__":
