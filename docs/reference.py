@@ -549,6 +549,7 @@ ENVIRONMENT = {
     "NO_COLOR": "set: no colours in the terminal",
     "TMPDIR": "where temporary files are made",
     "XDG_CACHE_HOME": "where it is remembered what an engine's check and its measured curve said; `~/.cache` without it",
+    "XDG_DATA_HOME": "where `hexjet --install-completion bash` writes its file; `~/.local/share` without it",
     "XDG_CONFIG_HOME": "where it is remembered whose code is run (`hexjet/trusted`); `~/.config` without it",
     "HEXJET_TRUST": "1: code that files name is run and remembered without a question, as with `--trust`",
     "HEXJET_PURE": "set at run time: everything runs from source, nothing compiled; set at the build: nothing is compiled",
