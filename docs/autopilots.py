@@ -39,6 +39,8 @@ FULL_SCALE = {name: f"full-scale-{of}" for name, of in OWN.items() if name != OU
 OCTOJET = {name: f"octojet-{OWN[name]}" for name in (HOVER, ROLL, LAND)}
 # nothing holds the place in the modes that are flown by attitude, which the limit on drift does not know of
 ALWAYS = ("--set", "limits.drift_m=false", "--set", "expect=[]")
+# ArduPilot's main loop flies until a switch is raised, as its README with the exported files says
+SWITCH = ("--param", "CC_TYPE=3", "--param", "CC_AXIS_MASK=7", "--param", "RC8_OPTION=109", "--channel", "8=2000@0.1")
 STOCK, VEHICLE, DESIGNED, OUTSIDE, INSIDE = "stock", "vehicle", "designed", "smith, from outside", "smith, inside it"
 
 
@@ -90,8 +92,11 @@ CRAFTS: Mapping[str, Sequence[Craft]] = {
         Craft("octojet", "turbine-100", OCTOJET, BIG),
     ),
     "ardupilot": (
+        HEXJET,
+        with_gains(HEXJET_LATE, (STOCK, VEHICLE, DESIGNED, INSIDE)),
         with_steps(QUADROTOR, 0.0025),
-        with_gains(with_steps(QUADROTOR_LATE, 0.0025), (VEHICLE, DESIGNED, INSIDE)),
+        with_gains(with_steps(QUADROTOR_LATE, 0.0025), (VEHICLE, DESIGNED)),
+        Craft("octojet", "turbine-100", OCTOJET, BIG),
     ),
     "betaflight": (HEXJET, with_gains(HEXJET_LATE, LATE)),
 }
@@ -121,7 +126,7 @@ def gains_of(autopilot: str, gains: str, craft: Craft, out: Path) -> Sequence[st
     if gains == OUTSIDE:
         return ("--rates", "smith")
     if gains in (VEHICLE, INSIDE):
-        return () if autopilot == "ardupilot" else ("--gains", "vehicle")
+        return ("--gains", "vehicle", *(SWITCH if (autopilot, gains) == ("ardupilot", INSIDE) else ()))
     if gains == STOCK:
         return ("--gains", "stock")
     file = designed(autopilot, craft, out)
