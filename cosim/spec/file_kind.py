@@ -20,6 +20,7 @@ SCENARIO = FileKind("a scenario", "hexjet fly FILE")
 DESIGN = FileKind("a controller file of hexjet design", "--controller FILE")
 STUDY = FileKind("a study", "hexjet sweep FILE")
 MAPPING = FileKind("the mapping file of an engine", "--engine FILE")
+ENGINE = FileKind("the definition of an engine", "--engine with the engine's name")
 AIRCRAFT = FileKind("an aircraft", "--aircraft with its folder")
 MODELS = FileKind("a file of identified models", "--model FILE")
 
@@ -33,6 +34,7 @@ def find_kind(table: Mapping[str, Any]) -> FileKind | None:
         (AIRCRAFT, {"jets", "inertia_kg_m2"}),
         (SCENARIO, {"duration_s"}),
         (MAPPING, {"fmu"}),
+        (ENGINE, {"ports", "variables"}),
         (MODELS, {"identified"}),
     ):
         if keys <= table.keys():

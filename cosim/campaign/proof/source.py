@@ -29,6 +29,7 @@ def proof_study(name: str, claim: str | None, budget: int | None = None, **optio
     table = _study_table(name)
     claim = claim or table.get("until")
     if claim is None:
+        open_study(name, **options)  # a name that is not known is reported before
         raise InputError(f"{name}: states no claim (until); --claim says what is to be shown, such as 99.9%@95%")
     study = open_study(name, until=claim, design="random", runs=budget or default_runs(claim), **options)
     if not any(options.get(key) for key in ("settings", "controllers", "vary")):  # what flies is what the title says

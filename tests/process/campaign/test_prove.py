@@ -283,6 +283,7 @@ def test_a_rare_failure_has_its_probability(tmp_path: Path) -> None:
             "has 5 controllers, and a proof is one's; --controller NAME says which: baseline, smith",
         ),
         (["predictor-robustness"], "states no claim (until); --claim says what is to be shown"),
+        (["robustness-predictor"], "unknown study or scenario 'robustness-predictor'"),
         (["DESIGN"], "a design states no claim"),
         (["DESIGN", "--claim", "99%@95%", "--controller", "smith"], "a design brings its own controllers"),
         (["STUDY", "--rare", "100"], "--rare 100: 8 repeats of 7 levels down to"),

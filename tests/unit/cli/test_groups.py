@@ -81,6 +81,10 @@ def test_completion_is_installed_by_one_option(tmp_path: Any, monkeypatch: pytes
     ("file", "what"),
     [
         ("aircraft/hexjet/vehicle.toml", "an aircraft, not a scenario; it goes with --aircraft with its folder"),
+        (
+            "engines/edf/engine.toml",
+            "the definition of an engine, not a scenario; it goes with --engine with the engine's name",
+        ),
         ("studies/roll-doublet-claim.toml", "a study, not a scenario; it goes with hexjet sweep FILE"),
     ],
 )
