@@ -25,6 +25,7 @@ from cosim.autopilots.lockstep import (
     LOCAL,
     ActuatorOutputs,
     AnswerTimer,
+    FirmwareReport,
     Program,
     SensorFrame,
     Sitl,
@@ -247,6 +248,11 @@ class Betaflight(Sitl):
         throttle = tuple([clip(value, 0.0, 1.0) for value in outputs[: self._jets]])
         armed = min(throttle) > 0.5 * self.idle
         return ActuatorOutputs(throttle, self._tilts(outputs) if armed and self._range else (0.0, 0.0), armed)
+
+    def report(self) -> FirmwareReport:
+        """See :class:`cosim.autopilots.lockstep.Autopilot`; its build puts the release into the program's name."""
+        assert self._binary is not None
+        return FirmwareReport(f"program {self._binary.resolve().name}")
 
     def _tilts(self, outputs: Sequence[float]) -> tuple[float, float]:
         """Return both tilts [rad], see :func:`mixing`; the engines' rolls cancel, so their mean is the collective."""

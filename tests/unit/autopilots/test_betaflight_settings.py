@@ -90,6 +90,12 @@ def test_more_motors_than_it_has_are_refused(tmp_path: Path) -> None:
         Betaflight(Path("any"), tmp_path, many, 0.004)
 
 
+def test_the_program_is_named_where_its_version_is_asked_for(tmp_path: Path) -> None:
+    one = Betaflight(tmp_path / "betaflight_4.6.0_SITL", tmp_path, load_vehicle("hexjet")[0], 0.004)
+    assert one.report().version == "program betaflight_4.6.0_SITL"
+    one.close()
+
+
 def test_a_busy_port_is_named() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
         held.bind(("127.0.0.1", 0))
