@@ -35,7 +35,6 @@ from cosim.autopilots.lockstep import (
     StartTiming,
     StickPositions,
     describe_unknown,
-    listen,
     to_pulse,
 )
 from cosim.base.errors import FlightError, InputError
@@ -107,6 +106,9 @@ class LaunchOptions:
 class ArduPilot(Sitl):
     """One ArduPilot SITL, started here or by hand.  Raises InputError for a step that its clock does not follow."""
 
+    name = "ardupilot"
+    log_pattern = "logs/*.BIN"
+
     def __init__(
         self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: LaunchOptions
     ) -> None:
@@ -122,7 +124,6 @@ class ArduPilot(Sitl):
         self._pulses: list[int] = []
         self._sticks_every = max(1, round(STICKS_S / step))
         self._count = -1  # frame count of the last packet, answered or about to be
-        self._earlier_logs: set[Path] = set()  # logs of earlier flights in the same folder
         self._is_restarted = False  # whether its frame count has restarted
 
     @property
@@ -133,12 +134,10 @@ class ArduPilot(Sitl):
     def start(self) -> None:
         """Listen, start it, and wait for its first packet.  Raises InputError or FlightError."""
         port = PORT + PORT_SPACING * self._launch.instance
-        self._folder.mkdir(parents=True, exist_ok=True)
-        self._socket = self._own(listen(socket.SOCK_DGRAM, port, "ardupilot"))
-        self._earlier_logs = self._logs()
+        self._socket = self._begin(socket.SOCK_DGRAM, port)
         if self._binary is not None:
             self._program = Program(self._command(), self._folder, self._folder / "ardupilot.log", {})
-        timer = AnswerTimer("ardupilot", _START_S, self._program, f"sent nothing to port {port}")
+        timer = AnswerTimer(self.name, _START_S, self._program, f"sent nothing to port {port}")
         while self._peer is None:
             packet, sender = timer.receive_packet(self._socket)
             if (servos := self._servos(packet)) is None:
@@ -177,7 +176,7 @@ class ArduPilot(Sitl):
         sock.sendto(state, peer)
         sent_at = monotonic()
         counts.frames += 1
-        timer = AnswerTimer("ardupilot", self.limit, self._program)
+        timer = AnswerTimer(self.name, self.limit, self._program)
         while True:
             packet, sender = self._receive(timer, sock)
             servos = self._servos(packet)
@@ -245,29 +244,28 @@ class ArduPilot(Sitl):
         """
         if self._program is None or self._launch.defaults is None or self.counts.answers == 0:
             return ""
-        new_logs = sorted(self._logs() - self._earlier_logs)
-        known_names = next((known for path in new_logs if (known := read_notes(path).parameters) is not None), None)
+        folder = self._folder / "logs"
+        known_names = next(
+            (known for path in self._new_logs() if (known := read_notes(path).parameters) is not None), None
+        )
         if known_names is None:
-            return f"the names of its parameters were not checked: no log in {self._folder / 'logs'} has all of them"
+            return f"the names of its parameters were not checked: no log in {folder} has all of them"
         # ArduPilot ignores the case of parameter names
         if unknown := [name for name in self._launch.parameters if name.upper() not in known_names]:
             text = describe_unknown(unknown, known_names, "ArduCopter")
-            raise FlightError(f"ardupilot: {text} (--param, --defaults; {new_logs[0].parent})")
+            raise FlightError(f"ardupilot: {text} (--param, --defaults; {folder})")
         return ""
 
     def report(self) -> FirmwareReport:
-        """See :class:`cosim.autopilots.lockstep.Autopilot`; from the newest log of its folder.
+        """See :class:`cosim.autopilots.lockstep.Autopilot`; from its newest log.
 
         It logs no severity of what it says.
         """
-        new_logs = sorted(self._logs() - self._earlier_logs)
-        if self._program is None or not new_logs:
+        logs = self._new_logs()
+        if not logs:
             return FirmwareReport()
-        notes = read_notes(new_logs[-1])
+        notes = read_notes(logs[-1])
         return FirmwareReport(notes.version, notes.parameters or {}, [(at, _INFO, text) for at, text in notes.messages])
-
-    def _logs(self) -> set[Path]:
-        return set((self._folder / "logs").glob("*.BIN"))
 
 
 class Transmitter:

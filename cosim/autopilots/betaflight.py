@@ -32,7 +32,6 @@ from cosim.autopilots.lockstep import (
     StartTiming,
     discard_packets,
     find_configured_program,
-    listen,
     to_pulse,
 )
 from cosim.base.errors import FlightError, InputError
@@ -163,6 +162,8 @@ class Betaflight(Sitl):
     lives before its first state.  Raises InputError.
     """
 
+    name = "betaflight"
+
     def __init__(
         self,
         binary: Path,
@@ -190,8 +191,7 @@ class Betaflight(Sitl):
 
     def start(self) -> None:
         """Configure it through its console in a first life, and start the second under the flight's clock."""
-        self._folder.mkdir(parents=True, exist_ok=True)
-        self._in = self._own(listen(socket.SOCK_DGRAM, self._port, "betaflight"))
+        self._in = self._begin(socket.SOCK_DGRAM, self._port)
         shim = str(build_clock())
         ports = {"LD_PRELOAD": shim, "HEXJET_PORT": str(self._port)}
         log = self._folder / "betaflight.log"
@@ -208,7 +208,7 @@ class Betaflight(Sitl):
         environment = ports | {"HEXJET_STEP_NS": str(round(self._step * 1e9))}
         discard_packets(self._in)
         self._program = Program([str(self._binary)], self._folder, log, environment)
-        timer = AnswerTimer("betaflight", _CONSOLE_S, self._program)
+        timer = AnswerTimer(self.name, _CONSOLE_S, self._program)
         while self._packet(timer) != _READY:
             pass
 
@@ -234,7 +234,7 @@ class Betaflight(Sitl):
         self._out.sendto(state, (LOCAL, self._port + STATE))
         counts = self.counts
         counts.frames += 1
-        timer = AnswerTimer("betaflight", self.limit, self._program)
+        timer = AnswerTimer(self.name, self.limit, self._program)
         if counts.frames <= _CLOCK_FRAMES:
             counts.boot += 1
             return ActuatorOutputs((0.0,) * self._jets, (0.0, 0.0), False)

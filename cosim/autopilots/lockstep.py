@@ -14,7 +14,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from struct import Struct
 from time import monotonic
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.limits import clamp
@@ -256,6 +256,8 @@ def set_receive_timeout(sock: socket.socket) -> socket.socket:
 class Sitl:
     """Common state of the autopilots that run as programs: counts, program, sockets, and the vehicle's outputs."""
 
+    name: ClassVar[str]
+    log_pattern: ClassVar[str] = ""  # of its own logs in its folder; empty: none is read
     patience_s = 0.0  # that it has to end by itself once it is asked to
 
     def __init__(self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, limit: float) -> None:
@@ -265,14 +267,11 @@ class Sitl:
         self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
         self._program: Program | None = None
         self._sockets: list[socket.socket] = []
+        self._earlier_logs: set[tuple[int, Path]] = set()  # of other flights in the same folder
 
     def check_parameters(self) -> str:
         """Return nothing: an autopilot that refuses a parameter ends the flight before it begins."""
         return ""
-
-    def report(self) -> FirmwareReport:
-        """Return nothing: of its own log nothing is read."""
-        return FirmwareReport()
 
     def close(self) -> None:
         """End it; may be called twice."""
@@ -280,6 +279,24 @@ class Sitl:
             self._program.close(self.patience_s)
         for sock in reversed(self._sockets):
             sock.close()
+
+    def _begin(self, kind: socket.SocketKind, port: int) -> socket.socket:
+        """Make its folder, and return a socket that listens at a port of this machine.  Raises InputError."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._earlier_logs = self._find_logs()
+        return self._own(listen(kind, port, self.name))
+
+    def _find_logs(self) -> set[tuple[int, Path]]:
+        """Return the logs in its folder, each with the time at which it was last written [ns]."""
+        paths = self._folder.glob(self.log_pattern) if self.log_pattern else ()
+        return {(path.stat().st_mtime_ns, path) for path in paths}
+
+    def _new_logs(self) -> list[Path]:
+        """Return the logs that it wrote since it began, the newest last; none of a program that was not started here.
+
+        One of that name may have been there before.
+        """
+        return [] if self._program is None else [path for _, path in sorted(self._find_logs() - self._earlier_logs)]
 
     def _own(self, sock: socket.socket) -> socket.socket:
         """Return a socket that is closed with the autopilot."""

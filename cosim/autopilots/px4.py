@@ -29,7 +29,6 @@ from cosim.autopilots.lockstep import (
     StartTiming,
     StickPositions,
     describe_unknown,
-    listen,
     set_receive_timeout,
     to_pulse,
 )
@@ -115,6 +114,8 @@ class LaunchOptions:
 class Px4(Sitl):
     """One PX4 SITL, started here or by hand."""
 
+    name = "px4"
+    log_pattern = "log/**/*.ulg"
     patience_s = 1.0  # what it printed and logged last is in its buffers until it is asked to end
 
     def __init__(
@@ -135,9 +136,8 @@ class Px4(Sitl):
     def start(self) -> None:
         """Listen, start it, and wait until it connects.  Raises InputError or FlightError."""
         port = PORT + self._instance
-        self._folder.mkdir(parents=True, exist_ok=True)
         log = self._folder / "px4.log"
-        self._server = self._own(listen(socket.SOCK_STREAM, port, "px4"))
+        self._server = self._begin(socket.SOCK_STREAM, port)
         if self._binary is not None:
             environment = {"PX4_SYS_AUTOSTART": "10016", "PX4_SIM_MODEL": "none_iris", "HEADLESS": "1"}
             # nine digits, as many as its single precision tells apart
@@ -147,7 +147,7 @@ class Px4(Sitl):
             folder = str(self._folder.absolute())
             command = [str(self._binary), "-d", "-i", str(self._instance), "-w", folder, startup]
             self._program = Program(command, self._folder, log, environment)
-        timer = AnswerTimer("px4", _START_S, self._program, f"did not connect to port {port}")
+        timer = AnswerTimer(self.name, _START_S, self._program, f"did not connect to port {port}")
         while self._link is None:
             try:
                 self._server.settimeout(timer.remaining())
@@ -168,7 +168,7 @@ class Px4(Sitl):
         self._send(self._messages(frame, now))
         counts.frames += 1
         booting = counts.answers == 0
-        timer = AnswerTimer("px4", _BOOT_TIMEOUT if booting else self.limit, self._program)
+        timer = AnswerTimer(self.name, _BOOT_TIMEOUT if booting else self.limit, self._program)
         if booting or counts.frames % _ACCEPT_EVERY == 0:
             self._refuse_second()
         has_waited = booting  # not before the first answer, which is all that most frames take
@@ -193,9 +193,9 @@ class Px4(Sitl):
                 return answer
 
     def report(self) -> FirmwareReport:
-        """See :class:`cosim.autopilots.lockstep.Autopilot`; from the newest ULog of its folder."""
-        logs = sorted(self._folder.rglob("*.ulg"), key=lambda path: path.stat().st_mtime)
-        if self._binary is None or not logs:
+        """See :class:`cosim.autopilots.lockstep.Autopilot`; from its newest ULog."""
+        logs = self._new_logs()
+        if not logs:
             return FirmwareReport()
         notes = read_notes(logs[-1])
         messages = [(time_s, severity, _COLOUR.sub("", text).strip()) for time_s, severity, text in notes.messages]

@@ -386,11 +386,11 @@ class Px4Program:
             total[index] += float(value)
 
     def write(self) -> None:
-        """What was seen, for a test to read; and its own log, as its logger writes it."""
-        log = self.folder / "log" / "2026-11-27" / "08_00_00.ulg"
-        log.parent.mkdir(parents=True, exist_ok=True)
-        whole = {name for name, value in DEFAULTS.items() if isinstance(value, int)}
-        log.write_bytes(b"".join(ulog(self.values, whole, self.said)))
+        """What was seen, for a test to read; and its own log, as its logger writes it if it is not switched off."""
+        if self.values["SDLOG_MODE"] >= 0:
+            log = self.folder / "log" / "2026-11-27" / "08_00_00.ulg"
+            log.parent.mkdir(parents=True, exist_ok=True)
+            log.write_bytes(b"".join(ulog(self.values, self.said)))
         seen = {
             "frames": len(self.times),
             "answers": self.answers,
@@ -405,7 +405,7 @@ class Px4Program:
         part.rename(self.folder / "seen.json")
 
 
-def ulog(values: Mapping[str, float], whole: set[str], said: list[tuple[int, str]]) -> Iterator[bytes]:
+def ulog(values: Mapping[str, float], said: list[tuple[int, str]]) -> Iterator[bytes]:
     """A ULog without topics: facts, parameters, and what was said when, each message with its size and its kind."""
 
     def message(kind: bytes, body: bytes) -> bytes:
@@ -419,7 +419,7 @@ def ulog(values: Mapping[str, float], whole: set[str], said: list[tuple[int, str
     yield entry(b"I", f"char[{len(revision)}] ver_sw", revision.encode())
     yield entry(b"I", "uint32_t ver_sw_release", struct.pack("<I", 0x011100C0))
     for name, value in values.items():
-        if name in whole:
+        if isinstance(DEFAULTS[name], int):
             yield entry(b"P", f"int32_t {name}", struct.pack("<i", int(value)))
         else:
             yield entry(b"P", f"float {name}", struct.pack("<f", value))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_tools import Done, Hexjet
-from px4_program import DEFAULTS, installed
+from px4_program import DEFAULTS, installed, ulog
 
 from cosim.autopilots.parameters import px4_parameters, px4_torque_scale
 from cosim.results.events import list_events
@@ -198,7 +198,13 @@ def test_an_estimator_at_another_pace_is_one_that_does_not_answer(hexjet: Hexjet
 
 
 def test_one_that_is_not_armed_says_what_it_needs(hexjet: Hexjet) -> None:
-    done = flown(hexjet, "--param", "RC_MAP_ARM_SW=7")
+    """It logs nothing, and the log of a flight before in the same folder is not taken for its own."""
+    earlier = Path("run/px4/log/2026-11-26/08_00_00.ulg")
+    earlier.parent.mkdir(parents=True)
+    earlier.write_bytes(b"".join(ulog(DEFAULTS, [(1, "Takeoff detected")])))
+    done = flown(hexjet, "--param", "RC_MAP_ARM_SW=7", "--param", "SDLOG_MODE=-1")
     assert done.status == 1
     said = "px4 was not armed within 30 s; one that you start needs the parameters of hexjet sitl params px4"
     assert said in " ".join(done.out.split())
+    assert (books()["version"], books()["parameters_flown"]) == ("", len(books()["parameters"]))
+    assert not Path("run/autopilot.jsonl").exists()
