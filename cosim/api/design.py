@@ -26,10 +26,10 @@ class DesignResult(Result):
         Everything.
     """
 
-    def __init__(self, designed: Design, autopilot: str | None = None, aircraft: str = "") -> None:
+    def __init__(self, designed: Design, autopilot: str | None = None) -> None:
         self.designed = designed
         self.files = {}
-        self._autopilot, self._aircraft = autopilot, aircraft
+        self._autopilot = autopilot
 
     @property
     def ok(self) -> bool:
@@ -69,8 +69,8 @@ class DesignResult(Result):
             prepare(path)
         self.files = write(self.designed, path)
         if self._autopilot is not None and self.ok:
-            step = self.designed.scenario.step_s
-            self.files["parameters"] = write_parameters(self._autopilot, self._aircraft, self.files["controller"], step)
+            scenario = self.designed.scenario
+            self.files["parameters"] = write_parameters(self._autopilot, scenario, self.files["controller"])
         return self
 
     def to_dict(self) -> dict[str, Any]:
@@ -232,7 +232,7 @@ def design(
         designed = add_proof(designed, tell, lambda unsure: seek(unsure=unsure))
     if limit and designed.ok:
         designed = add_limits(designed, tell)
-    result = DesignResult(designed, autopilot, vehicle)
+    result = DesignResult(designed, autopilot)
     return result if out is None else result.write(out)
 
 

@@ -13,20 +13,45 @@ from cosim.autopilots.parameters import (
     ardupilot_script,
     ardupilot_torque_scale,
     parameter_file,
+    px4_hover,
     px4_target,
     px4_torque_scale,
 )
+from cosim.autopilots.pilot import find_hover_throttle
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
+from cosim.simulation.controllers.models import make_scenario_belief
+from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
 
-def format_firmware_parameters(autopilot: str, vehicle: Vehicle, step: float, target: str = "sitl") -> str:
-    """Return lines for Betaflight's console, or a file of ``px4`` or ``ardupilot``.
+def list_px4_parameters(scenario: Scenario, step: float, target: str = "sitl") -> dict[str, float]:
+    """Return PX4's parameters of a scenario's vehicle with its engines, for a flight of ``step`` [s].
+
+    ``target``: see :func:`cosim.autopilots.parameters.px4_target`.  Raises InputError for a vehicle that it has no
+    parameters for.
+    """
+    parameters = px4_target(scenario.resolved_vehicle()[0], step, target)
+    return parameters | px4_hover(find_hover_throttle(make_scenario_belief(scenario, {})))
+
+
+def check_vehicle(autopilot: str, vehicle: Vehicle, step: float) -> None:
+    """Raise InputError for a vehicle that an autopilot has no parameters for."""
+    if autopilot == "betaflight":
+        make_mixer_settings(vehicle, vehicle.control.allocation.throttle_min)
+    elif autopilot == "px4":
+        px4_target(vehicle, step, "sitl")
+    else:
+        ardupilot_parameters(vehicle, step)
+
+
+def format_firmware_parameters(autopilot: str, scenario: Scenario, step: float, target: str = "sitl") -> str:
+    """Return lines for Betaflight's console, or a file of ``px4`` or ``ardupilot``, for a scenario's vehicle.
 
     ``target``: of PX4, see :func:`cosim.autopilots.parameters.px4_target`.  Raises InputError for a vehicle that it has
     no parameters for.
     """
+    vehicle, _ = scenario.resolved_vehicle()
     if autopilot == "betaflight":
         lines = [
             *make_mixer_settings(vehicle, vehicle.control.allocation.throttle_min),
@@ -35,7 +60,8 @@ def format_firmware_parameters(autopilot: str, vehicle: Vehicle, step: float, ta
             "save",
         ]
         return "\n".join(lines) + "\n"
-    parameters = px4_target(vehicle, step, target) if autopilot == "px4" else ardupilot_parameters(vehicle, step)
+    is_px4 = autopilot == "px4"
+    parameters = list_px4_parameters(scenario, step, target) if is_px4 else ardupilot_parameters(vehicle, step)
     return parameter_file(autopilot, parameters)
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from cosim.autopilots import ardupilot, betaflight, px4
 from cosim.autopilots.block import AutopilotBlock, ExternalRateLoop
+from cosim.autopilots.firmware_parameters import list_px4_parameters
 from cosim.autopilots.lockstep import LOCAL, Autopilot, find_configured_program
 from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
@@ -22,17 +23,13 @@ from cosim.autopilots.parameters import (
     leave_px4_gains,
     parameter_file,
     px4_external_rates,
-    px4_hover,
-    px4_target,
     read_parameters,
 )
-from cosim.autopilots.pilot import find_hover_throttle
 from cosim.autopilots.run import AutopilotRun, fly_autopilot, make_external_rate_loop
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Vector3
 from cosim.base.trust import code_of, need_trust
-from cosim.simulation.controllers.models import make_scenario_belief
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
@@ -188,10 +185,9 @@ def _px4(
     scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None
 ) -> PreparedAutopilot:
     vehicle, _ = scenario.resolved_vehicle()
-    parameters, external = px4_target(vehicle, scenario.step_s, "sitl"), None
+    parameters, external = list_px4_parameters(scenario, scenario.step_s), None
     if setup.gains == "stock":
         parameters = leave_px4_gains(parameters)
-    parameters |= px4_hover(find_hover_throttle(make_scenario_belief(scenario, {})))
     if rates is not None:
         rate_parameters, gain = px4_external_rates(vehicle)
         parameters, external = parameters | rate_parameters, make_external_rate_loop(rates, gain, has_gyro=True)

@@ -278,11 +278,12 @@ def params(options: Parameters) -> int:
         raise InputError(f"--target {target}: {autopilot} has one set of parameters; allowed is px4")
     if options.script and autopilot != "ardupilot":
         raise InputError(f"--script: {autopilot} has none; allowed is ardupilot")
-    vehicle, _ = load_scenario("hover", options.gains, (), None, (), None, options.aircraft).resolved_vehicle()
+    scenario = load_scenario("hover", options.gains, (), None, (), None, options.aircraft)
     if options.script:
-        click.echo(format_mixer_script(vehicle), nl=False)
-        return DONE
-    click.echo(format_firmware_parameters(autopilot, vehicle, 1.0 / options.rate, target), nl=False)
+        text = format_mixer_script(scenario.resolved_vehicle()[0])
+    else:
+        text = format_firmware_parameters(autopilot, scenario, 1.0 / options.rate, target)
+    click.echo(text, nl=False)
     return DONE
 
 

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import ast
+import shutil
 from pathlib import Path
 
 import pytest
+from command_tools import Hexjet
+from places import DESIGNS
 
+from cosim.api.firmware import write_parameters
 from cosim.autopilots import ardupilot, betaflight, px4
 from cosim.autopilots import prepare as preparation
 from cosim.autopilots.parameters import (
@@ -21,6 +25,7 @@ from cosim.autopilots.parameters import (
 from cosim.autopilots.prepare import PORT_SPACING, PreparedAutopilot, Setup, find_program, require_program
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import parse_numbers
+from cosim.simulation.controllers.controller_file import apply_controller
 from cosim.spec.scenario import Scenario
 
 PROGRAM = Path("/bin/true")  # is never started here
@@ -78,6 +83,21 @@ def test_px4s_parameters_are_the_vehicles_then_what_is_stated(tmp_path: Path) ->
     tuned = ("MC_", "IMU_GYRO", "IMU_DGYRO")
     assert {name for name in told if not name.startswith(tuned)} == set(stock) - {"MPC_THR_HOVER"}
     assert made.endpoint == f"TCP port {px4.PORT + 2}"
+
+
+def test_what_is_printed_for_px4_is_what_it_flies_with(tmp_path: Path, hexjet: Hexjet) -> None:
+    """The throttle of hover too, which is the engines'; of a design's file it is that of the engine that it is for."""
+    made = prepare("px4", HOVER, tmp_path, None, Setup())
+    done = hexjet("sitl", "params", "px4")
+    assert done.out == parameter_file("px4", made.details["parameters"])
+    controller = tmp_path / "mine.toml"
+    shutil.copy2(DESIGNS / "edf-as-flown.toml", controller)
+    heavy = HOVER.replace(engine="edf-as-flown", vehicle={"mass_kg": 7.0, "servo": {"range_rad": 0.2}})
+    lines = write_parameters("px4", heavy, controller).read_text().splitlines()
+    told = {line.split("\t")[2]: float(line.split("\t")[3]) for line in lines if line[0] != "#"}
+    flown = apply_controller(heavy, controller)
+    assert told["MPC_THR_HOVER"] > 1.05 * made.details["parameters"]["MPC_THR_HOVER"]
+    assert told == pytest.approx(prepare("px4", flown, tmp_path, None, Setup()).details["parameters"])
 
 
 def test_ardupilots_parameters_are_a_file_where_it_is_started_here(tmp_path: Path) -> None:
