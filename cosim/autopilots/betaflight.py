@@ -34,6 +34,7 @@ from cosim.autopilots.lockstep import (
     find_configured_program,
     to_pulse,
 )
+from cosim.autopilots.parameters import refuse_effectiveness
 from cosim.base.errors import FlightError, InputError
 from cosim.base.limits import clamp, clip
 from cosim.base.signals import AXES, Vector3
@@ -106,8 +107,16 @@ def make_mixer_settings(vehicle: Vehicle, idle: float) -> list[str]:
     as every engine has it, and :data:`TILT_WEIGHT` of pitch and yaw beside; :class:`Betaflight` takes the engines' mean
     away and enlarges what is left.  The weight is small so that its mixer, which keeps all motors within their range,
     does not take thrust away for a tilt.
+    Raises InputError for a vehicle that is flown by effectiveness, or has more engines and tilts than it has motors.
     """
+    refuse_effectiveness("betaflight", vehicle)
     jets = vehicle.jets
+    servos = 2 if vehicle.servo else 0
+    if len(jets) + servos > MOST_MOTORS:
+        raise InputError(
+            f"betaflight: {vehicle.name} has {len(jets)} engines and {servos} servos, and Betaflight has {MOST_MOTORS} "
+            "motors at most"
+        )
     lines = ["mixer CUSTOM", "mmix reset", f"set motor_idle = {round(1e4 * idle)}"]
     if vehicle.servo is None:
         return [*lines, *[f"mmix {index} 1.0 {_mix(jet)}" for index, jet in enumerate(jets)]]
@@ -178,11 +187,6 @@ class Betaflight(Sitl):
         super().__init__(binary, folder, vehicle, step, limit)
         self._port = port
         self._motors = self._jets + (2 if self._range else 0)
-        if self._motors > MOST_MOTORS:
-            raise InputError(
-                f"betaflight: {vehicle.name} has {self._jets} engines and {self._motors - self._jets} servos, and "
-                f"Betaflight has {MOST_MOTORS} motors at most"
-            )
         self._ground = ground
         self.idle = vehicle.control.allocation.throttle_min
         self.settings = [*make_mixer_settings(vehicle, self.idle), *make_base_settings(vehicle), *settings]

@@ -16,6 +16,7 @@ from cosim.autopilots.parameters import (
     px4_hover,
     px4_target,
     px4_torque_scale,
+    refuse_effectiveness,
 )
 from cosim.autopilots.pilot import find_hover_throttle
 from cosim.base.errors import InputError
@@ -81,10 +82,7 @@ def find_torque_scale(autopilot: str, vehicle: Vehicle) -> Vector3:
 
     Raises InputError for a vehicle that is flown by effectiveness.
     """
-    if vehicle.allocation == "effectiveness":
-        raise InputError(
-            f"{autopilot}: {vehicle.name}: is flown by effectiveness, whose torques are not an autopilot's"
-        )
+    refuse_effectiveness(autopilot, vehicle)
     if autopilot == "betaflight":
         return compute_torque_scale(vehicle)
     return px4_torque_scale(vehicle) if autopilot == "px4" else ardupilot_torque_scale(vehicle)

@@ -55,6 +55,14 @@ def px4_torque_scale(vehicle: Vehicle) -> Vector3:
     return roll, tilt_size * pitch, tilt_size * yaw
 
 
+def refuse_effectiveness(autopilot: str, vehicle: Vehicle) -> None:
+    """Raise InputError for a vehicle that is flown by effectiveness, to which an autopilot's torques say nothing."""
+    if vehicle.allocation == "effectiveness":
+        raise InputError(
+            f"{autopilot}: {vehicle.name}: is flown by effectiveness, whose gains are not in an autopilot's torques"
+        )
+
+
 def pair_rate_gains(vehicle: Vehicle, torque: Vector3) -> tuple[tuple[str, RateGains, float], ...]:
     """Return for each axis its name, its gains, and the torque that they are divided by."""
     control = vehicle.control.rate
@@ -100,8 +108,7 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
     Raises InputError for a vehicle that PX4 has no words for.
     """
     jets, control = vehicle.jets, vehicle.control
-    if vehicle.allocation == "effectiveness":
-        raise InputError(f"px4: {vehicle.name}: is flown by effectiveness, whose gains are not in PX4's torques")
+    refuse_effectiveness("px4", vehicle)
     if len(jets) > _MOST_ROTORS:
         raise InputError(f"px4: {vehicle.name}: has {len(jets)} engines; allowed are {_MOST_ROTORS} at most")
     parameters: dict[str, float] = {"CA_AIRFRAME": 8 if vehicle.servo else 0, "CA_ROTOR_COUNT": len(jets)}
@@ -303,8 +310,7 @@ def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
     makes one, see :func:`ardupilot_script`.
     """
     control = vehicle.control
-    if vehicle.allocation == "effectiveness":
-        raise InputError(f"ardupilot: {vehicle.name}: is flown by effectiveness, whose gains are not in throttle")
+    refuse_effectiveness("ardupilot", vehicle)
     throttle_min = control.allocation.throttle_min
     parameters: dict[str, float] = {"SIM_RATE_HZ": round(1.0 / step), "SCHED_LOOP_RATE": min(round(1.0 / step), 400)}
     parameters |= _ardupilot_frame_parameters(vehicle)

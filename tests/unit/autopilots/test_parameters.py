@@ -172,6 +172,9 @@ def test_the_files(hexjet: Hexjet) -> None:
     done = hexjet("sitl", "params", "ardupilot", "--aircraft", "quadjet")
     assert done.status == 2
     assert done.err.splitlines()[-1].startswith("hexjet: ardupilot: quadjet: is flown by effectiveness")
+    for aircraft, said in (("octojet", "8 engines and 2 servos, and Betaflight has 8"), ("trijet", "by effectiveness")):
+        done = hexjet("sitl", "params", "betaflight", "--aircraft", aircraft)
+        assert (done.status, done.out, said in done.err) == (2, "", True)
     done = hexjet("sitl", "params", "betaflight", "--aircraft", "quadrotor")
     assert done.status == 0
     assert done.out.splitlines()[0] == "mixer CUSTOM"
