@@ -77,6 +77,15 @@ _RATES = opt.word(
 )
 
 
+def _find_gains(gains: str, *words: str) -> str | None:
+    """Return the design file that ``--gains`` names, None for one of the words.  Raises InputError for others."""
+    if gains in words:
+        return None
+    if not gains.lower().endswith(".toml"):
+        raise InputError(f"--gains {gains}: must be {', '.join(words)}, or a file of hexjet design (.toml)")
+    return gains
+
+
 class Betaflight(Sitl):
     """Options of ``hexjet sitl betaflight``."""
 
@@ -109,10 +118,7 @@ def betaflight(options: Betaflight) -> int:
     from cosim.autopilots.prepare import Setup, find_program
 
     gains = options.gains or ("vehicle" if options.rates else "designed")
-    designed = gains if gains.lower().endswith(".toml") else None
-    if designed is None and gains not in ("designed", "vehicle", "stock"):
-        raise InputError(f"--gains {gains}: must be designed, vehicle, stock, or a file of hexjet design (.toml)")
-    scenario = options.read(designed)
+    scenario = options.read(_find_gains(gains, "designed", "vehicle", "stock"))
     if gains == "designed":
         from cosim.cli.firmware import search_gains
 
@@ -134,15 +140,6 @@ _INSTANCE = opt.whole(
 )
 
 
-def _designed(gains: str | None, *words: str) -> str:
-    """Return what the run says of its gains.  Raises InputError for what is no such word and no file of a design."""
-    if gains is None:
-        return "vehicle"
-    if gains not in words and not gains.lower().endswith(".toml"):
-        raise InputError(f"--gains {gains}: must be {', '.join([*words, 'a file of hexjet design (.toml)'])}")
-    return gains
-
-
 class Px4(Sitl):
     """Options of ``hexjet sitl px4``."""
 
@@ -150,7 +147,8 @@ class Px4(Sitl):
     gains = opt.word(
         "--gains",
         "vehicle|stock|FILE.toml",
-        "Rate and attitude gains: the vehicle's own, as PX4 ships, or of hexjet design --for px4.  [default: vehicle]",
+        "Rate and attitude gains: the vehicle's own, as PX4 ships, or of hexjet design --for px4.",
+        "vehicle",
     )
     rates: str | None = _RATES
     parameters = opt.words("--param", "NAME=VALUE", "Over those of hexjet sitl params px4.")
@@ -175,16 +173,15 @@ def px4(options: Px4) -> int:
     from cosim.autopilots.prepare import Setup
     from cosim.base.storage.toml import parse_numbers
 
-    gains = _designed(options.gains, "vehicle", "stock")
     setup = Setup(
         options.instance,
         options.timeout,
-        gains=gains,
+        gains=options.gains,
         parameters=parse_numbers(options.parameters, "--param"),
         magnetic_field=_magnetic_field(options.field),
         hold_from_s=options.hold,
     )
-    scenario = options.read(None if gains in ("vehicle", "stock") else gains)
+    scenario = options.read(_find_gains(options.gains, "vehicle", "stock"))
     if options.hold is not None and scenario.limits.oscillation_rad is None:
         # it leans as it likes to hold its place, which nobody commands
         scenario = scenario.replace(limits=scenario.limits.model_dump() | {"oscillation_rad": False})
@@ -198,8 +195,8 @@ class ArduPilot(Sitl):
     gains = opt.word(
         "--gains",
         "vehicle|stock|FILE.toml",
-        "Rate and attitude gains: the vehicle's own, as ArduCopter ships, or of hexjet design --for ardupilot.  "
-        "[default: vehicle]",
+        "Rate and attitude gains: the vehicle's own, as ArduCopter ships, or of hexjet design --for ardupilot.",
+        "vehicle",
     )
     defaults = opt.path(
         "--defaults",
@@ -233,17 +230,16 @@ def ardupilot(options: ArduPilot) -> int:
     from cosim.autopilots.prepare import Setup
     from cosim.base.storage.toml import parse_numbers
 
-    gains = _designed(options.gains, "vehicle", "stock")
     setup = Setup(
         options.instance,
         options.timeout,
-        gains=gains,
+        gains=options.gains,
         parameters=parse_numbers(options.parameters, "--param"),
         defaults=options.defaults,
         channels=options.channels,
         station=options.station,
     )
-    scenario = options.read(None if gains in ("vehicle", "stock") else gains)
+    scenario = options.read(_find_gains(options.gains, "vehicle", "stock"))
     return _fly(options, scenario, "ardupilot", setup)
 
 

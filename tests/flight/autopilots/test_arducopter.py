@@ -182,7 +182,7 @@ def test_the_names_of_a_log_are_those_that_the_autopilots_own_reader_finds(
         (["--set", "controller=baseline.toml"], "the autopilot flies in the place of the controller"),
         (["--defaults", "binary.parm"], "hexjet: binary.parm: is no text file"),
         (["--binary", "/nope"], "hexjet: --binary: /nope: no such file"),
-        (["--gains", "fast"], "hexjet: --gains fast: must be vehicle, stock, a file of hexjet design (.toml)"),
+        (["--gains", "fast"], "hexjet: --gains fast: must be vehicle, stock, or a file of hexjet design (.toml)"),
         (["--param", "FOO=nan"], "hexjet: --param FOO=nan: write it as NAME=NUMBER, with a finite number"),
         (["--param", "=3"], "hexjet: --param =3: write it as NAME=NUMBER"),
     ],

@@ -183,7 +183,7 @@ def test_what_is_not_to_be_had_is_one_line(hexjet: Hexjet) -> None:
             ["--set", f"controller={DESIGN}"],
             "in the place of the controller; the gains of a design go into it by --gains",
         ),
-        (["--gains", "mine"], "--gains mine: must be vehicle, stock, a file of hexjet design (.toml)"),
+        (["--gains", "mine"], "--gains mine: must be vehicle, stock, or a file of hexjet design (.toml)"),
         (["--gains", "nowhere.toml"], "nowhere.toml"),
     ):
         done = hexjet("sitl", "px4", "--binary", "/bin/true", *given)
