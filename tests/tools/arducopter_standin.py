@@ -441,6 +441,14 @@ def fly(copter: Copter, port: int, speedup: float) -> None:
             time.sleep(ahead)
 
 
+def installed(folder: Path) -> Path:
+    """It as a program in a folder."""
+    program = folder / "arducopter"
+    program.write_text(f"#!{sys.executable}\n{Path(__file__).read_text(encoding='utf-8')}", encoding="utf-8")
+    program.chmod(0o755)
+    return program
+
+
 def main() -> None:
     known = argparse.ArgumentParser(allow_abbrev=False)
     for name in ("--model", "--home", "--defaults"):

@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
+import numpy as np
 from patience import PATIENCE
 
 from cosim.groundstation.mavlink.wire.dialect import mav
@@ -29,6 +30,18 @@ def free_port() -> int:
             port = int(asked.getsockname()[1])
         if port < 65000:
             return port
+
+
+def free_instance(instances: range, port: int, apart: int, kind: socket.SocketKind) -> int:
+    """An instance whose port is free."""
+    for instance in np.random.default_rng().permutation(list(instances)):
+        with socket.socket(socket.AF_INET, kind) as asked:
+            try:
+                asked.bind(("127.0.0.1", port + apart * int(instance)))
+            except OSError:
+                continue
+            return int(instance)
+    raise AssertionError("no port is free")
 
 
 class ArduPilotStandIn:

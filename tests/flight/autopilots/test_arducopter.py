@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arducopter_standin import DEFAULTS, HOLDS_S, Radio, begin_log
+from arducopter_standin import DEFAULTS, HOLDS_S, Radio, begin_log, installed
 from command_tools import Hexjet
 from patience import FLIGHT_PATIENCE, PATIENCE
 from stated_figures import stated
@@ -32,17 +32,13 @@ from cosim.identify.logs.dataflash import read_notes
 from cosim.results.run import Run, open_run
 from cosim.spec.scenario import Scenario
 
-STANDIN = Path(__file__).parents[2] / "tools" / "arducopter_standin.py"
 QUADROTOR = Scenario.load("hover").replace(aircraft="quadrotor", step_s=0.0025)
 DOUBLET = ["--aircraft", "quadrotor", "--set", "step_s=0.0025", "--scenario", "roll-doublet", "--set", "duration_s=7"]
 
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = tmp_path_factory.mktemp("sitl") / "arducopter"
-    made.write_text(f"#!{sys.executable}\n{STANDIN.read_text(encoding='utf-8')}", encoding="utf-8")
-    made.chmod(0o755)
-    return made
+    return installed(tmp_path_factory.mktemp("sitl"))
 
 
 @pytest.fixture(scope="module")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from arducopter_standin import installed
 from patience import PATIENCE
 
 from cosim.autopilots import ardupilot
@@ -16,17 +16,13 @@ from cosim.base.errors import FlightError
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
 
-STANDIN = Path(__file__).parents[2] / "tools" / "arducopter_standin.py"
 HOVER = Scenario.load("hover").replace(aircraft="quadrotor", engine="motor", step_s=0.0025, duration_s=0.1)
 DOUBLET = Scenario.load("roll-doublet").replace(aircraft="quadrotor", engine="motor", step_s=0.0025, duration_s=3.0)
 
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = tmp_path_factory.mktemp("sitl") / "arducopter"
-    made.write_text(f"#!{sys.executable}\n{STANDIN.read_text(encoding='utf-8')}", encoding="utf-8")
-    made.chmod(0o755)
-    return made
+    return installed(tmp_path_factory.mktemp("sitl"))
 
 
 def flown(program: Path, folder: Path, scenario: Scenario, instance: int, **parameters: float) -> Run:

@@ -33,6 +33,7 @@ from cosim.design.loop.tuning import Tuning
 from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.identify.logs import read_flight_log
+from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
 
 try:
@@ -284,15 +285,19 @@ def test_its_margin_of_delay_is_the_designs(tmp_path: Path) -> None:
     )
 
 
-def test_a_rate_loop_of_ours_flies_it_from_outside(tmp_path: Path) -> None:
-    """The gains with which its own loop is lost hold with a predictor; the flight repeats without either."""
-    doublet = Scenario.load("roll-doublet")
-    vehicle, _ = doublet.resolved_vehicle()
+def flown_from_outside(controller: str, scenario: Scenario, folder: Path) -> Run:
+    """With the rate loop of this controller, into the folder's ``run``."""
+    vehicle, _ = scenario.resolved_vehicle()
     lines = [*theirs.make_gain_settings(vehicle), *theirs.EXTERNAL_RATES]
     assert BINARY is not None
-    autopilot = theirs.Betaflight(BINARY, tmp_path / "its", vehicle, doublet.step_s, lines, free_port(), 60.0)
-    rates = make_external_rate_loop(doublet.replace(controller="smith"), theirs.compute_external_rate_gain(vehicle))
-    run = fly_with(autopilot, doublet, tmp_path / "run", rates=rates).run
+    autopilot = theirs.Betaflight(BINARY, folder / "its", vehicle, scenario.step_s, lines, free_port(), 60.0)
+    rates = make_external_rate_loop(scenario.replace(controller=controller), theirs.compute_external_rate_gain(vehicle))
+    return fly_with(autopilot, scenario, folder / "run", rates=rates).run
+
+
+def test_a_rate_loop_of_ours_flies_it_from_outside(tmp_path: Path) -> None:
+    """The gains with which its own loop is lost hold with a predictor; the flight repeats without either."""
+    run = flown_from_outside("smith", Scenario.load("roll-doublet"), tmp_path)
     roll = run.metrics["roll"]
     assert run.outcome == "completed"
     assert roll.settling_time_s is not None
@@ -309,13 +314,7 @@ def test_a_rate_loop_of_ours_flies_it_from_outside(tmp_path: Path) -> None:
 
 
 def test_the_controller_at_the_limit_flies_it_from_outside(tmp_path: Path) -> None:
-    doublet = Scenario.load("roll-doublet").replace(duration_s=8.0)
-    vehicle, _ = doublet.resolved_vehicle()
-    lines = [*theirs.make_gain_settings(vehicle), *theirs.EXTERNAL_RATES]
-    assert BINARY is not None
-    autopilot = theirs.Betaflight(BINARY, tmp_path / "its", vehicle, doublet.step_s, lines, free_port(), 60.0)
-    rates = make_external_rate_loop(doublet.replace(controller="optimal"), theirs.compute_external_rate_gain(vehicle))
-    run = fly_with(autopilot, doublet, tmp_path / "run", rates=rates).run
+    run = flown_from_outside("optimal", Scenario.load("roll-doublet").replace(duration_s=8.0), tmp_path)
     roll = run.metrics["roll"]
     assert (run.outcome, roll.settling_time_s is None) == ("completed", False)
     stated("docs/autopilots.md", "with `--rates optimal` it settles in {} s", roll.settling_time_s or 0.0)

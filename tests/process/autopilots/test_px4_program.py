@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from autopilot_standins import free_instance
 from command_tools import Done, Hexjet
 from px4_program import DEFAULTS, installed, ulog
 
@@ -23,22 +24,11 @@ from cosim.spec.scenario import Scenario
 DESIGN = Path(__file__).parents[2] / "designs" / "edf-as-flown.toml"
 
 
-def instance() -> str:
-    """One whose port is free."""
-    for number in np.random.default_rng().permutation(np.arange(100, 250)):
-        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as asked:
-            try:
-                asked.bind(("127.0.0.1", 4560 + int(number)))
-            except OSError:
-                continue
-            return str(number)
-    raise AssertionError("no port is free")
-
-
 def flown(hexjet: Hexjet, *arguments: str) -> Done:
     """As it would be typed, into a folder that is named as seen from here."""
     program = installed(Path("px4_sitl_default").absolute())
-    return hexjet("sitl", "px4", "--binary", str(program), "--instance", instance(), "--out", "run", "--timeout", "60",
+    instance = str(free_instance(range(100, 250), 4560, 1, socket.SOCK_STREAM))
+    return hexjet("sitl", "px4", "--binary", str(program), "--instance", instance, "--out", "run", "--timeout", "60",
                   *arguments)  # fmt: skip
 
 
@@ -163,6 +153,7 @@ def test_it_holds_its_place_by_itself_once_the_switch_is_raised(hexjet: Hexjet) 
     done = flown(hexjet, "--hold", "0.5", "--set", 'engine="edf"', *wind)
     assert done.status == 0, done.out + done.err
     assert books()["hold_from_s"] == 0.5
+    assert open_run(Path("run")).scenario.limits.oscillation_rad is False  # the lean is its own
     assert books()["parameters"]["MPC_THR_HOVER"] == pytest.approx(0.451, abs=0.001)  # PX4's own is 0.5
     away = np.hypot(errors("north_m"), errors("east_m"))
     assert away[-1] < 1.0
@@ -183,6 +174,7 @@ def test_what_is_not_to_be_had_is_one_line(hexjet: Hexjet) -> None:
             ["--set", f"controller={DESIGN}"],
             "in the place of the controller; the gains of a design go into it by --gains",
         ),
+        (["--set", "controller=smith"], "--set controller=smith: the autopilot flies in the place of the controller"),
         (["--gains", "mine"], "--gains mine: must be vehicle, stock, or a file of hexjet design (.toml)"),
         (["--gains", "nowhere.toml"], "nowhere.toml"),
     ):

@@ -202,16 +202,22 @@ def test_ardupilot_hears_the_torques_of_the_controller(name: str, tmp_path: Path
     assert np.allclose(handed, (0.1, 0.2, 0.3))
 
 
-@pytest.mark.skipif(CXX is None, reason="no C++ compiler")
 def test_px4s_module_waits_for_no_target_that_is_made_after_it(tmp_path: Path) -> None:
-    """PX4 adds modules from outside before its platform's libraries, px4_work_queue among them."""
+    """PX4 adds modules from outside before its platform's libraries, px4_work_queue among them.
+
+    Its instructions do not stop in lockstep what alone would answer.
+    """
     adapted("hexjet", "px4", tmp_path)
     (lists,) = (tmp_path / "src" / "modules").glob("*/CMakeLists.txt")
     text = lists.read_text()
     assert "px4_add_module(" in text
     assert "DEPENDS" not in text
+    said = " ".join((tmp_path / "README.md").read_text().split())
+    assert "In SITL in lockstep nobody would answer between these two lines" in said
+    assert "`ours start` goes into the place of `mc_rate_control start`" in said
 
 
+@pytest.mark.skipif(CXX is None, reason="no C++ compiler")
 @pytest.mark.parametrize("name", ["hexjet", "quadrotor"])
 def test_px4_is_told_the_torques_of_the_controller(name: str, tmp_path: Path) -> None:
     """At the gyro samples nearest to the controller's steps, though their times are unsteady; started and stopped."""

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from autopilot_standins import ArduPilotStandIn, Px4StandIn
+from autopilot_standins import ArduPilotStandIn, Px4StandIn, free_instance
 from command_tools import Hexjet
 from patience import PATIENCE
 
@@ -50,21 +50,9 @@ def fifty(ours: ArduPilot | Px4, silent: bool = False) -> None:
         ours.exchange(frame(k))
 
 
-def free(instances: range, port: int, apart: int, kind: socket.SocketKind) -> int:
-    """An instance whose port is free."""
-    for instance in np.random.default_rng().permutation(list(instances)):
-        with socket.socket(socket.AF_INET, kind) as asked:
-            try:
-                asked.bind(("127.0.0.1", port + apart * int(instance)))
-            except OSError:
-                continue
-            return int(instance)
-    raise AssertionError("no port is free")
-
-
 @contextmanager
 def ardupilot(folder: Path, step: float = STEP, **faults: Any) -> Iterator[tuple[ArduPilot, ArduPilotStandIn]]:
-    instance = free(range(100, 4000), 9002, 10, socket.SOCK_DGRAM)
+    instance = free_instance(range(100, 4000), 9002, 10, socket.SOCK_DGRAM)
     ours = ArduPilot(None, folder, HEXJET, step, PLACE, LaunchOptions(instance, PATIENCE))
     theirs = ArduPilotStandIn(9002 + 10 * instance, **faults)
     try:
@@ -77,7 +65,7 @@ def ardupilot(folder: Path, step: float = STEP, **faults: Any) -> Iterator[tuple
 
 @contextmanager
 def px4_pair(folder: Path, **faults: Any) -> Iterator[tuple[Px4, Px4StandIn]]:
-    instance = free(range(1000, 40000), 4560, 1, socket.SOCK_STREAM)
+    instance = free_instance(range(1000, 40000), 4560, 1, socket.SOCK_STREAM)
     ours = Px4(None, folder, HEXJET, STEP, PLACE, px4.LaunchOptions(instance, PATIENCE))
     theirs = Px4StandIn(4560 + instance, **faults)
     try:
@@ -173,7 +161,7 @@ def test_a_second_sender_is_left_alone_and_counted(tmp_path: Path) -> None:
 
 
 def test_a_wrong_protocol_on_the_port_is_named(tmp_path: Path) -> None:
-    instance = free(range(100, 4000), 9002, 10, socket.SOCK_DGRAM)
+    instance = free_instance(range(100, 4000), 9002, 10, socket.SOCK_DGRAM)
     ours = ArduPilot(None, tmp_path, HEXJET, STEP, PLACE, LaunchOptions(instance))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         talking = threading.Timer(0.05, stranger.sendto, (b"\xfd\x09 MAVLink", ("127.0.0.1", 9002 + 10 * instance)))
@@ -261,7 +249,7 @@ def test_a_second_client_is_turned_away(tmp_path: Path) -> None:
 
 def test_one_that_never_connects_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(px4, "_START_S", 0.1)
-    instance = free(range(1000, 40000), 4560, 1, socket.SOCK_STREAM)
+    instance = free_instance(range(1000, 40000), 4560, 1, socket.SOCK_STREAM)
     ours = Px4(None, tmp_path, HEXJET, STEP, PLACE, px4.LaunchOptions(instance))
     with pytest.raises(FlightError, match=rf"px4 did not connect to port {4560 + instance} within 0\.1 s"):
         ours.start()
@@ -273,7 +261,7 @@ def test_a_command_names_a_port_that_is_in_use(name: str, hexjet: Hexjet, tmp_pa
     """All of a command but the flight; no run is left."""
     kind, port = (socket.SOCK_STREAM, 4560) if name == "px4" else (socket.SOCK_DGRAM, 9002)
     apart = 1 if name == "px4" else 10
-    instance = free(range(100, 250), port, apart, kind)
+    instance = free_instance(range(100, 250), port, apart, kind)
     with socket.socket(socket.AF_INET, kind) as held:
         held.bind(("127.0.0.1", port + apart * instance))
         out = tmp_path / "run"
