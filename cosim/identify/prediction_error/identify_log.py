@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -164,6 +164,7 @@ def identify_log(
     notes += _describe_failed(checks) if _noisy(problem, chosen) else [NO_NOISE]
     band = _band(chosen, problem.working_step)
     notes += _advice(chosen, bounds(estimates), prepared, band)
+    estimates = [_allow_for_late(estimate, prepared.late) for estimate in estimates]
     return LogIdentification(
         log.path,
         log.kind,
@@ -201,6 +202,17 @@ def _estimate(
     else:
         estimates = identify(problem, engine, hold)
     return problem, [robust(problem, estimate) for estimate in estimates], clock
+
+
+def _allow_for_late(estimate: Estimate, late: float) -> Estimate:
+    """Return an estimate whose bounds allow for a command that moved up to so many seconds before its row."""
+    if not late or "delay_s" in estimate.fixed:
+        return estimate
+    last = len(estimate.x) - 1
+    covariance = estimate.covariance.copy()
+    covariance[last, last] += (late / DEVIATIONS_95) ** 2
+    low, high = estimate.delay_bounds
+    return replace(estimate, covariance=covariance, delay_bounds=(low, high + late))
 
 
 def bounds(estimates: Sequence[Estimate]) -> tuple[float, float]:

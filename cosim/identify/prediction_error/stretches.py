@@ -27,6 +27,9 @@ LEAST_JITTER = 0.02  # of a sample: less jitter is none
 _LOST_STEPS = 1.75  # steps between two samples from which some are lost between them
 _JITTER_RUN = 4  # samples in a row that jitter may bring nearer to another tick
 MOST_JITTER = 0.35  # of a sample: scatter around an even clock, at most
+SLOW_COMMAND_S = 0.011  # from row to row, and SLOW_COMMAND samples of the output: controllers are faster
+SLOW_COMMAND = 1.5
+STEADY = 0.8  # share of rows that are half to one and a half times as far apart as usual; fewer: logged when it changes
 
 
 class Clock(NamedTuple):
@@ -47,6 +50,7 @@ class Prepared:
     longest_delay: float
     command: Clock
     output: Clock
+    late: float  # s, by which the command may have moved before its row; 0: rows come as controllers command
     notes: tuple[str, ...]
 
     @property
@@ -114,7 +118,14 @@ def prepare(
     if uneven and even[0] is not None and even[1] is not None:
         steady = _interpolate_lost(Channel(even[0], command.values))
         by_clock = tuple(_stretch(steady, output, span, lead, cells, sample, factor, even[1]) for span in spans)
-    return Prepared(by_stamps, by_clock, working, longest_delay, *clocks, tuple(notes))
+    late = _late(command.times, sample)
+    if late:
+        notes.append(
+            f"the command has a row every {1e3 * late:.3g} ms and is taken to hold between them: if what flew "
+            "commanded oftener, delay and lags are longer by up to that, by half of it in the mean; their bounds "
+            "allow for it"
+        )
+    return Prepared(by_stamps, by_clock, working, longest_delay, *clocks, late, tuple(notes))
 
 
 def clock_of(times: Array) -> Clock:
@@ -295,6 +306,17 @@ def _integral(command: Channel, at: Array) -> Array:
 
 def _span(times: Array) -> str:
     return f"{times[0]:.3f} to {times[-1]:.3f} s"
+
+
+def _late(command: Array, sample: float) -> float:
+    """Return how far the rows of a command are apart [s] that are samples of what was commanded between them; else 0.
+
+    ``command``: times of its rows; ``sample``: of the output, both in s.
+    """
+    apart = np.diff(command)
+    row = float(np.median(apart))
+    is_slow = row > min(SLOW_COMMAND_S, SLOW_COMMAND * sample)
+    return row if is_slow and float(np.mean(np.abs(apart / row - 1.0) < 0.5)) > STEADY else 0.0
 
 
 def _why(command: Channel, output: Channel, longest_delay: float) -> str:

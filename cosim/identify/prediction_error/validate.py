@@ -258,7 +258,7 @@ def _fit_anew(prepared: Prepared, model: StatedModel, longest: float) -> Refit |
         found.gain / model.gain,
         DEVIATIONS_95 * found.gain_deviation / abs(model.gain),
         found.delay - float(model.x[-1]),
-        DEVIATIONS_95 * found.deviation(len(model.x) - 1),
+        DEVIATIONS_95 * found.deviation(len(model.x) - 1) + prepared.late,
     )
 
 

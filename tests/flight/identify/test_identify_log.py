@@ -201,6 +201,27 @@ def test_a_file_becomes_a_model_that_flies(hexjet: Hexjet, tmp_path: Path, logs:
     assert flown.status == 0
 
 
+def test_the_bounds_allow_for_a_command_that_is_logged_more_seldom_than_it_moves(logs: list[Log]) -> None:
+    """One row of five: the delay comes out half of 20 ms short, and its bounds alone would not hold the truth."""
+    log = logs[0]
+    seldom = flight_log(log)
+    seldom.channels["u"] = Channel(log.times[::5], log.command[::5])
+    result = found(seldom, lags=1)
+    true, (low, high) = TRUTH.delay_samples * TRUTH.step, result.delay_bounds
+    assert high - 0.02 < true < high
+    assert low < result.chosen.delay < true
+    total, deviation = result.chosen.all_delay
+    assert abs(total - true - TRUTH.lags[0]) < 1.96 * deviation
+    assert any("has a row every 20 ms" in note and "their bounds allow for it" in note for note in result.notes)
+    assert not any("has a row every" in note for note in found(flight_log(log), lags=1).notes)
+    stated = StatedModel(Path("known"), "roll", WANTED, result.chosen.form, result.chosen.x.copy(), result.chosen.gain)
+    stated.x[1], stated.x[2] = TRUTH.lags[0], true
+    beside = validate(stated, seldom)
+    assert beside.again is not None
+    assert abs(beside.again.delay) < beside.again.delay_half
+    assert beside.judgement.verdict == "explained"
+
+
 def refusal(log: FlightLog, **choices: object) -> str:
     with pytest.raises(InputError) as error:
         found(log, **choices)
