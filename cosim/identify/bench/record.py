@@ -40,6 +40,7 @@ NOISY = 0.5  # share of an output's values that differ from all others, from whi
 FINE = 20.0  # smallest steps of an output in its usual change: of one that is coarser, values repeat by themselves
 LEAST_REPEATED = 0.005  # share of the rows that repeat the one before, from which on that is no chance
 LONGEST_GAP = 4.0  # rows: what is missing longer is said
+SLOW_ROWS_S = 1.0  # from row to row, from where on a time is doubted to be in seconds
 
 
 class Columns(NamedTuple):
@@ -128,6 +129,9 @@ def _read_records(log: FlightLog, load: FlightLog | None, columns: Columns) -> l
         output, flagged = output._replace(times=clock(output.times)), clock(flagged)
     output = _cut(output, columns)
     _check(source.path, output_name, output)
+    row = float(np.median(np.diff(output.times)))
+    if columns.time_unit is None and row >= SLOW_ROWS_S:
+        notes.append(f"{row:.3g} s from row to row: if the time is in milliseconds, --time-unit ms")
     spans = find_running(log, command, output, notes)
     moved = [span for span in spans if np.ptp(_between(command, *span).values) > 0.0] or spans[:1]
     return [

@@ -54,6 +54,18 @@ def test_delay_and_lag_come_out_of_every_excitation(tmp_path: Path, kind: str, r
         assert abs(result.chosen.lags[0] - 0.4) < 4.0 * result.chosen.deviation(1)
 
 
+def test_a_time_in_milliseconds_that_does_not_say_so_is_asked_for(tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 50.0, ONE)
+    path = write(tmp_path / "bench.csv", command, thrust, 1e3 * times, "time,throttle,thrust_N")
+    (doubted,) = read_records([path])
+    assert "20 s from row to row: if the time is in milliseconds, --time-unit ms" in doubted.notes
+    (record,) = read_records([path], Columns(time_unit="ms"))
+    assert record.step == pytest.approx(0.02)
+    assert not any("--time-unit" in note for note in record.notes)
+    (record,) = read_records([path], Columns(time_unit="s"))
+    assert not any("--time-unit" in note for note in record.notes)
+
+
 def test_a_load_cell_at_a_kilohertz_tells_the_delay_to_a_millisecond(tmp_path: Path) -> None:
     result = found(tmp_path, "stairs of 5 s", 1000.0, seconds=15.0)
     assert result.chosen.delay == pytest.approx(0.1, abs=0.001)
