@@ -6,7 +6,7 @@ import functools
 import inspect
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from html import escape
+from math import inf, isfinite
 from pathlib import Path
 from types import UnionType
 from typing import Any, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin
@@ -18,31 +18,65 @@ R = TypeVar("R")
 _SHOWN = 40  # characters of a wrong value
 
 
-def checked(call: Callable[P, R]) -> Callable[P, R]:
-    """Return a call that raises InputError, one line, where an argument's type is not the one annotated."""
-    adapters: dict[str, Any] = {}  # made at the first call: importing it costs nothing
+class Limits(NamedTuple):
+    """The numbers that an argument may be."""
 
-    @functools.wraps(call)
-    def with_check(*arguments: P.args, **named: P.kwargs) -> R:
-        signature = inspect.signature(call)
-        for name in named:
-            if name not in signature.parameters:
-                raise InputError(f"{call.__name__}: no argument {name!r}; {nearest(name, signature.parameters)}")
-        try:
-            bound = signature.bind(*arguments, **named)
-        except TypeError as error:
-            raise InputError(f"{call.__name__}: {error}") from None
-        if not adapters:
-            adapters.update(_adapters(call))
-        for name, value in bound.arguments.items():
-            parameter, adapter = signature.parameters[name], adapters[name]
-            if parameter.kind is inspect.Parameter.VAR_POSITIONAL:
-                bound.arguments[name] = tuple(_valid(call, parameter, adapter, each) for each in value)
-            else:
-                bound.arguments[name] = _valid(call, parameter, adapter, value)
-        return call(*bound.args, **bound.kwargs)
+    least: float
+    most: float = inf
+    is_open: bool = False  # whether ``least`` itself is left out
 
-    return with_check
+    def __contains__(self, number: object) -> bool:
+        if not isinstance(number, (int, float)) or not self.least <= number <= self.most:
+            return False
+        return number > self.least or not self.is_open
+
+    def __str__(self) -> str:
+        lower = f"{'above' if self.is_open else 'at least'} {self.least:g}"
+        return lower if self.most == inf else f"{lower}, at most {self.most:g}"
+
+
+def checked(**limits: Limits) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Return what makes a call raise InputError, one line, for arguments that are not of the types annotated.
+
+    And for numbers that are not finite, or not in their ``limits``: those of the option of the same name.
+    """
+
+    def with_checks(call: Callable[P, R]) -> Callable[P, R]:
+        adapters: dict[str, Any] = {}  # made at the first call: importing it costs nothing
+
+        @functools.wraps(call)
+        def with_check(*arguments: P.args, **named: P.kwargs) -> R:
+            signature = inspect.signature(call)
+            for name in named:
+                if name not in signature.parameters:
+                    raise InputError(f"{call.__name__}: no argument {name!r}; {nearest(name, signature.parameters)}")
+            try:
+                bound = signature.bind(*arguments, **named)
+            except TypeError as error:
+                raise InputError(f"{call.__name__}: {error}") from None
+            if not adapters:
+                adapters.update(_adapters(call))
+            for name, value in bound.arguments.items():
+                parameter = signature.parameters[name]
+                check = functools.partial(_valid, call, parameter, adapters[name], limits.get(name))
+                several = parameter.kind is inspect.Parameter.VAR_POSITIONAL
+                bound.arguments[name] = tuple(map(check, value)) if several else check(value)
+            return call(*bound.args, **bound.kwargs)
+
+        vars(with_check)["limits"] = limits
+        return with_check
+
+    return with_checks
+
+
+def _check_value(where: str, value: Any, limits: Limits | None) -> None:
+    """Raise InputError for a number that cannot be meant, and for a text that names nothing."""
+    if isinstance(value, float) and not isfinite(value):
+        raise InputError(f"{where}: {value:g} is no finite number")
+    if limits is not None and value is not None and value not in limits:
+        raise InputError(f"{where}: {value:g}; allowed: {limits}")
+    if isinstance(value, (str, Path)) and "\0" in str(value):
+        raise InputError(f"{where}: {str(value)!r} has a zero in it, and is no name")
 
 
 def _adapters(call: Callable[..., Any]) -> dict[str, Any]:
@@ -61,14 +95,16 @@ def _adapters(call: Callable[..., Any]) -> dict[str, Any]:
     return {name: TypeAdapter(as_instances(hint)) for name, hint in hints.items() if name != "return"}
 
 
-def _valid(call: Callable[..., Any], parameter: inspect.Parameter, adapter: Any, value: Any) -> Any:
+def _valid(
+    call: Callable[..., Any], parameter: inspect.Parameter, adapter: Any, limits: Limits | None, value: Any
+) -> Any:
     """Return an argument as the call takes it.  Raises InputError."""
     from pydantic import ValidationError
 
+    where = f"{call.__name__}: {parameter.name}"
     try:
-        return adapter.validate_python(value)
+        valid = adapter.validate_python(value)
     except ValidationError as error:
-        where = f"{call.__name__}: {parameter.name}"
         shown = repr(value)
         shown = shown if len(shown) <= _SHOWN else f"{shown[: _SHOWN - 3]}..."
         wrong = error.errors(include_url=False)
@@ -78,6 +114,8 @@ def _valid(call: Callable[..., Any], parameter: inspect.Parameter, adapter: Any,
                 raise InputError(f"{where}: {each['input']!r}: {nearest(each['input'], _words(listed[0]))}") from None
         allowed = listed[0] if listed else parameter.annotation
         raise InputError(f"{where}: {shown} is a value of type {type(value).__name__}; allowed: {allowed}") from None
+    _check_value(where, valid, limits)
+    return valid
 
 
 def _words(listed: str) -> list[str]:
@@ -213,6 +251,8 @@ class Result:
 
     def _repr_html_(self) -> str:
         """Return lines and tables for notebooks, and where the page is."""
+        from html import escape
+
         first, *others = self.lines() or [""]
         parts = [f"<p><b>{escape(first)}</b></p>"]
         parts += [f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in others)}</ul>"] if others else []

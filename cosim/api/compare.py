@@ -98,7 +98,7 @@ class CompareResult(Result):
 SIGNAL_TITLES = ("signal", "first at, s", "largest", "at, s", "RMS", "unit")
 
 
-@checked
+@checked()
 def compare(
     *flights: str | Path | Run,
     shift: Mapping[str, float] | None = None,

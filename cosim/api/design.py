@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.call import Progress, Result, Table, checked
+from cosim.api.call import Limits, Progress, Result, Table, checked
 from cosim.api.choices import as_settings, engine_for
 from cosim.base.errors import InputError
 from cosim.base.trust import mention
@@ -102,7 +102,15 @@ class DesignResult(Result):
         return design_figures(self.designed)
 
 
-@checked
+@checked(
+    amplitude=Limits(0.0, 0.5, is_open=True),
+    max_sensitivity=Limits(1.05, 10.0),
+    delay_tolerance=Limits(0.0, 1.0),
+    gain_tolerance=Limits(0.0, 0.95),
+    engine_spread=Limits(0.0, 0.95),
+    min_bandwidth_hz=Limits(0.0),
+    noise_share=Limits(0.0, 1.0, is_open=True),
+)
 def design(
     engine: str | Path | None = None,
     aircraft: str | Path = "hexjet",

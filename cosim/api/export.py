@@ -91,7 +91,7 @@ class VehicleExport(Result):
         ]
 
 
-@checked
+@checked()
 def export(
     run: Run | str | Path,
     to: Literal["ulog", "mcap", "mat", "csv", "parquet"],
@@ -143,7 +143,7 @@ def log_path(target: str, out: Path) -> Path:
     return out
 
 
-@checked
+@checked()
 def export_controller(
     scenario: Scenario | str | Path = "roll-doublet",
     out: str | Path | None = None,
@@ -230,7 +230,7 @@ def _licence_notes(licence: str | None, inside: Sequence[str]) -> list[str]:
     ]
 
 
-@checked
+@checked()
 def export_vehicle(
     scenario: Scenario | str | Path = "roll-doublet",
     out: str | Path | None = None,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.call import Result, Table, checked
+from cosim.api.call import Limits, Result, Table, checked
 from cosim.api.choices import as_settings
 from cosim.base.errors import InputError
 from cosim.base.trust import mention
@@ -100,7 +100,7 @@ class IdentifyResult(Result):
         return {"response": response_figure(self.identification)}
 
 
-@checked
+@checked(lags=Limits(0, 2))
 def identify(
     subject: Subject,
     engine: str | Path | None = None,
@@ -181,6 +181,8 @@ def identify(
     swept: dict[str, Any] = {"from_hz": from_hz, "to_hz": to_hz, "amplitude": amplitude, "duration": duration_s}
     swept |= {"hold": hold} | ({} if lags is None else {"lags": lags})
     if subject != "engine":
+        if lags == 0:
+            raise InputError("identify: lags: 0; allowed: at least 1 of an axis")
         swept |= {"controller": controller, "substeps": substeps, "seed": seed, "settings": texts}
         result = IdentifyResult(identify_axis(subject, str(aircraft), name, **swept))
     elif name is None:

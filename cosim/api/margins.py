@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Progress, Result, Table, checked
+from cosim.api.call import Limits, Progress, Result, Table, checked
 from cosim.api.choices import choose
 from cosim.spec.scenario import Scenario
 
@@ -89,7 +89,11 @@ class MarginsResult(Result):
         return figures(self.measured)
 
 
-@checked
+@checked(
+    from_hz=Limits(0.0, is_open=True),
+    to_hz=Limits(0.0, is_open=True),
+    period_s=Limits(0.0, is_open=True),
+)
 def margins(
     scenario: Scenario | str | Path = "hover",
     axes: Sequence[str] = AXES,

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Progress, Result, Table, checked
+from cosim.api.call import Limits, Progress, Result, Table, checked
 from cosim.api.studies import study_settings, tell_tally
 from cosim.base.errors import InputError
 
@@ -56,7 +56,7 @@ class ProofResult(Result):
         ]
 
 
-@checked
+@checked(budget=Limits(1), search=Limits(0))
 def prove(
     name: str | Path,
     claim: str | None = None,

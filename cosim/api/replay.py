@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Progress, Result, Table, checked
+from cosim.api.call import Limits, Progress, Result, Table, checked
 from cosim.api.choices import choose
 from cosim.base.errors import InputError
 from cosim.spec.scenario import Scenario
@@ -80,7 +80,14 @@ class ReplayResult(Result):
         return figures(self.replayed)
 
 
-@checked
+@checked(
+    window_s=Limits(0.1, 10.0),
+    draws=Limits(1, 1000),
+    inertia_tolerance=Limits(0.0, 0.5),
+    mass_tolerance=Limits(0.0, 0.5),
+    thrust_tolerance=Limits(0.0, 0.5),
+    seed=Limits(0),
+)
 def replay(
     log: str | Path,
     scenario: Scenario | str | Path | None = None,

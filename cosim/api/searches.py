@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Progress, Result, Table, checked
+from cosim.api.call import Limits, Progress, Result, Table, checked
 from cosim.api.choices import as_texts
 from cosim.api.studies import study_settings
 from cosim.base.errors import InputError
@@ -118,7 +118,7 @@ class RareResult(Result):
         return [Table("", titles, shift_rows(result))] if result.failures else []
 
 
-@checked
+@checked(seeds=Limits(1, 10_000), share=Limits(0.0, 1.0), budget=Limits(1))
 def search(
     name: str | Path,
     *,
@@ -284,7 +284,7 @@ def _searching(
         yield folder, tell, flying
 
 
-@checked
+@checked(target=Limits(1e-9, 0.5), budget=Limits(1))
 def rare(
     name: str | Path,
     *,

@@ -108,7 +108,7 @@ class ShowResult(Result):
         return [Table("", ("number", "value", "unit", "meaning"), number_rows(item)) for item in self.items]
 
 
-@checked
+@checked()
 def show(
     name: str | Path, kind: Literal["scenarios", "studies", "engines", "aircraft", "controllers"] | None = None
 ) -> ShowResult:

@@ -101,7 +101,7 @@ def study_settings(
     return [*vehicle, *engines, *as_settings(settings), *plugin_settings(tuple(metrics), wind)]
 
 
-@checked
+@checked()
 def sweep(
     name: str | Path,
     *,

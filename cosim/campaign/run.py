@@ -177,7 +177,7 @@ def choose_workers(count: int | None, cluster: str | None, time_limit_s: float |
     Raises InputError.
     """
     if cluster is None:
-        return LocalWorkers(count or count_processors(), time_limit_s)
+        return LocalWorkers(count_processors() if count is None else count, time_limit_s)
     from cosim.campaign.workers.cluster import DaskWorkers
 
     return DaskWorkers(None if cluster == "local" else cluster, count, time_limit_s)

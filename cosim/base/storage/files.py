@@ -93,8 +93,10 @@ def map_os_errors(failure: type[Exception], path: Path | str) -> Iterator[None]:
 def check_results_folder(folder: Path, record: str, *files: str) -> None:
     """Raise InputError where ``folder`` holds one of ``files``, or ``record``, that no earlier call left there.
 
-    An earlier call is told by its ``record``; one in JSON must be an object.
+    And where ``folder`` is a file.  An earlier call is told by its ``record``; one in JSON must be an object.
     """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; name a folder with --out")
     present = [name for name in (*files, record) if os.path.lexists(folder / name)]
     if present and not holds_record(folder / record):
         raise InputError(

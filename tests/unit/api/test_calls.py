@@ -9,7 +9,9 @@ import os
 import runpy
 import subprocess
 import sys
+from math import inf
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import pytest
@@ -57,6 +59,17 @@ def test_a_call_is_typed_and_refuses_a_name_that_is_none(name: str) -> None:
         ("export", ("runs/a", "csvv"), {}, "export: to: 'csvv': did you mean 'csv'? allowed: csv, mat, mcap, "),
         ("export_vehicle", (), {"outside": ["engine"]}, "export_vehicle: outside: 'engine': did you mean 'engines'?"),
         ("search", ("hover",), {"within": 3.0}, "--within: goes with --worst or --likely"),
+        ("search", ("hover",), {"seeds": 0}, "search: seeds: 0; allowed: at least 1, at most 10000"),
+        ("search", ("hover",), {"share": 2}, "search: share: 2; allowed: at least 0, at most 1"),
+        ("rare", ("hover",), {"target": 0.0}, "rare: target: 0; allowed: at least 1e-09, at most 0.5"),
+        ("prove", ("hover",), {"search": -1}, "prove: search: -1; allowed: at least 0"),
+        ("design", (), {"amplitude": 0.0}, "design: amplitude: 0; allowed: above 0, at most 0.5"),
+        ("margins", (), {"from_hz": float("nan")}, "margins: from_hz: nan is no finite number"),
+        ("margins", (), {"out": __file__}, f"{__file__}: is a file; name a folder with --out"),
+        ("identify", ("engine", "edf"), {"lags": 7}, "identify: lags: 7; allowed: at least 0, at most 2"),
+        ("identify", ("roll",), {"lags": 0}, "identify: lags: 0; allowed: at least 1 of an axis"),
+        ("sweep", ("hover",), {"out": "a\0b"}, "sweep: out: 'a\\x00b' has a zero in it, and is no name"),
+        ("sweep", ("hover",), {"vary": ["vehicle.mass_kg=5:6"], "runs": 2, "workers": 0}, "workers = 0: at least 1"),
         ("show", ("hexjt",), {}, "nothing that can be flown is called 'hexjt'; did you mean 'hexjet'"),
     ],
 )
@@ -67,6 +80,33 @@ def test_a_wrong_argument_is_one_line(
         getattr(cosim, name)(*arguments, **options)
     assert str(error.value).startswith(line)
     assert "\n" not in str(error.value)
+
+
+OTHERWISE = {"inertia_tolerance": "inertia", "mass_tolerance": "mass", "thrust_tolerance": "thrust", "seed": "drawn"}
+
+
+@pytest.mark.parametrize(
+    ("call", "record", "shares"),
+    [
+        ("api.searches:search", "cli.studies.campaign:Search", 1.0),
+        ("api.searches:rare", "cli.studies.campaign:Rare", 1.0),
+        ("api.prove:prove", "cli.studies.prove:Prove", 1.0),
+        ("api.design:design", "cli.controllers.design:DesignOptions", 1.0),
+        ("api.margins:margins", "cli.controllers.margins:Margins", 1.0),
+        ("api.identify:identify", "cli.controllers.identify:SweptEngine", 1.0),
+        ("api.replay:replay", "cli.controllers.replay:Replayed", 0.01),
+    ],
+)
+def test_numbers_have_the_limits_of_their_options(call: str, record: str, shares: float) -> None:
+    """``shares``: of the unit of an option that is called otherwise, a percentage."""
+    limits = vars(resolve_name(f"cosim.{call}"))["limits"]
+    options = resolve_name(f"cosim.{record}").options()
+    assert limits
+    for name, allowed in limits.items():
+        kind = options[OTHERWISE.get(name, name) if "replay" in call else name].attributes["type"]
+        unit = shares if name.endswith("_tolerance") else 1.0
+        most = inf if kind.max is None else unit * kind.max
+        assert allowed == (unit * kind.min, most, kind.min_open), name
 
 
 def test_a_package_that_is_called_stays_a_package() -> None:
