@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from math import degrees
 from pathlib import Path
@@ -26,6 +26,7 @@ from typing import Any
 from cosim.autopilots.prepare import find_program
 from cosim.cli.main import main as hexjet
 from cosim.flight import fly
+from cosim.results.log.digest import log_digest
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.results.run import open_run
 from cosim.results.wording import metric
@@ -53,7 +54,6 @@ class Craft:
     flights: Mapping[str, str]
     gains: Sequence[str] = (STOCK, VEHICLE, DESIGNED)
     options: Sequence[str] = ()  # of every flight and of the design
-    flown: Sequence[str] = ()  # of every flight alone
 
     @property
     def key(self) -> str:
@@ -69,22 +69,16 @@ QUADROTOR_LATE = Craft(
 LATE = (STOCK, VEHICLE, DESIGNED, OUTSIDE, INSIDE)
 
 
-def with_gains(craft: Craft, gains: Sequence[str]) -> Craft:
-    """The same, flown with these."""
-    return Craft(craft.name, craft.engines, craft.flights, gains, craft.options, craft.flown)
-
-
-def with_steps(craft: Craft, step_s: float) -> Craft:
-    """The same, flown at another step."""
-    options = (*craft.options, "--set", f"step_s={step_s}")
-    return Craft(craft.name, craft.engines, craft.flights, craft.gains, options, craft.flown)
+def at_400_hz(craft: Craft) -> Craft:
+    """The same at ArduCopter's own rate."""
+    return replace(craft, options=(*craft.options, "--set", "step_s=0.0025"))
 
 
 BIG = (VEHICLE, DESIGNED)
 CRAFTS: Mapping[str, Sequence[Craft]] = {
     "px4": (
         HEXJET,
-        with_gains(HEXJET_LATE, LATE),
+        replace(HEXJET_LATE, gains=LATE),
         QUADROTOR,
         QUADROTOR_LATE,
         Craft("hexjet-p220", "p220", FULL_SCALE, BIG, ("--engine", "p220")),
@@ -93,31 +87,39 @@ CRAFTS: Mapping[str, Sequence[Craft]] = {
     ),
     "ardupilot": (
         HEXJET,
-        with_gains(HEXJET_LATE, (STOCK, VEHICLE, DESIGNED, INSIDE)),
-        with_steps(QUADROTOR, 0.0025),
-        with_gains(with_steps(QUADROTOR_LATE, 0.0025), (VEHICLE, DESIGNED)),
+        replace(HEXJET_LATE, gains=(STOCK, VEHICLE, DESIGNED, INSIDE)),
+        at_400_hz(QUADROTOR),
+        replace(at_400_hz(QUADROTOR_LATE), gains=BIG),
         Craft("octojet", "turbine-100", OCTOJET, BIG),
     ),
-    "betaflight": (HEXJET, with_gains(HEXJET_LATE, LATE)),
+    "betaflight": (HEXJET, replace(HEXJET_LATE, gains=LATE)),
 }
 
 
-def run(arguments: Sequence[str]) -> int:
-    """The status of a command of hexjet.  Raises SystemExit for one that was interrupted."""
+def run(arguments: Sequence[str]) -> None:
+    """A command of hexjet, whatever comes of it.  Raises SystemExit for one that was interrupted."""
     try:
-        hexjet([str(argument) for argument in arguments])
+        hexjet(list(arguments))
     except SystemExit as end:
         if isinstance(end.code, int) and end.code > STOPPED:
             raise
-        return end.code if isinstance(end.code, int) else 2 if end.code else 0
-    return 0
+
+
+def design_of(autopilot: str, craft: Craft, out: Path) -> Path:
+    """Where the file of ``hexjet design --for`` an autopilot is; beside its page there is none where none was found."""
+    return out / "designs" / f"{autopilot}-{craft.key}.toml"
+
+
+def found_none(file: Path) -> bool:
+    """Whether a design was looked for, and no gains keep the requirements."""
+    return file.with_suffix(".html").is_file() and not file.is_file()
 
 
 def designed(autopilot: str, craft: Craft, out: Path) -> Path | None:
-    """The file of ``hexjet design --for`` an autopilot, made if it is not there; None: none keeps the requirements."""
-    file = out / "designs" / f"{autopilot}-{craft.key}.toml"
-    if not file.is_file():
-        run(["design", "--for", autopilot, "--aircraft", craft.name, *craft.options, "--no-proof", "--out", file])
+    """The file of the design, looked for if that was not done yet; None: no gains keep the requirements."""
+    file = design_of(autopilot, craft, out)
+    if not file.is_file() and not found_none(file):
+        run(["design", "--for", autopilot, "--aircraft", craft.name, *craft.options, "--no-proof", "--out", str(file)])
     return file if file.is_file() else None
 
 
@@ -138,15 +140,12 @@ def flown(autopilot: str, program: str, options: Sequence[str], craft: Craft, fl
     if folder.is_dir():  # of a call that was interrupted
         rmtree(folder)
     named = ["--binary", program] if program else []
-    what = ["--aircraft", craft.name, "--scenario", craft.flights[flight], *craft.options, *craft.flown]
+    what = ["--aircraft", craft.name, "--scenario", craft.flights[flight], *craft.options]
     run(["sitl", autopilot, *named, *what, *ALWAYS, *options, "--out", str(folder)])
     if not (folder / "summary.json").is_file():
         return
     first, again = open_run(folder).log, fly(folder / "scenario.toml", report=False).log
-    same = first.columns == again.columns and all(
-        first[name].tobytes() == again[name].tobytes() for name in again.columns
-    )
-    (folder / "repeated.json").write_text(json.dumps(same))
+    (folder / "repeated.json").write_text(json.dumps(log_digest(first) == log_digest(again)))
 
 
 def cell(folder: Path, flight: str) -> str:
@@ -184,32 +183,39 @@ def rows(
     autopilot: str, programs: Mapping[str, str | None], given: argparse.Namespace
 ) -> tuple[list[list[str]], list[Path]]:
     """The table's rows, flown as far as they are not there; and the folders of all flights."""
-    lines, folders = [], []
-    extra = [] if autopilot == "betaflight" else ["--instance", str(given.instance)]
+    lines: list[list[str]] = []
+    folders: list[Path] = []
     for craft in CRAFTS[autopilot]:
         for gains in craft.gains:
             program = programs["inside" if gains == INSIDE else "plain"]
             if program is None:
                 continue
+            places = {
+                flight: given.out / autopilot / f"{craft.key}-{gains}-{flight}".replace(" ", "-").replace(",", "")
+                for flight in FLIGHTS
+            }
             wanted = given.only is None or given.only in f"{craft.key}-{gains}"
-            options = gains_of(autopilot, gains, craft, given.out) if wanted else ()
-            cells, factors = [], []
-            for flight in FLIGHTS:
-                folder = given.out / autopilot / f"{craft.key}-{gains}-{flight}".replace(" ", "-").replace(",", "")
-                if flight in craft.flights and options is not None:
-                    if wanted and not (folder / "summary.json").is_file():
-                        flown(autopilot, program, [*options, *extra], craft, flight, folder)
-                    if folder.is_dir():
-                        folders.append(folder)
-                        summary = folder / "summary.json"
-                        factors += (
-                            [json.loads(summary.read_text())["realtime_factor"] or 0.0] if summary.is_file() else []
-                        )
-                cells.append(cell(folder, flight) if folder.is_dir() else "" if options is not None else "no design")
-            if any(cells):
-                pace = f"{median(factors):.0f}" if factors else ""
-                lines.append([craft.name, craft.engines, gains, *cells, pace])
+            if wanted and (options := gains_of(autopilot, gains, craft, given.out)) is not None:
+                extra = () if autopilot == "betaflight" else ("--instance", str(given.instance))
+                for flight in craft.flights:
+                    if not (places[flight] / "summary.json").is_file():
+                        flown(autopilot, program, (*options, *extra), craft, flight, places[flight])
+            there = {flight: folder for flight, folder in places.items() if folder.is_dir()}
+            none = gains == DESIGNED and found_none(design_of(autopilot, craft, given.out))
+            absent = dict.fromkeys(craft.flights, "no design" if none else "")
+            if there or none:
+                cells = [
+                    cell(there[flight], flight) if flight in there else absent.get(flight, "") for flight in FLIGHTS
+                ]
+                lines.append([craft.name, craft.engines, gains, *cells, pace(there.values())])
+                folders += there.values()
     return lines, folders
+
+
+def pace(folders: Iterable[Path]) -> str:
+    """The median of how many times faster than real time flights went; nothing of those that did not start."""
+    summaries = [json.loads(file.read_text()) for folder in folders if (file := folder / "summary.json").is_file()]
+    return f"{median(summary['realtime_factor'] or 0.0 for summary in summaries):.0f}" if summaries else ""
 
 
 def part(autopilot: str, lines: Sequence[Sequence[str]], folders: Sequence[Path]) -> str:
@@ -221,10 +227,11 @@ def part(autopilot: str, lines: Sequence[Sequence[str]], folders: Sequence[Path]
     same = [
         json.loads((folder / "repeated.json").read_text()) for folder in folders if (folder / "repeated.json").is_file()
     ]
+    day = max((datetime.fromtimestamp(folder.stat().st_mtime, UTC) for folder in folders), default=datetime.now(UTC))
     missing = sum(record["frames"] - record["boot"] - record["answers"] for record in records)
     text = table(["vehicle", "engines", "gains", *FLIGHTS, "× real time"], lines, left=8)
     return (
-        f"{text}\n{NAMES[autopilot]} {', '.join(versions)}, {datetime.now(UTC):%d %B %Y}: {len(folders)} flights, "
+        f"{text}\n{NAMES[autopilot]} {', '.join(versions)}, {day:%d %B %Y}: {len(folders)} flights, "
         f"{sum(record['frames'] for record in records):,} states told, {missing} answers missing; flown again without "
         f"it, {sum(same)} of {len(same)} the same to the last bit.\n"
     )
