@@ -298,7 +298,7 @@ class Px4Program:
         self.times: list[int] = []
         self.channels: tuple[int, ...] = (0,) * 18
         self.armed_at: int | None = None
-        self.answers = self.runs = 0
+        self.answers = 0
         self.said: list[tuple[int, str]] = []
         self.mag: Array | None = None
         self.sums: dict[str, list[float]] = {}

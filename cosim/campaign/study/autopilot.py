@@ -17,7 +17,7 @@ class StudyAutopilot(Model):
     """
 
     name: Literal["betaflight", "px4", "ardupilot"]
-    binary: str = ""  # its program, as seen from the study's folder; none: the one that the environment names
+    binary: str = ""  # its program, as seen from the study's folder; none: as found without --binary
     gains: Literal["vehicle", "stock"] = "vehicle"  # stock: as it ships
     lines: list[str] = Field(default_factory=list)  # commands for Betaflight's console
     parameters: dict[str, float] = Field(
