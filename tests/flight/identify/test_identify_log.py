@@ -11,6 +11,7 @@ import pytest
 from command_tools import Hexjet
 from identification_record import SHARED
 from known_logs import Flaws, Log, Truth, closed_loops, drawn
+from places import ROOT
 from scipy.signal import lfilter
 from scipy.special import chdtr, ndtri
 
@@ -19,7 +20,7 @@ from cosim.identify.logs import Channel, FlightLog, LogSignals, read_flight_log,
 from cosim.identify.prediction_error.confidence import CHI2_95, MIXED_95
 from cosim.identify.prediction_error.estimate import spread
 from cosim.identify.prediction_error.identify_log import LogIdentification, _test_against, identify_log
-from cosim.identify.prediction_error.stretches import WORKING_STEP_S
+from cosim.identify.prediction_error.stretches import SLOW_COMMAND_S, WORKING_STEP_S
 from cosim.identify.prediction_error.validate import StatedModel, read_model, validate
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "flight-logs"
@@ -220,6 +221,11 @@ def test_the_bounds_allow_for_a_command_that_is_logged_more_seldom_than_it_moves
     assert beside.again is not None
     assert abs(beside.again.delay) < beside.again.delay_half
     assert beside.judgement.verdict == "explained"
+
+
+def test_the_page_says_from_which_interval_a_command_counts_as_logged_too_seldom() -> None:
+    page = (ROOT / "docs/identify-logs.md").read_text(encoding="utf-8")
+    assert "more than {} ms from row to row".format(f"{1e3 * SLOW_COMMAND_S:g}") in page
 
 
 def refusal(log: FlightLog, **choices: object) -> str:
