@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Limits, Progress, Result, Table, checked
+from cosim.api.choices import as_settings
 from cosim.api.studies import study_settings, tell_tally
 from cosim.base.errors import InputError
 
@@ -142,13 +143,26 @@ def prove(
     from cosim.campaign.proof.prove import CAMPAIGN, Request, conclude, fly_study
     from cosim.campaign.proof.rare_failure import check_flights
     from cosim.campaign.proof.source import proof_study
-    from cosim.campaign.run import choose_workers
+    from cosim.campaign.run import choose_workers, refuse_changes
     from cosim.flight import new_folder
 
     hears = progress or Progress()
     is_begun = is_campaign(Path(name) / CAMPAIGN)
     if is_begun and not resume:
         raise InputError(f"{name}: already holds a proof; --resume goes on with it")
+    if is_begun:
+        refuse_changes(
+            f"{name}: is a proof",
+            claim=claim,
+            budget=budget,
+            controllers=controllers,
+            aircraft=aircraft,
+            engine=engine,
+            nominal_engine=nominal_engine,
+            settings=as_settings(settings),
+            seed=seed,
+            out=out,
+        )
     if rare:
         check_flights(rare)
     request = Request(limit, search, rare, tuple(read_comparison(Path(path)) for path in replays))

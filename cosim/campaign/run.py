@@ -128,12 +128,7 @@ def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) 
         if not resume:
             raise InputError(f"{name}: already holds a campaign; --resume goes on with it")
         longer = {key: options.pop(key, None) for key in ("until", "runs")}
-        given = (option for option, value in options.items() if value not in (None, (), []) and value is not False)
-        refused = next(given, None)
-        if refused is not None or out is not None:
-            flag = {None: "out", "controllers": "controller", "settings": "set"}.get(refused, refused)
-            option = str(flag).replace("_", "-")
-            raise InputError(f"{name}: is a campaign and goes on as it began; leave out --{option}")
+        refuse_changes(f"{name}: is a campaign", **options, out=out)
         if any(value is not None for value in longer.values()):
             extend_campaign(Path(name), **longer)
         return None, Path(name)
@@ -143,6 +138,14 @@ def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) 
         raise InputError("--resume: give the folder of the campaign, as in hexjet sweep DIR --resume")
     study = open_study(name, **options)
     return study, out if out is not None else new_folder(Path("runs"), study.name)
+
+
+def refuse_changes(what: str, **choices: Any) -> None:
+    """Raise InputError where one of these choices is made for what is there already; ``what`` says what that is."""
+    for name, value in choices.items():
+        if value not in (None, (), []) and value is not False:
+            option = {"controllers": "controller", "settings": "set"}.get(name, name).replace("_", "-")
+            raise InputError(f"{what} and goes on as it began; leave out --{option}")
 
 
 def extend_campaign(folder: Path, until: str | None = None, runs: int | None = None) -> None:

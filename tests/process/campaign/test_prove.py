@@ -165,6 +165,10 @@ def test_stopped_and_resumed_it_comes_to_the_same(proven: Path, study: Path, hex
     refused = hexjet("prove", str(tmp_path / "p"))
     assert (refused.status, refused.err.count("\n")) == (2, 1)
     assert "already holds a proof; --resume goes on with it" in refused.err
+    for option, value in (("--claim", "99%@95%"), ("--set", "duration_s=1"), ("--out", str(tmp_path / "q"))):
+        refused = hexjet("prove", str(tmp_path / "p"), "--resume", option, value)
+        assert refused.status == 2
+        assert f"is a proof and goes on as it began; leave out {option}\n" in refused.err
     assert hexjet("prove", str(tmp_path / "p"), "--resume", "--no-limit", "--search", "0").status == 0
     data = told(tmp_path / "p")
     first = told(proven)
