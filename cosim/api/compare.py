@@ -200,13 +200,13 @@ def _load_flight(letter: str, flight: str | Path | Run, note: Callable[[str], No
     if path.suffix.lower() in (".csv", ".parquet"):
         log, remarks = read_log(path)
         return ComparedFlight(label, log, None, name, remarks)
-    if name not in scenario_names() and path.suffix.lower() != ".toml" and is_flight_log(path):
-        log, remarks = as_columns(read_flight_log(path))
-        return ComparedFlight(label, log, None, name, remarks)
     if path.suffix.lower() == ".toml" or name in scenario_names():
         finish_killed(path)
         run = fly(Scenario.read(name, []))
         return ComparedFlight(label, run.log, run, name, ("flown for this comparison",))
+    if is_flight_log(path):
+        log, remarks = as_columns(read_flight_log(path))
+        return ComparedFlight(label, log, None, name, remarks)
     raise InputError(
         f"{name}: no flight; allowed: the folder of a run, CAMPAIGN:NUMBER, a scenario, a log "
         "(.csv, .parquet, ULog, DataFlash, Betaflight's blackbox, Crazyflie, .tlog)"

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.call import Progress, Result, Table, checked
+from cosim.api.call import Progress, Result, checked
 from cosim.api.choices import choose
 from cosim.base.errors import InputError
 from cosim.results.export import ENDINGS, FILES, LOG_ENDINGS, MODULES
@@ -58,10 +58,6 @@ class ControllerExport(Result):
         figures = [f"{quantity}: {value}" for quantity, value in list_figures(done.measured, self._loops)]
         missing = [] if done.without_fmus is None else [f"no FMUs: {done.without_fmus}"]
         return [f"{done.folder}: {', '.join(done.files)}", f"test vectors: {done.steps} steps", *figures, *missing]
-
-    def tables(self) -> list[Table]:
-        """Return none."""
-        return []
 
 
 class VehicleExport(Result):
@@ -202,13 +198,10 @@ def export_controller(
     """
     from cosim.autopilots.firmware_parameters import find_torque_scale
     from cosim.codegen.export import export_controller as write
-    from cosim.spec.controller_name import is_design
 
     hears = progress or Progress()
     flown = choose(scenario, controller, aircraft, engine, settings, note=hears.note)
-    source = Path(controller).name if controller is not None and is_design(str(controller)) else ""
-    if not source:
-        source = next((Path(each.file).name for each in flown.parameter_files if each.kind == "design"), "")
+    source = next((Path(each.file).name for each in flown.parameter_files if each.kind == "design"), "")
     vehicle, _ = flown.resolved_vehicle()
     torques: dict[str, Vector3] = {autopilot: find_torque_scale(autopilot, vehicle) for autopilot in inside}
     folder = Path(name) if out is None else Path(out)

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Limits, Progress, Result, Table, checked
 from cosim.api.choices import choose
+from cosim.base.signals import AXES
 from cosim.spec.scenario import Scenario
 
 if TYPE_CHECKING:
     from cosim.design.measured import AxisMargins, MeasuredMargins
 
-AXES = ("roll", "pitch", "yaw")
+WRITTEN = ("margins.json", "response.csv", "report.html")
 
 
 class MarginsResult(Result):
@@ -168,7 +169,7 @@ def margins(
 
     hears, done = progress or Progress(), 0
     if out is not None:
-        check_results_folder(Path(out), "margins.json", "response.csv", "report.html")
+        check_results_folder(Path(out), *WRITTEN)
     named = controller if isinstance(controller, (str, Path)) else None
     chosen = choose(scenario, named, aircraft, engine, settings, seed, hears.note)
 

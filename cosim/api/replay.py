@@ -14,6 +14,7 @@ from cosim.spec.scenario import Scenario
 if TYPE_CHECKING:
     from cosim.identify.replay import Replay
 
+WRITTEN = ("replay.json", "replay.csv", "report.html")
 CHANNEL_COLUMNS = ("channel", "within", "error rms", "movement", "Theil's U", "bias / var / cov %", "told")
 
 
@@ -174,7 +175,7 @@ def replay(
 
     hears, path = progress or Progress(), Path(log)
     if out is not None:
-        check_results_folder(Path(out), "replay.json", "replay.csv", "report.html")
+        check_results_folder(Path(out), *WRITTEN)
     if throttle_range is not None and not throttle_range[0] < throttle_range[1]:
         low, high = throttle_range
         raise InputError(f"--throttle-range {low:g} {high:g}: the second must be the larger")

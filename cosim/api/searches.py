@@ -271,8 +271,7 @@ def _searching(
     from cosim.flight import new_folder
 
     if resume and out is None:
-        asked = {"search": "search", "rare": "simulation"}[what]
-        raise InputError(f"--resume: give the folder of the {asked} with --out")
+        raise InputError(f"--resume: give the folder of the {what} with --out")
     folder = Path(out) if out is not None else new_folder(Path("runs"), name)
     hears = progress or Progress()
     hears.begin(folder)
@@ -384,5 +383,5 @@ def rare(
         nominal_engine=nominal_engine,
     )
     fleet = (workers, cluster, time_limit_s)
-    with _searching(out, resume, f"rare-{study.name}", "rare", fleet, progress) as (folder, tell, flying):
+    with _searching(out, resume, f"rare-{study.name}", "simulation", fleet, progress) as (folder, tell, flying):
         return RareResult(run_rare(study, plan, folder, flying, resume, tell))

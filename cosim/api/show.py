@@ -389,16 +389,8 @@ def _controller(name: str) -> Iterator[Number]:
 def _file_rows(table: Mapping[str, Any]) -> Iterator[Number]:
     """Yield a row for each key of a file; one for each entry of a list of tables."""
     for key, value in table.items():
-        if key in _TEXTS:
-            continue
-        meaning = _MEANINGS.get(key, "")
-        if isinstance(value, Mapping):
-            yield from (leaf._replace(meaning=meaning) for leaf in _leaves(value, f"{key}."))
-        elif isinstance(value, list) and any(isinstance(element, Mapping) for element in value):
-            for number, item in enumerate(value):
-                yield Number(f"{key}.{number}", " ".join(_words(item)), "", meaning)
-        else:
-            yield Number(key, value, _unit(key), meaning)
+        if key not in _TEXTS:
+            yield from (leaf._replace(meaning=_MEANINGS.get(key, "")) for leaf in _leaves({key: value}, ""))
 
 
 def _leaves(table: Mapping[str, Any], prefix: str) -> Iterator[Number]:

@@ -69,7 +69,7 @@ def install(context: click.Context, parameter: click.Parameter, shell: str | Non
     path, also = {
         "bash": (data / "bash-completion" / "completions" / "hexjet", "a new bash has it, where bash-completion is"),
         "zsh": (
-            Path.home() / ".zfunc" / "_hexjet",
+            home / ".zfunc" / "_hexjet",
             "in ~/.zshrc: fpath=(~/.zfunc $fpath); autoload -U compinit; compinit",
         ),
         "fish": (home / ".config" / "fish" / "completions" / "hexjet.fish", "a new fish has it"),

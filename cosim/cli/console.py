@@ -84,7 +84,7 @@ def part_progress(title: str, quiet: bool) -> Iterator[Callable[[str, int, int],
 class CommandProgress(Progress):
     """What a command shows of a call: notes on standard error, and how far it is with ``show``."""
 
-    def __init__(self, show: Callable[[str, int, int], None]) -> None:
+    def __init__(self, show: Callable[[str, int, int], None] = lambda part, done, of: None) -> None:
         self._show = show
         self.folder = Path()
         self.done = self.of = 0

@@ -50,10 +50,11 @@ def margins(options: Margins) -> int:
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
+    from cosim.api.margins import WRITTEN
     from cosim.api.margins import margins as measure
     from cosim.spec.controller_name import folder_name
 
-    options.check_out("margins.json", "response.csv", "report.html")
+    options.check_out(*WRITTEN)
     offer_to_compile(*options.engines)
     loaded, axes = options.load(), options.axes or AXES
     warn_of_fmu_defects(loaded.engine, folder=loaded.folder)

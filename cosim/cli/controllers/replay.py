@@ -66,9 +66,10 @@ def replay(options: Replayed) -> int:
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
+    from cosim.api.replay import WRITTEN
     from cosim.api.replay import replay as fly_again
 
-    options.check_out("replay.json", "replay.csv", "report.html")
+    options.check_out(*WRITTEN)
     offer_to_compile(*options.engines)
     is_own = options.log.is_dir() and not is_given("scenario")
     chosen = options.chosen("time_column", "time_unit", "begin", "end", "window_s", "draws", "aircraft", "settings")

@@ -69,7 +69,7 @@ def compare(options: Compare) -> int:
     if page is not None and page.exists():
         raise InputError(f"{page}: is there already; choose another name or remove it")
     with output_to_stderr(options.as_json):
-        result = lay_over(*requested, shift=_shifts(options.shifts), progress=_Warnings(lambda *part: None))
+        result = lay_over(*requested, shift=_shifts(options.shifts), progress=_Warnings())
     chosen = _select_signals(result.compared, options.patterns)
     if page is not None:
         result.write(page)

@@ -145,7 +145,7 @@ def controller(options: ExportController) -> int:
         options.load(),
         options.out,
         fmus=not options.no_fmu,
-        progress=CommandProgress(lambda *part: None),
+        progress=CommandProgress(),
         **options.chosen("name", "licence", "loops", "inside"),
     )
     options.answer(result.to_dict, lambda: _print(result), nan=True)
@@ -179,9 +179,8 @@ def vehicle(options: ExportVehicle) -> int:
     from cosim.api.export import export_vehicle
 
     offer_to_compile(*options.engines)
-    nothing = CommandProgress(lambda *part: None)
     chosen = options.chosen("outside", "kind", "name")
-    result = export_vehicle(options.load(), options.out, progress=nothing, **chosen)
+    result = export_vehicle(options.load(), options.out, progress=CommandProgress(), **chosen)
     options.answer(result.to_dict, lambda: _print(result), nan=True)
     return DONE
 
