@@ -111,9 +111,12 @@ class ParquetLog(Columnar):
         return self._rows
 
     def __getitem__(self, name: str) -> Array:
-        with self._opened() as file:
-            column = file.read([require(name, self.columns)], use_threads=False).column(0)
-            return np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
+        values, begin = np.empty(self._rows), 0
+        for block in self.blocks((name,)):  # and not at once, which takes three times the memory
+            end = begin + block[name].size
+            values[begin:end] = block[name]
+            begin = end
+        return values
 
     def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]:
         """Yield the named columns, at most ``rows`` rows at a time."""
@@ -136,6 +139,7 @@ class ParquetLog(Columnar):
                 yield
             finally:
                 self._file = None
+        _return_memory()
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
@@ -166,6 +170,12 @@ def stream_to_parquet(stream: Path, parquet: Path) -> int:
     The Parquet file appears under its name only when it is complete; how the rows were cut into batches leaves no trace
     in it.  Raises FlightError if it cannot be written.
     """
+    rows = _convert_stream(stream, parquet)
+    _return_memory()  # with nothing of the conversion left
+    return rows
+
+
+def _convert_stream(stream: Path, parquet: Path) -> int:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -188,7 +198,6 @@ def stream_to_parquet(stream: Path, parquet: Path) -> int:
                 rows += table.num_rows
     except (OSError, pa.ArrowException) as error:
         raise FlightError(f"{parquet}: {one_line(error)}") from error
-    _return_memory()
     return rows
 
 

@@ -45,7 +45,8 @@ def _rate_error(rate: str) -> DerivedSignal:
 
 
 def _altitude_error(log: Columns) -> Array:
-    return height_error(log["altitude_setpoint_m"], log["altitude_m"], find_contact_rows(log))
+    contact = find_contact_rows(log)  # first, a byte a row of which stays
+    return height_error(log["altitude_setpoint_m"], log["altitude_m"], contact)
 
 
 def _position_error(log: Columns) -> Array:
@@ -54,8 +55,11 @@ def _position_error(log: Columns) -> Array:
 
 
 def _drift(log: Columns) -> Array:
-    north, east = log["north_m"], log["east_m"]
-    return np.hypot(north - north[:1], east - east[:1])
+    return np.hypot(_from_start(log["north_m"]), _from_start(log["east_m"]))
+
+
+def _from_start(values: Array) -> Array:
+    return values - values[:1]
 
 
 DERIVED: dict[str, DerivedSignal] = {
