@@ -3,7 +3,7 @@
 Figures are dicts of Plotly's schema; the colours are those of the reports, ``"#rrggbb"``.
 """
 
-from cosim.results.report.marks import cell, check_marks, filled, parts_of, row, table, write_marks
+from cosim.results.report.marks import cell, check_marks, filled, page_parts, parts_of, row, table, write_marks
 from cosim.results.report.page import render
 from cosim.results.report.plot import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED, axis_name, layout, share
 
@@ -19,6 +19,7 @@ __all__ = [
     "check_marks",
     "filled",
     "layout",
+    "page_parts",
     "parts_of",
     "render",
     "row",

@@ -33,9 +33,7 @@ def filled(page: str, parts: Mapping[str, str], where: Path | str) -> str:
 
     Raises InputError for marks that do not come in pairs and for a part that has no mark.
     """
-    marked = parts_of(page, where)
-    if missing := [name for name in parts if name not in marked]:
-        raise InputError(f"{where}: no mark <!-- measured: {missing[0]} -->; there are {', '.join(marked) or 'none'}")
+    _refuse_unknown(Path(where), parts, parts_of(page, where))
 
     def part(match: re.Match[str]) -> str:
         name = match.group(1)
@@ -44,20 +42,54 @@ def filled(page: str, parts: Mapping[str, str], where: Path | str) -> str:
     return _PART.sub(part, page)
 
 
+def page_parts(path: Path) -> dict[str, str]:
+    """Return the parts of a page and of its data page, by name.
+
+    Raises InputError if one of them cannot be read, or its marks do not come in pairs or have a name twice.
+    """
+    return {name: text for parts in _by_page(path).values() for name, text in parts.items()}
+
+
 def check_marks(path: Path, names: Iterable[str]) -> None:
-    """Raise InputError if the page cannot be read or written, or lacks one of the marks: before hours of measuring."""
-    marked = parts_of(read_text(path), path)
-    for name in names:
-        if name not in marked:
-            raise InputError(f"{path}: no mark <!-- measured: {name} -->; there are {', '.join(marked) or 'none'}")
-    if not os.access(path, os.W_OK):
-        raise InputError(f"{path}: cannot be written to")
+    """Check that a page or its data page has all these marks and can be written: before hours of measuring.
+
+    Raises InputError where this is not so.
+    """
+    pages = _by_page(path)
+    _refuse_unknown(path, names, page_parts(path))
+    for page in pages:
+        if not os.access(page, os.W_OK):
+            raise InputError(f"{page}: cannot be written to")
 
 
 def write_marks(path: Path, parts: Mapping[str, str]) -> None:
-    """Write ``parts`` between their marks.  Raises InputError as :func:`filled`, and if the file cannot be written."""
-    page = filled(read_text(path), parts, path)
-    write_whole(path, page, InputError)
+    """Write ``parts`` between their marks, on the page or on its data page.
+
+    Raises InputError for marks that do not come in pairs, for a part that has no mark, and if a file cannot be
+    written.
+    """
+    _refuse_unknown(path, parts, page_parts(path))
+    for page, marked in _by_page(path).items():
+        new = {name: text for name, text in parts.items() if name in marked}
+        if new or page == path:
+            write_whole(page, filled(read_text(page), new, page), InputError)
+
+
+def _by_page(path: Path) -> dict[Path, dict[str, str]]:
+    """Return the parts of the page, then those of its data page where there is one."""
+    data = path.parent / "tables" / path.name
+    found: dict[Path, dict[str, str]] = {}
+    for page in (path, data) if data.is_file() else (path,):
+        parts = parts_of(read_text(page), page)
+        if twice := [name for other in found.values() for name in parts if name in other]:
+            raise InputError(f"{page}: its mark <!-- measured: {twice[0]} --> stands on {path} too")
+        found[page] = parts
+    return found
+
+
+def _refuse_unknown(path: Path, names: Iterable[str], marked: Mapping[str, str]) -> None:
+    if missing := [name for name in names if name not in marked]:
+        raise InputError(f"{path}: no mark <!-- measured: {missing[0]} -->; there are {', '.join(marked) or 'none'}")
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> str:
