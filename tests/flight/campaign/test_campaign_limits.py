@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from places import DOCS
+from stated_figures import stated
 
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
@@ -32,23 +32,19 @@ def first_unstable_delay(controller: str) -> int:
 
 
 def test_the_limits_that_the_page_states() -> None:
-    """docs/campaigns.md: of filtered-smith and state-disturbance, of Smith's, of the state predictor's."""
-    page = " ".join((DOCS / "campaigns.md").read_text("utf-8").split())
-    filtered, disturbance, smith, state = map(
-        first_unstable_delay, ("filtered-smith", "state-disturbance", "smith", "state")
-    )
-    said = f"at {filtered} and {disturbance} samples of delay, Smith's at {smith}, the state predictor's at {state}."
-    assert said in page
+    """docs/tables/campaigns.md: of filtered-smith and state-disturbance, of Smith's, of the state predictor's."""
+    limits = map(first_unstable_delay, ("filtered-smith", "state-disturbance", "smith", "state"))
+    sentence = "at {} and {} samples of delay, Smith's at {}, the state predictor's at {}."
+    stated("docs/tables/campaigns.md", sentence, *limits)
 
 
-# What docs/campaigns.md says a search finds.
+# What docs/tables/campaigns.md says a search finds.
 FLOWN = {"filtered-smith": 38, "state-disturbance": 38, "smith": 44, "state": 44}
 
 
 def test_the_limits_that_flights_find_are_on_the_page() -> None:
-    page = " ".join((DOCS / "campaigns.md").read_text("utf-8").split())
-    first, second, third, last = FLOWN.values()
-    assert f"In six degrees of freedom a search finds {first}, {second}, {third} and {last}:" in page
+    sentence = "In six degrees of freedom a search finds {}, {}, {} and {}:"
+    stated("docs/tables/campaigns.md", sentence, *FLOWN.values())
 
 
 @pytest.mark.parametrize("controller", FLOWN)

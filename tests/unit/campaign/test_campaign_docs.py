@@ -1,4 +1,4 @@
-"""What docs/campaigns.md says can be typed: commands, their options, a study's file, and the Python."""
+"""What docs/campaigns.md and docs/tables/campaigns.md say can be typed: commands, their options, a study's file, and the Python."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from cosim.campaign.study.study import Study, study_names
 from cosim.cli.main import cli
 from cosim.results.report.marks import parts_of
 
-PAGE = (ROOT / "docs" / "campaigns.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+PAGE, TABLES = ((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("campaigns.md", "tables/campaigns.md"))
+BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", PAGE + TABLES, re.MULTILINE | re.DOTALL)
 COMMANDS = [
     shlex.split(line, comments=True)[1:]
     for language, text in BLOCKS
@@ -181,8 +181,10 @@ def of(
 
 
 def test_every_mark_has_its_table(writer: Any) -> None:
-    """docs/campaigns.md: its marks are those that docs/studies.py writes, and none is empty."""
+    """The marks of both pages are those that docs/studies.py writes, each on its page, and none is empty."""
     parts = parts_of(PAGE, "campaigns.md")
+    assert set(parts) == set(writer.ON_PAGE)
+    parts |= parts_of(TABLES, "tables/campaigns.md")
     assert set(parts) == {mark for marks in writer.PARTS.values() for mark in marks}
     assert [name for name, text in parts.items() if "|" not in text] == []
     for name, command in writer.SEARCHES.items():

@@ -74,7 +74,8 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/bench.md": ("test_identify_bench.py", "test_bench_coverage.py"),
     "docs/autopilots.md": ("marks", "test_adapters.py", "test_arducopter.py", "test_betaflight.py", "test_lockstep.py"),
     "docs/benchmarks.md": ("marks", "test_bench.py", "test_flight_page.py"),
-    "docs/campaigns.md": ("test_pages.py", "test_campaign_docs.py", "test_campaign_limits.py", "test_sequential.py"),
+    "docs/campaigns.md": ("marks", "test_pages.py", "test_campaign_docs.py", "test_sequential.py"),
+    "docs/tables/campaigns.md": ("marks", "test_pages.py", "test_campaign_docs.py", "test_campaign_limits.py"),
     "docs/control-design.md": ("marks", "test_pages.py"),
     "docs/controller-export.md": ("test_codegen.py",),
     "docs/export-vehicle.md": ("test_vehicle_export.py",),
@@ -186,7 +187,7 @@ TYPED: Mapping[str, int] = {
     "docs/accuracy.md": 13,
     "docs/autopilots.md": 1,
     "docs/benchmarks.md": 4,
-    "docs/campaigns.md": 3,
+    "docs/campaigns.md": 1,
     "docs/control-design.md": 22,
     "docs/design.md": 18,
     "docs/engine-kinds.md": 3,
@@ -938,7 +939,7 @@ def test_what_full_scale_flies_with() -> None:
     stated(FULL, "A hover of ten minutes burns {} of {} kg of fuel", burnt, vehicle.fuel.mass_kg)
 
 
-CAMPAIGNS = "docs/campaigns.md"
+CAMPAIGNS, STUDIES = "docs/campaigns.md", "docs/tables/campaigns.md"
 
 
 def test_what_campaigns_say_of_studies_and_statistics() -> None:
@@ -948,8 +949,8 @@ def test_what_campaigns_say_of_studies_and_statistics() -> None:
     )
     stated(CAMPAIGNS, "the roll doublet with {} vehicles that are not the model", robust.runs or 0)
     levels = math.prod(len(vary.values) if vary.values else vary.levels or 1 for vary in envelope.vary)
-    stated(CAMPAIGNS, "(../studies/payload-and-gust.toml): {} combinations", levels)
-    assert f"| {full.runs} |" in parts_of((ROOT / CAMPAIGNS).read_text(encoding="utf-8"), CAMPAIGNS)["full-scale"]
+    stated(STUDIES, "(../../studies/payload-and-gust.toml) flies {} combinations", levels)
+    assert f"| {full.runs} |" in parts_of((ROOT / STUDIES).read_text(encoding="utf-8"), STUDIES)["full-scale"]
     # exact: none of a hundred, 0.975 of the probability
     stated(
         CAMPAIGNS, "a hundred flights without a failure leave room for {} % of failures", 100.0 * (1.0 - 0.025**0.01)
@@ -967,14 +968,14 @@ def ranged(study: Study, key: str) -> tuple[float, float]:
 
 
 def test_what_campaigns_say_is_varied() -> None:
-    """docs/campaigns.md: the ranges are those of the studies' files."""
+    """docs/tables/campaigns.md: the ranges are those of the studies' files."""
     robust, envelope, full = (Study.load(name) for name in ("predictor-robustness", "payload-and-gust", "full-scale"))
     assert ranged(robust, "engine_parameters.delay_samples") == (0.5, 1.5)
     inertia, thrust = ranged(robust, "vehicle.inertia_kg_m2.0"), ranged(robust, "mismatch.thrust_factor")
     lag = 1e3 * -STEP / math.log(PAPER["edf"][1])
     load, off = ranged(robust, "disturbance.0.mass_kg"), ranged(robust, "disturbance.0.offset_m.1")
     stated(
-        CAMPAIGNS,
+        STUDIES,
         "Half the delay either way, {} % of gain, {} to {} % of thrust, lags from {} to {} ms, noise, and up to {} kg as "
         "much as {} cm off to one side",
         round(100.0 * (inertia[1] - 1.0)), *(100.0 * each for each in thrust),
@@ -983,14 +984,14 @@ def test_what_campaigns_say_is_varied() -> None:
     (levers,) = [each.values for each in envelope.vary if each.key == "disturbance.0.offset_m.1"]
     lean, end = (envelope.success[f"roll.{name}_rad"].max for name in ("max_abs_error", "final_error"))
     stated(
-        CAMPAIGNS,
-        "a load taken up ({} to {} kg, {} to {} cm to windward) and a side gust ({} to {} m/s). What is missed is {}° of "
+        STUDIES,
+        "a load taken up ({} to {} kg, {} to {} cm to windward) and a side gust ({} to {} m/s). A flight fails beyond {}° of "
         "lean at the worst, or {}° at the end",
         *ranged(envelope, "disturbance.0.mass_kg"), *(-100.0 * float(each) for each in (levers[0], levers[-1])),
         *ranged(envelope, "disturbance.1.velocity_ned_m_s.1"), math.degrees(lean or 0.0), math.degrees(end or 0.0),
     )  # fmt: skip
     gust, late = ranged(full, "disturbance.0.velocity_ned_m_s.1"), ranged(full, "engine_parameters.delay_samples")
-    stated(CAMPAIGNS, "{} kg on six P220, as shipped, in gusts of {} to {} m/s with engines up to {} ms later and a tenth "
+    stated(STUDIES, "{} kg on six P220, as shipped, in gusts of {} to {} m/s with engines up to {} ms later and a tenth "
            "slower than published", load_vehicle("hexjet-p220")[0].mass_kg, *gust, 1e3 * STEP * late[1])  # fmt: skip
     assert ranged(full, "fault.0.lag_s")[1] == pytest.approx(0.1 / 1.295, abs=5e-4)
 
@@ -1002,8 +1003,12 @@ UNLIMITED = ["limits.settling_s=false", "limits.oscillation_rad=false"]
     ("sentence", "settings", "success"),
     [
         ("the first command finds {} more samples for Smith's predictor", [], []),
-        ("one that swings without end does not break, and it finds {};", UNLIMITED, []),
-        ("as in the command further below, find {}.", [*UNLIMITED, "duration_s=40"], ["roll.oscillation_rad<=0.0175"]),
+        ("one that oscillates without end does not break, and it finds {};", UNLIMITED, []),
+        (
+            "as in the search of [the shipped studies](tables/campaigns.md#predictor-robustness), find {}.",
+            [*UNLIMITED, "duration_s=40"],
+            ["roll.oscillation_rad<=0.0175"],
+        ),
     ],
     ids=["unsettled", "lost", "swings"],
 )
