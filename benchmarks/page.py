@@ -11,7 +11,7 @@ from benchmarks.tables import KEYS, Table, tables
 from cosim import InputError
 from cosim.commands import nearest
 from cosim.files import write_whole
-from cosim.pages import cell, filled, parts_of, row
+from cosim.pages import cell, page_parts, row, write_marks
 
 COMMAND = "command"
 NAMES = (COMMAND, *KEYS)
@@ -24,39 +24,37 @@ def check_page(path: Path) -> None:
         raise InputError(f"{path}: there is no folder {path.parent}")
     if not os.access(path.parent, os.W_OK):
         raise InputError(f"{path}: the folder {path.parent} cannot be written to")
-    fill(path, {})
+    if path.exists():
+        _marks(path)
 
 
 def write_page(path: Path, result: Result, command: str) -> None:
-    """Write the measurements into the page, or a new page.  Raises InputError if that is not possible."""
+    """Write the measurements into the page and its data page, or into a new page.
+
+    Raises InputError if that is not possible.
+    """
     texts = {key: f"Not measured: {cell(why)}\n" for key, why in result.failed.items()}
     texts |= {key: _part(part) for key, part in tables(result).items()}
-    page = fill(path, texts | {COMMAND: f"```\n{command}\n```\n"})
-    write_whole(path, page, InputError)
+    texts[COMMAND] = f"```\n{command}\n```\n"
+    if path.exists():
+        write_marks(path, {name: texts.get(name, ABSENT) for name in _marks(path)})
+        return
+    marks = (f"\n<!-- measured: {name} -->\n{texts.get(name, ABSENT)}<!-- end -->\n" for name in NAMES)
+    write_whole(path, "".join(["# What a flight costs\n", *marks]), InputError)
 
 
-def fill(path: Path, texts: dict[str, str]) -> str:
-    """Return the page with what is between its marks replaced; a new one if there is none yet.
+def _marks(path: Path) -> list[str]:
+    """Return the marks of a page and its data page.
 
     Raises InputError for a page that cannot be read, or whose marks do not fit together.
     """
-    page = _read(path)
-    names = parts_of(page, path)
+    names = list(page_parts(path))
     for name in names:
         if name not in NAMES:
             raise InputError(f"{path}: unknown mark {name!r}; {nearest(name, NAMES)}")
     if not names:
         raise InputError(f"{path}: it has no mark <!-- measured: NAME -->; a file that is not there yet gets them all")
-    return filled(page, {name: texts.get(name, ABSENT) for name in names}, path)
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        return "".join(["# What a flight costs\n", *(f"\n<!-- measured: {name} -->\n<!-- end -->\n" for name in NAMES)])
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    return names
 
 
 def _part(tables: list[Table]) -> str:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from benchmarks.suite import PARTS, Result
-from benchmarks.tables import ASKED, MACHINE, Table, tables
+from benchmarks.tables import ASKED, BESIDE, MACHINE, MISSED, Table, tables
 
 if TYPE_CHECKING:
     from rich.table import Table as Drawn
@@ -65,7 +65,7 @@ def print_result(result: Result) -> None:
     if not machine.compiled:
         console.print("The modules of a control step are not compiled: make setup compiles them.", style="yellow")
     tables_by_part = tables(result)
-    for key in [*(key for key in tables_by_part if key not in (ASKED, MACHINE)), ASKED]:
+    for key in [*(key for key in tables_by_part if key not in (ASKED, MISSED, BESIDE, MACHINE)), ASKED, BESIDE]:
         for table in tables_by_part[key]:
             console.print(_rich_table(table))
             for note in table.notes:

@@ -39,10 +39,10 @@ from benchmarks.suite import (
 from benchmarks.targets import judge_targets, runs_a_step
 from benchmarks.timing import Cost, Spread
 
-ASKED, MACHINE = "asked", "machine"
+ASKED, MISSED, BESIDE, MACHINE = "asked", "missed", "others in short", "machine"
 KEYS = (
-    *(ASKED, STEP, BLOCKS, OTHERS, OWN, PEERS, PATHSIM, ROTORPY, TIME, ENGINES, LOG, PAGES, START, MEMORY, CAMPAIGN),
-    MACHINE,
+    *(ASKED, MISSED, BESIDE, STEP, BLOCKS, OTHERS, OWN, PEERS, PATHSIM, ROTORPY, TIME, ENGINES, LOG, PAGES, START),
+    *(MEMORY, CAMPAIGN, MACHINE),
 )
 
 Row = tuple[str, ...]
@@ -77,7 +77,15 @@ def tables(result: Result) -> dict[str, list[Table]]:
         CAMPAIGN: (result.campaign, _campaign),
     }
     tables_by_part = {key: list(make(part)) for key, (part, make) in measured.items() if part}
-    return {ASKED: [_options(result), *_others_beside(result)], **tables_by_part, MACHINE: list(_machine(result))}
+    goals = _goals(result)
+    missed = [row[:-1] for row in goals.rows if row[-1] == "no"]
+    return {
+        ASKED: [goals],
+        MISSED: [Table(f"goals that are not met, of {len(goals.rows)}", goals.columns[:-1], missed)],
+        BESIDE: list(_others_beside(result)),
+        **tables_by_part,
+        MACHINE: list(_machine(result)),
+    }
 
 
 def spread(value: Spread) -> str:
@@ -92,7 +100,7 @@ def _digits(value: float) -> int:
     return 0 if size >= 100.0 else 1 if size >= 10.0 else 2 if size >= 1.0 else 3
 
 
-def _options(result: Result) -> Table:
+def _goals(result: Result) -> Table:
     rows = []
     for judged in judge_targets(result):
         bound = f"at {'least' if judged.least else 'most'} {judged.bound:g} {judged.unit}"

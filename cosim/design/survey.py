@@ -66,7 +66,7 @@ def add_to_page(page: Path, row: Row) -> None:
 
 def read_rows(page: Path) -> dict[str, str]:
     """Return the rows of a page's table, by engine."""
-    before = marks.parts_of(page.read_text(encoding="utf-8"), page)[MARK].splitlines()[2:]
+    before = marks.page_parts(page)[MARK].splitlines()[2:]
     return {line.split("|")[1].strip(): line for line in before}
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cosim import InputError
-from cosim.pages import check_marks, parts_of, table, write_marks
+from cosim.pages import check_marks, table, write_marks
+from cosim.pages import page_parts as marked_parts
 from hexjet_paper import numbers
 from hexjet_paper.claims import ClaimRow, Evidence, Judgement
 from hexjet_paper.experiments import Metrics, Result
@@ -31,7 +32,7 @@ NAMED = (COUNTS, DOUBLET, HELD_CLAIMS, DIFFERS, CONSTRUCTED, TURBOJET, READINGS,
 def check_page(path: Path) -> None:
     """Check a page before the flights: raise InputError if it cannot be written or has no mark of a part."""
     check_marks(path, ())
-    present = parts_of(path.read_text(encoding="utf-8"), path)
+    present = marked_parts(path)
     if not present.keys() & set(NAMED):
         allowed = ", ".join(f"<!-- measured: {name} -->" for name in NAMED)
         raise InputError(f"{path}: it has no mark that this command fills; there are {allowed}")
@@ -40,7 +41,7 @@ def check_page(path: Path) -> None:
 def write_page(path: Path, reproduction: Reproduction) -> None:
     """Write into the page those of the parts for which it has marks.  Raises InputError as :func:`write_marks`."""
     parts = page_parts(reproduction)
-    present = parts_of(path.read_text(encoding="utf-8"), path)
+    present = marked_parts(path)
     write_marks(path, {name: text for name, text in parts.items() if name in present})
 
 

@@ -21,7 +21,7 @@ from cosim.results.report.comparison import compare_report
 from cosim.results.report.flight import write_report
 from cosim.results.report.flight_figures import strips
 from cosim.results.report.log_reader import Reader
-from cosim.results.report.marks import parts_of
+from cosim.results.report.marks import page_parts
 from cosim.results.report.page import ASSETS, Flights, render
 from cosim.results.report.panels import Panel, Trace
 from cosim.results.report.signals_data import BITS, MOST_BANDS, NOISE_BITS, FlightData, extremes, run_data
@@ -142,7 +142,7 @@ def test_the_page_of_the_documentation_says_how_exact_and_which_keys() -> None:
 def test_what_was_measured_of_pages_is_what_is_asked_for() -> None:
     """The benchmark's page says yes of a flight's page (size, time until it is there, scrolling) and a campaign's."""
     page = ROOT / "docs" / "benchmarks.md"
-    asked = parts_of(page.read_text(encoding="utf-8"), page)["asked"]
+    asked = page_parts(page)["asked"]
     found = dict(re.findall(r"^\| (the page of .+?) \|.*\| (yes|no) \|$", asked, re.MULTILINE))
     flights = [f"the page of {seconds} s flown" for seconds in (20, 600)]
     campaign = "the page of a campaign of 1000 flights"

@@ -37,7 +37,7 @@ from cosim.design.loop.channel import Channel, channels, engine_lead
 from cosim.design.loop.tuning import Tuning
 from cosim.design.tune import settle, tune
 from cosim.engine import load_engine
-from cosim.results.report.marks import parts_of
+from cosim.results.report.marks import page_parts
 from cosim.simulation.controllers.controller_file import Requirements, read_controller
 from cosim.spec.vehicle import RateModel, load_vehicle
 
@@ -277,7 +277,7 @@ def test_the_pages_state_what_the_designs_do() -> None:
     page, root = PAGE, PAGE.ROOT
     for aircraft, name in page.SHIPPED.items():
         path = root / "aircraft" / aircraft / "README.md"
-        parts = parts_of(path.read_text(encoding="utf-8"), path)
+        parts = page_parts(path)
         assert parts["margins"] == page.margins(name)
         assert parts["fuel"] == page.levels(name)
         if aircraft == "hexjet-100":
@@ -285,7 +285,7 @@ def test_the_pages_state_what_the_designs_do() -> None:
         if aircraft == "hexjet-p220":
             assert parts["more inertia"] == page.heavier(name)
     path = root / "docs" / "control-design.md"
-    parts = parts_of(path.read_text(encoding="utf-8"), path)
+    parts = page_parts(path)
     assert parts["designs"] == page.designs()
     assert parts["designs proved"] == page.proofs()
     # begun anew: every file, and the one that ships
@@ -297,4 +297,4 @@ def test_the_pages_state_what_the_designs_do() -> None:
         # of the two whose command makes other gains today, the page says so
         assert told == ("another design" if name in ("turbine-100", "turbine-220") else "what ships, to the bit"), name
     path = root / "docs" / "full-scale.md"
-    assert parts_of(path.read_text(encoding="utf-8"), path)["fuel p220-2025"] == page.levels("p220-2025")
+    assert page_parts(path)["fuel p220-2025"] == page.levels("p220-2025")

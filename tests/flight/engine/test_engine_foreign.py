@@ -556,7 +556,7 @@ def test_the_delay_ledger_has_what_was_measured(place: Path, tmp_path: Path) -> 
 def test_the_page_of_kinds_is_what_the_survey_wrote() -> None:
     """Every row a kind that there is, and a verdict with what it rests on; what they are made of, as they are."""
     page = ROOT / "docs" / "engine-kinds.md"
-    parts = marks.parts_of(page.read_text(encoding="utf-8"), page)
+    parts = marks.page_parts(page)
     assert parts["kinds"] == kinds_table()
     rows = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in parts[MARK].splitlines()[2:]]
     assert {row[0] for row in rows} <= set(KINDS)

@@ -47,7 +47,7 @@ from cosim.campaign.surveys.survey import load_subject
 from cosim.control.autopilot import requests as rq
 from cosim.engine import EngineBank, list_engine_names, load_engine
 from cosim.flight import fly
-from cosim.results.report.marks import parts_of
+from cosim.results.report.marks import page_parts
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import read_controller
 from cosim.spec.scenario import Scenario
@@ -431,7 +431,7 @@ def test_the_pages_have_every_engine_at_every_station(tmp_path: Path) -> None:
     """docs/faults.md and docs/full-scale.md: each engine flown with each means, or why it is not."""
     told = ""
     for page, aircraft in PAGES.items():
-        parts = parts_of((DOCS / page).read_text(encoding="utf-8"), page)
+        parts = page_parts(DOCS / page)
         for name in aircraft:
             flown = [line for line in parts["engine-out"].splitlines() if line.startswith(f"| {name} |")]
             left = [line for line in parts["engine-out-left"].splitlines() if line.startswith(f"| {name} |")]
@@ -460,7 +460,7 @@ def test_what_the_pages_text_says() -> None:
     assert "{:.0f} % are left at once, {:.0f} % after 0.1 s, {:.0f} % after 0.25 s".format(*left) in text
     throttles = {}
     for page in PAGES:
-        for line in parts_of((DOCS / page).read_text(encoding="utf-8"), page)["engine-out-levers"].splitlines()[2:]:
+        for line in page_parts(DOCS / page)["engine-out-levers"].splitlines()[2:]:
             cells = [cell.strip() for cell in line.strip("|").split("|")]
             throttles[cells[1]] = cells
     slow = ("turbine-20", "turbine-100", "p220", "turbine-220")
@@ -468,7 +468,7 @@ def test_what_the_pages_text_says() -> None:
     assert all(float(throttles[name][2].rstrip("°")) < 80.0 for name in ("turbojet", "p220-2025"))
     verdicts: dict[tuple[str, str], list[str]] = {}
     for page in PAGES:
-        for line in parts_of((DOCS / page).read_text(encoding="utf-8"), page)["engine-out"].splitlines()[2:]:
+        for line in page_parts(DOCS / page)["engine-out"].splitlines()[2:]:
             cells = [cell.strip() for cell in line.strip("|").split("|")]
             verdicts[cells[1], cells[2]] = [cell.partition(":")[0] for cell in cells[3:9]]
     for name in HOME:

@@ -10,7 +10,7 @@ from stated_figures import stated
 from cosim.base.constants import GRAVITY
 from cosim.control.predictors.linear import model_response
 from cosim.flight import fly
-from cosim.results.report.marks import parts_of
+from cosim.results.report.marks import page_parts
 from cosim.spec.vehicle import load_vehicle
 from hexjet_paper import numbers, readings
 from hexjet_paper.claims import CLAIMS, CONSISTENCY, Evidence, claim_rows
@@ -154,7 +154,7 @@ def test_each_reading_has_gains_at_which_the_claims_hold_and_others_at_which_non
 
 
 def test_the_page_has_todays_readings(results: list[ReadingResult]) -> None:
-    said = parts_of((ROOT / PAGE).read_text(encoding="utf-8"), PAGE)["paper: readings"]
+    said = page_parts(ROOT / PAGE)["paper: readings"]
     assert said == readings_table(results).markdown()
 
 
@@ -169,7 +169,7 @@ def test_smith_holds_with_models_that_are_off() -> None:
     errors = readings.fly_model_errors()
     assert len(errors) == 9
     assert all(error.stable for error in errors)
-    said = parts_of((ROOT / PAGE).read_text(encoding="utf-8"), PAGE)["paper: model errors"]
+    said = page_parts(ROOT / PAGE)["paper: model errors"]
     assert said == model_error_table(errors).markdown()
     assert "8 of 8 flights settle" in model_errors_in_words(errors)
     lost = errors[0].model_copy(update={"stable": False})

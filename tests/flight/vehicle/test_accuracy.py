@@ -47,7 +47,7 @@ from benchmarks.accuracy.flights import (
 from benchmarks.accuracy.runs_a_step import Apart, Flight, as_toml, measure_flight, vehicle_rows, worst
 from benchmarks.accuracy.runs_a_step import compare as compare_runs
 from cosim import Scenario, fly
-from cosim.results.report.marks import parts_of
+from cosim.results.report.marks import page_parts
 
 # Least and greatest of NASA's simulators after 30 s, from the same files, for where these are not at hand
 AFTER_30_S: dict[str, dict[str, tuple[float, float]]] = {
@@ -283,15 +283,14 @@ def test_without_turbulence_the_air_does_not_turn() -> None:
 
 
 def test_the_page_says_inside_of_every_quantity() -> None:
-    page = (ROOT / "docs" / "accuracy.md").read_text()
-    rows = parts_of(page, "accuracy.md")[CASE_MARK].splitlines()[2:]
+    rows = page_parts(ROOT / "docs" / "accuracy.md")[CASE_MARK].splitlines()[2:]
     assert len(rows) > 30
     assert all(row.endswith("| inside |") for row in rows)
     assert {row[2:4] for row in rows} == set(CASES)
 
 
 def test_no_flight_as_flown_is_off_by_more_than_a_tenth_of_a_degree_and_a_centimetre() -> None:
-    parts = parts_of((ROOT / "docs" / "accuracy.md").read_text(), "accuracy.md")
+    parts = page_parts(ROOT / "docs" / "accuracy.md")
     rows = [[cell.strip() for cell in row.strip("| ").split("|")] for row in parts[FLIGHT_MARK].splitlines()[2:]]
     flown = [row for row in rows if row[1:3] == ["as flown", str(FLOWN_RUNS)]]
     closed = [[cell.strip() for cell in row.strip("| ").split("|")] for row in parts[CLOSED_MARK].splitlines()[2:]]
@@ -306,7 +305,7 @@ def test_no_flight_as_flown_is_off_by_more_than_a_tenth_of_a_degree_and_a_centim
 @pytest.mark.filterwarnings("ignore:the matrix subclass")  # in which JSBSim's binding answers
 def test_jsbsim_alone_is_late_and_moves_the_structure() -> None:
     """What docs/accuracy.md says to JSBSim's people, measured again."""
-    page = parts_of((ROOT / "docs" / "accuracy.md").read_text(), "accuracy.md")[BARE_MARK]
+    page = page_parts(ROOT / "docs" / "accuracy.md")[BARE_MARK]
     for what, measured in measure():
         assert f"| {what} | {measured} |" in page
 
@@ -399,6 +398,6 @@ def test_a_flight_with_two_runs_is_off_as_the_page_says(name: str) -> None:
 
 def _cells(mark: str) -> list[tuple[str, list[str]]]:
     """The rows of a table of the page: its first cell, and the others."""
-    lines = parts_of((ROOT / "docs" / "accuracy.md").read_text(), "accuracy.md")[mark].strip().splitlines()[2:]
+    lines = page_parts(ROOT / "docs" / "accuracy.md")[mark].strip().splitlines()[2:]
     cells = [[cell.strip() for cell in line.strip().strip("|").split("|")] for line in lines]
     return [(first.replace("\\", ""), rest) for first, *rest in cells]

@@ -27,7 +27,7 @@ from cosim.base.errors import InputError
 from cosim.cli.main import main
 from cosim.design.loop.frequency import margins
 from cosim.flight import fly
-from cosim.results.report.marks import parts_of
+from cosim.results.report.marks import page_parts, parts_of
 from cosim.results.report.page import figure_json
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
@@ -377,7 +377,7 @@ def test_counts_are_those_of_the_rows(found: Reproduction) -> None:
 
 def test_the_page_counts_what_the_report_counts(found: Reproduction, tmp_path: Path) -> None:
     """What the page's table says of the linear plant is what the linear plant says now."""
-    parts = parts_of((ROOT / "docs/paper.md").read_text(encoding="utf-8"), "docs/paper.md")
+    parts = page_parts(ROOT / "docs/paper.md")
     cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in parts[COUNTS].splitlines()]
     said = {verdict: int(linear) for verdict, linear, _ in cells[2:]}
     counts = tally(found.claims)["linear plant"]

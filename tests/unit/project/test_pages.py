@@ -40,7 +40,7 @@ from cosim.engine.qualify import check, trial
 from cosim.identify.sweep import Identification, identify_axis
 from cosim.identify.sweep.fit import fit
 from cosim.identify.sweep.result import low_frequency_delay, rate_response
-from cosim.results.report.marks import parts_of
+from cosim.results.report.marks import page_parts, parts_of
 from cosim.simulation.build import build as build_flight
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.simulation.delay_ledger import select_axis, sum_samples
@@ -81,7 +81,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/export-vehicle.md": ("test_vehicle_export.py",),
     "docs/design.md": ("test_pages.py", "test_sensors.py"),
     "docs/engine-check.md": ("test_pages.py",),
-    "docs/engine-kinds.md": ("marks", "test_engine_foreign.py"),
+    "docs/engine-kinds.md": ("test_engine_foreign.py",),
     "docs/flight-page.md": ("test_flight_page.py",),
     "docs/failsafes.md": (
         "marks",
@@ -90,7 +90,14 @@ COVERED: Mapping[str, tuple[str, ...]] = {
         "test_quadrotor.py",
         "test_reduced_attitude.py",
     ),
+    "docs/tables/accuracy.md": ("marks", "test_accuracy.py"),
+    "docs/tables/benchmarks.md": ("marks", "test_bench.py", "test_flight_page.py"),
+    "docs/tables/control-design.md": ("marks", "test_design_stored.py"),
+    "docs/tables/engine-kinds.md": ("marks", "test_engine_foreign.py"),
+    "docs/tables/faults.md": ("marks", "test_pages.py", "test_engine_out.py", "test_faults.py"),
     "docs/tables/failsafes.md": ("marks", "test_failsafes.py"),
+    "docs/tables/identification.md": ("marks",),
+    "docs/tables/paper.md": ("marks", "test_readings.py", "test_reproduce.py"),
     "docs/faults.md": ("marks", "test_pages.py", "test_engine_out.py", "test_faults.py", "test_quadrotor.py"),
     "docs/full-scale.md": (
         "marks",
@@ -897,7 +904,7 @@ def test_what_faults_are_flown_with() -> None:
     found = 1e3 * -STEP / math.log(PAPER["edf"][1]) * math.log(1.0 / 0.8)
     stated(FAULTS, "A flame-out of an EDF in hover is found after {} ms: {} ms until a fifth of the thrust is gone, and five "
            "steps", 24.0, found)  # fmt: skip
-    (row,) = [line for line in parts_of((ROOT / FAULTS).read_text(encoding="utf-8"), FAULTS)["faults"].splitlines()
+    (row,) = [line for line in page_parts(ROOT / FAULTS)["faults"].splitlines()
               if line.startswith("| flame-out | hover |")]  # fmt: skip
     assert row.endswith("| 24 ms |")
     stated(FAULTS, "which leaves the most roll either way around hover with {} % of hover thrust kept for height",
