@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError, InputError
+from cosim.base.wording import says_arguments
 
 if TYPE_CHECKING:
     from cosim.base.protocols import Observer
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
 
 
+@says_arguments
 def fly(
     scenario: Scenario | str | Path,
     out: Path | str | None = None,

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.api.call import Limits, Progress, Result, Table, checked
-from cosim.api.choices import as_settings, engine_for
+from cosim.api.call.choices import as_settings, engine_for
 from cosim.base.errors import InputError
 from cosim.base.trust import mention
+from cosim.base.wording import says_arguments
 
 if TYPE_CHECKING:
     from cosim.design.design import Design
@@ -41,6 +42,7 @@ class DesignResult(Result):
         """The controller file, for :func:`cosim.fly`; None where none was written."""
         return self.files.get("controller")
 
+    @says_arguments
     def write(self, file: Path | str | None = None) -> DesignResult:
         """Write the controller file, where there is a design, and the page beside it.
 
@@ -61,7 +63,7 @@ class DesignResult(Result):
         FlightError
             If a file cannot be written.
         """
-        from cosim.api.firmware import write_parameters
+        from cosim.api.call.firmware import write_parameters
         from cosim.design.result import write
 
         path = None if file is None else Path(file)
@@ -248,7 +250,7 @@ def _loops_of(
     autopilot: str, aircraft: str, settings: Sequence[str], controller: str, start: str | Path | None
 ) -> tuple[Firmware, str]:
     """Return an autopilot's own loops, and the controller that is designed for them.  Raises InputError."""
-    from cosim.api.firmware import firmware_for
+    from cosim.api.call.firmware import firmware_for
     from cosim.control.predictors.registry import BASELINE
 
     if controller not in ("auto", BASELINE.name) or start is not None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.api.call import Progress, Result, checked
-from cosim.api.choices import choose
+from cosim.api.call.choices import choose
 from cosim.base.errors import InputError
 from cosim.results.export import ENDINGS, FILES, LOG_ENDINGS, MODULES
 from cosim.results.run import Run

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.api.call import Limits, Result, Table, checked
-from cosim.api.choices import as_settings
+from cosim.api.call.choices import as_settings
 from cosim.base.errors import InputError
 from cosim.base.trust import mention
+from cosim.base.wording import says_arguments
 
 if TYPE_CHECKING:
     from cosim.identify.sweep import Identification
@@ -41,6 +42,7 @@ class IdentifyResult(Result):
         """The first of the models, in discrete time."""
         return self.identification.model
 
+    @says_arguments
     def write(self, folder: Path | str) -> IdentifyResult:
         """Write ``identification.json``, ``response.csv``, ``report.html`` and, of an axis, ``model.toml``.
 

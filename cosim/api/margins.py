@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Limits, Progress, Result, Table, checked
-from cosim.api.choices import choose
+from cosim.api.call.choices import choose
 from cosim.base.signals import AXES
+from cosim.base.wording import says_arguments
 from cosim.spec.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ class MarginsResult(Result):
         """By axis: ``axes["roll"].response.margins["phase_deg"]`` has ``value``, ``low`` and ``high``, where told."""
         return self.measured.axes
 
+    @says_arguments
     def write(self, folder: Path | str) -> MarginsResult:
         """Write ``margins.json``, ``response.csv`` and ``report.html``.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Limits, Progress, Result, Table, checked
-from cosim.api.choices import as_settings
+from cosim.api.call.choices import as_settings
 from cosim.api.studies import study_settings, tell_tally
 from cosim.base.errors import InputError
 

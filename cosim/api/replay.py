@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Limits, Progress, Result, Table, checked
-from cosim.api.choices import choose
+from cosim.api.call.choices import choose
 from cosim.base.errors import InputError
+from cosim.base.wording import says_arguments
 from cosim.spec.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -36,6 +37,7 @@ class ReplayResult(Result):
         """Whether the model explains the flight."""
         return self.replayed.verdict == "explained"
 
+    @says_arguments
     def write(self, folder: Path | str) -> ReplayResult:
         """Write ``replay.json``, ``replay.csv`` and ``report.html``.
 

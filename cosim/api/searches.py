@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Limits, Progress, Result, Table, checked
-from cosim.api.choices import as_texts
+from cosim.api.call.choices import as_texts
 from cosim.api.studies import study_settings
 from cosim.base.errors import InputError
 

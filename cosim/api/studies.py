@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Progress, Result, Table, checked
-from cosim.api.choices import aircraft_settings, as_settings, as_texts, plugin_settings
+from cosim.api.call.choices import aircraft_settings, as_settings, as_texts, plugin_settings
 
 if TYPE_CHECKING:
     from cosim.campaign.run import RepeatedFlight

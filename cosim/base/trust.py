@@ -95,9 +95,9 @@ def need_trust(code: Iterable[Code], what: str) -> None:
     unknown = [file for file in unshipped.values() if not _is_accepted(file)]
     if unknown and not _has_consent(unknown):
         names = _list_files(unknown)
+        how = "cosim.trust" if _decision.by_program else "--trust"
         raise CodeRefusedError(
-            f"{what}: {names}: is code that you have not flown before; look at it, then --trust (in Python: "
-            "cosim.trust) runs it and remembers it"
+            f"{what}: {names}: is code that you have not flown before; look at it, then {how} runs it and remembers it"
         )
     remember(unshipped.values())
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 from click.core import ParameterSource
 
-from cosim.api import choices
+from cosim.api.call import choices
 from cosim.base.errors import InputError
 from cosim.cli import opt
 

@@ -102,7 +102,7 @@ def design(options: DesignOptions) -> int:
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
-    from cosim.api.choices import engine_for
+    from cosim.api.call.choices import engine_for
     from cosim.api.design import design as make
     from cosim.api.design import prepare
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import cosim.simulation.engines
-from cosim.api.choices import engine_choices
+from cosim.api.call.choices import engine_choices
 from cosim.base.errors import InputError
 from cosim.base.signals import Sample
 from cosim.base.storage.paths import data_folder

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cosim.api.choices import load_scenario
+from cosim.api.call.choices import load_scenario
 from cosim.base.errors import FlightError
 from cosim.base.storage.files import map_os_errors
 

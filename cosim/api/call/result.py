@@ -1,0 +1,153 @@
+"""What calls give back: a hearer of their progress, and a result that shows itself."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from cosim.base.errors import Notice
+
+
+class Progress:
+    """Hears what a call is doing; a subclass says what becomes of it, this one makes warnings of the notes."""
+
+    def begin(self, folder: Path) -> None:
+        """Hear of the folder that everything goes into, before the first flight.
+
+        Parameters
+        ----------
+        folder : Path
+            The folder.
+        """
+
+    def note(self, text: str) -> None:
+        """Hear of something that is taken otherwise than one may think.
+
+        Parameters
+        ----------
+        text : str
+            One line; it becomes a warning, ``cosim.base.errors.Notice``.
+        """
+        warnings.warn(text, Notice, stacklevel=3)
+
+    def update(self, part: str, done: int, of: int) -> None:
+        """Hear how far the call is.
+
+        Parameters
+        ----------
+        part : str
+            What is being done, or what became of the flights so far.
+        done : int
+            Parts that are done.
+        of : int
+            All parts; 0 where that is not known.
+        """
+
+
+class Table(NamedTuple):
+    """A table of a result, as texts."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+class Result:
+    """What a call came to.
+
+    A notebook shows it with its tables; ``print`` gives its lines.
+
+    Attributes
+    ----------
+    files : dict of str to Path
+        What was written, by kind; ``report`` is the page.  Empty where nothing was.
+    """
+
+    files: dict[str, Path]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the command prints with ``--json``.
+
+        Returns
+        -------
+        dict
+            Numbers, texts, lists and tables, in SI units.
+        """
+        raise NotImplementedError
+
+    @property
+    def folder(self) -> Path | None:
+        """The folder that the files are in; None where none were written."""
+        return next((path.parent for path in self.files.values()), None)
+
+    @property
+    def report(self) -> Path | None:
+        """The page; None where none was written."""
+        return self.files.get("report")
+
+    def lines(self) -> list[str]:
+        """Return what it came to in sentences, the most important first.
+
+        Returns
+        -------
+        list of str
+            A line each.
+        """
+        raise NotImplementedError
+
+    def tables(self) -> list[Table]:
+        """Return what it came to in tables.
+
+        Returns
+        -------
+        list of Table
+            Each with title, columns and rows, all of them texts.
+        """
+        return []
+
+    def figures(self) -> Mapping[str, Any]:
+        """Return the figures of the page, which the extra ``notebook`` draws.
+
+        Returns
+        -------
+        dict
+            A ``plotly.graph_objects.Figure`` each, by name.
+
+        Raises
+        ------
+        InputError
+            Where Plotly is not installed.
+        """
+        from cosim.results.report.page import as_plotly
+
+        return {name: as_plotly(figure) for name, figure in self._figures().items()}
+
+    def _figures(self) -> Mapping[str, Any]:
+        """Return the figures in Plotly's schema."""
+        return {}
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def __repr__(self) -> str:
+        where = "" if self.folder is None else f", {self.folder}"
+        first = next(iter(self.lines()), "")
+        return f"<{type(self).__name__}: {first}{where}>"
+
+    def _repr_html_(self) -> str:
+        """Return lines and tables for notebooks, and where the page is."""
+        from html import escape
+
+        first, *others = self.lines() or [""]
+        parts = [f"<p><b>{escape(first)}</b></p>"]
+        parts += [f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in others)}</ul>"] if others else []
+        for table in self.tables():
+            parts += [f"<p>{escape(table.title)}</p>"] if table.title else []
+            head = "".join(f"<th>{escape(title)}</th>" for title in table.columns)
+            rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in table.rows)
+            parts.append(f"<table><tr>{head}</tr>{rows}</table>")
+        if self.report is not None:
+            parts.append(f'<p>report: <a href="{escape(self.report.as_posix())}">{escape(str(self.report))}</a></p>')
+        return "".join(parts)
