@@ -13,6 +13,7 @@ from places import ROOT
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
 from cosim.campaign.proof.credibility import RECORD, Evidence, assess_credibility, read_comparison
+from cosim.results.report.marks import page_parts
 from cosim.results.summary import versions
 
 FACTORS = (  # NASA-STD-7009B, Appendix E: five of the model, six of its use
@@ -113,9 +114,8 @@ def test_what_is_not_varied_is_named() -> None:
 
 def test_the_record_is_what_the_pages_say() -> None:
     record = read_toml(RECORD)
-    page = (ROOT / "docs" / "accuracy.md").read_text(encoding="utf-8")
-    part = page.split("<!-- measured: check cases -->")[1].split("<!-- end -->")[0]
-    verdicts = re.findall(r"^\| \d.*\| (.*?) \|$", part, re.MULTILINE)
+    cases = page_parts(ROOT / "docs" / "accuracy.md")["check cases"]
+    verdicts = re.findall(r"^\| \d.*\| (.*?) \|$", cases, re.MULTILINE)
     assert record["verification"] == {
         "version": versions()["hexjet-cosim"],
         "compared": len(verdicts),
