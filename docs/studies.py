@@ -35,8 +35,6 @@ from cosim.cli.main import main as hexjet
 from cosim.results.report.marks import check_marks, table, write_marks
 
 PAGE = Path(__file__).parent / "campaigns.md"
-TABLES = PAGE.parent / "tables" / "campaigns.md"  # every other mark
-ON_PAGE = ("robustness", "robustness-delay")
 DELAY, GUST = "engine_parameters.delay_samples", "disturbance.0.velocity_ned_m_s.1"
 LOAD, LEVER, SIDE_GUST = "disturbance.0.mass_kg", "disturbance.0.offset_m.1", "disturbance.1.velocity_ned_m_s.1"
 LATE = (12.0, 20.0, 25.0, 30.0, 37.0)  # samples, edges of the classes; the model has 25
@@ -240,12 +238,8 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), help="studies")
     given = parser.parse_args()
-    marks = [mark for name in given.only for mark in PARTS[name]]
-    check_marks(PAGE, [mark for mark in marks if mark in ON_PAGE])
-    check_marks(TABLES, [mark for mark in marks if mark not in ON_PAGE])
-    parts = made(given.only, given.out, given.workers)
-    write_marks(PAGE, {mark: text for mark, text in parts.items() if mark in ON_PAGE})
-    write_marks(TABLES, {mark: text for mark, text in parts.items() if mark not in ON_PAGE})
+    check_marks(PAGE, [mark for name in given.only for mark in PARTS[name]])
+    write_marks(PAGE, made(given.only, given.out, given.workers))
 
 
 if __name__ == "__main__":
