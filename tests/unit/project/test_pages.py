@@ -198,7 +198,7 @@ TYPED: Mapping[str, int] = {
     "docs/benchmarks.md": 4,
     "docs/campaigns.md": 1,
     "docs/control-design.md": 22,
-    "docs/design.md": 18,
+    "docs/design.md": 17,
     "docs/engine-kinds.md": 3,
     "docs/failsafes.md": 2,
     "docs/faults.md": 15,
