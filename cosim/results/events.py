@@ -7,13 +7,14 @@ was killed; what disturbed it is in the scenario, and what an autopilot said in 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.base.constants import SENSORS
+from cosim.base.constants import GRAVITY, SENSORS
 from cosim.base.errors import FlightError, InputError
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.contacts import CONTACTS, find_contact_changes, find_contact_rows
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
 
 Kind = Literal["fault", "monitor", "disturbance", "contact", "pilot", "requirement"]
 MOST = 500  # events of one kind that are kept; the log has all of them
+MOST_PHASES = 200  # of a flight, chosen by us: more are no ground to read lines on
+PHASES = ("on the ground", "in the air", "on its jets", "transition", "on the wing")  # what carries the vehicle
+ON_JETS, ON_WING = 0.05, 0.5  # of the weight on the wing: up to which, from which it is so; chosen by us
+_SHORT_S = 0.1  # a phase that is shorter, chosen by us, belongs to the one before it
 
 
 class Event(Record):
@@ -43,6 +48,54 @@ class Event(Record):
     def lasts(self) -> bool:
         """Whether it is a stretch of time rather than an instant."""
         return self.kind in ("fault", "disturbance")
+
+
+class Phase(NamedTuple):
+    """A stretch of a flight [s] with one name: on the ground, in the air, on the wing, or the autopilot's mode."""
+
+    start_s: float
+    end_s: float
+    name: str
+
+
+def list_phases(run: Run) -> list[Phase]:
+    """Return the phases of a run: see :func:`find_phases`."""
+    return find_phases(run.log, run.summary.step_s, read_pilot_record(run.folder) if run.folder is not None else ())
+
+
+def find_phases(log: Log, step: float, record: Iterable[dict[str, Any]] = ()) -> list[Phase]:
+    """Return the phases of a flight from its first row to its last, in order; none where it has but one.
+
+    Where an autopilot flies, a phase is its mode while it is armed.  Without one it is what carries the vehicle: the
+    ground, its jets or, in a log with ``wing_lift_N``, the wing: more than 5 % of the weight (a transition), or half.
+    """
+    phases: list[Phase] = []
+    for row, name in _phase_names(log, step, record) if len(log) else ():
+        if phases and row * step - phases[-1].start_s < _SHORT_S:
+            phases.pop()
+        if not phases or phases[-1].name != name:
+            phases.append(Phase(row * step if phases else 0.0, len(log) * step, name))
+    ended = [phase._replace(end_s=after.start_s) for phase, after in pairwise(phases)]
+    return [*ended, *phases[-1:]] if 1 < len(phases) <= MOST_PHASES else []
+
+
+def _phase_names(log: Log, step: float, record: Iterable[dict[str, Any]]) -> list[tuple[int, str]]:
+    """Return the rows from which another phase is flown, and its name."""
+    states = [line for line in record if line["kind"] == "state"]
+    if states:
+        return [(max(line["k"], 0), line["mode"] if line["armed"] else "disarmed") for line in states]
+    if not {"on_ground", "hull_contact"}.issubset(log.columns):  # another tool's
+        return []
+    contact = find_contact_rows(log)
+    stands = np.full(contact.size, contact[0], dtype=np.int8)
+    for row, now in find_contact_changes(contact, step):
+        stands[row:] = now
+    carried = np.where(stands > 0, 0, 1)
+    if {"wing_lift_N", "mass_kg"}.issubset(log.columns):
+        part = log["wing_lift_N"] / (GRAVITY * log["mass_kg"])
+        carried += (stands == 0) * (1 + (part > ON_JETS) + (part > ON_WING))
+    rows = [0, *(np.flatnonzero(np.diff(carried)) + 1).tolist()]
+    return [(row, PHASES[carried[row]]) for row in rows]
 
 
 def list_events(run: Run) -> list[Event]:

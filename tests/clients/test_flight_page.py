@@ -219,9 +219,41 @@ def test_what_is_seen_goes_out_with_every_sample(browser: Any, flown: tuple[Run,
                  const [f, a] = hexjet.amplitudes(y, 1 / 1024, 1); const n = a.indexOf(Math.max(...a)); return [f[n], a[n]]; }"""
         )
         assert tops == pytest.approx([25.0, 2.0], rel=1e-6)
+        page.locator("[data-figure=attitude] .strip-spectrum").first.click()
+        page.wait_for_function("document.querySelector('[data-figure=attitude] .strip').panel.mode === 'spectrum'")
         for kind in ("spectrum", "cross"):
             page.evaluate("k => document.querySelector('[data-figure=attitude] .strip').panel.turn(k)", kind)
             page.wait_for_function("document.querySelector('[data-figure=attitude] .strip').panel.chart", timeout=SOON)
+
+
+def test_a_name_is_pulled_to_another_panel_and_taken_off_it(browser: Any, flown: tuple[Run, Path]) -> None:
+    with opened(browser, flown[1]) as page:
+        page.locator('[data-figure="attitude"]').scroll_into_view_if_needed()
+        strips = page.locator("[data-figure=attitude] .strip")
+        page.wait_for_function(
+            "document.querySelectorAll('[data-figure=attitude] .strip')[1].panel.chart", timeout=SOON
+        )
+        strips.nth(0).locator(".chip-line").nth(1).hover()
+        page.mouse.down()
+        strips.nth(1).locator(".strip-body").hover()
+        page.mouse.move(600, 400, steps=3)
+        strips.nth(1).locator(".strip-body").hover()
+        assert strips.nth(1).get_attribute("class") == "strip strip-target"
+        page.mouse.up()
+        named = "[...document.querySelectorAll('[data-figure=attitude] .strip')].map((s) => s.panel.signals.map((each) => each.column))"
+        assert page.evaluate(named)[1][3:] == ["roll_rad"]
+        assert page.evaluate(named)[0][1] == "roll_rad"  # it stays where it was, and a pull is no press
+        assert strips.nth(0).locator('[aria-pressed="false"]').count() == 1  # the spectrum's
+        page.wait_for_function(
+            "document.querySelectorAll('[data-figure=attitude] .strip')[1].panel.lines.length === 4", timeout=SOON
+        )
+        axes = page.evaluate(
+            "document.querySelector('[data-figure=attitude] .strip').panel.chart.axes.map((a) => [a.label, a._values[1]])"
+        )
+        assert axes[0][1].endswith(" s")
+        assert axes[1][0] == "deg"
+        strips.nth(1).locator(".chip-off").click()
+        assert page.evaluate(named)[1][3:] == []
 
 
 @pytest.mark.long

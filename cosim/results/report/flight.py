@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.outcomes import Verdict
-from cosim.results.events import Event, list_events
+from cosim.results.events import Event, list_events, list_phases
 from cosim.results.log.columns import custom_columns
 from cosim.results.metrics import AxisMetrics
 from cosim.results.report.flight_figures import run_figures
@@ -53,6 +53,7 @@ def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
 def _write(run: Run, path: Path, shared_assets: bool) -> None:
     summary = run.summary
     events = sorted([*list_events(run), *deciding_events(summary)], key=lambda event: event.time_s)
+    phases = list_phases(run)
     flights, margins = None, margins_over_time(run.log, summary) if summary.steps else []
     if summary.steps:
         vehicle = read_vehicle(run)
@@ -68,6 +69,7 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
                 derived=make_rest_columns(run.log, summary) | margin_columns(margins, len(run.log)),
                 made=[ZERO, *(margin.column for margin in margins)],
                 upsets=Reader(run.log, summary.step_s).upsets(),
+                phases=phases,
                 reach=summary.reach,
             )
         )
@@ -83,7 +85,7 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
         axis_rows=AXIS_ROWS,
         shaded=bool(flights and (flights.runs[0][0]["upsets"] or flights.runs[0][0]["events"])),
         events=event_rows(events),
-        kinds={event.kind for event in events},
+        phases=list(dict.fromkeys(phase.name for phase in phases)),
         refused=any(
             trace["label"] == "refused"
             for panel in strips.get("effort", {"panels": []})["panels"]
@@ -260,8 +262,12 @@ def ledgers(summary: Summary) -> list[AxisLedger]:
     for rows, axes in axes_of.items():
         samples = [row.samples for row in rows if row.samples is not None]
         total = sum(samples) if len(samples) == len(rows) else None
-        axis_ledgers.append(AxisLedger(" and ".join(axes).capitalize(), list(rows), total))
+        axis_ledgers.append(AxisLedger(_listed(axes).capitalize(), list(rows), total))
     return axis_ledgers
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]] if words[1:] else words)
 
 
 def jet_drawing(summary: Summary) -> list[dict[str, Any]]:

@@ -72,7 +72,7 @@ def requirement_rows(summary: Summary) -> list[dict[str, str]]:
                 "source": SOURCES[result.source],
                 "margin": _describe_margin(result),
                 "share": NONE if result.margin is None else f"{100.0 * result.margin / result.scale:.0f} %",
-                "at": "the whole flight" if result.decided_at_s is None else f"{result.decided_at_s:.3f}",
+                "at": "over the whole flight" if result.decided_at_s is None else f"at {result.decided_at_s:.3f} s",
                 "formula": result.formula if result.source == "require" else shortened(result.formula),
                 "reason": result.reason,
                 "state": result.note or ("kept" if result.kept else "broken"),

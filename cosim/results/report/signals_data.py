@@ -26,7 +26,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.layout import UP
 from cosim.base.protocols import Column
-from cosim.results.events import Event, row_spans, time_spans
+from cosim.results.events import Event, Phase, row_spans, time_spans
 from cosim.results.log.recorder import Log
 from cosim.results.log.tables import TIME
 from cosim.results.metrics import REFUSED, Reach, saturation_in_flight
@@ -150,6 +150,7 @@ class FlightData(NamedTuple):
     derived: Mapping[str, Callable[[], Array]] = MappingProxyType({})  # what makes columns that the log has not
     made: Sequence[Column] = ()  # what the derived ones are, where that is not DERIVED
     upsets: Sequence[tuple[float, float]] = ()  # when something disturbs the flight as the log has it
+    phases: Sequence[Phase] = ()  # of the flight, drawn behind the lines
     reach: Reach | None = None  # by which the flight's metrics were made
 
 
@@ -174,6 +175,7 @@ def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
             for event in flight.events
         ],
         "upsets": flight.upsets,
+        "phases": [list(phase) for phase in flight.phases],
         "saturated": _saturation_times(log, flight.reach, flight.step_s) if len(log) and flight.times is None else [],
         "vehicle": describe_shape(flight.vehicle) if flight.vehicle is not None else _jets_only(flight.jets_m),
     }  # fmt: skip

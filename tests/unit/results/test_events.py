@@ -14,6 +14,7 @@ from cosim.results.events import (
     find_contacts,
     find_disturbances,
     find_faults,
+    find_phases,
     find_verdicts,
     list_events,
     spans,
@@ -90,6 +91,30 @@ def test_contacts_without_bounces() -> None:
     log = MemoryLog([np.stack((ground, np.zeros_like(ground)))], ("on_ground", "hull_contact"))
     found = [(each.time_s, each.text) for each in find_contacts(log, STEP)]
     assert found == [(1.0, "leaves the ground"), (pytest.approx(2.08), "touches the ground")]
+
+
+def test_phases_by_what_carries_the_vehicle_and_by_modes() -> None:
+    second = round(1.0 / STEP)
+    ground = np.repeat([1.0, 0.0, 1.0], [second, 3 * second, second])
+    lift = np.repeat([0.0, 0.2, 0.6, 0.4, 0.6, 0.0], [2 * second, second, second // 2, 10, second // 2 - 10, second])
+    table = np.stack((ground, np.zeros_like(ground), 5.0 * 9.80665 * lift, np.full_like(ground, 5.0)))
+    log = MemoryLog([table], ("on_ground", "hull_contact", "wing_lift_N", "mass_kg"))
+    found = find_phases(log, STEP)
+    assert [phase.name for phase in found] == [
+        "on the ground",
+        "on its jets",
+        "transition",
+        "on the wing",
+        "on the ground",
+    ]
+    assert [phase.start_s for phase in found] == pytest.approx([0.0, 1.0, 2.0, 3.0, 4.0])  # a gap of 40 ms is none
+    assert [phase.end_s for phase in found] == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0])
+    plain = MemoryLog([table[:2]], ("on_ground", "hull_contact"))
+    assert [phase.name for phase in find_phases(plain, STEP)] == ["on the ground", "in the air", "on the ground"]
+    states = [(0, "HOLD", False), (500, "HOLD", True), (750, "LAND", True)]
+    record = [{"k": k, "kind": "state", "mode": mode, "armed": armed} for k, mode, armed in states]
+    assert find_phases(log, STEP, record) == [(0.0, 2.0, "disarmed"), (2.0, 3.0, "HOLD"), (3.0, 5.0, "LAND")]
+    assert find_phases(log, STEP, record[:1]) == []  # one alone is no news
 
 
 def test_what_the_monitor_believes_in_words() -> None:

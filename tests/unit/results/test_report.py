@@ -286,7 +286,9 @@ def test_disturbances_are_shaded_and_what_is_not_there_is_left_out(run: Run, tmp
     assert not any(label.endswith("refused") for label in signals(figures["effort"]))
     calm = flown(100, change=lambda s: s._replace(state=s.state._replace(wind=(0.0, 0.0, 0.0))))
     assert "outside" not in run_figures(calm.log, calm.summary)
-    assert "Nothing came from outside" in page_of(calm, tmp_path).text
+    text = page_of(calm, tmp_path).text
+    assert "Nothing came from outside" in text
+    assert "From outside" not in text  # no card of its own
 
 
 def test_thinning_keeps_every_peak() -> None:

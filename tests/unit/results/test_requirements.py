@@ -299,9 +299,12 @@ def test_the_examples_of_the_page_run() -> None:
 def test_the_page_of_a_flight_begins_with_the_smallest_margin(flown: Run, tmp_path: Path) -> None:
     write_report(flown, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    table = page[page.index("<h2>Requirements</h2>") : page.index('id="replay-card"')]
-    assert re.findall(r"<tr><td>(\S+) <span", table)[0] == "lean"
-    assert table.count("<tr><td>") == len(flown.summary.requirements)
+    assert "<dt>smallest margin, lean</dt>" in page[: page.index("</header>")]
+    table = page[page.index("<h2>Requirements</h2>") : page.index("<h2>Delay ledger</h2>")]
+    assert page.index("<h2>Delay ledger</h2>") < page.index('id="replay-card"')
+    rows = re.findall(r"<tr><td class=\"wraps\">(\S+) <span", table)
+    assert rows[0] == "lean"
+    assert len(rows) == len(flown.summary.requirements)
     assert table.count(">broken<") == 1
     assert "requirement broken</span>" in page
     assert re.search(r'data-figure="margins"', page)

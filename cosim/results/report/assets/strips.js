@@ -64,14 +64,50 @@
 
   const finishLoading = () => { loaded = true; drawRest(); };
 
+  const SIDES = 74; // pixels of the width that are not the field of a panel
   const COLOURS = ["#2f7de1", "#f08c00", "#2f9e44", "#c2339b", "#e03131", "#7048e8", "#1098ad", "#a0522d"];
   const DASHES = { solid: [], dash: [7, 4], dot: [2, 3], dashdot: [7, 3, 2, 3] };
   const KINDS = { fault: "#e03131", monitor: "#f08c00", pilot: "#2f7de1", contact: "#2f9e44", disturbance: "#868e96", requirement: "#7048e8" };
+  const TINTS = ["#868e96", "#2f7de1", "#2f9e44", "#f08c00", "#7048e8", "#1098ad", "#c2339b", "#a0522d"];
   const SHOWN = { rad: ["deg", 180 / Math.PI], "rad/s": ["deg/s", 180 / Math.PI] };
   const panels = new Set();
   const number = (value) => value === null || !Number.isFinite(value) ? "–"
     : Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-4) ? value.toExponential(3)
     : value.toPrecision(5).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "");
+
+  // a name that is pulled to another panel is drawn there too; a finger scrolls, and a press alone stays one
+  const drags = (name, signals) => name.addEventListener("pointerdown", (down) => {
+    if (down.button !== 0 || down.pointerType === "touch") return;
+    const target = (event) => {
+      const root = document.elementFromPoint(event.clientX, event.clientY)?.closest(".strip");
+      return root && !root.contains(name) && !root.panel.equal ? root : null;
+    };
+    let over = null, pulled = false;
+    const mark = (root) => { if (over) over.classList.remove("strip-target"); over = root; if (over) over.classList.add("strip-target"); };
+    const move = (event) => {
+      pulled ||= Math.hypot(event.clientX - down.clientX, event.clientY - down.clientY) > 6;
+      if (!pulled) return;
+      event.preventDefault();
+      document.documentElement.classList.add("pulling");
+      mark(target(event));
+    };
+    const stop = () => {
+      document.documentElement.classList.remove("pulling");
+      mark(null);
+      for (const [kind, act] of acts) removeEventListener(kind, act, true);
+    };
+    const drop = (event) => {
+      const root = pulled ? target(event) : null;
+      stop();
+      if (!pulled) return;
+      const still = (click) => { click.stopPropagation(); click.preventDefault(); };
+      addEventListener("click", still, true);
+      setTimeout(() => removeEventListener("click", still, true)); // the press's own click comes before it, or not at all
+      if (root) for (const signal of signals()) root.panel.add(signal);
+    };
+    const acts = [["pointermove", move], ["pointerup", drop], ["pointercancel", stop]];
+    for (const [kind, act] of acts) addEventListener(kind, act, true);
+  });
 
   const near = new IntersectionObserver((entries) => {
     for (const entry of entries) {
@@ -90,7 +126,7 @@
       this.hidden = new Set();
       this.chips = element("span", { class: "chips" });
       this.head = element("div", { class: "strip-head" },
-        element("span", { class: "strip-title" }), this.chips, this.menu());
+        element("span", { class: "strip-title" }), this.chips, this.tools());
       this.body = element("div", { class: "strip-body" });
       this.cursor = element("div", { class: "strip-cursor" });
       this.root = element("div", { class: "strip", tabindex: "-1" }, this.head, this.body);
@@ -103,16 +139,18 @@
       this.changed();
     }
 
-    menu() {
+    tools() {
       const item = (text, act) => element("button", { type: "button", onclick: () => { act(); box.open = false; } }, text);
-      const box = element("details", { class: "strip-menu" }, element("summary", { "aria-label": "what to do with this panel", title: "save, spectrum, cross-plot" }, "⋯"),
+      const box = element("details", { class: "strip-menu" }, element("summary", { "aria-label": "what to do with this panel", title: "save, cross-plot" }, "⋯"),
         element("div", {},
           item("over time", () => this.turn("time")),
-          ...(flights.some((flight) => flight.group > 1) ? [] : [item("spectrum of what is seen", () => this.turn("spectrum"))]), // of every step alone
           item("cross-plot of the first two", () => this.turn("cross")),
           item("save PNG", () => hexjet.files.savePng(this)), item("save SVG", () => hexjet.files.saveSvg(this)), item("save CSV", () => hexjet.files.saveCsv(this)),
           ...(this.free ? [item("remove panel", () => this.remove())] : [])));
-      return box;
+      // a spectrum is of every step alone
+      this.toSpectrum = this.equal || flights.some((flight) => flight.group > 1) ? null : element("button", { type: "button", class: "strip-spectrum",
+        title: "spectrum of what is seen, and back", onclick: () => this.turn(this.mode === "spectrum" ? "time" : "spectrum") }, "spectrum");
+      return element("span", { class: "strip-tools" }, ...(this.toSpectrum ? [this.toSpectrum] : []), box);
     }
 
     turn(mode) { this.mode = mode; this.changed(); }
@@ -140,6 +178,15 @@
       this.build();
     }
 
+    // another signal, from another panel or the list of columns
+    add({ run = 0, name, scale, shown, held }) {
+      if (this.signals.some((each) => each.column === name && (each.run || 0) === run)) return;
+      const used = new Set(this.signals.map((each) => each.colour));
+      this.signals.push({ run, column: name, label: flights.length > 1 ? `${name}, ${flights[run].label}` : name, scale, shown, held, added: true,
+        colour: COLOURS.find((each) => !used.has(each)) || COLOURS[this.signals.length % COLOURS.length] });
+      this.changed();
+    }
+
     label(signal) { return signal.label || signal.column; }
 
     // draws what is seen; with `unseen` in any case
@@ -165,8 +212,9 @@
     width() { return printing ? PAPER.width : Math.max(120, this.body.clientWidth); }
 
     heading() {
-      const units = this.unit || [...new Set(this.lines.map((line) => line.shown))].filter(Boolean).join(", ");
-      const extra = { time: "", spectrum: ", amplitude over Hz", cross: "" }[this.mode];
+      if (this.toSpectrum) this.toSpectrum.setAttribute("aria-pressed", String(this.mode === "spectrum"));
+      const units = this.units = [...new Set([this.unit, ...this.lines.map((line) => line.shown)])].filter(Boolean).join(", ");
+      const extra = { time: "", spectrum: ", amplitude", cross: "" }[this.mode];
       this.head.firstChild.textContent = (this.title ? this.title + " " : "") + (units ? `[${units}]` : "") + extra;
       this.chips.replaceChildren(...this.lines.map((line, n) => {
         const value = element("b", {}, "");
@@ -176,9 +224,10 @@
             chip.setAttribute("aria-pressed", String(this.shows(line))); } },
         element("i", { style: `border-top:3px ${line.dash && line.dash !== "solid" ? "dashed" : "solid"} ${line.colour}` }), this.label(line), " ", value);
         line.value = value;
-        if (!this.free) return chip;
+        drags(chip, () => [{ run: line.flight.number, name: line.column.about.name, scale: line.scale, shown: line.shown, held: line.held }]);
+        if (!this.free && !line.added) return chip;
         return element("span", { class: "chip-pair" }, chip, element("button", { type: "button", class: "chip-off", "aria-label": `remove ${this.label(line)}`,
-          onclick: () => { this.signals = this.signals.filter((each) => !(each.column === line.column && (each.run || 0) === line.flight.number)); this.changed(); } }, "×"));
+          onclick: () => { this.signals = this.signals.filter((each) => !(each.column === line.column.about.name && (each.run || 0) === line.flight.number)); this.changed(); } }, "×"));
       }));
     }
 
@@ -205,7 +254,8 @@
       const ink = style("--dim"), grid = { stroke: style("--grid"), width: 1 }, ticks = { stroke: style("--grid"), width: 1 };
       const font = `11px ${getComputedStyle(document.body).fontFamily}`;
       return { width, height: this.height, legend: { show: false }, pxAlign: 0, padding: [6, 8, 0, 0],
-        axes: [{ stroke: ink, grid, ticks, font, size: 26, values: more.xValues }, { stroke: ink, grid, ticks, font, size: 58, ...more.yAxis }], ...more.options };
+        axes: [{ stroke: ink, grid, ticks, font, size: 26, space: 60, values: (u, splits) => splits.map((at) => at === null ? "" : `${parseFloat(more.per ? at.toPrecision(3) : at.toFixed(6))} ${more.per || "s"}`) },
+          { stroke: ink, grid, ticks, font, size: 54, label: this.units || " ", labelFont: font, labelSize: 12, labelGap: 0, ...more.yAxis }], ...more.options };
     }
 
     buildTime(width) {
@@ -225,7 +275,7 @@
           setSelect: [(u) => { if (u.select.width > 3) { const a = u.posToVal(u.select.left, "x"), b = u.posToVal(u.select.left + u.select.width, "x");
             u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false); setView(a, b); } }],
         } } });
-      this.data = windowOf(lines, state.from, state.to, width - 66);
+      this.data = windowOf(lines, state.from, state.to, width - SIDES);
       this.chart = new uPlot(options, this.data, this.body);
       const over = this.chart.over;
       over.append(this.cursor);
@@ -260,18 +310,37 @@
       const width = this.width();
       if (this.mode !== "time") { if (this.drawnFor !== this.viewKey()) this.changed(); return; }
       if (this.chart.width !== width) this.chart.setSize({ width, height: this.height });
-      this.data = windowOf(this.lines, state.from, state.to, width - 66);
+      this.data = windowOf(this.lines, state.from, state.to, width - SIDES);
       this.chart.setData(this.data);
       this.drawnFor = this.viewKey();
       this.values();
     }
 
-    // faults, disturbances, saturation behind the lines; words of monitor and autopilot as dotted lines
+    // a tint for each phase, and its name in the first of panels above each other
+    ground(u, phases) {
+      const { ctx } = u, { left, top, width, height } = u.bbox, ratio = devicePixelRatio;
+      const x = (t) => Math.max(left, Math.min(left + width, u.valToPos(t, "x", true)));
+      const names = [...new Set(phases.map(([, , name]) => name))];
+      ctx.font = `${10 * ratio}px ${getComputedStyle(document.body).fontFamily}`;
+      for (const [from, to, name] of phases) {
+        if (to < state.from || from > state.to) continue;
+        ctx.globalAlpha = 0.09;
+        ctx.fillStyle = TINTS[names.indexOf(name) % TINTS.length];
+        ctx.fillRect(x(from), top, x(to) - x(from), height);
+        ctx.globalAlpha = 1;
+        ctx.fillStyle = style("--dim");
+        if (!this.root.previousElementSibling && ctx.measureText(name).width + 6 * ratio < x(to) - x(from)) ctx.fillText(name, x(from) + 3 * ratio, top + height - 4 * ratio);
+      }
+    }
+
+    // phases, faults, disturbances, saturation behind the lines; words of monitor and autopilot as dotted lines
     bands(u) {
       const { ctx } = u, { left, top, width, height } = u.bbox;
       const x = (t) => Math.max(left, Math.min(left + width, u.valToPos(t, "x", true)));
       ctx.save();
-      for (const number of new Set(this.lines.map((line) => line.flight.number))) {
+      const shown = new Set(this.lines.map((line) => line.flight.number));
+      if (shown.size === 1) this.ground(u, this.lines[0].flight.phases);
+      for (const number of shown) {
         const flight = flights[number];
         for (const event of flight.events) {
           const end = event.end === null ? state.end : event.end;
@@ -343,8 +412,11 @@
         return amplitudes(line.column.values.subarray(first, end), line.flight.uniform ? line.flight.step : (line.flight.time(end - 1) - line.flight.time(first)) / Math.max(1, end - first - 1), line.scale);
       });
       const table = uPlot.join(made.map(([f, a]) => [f, a]));
-      const options = this.common(width, { options: {
-        scales: { x: { time: false, distr: 3 }, y: { distr: 3 } },
+      // five decades below the greatest: what is less is rounding
+      const decades = (low, high) => high > 0 ? [10 ** Math.floor(Math.log10(Math.max(low, 1e-5 * high))), 10 ** Math.ceil(Math.log10(high))] : [0.1, 1];
+      const small = (u, splits) => splits.map((at) => at === null ? "" : at < 1e-3 ? at.toExponential(0) : String(parseFloat(at.toPrecision(3))));
+      const options = this.common(width, { per: "Hz", yAxis: { values: small }, options: {
+        scales: { x: { time: false, distr: 3, range: (u, low, high) => [low, high] }, y: { distr: 3, range: (u, low, high) => decades(low, high) } },
         series: [{}, ...this.lines.map((line) => ({ label: this.label(line), show: this.shows(line), stroke: line.colour, width: 1.2, spanGaps: true, points: { show: false } }))],
         cursor: { drag: { x: false, y: false } } } });
       this.data = table;
@@ -368,7 +440,7 @@
       const pad = (low, high) => { const margin = Math.max(0.06 * (high - low), this.equal ? 1 - (high - low) / 2 : 1e-9 + 1e-6 * Math.abs(high)); return [low - margin, high + margin]; };
       [x0, x1] = pad(x0, x1); [y0, y1] = pad(y0, y1);
       if (this.equal) { // one scale both ways
-        const w = width - 66, h = height - 32, per = Math.max((x1 - x0) / w, (y1 - y0) / h);
+        const w = width - SIDES, h = height - 32, per = Math.max((x1 - x0) / w, (y1 - y0) / h);
         const cx = (x0 + x1) / 2, cy = (y0 + y1) / 2;
         [x0, x1, y0, y1] = [cx - per * w / 2, cx + per * w / 2, cy - per * h / 2, cy + per * h / 2];
       }
@@ -402,6 +474,7 @@
       const named = (line, fallback) => `${line ? line.column.about.name : fallback}${line && line.shown ? ` [${line.shown}]` : ""}`;
       options.axes[0].label = this.equal ? "east [m]" : named(tracks[0] && tracks[0].x, "x");
       options.axes[1].label = this.equal ? "north [m]" : named(tracks[0] && tracks[0].y, "y");
+      delete options.axes[0].values;
       for (const axis of options.axes) { axis.labelSize = 18; axis.labelFont = axis.font; axis.labelGap = 0; }
       this.tracks = tracks;
       this.data = [[x0, x1], [y0, y1]];
@@ -410,5 +483,5 @@
     }
   }
 
-  Object.assign(window.hexjet, { state, setTime, setView, zoom, setMark, panels, element, style, setPrinting, finishLoading, COLOURS, DASHES, KINDS, SHOWN, number, Panel });
+  Object.assign(window.hexjet, { state, setTime, setView, zoom, setMark, panels, element, style, setPrinting, finishLoading, COLOURS, DASHES, KINDS, SHOWN, number, drags, Panel });
 })();

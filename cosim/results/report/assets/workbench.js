@@ -1,7 +1,7 @@
 // The panels of a page: those that its figures state, and the workbench, where any column of any run goes into any panel.
 "use strict";
 (() => {
-  const { pageData, flights, state, panels, element, setPrinting, finishLoading, COLOURS, SHOWN, Panel } = window.hexjet;
+  const { pageData, flights, state, panels, element, setPrinting, finishLoading, SHOWN, drags, Panel } = window.hexjet;
 
   let current = null;
   const bench = (place) => {
@@ -14,21 +14,23 @@
     };
     const names = new Map();
     for (const flight of flights) for (const about of flight.known.values()) if (!names.has(about.name)) names.set(about.name, about);
+    const signalsOf = (name) => {
+      const [shown, scale] = SHOWN[names.get(name).unit] || [names.get(name).unit, 1];
+      return flights.filter((flight) => flight.known.has(name)).map((flight) => ({ run: flight.number, name, scale, shown }));
+    };
     const put = (name) => {
       if (!current) open();
-      const [unit, scale] = SHOWN[names.get(name).unit] || [names.get(name).unit, 1];
-      for (const flight of flights) {
-        if (!flight.known.has(name) || current.signals.some((each) => each.column === name && (each.run || 0) === flight.number)) continue;
-        current.signals.push({ run: flight.number, column: name, label: flights.length > 1 ? `${name}, ${flight.label}` : name, scale, shown: unit,
-          colour: COLOURS[current.signals.length % COLOURS.length] });
-      }
-      current.changed();
+      for (const signal of signalsOf(name)) current.add(signal);
     };
     const show = () => {
       const words = search.value.toLowerCase().split(/\s+/).filter(Boolean);
       const found = [...names.values()].filter((about) => words.every((word) => `${about.name.replaceAll("_", " ")} ${about.name} ${about.meaning} ${about.unit}`.toLowerCase().includes(word)));
-      list.replaceChildren(...found.map((about) => element("li", {}, element("button", { type: "button", title: about.meaning, onclick: () => put(about.name) },
-        element("code", {}, about.name), element("span", { class: "dim small" }, ` ${about.unit ? `[${about.unit}] ` : ""}${about.meaning}`)))));
+      list.replaceChildren(...found.map((about) => {
+        const name = element("button", { type: "button", title: about.meaning, onclick: () => put(about.name) },
+          element("code", {}, about.name), element("span", { class: "dim small" }, ` ${about.unit ? `[${about.unit}] ` : ""}${about.meaning}`));
+        drags(name, () => signalsOf(about.name));
+        return element("li", {}, name);
+      }));
       if (!found.length) list.append(element("li", { class: "dim small" }, "No column has these words."));
     };
     search.addEventListener("input", show);
