@@ -32,7 +32,7 @@ from cosim.simulation.model_agreement import (
 )
 from cosim.spec.vehicle import RateModel, Vehicle, aircraft_names, load_vehicle
 
-# Of the table on docs/own-aircraft.md: its first cell, and what is compared there.
+# Of the table on docs/tables/own-aircraft.md: its first cell, and what is compared there.
 ROWS = {
     "hexjet, edf-as-flown": ("hexjet", "edf-as-flown", 1.0),
     "hexjet, edf": ("hexjet", "edf", 1.0),
@@ -76,7 +76,7 @@ def test_the_table_has_every_shipped_model() -> None:
 
 @pytest.mark.parametrize("cell", ROWS)
 def test_shipped_models_are_their_vehicles(cell: str) -> None:
-    """With full and with empty tank, and as docs/own-aircraft.md says in its table."""
+    """With full and with empty tank, and as docs/tables/own-aircraft.md says."""
     aircraft, engine, fuel = ROWS[cell]
     scenario = scenario_of(aircraft, engine)
     vehicle, _ = scenario.resolved_vehicle()
@@ -89,7 +89,7 @@ def test_shipped_models_are_their_vehicles(cell: str) -> None:
     assert (
         f"| {cell} | {found.model_gain:.0f} | {found.vehicle_gain:.0f} | {found.model_delay:.1f} | {found.vehicle_delay:.1f} | "
         f"{100.0 * found.lag_misfit:.0f} % |"
-    ) in (DOCS / "own-aircraft.md").read_text()
+    ) in (DOCS / "tables" / "own-aircraft.md").read_text()
 
 
 @pytest.mark.parametrize(

@@ -125,6 +125,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/prove.md": ("test_prove.py",),
     "docs/sensors.md": ("marks", "test_sensor_profile.py"),
     "docs/own-aircraft.md": ("test_aircraft_check.py", "test_model_agreement.py"),
+    "docs/tables/own-aircraft.md": ("test_model_agreement.py",),
     "docs/replay.md": ("test_replay.py",),
     "docs/own-blocks.md": ("test_own_blocks.py",),
     "docs/own-controller.md": ("test_own_controller.py",),
