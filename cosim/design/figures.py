@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
 import numpy as np
 
-from cosim.base.arrays import Array
+from cosim.base.arrays import Array, Complex
 from cosim.design.assessment import AxisDesign
 from cosim.design.design import Design
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from cosim.design.loop.frequency import MarginPoint, margin_points, wrap_phase
 from cosim.design.loop.tuning import Tuning
 from cosim.results.report.plot import BLUE, GREY, ORANGE, RED, Figure, panels, trace
 
@@ -46,16 +51,76 @@ def _hertz(loop: ClosedLoop) -> Array:
     return np.asarray(loop.points.theta / (2.0 * np.pi * loop.points.channel.step))
 
 
+class Curve(NamedTuple):
+    """An open loop as figures draw it: its name and colour, ``L`` at rising frequencies [Hz], and the style."""
+
+    label: str
+    colour: str
+    hertz: Array
+    loop: Complex
+    style: Mapping[str, Any] = MappingProxyType({})
+
+
 def _bode(loops: list[tuple[str, str, ClosedLoop, bool]]) -> Figure:
-    data = []
-    for label, colour, loop, _ in loops:
-        value = loop.open_loop
-        hertz = _hertz(loop)
-        phase = np.degrees(np.unwrap(np.angle(value)))
-        phase -= 360.0 * np.round((phase[0] + 180.0) / 360.0)
-        data.append(trace(label, colour, hertz, 20.0 * np.log10(np.abs(value))))
-        data.append(trace(label, colour, hertz, phase, 1))
-    return {"data": data, "layout": panels(460, "frequency [Hz]", ["|L| [dB]", "phase of L [deg]"], True)}
+    return bode([Curve(label, colour, _hertz(loop), loop.open_loop) for label, colour, loop, _ in loops])
+
+
+def bode(curves: Sequence[Curve], height: int = 460, more: Sequence[str] = ()) -> Figure:
+    """Draw gain and phase over two decades about the crossover, with the least margins marked and in the names.
+
+    The phase is between -360 and 0 deg.  ``more``: the titles of further panels below these, which stay empty.
+    """
+    low, high = _about_crossover(curves)
+    data: list[Figure] = []
+    for curve in curves:
+        seen = (curve.hertz >= low) & (curve.hertz <= high)
+        hertz, loop = curve.hertz[seen], curve.loop[seen]
+        gain, phase = margin_points(curve.loop, curve.hertz)
+        parts = [f"{abs(gain.value):.1f} dB"] if gain else []
+        parts += [f"{abs(phase.value + 180.0):.1f} deg"] if phase else []
+        name = f"{curve.label}: {', '.join(parts)}" if parts else curve.label
+        degrees = wrap_phase(np.degrees(np.angle(loop)))
+        jumps = np.flatnonzero(np.abs(np.diff(degrees)) > 180.0) + 1
+        data.append(trace(name, curve.colour, hertz, decibels(loop), **curve.style))
+        broken = np.insert(hertz, jumps, np.nan), np.insert(degrees, jumps, np.nan)
+        data.append(trace(name, curve.colour, *broken, 1, **curve.style))
+        data += [
+            _margin_mark(name, curve.colour, point, of, panel)
+            for panel, (point, of) in enumerate(((gain, 0.0), (phase, -180.0)))
+            if point and low <= point.hertz <= high
+        ]
+    layout = panels(height, "frequency [Hz]", ["|L| [dB]", "phase of L [deg]", *more], True)
+    layout["xaxis"]["range"] = [float(np.log10(low)), float(np.log10(high))]
+    layout["yaxis2"] |= {"range": [-360.0, 0.0], "tickvals": [-360, -270, -180, -90, 0]}
+    layout["shapes"] = [
+        {"type": "line", "xref": "x domain", "x0": 0, "x1": 1, "yref": axis, "y0": at, "y1": at,
+         "line": {"color": GREY, "width": 1, "dash": "dash"}}
+        for axis, at in (("y", 0.0), ("y2", -180.0))
+    ]  # fmt: skip
+    return {"data": data, "layout": layout}
+
+
+def decibels(loop: Complex) -> Array:
+    """Return the gain of a loop in dB."""
+    return np.asarray(20.0 * np.log10(np.maximum(np.abs(loop), np.finfo(np.float64).tiny)))
+
+
+def _about_crossover(curves: Sequence[Curve]) -> tuple[float, float]:
+    """Return the frequencies [Hz] from a tenth of the least to ten times the greatest crossover, as far as known."""
+    crossovers = []
+    for curve in curves:
+        _, phase = margin_points(curve.loop, curve.hertz)
+        nearest = curve.hertz[int(np.argmin(np.abs(decibels(curve.loop))))]
+        crossovers.append(phase.hertz if phase else float(nearest))
+    ends = [end for curve in curves for end in curve.hertz[[0, -1]].tolist()]
+    return max(min(ends), 0.1 * min(crossovers)), min(max(ends), 10.0 * max(crossovers))
+
+
+def _margin_mark(name: str, colour: str, point: MarginPoint, limit: float, panel: int) -> Figure:
+    """Return the line from the limit, 0 dB or -180 deg, to where a loop has its least margin."""
+    style = {"mode": "lines+markers", "marker": {"size": 8, "color": colour}, "line": {"color": colour, "width": 2.5}}
+    at = [point.hertz, point.hertz]
+    return trace(name, colour, at, [limit, point.value], panel, **style, showlegend=False)
 
 
 def _nyquist(loops: list[tuple[str, str, ClosedLoop, bool]], design: Design) -> Figure:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf, pi
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,6 +144,38 @@ def loop_margins(loop: Complex, hertz: Array, step: float = 0.0, transport_s: fl
         peak_sensitivity=float(np.max(1.0 / np.abs(1.0 + loop))),
         crossover_hz=float(at.max() / (2.0 * pi)) if len(at) else None,
     )
+
+
+class MarginPoint(NamedTuple):
+    """Where a loop has a margin: the frequency [Hz] and, there, its gain [dB] or phase [deg, -360 to 0]."""
+
+    hertz: float
+    value: float
+
+
+def margin_points(loop: Complex, hertz: Array) -> tuple[MarginPoint | None, MarginPoint | None]:
+    """Find where a loop is nearest to -1 in gain, on the negative real axis, and in phase, where its gain is 1.
+
+    Straight lines between the points, as :func:`loop_margins` has them; None where there is no such place.
+    """
+    at, part = _passing(loop.imag)
+    real = loop.real[at] + part * np.diff(loop.real)[at]
+    places = (hertz[at] + part * np.diff(hertz)[at])[real < 0.0]
+    gains = 20.0 * np.log10(-real[real < 0.0])
+    _, angles, omega = crossings(loop, 2.0 * pi * hertz)
+    phases = wrap_phase(np.degrees(angles) - 180.0)
+    of_gain = int(np.argmin(np.abs(gains))) if len(gains) else None
+    of_phase = int(np.argmin(np.abs(phases + 180.0))) if len(phases) else None
+    return (
+        None if of_gain is None else MarginPoint(float(places[of_gain]), float(gains[of_gain])),
+        None if of_phase is None else MarginPoint(float(omega[of_phase] / (2.0 * pi)), float(phases[of_phase])),
+    )
+
+
+def wrap_phase(degrees: Array) -> Array:
+    """Return the same angles between -360 and 0 degrees, so that -180 is in the middle."""
+    wrapped: Array = -np.mod(-degrees, 360.0)
+    return wrapped
 
 
 def _least(values: Array) -> float | None:

@@ -6,14 +6,12 @@ import json
 from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from cosim.base.storage.files import write_files
-from cosim.design.figures import FAR
+from cosim.design.figures import FAR, Curve, bode
 from cosim.design.measured.engine_range import EngineRange
-from cosim.design.measured.estimate import TINY
 from cosim.design.measured.margins import AxisMargins, MeasuredMargins
 from cosim.engine.fmu.uncertainty import ParameterRange
 from cosim.results.report.page import render
@@ -57,6 +55,13 @@ def rows(measured: AxisMargins) -> list[list[str]]:
         line = [title, value, bounds, "-" if measured.computed is None else other, off]
         lines.append(line if measured.over_engine is None else [*line, _over_engine(name, form, measured.over_engine)])
     return lines
+
+
+def answer(measured: AxisMargins) -> str:
+    """Return the measured margins of an axis in one sentence."""
+    found = measured.response.margins
+    parts = [f"{title} {form.format(found[name].value)}" for name, title, form in QUANTITIES if name in found]
+    return f"{measured.axis.capitalize()}: {', '.join(parts) or 'no margin in the frequencies that were measured'}."
 
 
 def _over_engine(name: str, form: str, over: EngineRange) -> str:
@@ -138,7 +143,15 @@ def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
         for axis, measured in margins.axes.items()
     ]
     engine = engine_rows(margins.engine_ranges)
-    render(TEMPLATE, paths["report"], figures(margins), found=margins, tables=tables, engine=(ENGINE_COLUMNS, engine))
+    render(
+        TEMPLATE,
+        paths["report"],
+        figures(margins),
+        found=margins,
+        answers=[answer(measured) for measured in margins.axes.values()],
+        tables=tables,
+        engine=(ENGINE_COLUMNS, engine),
+    )
     return paths
 
 
@@ -165,30 +178,24 @@ def _csv(margins: MeasuredMargins) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _curves(measured: AxisMargins) -> list[tuple[str, str, Any, Any, dict[str, Any]]]:
-    """Return the computed and the measured curve, each as label, colour, Hz, L, and options of the drawing."""
-    curves: list[tuple[str, str, Any, Any, dict[str, Any]]] = []
+def _curves(measured: AxisMargins) -> list[Curve]:
+    """Return the computed and the measured curve."""
+    curves = []
     hertz = measured.sine.hertz
     if measured.computed is not None:
         inside = (measured.computed.hertz >= hertz[0]) & (measured.computed.hertz <= hertz[-1])
-        curves.append(
-            ("computed", ORANGE, measured.computed.hertz[inside], measured.computed.loop[inside], beneath(ORANGE))
-        )
+        near, loop = measured.computed.hertz[inside], measured.computed.loop[inside]
+        curves.append(Curve("computed", ORANGE, near, loop, beneath(ORANGE)))
     dots = {"mode": "markers", "marker": {"size": 5, "color": BLUE}}
-    return [*curves, ("measured", BLUE, hertz, measured.response.loop, dots)]
+    return [*curves, Curve("measured", BLUE, hertz, measured.response.loop, dots)]
 
 
 def _bode(measured: AxisMargins) -> Figure:
-    data: list[Figure] = []
-    for label, colour, hertz, loop, how in _curves(measured):
-        phase = np.degrees(np.unwrap(np.angle(loop)))
-        phase -= 360.0 * np.round((phase[0] + 180.0) / 360.0)
-        data += [trace(label, colour, hertz, 20.0 * np.log10(np.maximum(np.abs(loop), TINY)), **how)]
-        data += [trace(label, colour, hertz, phase, 1, **how)]
-    data.append(trace("coherence", GREY, measured.sine.hertz, measured.response.coherence, 2))
-    layout = panels(560, "frequency [Hz]", ["|L| [dB]", "phase of L [deg]", "coherence"], True)
-    layout["yaxis3"]["range"] = [0.0, 1.05]
-    return {"data": data, "layout": layout}
+    figure = bode(_curves(measured), 560, ["coherence"])
+    coherence = trace("coherence", GREY, measured.sine.hertz, measured.response.coherence, 2)
+    figure["data"].append(coherence | {"showlegend": True})
+    figure["layout"]["yaxis3"]["range"] = [0.0, 1.05]
+    return figure
 
 
 def _nyquist(measured: AxisMargins) -> Figure:
@@ -196,9 +203,9 @@ def _nyquist(measured: AxisMargins) -> Figure:
     peak = measured.response.margins["peak_sensitivity"].value
     circle = trace(f"|S| = {peak:.2f}", RED, np.cos(turn) / peak - 1.0, np.sin(turn) / peak)
     data = [circle]
-    for label, colour, _, loop, how in _curves(measured):
+    for label, colour, _, loop, style in _curves(measured):
         near = np.abs(loop) < 2.0 * FAR
-        data.append(trace(label, colour, loop.real[near], loop.imag[near], **how))
+        data.append(trace(label, colour, loop.real[near], loop.imag[near], **style))
     layout = panels(560, "real part of L", ["imaginary part of L"], False)
     layout["xaxis"]["range"] = [-FAR, 1.0]
     layout["yaxis"] |= {"range": [-FAR / 2.0 - 0.5, FAR / 2.0 + 0.5], "scaleanchor": "x"}
@@ -207,8 +214,8 @@ def _nyquist(measured: AxisMargins) -> Figure:
 
 def _peak(measured: AxisMargins) -> Figure:
     data: list[Figure] = []
-    for label, colour, hertz, loop, how in _curves(measured):
-        more = dict(how)
+    for label, colour, hertz, loop, style in _curves(measured):
+        more = dict(style)
         if label == "measured":
             wide = _wide(measured)
             more["error_y"] = {"type": "data", "array": wide, "thickness": 1, "width": 0}

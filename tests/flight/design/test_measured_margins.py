@@ -20,8 +20,9 @@ from cosim import InputError, Scenario
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError
 from cosim.base.signals import Actuation, Ambient, Unallocated
+from cosim.design.figures import Curve, bode
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.loop.frequency import LoopMargins, loop_margins
+from cosim.design.loop.frequency import LoopMargins, loop_margins, margin_points
 from cosim.design.measured import margins, measure_margins
 from cosim.design.measured.computed import compute_margins, find_tunings, make_plants
 from cosim.design.measured.estimate import measured
@@ -63,6 +64,31 @@ def test_an_integrator_with_a_delay_has_the_margins_of_its_closed_form() -> None
     assert (found.phase_lead_deg, found.delay_less_s) == (None, None)  # the mirror of the lag, and 1 / f less the delay
     assert found.delay_s == pytest.approx((0.5 * pi - k * tau) / k, abs=1e-6)
     assert found.crossover_hz == pytest.approx(k / (2.0 * pi), rel=1e-5)
+
+
+def test_a_bode_plot_has_two_decades_about_the_crossover_and_marks_the_margins() -> None:
+    hertz = np.geomspace(1e-3, 1e3, 20_000)
+    s = 2j * pi * hertz
+    loop = 2.0 * (1.0 + 0.5 * s) / s**2 * np.exp(-0.3 * s)
+    of = loop_margins(loop, hertz)
+    gain, phase = margin_points(loop, hertz)
+    assert gain is not None
+    assert phase is not None
+    assert of.crossover_hz == phase.hertz
+    nearest = min((of.gain_db or 99.0, of.gain_down_db or 99.0), key=abs)
+    assert -gain.value == pytest.approx(nearest, abs=1e-9)
+    assert phase.value + 180.0 == pytest.approx(of.phase_deg)
+    figure = bode([Curve("one", "#000", hertz, loop)])
+    gains, phases, gain_mark, phase_mark = figure["data"]
+    assert gains["name"] == f"one: {abs(gain.value):.1f} dB, {of.phase_deg:.1f} deg"
+    assert gains["x"][[0, -1]] == pytest.approx([0.1 * phase.hertz, 10.0 * phase.hertz], rel=1e-3)
+    assert figure["layout"]["xaxis"]["range"] == pytest.approx([log10(0.1 * phase.hertz), log10(10.0 * phase.hertz)])
+    shown = phases["y"][np.isfinite(phases["y"])]
+    assert -360.0 <= shown.min() < -359.0
+    assert shown.max() <= 0.0
+    assert np.isnan(phases["y"]).any()  # no line from one turn to the next
+    assert list(gain_mark["y"]) == [0.0, gain.value]
+    assert list(phase_mark["y"]) == [-180.0, phase.value]
 
 
 def test_a_conditionally_stable_loop_has_margins_both_ways() -> None:
