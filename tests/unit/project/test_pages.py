@@ -80,6 +80,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/controller-export.md": ("test_codegen.py",),
     "docs/export-vehicle.md": ("test_vehicle_export.py",),
     "docs/design.md": ("test_pages.py", "test_sensors.py"),
+    "docs/tables/design.md": ("test_pages.py",),
     "docs/engine-check.md": ("test_pages.py",),
     "docs/engine-kinds.md": ("test_engine_foreign.py",),
     "docs/flight-page.md": ("test_flight_page.py",),
@@ -129,6 +130,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/replay.md": ("test_replay.py",),
     "docs/own-blocks.md": ("test_own_blocks.py",),
     "docs/own-controller.md": ("test_own_controller.py",),
+    "docs/tables/own-controller.md": ("test_controller_process.py",),
     "docs/own-engine.md": ("test_pages.py",),
     "docs/packages.md": ("marks", "test_package.py"),
     "docs/paper.md": ("marks", "test_pages.py", "test_reproduce.py", "test_readings.py"),
@@ -434,7 +436,7 @@ HEXJET = "aircraft/hexjet/README.md"
 
 
 def test_every_function_on_the_way_exists() -> None:
-    named = re.findall(r"\d+\. `([\w/]+\.(?:py|c)):([\w.]+)`", text("docs/design.md"))
+    named = re.findall(r"\d+\. `([\w/]+\.(?:py|c)):([\w.]+)`", text("docs/tables/design.md"))
     assert len(named) > 50
     assert [f"{file}:{name}" for file, name in named if name not in defined(ROOT / file)] == []
 
