@@ -44,16 +44,18 @@ from cosim.identify.logs.dataflash import read_notes
 from cosim.spec.vehicle import Vehicle
 
 PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10
-# Without a position of its estimator it does not arm, which 40 s are for: chosen by us.  It holds its motors for 2 s
+# Its estimator takes to GNSS some 44 s after its start, and only then has a level and a place: 60 s chosen by us.  It
+# holds its motors for 2 s
 # (ARMING_DELAY_SEC) after it was armed, and lets them go within 1 s (twice MOT_SPOOL_TIME) once throttle is raised.
 # Full stick: ANGLE_MAX, and PILOT_Y_RATE as it ships.
-HANDLING = StartTiming(before_s=40.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0)
+HANDLING = StartTiming(before_s=60.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0, turns_target=True)
 HOVER = 0.35  # default of MOT_THST_HOVER; ArduPilot learns it in modes that hold the height, not in Stabilize
 _SERIALS = (0, 1, 2, 5, 6, 7, 8)  # serial ports that are TCP ports by default; 3 and 4 are the simulated GNSS receivers
 _SPEEDUP = 100  # upper limit of its speed over real time; the lockstep sets the pace
 # Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.
 _RATE_SETTLING = 2400
 MOST_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7)  # 5 chooses the mode, 7 arms
+HOLD_PULSE = 2000  # of the fifth channel: the sixth mode, FLTMODE6; the fourth before
 _SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by their magic: frame rate, frame count, pulses [us]
 _STICKS = Struct("<16H")
 # One line between two ends of lines; its parser wants no blank behind a colon, and one behind a comma.
@@ -294,7 +296,8 @@ class Transmitter:
             self._throttle(sticks),
             to_pulse(sticks.yaw),
         ]
-        pulses += [1500, 1500, 2000 if sticks.armed else 1000, *[1500] * 9]
+        mode = HOLD_PULSE if sticks.holds_place else 1500
+        pulses += [mode, 1500, 2000 if sticks.armed else 1000, *[1500] * 9]
         for channel in self._channels:
             begins = 0.0 if channel.since_s is None else HANDLING.before_s + channel.since_s
             pulses[channel.number - 1] = channel.pulse if frame.time > begins - self._half_step else 1000
@@ -303,6 +306,8 @@ class Transmitter:
     def _throttle(self, sticks: StickPositions) -> int:
         if sticks.throttle <= 0.0:
             return 1000
+        if sticks.holds_place:  # a climb, in proportion
+            return round(1000.0 + 1000.0 * clip(sticks.throttle, 0.0, 1.0))
         fraction = clip((sticks.throttle - self._least) / self._span, 0.0, 1.0)
         if self._is_boosted:
             full = radians(HANDLING.lean_deg)

@@ -94,7 +94,7 @@ class AutopilotBlock:
             )
         self._belief = belief
         lean, turn = radians(self._handling.lean_deg), radians(self._handling.turn_deg_s)
-        self._pilot = StickPilot(belief, lean, turn, self._hold_from)
+        self._pilot = StickPilot(belief, lean, turn, self._hold_from, self._handling.turns_target)
 
     @property
     def start_s(self) -> float:

@@ -96,6 +96,7 @@ class StartTiming:
     lean_deg: float  # at full stick
     turn_deg_s: float  # at full stick
     unarmed: str = ""  # end of the message where the autopilot did not arm
+    turns_target: bool = False  # whether the stick turns a heading that it holds by itself at the same time
 
 
 class FirmwareReport(NamedTuple):

@@ -162,15 +162,15 @@ def px4_link(step: float) -> dict[str, float]:
     """Return what PX4 needs for a flight of ours, of ``step`` [s]: its estimator's pace, and sticks by the link.
 
     Its answer to a sample waits for its estimator, which has to run at each.  Sticks are in proportion, without a dead
-    zone; the fifth channel arms, and the sixth selects the mode: Stabilized, and Position at its upper end.  Raises
-    InputError for a step that PX4's estimator does not follow.
+    zone and, of yaw, a low-pass; the fifth channel arms, and the sixth selects the mode: Stabilized, and Position at
+    its upper end.  Raises InputError for a step that PX4's estimator does not follow.
     """
     if step < 1.0 / _MOST_IMU_HZ:
         raise InputError(f"px4: step_s = {step:g}: its estimator takes {_MOST_IMU_HZ} samples a second at most")
     parameters: dict[str, float] = {"IMU_INTEG_RATE": max(round(1.0 / step), _LEAST_IMU_HZ)}
     parameters |= {"COM_RC_IN_MODE": 0, "RC_MAP_ROLL": 1, "RC_MAP_PITCH": 2, "RC_MAP_THROTTLE": 3, "RC_MAP_YAW": 4}
     parameters |= {"RC_MAP_ARM_SW": 5, "RC_MAP_FLTMODE": 6, "RC_CHAN_CNT": 8, "RC3_TRIM": 1000}
-    parameters |= {"MAN_DEADZONE": 0.0, "MPC_THR_CURVE": 1, "MPC_MANTHR_MIN": 0.0}
+    parameters |= {"MAN_DEADZONE": 0.0, "MPC_THR_CURVE": 1, "MPC_MANTHR_MIN": 0.0, "MPC_MAN_Y_TAU": 0.0}
     return parameters | {f"COM_FLTMODE{slot}": 8 for slot in range(1, 6)} | {"COM_FLTMODE6": 2}
 
 
@@ -219,6 +219,9 @@ ARDUPILOT_STICKS: dict[str, float] = {
     "RC7_OPTION": 153,
     "ARMING_CHECK": 0,
 }
+
+_LOITER = 5  # number of the mode
+_ARDUPILOT_HOVER_RANGE = 0.125, 0.6875  # of MOT_THST_HOVER
 
 
 def ardupilot_torque_scale(vehicle: Vehicle) -> Vector3:
@@ -329,6 +332,14 @@ def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
     parameters |= {"MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_THST_EXPO": 0.0, "MOT_SPIN_MAX": 1.0}
     parameters |= {"MOT_SPIN_MIN": throttle_min, "MOT_SPIN_ARM": throttle_min, "INS_GYRO_FILTER": 0}
     return parameters | ARDUPILOT_STICKS
+
+
+def ardupilot_hold(throttle: float, least: float) -> dict[str, float]:
+    """Return parameters by which ArduPilot holds its place, in Loiter, once the fifth channel is raised.
+
+    ``throttle``: of hover, from which its control of the height starts; ``least``: MOT_SPIN_MIN.
+    """
+    return {"FLTMODE6": _LOITER, "MOT_THST_HOVER": clip((throttle - least) / (1.0 - least), *_ARDUPILOT_HOVER_RANGE)}
 
 
 def leave_ardupilot_gains(parameters: Mapping[str, float]) -> dict[str, float]:

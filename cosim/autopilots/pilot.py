@@ -19,6 +19,12 @@ STILL_SPEED, STILL_TIME = 0.1, 1.0
 # which a pilot lets go of it, which is the autopilots' own dead zone.
 CLIMB, LET_GO = 3.0, 0.1
 
+TARGET_TIME = 5.0  # s in which a pilot sees that the autopilot holds another heading
+
+
+def _wrap(angle: float) -> float:
+    return (angle + pi) % (2.0 * pi) - pi
+
 
 def find_hover_throttle(belief: Belief) -> float:
     """Return the mean throttle of the engines at which the vehicle hovers, as it begins the flight."""
@@ -42,17 +48,23 @@ class StickPilot:
     is held with the altitude loop of ``vehicle.toml`` and becomes a throttle: what the autopilot does with it is its
     own.  Heading is held by a turn in proportion to its error, with the yaw gain of the vehicle's attitude loop.
     Once a height below the ground is asked for and the vehicle stands still, it is disarmed, and stays so.
+    Where the stick ``turns_target``, the heading that the autopilot holds by itself, that loop is closed around this
+    heading: around the vehicle's there would be two loops about one error, which overshoot.
     From ``hold_from`` [s] of the flight on the autopilot holds place and height: the sticks are let go of, but for a
     height or a heading that is off by more than the autopilot's dead zone.
     """
 
-    def __init__(self, belief: Belief, lean: float, turn: float, hold_from: float = inf) -> None:
+    def __init__(
+        self, belief: Belief, lean: float, turn: float, hold_from: float = inf, turns_target: bool = False
+    ) -> None:
         gains, vehicle = belief.vehicle.control, belief.vehicle
         self._map, self._jets = belief.thrust_map, len(vehicle.jets)
         self._altitude = AltitudeController(gains.altitude, vehicle.mass_kg, self._map.collective, belief.step_s)
         self._heading = gains.attitude.gain_1_s[2]
         self._lean, self._turn, self._climb = lean, turn, gains.altitude.position_1_s / CLIMB
         self._step, self._hold_from, self._steps = belief.step_s, hold_from, 0
+        self._turns_target = turns_target
+        self._target: float | None = None  # heading that the autopilot holds, as the sticks have turned it, rad
         self._still_needed, self._still = round(STILL_TIME / belief.step_s), 0
         self.hover = find_hover_throttle(belief)
 
@@ -60,6 +72,7 @@ class StickPilot:
         """Reset the height loop, and forget a landing."""
         self._altitude.reset()
         self._still = self._steps = 0
+        self._target = None
 
     def update(self, command: Command, measured: Measured, burnt: float) -> StickPositions:
         """Return the sticks for a command.  Raises FlightError for one of body rates, which they cannot state."""
@@ -69,9 +82,7 @@ class StickPilot:
         if self._landed(command.altitude, measured.velocity[2]):
             return StickPositions()
         roll, pitch, yaw = command.attitude
-        heading = heading_of(measured.attitude)
-        heading_error = (yaw - heading + pi) % (2.0 * pi) - pi
-        turn = self._heading * heading_error / self._turn
+        turn = self._turn_stick(yaw, heading_of(measured.attitude))
         if now >= self._hold_from:
             if roll or pitch:
                 raise FlightError(
@@ -87,6 +98,16 @@ class StickPilot:
             self._throttle(collective),
             True,
         )
+
+    def _turn_stick(self, yaw: float, heading: float) -> float:
+        """Return the yaw stick for a commanded heading [rad] at a measured one."""
+        if not self._turns_target:
+            return self._heading * _wrap(yaw - heading) / self._turn
+        target = heading if self._target is None else self._target
+        stick = clip(self._heading * _wrap(yaw - target) / self._turn, -1.0, 1.0)
+        # what is held may be another than what is believed to be: the vehicle's heading tells, slowly
+        self._target = target + self._step * (stick * self._turn + _wrap(heading - target) / TARGET_TIME)
+        return stick
 
     def _landed(self, height: float, down: float) -> bool:
         """Return whether it has stood still for long: ``height`` commanded [m], ``down`` speed measured [m/s]."""

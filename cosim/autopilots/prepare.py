@@ -17,6 +17,7 @@ from cosim.autopilots.firmware_parameters import list_px4_parameters
 from cosim.autopilots.lockstep import LOCAL, Autopilot, find_configured_program
 from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
+    ardupilot_hold,
     ardupilot_parameters,
     ardupilot_script,
     leave_ardupilot_gains,
@@ -25,14 +26,15 @@ from cosim.autopilots.parameters import (
     px4_external_rates,
     read_parameters,
 )
+from cosim.autopilots.pilot import find_hover_throttle
 from cosim.autopilots.run import AutopilotRun, fly_autopilot, make_external_rate_loop
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Vector3
 from cosim.base.trust import code_of, need_trust
+from cosim.simulation.controllers.models import make_scenario_belief
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import Vehicle
 
 INSTANCE_PORTS = 32_760  # the first of the ports that stand for a number; chosen by us, nobody's
 MOST_INSTANCES = 250  # numbers: as many instances as hexjet sitl takes
@@ -59,7 +61,7 @@ class Setup:
     lines: Sequence[str] = ()  # Betaflight: lines for its console
     parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: over those made from the vehicle
     magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: the Earth's at the place
-    hold_from_s: float | None = None  # PX4: of the flight; from then on it holds place and height by itself
+    hold_from_s: float | None = None  # PX4, ArduPilot: of the flight; from then on it holds place and height
     defaults: Path | None = None  # ArduPilot: its parameters; None: those made from the vehicle
     channels: Sequence[str] = ()  # ArduPilot: NUMBER=PULSE or NUMBER=PULSE@SECONDS, beside the sticks
     station: int | None = None  # ArduPilot: the UDP port of this machine to which it talks MAVLink
@@ -206,7 +208,7 @@ def _ardupilot(
     if rates is not None:
         raise InputError("ardupilot: flies its own rate loop; allowed with another in its place: betaflight, px4")
     vehicle, _ = scenario.resolved_vehicle()
-    parameters = _ardupilot_parameters(vehicle, scenario.step_s, program, setup)
+    parameters = _ardupilot_parameters(scenario, program, setup)
     defaults = None
     if program is not None:
         defaults = folder / "hexjet.parm"
@@ -227,23 +229,31 @@ def _ardupilot(
     endpoint = f"UDP port {ardupilot.PORT + ardupilot.PORT_SPACING * setup.instance}"
     details = {
         "gains": setup.gains,
+        "hold_from_s": setup.hold_from_s,
         "defaults": str(setup.defaults or defaults),
         "parameters": parameters,
         "channels": list(setup.channels),
     }
-    return PreparedAutopilot("ardupilot", autopilot, program, endpoint, details)
+    hold_from = inf if setup.hold_from_s is None else setup.hold_from_s
+    return PreparedAutopilot("ardupilot", autopilot, program, endpoint, details, hold_from_s=hold_from)
 
 
-def _ardupilot_parameters(vehicle: Vehicle, step: float, program: Path | None, setup: Setup) -> dict[str, float]:
+def _ardupilot_parameters(scenario: Scenario, program: Path | None, setup: Setup) -> dict[str, float]:
     """Return what an ArduPilot flies with: the file stated over its sticks, or the vehicle's; over both what is stated.
 
     One that is started by hand has its own; the vehicle's are taken for them where there are any.
     """
+    hold: dict[str, float] = {}
+    vehicle, _ = scenario.resolved_vehicle()
+    if setup.hold_from_s is not None:
+        throttle = find_hover_throttle(make_scenario_belief(scenario, {}))
+        hold = ardupilot_hold(throttle, vehicle.control.allocation.throttle_min)
     if setup.defaults is not None:
-        return ARDUPILOT_STICKS | read_parameters(setup.defaults) | dict(setup.parameters)
+        return ARDUPILOT_STICKS | hold | read_parameters(setup.defaults) | dict(setup.parameters)
     try:
-        parameters = ardupilot_parameters(vehicle, step)
-        return (leave_ardupilot_gains(parameters) if setup.gains == "stock" else parameters) | dict(setup.parameters)
+        parameters = ardupilot_parameters(vehicle, scenario.step_s)
+        parameters = leave_ardupilot_gains(parameters) if setup.gains == "stock" else parameters
+        return parameters | hold | dict(setup.parameters)
     except InputError:
         if program is not None:
             raise

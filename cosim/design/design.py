@@ -409,6 +409,8 @@ def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDes
     lead = engine_lead(channel) if inputs.lead else None
     fixed = shipped_tuning(channel, vehicle, inputs.spec)
     if firmware is not None:
+        late = channel.added_delay + firmware.output_delay
+        channel = replace(channel, angle_from_gyro=firmware.estimates_attitude, added_delay=late)
         fixed = replace(fixed, controller=BASELINE.name, lead=None, firmware=firmware)
     before = assess(channel, fixed, need)
     model = predictor_model(channel, inputs.source)

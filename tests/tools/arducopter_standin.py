@@ -4,8 +4,9 @@ Written from the sources of ArduCopter 4.6 and measured beside one that flew, 4.
 library alone.  When it is armed it begins a log with all its parameters.  It waits for a ground station on its first serial port unless it is told otherwise; listens on TCP on the others; goes at real time unless it
 is told otherwise; its frame rate begins at 1200 and slides; it refuses to be armed early, holds its motors for 2 s after
 that, and lets them go slowly; its sticks have ranges and dead zones and the throttle's is bent; its mixer has the signs
-of its frames, or of the script that it finds.  It lets what is asked follow the sticks slowly and feeds its rate
-forward; its attitude is the one that it is told.
+of its frames, or of the script that it finds, whose outputs it sends a loop late.  It lets what is asked follow the
+sticks slowly and feeds its rate forward; its attitude is the integral of its gyro, drawn to the one that it is told.
+It holds its place in Loiter, once it has one.
 
     arducopter_standin.py --model JSON:127.0.0.1 --home 0,0,0,0 -I0 --defaults FILE --serial0 tcp:0 --speedup 100
 """
@@ -40,6 +41,7 @@ DEFAULTS: dict[str, float] = {
     **{f"ATC_ANG_{axis}_P": 4.5 for axis in ("RLL", "PIT", "YAW")},
     "ATC_INPUT_TC": 0.15, "ATC_RATE_FF_ENAB": 1, "ATC_ACCEL_R_MAX": 110000, "ATC_ACCEL_P_MAX": 110000,
     "ATC_ACCEL_Y_MAX": 27000, "SCR_ENABLE": 0, "MOT_YAW_HEADROOM": 200,
+    **{f"FLTMODE{n}": 0 for n in range(1, 7)},
 }  # fmt: skip
 # FRAME_TYPE of four motors: of every motor where it is, degrees to the right of the nose, and 1 for counter-clockwise.
 _X = ((45, 1), (-135, 1), (-45, -1), (135, -1))
@@ -57,6 +59,8 @@ FRAMES = {
 SERIALS = {0: "tcp:0:wait", 1: "tcp:2", 2: "tcp:3", 5: "tcp:5", 6: "tcp:6", 7: "tcp:7", 8: "tcp:8"}
 HOLDS_S = 2.0  # after arming
 READY_S = 25.0  # its estimator's, before which it is not armed
+PLACE_S = 44.0  # before that it has no position
+LOITER, DRAWN_S, CLIMB = 5, 2.0, 2.5  # a mode; how slowly its attitude is drawn to what it is told; full stick, m/s
 AXES = ("RLL", "PIT", "YAW")
 LEAST_ACCEL, MOST_ACCEL = (40.0, 40.0, 10.0), (720.0, 720.0, 120.0)  # of large errors, deg/s^2
 ROW = re.compile(r"^Motors_6DoF:add_motor\(([^)]*)\)")
@@ -285,18 +289,65 @@ class Copter:
         self._asked = [0.0, 0.0, 0.0]  # rates that the attitude loop asked for, one loop ago
         self._target, self._error, self._slope, self._sum = ([0.0] * 3 for _ in range(4))
         self._throttle = 0.0
+        self._quaternion: list[float] | None = None
+        self._sent = [0] * 16
+        self._mode, self._place = 0, [0.0, 0.0, 0.0]
 
     def step(self, told: dict, now: float, dt: float) -> list[int]:
         """Pulses for what it is told of an instant."""
         if self.radio.listen(now) and self.radio.heard:
             self._hear(now)
+            self._choose(now, told["position"])
         runs = self.armed_at is not None and now - self.armed_at > HOLDS_S
         closed = self._closed_since is not None and now - self._closed_since > 0.4
         torque = self._rates(told["imu"]["gyro"], dt)
         self.motors.spool(dt, runs, "IDLE" if closed else "FREE", self._throttle)
         pulses = self.motors.pulses(torque, self._throttle)
-        self._attitude(told["quaternion"], dt)
+        self._attitude(self._estimate(told, dt), told, dt)
+        if isinstance(self.motors, Motors6):
+            pulses, self._sent = self._sent, pulses
         return pulses
+
+    def _estimate(self, told: dict, dt: float) -> list[float]:
+        """The gyro's integral, drawn to what is told."""
+        if self._quaternion is None:
+            self._quaternion = told["quaternion"]
+        w, x, y, z = self._quaternion
+        p, q, r = (0.5 * dt * rate for rate in told["imu"]["gyro"])
+        turned = [
+            w - x * p - y * q - z * r,
+            x + w * p + y * r - z * q,
+            y + w * q + z * p - x * r,
+            z + w * r + x * q - y * p,
+        ]
+        sign = 1.0 if sum(a * b for a, b in zip(turned, told["quaternion"], strict=True)) > 0.0 else -1.0
+        drawn = [a + dt / DRAWN_S * (sign * b - a) for a, b in zip(turned, told["quaternion"], strict=True)]
+        size = math.sqrt(sum(a * a for a in drawn))
+        self._quaternion = [a / size for a in drawn]
+        return self._quaternion
+
+    def _choose(self, now: float, place: list[float]) -> None:
+        """The mode of the fifth channel; one that holds the place needs one."""
+        slot = 1 + sum(self.radio.pulses[4] > limit for limit in (1230, 1360, 1490, 1620, 1749))
+        mode = int(self.parameters[f"FLTMODE{slot}"])
+        if mode == LOITER and now < PLACE_S:
+            say("Mode change to LOITER failed: requires position")
+        elif mode != self._mode:
+            self._mode, self._place = mode, [*place]
+            say(f"mode {mode}")
+
+    def _loiter(self, told: dict, yaw: float) -> list[float]:
+        """The lean that holds the place, and the throttle that holds the height, into the place of the stick's."""
+        moving = told["velocity"]
+        self._place[2] -= 0.0025 * CLIMB * (self.radio.range(3, self.radio.pulses[2]) / 500.0 - 1.0)
+        north, east, down = (
+            limit(1.6 * (1.0 * (a - b) - v), -3.0, 3.0)
+            for a, b, v in zip(self._place, told["position"], moving, strict=True)
+        )
+        self._throttle = limit(self.parameters["MOT_THST_HOVER"] * (1.0 - 2.0 * down / 9.81), 0.0, 1.0)
+        ahead = north * math.cos(yaw) + east * math.sin(yaw)
+        right = east * math.cos(yaw) - north * math.sin(yaw)
+        return [math.atan2(right, 9.81), -math.atan2(ahead, 9.81)]
 
     def _hear(self, now: float) -> None:
         stick = self.radio.range(3, self.radio.pulses[2])
@@ -340,7 +391,7 @@ class Copter:
             self._sum, self._heading = [0.0] * 3, None
         return made[0], made[1], made[2]
 
-    def _attitude(self, quaternion: list[float], dt: float) -> None:
+    def _attitude(self, quaternion: list[float], told: dict, dt: float) -> None:
         w, x, y, z = quaternion
         roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
         pitch = math.asin(limit(2.0 * (w * y - z * x), -1.0, 1.0))
@@ -349,6 +400,8 @@ class Copter:
         wanted = [full * self.radio.angle(1), full * self.radio.angle(2)]
         if getattr(self.motors, "flies_level", False):
             wanted = [0.0, 0.0]  # it would push sideways and stay level
+        if self._mode == LOITER:
+            wanted = self._loiter(told, yaw)
         turn, bend = self.radio.angle(4), self.parameters["PILOT_Y_EXPO"]
         turn = math.radians(self.parameters["PILOT_Y_RATE"]) * (1.0 - bend) * turn / (1.0 - bend * abs(turn))
         self._shape(wanted, turn, yaw, dt)
@@ -358,7 +411,8 @@ class Copter:
             most = self.parameters[f"ATC_ACCEL_{axis[0]}_MAX"] / 100.0
             most = math.radians(limit(most / 2.0, LEAST_ACCEL[k], MOST_ACCEL[k])) if most > 0.0 else 0.0
             self._asked[k] = root(error, self.parameters[f"ATC_ANG_{axis}_P"], most, dt) + self._goal_rate[k]
-        self._throttle = self.radio.throttle(self.parameters["MOT_THST_HOVER"])
+        if self._mode != LOITER:
+            self._throttle = self.radio.throttle(self.parameters["MOT_THST_HOVER"])
         if self.parameters["ATC_ANGLE_BOOST"]:
             self._throttle /= limit(math.cos(wanted[0]) * math.cos(wanted[1]), 0.1, 1.0)
         if self.motors.state in ("SHUT_DOWN", "GROUND_IDLE"):

@@ -28,7 +28,10 @@ def firmware_for(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firm
         return Firmware(
             autopilot, units=compute_gain_units(vehicle), max_gain=MOST_GAIN, common_filter=True, common_angle=True
         )
-    return Firmware(autopilot, common_filter=autopilot == "px4", common_angle=autopilot == "ardupilot")
+    if autopilot == "px4":
+        return Firmware(autopilot, common_filter=True)
+    # what its mixer of tilting banks gives out is sent in the next loop (AP_MotorsMatrix_6DoF_Scripting)
+    return Firmware(autopilot, common_angle=True, output_delay=0 if vehicle.servo is None else 1)
 
 
 def write_parameters(autopilot: str, scenario: Scenario, controller: Path) -> Path:

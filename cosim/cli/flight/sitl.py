@@ -138,6 +138,12 @@ _INSTANCE = opt.whole(
     max=250,
     default=0,
 )
+_HOLD = opt.number(
+    "--hold",
+    "S",
+    "From this second of the flight on it holds place and height by itself, by GNSS: Position mode, or Loiter.",
+    min=0.0,
+)
 
 
 class Px4(Sitl):
@@ -153,12 +159,7 @@ class Px4(Sitl):
     rates: str | None = _RATES
     parameters = opt.words("--param", "NAME=VALUE", "Over those of hexjet sitl params px4.")
     field = opt.word("--field", "N,E,D", "The magnetic field [gauss].  [default: the Earth's at the place]")
-    hold = opt.number(
-        "--hold",
-        "S",
-        "From this second of the flight on it holds place and height by itself, by GNSS: Position mode.",
-        min=0.0,
-    )
+    hold = _HOLD
 
 
 @sitl.command(epilog=example("hexjet sitl px4 --binary px4_sitl_default/bin/px4 --param MC_ROLLRATE_P=0.05"))
@@ -182,10 +183,7 @@ def px4(options: Px4) -> int:
         hold_from_s=options.hold,
     )
     scenario = options.read(_find_gains(options.gains, "vehicle", "stock"))
-    if options.hold is not None and scenario.limits.oscillation_rad is None:
-        # it leans as it likes to hold its place, which nobody commands
-        scenario = scenario.replace(limits=scenario.limits.model_dump() | {"oscillation_rad": False})
-    return _fly(options, scenario, "px4", setup, options.rates)
+    return _fly(options, _let_it_lean(scenario, options.hold), "px4", setup, options.rates)
 
 
 class ArduPilot(Sitl):
@@ -206,6 +204,7 @@ class ArduPilot(Sitl):
         dir_okay=False,
     )
     parameters = opt.words("--param", "NAME=VALUE", "Over these.")
+    hold = _HOLD
     channels = opt.words(
         "--channel", "N=PULSE[@S]", "A switch of the transmitter [us], from second S of the flight on: 8=2000@2."
     )
@@ -223,9 +222,9 @@ class ArduPilot(Sitl):
 def ardupilot(options: ArduPilot) -> int:
     """Fly ArduPilot's SITL over its JSON backend: that of --binary, ARDUPILOT_SITL or the path, or one that you start.
 
-    The port is 9002, and ten more for each instance. It flies in Stabilize and is flown by the sticks, as PX4 is. It
-    must ask for as many frames a second as the flight has steps: SIM_RATE_HZ. A parameter's name that its log does not
-    list fails the flight at its end.
+    The port is 9002, and ten more for each instance. It flies in Stabilize and is flown by the sticks, as PX4 is;
+    with --hold in Loiter. It must ask for as many frames a second as the flight has steps: SIM_RATE_HZ. A parameter's
+    name that its log does not list fails the flight at its end.
     """
     from cosim.autopilots.prepare import Setup
     from cosim.base.storage.toml import parse_numbers
@@ -235,12 +234,23 @@ def ardupilot(options: ArduPilot) -> int:
         options.timeout,
         gains=options.gains,
         parameters=parse_numbers(options.parameters, "--param"),
+        hold_from_s=options.hold,
         defaults=options.defaults,
         channels=options.channels,
         station=options.station,
     )
     scenario = options.read(_find_gains(options.gains, "vehicle", "stock"))
-    return _fly(options, scenario, "ardupilot", setup)
+    return _fly(options, _let_it_lean(scenario, options.hold), "ardupilot", setup)
+
+
+def _let_it_lean(scenario: Scenario, hold: float | None) -> Scenario:
+    """Return the scenario, which does not look at an oscillation where the autopilot holds the place.
+
+    It leans as it likes to hold that, which nobody commands.
+    """
+    if hold is None or scenario.limits.oscillation_rad is not None:
+        return scenario
+    return scenario.replace(limits=scenario.limits.model_dump() | {"oscillation_rad": False})
 
 
 class Parameters(opt.Record):

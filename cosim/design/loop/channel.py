@@ -74,6 +74,7 @@ class Channel:
     rate_noise: float = 0.0  # one standard deviation of the measured rate
     angle_latency: int = 0
     angle_noise: float = 0.0
+    angle_from_gyro: bool = False  # an estimator's, which integrates the measured rate
     added_delay: int = 0
     # the moment, of the actuator's answers of this step and of those before: what tilts pushes back, what spins leads
     shape: tuple[float, ...] = STILL
@@ -216,11 +217,9 @@ class Channel:
         weights, pole = self.rate_dynamics
         body = rate_response(z, weights, pole)
         rate = self.gain * self.step * delayed_response(self.actuator.model, z) * body * late
-        return (
-            np.asarray(rate * self.measurement_response(z)),
-            np.asarray(rate * integral * z**-self.angle_latency),
-            np.asarray(rate * integral),
-        )
+        measured = rate * self.measurement_response(z)
+        angle = measured * integral if self.angle_from_gyro else rate * integral * z**-self.angle_latency
+        return np.asarray(measured), np.asarray(angle), np.asarray(rate * integral)
 
     def measurement_response(self, z: Complex) -> Complex:
         """Return the response from rate to measured rate: low-pass, latency, and the mean effect of a hold."""

@@ -19,6 +19,10 @@ in a queue of a lower one (``nav_and_controllers``).  ArduPilot: the fast tasks 
 motors, estimator, and then the flight mode with its attitude loop.  What the programs flew stands beside what their
 designs say in docs/autopilots.md.
 
+PX4 and ArduPilot have the attitude from an estimator, which integrates the gyro: what the gyro's low-pass makes late is
+late in the angle too.  ArduPilot's mixer of a script (``AP_MotorsMatrix_6DoF_Scripting``) leaves its outputs to the
+servos, which take them up in the next loop: measured with a gyro of one sample, and not so with its own frames.
+
 Of limits and anti-windup nothing is in it, nor of gains that follow the throttle: our settings switch these off.  So
 they do with ArduPilot's limits of acceleration (``ATC_ACCEL_R_MAX`` and the others), and the square root of a large
 error that comes with them.  Its target follows the pilot's with ``ATC_INPUT_TC``, and the target's rate is fed forward:
@@ -108,19 +112,26 @@ Units = tuple[float, float, float, float]
 class Firmware:
     """An autopilot's structure on an axis, and what its gains may be.
 
-    ``units``: what one of the attitude gain [1/s] and of P, I and D [command per rad/s and so on] is, where it has
-    whole numbers of them.  ``max_gain``: the largest of these.  ``common_filter``, ``common_angle``: one of all axes,
+    ``output_delay``: steps of the flight that its mixer keeps an answer for.  ``units``: what one of the attitude gain
+    [1/s] and of P, I and D [command per rad/s and so on] is, where it has whole numbers of them.  ``max_gain``: the
+    largest of these.  ``common_filter``, ``common_angle``: one of all axes,
     and of roll and pitch; ``d_filter_s`` and ``angle_gain``: those that another axis has chosen.
     """
 
     name: str
     axis: str = "roll"
+    output_delay: int = 0
     units: Mapping[str, Units] | None = None
     max_gain: int = 250
     common_filter: bool = False
     common_angle: bool = False
     d_filter_s: float | None = None
     angle_gain: float | None = None
+
+    @property
+    def estimates_attitude(self) -> bool:
+        """Whether its attitude is its own, from the gyro; Betaflight's is told to it."""
+        return self.name != "betaflight"
 
     def responses(self, gains: RateGains, step: float, z: Complex) -> tuple[Complex, Complex]:
         """Return the response of the command to the rate set-point, and the negative one to the measured rate."""

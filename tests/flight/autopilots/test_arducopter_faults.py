@@ -20,6 +20,12 @@ HOVER = Scenario.load("hover").replace(aircraft="quadrotor", engine="motor", ste
 DOUBLET = Scenario.load("roll-doublet").replace(aircraft="quadrotor", engine="motor", step_s=0.0025, duration_s=3.0)
 
 
+@pytest.fixture(autouse=True)
+def shorter_stand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stand-in is ready after 25 s."""
+    monkeypatch.setattr(ardupilot, "HANDLING", replace(ardupilot.HANDLING, before_s=32.0))
+
+
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return installed(tmp_path_factory.mktemp("sitl"))
@@ -50,7 +56,7 @@ def test_a_rate_looked_at_in_its_first_packets_is_not_what_it_is_set_to(
 @pytest.mark.long
 def test_armed_too_late_it_holds_its_motors(program: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ardupilot, "HANDLING", replace(ardupilot.HANDLING, arming_s=1.5, throttle_s=1.0))
-    assert "ardupilot was not armed within 40 s" in (flown(program, tmp_path, HOVER, 215).reason or "")
+    assert "ardupilot was not armed within 32 s" in (flown(program, tmp_path, HOVER, 215).reason or "")
 
 
 @pytest.mark.long

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from cosim.api.firmware import firmware_for
 from places import script
 
 from cosim.autopilots.betaflight import compute_gain_units, make_gain_settings
@@ -132,6 +133,25 @@ def test_a_firmwares_loop_is_that_of_its_lines(name: str, written: type[Written]
     assert flown.peak_sensitivity == pytest.approx(exact.peak_sensitivity, rel=1e-3)
     ours = ClosedLoop(FrequencyGrid(channel, close=4000), replace(tuning(channel, Firmware(name)), firmware=None))
     assert abs(ours.step_error / exact.step_error - 1.0) > 1e-3  # its filters and delays are there
+
+
+def test_an_estimators_angle_is_as_late_as_its_gyro() -> None:
+    """The angle that PX4 and ArduPilot hold is the integral of what the gyro says, low-pass and all; Betaflight's is told."""
+    _, channel = place()
+    z = np.exp(2j * pi * np.array([0.5, 2.0, 8.0]) * STEP)
+    rate, angle, _ = replace(channel, angle_from_gyro=True).responses(z)
+    assert np.allclose(angle / rate, 0.5 * STEP * (z + 1.0) / (z - 1.0), rtol=1e-12)
+    late = np.angle(channel.responses(z)[1] / angle) / np.angle(z) * STEP
+    pole = channel.gyro_pole
+    assert late[0] == pytest.approx(pole / (1.0 - pole) * STEP, rel=1e-2)
+    assert [Firmware(name).estimates_attitude for name in ("betaflight", "px4", "ardupilot")] == [False, True, True]
+
+
+def test_an_output_that_a_script_keeps_is_a_step_of_delay() -> None:
+    assert firmware_for("ardupilot", "hexjet", ()).output_delay == 1
+    assert (
+        firmware_for("ardupilot", "quadrotor", ()).output_delay == firmware_for("px4", "hexjet", ()).output_delay == 0
+    )
 
 
 def test_what_ardupilot_shapes_and_feeds_forward_is_the_attitude_gain_alone() -> None:
