@@ -34,6 +34,7 @@ from foreign_engines import (
 )
 from pilot_flights import Flight
 from places import ROOT
+from stated_figures import stated
 
 from cosim import Scenario, fly
 from cosim.base.errors import EngineError, InputError
@@ -567,6 +568,13 @@ def test_the_page_of_kinds_is_what_the_survey_wrote() -> None:
         assert (check == "fit") == (design != "")
         if verdict == FLIES:
             assert re.fullmatch(r"(\d+) of \1", kept)
+    counts = [sum(row[4] == verdict for row in rows) for verdict in (FLIES, NONE, UNFIT, REFUSED)]
+    said = "Of {} engines {} fly as promised, for {} there is no design, {} are unfit and {} are refused"
+    stated("docs/engine-kinds.md", said, len(rows), *counts)
+    made_of = [dict(each.split("=") for each in KINDS[row[0]][0].split(",")) for row in rows if row[4] == FLIES]
+    lags = [float(each["lag"]) for each in made_of]
+    late = max(float(each.get("delay", 0.0)) for each in made_of)
+    stated("docs/engine-kinds.md", "lags from {} to {} s, delays to {} s", min(lags), max(lags), late)
 
 
 def test_further_outputs_are_in_the_log_by_name_and_unit(place: Path) -> None:

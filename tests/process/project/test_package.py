@@ -27,7 +27,7 @@ from cosim.base.compiled import (
     SHARED,
     STAMP,
 )
-from cosim.results.report.marks import parts_of
+from cosim.results.report.marks import page_parts
 
 UNCOMPILED = bool(os.environ.get(PURE))
 COMPILED = (
@@ -303,7 +303,7 @@ def test_nothing_imports_cmake_but_what_compiles() -> None:
 def test_the_page_of_packages_says_what_each_is_for(packages: Any) -> None:
     assert set(packages.WHAT) == set(packages.named(METADATA["dependencies"]))
     assert set(packages.EXTRAS) == set(METADATA["optional-dependencies"])
-    parts = parts_of(packages.PAGE.read_text(encoding="utf-8"), packages.PAGE)
+    parts = page_parts(packages.PAGE)
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in parts["packages: core"].splitlines()[2:]]
     assert {name for name, *_ in rows[:-2]} == set(packages.WHAT)
     assert [what for _, what, *_ in rows[:-2]] == [packages.WHAT[name] for name, *_ in rows[:-2]]
