@@ -1,13 +1,15 @@
 """What Sphinx makes the site with; ``python docs/website.py`` puts its sources together first.
 
 No page asks anything of another machine: fonts are those of the reader's system, formulas are MathML, which browsers
-draw themselves, and the search runs in the page.
+draw themselves, and the search runs in the page, with the pages' texts in a file of their own.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from importlib.metadata import version as version_of
+from pathlib import Path
 from typing import Any
 
 from docutils import nodes
@@ -36,7 +38,9 @@ myst_url_schemes = ["http", "https", "mailto"]
 html_theme = "furo"
 html_title = f"{project} {release}"
 html_static_path = ["_static"]
+html_extra_path = ["extra"]
 html_css_files = ["site.css"]
+html_js_files = [("site.js", {"defer": "defer"})]
 html_copy_source = False
 html_show_sourcelink = False
 html_show_search_summary = False  # it would be fetched, which a page opened as a file may not
@@ -66,7 +70,26 @@ def _block(translator: HTML5Translator, node: nodes.Element) -> None:
         translator.body.append("</div>\n")
 
 
+_TEXTS: dict[str, str] = {}  # of every page
+
+
+def _gather(app: Sphinx, pagename: str, templatename: str, context: dict[str, Any], doctree: nodes.document) -> None:
+    """Keep the text of a page, and have them all on the page of the search."""
+    if doctree is not None:
+        _TEXTS[pagename] = " ".join(re.sub(r"<!--.*?-->", "", doctree.astext()).split())
+    elif pagename == "search":
+        app.add_js_file("texts.js", priority=400)
+
+
+def _write_texts(app: Sphinx, error: Exception | None) -> None:
+    if error is None:
+        texts = f"window.siteTexts = {json.dumps(_TEXTS, ensure_ascii=False)};\n"
+        (Path(app.outdir) / "_static" / "texts.js").write_text(texts, encoding="utf-8")
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Formulas as MathML."""
+    """Formulas as MathML; what a search finds with some words about it."""
+    app.connect("html-page-context", _gather)
+    app.connect("build-finished", _write_texts)
     app.add_html_math_renderer("mathml", (_inline, None), (_block, None))
     return {"parallel_read_safe": True}

@@ -148,11 +148,43 @@ def test_every_link_leads_somewhere() -> None:
     assert not lost
 
 
-def test_every_page_is_in_the_contents(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(DOCS))
-    website = runpy.run_path(str(DOCS / "website.py"))
+@pytest.fixture(scope="module")
+def website() -> Iterator[dict[str, Any]]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(DOCS))
+        yield runpy.run_path(str(DOCS / "website.py"))
+
+
+def test_every_page_is_in_the_contents(website: dict[str, Any]) -> None:
     listed = [page for part in website["contents"]().values() for page in part]
     assert {page.relative_to(ROOT).as_posix() for page in website["sources"]()} == set(listed)
+
+
+def test_the_front_page_has_the_doors_of_the_readme(website: dict[str, Any]) -> None:
+    """Each in a box of its own with its commands, and nothing of the page is lost."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    front = website["_in_a_grid"](readme)
+    doors = re.findall(r"^````{container} door\n\*\*(.+?)\*\*(.*?)^````$", front, re.MULTILINE | re.DOTALL)
+    assert [name for name, _ in doors] == re.findall(r"^\*\*(.+?)\.\*\*", readme, re.MULTILINE)
+    assert len(doors) == 6
+    assert all(re.search(r"^```\n\.venv/bin/hexjet ", text, re.MULTILINE) for _, text in doors)
+    words = [re.sub(r"`{3,}(?:{container} doors?)?|\W", " ", text).split() for text in (front, readme)]
+    assert words[0] == words[1]
+
+
+def test_the_pages_that_open_in_place_are_made_and_shown(website: dict[str, Any], tmp_path: Path) -> None:
+    """Each has commands that make it, and a picture on a page; a link to README.md leads to the front page."""
+    from page_pictures import PAGES
+
+    shown = {name for page in website["sources"]() for _, _, name in website["PICTURE"].findall(page.read_text())}
+    assert set(website["LIVE"]) <= shown & set(PAGES)
+    page = DOCS / "flight-page.md"
+    text = website["_seen_from"](page, "a ![b](pictures/page-flight.png) [c](../README.md#install)", tmp_path, True)
+    assert text.split() == [
+        *("a", "```{image}", "pictures/page-flight.png", ":alt:", "b", ":class:", "live"),
+        *(":target:", "../live/flight.html", "```", "[c](../index.md#install)"),
+    ]
+    assert (tmp_path / "docs" / "pictures" / "page-flight.png").is_file()
 
 
 # --- the tutorial -----------------------------------------------------------------------------------------------------
@@ -195,6 +227,15 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     for page in built:
         found = [each for each in asked.findall(page.read_text(encoding="utf-8")) if "canonical" not in each]
         assert not found, page
+    for name in ("flight", "comparison", "margins"):
+        assert (tmp_path / "site" / "live" / f"{name}.html").stat().st_size > 100_000
+    index = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
+    assert index.count('class="door docutils container"') == 6
+    texts = (tmp_path / "site" / "_static" / "texts.js").read_text(encoding="utf-8")
+    assert '"docs/margins": "' in texts
+    assert "measured:" not in texts
+    assert "texts.js" in (tmp_path / "site" / "search.html").read_text(encoding="utf-8")
+    assert "texts.js" not in index
     theory = (tmp_path / "site" / "docs" / "theory.html").read_text(encoding="utf-8")
     assert theory.count("<math") > 20
     assert (tmp_path / "site" / "searchindex.js").stat().st_size > 100_000
@@ -213,3 +254,37 @@ def test_every_shipped_requirement_has_what_flies_it_and_tests(made: dict[str, s
         for test in named.replace("\\", "").split(", ") if named != "none" else ():
             (path,) = (ROOT / "tests").rglob(test)
             assert test == "test_scenarios.py" or f'"{by.split()[1]}"' in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.long
+def test_tables_sort_and_filter_and_results_have_their_context(tmp_path: Path) -> None:
+    """Long: site.js in a browser, on a page with one table and one of a search."""
+    from benchmarks.measures.browser import find_browser
+
+    if (browser := find_browser()) is None:
+        pytest.skip("no browser: HEXJET_BROWSER names one")
+    from playwright.sync_api import sync_playwright
+
+    script = f"<script src='{(DOCS / '_static' / 'site.js').as_uri()}' defer></script>"
+    values = ["10 %", "-3", "lost", "1 200", "9.5", *map(str, range(20, 29))]
+    rows = "".join(f"<tr><td>{value}</td><td>row {n}</td></tr>" for n, value in enumerate(values))
+    head = "<thead><tr><th>value</th><th>name</th></tr></thead>"
+    (tmp_path / "table.html").write_text(f"{script}<article><table>{head}<tbody>{rows}</tbody></table></article>")
+    found = "<ul id='search-results'></ul><script>window.siteTexts = {'docs/a': 'The peak of |S| is here.'}</script>"
+    (tmp_path / "search.html").write_text(f"<html data-content_root='./'>{script}{found}</html>")
+    with sync_playwright() as driver:
+        tab = driver.chromium.launch(executable_path=browser, args=["--no-sandbox"]).new_page()
+        tab.goto((tmp_path / "table.html").as_uri())
+        first = "[...document.querySelectorAll('tbody tr:not([hidden]) td:first-child')].map(each => each.textContent)"
+        ordered = ["-3", "9.5", "10 %", *map(str, range(20, 29)), "1 200", "lost"]
+        tab.click("button.sort >> nth=0")
+        assert tab.evaluate(first) == ordered
+        assert tab.get_attribute("th >> nth=0", "aria-sort") == "ascending"
+        tab.click("button.sort >> nth=0")
+        assert tab.evaluate(first) == ordered[::-1]
+        tab.fill("input.filter", "200")
+        assert tab.evaluate(first) == ["1 200"]
+        tab.goto((tmp_path / "search.html").as_uri() + "?q=peak")
+        tab.evaluate("document.getElementById('search-results').innerHTML = '<li><a href=docs/a.html#b>A</a></li>'")
+        assert tab.wait_for_selector("p.context").text_content() == "The peak of |S| is here."
+        assert tab.text_content("p.context mark") == "peak"
