@@ -282,7 +282,7 @@ def test_the_page_has_every_word() -> None:
         assert f"`{name}`" in PAGE, name
     for event in CONTACTS:
         assert f"`{event}`" in PAGE, event
-    units = PAGE.split("**Units** are ")[1].split(". ")[0].replace(" and ", ", ").split(", ")
+    units = " ".join(PAGE.split()).split("**Units** are ")[1].split(". ")[0].replace(" and ", ", ").split(", ")
     assert set(units) == set(UNITS) - {"1", "1/s"}
 
 
