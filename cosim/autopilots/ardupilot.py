@@ -35,6 +35,7 @@ from cosim.autopilots.lockstep import (
     StartTiming,
     StickPositions,
     describe_unknown,
+    listen,
     to_pulse,
 )
 from cosim.base.errors import FlightError, InputError
@@ -137,11 +138,17 @@ class ArduPilot(Sitl):
         """Listen, start it, and wait for its first packet.  Raises InputError or FlightError."""
         port = PORT + PORT_SPACING * self._launch.instance
         self._socket = self._begin(socket.SOCK_DGRAM, port)
+        log = self._folder / "ardupilot.log"
         if self._binary is not None:
-            self._program = Program(self._command(), self._folder, self._folder / "ardupilot.log", {})
+            # it would not say that it hears no sticks
+            listen(socket.SOCK_DGRAM, self.sticks_port, self.name, "--instance").close()
+            self._program = Program(self._command(), self._folder, log, {})
         timer = AnswerTimer(self.name, _START_S, self._program, f"sent nothing to port {port}")
         while self._peer is None:
-            packet, sender = timer.receive_packet(self._socket)
+            try:
+                packet, sender = timer.receive_packet(self._socket)
+            except FlightError as error:
+                raise self._describe_start(error, log, "ArduCopter's SITL") from None
             if (servos := self._servos(packet)) is None:
                 raise FlightError(f"what sends to ardupilot's port is no servo packet: it said {packet[:16]!r}")
             self._peer, self._count = sender, servos[2]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -139,6 +140,7 @@ def describe_unknown(names: Sequence[str], existing: Collection[str], program: s
     return f"parameter {', '.join(names)}: this {program} has none of that name{suggestion}"
 
 
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of a terminal
 # Linux ends the program with the thread that started it, however that goes; 1 is PR_SET_PDEATHSIG of <sys/prctl.h>.
 _TIED = "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9); os.execv(sys.argv[1], sys.argv[1:])"
 
@@ -166,7 +168,11 @@ class Program:
     @property
     def end_description(self) -> str:
         """How the process ended, in words; empty while it runs."""
-        return self.process.describe_end(0.0, "was ended by {}", "ended with status {}")
+        return self.describe_end(0.0)
+
+    def describe_end(self, wait: float) -> str:
+        """Return how the process ended, in words, within ``wait`` s of the clock; empty if it still runs."""
+        return self.process.describe_end(wait, "was ended by {}", "ended with status {}")
 
     def close(self, patience: float = 0.0) -> None:
         """End it; may be called twice.  Where it has ``patience`` s to write down what it has, it is asked to first."""
@@ -195,8 +201,11 @@ def check_program(path: Path, where: str) -> Path:
     return path.absolute()
 
 
-def listen(kind: socket.SocketKind, port: int, what: str) -> socket.socket:
-    """Return a loopback socket at a port, with a time-out for datagrams.  Raises InputError where it is taken."""
+def listen(kind: socket.SocketKind, port: int, what: str, option: str = "--port") -> socket.socket:
+    """Return a loopback socket at a port, with a time-out for datagrams.
+
+    Raises InputError where it is taken; ``option`` states another.
+    """
     sock = socket.socket(socket.AF_INET, kind)
     try:
         if kind == socket.SOCK_STREAM:
@@ -207,7 +216,7 @@ def listen(kind: socket.SocketKind, port: int, what: str) -> socket.socket:
     except OSError as error:
         sock.close()
         if error.errno == errno.EADDRINUSE:
-            raise InputError(f"{what}: port {port} is in use; another flight or autopilot has it (--port)") from None
+            raise InputError(f"{what}: port {port} is in use; another flight or autopilot has it ({option})") from None
         raise InputError(f"{what}: port {port}: {error.strerror or error}") from error
     return set_receive_timeout(sock) if kind == socket.SOCK_DGRAM else sock
 
@@ -285,7 +294,14 @@ class Sitl:
         """Make its folder, and return a socket that listens at a port of this machine.  Raises InputError."""
         self._folder.mkdir(parents=True, exist_ok=True)
         self._earlier_logs = self._find_logs()
-        return self._own(listen(kind, port, self.name))
+        return self._own(listen(kind, port, self.name, "--instance"))
+
+    def _describe_start(self, error: FlightError, log: Path, title: str) -> FlightError:
+        """Return why it did not begin: with what it printed last, and whether it is the right program at all."""
+        lines = log.read_text(errors="replace").split("\n") if log.is_file() else []
+        last = next((line for line in reversed(lines) if line.strip()), "")
+        printed = f"; the last that it printed: {COLOUR.sub('', last).strip()} ({log})" if last else ""
+        return FlightError(f"{error}; is {self._binary} {title}?{printed}" if self._binary else f"{error}{printed}")
 
     def _find_logs(self) -> set[tuple[int, Path]]:
         """Return the logs in its folder, each with the time at which it was last written [ns]."""

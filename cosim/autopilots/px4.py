@@ -19,6 +19,7 @@ from pathlib import Path
 from cosim.autopilots import hil
 from cosim.autopilots.instruments import compute_earth_field, to_body_field
 from cosim.autopilots.lockstep import (
+    COLOUR,
     STICKS_S,
     ActuatorOutputs,
     AnswerTimer,
@@ -61,7 +62,7 @@ _MOST_NOISE = 64  # bytes without MAVLink after which the connection is refused 
 _ACCEPT_EVERY = 16  # frames between two checks for a second connection
 _UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
 _KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver_sw_release; 255: a release
-_COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of a terminal
+_END_S = 0.5  # wall-clock time that a process may take to end behind its connection
 _BOOT_TIMEOUT = 0.02  # s of the clock for an answer before there was one
 
 
@@ -80,13 +81,6 @@ def check_unknown_parameters(log: Path, parameters: Collection[str]) -> None:
     unknown = [name for name in dict.fromkeys(_UNKNOWN.findall(log.read_text(errors="replace"))) if name in parameters]
     if unknown:
         raise InputError(f"px4: {describe_unknown(unknown, set(parameters) - set(unknown), 'PX4')} (--param; {log})")
-
-
-def _describe_last_line(log: Path) -> str:
-    """Return what it printed last, in words that follow what became of it."""
-    lines = log.read_text(errors="replace").split("\n") if log.is_file() else []
-    last = next((line for line in reversed(lines) if line.strip()), "")
-    return f"; the last that it printed: {_COLOUR.sub('', last).strip()} ({log})" if last else ""
 
 
 def describe_version(facts: Mapping[str, str | int]) -> str:
@@ -152,7 +146,7 @@ class Px4(Sitl):
             try:
                 self._server.settimeout(timer.remaining())
             except FlightError as error:
-                raise FlightError(f"{error}{_describe_last_line(log)}") from None
+                raise self._describe_start(error, log, "PX4's SITL") from None
             with suppress(TimeoutError):
                 self._link = self._own(self._server.accept()[0])
         if self._program is not None:
@@ -198,7 +192,7 @@ class Px4(Sitl):
         if not logs:
             return FirmwareReport()
         notes = read_notes(logs[-1])
-        messages = [(time_s, severity, _COLOUR.sub("", text).strip()) for time_s, severity, text in notes.messages]
+        messages = [(time_s, severity, COLOUR.sub("", text).strip()) for time_s, severity, text in notes.messages]
         return FirmwareReport(describe_version(notes.facts), notes.parameters, messages)
 
     @property
@@ -206,7 +200,7 @@ class Px4(Sitl):
         return "" if self._program is None else self._program.end_description
 
     def _closed(self) -> FlightError:
-        ended = self._ended
+        ended = "" if self._program is None else self._program.describe_end(_END_S)  # its sockets close before it ends
         return FlightError(f"px4 closed its connection and {ended}" if ended else "px4 closed its connection")
 
     def _answer(self, values: tuple[float, ...]) -> ActuatorOutputs:

@@ -5,9 +5,10 @@ The tables of docs/autopilots.md say what is sent, in the words of the tests bel
 
 from __future__ import annotations
 
+import re
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from math import degrees, pi
 from pathlib import Path
@@ -223,6 +224,16 @@ def test_px4_is_told_what_was_measured(tmp_path: Path) -> None:
     assert told["RAW_RPM"].frequency == pytest.approx(100.0 * 60.0 / (2.0 * pi))
 
 
+def px4_of(program: Path, folder: Path) -> Px4:
+    instance = free_instance(range(1000, 40000), 4560, 1, socket.SOCK_STREAM)
+    return Px4(program, folder, HEXJET, STEP, PLACE, px4.LaunchOptions(instance))
+
+
+def ardupilot_of(program: Path, folder: Path) -> ArduPilot:
+    instance = free_instance(range(1000, 4000), 9002, 10, socket.SOCK_DGRAM)
+    return ArduPilot(program, folder, HEXJET, STEP, PLACE, LaunchOptions(instance))
+
+
 @pytest.mark.parametrize(
     ("faults", "said"),
     [
@@ -253,6 +264,30 @@ def test_one_that_never_connects_is_named(tmp_path: Path, monkeypatch: pytest.Mo
     ours = Px4(None, tmp_path, HEXJET, STEP, PLACE, px4.LaunchOptions(instance))
     with pytest.raises(FlightError, match=rf"px4 did not connect to port {4560 + instance} within 0\.1 s"):
         ours.start()
+    ours.close()
+
+
+@pytest.mark.parametrize(("make", "title"), [(px4_of, "PX4's SITL"), (ardupilot_of, "ArduCopter's SITL")])
+def test_a_program_that_is_another_is_asked_about(make: Callable[..., Any], title: str, tmp_path: Path) -> None:
+    """With what it printed last; and its run has a line more where it ends by itself."""
+    other = tmp_path / "other"
+    other.write_text("#!/bin/sh\necho usage: other\nexit 3\n")
+    other.chmod(0o755)
+    ours = make(other, tmp_path / "run")
+    with pytest.raises(FlightError) as refusal:
+        ours.start()
+    ours.close()
+    said = rf"\w+ ended with status 3; is {other} {title}\?; the last that it printed: usage: other \({tmp_path}/run/\w+\.log\)"
+    assert re.fullmatch(said, str(refusal.value)), refusal.value
+
+
+def test_a_port_of_the_sticks_that_is_taken_is_named(tmp_path: Path) -> None:
+    """ArduPilot says nothing of it, and is not armed."""
+    ours = ardupilot_of(Path("/bin/true"), tmp_path)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
+        held.bind(("127.0.0.1", ours.sticks_port))
+        with pytest.raises(InputError, match=rf"ardupilot: port {ours.sticks_port} is in use; .*\(--instance\)"):
+            ours.start()
     ours.close()
 
 
