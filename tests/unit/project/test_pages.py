@@ -57,6 +57,7 @@ G = 9.80665
 COVERED: Mapping[str, tuple[str, ...]] = {
     "README.md": ("test_pages.py",),
     "CHANGELOG.md": ("test_project_files.py",),
+    "CODE_OF_CONDUCT.md": ("test_project_files.py",),
     "CONTRIBUTING.md": ("test_pages.py",),
     "SECURITY.md": ("test_project_files.py",),
     "aircraft/hexjet/README.md": ("test_pages.py", "test_simulation.py", "test_pilot_navigation.py"),

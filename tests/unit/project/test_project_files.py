@@ -1,6 +1,6 @@
 """What the project says of itself to those who cite, join, host and release it; and that older files stay readable.
 
-CHANGELOG.md, CITATION.cff, SECURITY.md, docs/versions.md, .github/, [tool.cibuildwheel].
+CHANGELOG.md, CITATION.cff, CODE_OF_CONDUCT.md, SECURITY.md, docs/versions.md, .github/, [tool.cibuildwheel].
 """
 
 from __future__ import annotations
@@ -143,9 +143,11 @@ def test_an_issue_is_asked_for_in_a_form(path: Path) -> None:
 
 def test_what_travels_has_these_files() -> None:
     manifest = (ROOT / "MANIFEST.in").read_text(encoding="utf-8")
-    for name in ("CHANGELOG.md", "CITATION.cff", "SECURITY.md", "graft .github", "graft docs"):
+    for name in ("CHANGELOG.md", "CITATION.cff", "CODE_OF_CONDUCT.md", "SECURITY.md", "graft .github", "graft docs"):
         assert name in manifest
     assert "report" in (ROOT / "SECURITY.md").read_text(encoding="utf-8").lower()
+    assert "](CODE_OF_CONDUCT.md)" in (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    assert len((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").splitlines()) <= 200
     stated("docs/versions.md", "Python {} and later. A wheel", float(PROJECT["requires-python"].removeprefix(">=")))
     assert "tests/older/" in (DOCS / "versions.md").read_text(encoding="utf-8")
 
