@@ -99,6 +99,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/tables/faults.md": ("marks", "test_pages.py", "test_engine_out.py", "test_faults.py"),
     "docs/tables/failsafes.md": ("marks", "test_failsafes.py"),
     "docs/tables/identification.md": ("marks",),
+    "docs/tables/identify-logs.md": ("marks",),
     "docs/tables/packages.md": ("marks", "test_package.py"),
     "docs/tables/paper.md": ("marks", "test_readings.py", "test_reproduce.py"),
     "docs/faults.md": ("marks", "test_pages.py", "test_engine_out.py", "test_faults.py", "test_quadrotor.py"),
