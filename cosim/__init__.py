@@ -20,16 +20,19 @@ from cosim.base.errors import EngineError, FlightError, InputError
 from cosim.base.runtime.kernels import load_with_reference
 
 if TYPE_CHECKING:
+    from cosim.api.checks import check_aircraft, check_engine, map_engine
     from cosim.api.compare import compare
     from cosim.api.design import design
     from cosim.api.export import export, export_controller, export_vehicle
-    from cosim.api.identify import identify
+    from cosim.api.identify import identify, identify_bench
+    from cosim.api.logs import identify_log, validate
     from cosim.api.margins import margins
     from cosim.api.prove import prove
     from cosim.api.replay import replay
     from cosim.api.searches import rare, search
     from cosim.api.show import show
     from cosim.api.studies import sweep
+    from cosim.api.surveys import engine_out, failsafes, faults
     from cosim.base.signals import Command
     from cosim.base.trust import trust
     from cosim.flight import fly
@@ -49,14 +52,22 @@ __all__ = [
     "Scenario",
     "Snapshot",
     "Stepper",
+    "check_aircraft",
+    "check_engine",
     "compare",
     "design",
+    "engine_out",
     "export",
     "export_controller",
     "export_vehicle",
+    "failsafes",
+    "faults",
     "fly",
     "identify",
+    "identify_bench",
+    "identify_log",
     "load_vehicle",
+    "map_engine",
     "margins",
     "open_run",
     "plot",
@@ -67,6 +78,7 @@ __all__ = [
     "show",
     "sweep",
     "trust",
+    "validate",
     "versions",
 ]
 
@@ -75,11 +87,19 @@ _WHERE = {
     "Snapshot": "cosim.stepper",
     "Stepper": "cosim.stepper",
     "Scenario": "cosim.spec.scenario",
+    "check_aircraft": "cosim.api.checks",
+    "check_engine": "cosim.api.checks",
     "compare": "cosim.api.compare",
+    "engine_out": "cosim.api.surveys",
     "export": "cosim.api.export",
     "export_controller": "cosim.api.export",
     "export_vehicle": "cosim.api.export",
+    "failsafes": "cosim.api.surveys",
+    "faults": "cosim.api.surveys",
     "fly": "cosim.flight",
+    "identify_bench": "cosim.api.identify",
+    "identify_log": "cosim.api.logs",
+    "map_engine": "cosim.api.checks",
     "margins": "cosim.api.margins",
     "load_vehicle": "cosim.spec.vehicle",
     "Run": "cosim.results.run",
@@ -92,6 +112,7 @@ _WHERE = {
     "sweep": "cosim.api.studies",
     "plot": "cosim.results.report.time_plot",
     "trust": "cosim.base.trust",
+    "validate": "cosim.api.logs",
     "versions": "cosim.results.summary",
 }
 

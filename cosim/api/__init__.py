@@ -14,22 +14,33 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cosim.api.call import Progress, Result, Table
+    from cosim.api.checks import AircraftCheckResult, EngineCheckResult, MappingResult
     from cosim.api.compare import CompareResult
     from cosim.api.design import DesignResult
     from cosim.api.export import ControllerExport, VehicleExport
-    from cosim.api.identify import IdentifyResult
+    from cosim.api.identify import BenchIdentifyResult, IdentifyResult
+    from cosim.api.logs import LogIdentifyResult, ValidateResult
     from cosim.api.margins import MarginsResult
     from cosim.api.prove import ProofResult
     from cosim.api.replay import ReplayResult
     from cosim.api.searches import RareResult, SearchResult
     from cosim.api.show import ShowResult
     from cosim.api.studies import SweepResult
+    from cosim.api.surveys import EngineOutResult, FailsafesResult, FaultsResult
 
 _WHERE = {
+    "AircraftCheckResult": "checks",
+    "BenchIdentifyResult": "identify",
     "CompareResult": "compare",
     "ControllerExport": "export",
     "DesignResult": "design",
+    "EngineCheckResult": "checks",
+    "EngineOutResult": "surveys",
+    "FailsafesResult": "surveys",
+    "FaultsResult": "surveys",
     "IdentifyResult": "identify",
+    "LogIdentifyResult": "logs",
+    "MappingResult": "checks",
     "MarginsResult": "margins",
     "Progress": "call",
     "ProofResult": "prove",
@@ -40,14 +51,23 @@ _WHERE = {
     "ShowResult": "show",
     "SweepResult": "studies",
     "Table": "call",
+    "ValidateResult": "logs",
     "VehicleExport": "export",
 }
 
 __all__ = [
+    "AircraftCheckResult",
+    "BenchIdentifyResult",
     "CompareResult",
     "ControllerExport",
     "DesignResult",
+    "EngineCheckResult",
+    "EngineOutResult",
+    "FailsafesResult",
+    "FaultsResult",
     "IdentifyResult",
+    "LogIdentifyResult",
+    "MappingResult",
     "MarginsResult",
     "Progress",
     "ProofResult",
@@ -58,6 +78,7 @@ __all__ = [
     "ShowResult",
     "SweepResult",
     "Table",
+    "ValidateResult",
     "VehicleExport",
 ]
 

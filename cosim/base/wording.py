@@ -30,7 +30,6 @@ _OTHER_NAMES = {  # of an option: the arguments that mean the same, where they a
     "hold": ("hold", "holds"),
     "loops": ("loops",),
     "out": ("out", "folder", "page", "file"),
-    "range": ("throttle_range",),
     "replay": ("replays",),
     "rtf": ("realtime_factor",),
     "set": ("settings",),

@@ -12,7 +12,7 @@ from cosim.cli.console import output_to_stderr, say, show_table
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
-    from cosim.campaign.surveys.aircraft_check import AircraftCheck
+    from cosim.api.checks import AircraftCheckResult
 
 NOT_EXACT = (
     "Two numbers are what is attained and what nothing exceeds; one with at least, or none found: what lies beyond is "
@@ -71,27 +71,22 @@ def aircraft_check(options: Check) -> int:
 
     Draws it in three views, and the moments that it can make in hover.  Status 1: something is not as it must be.
     """
-    from cosim.campaign.surveys.aircraft_check import check_aircraft
+    from cosim.api.checks import check_aircraft
     from cosim.spec.vehicle import aircraft_name
 
     folder = options.out or Path("runs") / f"check-{aircraft_name(options.aircraft)}"
     with output_to_stderr(options.as_json):
-        report = check_aircraft(options.aircraft, options.engine, folder)
-    options.answer(report.to_dict, lambda: print_check(report), nan=True)
-    return DONE if report.is_fit else FLIGHT_FAILED
+        result = check_aircraft(options.aircraft, options.engine, out=folder)
+    options.answer(result.to_dict, lambda: print_check(result), nan=True)
+    return DONE if result.is_fit else FLIGHT_FAILED
 
 
-def print_check(report: AircraftCheck) -> None:
+def print_check(result: AircraftCheckResult) -> None:
     """Print what was checked, the moments with each engine lost, and whether it is fit to fly."""
+    report = result.check
     say(f"{report.aircraft}: {report.title}; engine {report.engine}")
-    show_table(("checked", "what it is", "fault"), [(line.name, line.text, line.fault) for line in report.lines])
-    rows = []
-    for row in report.authority:
-        moments = [row.moment_range(axis).describe() for axis in range(3)]
-        if row.moment is None:
-            moments = ["falls" if row.cannot_hover else "none found", "", ""]
-        rows.append((", ".join(map(str, row.lost)) or "none", f"{row.lift:.2f}", *moments))
-    show_table(("engine lost", "lift / weight", "roll, N m", "pitch, N m", "yaw, N m"), rows, range(5))
+    for table, right in zip(result.tables(), ((), range(5)), strict=True):
+        show_table(table.columns, table.rows, right)
     say(
         "Largest moment either way while the weight is held and the other two moments are zero; all throttles and "
         "hinges are free within their limits." + ("" if report.is_exact else f" {NOT_EXACT}")

@@ -14,7 +14,7 @@ from cosim.cli.options import DONE, FLIGHT_FAILED, example, offer_to_compile
 from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
-    from cosim.engine import CheckReport
+    from cosim.api.checks import EngineCheckResult
 
 
 @click.group()
@@ -129,9 +129,9 @@ class Check(opt.Output):
     """Options of ``hexjet fmu check``."""
 
     engine: str = opt.argument(metavar="NAME|FILE.fmu|MAPPING.toml")
-    step = opt.positive("--step", "S", "Control step.  [default: 0.004, or the library engine's]")
+    step_s = opt.positive("--step", "S", "Control step.  [default: 0.004, or the library engine's]")
     settings = opt.words("--set", "PARAMETER=VALUE", "Set a parameter of the engine.")
-    time_limit = opt.number("--time-limit", "S", "For all of it.", min=1.0, default=120.0)
+    time_limit_s = opt.number("--time-limit", "S", "For all of it.", min=1.0, default=120.0)
     out = opt.OUT
     as_json = opt.JSON
 
@@ -144,20 +144,18 @@ def fmu_check(options: Check) -> int:
     The FMU is run in a process of its own: if it crashes, hangs or eats memory, that is told and nothing else happens.
     Leaves check.json and a page with its static curve and step responses.  Status 0: fit; 1: unfit; 2: not usable.
     """
-    from cosim.base.storage.toml import parse_numbers
-    from cosim.engine import check_fmu, make_limits
+    from cosim.api.checks import CHECK, check_engine
     from cosim.engine.make.controller_fmu import is_controller
-    from cosim.results.report.engine_check import write_check
 
     engine = options.engine
     if is_controller(Path(engine)):
         return _check_controller(Path(engine), options)
-    options.check_out("check.json", "report.html")
+    options.check_out(*CHECK)
     offer_to_compile(engine)
-    report = check_fmu(engine, options.step, parse_numbers(options.settings, "--set"), make_limits(options.time_limit))
-    page = write_check(report, options.run_folder(f"check-{Path(engine).stem}"))
-    options.answer(report.to_dict, lambda: print_check(report, page))
-    return DONE if report.ok else FLIGHT_FAILED
+    result = check_engine(**options.chosen("engine", "step_s", "settings", "time_limit_s"))
+    result.write(options.run_folder(f"check-{Path(engine).stem}"))
+    options.answer(result.to_dict, lambda: print_check(result))
+    return DONE if result.is_fit else FLIGHT_FAILED
 
 
 def _check_controller(path: Path, output: opt.Output) -> int:
@@ -192,9 +190,39 @@ def _check_controller(path: Path, output: opt.Output) -> int:
     return DONE if run.outcome == "completed" and report["repeatable"] else FLIGHT_FAILED
 
 
-def print_check(report: CheckReport, page: Path) -> None:
+def print_check(result: EngineCheckResult) -> None:
     """Print the findings, one to a line, problems last, and where the page is."""
+    report = result.check
     lines = [f"{label:22} {value}" for label, value in report.lines()]
-    for line in [*lines, *(f"problem: {problem}" for problem in report.problems), f"report: {page}"]:
+    for line in [*lines, *(f"problem: {problem}" for problem in report.problems), f"report: {result.report}"]:
         say(line, wrap=False)
     say(f"[bold]{'fit to fly' if report.ok else 'not fit to fly'}[/bold]", marked=True)
+
+
+class Map(opt.Output):
+    """Options of ``hexjet fmu map``."""
+
+    fmu: Path = opt.argument(metavar="FILE.fmu", type=click.Path(path_type=Path))
+    out = opt.out("[default: beside FILE.fmu, under its name]", "FILE.toml", Out(".toml"))
+    as_json = opt.JSON
+
+
+@fmu.command("map", epilog=example("hexjet fmu map their.fmu --out mine.toml"))
+@opt.takes(Map)
+def fmu_map(options: Map) -> int:
+    """Begin the mapping file of an engine's FMU: the ports that are found, and what is to be stated of others.
+
+    Nothing of the FMU is run.  Status 1: something is open that an engine needs.
+    """
+    from cosim.api.checks import map_engine
+
+    result = map_engine(options.fmu, options.out)
+    mapping = result.files["mapping"]
+
+    def show() -> None:
+        for line in [*result.lines(), f"mapping: {mapping}"]:
+            say(line, wrap=False)
+        say(f"next: hexjet fmu check {mapping}" if result.is_complete else f"next: state in {mapping} what is open")
+
+    options.answer(result.to_dict, show)
+    return DONE if result.is_complete else FLIGHT_FAILED

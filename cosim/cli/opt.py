@@ -30,6 +30,21 @@ class Number(click.FloatRange):
         return "" if self.min is None and self.max is None else super()._describe_range()
 
 
+class AlsoCalled(click.Option):
+    """An option that is also known by names that it had before, which no help lists."""
+
+    def __init__(self, *declarations: Any, aliases: Sequence[str] = (), **attributes: Any) -> None:
+        super().__init__(*declarations, **attributes)
+        self.aliases = tuple(aliases)
+
+    def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
+        """Let the parser know all names."""
+        listed = self.opts
+        self.opts = [*listed, *self.aliases]
+        super().add_to_parser(parser, ctx)
+        self.opts = listed
+
+
 class Option(NamedTuple):
     """An option or an argument of a command, before the command has its record (:func:`takes`)."""
 
@@ -39,8 +54,8 @@ class Option(NamedTuple):
 
 
 def option(*names: str, **attributes: Any) -> Any:
-    """Declare a field of a record as an option; ``attributes`` as of ``click.option``."""
-    return Option(click.option, names, attributes)
+    """Declare a field of a record as an option; ``attributes`` as of ``click.option``, ``aliases``: hidden names."""
+    return Option(click.option, names, {"cls": AlsoCalled, **attributes})
 
 
 def argument(**attributes: Any) -> Any:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from cosim.base.errors import InputError
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, say, show_table
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
-    from cosim.identify.bench import BenchIdentification, BenchRecord
+    from cosim.api.identify import BenchIdentifyResult
+    from cosim.identify.bench import BenchIdentification
     from cosim.identify.bench.evidence import HeldBack
     from cosim.identify.bench.grey_box import GreyIdentification
 
@@ -25,21 +24,30 @@ class Bench(opt.LogPart, opt.Output):
     """Options of ``hexjet identify bench``."""
 
     logs: tuple[Path, ...] = opt.argument(metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
-    command_text = opt.word("--command", "SUM", "Throttle or set-point.  [default: the column called so]")
-    output_text = opt.word("--output", "SUM", "Thrust or speed.  [default: the column called so]")
-    limits: tuple[float, float] | None = opt.option(
-        "--range", type=(opt.Number(), opt.Number()), metavar="LOW HIGH", help="What throttle 0 and 1 are in the log."
+    command = opt.word("--command", "SUM", "Throttle or set-point.  [default: the column called so]")
+    output = opt.word("--output", "SUM", "Thrust or speed.  [default: the column called so]")
+    throttle_range: tuple[float, float] | None = opt.option(
+        "--throttle-range",
+        type=(opt.Number(), opt.Number()),
+        metavar="LOW HIGH",
+        help="What throttle 0 and 1 are in the log.",
     )
     between = opt.choice(
         "--between", ("auto", "held", "straight"), "What the command does between two rows.", default="auto"
     )
-    longest_delay = opt.number("--longest-delay", "S", "Looked for.", min=0.0, max=4.0, min_open=True, default=2.0)
+    longest_delay_s = opt.number("--longest-delay", "S", "Looked for.", min=0.0, max=4.0, min_open=True, default=2.0)
     engine = opt.word("--engine", "NAME|FILE.fmu", "Fit parameters of this engine instead.")
-    fitted = opt.words("--fit", "PARAMETER", "One of them; beside the delay, which always is.")
+    fit = opt.words("--fit", "PARAMETER", "One of them; beside the delay, which always is.")
     settings = opt.words("--set", "PARAMETER=VALUE", "Set one of them, or say where to begin.")
     time_column, time_unit, begin, end = opt.LOG_PART
     out = opt.OUT
     as_json = opt.JSON
+
+
+_CHOSEN = (
+    "command", "output", "throttle_range", "between", "longest_delay_s", "engine", "fit", "settings", "time_column",
+    "time_unit", "begin", "end",
+)  # fmt: skip
 
 
 @click.command("bench", epilog=example("hexjet identify bench bench.csv --out my-engine"))
@@ -56,57 +64,26 @@ def identify_bench(options: Bench) -> int:
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
-    from cosim.identify.bench import Choices, Columns, read_records
-    from cosim.identify.bench import identify_bench as identify
-    from cosim.identify.bench.beyond_lags import fit_beyond_lags
-    from cosim.identify.bench.result import write
+    from cosim.api.identify import identify_bench as identify
     from cosim.identify.files import FILES, RECORD
 
     options.check_out(RECORD, *FILES)
-    columns = Columns(
-        options.command_text, options.output_text, options.time_column, options.time_unit, options.begin, options.end
-    )
-    if options.engine is None and (options.fitted or options.settings):
-        raise InputError("--fit and --set are for the parameters of an engine: --engine NAME")
-    if options.engine is not None:
-        return _fit_engine(read_records(options.logs, columns), options)
     with output_to_stderr(options.as_json):
-        found = identify(read_records(options.logs, columns), Choices(*_choices(options)))
-        beyond = fit_beyond_lags(found, options.longest_delay)
-    if beyond is not None:
-        return _write_fitted(beyond, options)
-    with output_to_stderr(options.as_json):
-        paths = write(found, options.run_folder("identify-bench"))
-    options.answer(found.to_dict, lambda: print_bench(found, paths))
-    return FLIGHT_FAILED if found.refused else DONE
+        result = identify(*options.logs, **options.chosen(*_CHOSEN))
+        result.write(options.run_folder("identify-bench"))
+    options.answer(result.to_dict, lambda: print_result(result))
+    return DONE if result.found else FLIGHT_FAILED
 
 
-def _fit_engine(records: list[BenchRecord], options: Bench) -> int:
-    from cosim.base.storage.toml import parse_numbers
-    from cosim.identify.bench.grey_box import GreyChoices, fit_engine
-    from cosim.identify.bench.identify import is_straight, throttle_limits
+def print_result(result: BenchIdentifyResult) -> None:
+    """Print the forms, or what was fitted of an engine."""
+    from cosim.identify.bench import BenchIdentification
 
-    notes: list[str] = []
-    limits = (0.0, 1.0)
-    if records[0].command_unit not in ("rpm", "krpm"):
-        limits, known = throttle_limits(records, options.limits, notes)
-        if not known:
-            raise InputError(f"{records[0].path}: what throttle 0 and 1 are is not known: --range LOW HIGH")
-    straight = is_straight(records, options.between, notes)
-    settings = parse_numbers(options.settings, "--set")
-    choices = GreyChoices(str(options.engine), options.fitted, settings, limits, straight, options.longest_delay)
-    with output_to_stderr(options.as_json):
-        found = fit_engine(records, choices)
-    return _write_fitted(replace(found, notes=(*found.notes, *notes)), options)
-
-
-def _write_fitted(found: GreyIdentification, options: Bench) -> int:
-    from cosim.identify.bench.grey_box_result import write
-
-    with output_to_stderr(options.as_json):
-        paths = write(found, options.run_folder("identify-bench"))
-    options.answer(found.to_dict, lambda: print_fitted(found, paths))
-    return DONE if found.leaves_engine else FLIGHT_FAILED
+    found = result.identification
+    if isinstance(found, BenchIdentification):
+        print_bench(found, result.files)
+    else:
+        print_fitted(found, result.files)
 
 
 def print_fitted(found: GreyIdentification, paths: dict[str, Path]) -> None:
@@ -131,10 +108,6 @@ def _show_movements(held_back: HeldBack | None, unit: str, swing: float) -> None
 
     if held_back is not None and 0 < len(held_back.movements) <= MOST_MOVEMENTS:
         show_table(MOVEMENT_COLUMNS, movement_rows(held_back, unit, swing), range(2, len(MOVEMENT_COLUMNS)))
-
-
-def _choices(options: Bench) -> tuple[tuple[float, float] | None, str, float]:
-    return options.limits, options.between, options.longest_delay
 
 
 def print_bench(found: BenchIdentification, paths: dict[str, Path]) -> None:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, say, show_table
@@ -127,26 +126,32 @@ class FromLog(opt.LogPart, opt.Output):
 
     log: Path = opt.argument(metavar="FILE|RUN", type=click.Path(path_type=Path))
     axis = opt.choice("--axis", AXES, "Identify torque command to measured rate of an axis.")
-    number = opt.whole("--engine", "N", "Identify engine N instead.", min=1)
-    command_text = opt.word("--command", "SUM", "The channels instead: 'm1 + m2 - 0.5*m3'.")
-    output_text = opt.word(
+    engine = opt.whole("--engine", "N", "Identify engine N instead.", min=1)
+    command = opt.word("--command", "SUM", "The channels instead: 'm1 + m2 - 0.5*m3'.")
+    output = opt.word(
         "--output",
         "SUM",
         "The same; deg(NAME) is one in degrees, square(NAME) a square; quotes hold a name with blanks.",
     )
-    setpoint_text = opt.word("--setpoint", "SUM", "What was asked of the output: to test for bias.")
+    setpoint = opt.word("--setpoint", "SUM", "What was asked of the output: to test for bias.")
     time_column, time_unit, begin, end = opt.LOG_PART
-    longest_delay = opt.number("--longest-delay", "S", "Looked for.", min=0.0, max=5.0, min_open=True, default=0.4)
-    working_step = opt.positive("--working-step", "S", "Samples are averaged to it.")
+    longest_delay_s = opt.number("--longest-delay", "S", "Looked for.", min=0.0, max=5.0, min_open=True, default=0.4)
+    working_step_s = opt.positive("--working-step", "S", "Samples are averaged to it.")
     lags = opt.whole("--lags", None, "Beside the pole.  [default: the better of two]", min=0, max=3)
     holds = opt.words("--hold", "NAME=VALUE", "Keep a parameter: lag_s=0.009.")
-    step = opt.positive("--step", None, "Control step of the model.", default=0.004)
+    step_s = opt.positive("--step", None, "Control step of the model.", default=0.004)
     family = opt.word(
         "--filed-under", "NAME", "The engine of an axis' model file.  [default: the run's, or edf-as-flown]"
     )
     channels = opt.flag("--channels", "List what the log holds, and do nothing else.")
     out = opt.OUT
     as_json = opt.JSON
+
+
+_FROM_LOG = (
+    "axis", "engine", "command", "output", "setpoint", "time_column", "time_unit", "begin", "end", "longest_delay_s",
+    "working_step_s", "lags", "step_s", "family",
+)  # fmt: skip
 
 
 @identify.command("log", epilog=example("hexjet identify log flight.ulg --axis roll --out roll-model"))
@@ -161,52 +166,20 @@ def identify_from_log(options: FromLog) -> int:
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
+    from cosim.api.logs import identify_log
+    from cosim.base.storage.toml import parse_numbers
     from cosim.identify.files import FILES, RECORD
     from cosim.identify.logs import read_flight_log
 
-    if not options.channels:
-        options.check_out(RECORD, *FILES)
-    log = read_flight_log(options.log, options.time_column, options.time_unit)
     if options.channels:
+        log = read_flight_log(options.log, options.time_column, options.time_unit)
         options.answer(log.to_dict, lambda: print_channels(log))
         return DONE
-    return _identify_log(log, options)
-
-
-def _identify_log(log: FlightLog, options: FromLog) -> int:
-    from cosim.base.storage.toml import parse_numbers
-    from cosim.identify.logs import LogSignals, signals_of, unit_of
-    from cosim.identify.prediction_error.identify_log import identify_log
-    from cosim.identify.prediction_error.result import write
-
-    axis, number, command_text, output_text = options.axis, options.number, options.command_text, options.output_text
-    if (axis is None) == (number is None):
-        raise InputError("identify log: say --axis roll, pitch or yaw, or --engine N")
-    if axis is not None and options.lags == 0:
-        raise InputError("--lags 0: an axis has one at least")
-    subject = axis or f"engine:{number}"
-    if command_text and output_text:
-        unit = "rad/s" if axis else unit_of(output_text, log.signal(output_text).unit) or "output"
-        signals = LogSignals(command_text, output_text, options.setpoint_text or "", "command", unit)
-    elif command_text or output_text:
-        raise InputError("--command and --output: both or none")
-    else:
-        signals = signals_of(log, subject)
-        signals = signals._replace(setpoint=options.setpoint_text or signals.setpoint)
-    identified = identify_log(
-        log,
-        subject,
-        signals,
-        longest_delay=options.longest_delay,
-        step=options.working_step,
-        begin=options.begin,
-        end=options.end,
-        hold=parse_numbers(options.holds, "--hold"),
-        lags=options.lags,
-    )
-    folder = options.run_folder(f"identify-log-{subject.replace(':', '-')}")
-    paths = write(identified, folder, options.step, options.family or log.engine or "edf-as-flown")
-    options.answer(lambda: identified.to_dict(options.step), lambda: print_from_log(identified, paths))
+    options.check_out(RECORD, *FILES)
+    result = identify_log(options.log, hold=parse_numbers(options.holds, "--hold"), **options.chosen(*_FROM_LOG))
+    what = options.axis or f"engine-{options.engine}"
+    result.write(options.run_folder(f"identify-log-{what}"))
+    options.answer(result.to_dict, lambda: print_from_log(result.identification, result.files))
     return DONE
 
 

@@ -35,15 +35,14 @@ def validate(options: Validate) -> int:
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
-    from cosim.identify.logs import read_flight_log
-    from cosim.identify.prediction_error.validate import read_model, rows, write
-    from cosim.identify.prediction_error.validate import validate as compare
+    from cosim.api.logs import VALIDATION
+    from cosim.api.logs import validate as compare
+    from cosim.identify.prediction_error.validate import rows
 
-    options.check_out("validation.json", "report.html")
-    model = read_model(options.model, options.axis)
-    log = read_flight_log(options.log, options.time_column, options.time_unit)
-    comparison = compare(model, log, options.begin, options.end)
-    paths = write(comparison, options.run_folder("validation"))
+    options.check_out(*VALIDATION)
+    result = compare(**options.chosen("model", "log", "axis", "time_column", "time_unit", "begin", "end"))
+    result.write(options.run_folder("validation"))
+    comparison = result.validation
 
     def show() -> None:
         judgement = comparison.judgement
@@ -54,7 +53,7 @@ def validate(options: Validate) -> int:
             say(f"  {name}: {value}")
         for note in comparison.notes:
             say(f"note: {note}")
-        say(f"report: {paths['report']}", wrap=False)
+        say(f"report: {result.report}", wrap=False)
 
-    options.answer(comparison.to_dict, show)
+    options.answer(result.to_dict, show)
     return DONE

@@ -10,13 +10,12 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, part_progress, say, show_table
+from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table
 from cosim.cli.options import DONE, example, is_given, refuse_others
 
 if TYPE_CHECKING:
-    from cosim.campaign.surveys.engine_out import EngineOut
+    from cosim.api.surveys import EngineOutResult, FailsafesResult, FaultsResult
     from cosim.campaign.surveys.failsafes import Failsafes
-    from cosim.campaign.surveys.faults import Survival
 
 
 class Faults(opt.Output):
@@ -60,10 +59,10 @@ def faults(options: Faults) -> int:
 
     Leaves survival.csv and survival.html in DIR; with --engine-out, engine-out.csv.
     """
-    from cosim.campaign.surveys.fault_page import MARKS, write, write_page
-    from cosim.campaign.surveys.faults import survival
+    from cosim.api.surveys import WRITTEN
+    from cosim.api.surveys import faults as fly_all
+    from cosim.campaign.surveys.fault_page import MARKS, write_page
     from cosim.results.report.marks import check_marks
-    from cosim.spec.controller_name import seen_from
 
     if options.engine_out:
         return _engine_out(options)
@@ -75,25 +74,23 @@ def faults(options: Faults) -> int:
         refuse_others(why, "docs", "limits", "workers", "out", "as_json")
         check_marks(page, MARKS)
 
-    options.check_out("survival.csv", "survival.html", "cases")
-    limits = options.limits or page is not None
+    options.check_out(*WRITTEN)
+    chosen = options.chosen("aircraft", "engine", "controllers", "kinds", "nominal_engine", "workers")
     with output_to_stderr(options.as_json), part_progress("faults", quiet=options.as_json) as tell:
-        named = [seen_from(controller, Path()) for controller in options.controllers]
-        result = survival(
-            options.aircraft, options.engine, named, options.kinds, options.workers, tell, limits,
-            options.nominal_engine,
-        )  # fmt: skip
-    paths = write(result, options.run_folder(f"faults-{result.aircraft}"))
+        found = fly_all(**chosen, limits=options.limits or page is not None, progress=CommandProgress(tell))
+    result = found.survival
+    found.write(options.run_folder(f"faults-{result.aircraft}"))
     for text in result.warnings:
         click.echo(f"hexjet: warning: {text}", err=True)
     if page is not None:
         write_page(result, page)
-    options.answer(result.to_dict, lambda: print_survival(result, paths["report"]))
+    options.answer(found.to_dict, lambda: print_survival(found))
     return DONE
 
 
 def _engine_out(options: Faults) -> int:
-    from cosim.campaign.surveys.engine_out import check_pages, engine_out, write, write_pages
+    from cosim.api.surveys import engine_out
+    from cosim.campaign.surveys.engine_out import check_pages, write_pages
 
     allowed = (
         "aircraft", "engine", "engine_out", "designs", "docs", "nominal_engine", "workers", "out", "as_json",
@@ -107,11 +104,12 @@ def _engine_out(options: Faults) -> int:
             raise InputError("--docs: the pages hold every aircraft and engine; leave out --aircraft and --engine")
         check_pages(docs)
     with output_to_stderr(options.as_json), part_progress("engine out", quiet=options.as_json) as tell:
+        chosen = options.chosen("nominal_engine", "workers")
         designs = options.designs or folder / "designs"
-        result = engine_out(aircraft, engines, designs, options.workers, tell, options.nominal_engine)
-    path = write(result, folder)
-    pages = write_pages(result, docs) if docs is not None else []
-    options.answer(result.to_dict, lambda: print_engine_out(result, [path, *pages]))
+        found = engine_out(aircraft, engines, designs=designs, progress=CommandProgress(tell), **chosen)
+    found.write(folder)
+    pages = write_pages(found.engine_out, docs) if docs is not None else []
+    options.answer(found.to_dict, lambda: print_engine_out(found, [*found.files.values(), *pages]))
     return DONE
 
 
@@ -170,7 +168,8 @@ def failsafes(options: FailsafeOptions) -> int:
     failsafes.csv in DIR, and in DIR/flights every flight as a scenario with its requests: hexjet fly flies it again.
     With several aircraft each has a folder of its name in DIR.
     """
-    from cosim.campaign.surveys.failsafe_table import mark, markdown, write
+    from cosim.api.surveys import FailsafesResult
+    from cosim.campaign.surveys.failsafe_table import mark, markdown
     from cosim.campaign.surveys.failsafes import TABLED, WINDS_M_S, Conditions
     from cosim.campaign.surveys.failsafes import failsafes as fly_all
     from cosim.results.report.marks import check_marks, write_marks
@@ -199,30 +198,24 @@ def failsafes(options: FailsafeOptions) -> int:
         )
         for survey in surveys:
             folder = folder or options.run_folder("failsafes" if several else f"failsafes-{survey.aircraft}")
-            table = write(survey, folder / survey.aircraft if several else folder)
+            found = FailsafesResult(survey).write(folder / survey.aircraft if several else folder)
             if not options.as_json:
-                print_failsafes(survey, table)
+                print_failsafes(found)
             results.append(survey)
     if page is not None:
         write_marks(page, {mark(survey.aircraft): markdown(survey) for survey in results})
-    tables = [survey.to_dict() for survey in results]
-    options.answer(lambda: {"tables": tables} if several else tables[0], lambda: None)
+    data = [survey.to_dict() for survey in results]
+    options.answer(lambda: {"tables": data} if several else data[0], lambda: None)
     return DONE
 
 
-def print_survival(result: Survival, report: Path) -> None:
+def print_survival(found: FaultsResult) -> None:
     """Print how many places of each fault are held, by controller, what explains it, and where the report is."""
-    from cosim.campaign.surveys.faults import summary
     from cosim.spec.controller_name import label
 
-    controllers, survived = summary(result)
-    rows = []
-    for kind, start, cells in survived:
-        times = [time for cell in cells if cell.detected_s for time in cell.detected_s]
-        columns = [f"{cell.held}/{cell.flights}  {cell.lean_deg:3.0f} deg {cell.lost_m:4.1f} m" for cell in cells]
-        rows.append((kind, start, *columns, f"{min(times):.3f} to {max(times):.3f}" if times else "-"))
-    titles = ("fault", "from", *map(label, controllers), "detected, s")
-    show_table(titles, rows, range(2, len(titles)))
+    result = found.survival
+    by_fault, by_loss = found.tables()
+    show_table(by_fault.columns, by_fault.rows, range(2, len(by_fault.columns)))
     if result.engine_note:
         say(result.engine_note, wrap=False)
     say("held at so many of the places where it can happen; the largest lean and the most height lost there")
@@ -239,48 +232,28 @@ def print_survival(result: Survival, report: Path) -> None:
         lost = "nowhere" if limit.lost_at is None else f"at {limit.lost_at:g}"
         name = label(limit.controller)
         say(f"{limit.quantity}, {limit.start}, {name}: held at {held}; airborne at {airborne}; lost {lost}", wrap=False)
-    rows = []
-    for attainable in result.attainable:
-        roll = "cannot hover" if attainable.roll is None else f"{100.0 * attainable.roll:.0f} %"
-        lost = ", ".join(map(str, attainable.lost)) or "none"
-        rows.append((lost, f"{attainable.thrust:.2f}", roll, "yes" if attainable.yaw else "no"))
-    show_table(("lost jets", "thrust over weight", "roll authority", "yaw balanced"), rows, (1, 2, 3))
-    say(f"report: {report}", wrap=False)
+    show_table(by_loss.columns, by_loss.rows, (1, 2, 3))
+    say(f"report: {found.report}", wrap=False)
 
 
-def print_engine_out(result: EngineOut, paths: Sequence[Path]) -> None:
+def print_engine_out(found: EngineOutResult, paths: Sequence[Path]) -> None:
     """Print what became of every vehicle with one engine out, its bounds, and where it stands."""
-    from cosim.campaign.surveys.engine_out import TABLES, rows
-
-    aircraft = [flight.aircraft for flight in result.flights] + [flight.aircraft for flight in result.left]
-    for name, lines in rows(result, aircraft).items():
-        show_table(TABLES[name], lines)
+    for table in found.tables():
+        show_table(table.columns, table.rows)
     say(
         "each jet: verdict, largest lean, height lost, furthest drift; bounds: the lean that no throttles avoid, "
         "and while it does not spin no tilts either, told of it at once; the second table: the bound for throttles "
         "alone with one thing changed, and when the opposite engine has to be shut off for a bound at the limit"
     )
-    for text in (*result.engine_notes, *map(str, paths)):
+    for text in (*found.engine_out.engine_notes, *map(str, paths)):
         say(text, wrap=False)
 
 
-def print_failsafes(result: Failsafes, table: Path) -> None:
+def print_failsafes(found: FailsafesResult) -> None:
     """Print what became of each failsafe from each start, and where the flights are."""
-    from cosim.campaign.surveys.failsafe_table import grid, summary
-
-    if result.airborne:
-        titles = ("failsafe", "wind, m/s", "moving, m/s", "ended", "down, m/s", "sideways, m/s", "thrust 10 s later, N")
-        rows = []
-        for row in summary(result):
-            worst = [
-                "-" if value != value else f"{value:{form}}"
-                for value, form in ((row.touchdown_m_s, ".2f"), (row.sideways_m_s, ".2f"), (row.thrust_n, ".1f"))
-            ]
-            rows.append((row.failsafe, f"{row.wind_m_s:g}", f"{row.speed_m_s:g}", row.ends, *worst))
-        show_table(titles, rows, (1, 2, 4, 5, 6))
-    else:
-        head, *lines = grid(result)
-        show_table(head, lines)
+    result = found.survey
+    for table in found.tables():
+        show_table(table.columns, table.rows, (1, 2, 4, 5, 6) if result.airborne else ())
     say(
         f"{result.aircraft}, {result.engine}, {result.controller}: the fastest touch-down and the most thrust of all "
         f"{'heights' if result.airborne else 'flights of a cell'}; a leg that touches faster than "
@@ -288,4 +261,4 @@ def print_failsafes(result: Failsafes, table: Path) -> None:
     )
     if result.engine_note:
         say(result.engine_note, wrap=False)
-    say(f"every flight: {table}", wrap=False)
+    say(f"every flight: {found.files['table']}", wrap=False)

@@ -6,9 +6,10 @@ A port is found by causality, name and unit, or specified in a mapping file (:mo
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
+from typing import NamedTuple
 
 from cosim.base.signals import MOST_JETS
 from cosim.engine.fmu.mapping import PortMap, VariableName
@@ -142,6 +143,39 @@ def find_ports(variables: Sequence[Variable], port_map: PortMap) -> tuple[dict[s
         if other != name:
             raise PortError(f"its {port.variable.name} is both {other} and {name}; state one of them in [ports]")
     return ports, notes
+
+
+class PortFinding(NamedTuple):
+    """What is found of one port: its variable, and why it is not ready; ``part`` is the table that would say it."""
+
+    port: str
+    variable: Variable | None
+    trouble: str = ""
+    part: str = "ports"
+    notes: tuple[str, ...] = ()  # on what is assumed
+
+
+def look_for_ports(variables: Sequence[Variable]) -> Iterator[PortFinding]:
+    """Yield what is found of every port of one engine, the troubles of all of them; one that is not there is left out.
+
+    :func:`find_ports` raises the first trouble of a port that is needed.
+    """
+    ports: dict[str, Port] = {}
+    for name, kind in KINDS.items():
+        if kind.only_mapped:
+            continue
+        variable: Variable | None = None
+        try:
+            variable = _search(name, kind, variables, ports)
+            if variable is not None and (name != "start" or "throttle" in ports):
+                notes: list[str] = []
+                ports[name] = _make_port(name, kind, variable, PortMap(), ports, notes)
+                yield PortFinding(name, variable, notes=tuple(notes))
+        except PortError as error:
+            part = "ports" if variable is None else "range" if name == "throttle" else "units"
+            if variable is not None and name == "throttle":
+                ports[name] = Port(variable)  # it is no other port then
+            yield PortFinding(name, variable, str(error), part)
 
 
 def normalise_name(name: str) -> str:

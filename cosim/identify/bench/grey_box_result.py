@@ -34,12 +34,18 @@ def write(result: GreyIdentification, folder: Path) -> dict[str, Path]:
         texts[paths["engine"]] = toml_text(engine_table(result))
     write_identification(folder, texts, archive, remove_engine=True)
     paths["report"] = folder / "report.html"
+    page(result).write(paths["report"])
+    return paths
+
+
+def page(result: GreyIdentification) -> Page:
+    """Return the page of a fit."""
     cards = [
         Card("Models", ["with 95 % bounds", result.choices.engine], rows(result), BOUNDS),
         *movement_cards(result.held_back, output_unit(result.records[0]), result.swing),
         Card("Measured and modelled", figure="signals"),
     ]
-    Page(
+    return Page(
         "identification from a bench",
         f"{result.choices.engine}: {', '.join(result.names)}",
         summary(result),
@@ -49,8 +55,7 @@ def write(result: GreyIdentification, folder: Path) -> dict[str, Path]:
         {"signals": draw_signals(lay_behind(result.parts, result.residual), ("command", "output"))},
         result.notes,
         [] if result.leaves_engine else ["no engine: with these parameters it does not explain the log"],
-    ).write(paths["report"])
-    return paths
+    )
 
 
 def engine_table(result: GreyIdentification) -> dict[str, object]:

@@ -203,7 +203,7 @@ def throttle_limits(
     """Return what throttle 0 and 1 are, and whether that is known: as given, by the unit, or by how far it goes."""
     if given is not None:
         if not given[1] > given[0]:
-            raise InputError(f"--range {given[0]:g} {given[1]:g}: the second must be above the first")
+            raise InputError(f"--throttle-range {given[0]:g} {given[1]:g}: the second must be above the first")
         return given, True
     low = min(float(record.command.min()) for record in records)
     high = max(float(record.command.max()) for record in records)
@@ -214,7 +214,7 @@ def throttle_limits(
     if record.command_unit == "percent":
         notes.append(
             f"{record.command_name} is in percent and never above {high:g}: is it a share? no engine is left; "
-            "--range 0 1 or --range 0 100 says what throttle 0 and 1 are"
+            "--throttle-range 0 1 or --throttle-range 0 100 says what throttle 0 and 1 are"
         )
         return (0.0, 1.0), False
     if throttle and low >= 0.0 and high <= UNIT_RANGE:
@@ -222,12 +222,12 @@ def throttle_limits(
     if throttle and low >= 0.0 and high <= LONG_RANGE:
         notes.append(
             f"{record.command_name} goes from {low:g} to {high:g} and has no unit: taken for percent; "
-            "--range LOW HIGH says what throttle 0 and 1 are"
+            "--throttle-range LOW HIGH says what throttle 0 and 1 are"
         )
         return (0.0, 100.0), True
     notes.append(
         f"what throttle 0 and 1 are is not known ({record.command_name} goes from {low:g} to {high:g}): the gain is "
-        "that of this range, and no engine is left; --range LOW HIGH says it"
+        "that of this range, and no engine is left; --throttle-range LOW HIGH says it"
     )
     return (low, high), False
 

@@ -40,7 +40,7 @@ def why_no_engine(result: BenchIdentification) -> str:
     if record.newtons is None:
         return f"{record.output_name} is in {record.output_unit or 'no unit'}; an engine's output is a thrust in N"
     if not result.limits_known:
-        return "what throttle 0 and 1 are is not known: --range LOW HIGH"
+        return "what throttle 0 and 1 are is not known: --throttle-range LOW HIGH"
     if not result.is_explained:
         return "the model does not explain the log"
     if not result.chosen.gain > 0.0:

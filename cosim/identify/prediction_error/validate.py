@@ -317,11 +317,17 @@ def write(validation: Validation, folder: Path) -> dict[str, Path]:
     """Write ``validation.json`` and ``report.html``.  Raises FlightError if a file cannot be written."""
     paths = {"json": folder / "validation.json", "report": folder / "report.html"}
     write_files({paths["json"]: json.dumps(validation.to_dict(), indent=2, allow_nan=False) + "\n"})
+    page(validation).write(paths["report"])
+    return paths
+
+
+def page(validation: Validation) -> Page:
+    """Return the page of a comparison."""
     model, units = validation.model, (validation.model.signals.command_unit, validation.model.signals.output_unit)
     signals = [
         Signals(times, command, times, output, fit, output - fit) for times, command, output, fit in validation.signals
     ]
-    Page(
+    return Page(
         "validation",
         f"{model.what}: the model beside {validation.log.name}",
         f"{model.path}, flown with {model.signals.command}; {validation.seconds:.1f} s compared, every "
@@ -331,5 +337,4 @@ def write(validation: Validation, folder: Path) -> dict[str, Path]:
         [Card("How well it fits", ("measure", "value"), rows(validation), ERROR), Card(MODELLED, figure="signals")],
         {"signals": draw_signals(signals, units)},
         validation.notes,
-    ).write(paths["report"])
-    return paths
+    )

@@ -302,7 +302,7 @@ def test_channels_that_are_given_leave_an_engine_where_the_output_is_a_thrust(he
     assert "hexjet identify log" in (tmp_path / "mine" / "README.md").read_text(encoding="utf-8")
     write(tmp_path / "bench.csv", 100.0 * command, thrust, times, "t_ms,throttle,thrust_N")
     done = hexjet("identify", "log", "bench.csv", *given, "--output", "thrust_N", "--out", "mine")
-    assert "an engine's throttle from 0 to 1: hexjet identify bench --range" in " ".join(done.out.split())
+    assert "an engine's throttle from 0 to 1: hexjet identify bench --throttle-range" in " ".join(done.out.split())
     assert not (tmp_path / "mine" / "engine.toml").exists()
     write(tmp_path / "bench.csv", command, thrust, times, "t_ms,throttle,speed_rpm")
     done = hexjet("identify", "log", "bench.csv", *given, "--output", "speed_rpm", "--out", "none")
@@ -315,7 +315,7 @@ def test_channels_that_are_given_leave_an_engine_where_the_output_is_a_thrust(he
         ("three rows", lambda t, u, y: (t[:3], u[:3], y[:3]), 2, "3 rows of throttle that can be used; at least 20"),
         ("no step", lambda t, u, y: (t, 0 * u, y), 1, "throttle does not move; step it: a step up and one down"),
         ("noise alone", lambda t, u, y: (t, u, y - y + np.sin(1e4 * t**2)), 1, "the output does not show the command"),
-        ("percent", lambda t, u, y: (t, 100 * u, y), 0, "has no unit: taken for percent; --range LOW HIGH says"),
+        ("percent", lambda t, u, y: (t, 100 * u, y), 0, "has no unit: taken for percent; --throttle-range LOW HIGH says"),
         ("negative", lambda t, u, y: (t, u, -y), 0, "if the load cell's sign is the other one: --output=-thrust_N"),
         ("backwards", lambda t, u, y: (np.where(t > 30, t - 30, t), u, y), 2, "the time goes back after 30 s"),
         ("nothing but a head", lambda t, u, y: (t[:0], u[:0], y[:0]), 2, "the table has no rows"),
@@ -367,7 +367,7 @@ def test_a_share_that_is_called_percent_leaves_no_engine(tmp_path: Path) -> None
     times, command, thrust, _ = bench_log("stairs of 5 s", 10.0)
     result = identify_bench(read_records([write(tmp_path / "b.csv", command, thrust, times, "t,throttle [%],F [N]")]))
     assert any("is in percent and never above 0.9" in note for note in result.notes)
-    assert why_no_engine(result) == "what throttle 0 and 1 are is not known: --range LOW HIGH"
+    assert why_no_engine(result) == "what throttle 0 and 1 are is not known: --throttle-range LOW HIGH"
 
 
 @pytest.mark.parametrize(

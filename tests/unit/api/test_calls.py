@@ -27,8 +27,9 @@ from cosim.spec.scenario.changes import Changes
 
 PUBLIC = runpy.run_path(str(DOCS / "api.py"))["MODULES"]
 CALLS = (
-    "compare", "design", "export", "export_controller", "export_vehicle", "identify", "margins", "prove", "rare",
-    "replay", "search", "show", "sweep",
+    "compare", "design", "engine_out", "export", "export_controller", "export_vehicle", "failsafes", "faults",
+    "identify", "identify_bench", "identify_log", "margins", "prove", "rare", "replay", "search", "show", "sweep",
+    "validate",
 )  # fmt: skip
 
 
@@ -68,6 +69,19 @@ def test_a_call_is_typed_and_refuses_a_name_that_is_none(name: str) -> None:
         ("margins", (), {"out": __file__}, f"{__file__}: is a file; name a folder with out"),
         ("identify", ("engine", "edf"), {"lags": 7}, "identify: lags: 7; allowed: at least 0, at most 2"),
         ("identify", ("roll",), {"lags": 0}, "identify: lags: 0; allowed: at least 1 of an axis"),
+        ("identify_log", ("a.ulg",), {}, "identify log: say axis roll, pitch or yaw, or engine N"),
+        ("identify_log", ("a.ulg", "roll"), {"lags": 0}, "identify_log: lags = 0: an axis has one at least"),
+        ("identify_bench", (), {}, "identify_bench: logs: name one at least"),
+        ("identify_bench", ("a.csv",), {"fit": ["lag"]}, "identify_bench: fit and settings are for the parameters of"),
+        ("faults", ("hexjt",), {}, "unknown aircraft 'hexjt'; did you mean 'hexjet'"),
+        ("faults", (), {"workers": 0}, "faults: workers: 0; allowed: at least 1, at most 64"),
+        (
+            "failsafes",
+            ("quadrotor",),
+            {"kinds": ["nonesuch"]},
+            "no failsafe begins with 'nonesuch'; there are: GNSS lost, ",
+        ),
+        ("engine_out", (["quadrotor"],), {}, "aircraft quadrotor: it has no tilting banks"),
         ("sweep", ("hover",), {"out": "a\0b"}, "sweep: out: 'a\\x00b' has a zero in it, and is no name"),
         ("sweep", ("hover",), {"vary": ["vehicle.mass_kg=5:6"], "runs": 2, "workers": 0}, "workers = 0: at least 1"),
         ("show", ("hexjt",), {}, "nothing that can be flown is called 'hexjt'; did you mean 'hexjet'"),
@@ -95,6 +109,10 @@ OTHERWISE = {"inertia_tolerance": "inertia", "mass_tolerance": "mass", "thrust_t
         ("api.margins:margins", "cli.controllers.margins:Margins", 1.0),
         ("api.identify:identify", "cli.controllers.identify:SweptEngine", 1.0),
         ("api.replay:replay", "cli.controllers.replay:Replayed", 0.01),
+        ("api.identify:identify_bench", "cli.controllers.bench:Bench", 1.0),
+        ("api.logs:identify_log", "cli.controllers.identify:FromLog", 1.0),
+        ("api.surveys:failsafes", "cli.studies.faults:FailsafeOptions", 1.0),
+        ("api.surveys:faults", "cli.studies.faults:Faults", 1.0),
     ],
 )
 def test_numbers_have_the_limits_of_their_options(call: str, record: str, shares: float) -> None:

@@ -1,0 +1,282 @@
+"""Engines and aircraft looked over: what ``hexjet fmu check``, ``fmu map`` and ``aircraft check`` call."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.api.call import Limits, Result, Table, checked
+from cosim.api.call.choices import as_settings
+from cosim.base.trust import mention
+from cosim.base.wording import says_arguments
+
+if TYPE_CHECKING:
+    from cosim.campaign.surveys.aircraft_check import AircraftCheck
+    from cosim.engine import CheckReport
+    from cosim.engine.make.mapping_file import BegunMapping
+
+CHECK = ("check.json", "report.html")
+
+
+class EngineCheckResult(Result):
+    """Whether an FMU is fit to be an engine, and how it answers its throttle.
+
+    Attributes
+    ----------
+    check : CheckReport
+        Everything.
+    """
+
+    def __init__(self, check: CheckReport) -> None:
+        self.check = check
+        self.files = {}
+
+    @property
+    def is_fit(self) -> bool:
+        """Whether no problem was found."""
+        return self.check.ok
+
+    @says_arguments
+    def write(self, folder: Path | str) -> EngineCheckResult:
+        """Write ``check.json`` and ``report.html``.
+
+        Parameters
+        ----------
+        folder : Path or str
+            Made if need be.
+
+        Returns
+        -------
+        EngineCheckResult
+            This one, which has the files now.
+
+        Raises
+        ------
+        FlightError
+            If a file cannot be written.
+        """
+        from cosim.results.report.engine_check import write_check
+
+        page = write_check(self.check, Path(folder))
+        self.files = {"report": page, "json": page.with_name(CHECK[0])}
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet fmu check --json`` prints."""
+        return self.check.to_dict()
+
+    def lines(self) -> list[str]:
+        """Return whether it is fit, and each problem."""
+        verdict = "fit to fly" if self.is_fit else "not fit to fly"
+        return [f"{self.check.name}: {verdict}", *(f"problem: {problem}" for problem in self.check.problems)]
+
+    def tables(self) -> list[Table]:
+        """Return the findings."""
+        return [Table("", ("finding", "what it is"), self.check.lines())]
+
+    def _figures(self) -> Mapping[str, Any]:
+        from cosim.results.report.engine_check import check_figures
+
+        return check_figures(self.check)
+
+
+@checked(step_s=Limits(0.0, is_open=True), time_limit_s=Limits(1.0))
+def check_engine(
+    engine: str | Path,
+    *,
+    step_s: float | None = None,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    time_limit_s: float = 120.0,
+    out: str | Path | None = None,
+) -> EngineCheckResult:
+    """Tell whether an FMU is fit to be an engine, and how it answers its throttle.
+
+    It runs in a process of its own: if it crashes, hangs or eats memory, that is told, and nothing else happens.
+
+    Parameters
+    ----------
+    engine : str or Path
+        A name, an FMU or its mapping file.
+    step_s : float or None
+        Control step [s]; None: 0.004, or the library engine's.
+    settings : sequence of str or mapping
+        Parameters of the engine.
+    time_limit_s : float
+        For all of it [s].
+    out : str or Path or None
+        A folder for page and data; without it nothing is written.
+
+    Returns
+    -------
+    EngineCheckResult
+        The findings, and whether one of them prevents a flight.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be used as an engine at all.
+    """
+    from cosim.base.storage.files import check_results_folder
+    from cosim.base.storage.toml import parse_numbers
+    from cosim.engine import check_fmu, make_limits
+
+    if out is not None:
+        check_results_folder(Path(out), *CHECK)
+    texts = as_settings(settings)
+    mention([*texts, str(engine)], Path())
+    numbers = parse_numbers(tuple(texts), "--set")
+    result = EngineCheckResult(check_fmu(str(engine), step_s, numbers, make_limits(time_limit_s)))
+    return result if out is None else result.write(out)
+
+
+class MappingResult(Result):
+    """A mapping file begun for an engine's FMU.
+
+    Attributes
+    ----------
+    begun : BegunMapping
+        Everything; ``text`` is the file's.
+    """
+
+    def __init__(self, begun: BegunMapping) -> None:
+        self.begun = begun
+        self.files = {}
+
+    @property
+    def found(self) -> Mapping[str, str]:
+        """The variables of the ports that are ready, by port."""
+        return self.begun.found
+
+    @property
+    def open(self) -> Mapping[str, str]:
+        """What is to be stated of other ports, by port."""
+        return self.begun.open
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether nothing is open that an engine needs."""
+        return self.begun.is_complete
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet fmu map --json`` prints."""
+        begun = self.begun
+        return {
+            "fmu": str(begun.archive.path),
+            "mapping": str(begun.path),
+            "found": dict(begun.found),
+            "open": dict(begun.open),
+            "complete": begun.is_complete,
+        }
+
+    def lines(self) -> list[str]:
+        """Return what is found and what is open."""
+        begun = self.begun
+        found = ", ".join(f"{port} = {name}" for port, name in begun.found.items()) or "no port"
+        return [f"found: {found}", *(f"open: {port}: {trouble}" for port, trouble in begun.open.items())]
+
+
+@checked()
+def map_engine(fmu: str | Path, out: str | Path | None = None) -> MappingResult:
+    """Write a mapping file for an engine's FMU: the ports that are found, and what is to be stated of others.
+
+    Nothing of the FMU is run.
+
+    Parameters
+    ----------
+    fmu : str or Path
+        The FMU of an engine.
+    out : str or Path or None
+        The mapping file, which must not be there; None: beside the FMU, under its name.
+
+    Returns
+    -------
+    MappingResult
+        What is found, what is open, and the file.
+
+    Raises
+    ------
+    InputError
+        For what is no FMU of an engine, and a mapping file that is there already.
+    """
+    from cosim.engine.make.mapping_file import begin_mapping, write_mapping
+
+    result = MappingResult(begin_mapping(Path(fmu), None if out is None else Path(out)))
+    result.files = {"mapping": write_mapping(result.begun)}
+    return result
+
+
+class AircraftCheckResult(Result):
+    """Whether an aircraft is fit to fly.
+
+    Attributes
+    ----------
+    check : AircraftCheck
+        Everything.
+    """
+
+    def __init__(self, check: AircraftCheck) -> None:
+        self.check = check
+        self.files = {} if check.drawing is None else {"drawing": check.drawing}
+
+    @property
+    def is_fit(self) -> bool:
+        """Whether nothing is as it must not be."""
+        return self.check.is_fit
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet aircraft check --json`` prints."""
+        return self.check.to_dict()
+
+    def lines(self) -> list[str]:
+        """Return whether it is fit, and each fault."""
+        check = self.check
+        faults = [f"{line.name}: {line.fault}" for line in check.lines if line.fault]
+        verdict = "fit to fly" if check.is_fit else "not fit to fly"
+        return [f"{check.aircraft} with {check.engine}: {verdict}", *faults]
+
+    def tables(self) -> list[Table]:
+        """Return what was checked, and the moments with each engine lost."""
+        rows = []
+        for row in self.check.authority:
+            moments = [row.moment_range(axis).describe() for axis in range(3)]
+            if row.moment is None:
+                moments = ["falls" if row.cannot_hover else "none found", "", ""]
+            rows.append((", ".join(map(str, row.lost)) or "none", f"{row.lift:.2f}", *moments))
+        lines = [(line.name, line.text, line.fault) for line in self.check.lines]
+        return [
+            Table("", ("checked", "what it is", "fault"), lines),
+            Table("", ("engine lost", "lift / weight", "roll, N m", "pitch, N m", "yaw, N m"), rows),
+        ]
+
+
+@checked()
+def check_aircraft(
+    aircraft: str | Path, engine: str | Path | None = None, *, out: str | Path | None = None
+) -> AircraftCheckResult:
+    """Check frames, signs, units, inertia, hover, authority with every engine and without any one, and a flight.
+
+    Parameters
+    ----------
+    aircraft : str or Path
+        Name or folder.
+    engine : str or Path or None
+        A name, an FMU or its mapping file; None: the aircraft's own.
+    out : str or Path or None
+        A folder for a drawing in three views; without it nothing is drawn.
+
+    Returns
+    -------
+    AircraftCheckResult
+        Every check, and whether the aircraft is fit to fly.
+
+    Raises
+    ------
+    InputError
+        For an aircraft or an engine that cannot be read.
+    """
+    from cosim.campaign.surveys.aircraft_check import check_aircraft as check
+
+    flown = None if engine is None else str(engine)
+    mention([flown] if flown else [], Path())
+    return AircraftCheckResult(check(str(aircraft), flown, None if out is None else Path(out)))

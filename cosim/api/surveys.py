@@ -1,0 +1,415 @@
+"""What a vehicle survives, and how it comes down: what ``hexjet faults`` and ``hexjet failsafes`` call."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.api.call import Limits, Progress, Result, Table, checked
+from cosim.base.trust import mention
+from cosim.base.wording import says_arguments
+
+if TYPE_CHECKING:
+    from cosim.campaign.surveys.engine_out import EngineOut
+    from cosim.campaign.surveys.failsafes import Failsafes
+    from cosim.campaign.surveys.faults import Survival
+
+WRITTEN = ("survival.csv", "survival.html", "cases")
+WORKERS = Limits(1, 64)
+
+
+class FaultsResult(Result):
+    """Which single faults a vehicle survives, with which controller.
+
+    Attributes
+    ----------
+    survival : Survival
+        Everything; ``rows`` has a flight each.
+    """
+
+    def __init__(self, survival: Survival) -> None:
+        self.survival = survival
+        self.files = {}
+
+    @says_arguments
+    def write(self, folder: Path | str) -> FaultsResult:
+        """Write ``survival.csv``, ``survival.html`` and every flight as a scenario in ``cases``.
+
+        Parameters
+        ----------
+        folder : Path or str
+            Made if need be.
+
+        Returns
+        -------
+        FaultsResult
+            This one, which has the files now.
+
+        Raises
+        ------
+        FlightError
+            If a file cannot be written.
+        """
+        from cosim.campaign.surveys.fault_page import write
+
+        self.files = write(self.survival, Path(folder))
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet faults --json`` prints."""
+        return self.survival.to_dict()
+
+    def lines(self) -> list[str]:
+        """Return how many flights are held by each controller, and what is to be said of the engine."""
+        from cosim.campaign.surveys.faults import summary
+        from cosim.spec.controller_name import label
+
+        result = self.survival
+        controllers, survived = summary(result)
+        counts = [
+            (sum(cells[k].held for *_, cells in survived), sum(cells[k].flights for *_, cells in survived))
+            for k in range(len(controllers))
+        ]
+        flown = [
+            f"{result.aircraft}: {label(name)} holds {held} of {flights} flights"
+            for name, (held, flights) in zip(controllers, counts, strict=True)
+        ]
+        return [*flown, *([result.engine_note] if result.engine_note else []), *result.warnings]
+
+    def tables(self) -> list[Table]:
+        """Return at how many of its places each fault is held, and what is left where jets are lost."""
+        from cosim.campaign.surveys.faults import summary
+        from cosim.spec.controller_name import label
+
+        controllers, survived = summary(self.survival)
+        held = []
+        for kind, start, cells in survived:
+            times = [time for cell in cells if cell.detected_s for time in cell.detected_s]
+            columns = [f"{cell.held}/{cell.flights}  {cell.lean_deg:3.0f} deg {cell.lost_m:4.1f} m" for cell in cells]
+            held.append((kind, start, *columns, f"{min(times):.3f} to {max(times):.3f}" if times else "-"))
+        left = []
+        for attainable in self.survival.attainable:
+            roll = "cannot hover" if attainable.roll is None else f"{100.0 * attainable.roll:.0f} %"
+            lost = ", ".join(map(str, attainable.lost)) or "none"
+            left.append((lost, f"{attainable.thrust:.2f}", roll, "yes" if attainable.yaw else "no"))
+        return [
+            Table("", ("fault", "from", *map(label, controllers), "detected, s"), held),
+            Table("", ("lost jets", "thrust over weight", "roll authority", "yaw balanced"), left),
+        ]
+
+
+@checked(workers=WORKERS)
+def faults(
+    aircraft: str | Path = "hexjet",
+    engine: str | Path | None = None,
+    *,
+    controllers: Sequence[str] = (),
+    kinds: Sequence[str] = (),
+    limits: bool = False,
+    nominal_engine: bool = False,
+    workers: int = 2,
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+) -> FaultsResult:
+    """Fly every single fault, from hover and from a roll of 10 deg, and tell which the vehicle survives.
+
+    Parameters
+    ----------
+    aircraft : str or Path
+        Name or folder.
+    engine : str or Path or None
+        A name, an FMU or its mapping file; None: the aircraft's own.
+    controllers : sequence of str
+        Names or files; none: those with a model.
+    kinds : sequence of str
+        Only faults that begin so, such as ``flame-out``; none: all.
+    limits : bool
+        Whether it is found, too, how much thrust may be lost, and how late that may be noticed.
+    nominal_engine : bool
+        Whether the engine flies as it is stated, not drawn by its uncertainty.
+    workers : int
+        Processes.
+    out : str or Path or None
+        A folder for table, page and flights; without it nothing is written.
+    progress : Progress or None
+        Hears how far it is.
+
+    Returns
+    -------
+    FaultsResult
+        A row for each flight, and what is held by each controller.
+
+    Raises
+    ------
+    InputError
+        For an aircraft, an engine, a controller or a fault that there is none of.
+    """
+    from cosim.base.storage.files import check_results_folder
+    from cosim.campaign.surveys.faults import survival
+    from cosim.spec.controller_name import seen_from
+
+    hears = progress or Progress()
+    if out is not None:
+        check_results_folder(Path(out), *WRITTEN)
+    mention([*controllers, *([str(engine)] if engine else [])], Path())
+    named = [seen_from(controller, Path()) for controller in controllers]
+    flown = None if engine is None else str(engine)
+    result = FaultsResult(
+        survival(str(aircraft), flown, named, list(kinds), workers, hears.update, limits, nominal_engine)
+    )
+    return result if out is None else result.write(out)
+
+
+class EngineOutResult(Result):
+    """What becomes of vehicles with one engine out.
+
+    Attributes
+    ----------
+    engine_out : EngineOut
+        Everything; ``flights`` has one for each station.
+    """
+
+    def __init__(self, engine_out: EngineOut) -> None:
+        self.engine_out = engine_out
+        self.files = {}
+
+    @says_arguments
+    def write(self, folder: Path | str) -> EngineOutResult:
+        """Write ``engine-out.csv``.
+
+        Parameters
+        ----------
+        folder : Path or str
+            Made if need be.
+
+        Returns
+        -------
+        EngineOutResult
+            This one, which has the file now.
+
+        Raises
+        ------
+        FlightError
+            If the file cannot be written.
+        """
+        from cosim.campaign.surveys.engine_out import write
+
+        self.files = {"table": write(self.engine_out, Path(folder))}
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet faults --engine-out --json`` prints."""
+        return self.engine_out.to_dict()
+
+    def lines(self) -> list[str]:
+        """Return how many flights there are, which vehicles are left out, and notes on engines."""
+        result = self.engine_out
+        left = [f"{each.aircraft} with {each.engine}: left out, {each.why}" for each in result.left]
+        return [f"{len(result.flights)} flights with one engine out", *left, *result.engine_notes]
+
+    def tables(self) -> list[Table]:
+        """Return verdict, lean, height lost and drift of each vehicle, and its bounds."""
+        from cosim.campaign.surveys.engine_out import TABLES, rows
+
+        result = self.engine_out
+        aircraft = [each.aircraft for each in result.flights] + [each.aircraft for each in result.left]
+        return [Table("", TABLES[name], lines) for name, lines in rows(result, aircraft).items()]
+
+
+@checked(workers=WORKERS)
+def engine_out(
+    aircraft: Sequence[str] = (),
+    engines: Sequence[str] = (),
+    *,
+    designs: str | Path | None = None,
+    nominal_engine: bool = False,
+    workers: int = 2,
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+) -> EngineOutResult:
+    """Fly one engine out in hover, at every station, and compare with the lean that no throttles avoid.
+
+    Parameters
+    ----------
+    aircraft : sequence of str
+        Names or folders; none: all that are shipped and have tilting banks.
+    engines : sequence of str
+        Names or files; none: all that lift the vehicle.
+    designs : str or Path or None
+        The folder of the controllers, a missing one is designed, which takes minutes; None: ``designs`` in ``out``, or
+        in ``runs/engine-out``.
+    nominal_engine : bool
+        Whether engines fly as they are stated, not drawn by their uncertainty.
+    workers : int
+        Processes.
+    out : str or Path or None
+        A folder for the table; without it none is written.
+    progress : Progress or None
+        Hears how far it is.
+
+    Returns
+    -------
+    EngineOutResult
+        A row for each flight, and the bounds.
+
+    Raises
+    ------
+    InputError
+        For an aircraft or an engine that there is none of, and a vehicle without tilting banks.
+    """
+    from cosim.campaign.surveys.engine_out import engine_out as fly_all
+
+    hears = progress or Progress()
+    folder = (
+        Path(designs) if designs is not None else (Path("runs/engine-out") if out is None else Path(out)) / "designs"
+    )
+    mention(engines, Path())
+    result = EngineOutResult(fly_all(tuple(aircraft), tuple(engines), folder, workers, hears.update, nominal_engine))
+    return result if out is None else result.write(out)
+
+
+class FailsafesResult(Result):
+    """How flights end after what an autopilot has an answer to.
+
+    Attributes
+    ----------
+    survey : Failsafes
+        Everything; ``rows`` has a flight each.
+    """
+
+    def __init__(self, survey: Failsafes) -> None:
+        self.survey = survey
+        self.files = {}
+
+    @says_arguments
+    def write(self, folder: Path | str) -> FailsafesResult:
+        """Write ``failsafes.csv``, and every flight as a scenario in ``flights``.
+
+        Parameters
+        ----------
+        folder : Path or str
+            Made if need be.
+
+        Returns
+        -------
+        FailsafesResult
+            This one, which has the file now.
+
+        Raises
+        ------
+        FlightError
+            If a file cannot be written.
+        """
+        from cosim.campaign.surveys.failsafe_table import write
+
+        self.files = {"table": write(self.survey, Path(folder))}
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet failsafes --json`` prints."""
+        return self.survey.to_dict()
+
+    def lines(self) -> list[str]:
+        """Return what flew, and what counts as a crash."""
+        found = self.survey
+        first = f"{found.aircraft}, {found.engine}, {found.controller}: {len(found.rows)} flights"
+        limits = (
+            f"a leg that touches faster than {found.limit_m_s:.2f} m/s counts as a crash; faster than "
+            f"{found.trip_m_s:.2f} m/s sideways it has slid"
+        )
+        return [first, limits, *([found.engine_note] if found.engine_note else [])]
+
+    def tables(self) -> list[Table]:
+        """Return how the flights of each failsafe ended."""
+        from cosim.campaign.surveys.failsafe_table import grid, summary
+
+        if not self.survey.airborne:
+            head, *lines = grid(self.survey)
+            return [Table("", head, lines)]
+        rows = []
+        for row in summary(self.survey):
+            worst = [
+                "-" if value != value else f"{value:{form}}"
+                for value, form in ((row.touchdown_m_s, ".2f"), (row.sideways_m_s, ".2f"), (row.thrust_n, ".1f"))
+            ]
+            rows.append((row.failsafe, f"{row.wind_m_s:g}", f"{row.speed_m_s:g}", row.ends, *worst))
+        return [Table("", AIRBORNE, rows)]
+
+
+AIRBORNE = ("failsafe", "wind, m/s", "moving, m/s", "ended", "down, m/s", "sideways, m/s", "thrust 10 s later, N")
+
+
+@checked(workers=WORKERS, flights=Limits(1, 1000), seed=Limits(0))
+def failsafes(
+    aircraft: str | Path = "hexjet",
+    engine: str | Path | None = None,
+    *,
+    controller: str | None = None,
+    kinds: Sequence[str] = (),
+    heights: Sequence[float] = (),
+    winds: Sequence[float] = (0.0, 5.0, 10.0),
+    flights: int = 3,
+    seed: int = 0,
+    airborne: bool = False,
+    moving: float = 5.0,
+    nominal_engine: bool = False,
+    workers: int = 2,
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+) -> FailsafesResult:
+    """Let everything fail that the autopilot has an answer to, and tell how each flight ended.
+
+    Parameters
+    ----------
+    aircraft : str or Path
+        Name or folder.
+    engine : str or Path or None
+        A name, an FMU or its mapping file; None: the aircraft's own.
+    controller : str or None
+        A name or a file; None: smith, or baseline where there is no model.
+    kinds : sequence of str
+        Only failsafes that begin so, such as ``GNSS``; none: all.
+    heights : sequence of float
+        Above the ground [m]; none: 3, 10 and 30, and 100 and 300 where the fuel runs down.
+    winds : sequence of float
+        [m/s].
+    flights : int
+        From each height, each in the next of the winds and at a moment of its own.
+    seed : int
+        Of the moments and the noise.
+    airborne : bool
+        Whether it begins in the air, trimmed, from every height in every wind once.
+    moving : float
+        What loses the position also begins at this speed, from 10 m on, in the least wind [m/s]; 0: not.
+    nominal_engine : bool
+        Whether the engine flies as it is stated, not drawn by its uncertainty.
+    workers : int
+        Processes.
+    out : str or Path or None
+        A folder for table and flights; without it nothing is written.
+    progress : Progress or None
+        Hears how far it is.
+
+    Returns
+    -------
+    FailsafesResult
+        A row for each flight.
+
+    Raises
+    ------
+    InputError
+        For an aircraft, an engine, a controller or a failsafe that there is none of, and a vehicle without an
+        autopilot.
+    """
+    from cosim.campaign.surveys.failsafes import Conditions
+    from cosim.campaign.surveys.failsafes import failsafes as fly_all
+
+    hears = progress or Progress()
+    mention([each for each in (engine, controller) if isinstance(each, str)], Path())
+    conditions = Conditions(tuple(heights), tuple(winds), moving, flights, airborne, seed, nominal_engine)
+    flown = None if engine is None else str(engine)
+    result = FailsafesResult(
+        next(iter(fly_all([str(aircraft)], flown, controller, list(kinds), conditions, workers, hears.update)))
+    )
+    return result if out is None else result.write(out)

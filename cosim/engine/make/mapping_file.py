@@ -1,0 +1,160 @@
+"""A mapping file begun for an FMU: what is found of its ports, and what its author has to say."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.base.storage.files import map_os_errors
+from cosim.base.storage.toml import toml_text
+from cosim.engine.fmu.archive import Archive, read_component
+from cosim.engine.fmu.container import UnusableError, read_bytes
+from cosim.engine.fmu.port_kinds import KINDS, NEEDED
+from cosim.engine.fmu.ports import PortFinding, look_for_ports
+from cosim.engine.fmu.variables import Variable
+from cosim.engine.make.controller_fmu import is_controller
+
+_COLUMN = 32  # at which comments begin
+_FREE = ("ram_drag", "force_forward", "force_right", "torque")  # never looked for
+_HEAD = """\
+# Ports of {fmu}, begun by hexjet fmu map. A line behind "# OPEN" is to be stated; others hold unless you change them.
+# All that a mapping file may say: docs/own-engine.md. It takes the FMU's place: --engine {file}
+"""
+
+
+@dataclass(frozen=True)
+class BegunMapping:
+    """A mapping file begun: ``text`` is what is written to ``path``."""
+
+    path: Path
+    archive: Archive
+    findings: tuple[PortFinding, ...]
+    text: str
+
+    @property
+    def found(self) -> Mapping[str, str]:
+        """The variables of the ports that are ready, by port."""
+        return {each.port: each.variable.name for each in self.findings if each.variable and not each.trouble}
+
+    @property
+    def open(self) -> Mapping[str, str]:
+        """Why each of the other ports that an engine needs, or that the FMU seems to have, is not ready."""
+        return {each.port: each.trouble for each in self.findings if each.trouble}
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether nothing is open that an engine needs."""
+        return not any(port in NEEDED for port in self.open)
+
+
+def begin_mapping(fmu: Path, out: Path | None = None) -> BegunMapping:
+    """Return the mapping file of an engine's FMU, begun, for ``out`` or beside it; nothing of the FMU is run.
+
+    Raises InputError for what is no FMU of an engine.
+    """
+    suffix = fmu.suffix.lower()
+    if suffix == ".toml":
+        raise InputError(f"{fmu}: is a mapping file already; hexjet fmu check {fmu} says what it lacks")
+    if suffix == ".ssp":
+        raise InputError(f"{fmu}: is a system, whose connectors are its ports; hexjet fmu map takes one FMU")
+    if suffix != ".fmu" and not fmu.exists():
+        raise InputError(f"{fmu}: is no file; hexjet fmu map takes the FMU of an engine, FILE.fmu")
+    try:
+        archive = read_component(fmu, read_bytes(fmu))
+    except UnusableError as reason:
+        raise InputError(f"{fmu}: {reason}") from reason
+    if is_controller(fmu):
+        raise InputError(f"{fmu}: is the FMU of a controller, which needs no mapping file; it goes with --controller")
+    path = fmu.with_suffix(".toml") if out is None else out
+    findings = tuple(look_for_ports([*archive.inputs, *archive.outputs, *archive.parameters]))
+    return BegunMapping(path, archive, findings, "".join(_lines(path, archive, findings)))
+
+
+def write_mapping(begun: BegunMapping) -> Path:
+    """Write a mapping file and return its path.  Raises InputError where it is there already, or cannot be written."""
+    if begun.path.exists():
+        raise InputError(f"{begun.path}: is there already; name another file with --out, or remove it")
+    with map_os_errors(InputError, begun.path):
+        begun.path.parent.mkdir(parents=True, exist_ok=True)
+        begun.path.write_text(begun.text, encoding="utf-8")
+    return begun.path
+
+
+def _lines(path: Path, archive: Archive, findings: Sequence[PortFinding]) -> Iterator[str]:
+    fmu = os.path.relpath(archive.path, path.parent)
+    yield _HEAD.format(fmu=archive.path.name, file=path.name)
+    yield toml_text({"fmu": fmu, "title": archive.model})
+    yield "\n[ports]\n"
+    taken = {each.variable.name for each in findings if each.variable}
+    for each in findings:
+        yield from _port_lines(each, archive, taken)
+    yield from _section(
+        "units",
+        [
+            _open(f'{each.port} = "{KINDS[each.port].quantity.si}"', each.trouble)
+            for each in findings
+            if each.part == "units"
+        ],
+    )
+    yield from _section(
+        "range", [_open("throttle = [0.0, 1.0]", each.trouble) for each in findings if each.part == "range"]
+    )
+    for title, variables in (
+        ("inputs", archive.inputs),  # held all the flight; without a line an input keeps its start value
+        ("parameters", archive.parameters),
+    ):
+        free = [v for v in variables if v.name not in taken and v.type != "String"]
+        yield from _section(title, [_with_comment(f"# {_key(v)} = {v.start or 0.0:g}", _describe(v)) for v in free])
+
+
+def _section(title: str, lines: Sequence[str]) -> Sequence[str]:
+    """Return a table of the file with these lines; nothing where there are none."""
+    return [f"\n[{title}]\n", *lines] if lines else []
+
+
+def _port_lines(each: PortFinding, archive: Archive, taken: set[str]) -> Iterator[str]:
+    """Yield the line of a port; an optional one of which the FMU has nothing has none."""
+    if each.variable is not None:
+        line = f"{each.port} = {_quoted(each.variable.name)}"
+        is_ready = not each.trouble or each.port in NEEDED
+        about = "; ".join([_describe(each.variable), *each.notes])
+        yield _with_comment(line, about) if is_ready else _with_comment(f"# {line}", each.trouble)
+    elif each.trouble:
+        yield _open(f'{each.port} = ""', each.trouble)
+        free = [v for v in _of(archive, KINDS[each.port].causality) if v.name not in taken]
+        yield from (f"#     {_quoted(v.name)}: {_describe(v)}\n" for v in free)
+
+
+def _of(archive: Archive, causality: str) -> Sequence[Variable]:
+    return {"input": archive.inputs, "output": archive.outputs}.get(causality, archive.parameters)
+
+
+def _open(line: str, trouble: str) -> str:
+    return f"# OPEN: {trouble}\n# {line}\n"
+
+
+def _with_comment(line: str, comment: str) -> str:
+    return f"{line:{_COLUMN - 1}} # {comment}\n"
+
+
+def _describe(v: Variable) -> str:
+    """Return what an FMU declares of a variable: unit, range, start, description."""
+    ends = [f"{value:g}" if value is not None else "" for value in (v.min, v.max)]
+    parts = [
+        f"[{v.unit}]" if v.unit else "no unit",
+        f"{ends[0]} to {ends[1]}" if all(ends) else "no range",
+        f"starts at {v.start:g}" if v.start is not None and v.causality != "output" else "",
+        " ".join(v.description.split()),
+    ]
+    return ", ".join(part for part in parts if part)
+
+
+def _quoted(name: str) -> str:
+    return toml_text({"x": name}).partition("=")[2].strip()
+
+
+def _key(v: Variable) -> str:
+    return _quoted(v.name) if not v.name.replace("_", "").isalnum() or not v.name.isascii() else v.name
