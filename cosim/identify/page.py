@@ -16,6 +16,7 @@ from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, Figure
 
 TEMPLATE = Path(__file__).parent / "templates" / "identification.html"
 MOST_POINTS = 4000  # a curve
+MOST_NUMBERS = 5  # of the line that a page begins with
 _BADGES = {EXPLAINED: "met", NOT_EXPLAINED: "unmet"}
 
 
@@ -51,6 +52,17 @@ class Page:
     def badge(self) -> str:
         """The class of the verdict's badge."""
         return _BADGES.get(self.judgement.verdict, "none")
+
+    @property
+    def answer(self) -> str:
+        """The first model's numbers in one line; an empty string where there is no table of models."""
+        for card in self.cards:
+            rows = list(card.rows)
+            if card.title == "Models" and rows and len(rows[0]) > 1:
+                parts = [(*row[0].partition(", "), row[1]) for row in rows if row[1]]
+                texts = [f"{name} {value} {unit}" for name, comma, unit, value in parts if comma]
+                return f"{card.columns[1]}: {', '.join(texts[:MOST_NUMBERS])}."
+        return ""
 
     def write(self, path: Path) -> None:
         """Write it.  Raises FlightError if the file cannot be written."""

@@ -25,6 +25,7 @@ ROW_PX = 44
 MAX_POINTS = 1500  # most points of a controller in a figure
 
 
+MOST_ANSWERS = 4  # at the top of a page; the table below has all
 COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change", "then")
 
 
@@ -47,6 +48,7 @@ def write_page(searched: SavedSearch, path: Path) -> None:
         title="" if list_changes(base, flown_parameters(base)) else base.title,
         controllers=[short_name(name) for name in result.study.controller_names],
         labels={name: short_name(name) for name in result.study.controller_names},
+        answers=[_answer(result, edge) for edge in result.edges[:MOST_ANSWERS]],
         columns=columns,
         rows=rows,
         fine=[describe_resolution(span) for span in result.plan.spans],
@@ -84,6 +86,21 @@ def _row(result: SearchResult, edge: Edge) -> tuple[str, ...]:
     if edge.breaks is None:
         return *common, f"{text(edge.end)}, the end", "-", "-", ""
     return *common, text(edge.holds), text(edge.breaks), _change(edge), _describe_break(edge)
+
+
+def _answer(result: SearchResult, edge: Edge) -> str:
+    """Return where an edge is in one sentence."""
+    over = result.plan.over
+    where = f", {over.key.path} {text(edge.level, over.key.unit)}" if over else ""
+    subject = f"{short_name(edge.controller)}{where}: {edge.key}"
+    if edge.start_breaks:
+        again = "" if edge.holds is None else f", and holds again at {text(edge.holds, edge.unit)}"
+        return f"{subject} breaks where it starts, at {text(edge.start, edge.unit)}{again}."
+    if edge.breaks is None:
+        return f"{subject} holds from {text(edge.start)} to the end, {text(edge.end, edge.unit)}."
+    return (
+        f"{subject} holds to {text(edge.holds)} and breaks at {text(edge.breaks, edge.unit)}: {_describe_break(edge)}."
+    )
 
 
 def _change(edge: Edge) -> str:

@@ -282,5 +282,5 @@ def _draw_information(result: LogIdentification) -> dict[str, Any]:
             "what a command tells of the delay, over its most", BLUE, grid, density / density.max(), 1, showlegend=True
         ),
     ]
-    layout = panels(440, "frequency [Hz]", ("1", "1"), log=True, domains=((0.55, 1.0), (0.0, 0.45)))
+    layout = panels(440, "frequency [Hz]", ("coherence", "of its most"), log=True, domains=((0.55, 1.0), (0.0, 0.45)))
     return {"data": data, "layout": layout | HOVER}

@@ -683,7 +683,7 @@ STATES: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
     "no-success": ({"runs": 40}, {"outcome": crashed}, ["0.0 % succeed, 0 of 40", "the hull touched the ground at … s"]),
     "no-failure": ({"runs": 40, "success": {}}, {"outcome": wins}, ["100.0 % succeed", "Every flight was one."]),
     "failed": ({"runs": 50}, {"outcome": failed}, ["10 flights could not be flown to a verdict", "the worker was lost … times"]),
-    "one-flight": ({"runs": 1, "controllers": ["smith"]}, {}, ["1 flights", "Too few flights"]),
+    "one-flight": ({"runs": 1, "controllers": ["smith"]}, {}, ["1 flights", "too few flights"]),
     "one-key": ({"runs": 60, "vary": SIX[:1]}, {}, ["What drives it"]),
     "choice": ({"runs": 60, "vary": [SIX[5], {"key": "engine", "values": ["edf", "edf-as-flown"]}]}, {}, ["edf-as-flown"]),
     "unfinished": ({"runs": 100}, {"finished": 77}, ["77 of 200 flights", "not finished: 77 of 200 flights (38.5%)"]),

@@ -413,6 +413,7 @@ def test_what_is_left_behind_flies_again_and_what_was_stopped_goes_on(tmp_path: 
         assert run.summary.seed == case.seed
     page = (tmp_path / "run" / "search.html").read_text()
     assert all(f"cases/{case.name}/report.html" in page for case in searched.cases)
+    assert " and breaks at " in page[: page.index("</header>")]
 
 
 def test_what_cannot_be_flown_breaks_and_says_so(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
@@ -532,6 +533,7 @@ def test_the_model_file_flies(hexjet, tmp_path: Path) -> None:  # type: ignore[n
     assert model == told["fits"][0]["discrete"]
     page = (tmp_path / "found" / "report.html").read_text()
     assert 'data-figure="response"' in page
+    assert re.search(r'<p class="verdict">1 lag.*: gain [\d.]+ ±', page[: page.index("</header>")])
     assert "http" not in page.split("<script>")[0].replace("http-equiv", "")
     status, out, err = hexjet("fly", "roll-doublet", "--engine", "edf", "--model", "found/model.toml", "--out", "flown")
     assert status == 0, err
