@@ -45,6 +45,15 @@ def test_by_keyboard(runs: int, tmp_path: Path, browser: Any) -> None:
         page.goto(server.url)
         page.wait_for_selector(f"body[data-shown='{runs}']")
         assert page.locator("[role=row]").count() < 80  # those in sight alone
+        page.set_viewport_size(
+            {"width": 390, "height": 700}
+        )  # a phone: three lines a run, and nothing beside the screen
+        page.wait_for_selector("body.slim")
+        first = page.locator("#row0").inner_text()
+        assert all(word in first for word in ("run-", "2026-01-", "roll.rmse_deg", "as planned"))
+        assert page.evaluate("document.getElementById('grid').scrollWidth <= 390")
+        page.set_viewport_size({"width": 1200, "height": 700})
+        page.wait_for_selector("body:not(.slim)")
         page.keyboard.press("/")
         page.keyboard.type("smith roll.rmse_rad<0.1 drift_m")  # no run says drift_m
         page.wait_for_selector("body[data-shown='0']")
