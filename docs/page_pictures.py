@@ -135,9 +135,17 @@ def live(folder: Path, flies: bool = True) -> Iterator[str]:
             thread.join()
 
 
-def take(browser: Any, url: str, name: str, at: float | None = None, width: int = 1100, scheme: str = "light") -> None:
+def take(
+    browser: Any,
+    url: str,
+    name: str,
+    at: float | None = None,
+    width: int = 1100,
+    scheme: str = "light",
+    high: int | None = None,
+) -> None:
     """The beginning of a page, or the replay of a page and what is below it, at a time of the flight."""
-    high = {"flight": 820, "comparison": 820, "phone": 760, "live": 800, "runs": 620}.get(name)
+    high = high or {"flight": 820, "comparison": 820, "phone": 760, "live": 800, "runs": 620}.get(name)
     context = browser.new_context(viewport={"width": width, "height": high or 1000}, color_scheme=scheme)
     tab = context.new_page()
     tab.goto(url)

@@ -1,0 +1,40 @@
+"""Takes the tutorial's pictures where its commands were run: ``python docs/tutorial_pictures.py FOLDER``.
+
+Needs playwright and Chromium, as ``page_pictures.py``, which it goes with.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+from page_pictures import FLAGS, FOLDER, take
+
+from benchmarks.measures.browser import find_browser
+
+PAGES = {  # a picture's name, its page, and the time of the flight that is shown
+    "tutorial-comparison": ("runs/compared/comparison.html", 4.6),
+    "tutorial-verdict": ("runs/verdict/report.html", None),
+}
+
+
+def main(folder: Path) -> int:
+    """Take them, and keep the drawing of the vehicle."""
+    found = find_browser()
+    if found is None:
+        print("no pictures of pages: install chromium, or name a browser in HEXJET_BROWSER", file=sys.stderr)
+        return 0
+    from playwright.sync_api import sync_playwright
+
+    shutil.copy(folder / "runs" / "check-my-vehicle" / "aircraft.svg", FOLDER / "tutorial-aircraft.svg")
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=found, args=FLAGS)
+        for name, (page, at) in PAGES.items():
+            take(browser, (folder / page).resolve().as_uri(), name, at, high=820)
+        browser.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))
