@@ -1,19 +1,20 @@
-"""Flies other people's autopilots, as programs that you name, and writes the tables of docs/autopilots.md.
+"""Flies other people's autopilots, as programs that you name, and writes docs/tables/autopilots.md.
 
     python docs/autopilots.py --px4 px4_sitl_default/bin/px4 --ardupilot build/sitl/bin/arducopter --betaflight
-        [--px4-inside PROGRAM] [--betaflight-inside PROGRAM] [--ardupilot-inside PROGRAM]
+        [--px4-inside PROGRAM] [--betaflight-inside PROGRAM] [--ardupilot-inside PROGRAM] [--px4-campaign FOLDER]
         [--only TEXT] [--instance N] [--out runs/autopilots]
 
 ``--X-inside``: the same autopilot built with an exported predictor in the place of its rate loop.  Of an autopilot that
 is not named, the table stays as it is.  What is in the folder is taken up and not flown again: after a change of the
-program take another folder.  Each flight is flown a second time from its record, without the autopilot, and compared
-bit for bit.
+program take another folder.  What is said of one flight goes to docs/autopilots.md.  Each flight is flown a second time
+from its record, without the autopilot, and compared bit for bit.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -24,6 +25,7 @@ from statistics import median
 from typing import Any
 
 from cosim.autopilots.prepare import find_program
+from cosim.campaign import open_campaign
 from cosim.cli.main import main as hexjet
 from cosim.flight import fly
 from cosim.results.log.digest import log_digest
@@ -32,6 +34,7 @@ from cosim.results.run import open_run
 from cosim.results.wording import metric
 
 PAGE = Path(__file__).parent / "autopilots.md"
+TABLES = Path(__file__).parent / "tables" / "autopilots.md"
 STOPPED = 128  # statuses above it are a signal's
 NAMES = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}
 HOVER, ROLL, YAW, LAND, OUT = FLIGHTS = ("hover", "roll doublet", "yaw doublet", "climb and land", "flame-out")
@@ -75,22 +78,27 @@ def at_400_hz(craft: Craft) -> Craft:
 
 
 BIG = (VEHICLE, DESIGNED)
+P220 = Craft("hexjet-p220", "p220", FULL_SCALE, BIG, ("--engine", "p220"))
+HEXJET_100 = Craft("hexjet-100", "turbine-100", {name: OWN[name] for name in (HOVER, ROLL)}, BIG)
+EIGHT = Craft("octojet", "turbine-100", OCTOJET, BIG)
 CRAFTS: Mapping[str, Sequence[Craft]] = {
     "px4": (
         HEXJET,
         replace(HEXJET_LATE, gains=LATE),
         QUADROTOR,
         QUADROTOR_LATE,
-        Craft("hexjet-p220", "p220", FULL_SCALE, BIG, ("--engine", "p220")),
-        Craft("hexjet-100", "turbine-100", {name: OWN[name] for name in (HOVER, ROLL)}, BIG),
-        Craft("octojet", "turbine-100", OCTOJET, BIG),
+        P220,
+        HEXJET_100,
+        EIGHT,
     ),
     "ardupilot": (
         HEXJET,
         replace(HEXJET_LATE, gains=(STOCK, VEHICLE, DESIGNED, INSIDE)),
         at_400_hz(QUADROTOR),
-        replace(at_400_hz(QUADROTOR_LATE), gains=BIG),
-        Craft("octojet", "turbine-100", OCTOJET, BIG),
+        at_400_hz(QUADROTOR_LATE),
+        P220,
+        HEXJET_100,
+        EIGHT,
     ),
     "betaflight": (HEXJET, replace(HEXJET_LATE, gains=LATE)),
 }
@@ -108,6 +116,17 @@ def run(arguments: Sequence[str]) -> None:
 def design_of(autopilot: str, craft: Craft, out: Path) -> Path:
     """Where the file of ``hexjet design --for`` an autopilot is; beside its page there is none where none was found."""
     return out / "designs" / f"{autopilot}-{craft.key}.toml"
+
+
+def promises(autopilot: str, craft: Craft, out: Path) -> dict[str, str]:
+    """What the design says of the step in a doublet, by the flight."""
+    file = design_of(autopilot, craft, out)
+    axes = tomllib.loads(file.read_text())["design"]["axes"] if file.is_file() else {}
+    said = {flight: axes[axis] for flight, axis in ((ROLL, "roll"), (YAW, "yaw")) if axis in axes}
+    return {
+        flight: f" (design: {100.0 * axis['overshoot']:.0f} %, {axis['settling_s']:.2f} s)"
+        for flight, axis in said.items()
+    }
 
 
 def found_none(file: Path) -> bool:
@@ -204,8 +223,12 @@ def rows(
             none = gains == DESIGNED and found_none(design_of(autopilot, craft, given.out))
             absent = dict.fromkeys(craft.flights, "no design" if none else "")
             if there or none:
+                promised = promises(autopilot, craft, given.out) if gains == DESIGNED else {}
                 cells = [
-                    cell(there[flight], flight) if flight in there else absent.get(flight, "") for flight in FLIGHTS
+                    cell(there[flight], flight) + promised.get(flight, "")
+                    if flight in there
+                    else absent.get(flight, "")
+                    for flight in FLIGHTS
                 ]
                 lines.append([craft.name, craft.engines, gains, *cells, pace(there.values())])
                 folders += there.values()
@@ -237,17 +260,43 @@ def part(autopilot: str, lines: Sequence[Sequence[str]], folders: Sequence[Path]
     )
 
 
-def place_held(program: str, out: Path, instance: int) -> str:
-    """What PX4's own position control makes of a minute of the quadrotor's hover."""
-    folder = out / "px4" / "hold"
+def place_held(autopilot: str, program: str, out: Path, instance: int) -> str:
+    """What an autopilot's own position control makes of a minute of the quadrotor's hover."""
+    folder = out / autopilot / "hold"
     if not (folder / "summary.json").is_file():
         options = ("--hold", "2", "--set", "duration_s=62", "--instance", str(instance))
-        run(["sitl", "px4", "--binary", program, "--aircraft", "quadrotor", *options, "--out", str(folder)])
+        craft = ("--aircraft", "quadrotor", *(("--set", "step_s=0.0025") if autopilot == "ardupilot" else ()))
+        run(["sitl", autopilot, "--binary", program, *craft, *options, "--out", str(folder)])
     flat = open_run(folder).summary.flat_metrics
+    away, height = flat["position.drift_m"] or 0.0, flat["altitude.max_abs_error_m"] or 0.0
     return (
-        f"With `--hold 2` the quadrotor stayed within {flat['position.drift_m'] or 0.0:.2f} m of its start, and its "
-        f"height within {flat['altitude.max_abs_error_m'] or 0.0:.2f} m, for a minute.\n"
+        f"With `--hold 2` {NAMES[autopilot]} kept the quadrotor within {away:.2f} m of its start for a minute, and its "
+        f"height within {height:.2f} m.\n"
     )
+
+
+def campaign_flown(folder: Path) -> str:
+    """What a campaign of ``hexjet sweep`` over an autopilot came to, and at which pace."""
+    columns = open_campaign(folder).columns
+    count, name = len(columns["flight"]), columns["autopilot"][0]
+    step = median(
+        float(spent) / int(steps) for spent, steps in zip(columns["duration_s"], columns["steps"], strict=True)
+    )
+    told, missing = (sum(map(int, columns[f"autopilot_{what}"])) for what in ("frames", "missing"))
+    pace = sum(step * int(frames) for frames in columns["autopilot_frames"]) / sum(map(float, columns["wall_s"]))
+    kept = f"{sum(columns['success'])} of {count} flights within the limits"
+    day = datetime.fromtimestamp((folder / "study.toml").stat().st_mtime, UTC)
+    return (
+        f"{NAMES[name]}, {day:%d %B %Y}: {kept}, over {' and '.join(varied(columns))}; {told:,} states told, {missing} "
+        f"answers missing. Each worker flew {pace:.1f} times as fast as real time, the time before the flight "
+        "included, on a machine with other programs.\n"
+    )
+
+
+def varied(columns: Mapping[str, Sequence[Any]]) -> list[str]:
+    """The keys that a campaign varies: they stand between a row's seed and its outcome."""
+    names = list(columns)
+    return [f"`{name}`" for name in names[names.index("seed") + 1 : names.index("outcome")]]
 
 
 def log_at_home(inside: str, out: Path, instance: int) -> str:
@@ -281,22 +330,26 @@ def main() -> None:
     for name in NAMES:
         parser.add_argument(f"--{name}", metavar="PROGRAM", nargs="?", const="")
         parser.add_argument(f"--{name}-inside", metavar="PROGRAM")
+        parser.add_argument(f"--{name}-campaign", metavar="FOLDER", type=Path, help="of hexjet sweep, flown before")
     parser.add_argument("--only", metavar="TEXT", help="fly vehicles, engines and gains that have this in their name")
     parser.add_argument("--instance", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("runs/autopilots"))
     given = parser.parse_args()
     named = [name for name in NAMES if getattr(given, name) is not None]
-    check_marks(PAGE, [f"flown: {name}" for name in named])
+    check_marks(TABLES, [f"flown: {name}" for name in named])
     for name in named:
         stated = getattr(given, name)
         program = find_program(name, Path(stated) if stated else None)
         programs = {"plain": str(program or ""), "inside": getattr(given, f"{name}_inside")}
         lines, folders = rows(name, programs, given)
-        parts = {f"flown: {name}": part(name, lines, folders)}
-        if name == "px4":
-            parts["px4: its place"] = place_held(programs["plain"], given.out, given.instance)
+        write_marks(TABLES, {f"flown: {name}": part(name, lines, folders)})
+        parts: dict[str, str] = {}
+        if name != "betaflight":
+            parts[f"{name}: its place"] = place_held(name, programs["plain"], given.out, given.instance)
         if name == "px4" and programs["inside"]:
             parts["px4: its log"] = log_at_home(programs["inside"], given.out, given.instance)
+        if (folder := getattr(given, f"{name}_campaign")) is not None:
+            parts[f"{name}: its campaign"] = campaign_flown(folder)
         write_marks(PAGE, parts)
 
 

@@ -131,10 +131,10 @@ def test_the_gains_of_a_design_are_flown_and_named(hexjet: Hexjet) -> None:
 
 def test_it_flies_what_the_page_says_that_px4_flew(hexjet: Hexjet) -> None:
     """The doublet's first side with the engines 0.1 s late and a predictor outside, beside the real program's row."""
-    page = (Path(__file__).parents[3] / "docs" / "autopilots.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "tables" / "autopilots.md").read_text(encoding="utf-8")
     (row,) = re.findall(
         r"^\| hexjet \| 0.1 s late \| smith, from outside \| [^|]* \| (\d+) %, (\d\.\d+) s ",
-        parts_of(page, "docs/autopilots.md")["flown: px4"],
+        parts_of(page, "docs/tables/autopilots.md")["flown: px4"],
         re.MULTILINE,
     )
     overshoot, settling = map(float, row)

@@ -74,6 +74,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/api.md": ("marks", "test_docstrings.py"),
     "docs/bench.md": ("test_identify_bench.py", "test_bench_coverage.py"),
     "docs/autopilots.md": ("marks", "test_adapters.py", "test_arducopter.py", "test_betaflight.py", "test_lockstep.py"),
+    "docs/tables/autopilots.md": ("marks", "test_px4_program.py"),
     "docs/benchmarks.md": ("marks", "test_bench.py", "test_flight_page.py"),
     "docs/campaigns.md": ("marks", "test_pages.py", "test_campaign_docs.py", "test_sequential.py"),
     "docs/tables/campaigns.md": ("marks", "test_pages.py", "test_campaign_docs.py", "test_campaign_limits.py"),
