@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from long_cases import long_after
 from pilot_flights import Flight
 from places import DOCS, ROOT
+from stated_figures import stated
 
 from cosim.base.frames import from_euler
 from cosim.base.signals import Sample, Vector3
@@ -252,6 +253,7 @@ def test_the_page_states_the_limits_of_every_vehicle() -> None:
     """docs/tables/ground-station.md, the table of bounds."""
     page = (DOCS / "tables" / "ground-station.md").read_text(encoding="utf-8")
     assert "| near the ground | caught: 5 m up | 30 m up |" in page
+    stated("docs/tables/ground-station.md", "In flight the lean stays below {} L", OVER)
     for row in envelope_rows():
         assert row in page
 

@@ -210,7 +210,7 @@ TYPED: Mapping[str, int] = {
     "docs/failsafes.md": 1,
     "docs/faults.md": 13,
     "docs/full-scale.md": 13,
-    "docs/ground-station.md": 15,
+    "docs/ground-station.md": 14,
     "docs/identification.md": 21,
     "docs/identify-logs.md": 1,
     "docs/metrics.md": 7,
