@@ -282,6 +282,6 @@ def export_vehicle(
     path = Path(name) if out is None else Path(out)
     is_single = path.suffix.lower() in (".fmu", ".ssp") and not path.is_dir()
     if is_single and path.suffix.lower() != f".{kind}":
-        raise InputError(f"--out {path}: --as {kind} writes .{kind}")
+        raise InputError(f"--out {path}: --to {kind} writes .{kind}")
     folder, file = (path.parent, path.name) if is_single else (path, "")
     return VehicleExport(write(flown, folder, name, contents, system=kind == "ssp", file=file))

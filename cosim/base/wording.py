@@ -19,22 +19,21 @@ from cosim.base.errors import FlightError, InputError
 P = ParamSpec("P")
 R = TypeVar("R")
 _OTHER_NAMES = {  # of an option: the arguments that mean the same, where they are not called as it is
-    "as": ("kind",),
-    "design": ("sampling",),
-    "engine": ("number",),
+    "axis": ("axis", "axes"),
     "failsafe": ("kinds",),
     "filed-under": ("family",),
     "fit": ("fitted",),
     "for": ("autopilot", "inside"),
-    "from": ("begin", "base"),
-    "hold": ("hold", "holds"),
-    "loops": ("loops",),
+    "from": ("base",),
     "out": ("out", "folder", "page", "file"),
     "replay": ("replays",),
     "rtf": ("realtime_factor",),
+    "sampling": ("design",),
+    "schedule": ("scheduled",),
     "set": ("settings",),
     "time": ("time_column",),
-    "to": ("to", "end"),
+    "to": ("to", "kind"),
+    "wind-speed": ("winds",),
 }
 # a command that is quoted stays as it is, to be typed into a shell; an option ends where its name does
 _QUOTED_OR_OPTION = re.compile(

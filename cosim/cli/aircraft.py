@@ -9,6 +9,7 @@ import click
 
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, say, show_table
+from cosim.cli.groups import Group
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ NOT_EXACT = (
 )
 
 
-@click.group()
+@click.group(cls=Group)
 def aircraft() -> None:
     """Begin an aircraft of your own, and look one over."""
 
@@ -29,7 +30,7 @@ class New(opt.Output):
     """Options of ``hexjet aircraft new``."""
 
     name: str = opt.argument()
-    base = opt.word("--from", "NAME", "Which shipped aircraft it begins as; see: hexjet list aircraft.", "hexjet")
+    base = opt.word("--from", "NAME", "Any aircraft that is shipped; see: hexjet list aircraft.", "hexjet")
     out = opt.out("[default: ./NAME]")
 
 
@@ -38,7 +39,8 @@ class New(opt.Output):
 def aircraft_new(options: New) -> int:
     """Write the folder of an aircraft of your own, called NAME, which flies as it is.
 
-    It begins as one that is shipped; change its vehicle.toml, and look it over with hexjet aircraft check.
+    It begins as a copy of the hexjet, or of any other that is shipped: --from quadjet.  Change its vehicle.toml, and
+    look it over with hexjet aircraft check.
     """
     from cosim.spec.new_aircraft import new_aircraft
     from cosim.spec.vehicle import load_vehicle
@@ -58,7 +60,7 @@ def aircraft_new(options: New) -> int:
 class Check(opt.Output):
     """Options of ``hexjet aircraft check``."""
 
-    aircraft: str = opt.argument(metavar="NAME|FOLDER")
+    aircraft: str = opt.argument(metavar="NAME|DIR")
     engine = opt.word("--engine", "NAME|FILE", "[default: the aircraft's own]")
     out = opt.out("[default: runs/check-NAME]")
     as_json = opt.JSON

@@ -28,6 +28,11 @@ def _names(*kinds: str) -> Complete:
     return complete
 
 
+def _logs(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Return the folders of runs, and files beside them."""
+    return [CompletionItem(incomplete, type="file"), *_runs(context, parameter, incomplete)[1:]]
+
+
 def _runs(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Return the folders in ``runs``, by which a run is named, the newest first, and folders beside them."""
     runs = Path("runs")
@@ -41,12 +46,14 @@ _COMPLETES: dict[str, Complete] = {
     "--aircraft": _names("aircraft"),
     "--controller": _names("controllers"),
     "--engine": _names("engines"),
+    "--from": _names("aircraft"),
     "--scenario": _names("scenarios"),
     "scenario": _names("scenarios"),
     "engine": _names("engines"),
     "engines": _names("engines"),
     "aircraft": _names("aircraft"),
     "folder": _runs,
+    "log": _logs,
     "names": _runs,
     "name": _names("scenarios", "studies", "engines", "aircraft", "controllers"),
 }

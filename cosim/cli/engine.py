@@ -10,6 +10,7 @@ import click
 from cosim.base.errors import InputError
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, part_progress, say
+from cosim.cli.groups import Group
 from cosim.cli.options import DONE, FLIGHT_FAILED, example, offer_to_compile
 from cosim.cli.outputs import Out
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from cosim.api.checks import EngineCheckResult
 
 
-@click.group()
+@click.group(cls=Group)
 def fmu() -> None:
     """Build and check engine FMUs."""
 
@@ -128,7 +129,7 @@ def fmu_survey(options: Survey) -> int:
 class Check(opt.Output):
     """Options of ``hexjet fmu check``."""
 
-    engine: str = opt.argument(metavar="NAME|FILE.fmu|MAPPING.toml")
+    engine: str = opt.argument(metavar="NAME|FILE")
     step_s = opt.positive("--step", "S", "Control step.  [default: 0.004, or the library engine's]")
     settings = opt.words("--set", "PARAMETER=VALUE", "Set a parameter of the engine.")
     time_limit_s = opt.number("--time-limit", "S", "For all of it.", min=1.0, default=120.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import click
+
 GROUPS = {
     "Fly": {
         "fly": "fly a scenario and leave a run's folder",
@@ -17,7 +19,7 @@ GROUPS = {
     "Design": {
         "aircraft": "begin an aircraft of your own, and check one",
         "fmu": "build and check engines as FMUs",
-        "identify": "fit a model to a sweep or a log",
+        "identify": "fit a model to a chirp or a log",
         "design": "design predictor and gains for an engine",
         "margins": "measure gain, phase and delay margins in flight",
         "validate": "fly a model with the commands of a log",
@@ -41,3 +43,19 @@ GROUPS = {
     },
 }
 OTHERS = "Of other packages"
+_WHOLE = 1000  # letters: no first sentence is longer
+
+
+class Group(click.Group):
+    """A group of commands, whose help has the whole first sentence of each."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands."""
+        found = {name: self.get_command(ctx, name) for name in self.list_commands(ctx)}
+        rows = [
+            (name, command.get_short_help_str(_WHOLE))
+            for name, command in found.items()
+            if command is not None and not command.hidden
+        ]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)

@@ -74,17 +74,21 @@ def words(name: str, metavar: str | None, text: str) -> tuple[str, ...]:
 
 
 @overload
-def word(name: str, metavar: str | None, text: str) -> str | None: ...
+def word(name: str, metavar: str | None, text: str, *, aliases: Sequence[str] = ()) -> str | None: ...
 @overload
 def word(name: str, metavar: str | None, text: str, default: str) -> str: ...
-def word(name: str, metavar: str | None, text: str, default: str | None = None) -> Any:
+def word(name: str, metavar: str | None, text: str, default: str | None = None, *, aliases: Sequence[str] = ()) -> Any:
     """Declare an option that is a text; its help ends with the default."""
-    return option(name, metavar=metavar, help=text, default=default, show_default=default is not None)
+    shown = default is not None
+    return option(name, metavar=metavar, help=text, default=default, show_default=shown, aliases=aliases)
 
 
-def choice(name: str, allowed: Sequence[str], text: str, default: str | None = None) -> Any:
+def choice(
+    name: str, allowed: Sequence[str], text: str, default: str | None = None, *, aliases: Sequence[str] = ()
+) -> Any:
     """Declare an option that is one of the texts that are allowed."""
-    return option(name, type=click.Choice(allowed), help=text, default=default, show_default=default is not None)
+    shown = default is not None
+    return option(name, type=click.Choice(allowed), help=text, default=default, show_default=shown, aliases=aliases)
 
 
 def choices(name: str, allowed: Sequence[str], text: str) -> tuple[str, ...]:
@@ -92,9 +96,10 @@ def choices(name: str, allowed: Sequence[str], text: str) -> tuple[str, ...]:
     return cast("tuple[str, ...]", option(name, type=click.Choice(allowed), multiple=True, help=text))
 
 
-def path(name: str, metavar: str | None, text: str, **limits: Any) -> Path | None:
+def path(name: str, metavar: str | None, text: str, *, aliases: Sequence[str] = (), **limits: Any) -> Path | None:
     """Declare an option that is a path; ``limits`` as of ``click.Path``."""
-    return cast("Path | None", option(name, type=click.Path(path_type=Path, **limits), metavar=metavar, help=text))
+    kind = click.Path(path_type=Path, **limits)
+    return cast("Path | None", option(name, type=kind, metavar=metavar, help=text, aliases=aliases))
 
 
 def out(text: str, metavar: str = "DIR", kind: Out | None = None) -> Path | None:
@@ -230,8 +235,10 @@ WIND = word("--wind", "NAME|FILE.csv", "Yours over time and place, the same way,
 LOG_PART = (
     word("--time", "NAME", "A table's column of time.  [default: the one called so]"),
     word("--time-unit", None, "Of that column: s, ms, us, ns, min or h.  [default: as the column says, or s]"),
-    number("--from", "S", "Use the log from here on, in its own time."),
-    number("--to", "S", "And to here."),
+    option(
+        "--begin", type=Number(), metavar="S", help="Use the log from here on, in its own time.", aliases=["--from"]
+    ),
+    option("--end", type=Number(), metavar="S", help="And to here.", aliases=["--to"]),
 )
 
 

@@ -74,7 +74,7 @@ def _connect(
 
 
 def _check_engine(jet: int, spec: EngineSpec) -> None:
-    where = f"export vehicle --as ssp: engine of jet {jet} ({spec.path.name})"
+    where = f"export vehicle --to ssp: engine of jet {jet} ({spec.path.name})"
     if spec.archive.system is not None:
         raise InputError(f"{where}: is a system itself, which cannot be a component here")
     if len(spec.archive.engines) > 1:

@@ -82,7 +82,7 @@ def export_vehicle(
     elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")
     if system and not contents.controller:
-        raise InputError("export vehicle --as ssp: has the controller in the vehicle; leave out --outside controller")
+        raise InputError("export vehicle --to ssp: has the controller in the vehicle; leave out --outside controller")
     contents = VehicleContents(False) if system else contents
     flight = ExportedFlight(scenario, contents, _no_exchange)
     try:

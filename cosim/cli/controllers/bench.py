@@ -28,6 +28,7 @@ class Bench(opt.LogPart, opt.Output):
     output = opt.word("--output", "SUM", "Thrust or speed.  [default: the column called so]")
     throttle_range: tuple[float, float] | None = opt.option(
         "--throttle-range",
+        aliases=["--range"],
         type=(opt.Number(), opt.Number()),
         metavar="LOW HIGH",
         help="What throttle 0 and 1 are in the log.",
@@ -36,7 +37,7 @@ class Bench(opt.LogPart, opt.Output):
         "--between", ("auto", "held", "straight"), "What the command does between two rows.", default="auto"
     )
     longest_delay_s = opt.number("--longest-delay", "S", "Looked for.", min=0.0, max=4.0, min_open=True, default=2.0)
-    engine = opt.word("--engine", "NAME|FILE.fmu", "Fit parameters of this engine instead.")
+    engine = opt.word("--engine", "NAME|FILE", "Fit parameters of this engine instead.")
     fit = opt.words("--fit", "PARAMETER", "One of them; beside the delay, which always is.")
     settings = opt.words("--set", "PARAMETER=VALUE", "Set one of them, or say where to begin.")
     time_column, time_unit, begin, end = opt.LOG_PART

@@ -20,13 +20,13 @@ class DesignOptions(opt.Output):
     """Options of ``hexjet design``."""
 
     engine = opt.word("--engine", "NAME|FILE", "A name, an .fmu or a .toml.  [default: the aircraft's own]")
-    aircraft = opt.word("--aircraft", None, "See: hexjet list aircraft.", "hexjet")
+    aircraft = opt.word("--aircraft", "NAME|DIR", "See: hexjet list aircraft.", "hexjet")
     controller = opt.word("--controller", "NAME", "One of the predictors, or the best of them.", "auto")
     model = opt.path("--model", "FILE.toml", "As hexjet identify writes it.")
     amplitude = opt.number(
         "--amplitude",
         "A",
-        "Of the engine's sweep, in throttle; more where the flight will reach its limits.  [default: 0.005]",
+        "Of the engine's chirp, in throttle; more where the flight will reach its limits.  [default: 0.005]",
         min=0.0,
         max=0.5,
         min_open=True,

@@ -12,6 +12,7 @@ from cosim.base.signals import AXES
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, say, show_table
 from cosim.cli.controllers.bench import identify_bench
+from cosim.cli.groups import Group
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
@@ -21,9 +22,9 @@ if TYPE_CHECKING:
     from cosim.identify.sweep import Identification
 
 
-@click.group()
+@click.group(cls=Group)
 def identify() -> None:
-    """Sweep an engine or an axis in flight, or take a log of a flight or a bench, and fit a model with a delay."""
+    """Fit a model with a delay to a chirp, of an engine or of an axis in flight, or to a log of a flight or a bench."""
 
 
 class Sweep(opt.Output):
@@ -31,8 +32,8 @@ class Sweep(opt.Output):
 
     from_hz = opt.number("--from-hz", "HZ", "Lowest frequency of the response.")
     to_hz = opt.number("--to-hz", "HZ", "Highest frequency of the response.")
-    amplitude = opt.number("--amplitude", "A", "Of the sweep, in the unit of the command.")
-    duration_s = opt.number("--duration", "S", "Of the sweep.")
+    amplitude = opt.number("--amplitude", "A", "Of the chirp, in the unit of the command.")
+    duration_s = opt.number("--duration", "S", "Of the chirp.")
     holds = opt.words("--hold", "NAME=VALUE", "Keep a parameter of the model.")
     out = opt.OUT
     as_json = opt.JSON
@@ -45,8 +46,8 @@ _SWEPT = ("from_hz", "to_hz", "amplitude", "duration_s", "lags")
 class EngineSweep(opt.Record):
     """Options of ``hexjet identify engine`` before those of every sweep."""
 
-    engine: str = opt.argument(metavar="NAME|FILE.fmu")
-    throttle = opt.number("--throttle", None, "Around which it is swept.", default=0.5)
+    engine: str = opt.argument(metavar="NAME|FILE")
+    throttle = opt.number("--throttle", None, "Around which the chirp is.", default=0.5)
     step_s = opt.number("--step", "S", "Sample time.", default=0.004)
     lags = opt.whole("--lags", None, "Lags beside the first pole.", min=0, max=2, default=0)
     settings = opt.words("--set", "PARAMETER=VALUE", "Set a parameter of the engine.")
@@ -89,8 +90,8 @@ def _identify(subject: Subject, name: str, options: Sweep, choices: dict[str, An
 class AxisSweep(opt.Record):
     """Options of ``hexjet identify roll``, pitch and yaw before those of every sweep."""
 
-    aircraft = opt.word("--aircraft", None, "See: hexjet list aircraft.", "hexjet")
-    engine = opt.word("--engine", "NAME|FILE.fmu", "See: hexjet list engines.  [default: the aircraft's own]")
+    aircraft = opt.word("--aircraft", "NAME|DIR", "See: hexjet list aircraft.", "hexjet")
+    engine = opt.word("--engine", "NAME|FILE", "See: hexjet list engines.  [default: the aircraft's own]")
     controller = opt.word("--controller", "NAME", "[default: smith, or baseline if no model is known]")
     substeps = opt.whole("--substeps", None, "JSBSim steps in a control step.")
     seed = opt.whole("--seed", None, "Of the sensor noise.")

@@ -23,7 +23,7 @@ class Margins(Flight, opt.Output):
     controller = opt.word(
         "--controller", "NAME|FILE", "As in hexjet fly: built in, a design's file, or one of yours in any way."
     )
-    aircraft = opt.word("--aircraft", "NAME", "With the engine that it is made for; see: hexjet list aircraft.")
+    aircraft = opt.word("--aircraft", "NAME|DIR", "With the engine that it is made for; see: hexjet list aircraft.")
     engines = opt.ENGINES
     axes = opt.choices("--axis", AXES, "May be repeated.  [default: all]")
     amplitude = opt.number("--amplitude", "A", "Peak, of a share of thrust, rad of tilt or rad/s^2.")

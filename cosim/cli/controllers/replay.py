@@ -21,7 +21,7 @@ class Replayed(opt.LogPart, Flight, opt.Output):
 
     log: Path = opt.argument(metavar="LOG", type=click.Path(path_type=Path))
     aircraft = opt.word(
-        "--aircraft", "NAME", "What flies again, with the engine that it is made for.  [default: the scenario's]"
+        "--aircraft", "NAME|DIR", "What flies again, with the engine that it is made for.  [default: the scenario's]"
     )
     engines = opt.words("--engine", "[N=]NAME|FILE", "As in hexjet fly.  [default: the one it is made for]")
     scenario = opt.word(

@@ -23,11 +23,13 @@ class Gcs(Flight, opt.Output):
     """Options of ``hexjet gcs``."""
 
     scenario = opt.option(
-        "--scenario", default="hover", metavar="NAME", help="Whose wind, place and faults.  [default: a calm day]"
+        "--scenario", default="hover", metavar="NAME|FILE", help="Whose wind, place and faults.  [default: a calm day]"
     )
-    aircraft = opt.word("--aircraft", "NAME", "Overrides the scenario's, with its engine; see: hexjet list aircraft.")
+    aircraft = opt.word(
+        "--aircraft", "NAME|DIR", "Overrides the scenario's, with its engine; see: hexjet list aircraft."
+    )
     engines = opt.ENGINES
-    controller = opt.word("--controller", "NAME", "See: hexjet list controllers.")
+    controller = opt.word("--controller", "NAME|FILE", "See: hexjet list controllers.")
     settings = opt.SETTINGS
     seed = opt.whole("--seed", None, "Overrides the scenario's seed.")
     metrics, own_observers, sensors, wind = opt.METRICS, opt.OBSERVERS, opt.SENSORS, opt.WIND
@@ -53,9 +55,10 @@ class Gcs(Flight, opt.Output):
         "--personality", ["px4", "ardupilot", "generic"], "What the ground station takes it for.", "px4"
     )
     parameters = opt.path(
-        "--params",
+        "--parameters",
         "FILE.toml",
         "Where parameters are kept; none: nowhere.  [default: one file a vehicle in the folder for settings]",
+        aliases=["--params"],
     )
     rtf = opt.number("--rtf", "X", "As in fly.", min=0.0, default=1.0)
     duration = opt.positive("--duration", "S", "[default: until Ctrl-C]")

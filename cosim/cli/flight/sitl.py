@@ -9,6 +9,7 @@ import click
 from cosim.base.errors import InputError
 from cosim.cli import opt
 from cosim.cli.console import output_to_stderr, say
+from cosim.cli.groups import Group
 from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, load_scenario
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 _TITLES = {"px4": "PX4", "ardupilot": "ArduPilot"}
 
 
-@click.group()
+@click.group(cls=Group)
 def sitl() -> None:
     """Let an external autopilot fly the vehicle: a program of its own, in strict lockstep with the flight.
 
@@ -32,8 +33,8 @@ def sitl() -> None:
 class Sitl(Flight, opt.Output):
     """Options that every autopilot's command takes."""
 
-    scenario = opt.word("--scenario", "NAME", "As in hexjet fly.", "hover")
-    aircraft = opt.word("--aircraft", "NAME", "Overrides the scenario's, with its engine.")
+    scenario = opt.word("--scenario", "NAME|FILE", "As in hexjet fly.", "hover")
+    aircraft = opt.word("--aircraft", "NAME|DIR", "Overrides the scenario's, with its engine.")
     engines = opt.ENGINES
     settings = opt.SETTINGS
     seed = opt.whole("--seed", None, "Overrides the scenario's seed.")
@@ -45,13 +46,14 @@ class Sitl(Flight, opt.Output):
         metavar="X",
         help="Pace it at X times real time; 0: as fast as both can.  [default: 0]",
     )
-    timeout = opt.number(
-        "--timeout",
-        "S",
-        "Of the clock: an autopilot that takes longer for an answer is taken for hung.",
-        min=0.1,
-        max=600.0,
+    timeout: float = opt.option(
+        "--time-limit",
+        aliases=["--timeout"],
+        type=opt.Number(min=0.1, max=600.0),
+        metavar="S",
+        help="For an answer, of the clock: an autopilot that takes longer is taken for hung.",
         default=5.0,
+        show_default=True,
     )
     out = opt.out("The run's folder.  [default: a new one in runs/]")
     as_json = opt.json("Print summary and lockstep as one JSON object.")
@@ -257,7 +259,7 @@ class Parameters(opt.Record):
     """Options of ``hexjet sitl params``."""
 
     autopilot: str = opt.argument(type=click.Choice(["px4", "ardupilot", "betaflight"]))
-    aircraft = opt.word("--aircraft", "NAME", "See: hexjet list aircraft.", "hexjet")
+    aircraft = opt.word("--aircraft", "NAME|DIR", "See: hexjet list aircraft.", "hexjet")
     gains = opt.word("--gains", "FILE.toml", "Of hexjet design, in the place of the vehicle's own.")
     rate = opt.whole("--rate", None, "Steps a second.", min=50, max=2000, default=250)
     target = opt.choice(

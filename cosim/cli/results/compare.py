@@ -45,7 +45,7 @@ class Compare(opt.Output):
         "Add so much to the times of one of the flights, as of a log whose clock began elsewhere: B=-12.4.",
     )
     out = opt.out("The page, or its folder.  [default: a new one in runs/]", "DIR|FILE.html", _OUT)
-    no_page = opt.flag("--no-page", "Write none.")
+    page: bool = opt.option("--page/--no-page", default=True, help="Write the page, or none.  [default: --page]")
     as_json = opt.json("Print one JSON object, in SI units, and nothing else.")
 
 
@@ -65,7 +65,7 @@ def compare(options: Compare) -> int:
     from cosim.api.compare import expand_campaigns, page_path
 
     requested = expand_campaigns(options.names, options.flights)
-    page = None if options.no_page else page_path(options.run_folder("comparison"))
+    page = None if not options.page else page_path(options.run_folder("comparison"))
     if page is not None and page.exists():
         raise InputError(f"{page}: is there already; choose another name or remove it")
     with output_to_stderr(options.as_json):

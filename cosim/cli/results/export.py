@@ -10,13 +10,14 @@ import click
 from cosim.api.call import Result
 from cosim.cli import opt
 from cosim.cli.console import CommandProgress
+from cosim.cli.groups import Group
 from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, offer_to_compile
 from cosim.cli.outputs import Out
 from cosim.cli.trust import display_only
 from cosim.results.export import FILES, LOG_ENDINGS
 
 
-class Export(click.Group):
+class Export(Group):
     """``hexjet export DIR --to FORMAT`` is a run's log; what a first word names is something else."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -38,10 +39,10 @@ def export() -> None:
     """Write the log of a run, a controller or the vehicle for other tools.
 
     \b
-    hexjet export DIR --to FORMAT     the log of the run in DIR: ulog, mcap, mat, csv,
-                                      parquet; see: hexjet export DIR --help
-    hexjet export controller          a controller as C99 and as FMUs, with a test
-    hexjet export vehicle             the vehicle as FMUs for other masters
+    hexjet export DIR --to FORMAT  the log of the run in DIR: ulog, mcap, mat,
+                                   csv, parquet; see: hexjet export DIR --help
+    hexjet export controller       a controller as C99 and as FMUs, with a test
+    hexjet export vehicle          the vehicle as FMUs for other masters
 
     A run in a folder called "controller" is ./controller.
     """
@@ -95,7 +96,7 @@ class ExportOptions(Flight, opt.Output):
         "roll-doublet",
     )
     controller = opt.word("--controller", "NAME|FILE", "Overrides the scenario's.")
-    aircraft = opt.word("--aircraft", "NAME", "Overrides the scenario's, with the engine that it is made for.")
+    aircraft = opt.word("--aircraft", "NAME|DIR", "Overrides the scenario's, with the engine that it is made for.")
     engines = opt.words("--engine", "[N=]NAME|FILE", "Overrides the scenario's.")
     settings = opt.words("--set", "KEY=VALUE", "Write a value over the scenario's.")
 
@@ -119,7 +120,7 @@ class ExportController(ExportOptions):
         'Stated in every file that is ours alone, e.g. MIT or "LicenseRef-Ours"; yours to choose.  What goes into '
         "Betaflight's or ArduPilot's own code is GPL-3.0-or-later.  [default: NOASSERTION]",
     )
-    no_fmu = opt.flag("--no-fmu", "The C alone.")
+    fmu: bool = opt.option("--fmu/--no-fmu", default=True, help="FMUs too, or the C alone.  [default: --fmu]")
     loops = opt.flag("--loops", "The attitude, rate and altitude loops alone, for a mixer of your own; no FMU.")
     inside = opt.choices(
         "--for",
@@ -130,7 +131,7 @@ class ExportController(ExportOptions):
     as_json = opt.json("Print one JSON object.")
 
 
-@export.command(epilog=example("hexjet export controller --controller turbojet.toml --engine turbojet --out c"))
+@export.command(epilog=example("hexjet export controller --controller turbojet.toml --engine turbojet"))
 @opt.takes(ExportController)
 def controller(options: ExportController) -> int:
     """Write a controller as C99 with parameters, test vectors and test program, and as FMI 2.0 and 3.0 FMUs.
@@ -144,7 +145,7 @@ def controller(options: ExportController) -> int:
     result = export_controller(
         options.load(),
         options.out,
-        fmus=not options.no_fmu,
+        fmus=options.fmu,
         progress=CommandProgress(),
         **options.chosen("name", "licence", "loops", "inside"),
     )
@@ -158,7 +159,9 @@ class ExportVehicle(ExportOptions):
     outside = opt.choices(
         "--outside", ["engines", "controller"], "What is not in the FMU: its inputs and outputs become the FMU's."
     )
-    kind = opt.choice("--as", ["fmu", "ssp"], "ssp: archives of a system, with the engines as components.", "fmu")
+    kind = opt.choice(
+        "--to", ["fmu", "ssp"], "ssp: archives of a system, with the engines as components.", "fmu", aliases=["--as"]
+    )
     name = opt.word("--name", None, "Of the files, an identifier.", "vehicle")
     out = opt.out(
         "A new or an empty folder; or one file, of FMI 3.0, or of 2.0 if its name ends in -fmi2.  [default: NAME]",

@@ -64,7 +64,7 @@ class Sweep(CampaignOptions):
     )
     runs = opt.whole("--runs", "N", "Draws; a grid has as many as it has points.", min=1)
     repeats = opt.whole("--repeats", "N", "Fly a whole grid more than once.", min=1)
-    design = opt.word("--design", "NAME", "grid, latin-hypercube, random or sobol.")
+    design = opt.word("--sampling", "NAME", "grid, latin-hypercube, random or sobol.", aliases=["--design"])
     controllers = opt.words("--controller", "NAME|FILE", "Each draw is flown with every one.")
     correlate = opt.words("--correlate", "KEY,KEY=R", "Rank correlation of what is drawn for two keys.")
     aircraft, engine, nominal_engine = _AIRCRAFT, _ENGINE, opt.NOMINAL_ENGINE
@@ -89,7 +89,7 @@ class Sweep(CampaignOptions):
     as_json = _JSON
 
 
-@click.command(epilog=example("hexjet sweep roll-doublet --vary vehicle.mass_kg=5:6.5 --runs 100 --controller smith"))
+@click.command(epilog=example("hexjet sweep roll-doublet --vary vehicle.mass_kg=5:6.5 --runs 100"))
 @opt.takes(Sweep)
 def sweep(options: Sweep) -> int:
     """Fly a scenario many times with what varies drawn for each flight, or a study, or go on with a campaign in DIR.
@@ -166,7 +166,7 @@ class Search(CampaignOptions):
     as_json = _JSON
 
 
-@click.command(epilog=example("hexjet search roll-doublet --vary mismatch.delay_samples=0:60 --controller smith"))
+@click.command(epilog=example("hexjet search roll-doublet --vary mismatch.delay_samples=0:60"))
 @opt.takes(Search)
 def search(options: Search) -> int:
     """Find the smallest change that breaks a controller, the worst case of a study, or its most likely failure.

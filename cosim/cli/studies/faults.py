@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class Faults(opt.Output):
     """Options of ``hexjet faults``."""
 
-    aircraft = opt.word("--aircraft", None, "See: hexjet list aircraft.", "hexjet")
+    aircraft = opt.word("--aircraft", "NAME|DIR", "See: hexjet list aircraft.", "hexjet")
     engine = opt.word("--engine", "NAME|FILE", "See: hexjet list engines.  [default: the aircraft's own]")
     controllers = opt.words("--controller", "NAME|FILE", "[default: those with a model]")
     kinds = opt.words("--kind", "NAME", "Only faults that begin so.  [default: all]")
@@ -117,11 +117,11 @@ class FailsafeOptions(opt.Output):
     """Options of ``hexjet failsafes``."""
 
     aircraft: tuple[str, ...] = opt.option(
-        "--aircraft", metavar="NAME", multiple=True, default=["hexjet"], show_default=True,
+        "--aircraft", metavar="NAME|DIR", multiple=True, default=["hexjet"], show_default=True,
         help="all: those of the table.",
     )  # fmt: skip
     engine = opt.word("--engine", "NAME|FILE", "See: hexjet list engines.  [default: the aircraft's own]")
-    controller = opt.word("--controller", "NAME", "[default: smith, or baseline where there is no model]")
+    controller = opt.word("--controller", "NAME|FILE", "[default: smith, or baseline where there is no model]")
     kinds = opt.words("--failsafe", "NAME", "Only those that begin so.  [default: all]")
     heights: tuple[float, ...] = opt.option(
         "--height",
@@ -131,7 +131,12 @@ class FailsafeOptions(opt.Output):
         help="[default: 3, 10 and 30 m, and 100 and 300 m where the fuel runs down]",
     )
     winds: tuple[float, ...] = opt.option(
-        "--wind", type=float, metavar="M/S", multiple=True, help="[default: 0, 5 and 10 m/s]"
+        "--wind-speed",
+        aliases=["--wind"],
+        type=float,
+        metavar="M/S",
+        multiple=True,
+        help="[default: 0, 5 and 10 m/s]",
     )
     flights = opt.whole(
         "--flights",
@@ -158,7 +163,7 @@ class FailsafeOptions(opt.Output):
     as_json = opt.JSON
 
 
-@click.command(epilog=example("hexjet failsafes --failsafe GNSS --height 10 --wind 5"))
+@click.command(epilog=example("hexjet failsafes --failsafe GNSS --height 10 --wind-speed 5"))
 @opt.takes(FailsafeOptions)
 def failsafes(options: FailsafeOptions) -> int:
     """Let everything fail that the autopilot has an answer to, and tell how each flight ended.

@@ -192,7 +192,7 @@ def _check(path: Path, name: str, channel: Channel) -> None:
     if back.size:
         at = channel.times[back[0]]
         raise InputError(
-            f"{path}: the time goes back after {at:g} s; two logs in one file? --from and --to take a part"
+            f"{path}: the time goes back after {at:g} s; two logs in one file? --begin and --end take a part"
         )
 
 

@@ -79,7 +79,7 @@ def prepare(
     if not high - low > 0.0:
         raise InputError(
             f"command ({_span(command.times)}) and output ({_span(output.times)}) have no time in common"
-            + ("" if begin is None and end is None else " with --from and --to")
+            + ("" if begin is None and end is None else " with --begin and --end")
         )
     output = _within(output, low, high)
     clocks = clock_of(command.times), clock_of(output.times)

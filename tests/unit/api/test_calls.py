@@ -21,6 +21,7 @@ from places import DOCS, ROOT
 import cosim
 from cosim import InputError
 from cosim.api import Result
+from cosim.base.wording import with_arguments
 from cosim.cli.results.show import show as show_command
 from cosim.spec.scenario import Scenario
 from cosim.spec.scenario.changes import Changes
@@ -125,6 +126,55 @@ def test_numbers_have_the_limits_of_their_options(call: str, record: str, shares
         unit = shares if name.endswith("_tolerance") else 1.0
         most = inf if kind.max is None else unit * kind.max
         assert allowed == (unit * kind.min, most, kind.min_open), name
+
+
+WITHOUT = {  # options that a call has no argument of, and why
+    "--json": "what it gives back is that",
+    "--out": "of failsafes' folder and others: write() has it",
+    "--aircraft": "of replay and margins, which have it",
+    "--channels": "identify log lists channels instead",
+    "--keys": "sweep lists keys instead",
+    "--signal": "of the table in a terminal",
+    "--metric": "a key of the scenario",
+    "--observer": "a key of the scenario",
+    "--docs": "pages of this repository",
+    "--page": "pages of this repository",
+    "--engine-out": "a call of its own",
+    "--designs": "of that",
+    "--scenario": "an argument without a name",
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "record"),
+    [
+        ("search", "studies.campaign:Search"),
+        ("rare", "studies.campaign:Rare"),
+        ("sweep", "studies.campaign:Sweep"),
+        ("prove", "studies.prove:Prove"),
+        ("design", "controllers.design:DesignOptions"),
+        ("margins", "controllers.margins:Margins"),
+        ("identify", "controllers.identify:SweptAxis"),
+        ("identify_log", "controllers.identify:FromLog"),
+        ("identify_bench", "controllers.bench:Bench"),
+        ("validate", "controllers.validate:Validate"),
+        ("replay", "controllers.replay:Replayed"),
+        ("faults", "studies.faults:Faults"),
+        ("failsafes", "studies.faults:FailsafeOptions"),
+        ("compare", "results.compare:Compare"),
+        ("export_vehicle", "results.export:ExportVehicle"),
+        ("export_controller", "results.export:ExportController"),
+        ("check_engine", "engine:Check"),
+        ("map_engine", "engine:Map"),
+        ("check_aircraft", "aircraft:Check"),
+    ],
+)
+def test_a_line_that_names_an_option_names_an_argument_instead(name: str, record: str) -> None:
+    """Of every option of the command there is an argument, by which a line of the call names it."""
+    parameters = inspect.signature(getattr(cosim, name)).parameters
+    options = resolve_name(f"cosim.cli.{record}").options().values()
+    for option in {each.names[0].partition("/")[0] for each in options if each.names} - WITHOUT.keys():
+        assert "--" not in with_arguments(f"so {option} 3", parameters, name), option
 
 
 def test_a_package_that_is_called_stays_a_package() -> None:

@@ -29,7 +29,7 @@ def call(
 LINES = [  # as a line is written, and as a program reads it
     ("--duration 3: too short", "call: duration_s = 3: too short"),
     ("--duration: too short", "call: duration_s: too short"),
-    ("x: raise --duration (now 3), or --from 2", "x: raise duration_s (now 3), or begin 2"),
+    ("x: raise --duration (now 3), or --begin 2", "x: raise duration_s (now 3), or begin 2"),
     ("--likely: goes without --worst", "call: likely=True: goes without --worst"),  # it has no such argument
     ("left out (--no-limit, --lead)", "left out (limit=False, lead=True)"),
     ("--set a.b=3: is none", "call: settings a.b=3: is none"),

@@ -99,3 +99,41 @@ def test_a_scenario_is_no_controller() -> None:
         InputError, match=r"hover\.toml: is a scenario, not a controller file of hexjet design; it goes "
     ):
         read_controller(data_folder("scenarios") / "hover.toml")
+
+
+def leaves(command: click.Command, name: str) -> list[tuple[str, click.Command]]:
+    """A command and those below it."""
+    below = command.commands.items() if isinstance(command, click.Group) and command is not cli else ()
+    return [(name, command), *(each for inner, found in below for each in leaves(found, f"{name} {inner}"))]
+
+
+ALL = [each for name in COMMANDS for each in leaves(cli.get_command(click.Context(cli), name) or cli, f"hexjet {name}")]
+
+
+def test_no_line_of_a_help_is_cut_or_longer_than_eighty_columns() -> None:
+    for name, command in ALL:
+        context = click.Context(command, info_name=name, terminal_width=80)
+        for line in command.get_help(context).splitlines():
+            assert len(line) <= 80, name
+            assert not line.endswith("...") or line.startswith("Usage: "), name
+
+
+@pytest.mark.parametrize(
+    ("command", "before", "now", "value"),
+    [
+        ("identify bench", "--range", "--throttle-range", "1000 2000"),
+        ("identify log", "--from", "--begin", "3"),
+        ("replay", "--to", "--end", "3"),
+        ("sitl px4", "--timeout", "--time-limit", "3"),
+        ("gcs", "--params", "--parameters", "none"),
+        ("sweep", "--design", "--sampling", "grid"),
+        ("export vehicle", "--as", "--to", "ssp"),
+        ("failsafes", "--wind", "--wind-speed", "5"),
+    ],
+)
+def test_an_option_is_known_by_the_name_that_it_had(command: str, before: str, now: str, value: str) -> None:
+    found = dict(ALL)[f"hexjet {command}"]
+    words = [] if command in ("gcs", "failsafes", "export vehicle", "sitl px4") else ["a"]
+    parsed = [found.make_context("x", [*words, name, *value.split()]).params for name in (before, now)]
+    assert parsed[0] == parsed[1]
+    assert before not in " ".join(option for each in found.params for option in each.opts).split()
