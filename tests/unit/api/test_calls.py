@@ -6,6 +6,7 @@ import ast
 import inspect
 import json
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
+import click
 import pytest
 from patience import PATIENCE
 from places import DOCS, ROOT
@@ -22,6 +24,7 @@ import cosim
 from cosim import InputError
 from cosim.api import Result
 from cosim.base.wording import with_arguments
+from cosim.cli.main import COMMANDS, cli
 from cosim.cli.results.show import show as show_command
 from cosim.spec.scenario import Scenario
 from cosim.spec.scenario.changes import Changes
@@ -281,11 +284,34 @@ def test_records_show_themselves_on_one_line_and_as_tables() -> None:
     assert "roll_rad" in run.log._ipython_key_completions_()
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.stem)
+PAGES = [ROOT / "README.md", *(DOCS / f"{name}.md" for name in ("tutorial", "python", "requirements", "prove"))]
+
+
+@pytest.mark.parametrize("path", [*sorted((ROOT / "examples").glob("*.py")), *PAGES], ids=lambda path: path.stem)
 def test_an_example_imports_what_is_public(path: Path) -> None:
     """As the paper and the benchmarks do, which the import contracts hold."""
     public = {"cosim", "cosim.base.protocols", *(f"cosim.{name}" for name in PUBLIC)}
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    text = path.read_text(encoding="utf-8")
+    code = text if path.suffix == ".py" else "\n".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
+    tree = ast.parse(code)
+    assert code
     imported = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     imported |= {each.name for node in ast.walk(tree) if isinstance(node, ast.Import) for each in node.names}
     assert {name for name in imported if name.partition(".")[0] == "cosim"} <= public
+
+
+def test_the_page_has_the_function_of_every_command_or_says_why_there_is_none() -> None:
+    page = re.sub(r"```.*?```", "", (DOCS / "python.md").read_text(encoding="utf-8"), flags=re.DOTALL)
+    context = click.Context(cli)
+    names = {*COMMANDS, "paper", "bench"}
+    for group in ("aircraft", "fmu"):
+        found = cli.get_command(context, group)
+        assert isinstance(found, click.Group)
+        names = names - {group} | {f"{group} {name}" for name in found.commands}
+    named = re.findall(r"`([^`]+)`", page)
+    assert [name for name in sorted(names) if not any(each.split("(")[0].startswith(name) for each in named)] == []
+    functions = {name for name in cosim.__all__ if inspect.isroutine(getattr(cosim, name))} - {
+        "load_vehicle",
+        "versions",
+    }
+    assert [name for name in functions if not re.search(rf"\b{name}\b", page)] == []
