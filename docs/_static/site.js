@@ -5,7 +5,7 @@
 
 const FEW = 3; // rows, up to which a table is seen at once
 const MANY = 12; // rows, from which a table can be filtered
-const WIDE = 6; // columns, from which a table scrolls instead of squeezing its cells
+const WIDE = 8; // columns, from which a table scrolls instead of squeezing its cells
 
 /** The first number of a cell, or its words: what it is sorted by. */
 function sortKey(cell) {
