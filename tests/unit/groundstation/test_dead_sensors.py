@@ -209,6 +209,6 @@ def test_the_log_has_height_and_climb_as_estimated_and_says_what_is_not_valid(tm
 
 
 def test_the_page_says_from_when_on_an_estimate_is_not_valid() -> None:
-    text = " ".join((DOCS / "ground-station.md").read_text(encoding="utf-8").split())
+    text = " ".join((DOCS / "tables" / "ground-station.md").read_text(encoding="utf-8").split())
     assert "known to a metre a second and the attitude while it is known to five degrees" in text
     assert (SPEED_SURE, degrees(LEAN_SURE)) == pytest.approx((1.0, 5.0))
