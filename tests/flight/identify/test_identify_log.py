@@ -224,7 +224,7 @@ def test_the_bounds_allow_for_a_command_that_is_logged_more_seldom_than_it_moves
 
 
 def test_the_page_says_from_which_interval_a_command_counts_as_logged_too_seldom() -> None:
-    page = (ROOT / "docs/identify-logs.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/tables/identify-logs.md").read_text(encoding="utf-8")
     assert "more than {} ms from row to row".format(f"{1e3 * SLOW_COMMAND_S:g}") in page
 
 

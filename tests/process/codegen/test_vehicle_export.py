@@ -350,8 +350,8 @@ def test_what_cannot_be_exported_is_one_line(hexjet: Hexjet) -> None:
 
 
 def test_the_page_names_every_variable() -> None:
-    """Of docs/export-vehicle.md: a row has each, or the first of a series."""
-    words = set(re.findall(r"`([a-z_0-9]+)`", (DOCS / "export-vehicle.md").read_text(encoding="utf-8")))
+    """Of docs/tables/export-vehicle.md: a row has each, or the first of a series."""
+    words = set(re.findall(r"`([a-z_0-9]+)`", (DOCS / "tables" / "export-vehicle.md").read_text(encoding="utf-8")))
     series = {re.sub(r"_(1|x|w|north|roll_rate)$", "", word) for word in words}
     for parts in (VehicleContents(), VehicleContents(engines=False), VehicleContents(controller=False)):
         flight = ExportedFlight(doublet(engine="turbojet").replace(controller="baseline"), parts, lambda: None)
