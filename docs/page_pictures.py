@@ -1,6 +1,8 @@
 """Takes the documentation's pictures of every page in a real browser: ``make pictures``.
 
-``python docs/page_pictures.py [NAME...]`` takes some of them.
+``python docs/page_pictures.py [NAME...]`` takes some of them.  ``python docs/page_pictures.py --all FOLDER [NAME...]``
+takes every page that a command draws, whole, in light and dark, 1400 and 390 pixels wide, into a folder, for eyes; it
+says which page is wider than its screen or complains, with status 1.
 
 Each page is made by the command that makes it for a user, with little to fly.  Needs playwright and Chromium, or the
 browser that ``HEXJET_BROWSER`` names; without one it says so and takes none.
@@ -71,6 +73,25 @@ PAGES = {
     "paper": Page(["paper --out paper"], "paper/report.html"),
     "engine-check": Page(["fmu check edf.fmu --out checked"], "checked/report.html"),
 }
+MORE = {  # looked at, and not in the documentation
+    "replay": Page([DOUBLET[1], "replay smith --draws 8 --out replayed"], "replayed/report.html"),
+    "worst": Page(
+        [f"search roll-doublet {VARIED} --controller smith --worst --budget 40 --out worst"], "worst/search.html"
+    ),
+    "rare": Page(
+        [
+            "rare hover --vary vehicle.mass_kg=5:7.5 --controller smith --target 0.1 --budget 1200 "
+            "--set duration_s=0.4 --out rare"
+        ],
+        "rare/rare.html",
+    ),
+    "proof": Page(
+        ["prove roll-doublet-claim --claim 80%@90% --budget 20 --search 30 --out proved"], "proved/proof.html"
+    ),
+    "phases": Page(["fly climb-and-land --out landed"], "landed/report.html"),
+}
+WIDTHS, SCHEMES = (1400, 390), ("light", "dark")
+HIGHEST = 12_000  # pixels of a whole page, at most: what a browser still takes
 
 
 def write(page: Page, folder: Path, done: set[str]) -> Path:
@@ -165,9 +186,63 @@ def take(
     context.close()
 
 
-def main(names: list[str]) -> int:
+def take_whole(browser: Any, url: str, name: str, folder: Path) -> list[str]:
+    """Take a page in every width and scheme; return what is wrong with it, a line each."""
+    wrong: list[str] = []
+    for width in WIDTHS:
+        touch = width < 800
+        for scheme in SCHEMES:
+            context = browser.new_context(
+                viewport={"width": width, "height": 900}, color_scheme=scheme, has_touch=touch, is_mobile=touch
+            )
+            tab, where = context.new_page(), f"{name}, {width}, {scheme}"
+            tab.on("pageerror", lambda error, where=where: wrong.append(f"{where}: {error}"))
+            tab.goto(url)
+            tab.wait_for_timeout(4000 if name == "live" else 1500)
+            shown = tab.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+            if shown[0] > width:
+                wrong.append(f"{where}: {shown[0]} pixels wide")
+            tab.screenshot(path=folder / f"{name}-{width}-{scheme}-first.png")
+            tab.set_viewport_size({"width": width, "height": min(HIGHEST, shown[1])})
+            tab.wait_for_timeout(1500)  # figures are drawn when they are seen
+            tab.screenshot(path=folder / f"{name}-{width}-{scheme}.png")
+            context.close()
+    return wrong
+
+
+@contextmanager
+def address(name: str, folder: Path, done: set[str]) -> Iterator[str]:
+    """Where a page is, made by its commands or served as long as it is looked at."""
+    if name == "runs":
+        write(PAGES["comparison"], folder, done)
+        with shelf(folder) as url:
+            yield url
+    elif name == "live":
+        with live(folder / "gcs") as url:
+            yield url
+    else:
+        yield write((PAGES | MORE)[name], folder, done).as_uri()
+
+
+def review(browser: Any, names: list[str], out: Path) -> int:
+    """Take whole pages into a folder, and say what is wrong with them."""
+    out.mkdir(parents=True, exist_ok=True)
+    home, done, wrong = Path.cwd(), set[str](), list[str]()
+    with tempfile.TemporaryDirectory() as name:
+        for each in names:
+            with address(each, Path(name), done) as url:
+                wrong += take_whole(browser, url, each, out)
+            print(f"{each}: {len(WIDTHS) * len(SCHEMES)} times in {out}", flush=True)
+        os.chdir(home)
+    print("\n".join(wrong or ["no page is wider than its screen, none complains"]))
+    return 1 if wrong else 0
+
+
+def main(arguments: list[str]) -> int:
     """Make the pages, and take them."""
-    known = [*PAGES, "phone", "runs", "live"]
+    out = Path(arguments[1]).absolute() if arguments[:1] == ["--all"] and arguments[1:] else None
+    names = arguments if out is None else arguments[2:]
+    known = [*PAGES, *(["phone"] if out is None else MORE), "runs", "live"]
     if unknown := set(names) - set(known):
         print(f"{', '.join(sorted(unknown))}: no such page; there are {', '.join(known)}", file=sys.stderr)
         return 2
@@ -180,19 +255,16 @@ def main(names: list[str]) -> int:
     with tempfile.TemporaryDirectory() as name, sync_playwright() as driver:
         folder, done, home = Path(name), set[str](), Path.cwd()
         browser = driver.chromium.launch(executable_path=found, args=FLAGS)
+        if out is not None:
+            return review(browser, names or known, out)
         for each in names or known:
             if each == "phone":
                 page = PAGES["flight"]
                 take(browser, write(page, folder, done).as_uri(), each, page.at, 390, "dark")
-            elif each == "runs":
-                write(PAGES["comparison"], folder, done)
-                with shelf(folder) as url:
-                    take(browser, url, each)
-            elif each == "live":
-                with live(folder / "gcs") as url:
-                    take(browser, url, each, width=1280)
             else:
-                take(browser, write(PAGES[each], folder, done).as_uri(), each, PAGES[each].at)
+                with address(each, folder, done) as url:
+                    at = PAGES[each].at if each in PAGES else None
+                    take(browser, url, each, at, width=1280 if each == "live" else 1100)
         browser.close()
         os.chdir(home)
     return 0

@@ -90,10 +90,10 @@ def _phase_names(log: Log, step: float, record: Iterable[dict[str, Any]]) -> lis
     stands = np.full(contact.size, contact[0], dtype=np.int8)
     for row, now in find_contact_changes(contact, step):
         stands[row:] = now
-    carried = np.where(stands > 0, 0, 1)
+    carried = 1 - stands
     if {"wing_lift_N", "mass_kg"}.issubset(log.columns):
         part = log["wing_lift_N"] / (GRAVITY * log["mass_kg"])
-        carried += (stands == 0) * (1 + (part > ON_JETS) + (part > ON_WING))
+        carried += carried * (np.int8(1) + (part > ON_JETS) + (part > ON_WING))
     rows = [0, *(np.flatnonzero(np.diff(carried)) + 1).tolist()]
     return [(row, PHASES[carried[row]]) for row in rows]
 

@@ -39,7 +39,7 @@ class Panel {
     this.chart = new uPlot({
       ...this.size(), legend: { show: false }, cursor: { show: false }, padding: [6, 8, 0, 0],
       scales: { x: { time: false, range: () => [this.from, this.to] }, y: { range: (_, low, high) => margin(low, high) } },
-      axes: [axis({ space: 60, size: 22 }), axis({ size: 52, space: 24, values: (_, ticks) => ticks.map((tick) => String(tick).replace("-", "−")) })],
+      axes: [axis({ space: 60, size: 22, values: (_, ticks) => ticks.map((tick) => `${tick} s`) }), axis({ size: 52, space: 24, values: (_, ticks) => ticks.map((tick) => String(tick).replace("-", "−")) })],
       series: [{}, ...this.lines.map((line) => ({ stroke: () => css(line.colour), width: 1.5, dash: line.dash ? [6, 4] : [], points: { show: false } }))],
     }, [[], ...this.lines.map(() => [])], this.body);
   }
