@@ -155,7 +155,7 @@ def test_turbines_that_still_carry_it_let_a_vehicle_tip_much_sooner() -> None:
     """Half a second after its throttles are closed hexjet-p220 has nearly nine tenths of its thrust."""
     assert tip_speed("hexjet-p220", "p220") == pytest.approx(0.47, abs=0.03)
     sentence = "whose energy would have to be that of {} m/s, tips from {} m/s on"
-    stated("docs/failsafes.md", sentence, gone("hexjet-p220"), tip_speed("hexjet-p220", "p220"))
+    stated("docs/tables/failsafes.md", sentence, gone("hexjet-p220"), tip_speed("hexjet-p220", "p220"))
 
 
 def test_legs_that_just_touch_tip_sooner_as_the_page_says() -> None:
@@ -165,7 +165,7 @@ def test_legs_that_just_touch_tip_sooner_as_the_page_says() -> None:
         "of {} m/s for hexjet on `edf-as-flown`, {} m/s instead of {} m/s for hexjet-p220"
     )
     speeds = (speed for each in (fans, turbines) for speed in (tip_speed(*each, 0.0), tip_speed(*each)))
-    stated("docs/failsafes.md", sentence, 1e3 * ABOVE_M, *speeds)
+    stated("docs/tables/failsafes.md", sentence, 1e3 * ABOVE_M, *speeds)
 
 
 def test_what_touches_faster_sideways_has_not_landed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -342,7 +342,7 @@ def test_what_is_left_of_a_jet_ten_seconds_later_is_its_rotor_running_down() -> 
         law = flight.simulation.engine.flame_out
         assert law is not None
         left = law.thrust_left * (1.0 + failsafe_flight.LATER_S / law.half_speed_s) ** -law.exponent
-        stated("docs/failsafes.md", "{} % of what they gave when they were shut off", 100.0 * left)
+        stated("docs/tables/failsafes.md", "{} % of what they gave when they were shut off", 100.0 * left)
         flight.fly(1.1)
         flight.ok(rq.Arm())
         idle = flight.fly(2.0)
@@ -703,6 +703,21 @@ def rows_of_the_page(aircraft: str) -> tuple[list[str], list[list[str]]]:
     text = marks.parts_of((DOCS / "tables/failsafes.md").read_text(encoding="utf-8"), "")[tables.mark(aircraft)]
     lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|"]
     return lines[0][1:], lines[2:]
+
+
+def test_the_page_counts_the_flights_of_its_tables() -> None:
+    """How many flights of each vehicle ended how."""
+    page = (DOCS / "failsafes.md").read_text(encoding="utf-8")
+    (head,) = re.findall(r"^\| vehicle \| flights \| (.*) \|$", page, re.MULTILINE)
+    for aircraft in table.TABLED:
+        cells = [cell for _, *row in rows_of_the_page(aircraft)[1] for cell in row]
+        found = [
+            sum(int(n) for cell in cells for n in re.findall(rf"(\d+) of \d+ {verdict}\b", cell))
+            for verdict in head.split(" | ")
+        ]
+        flown = sum(int(re.match(r"\d+ of (\d+) ", cell)[1]) for cell in cells if cell != "-")  # type: ignore[index]
+        assert sum(found) == flown
+        assert f"| {aircraft} | {flown} | {' | '.join(str(n or '-') for n in found)} |" in page, aircraft
 
 
 def explained(aircraft: str, name: str, start: str) -> set[str]:
