@@ -174,14 +174,7 @@ def design(
     source = f"{identified.source}; with the airframe of {vehicle.name}"
     begin = None if start is None else _read_start(start, plants, scenario.aircraft, vehicle, spec)
     inputs = _AxisInputs(vehicle, spec, names, need, source, lead, firmware, say)
-    axes: dict[str, AxisDesign] = {}
-    for axis in CHANNELS:
-        roll = axes["roll"].after if axes else None
-        chosen = roll.tuning if roll else None
-        if begin is None:
-            axes[axis] = _axis(plants[axis], inputs, chosen)
-        else:
-            axes[axis] = _resume_axis(plants[axis], inputs, chosen, begin[axis][1.0])
+    axes, inputs = _design_axes(plants, inputs, begin)
     reason = explain_failure(axes, need)
     allowing = (
         find_allowances(axes["roll"], names, need, say, lead) if reason and start is None and not firmware else {}
@@ -193,7 +186,7 @@ def design(
         plan, burning, reason = _design_levels(axes, there, need, begin, scheduled, say)
     return Design(
         spec, vehicle, scenario, need, identified, source, axes, burning, plan, reason, allowing,
-        firmware=firmware, tolerances=tolerances.words,
+        firmware=inputs.firmware, tolerances=tolerances.words,
     )  # fmt: skip
 
 
@@ -398,6 +391,45 @@ def _firmware_on_axis(firmware: Firmware | None, axis: str, roll: Tuning | None)
     smooth = roll.gains.d_filter_s if roll is not None and firmware.common_filter else None
     angle = roll.angle_gain if roll is not None and firmware.common_angle and axis == "pitch" else None
     return replace(firmware, axis=axis, d_filter_s=smooth, angle_gain=angle)
+
+
+def _design_axes(
+    plants: Mapping[str, Channel], inputs: _AxisInputs, begin: Mapping[str, Mapping[float, Tuning]] | None
+) -> tuple[dict[str, AxisDesign], _AxisInputs]:
+    """Return the design of each channel, and what it was made from.
+
+    ``begin``: tunings that a search begins at, instead of everywhere.
+    """
+    axes: dict[str, AxisDesign] = {}
+    for axis in CHANNELS:
+        roll = axes["roll"].after if axes else None
+        chosen = roll.tuning if roll else None
+        if begin is not None:
+            axes[axis] = _resume_axis(plants[axis], inputs, chosen, begin[axis][1.0])
+            continue
+        axes[axis] = _axis(plants[axis], inputs, chosen)
+        if axis == "pitch" and (shared := _share_angle_gain(axes, plants, inputs)) is not None:
+            inputs = shared
+            axes = {"roll": _axis(plants["roll"], inputs, None)}
+            again = axes["roll"].after
+            axes["pitch"] = _axis(plants["pitch"], inputs, again.tuning if again else None)
+    return axes, inputs
+
+
+def _share_angle_gain(
+    axes: Mapping[str, AxisDesign], plants: Mapping[str, Channel], inputs: _AxisInputs
+) -> _AxisInputs | None:
+    """Return the inputs with pitch's attitude gain for roll too, where pitch has no design with that of roll.
+
+    None: the gains are not shared, both have a design, or pitch has none with any gain.
+    """
+    firmware, roll = inputs.firmware, axes["roll"].after
+    if firmware is None or not firmware.common_angle or roll is None or axes["pitch"].after is not None:
+        return None
+    alone = _axis(plants["pitch"], replace(inputs, firmware=replace(firmware, common_angle=False)), roll.tuning).after
+    if alone is None:
+        return None
+    return replace(inputs, firmware=replace(firmware, angle_gain=alone.tuning.angle_gain))
 
 
 def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDesign:

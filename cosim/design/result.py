@@ -211,7 +211,10 @@ def _firmware_lines(design: Design, firmware: Firmware) -> list[str]:
         "The design has no proof in flight: hexjet sitl flies it"
     ]
     if firmware.common_angle:
-        lines.append("roll and pitch have one attitude gain: roll's, which holds back the quicker pitch")
+        whose = "roll's, which holds back the quicker pitch"
+        if firmware.angle_gain is not None:
+            whose = "pitch's, which has no gains with that of roll"
+        lines.append(f"roll and pitch have one attitude gain: {whose}")
     for axis, axis_design in design.axes.items():
         if axis_design.after is not None and axis_design.after.margins is not None and axis != "altitude":
             m = axis_design.after.margins

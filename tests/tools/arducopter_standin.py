@@ -290,6 +290,7 @@ class Copter:
         self._target, self._error, self._slope, self._sum = ([0.0] * 3 for _ in range(4))
         self._throttle = 0.0
         self._quaternion: list[float] | None = None
+        self._bias, self._rests = [0.0] * 3, 0
         self._sent = [0] * 16
         self._mode, self._place = 0, [0.0, 0.0, 0.0]
 
@@ -313,7 +314,10 @@ class Copter:
         if self._quaternion is None:
             self._quaternion = told["quaternion"]
         w, x, y, z = self._quaternion
-        p, q, r = (0.5 * dt * rate for rate in told["imu"]["gyro"])
+        if self.armed_at is None:  # what the gyro says until then is its bias
+            self._rests += 1
+            self._bias = [b + (g - b) / self._rests for b, g in zip(self._bias, told["imu"]["gyro"], strict=True)]
+        p, q, r = (0.5 * dt * (rate - bias) for rate, bias in zip(told["imu"]["gyro"], self._bias, strict=True))
         turned = [
             w - x * p - y * q - z * r,
             x + w * p + y * r - z * q,

@@ -5,19 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from math import pi
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from cosim.api.firmware import firmware_for
 from places import script
 
+from cosim.api.call.firmware import firmware_for
 from cosim.autopilots.betaflight import compute_gain_units, make_gain_settings
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
 from cosim.cli.controllers.design import design
 from cosim.design.assessment import assess
+from cosim.design.design import _AxisInputs, _design_axes, _firmware_on_axis
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
@@ -162,6 +164,37 @@ def test_what_ardupilot_shapes_and_feeds_forward_is_the_attitude_gain_alone() ->
         target += STEP * rate  # update_attitude_target, at the beginning of its loop
         rate = (asked - target) * ANGLE  # input_shaping_angle, without a limit of acceleration
         assert ANGLE * (target - angle) + rate == pytest.approx(ANGLE * (asked - angle), abs=1e-12)
+
+
+@pytest.mark.parametrize("pitch_takes", [9.0, 2.0, 0.0])
+def test_where_pitch_does_not_take_rolls_attitude_gain_both_have_that_of_pitch(
+    pitch_takes: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Roll would have 5; pitch takes up to a gain, or none at all; an autopilot with one for both has the smaller."""
+    made: list[tuple[str, float | None]] = []
+
+    def axis(channel: str, inputs: Any, roll: Any) -> Any:
+        firmware = _firmware_on_axis(inputs.firmware, channel, roll) if channel != "roll" else inputs.firmware
+        fixed = None if firmware is None else firmware.angle_gain
+        gain = fixed or (min(pitch_takes, 4.0) if channel == "pitch" else 5.0)
+        made.append((channel, fixed))
+        tuning = SimpleNamespace(angle_gain=gain, gains=GAINS)
+        fails = channel == "pitch" and (gain > pitch_takes or gain == 0.0)
+        return SimpleNamespace(after=None if fails else SimpleNamespace(tuning=tuning))
+
+    monkeypatch.setattr("cosim.design.design._axis", axis)
+    inputs = _AxisInputs(*[None] * 6, Firmware("ardupilot", common_angle=True), print)  # type: ignore[arg-type]
+    plants: Any = {name: name for name in ("roll", "pitch", "yaw", "altitude")}
+    axes, used = _design_axes(plants, inputs, None)
+    gains = {name: made.after and made.after.tuning.angle_gain for name, made in axes.items()}
+    if pitch_takes == 9.0:
+        assert (gains["roll"], gains["pitch"], len(made)) == (5.0, 5.0, 4)
+    elif pitch_takes == 2.0:
+        assert (gains["roll"], gains["pitch"], gains["yaw"]) == (2.0, 2.0, 5.0)
+        assert used.firmware is not None
+        assert used.firmware.angle_gain == 2.0
+    else:
+        assert (gains["roll"], gains["pitch"]) == (5.0, None)
 
 
 def test_gains_are_whole_and_no_neighbour_is_better() -> None:
