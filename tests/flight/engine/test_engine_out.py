@@ -111,7 +111,7 @@ def test_the_bound_with_idle_in_place_of_the_allocations_least_is_the_pages() ->
         "{} % of the range of thrust), below which nothing here asks an engine to go; with the engine's idle in its "
         "place the bound of `p220` is {} deg and not {}"
     )
-    stated("docs/faults.md", sentence, 100.0 * least_throttle, *bounds)
+    stated("docs/tables/faults.md", sentence, 100.0 * least_throttle, *bounds)
 
 
 @pytest.mark.parametrize("engine", [name for name in list_engine_names() if name not in NOT_A_JET])
