@@ -187,7 +187,7 @@ def map_engine(fmu: str | Path, out: str | Path | None = None) -> MappingResult:
     fmu : str or Path
         The FMU of an engine.
     out : str or Path or None
-        The mapping file, which must not be there; None: beside the FMU, under its name.
+        The mapping file, which must not be there, or its folder; None: beside the FMU, under its name.
 
     Returns
     -------

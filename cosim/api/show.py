@@ -114,7 +114,7 @@ def show(
 ) -> ShowResult:
     """Show what something is that can be flown: its numbers, their units and what they mean, from its files.
 
-    The thrust of an engine is measured: its FMU is held at throttles until it stands still.
+    To measure the thrust of an engine, its FMU is held at throttles until it stands still.
 
     Parameters
     ----------

@@ -204,7 +204,7 @@ class Map(opt.Output):
     """Options of ``hexjet fmu map``."""
 
     fmu: Path = opt.argument(metavar="FILE.fmu", type=click.Path(path_type=Path))
-    out = opt.out("[default: beside FILE.fmu, under its name]", "FILE.toml", Out(".toml"))
+    out = opt.out("[default: beside FILE.fmu, under its name]", "FILE.toml|DIR", Out(".toml"))
     as_json = opt.JSON
 
 

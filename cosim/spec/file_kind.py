@@ -25,6 +25,17 @@ AIRCRAFT = FileKind("an aircraft", "--aircraft with its folder")
 MODELS = FileKind("a file of identified models", "--model FILE")
 
 
+_ENDINGS = {  # of files that are no TOML
+    ".bbl": "a log, not {}; it goes with hexjet replay FILE",
+    ".bin": "a log, not {}; it goes with hexjet replay FILE",
+    ".csv": "a table, not {}; it goes with hexjet replay FILE",
+    ".fmu": "an FMU, not {}; it goes with --engine FILE",
+    ".py": "a program, not {}; it goes with --controller FILE:CLASS",
+    ".ssp": "a system of FMUs, not {}; it goes with --engine FILE",
+    ".ulg": "a log, not {}; it goes with hexjet replay FILE",
+}
+
+
 def find_kind(table: Mapping[str, Any]) -> FileKind | None:
     """Return the kind of a file with these keys; None where they are no kind's."""
     if isinstance(table.get("design"), Mapping) and "controller" in table:
@@ -40,6 +51,13 @@ def find_kind(table: Mapping[str, Any]) -> FileKind | None:
         if keys <= table.keys():
             return kind
     return None
+
+
+def refuse_other_ending(path: Path, expected: FileKind) -> None:
+    """Raise InputError where a file that should be TOML is of another kind by its ending."""
+    kind = _ENDINGS.get(path.suffix.lower())
+    if kind is not None:
+        raise InputError(f"{path}: is {kind.format(expected.name)}")
 
 
 def refuse_other_kind(table: Mapping[str, Any], path: Path, expected: FileKind) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, nearest
 from cosim.base.storage.files import one_line
 from cosim.spec.vehicle import VEHICLE, aircraft_names, find_aircraft, load_vehicle
 
@@ -52,8 +52,7 @@ def new_aircraft(name: str, base: str, folder: Path) -> Path:
     if name in aircraft_names():
         raise InputError(f"{name}: is the name of an aircraft that is shipped; choose another")
     if base not in aircraft_names():
-        find_aircraft(base)  # says which there are
-        raise InputError(f"--from {base}: must be one that is shipped: {', '.join(aircraft_names())}")
+        raise InputError(f"--from {base}: must be one that is shipped; {nearest(base, aircraft_names())}")
     source = find_aircraft(base)
     original, path = load_vehicle(base)[0], folder / VEHICLE
     text = source.read_text(encoding="utf-8")

@@ -17,6 +17,7 @@ from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.study.sequential import default_runs
 from cosim.campaign.study.study import DESIGNS, Correlation, Study, flatten_settings, study_names
 from cosim.spec.controller_name import seen_from, short_name
+from cosim.spec.file_kind import SCENARIO, STUDY, refuse_other_ending, refuse_other_kind
 from cosim.spec.scenario import Range, Scenario, scenario_names
 from cosim.spec.vehicle import aircraft_seen_from, file_seen_from
 
@@ -118,9 +119,11 @@ def _read_source(name: str | Path) -> tuple[dict[str, Any], Path, str]:
             raise InputError(f"unknown study or scenario {str(name)!r}; {suggestion}, or give the path of a .toml file")
     if not path.is_file():
         raise InputError(f"{path}: no such study or scenario file")
+    refuse_other_ending(path, STUDY)
     table = read_toml(path)
     if "vary" in table or "scenario" in table:
         return table, path.parent, str(path)
+    refuse_other_kind(table, path, SCENARIO)
     scenario = Scenario.from_table(table, path.parent, str(path))
     return {"name": scenario.name, "scenario": str(path.absolute())}, path.parent, str(path)
 

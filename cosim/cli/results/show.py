@@ -28,7 +28,7 @@ class Show(opt.Output):
 def show(options: Show) -> int:
     """Show what NAME, of hexjet list, is: its numbers, their units and what they mean, from its files.
 
-    The thrust of an engine is measured: its FMU is held at throttles until it stands still.  NAME may be the file of a
+    To measure the thrust of an engine, its FMU is held at throttles until it stands still.  NAME may be the file of a
     design, too: what it was made for, what its proof came to, its margins and gains; or the mapping file of an engine:
     its parameters, and how well they are known.
     """

@@ -69,6 +69,8 @@ def begin_mapping(fmu: Path, out: Path | None = None) -> BegunMapping:
     if is_controller(fmu):
         raise InputError(f"{fmu}: is the FMU of a controller, which needs no mapping file; it goes with --controller")
     path = fmu.with_suffix(".toml") if out is None else out
+    if path.suffix.lower() != ".toml" or path.is_dir():
+        path = path / f"{fmu.stem}.toml"
     findings = tuple(look_for_ports([*archive.inputs, *archive.outputs, *archive.parameters]))
     return BegunMapping(path, archive, findings, "".join(_lines(path, archive, findings)))
 

@@ -8,10 +8,12 @@ from pathlib import Path
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
+from cosim.base.storage.toml import read_toml
 from cosim.identify.logs import blackbox, crazyflie, dataflash, table, tdms, tlog, ulog
 from cosim.identify.logs.flight_log import SEARCHED, FlightLog, LogSignals
 from cosim.identify.logs.text_table import decode
 from cosim.results.log.columns import RATES
+from cosim.spec.file_kind import find_kind
 
 KINDS = (
     "a run's folder, .ulg (ULog), .bin (ArduPilot DataFlash), .bbl or .bfl (Betaflight blackbox), "
@@ -99,6 +101,10 @@ def read_flight_log(path: Path, time: str | None = None, time_unit: str | None =
         raise InputError(f"{path}: {error.strerror or error}") from error
     if not head:
         raise InputError(f"{path}: the file is empty")
+    if path.suffix.lower() == ".toml":
+        kind = find_kind(read_toml(path))
+        what = f"{kind.name}, and no" if kind else "TOML, and no"
+        raise InputError(f"{path}: is {what} log; allowed: {KINDS}")
     if number is not None:
         if blackbox.MARKER in head:
             return blackbox.read(path, number)

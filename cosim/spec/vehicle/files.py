@@ -9,6 +9,7 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.paths import data_folder, names_in
 from cosim.base.storage.toml import Model, Positive, merge, read_toml, validate
+from cosim.spec.file_kind import AIRCRAFT, refuse_other_kind
 from cosim.spec.plausible import find_implausible
 from cosim.spec.scaling import scale_vehicle
 from cosim.spec.vehicle.vehicle import Vehicle
@@ -178,6 +179,7 @@ def _refuse_implausible(vehicle: Vehicle, path: Path) -> None:
 def _read_tables(path: Path) -> dict[str, Any]:
     """Return the tables of a ``vehicle.toml``, merged over those of the aircraft that it scales, if any."""
     tables = read_toml(path)
+    refuse_other_kind(tables, path, AIRCRAFT)
     if "scaled" not in tables:
         return tables
     where = f"{path}: scaled"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -92,6 +93,35 @@ def test_a_file_of_another_kind_is_named_as_what_it_is(file: str, what: str) -> 
     path = data_folder(file.partition("/")[0]) / file.partition("/")[2]
     with pytest.raises(InputError, match=f"{path.name}: is {what}"):
         Scenario.read(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["fly", "x.fmu"], "x.fmu: is an FMU, not a scenario; it goes with --engine FILE"),
+        (["sweep", "x.fmu"], "x.fmu: is an FMU, not a study; it goes with --engine FILE"),
+        (["sweep", "m.toml"], "m.toml: is the mapping file of an engine, not a scenario; it goes with --engine FILE"),
+        (["prove", "vehicle.toml"], "vehicle.toml: is an aircraft, not a scenario; it goes with --aircraft with its"),
+        (["fly", "hover", "--model", "m.toml"], "m.toml: is the mapping file of an engine, not a file of identified"),
+        (["validate", "m.toml", "x.csv"], "m.toml: is the mapping file of an engine, not a file of identified models"),
+        (["fmu", "check", "vehicle.toml"], "vehicle.toml: is an aircraft, not the mapping file of an engine; it goes"),
+        (["replay", "m.toml"], "m.toml: is the mapping file of an engine, and no log; allowed: "),
+        (["aircraft", "check", "./below"], "below/vehicle.toml: is the mapping file of an engine, not an aircraft; it"),
+        (["aircraft", "new", "y", "--from", "quadjt"], "--from quadjt: must be one that is shipped; did you mean 'qu"),
+    ],
+)
+def test_a_file_goes_where_its_kind_belongs(
+    words: list[str], line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for path in (Path("m.toml"), Path("below/vehicle.toml")):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text('fmu = "x.fmu"\n')
+    Path("x.fmu").write_bytes(b"PK\x03\x04\xff")
+    Path("vehicle.toml").write_text((data_folder("aircraft") / "hexjet" / "vehicle.toml").read_text())
+    with pytest.raises(InputError) as error:
+        cli.main(words, standalone_mode=False)
+    assert str(error.value).removeprefix(f"{tmp_path}/").startswith(line)
 
 
 def test_a_scenario_is_no_controller() -> None:

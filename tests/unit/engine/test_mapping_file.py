@@ -100,6 +100,7 @@ def test_what_is_no_engine_is_named_in_a_line(
     renamed(Path("mine.fmu"))
     Path("mine.toml").write_text("")
     Path("text.fmu").write_text("no archive")
+    assert map_engine("mine.fmu", "below").files["mapping"] == Path("below/mine.toml")
     with pytest.raises(InputError) as error:
         map_engine(name)
     assert str(error.value) == line
