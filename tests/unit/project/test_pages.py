@@ -215,7 +215,7 @@ TYPED: Mapping[str, int] = {
     "docs/identify-logs.md": 1,
     "docs/metrics.md": 7,
     "docs/own-engine.md": 8,
-    "docs/paper.md": 10,
+    "docs/paper.md": 9,
     "docs/tables/accuracy.md": 1,
     "docs/tables/benchmarks.md": 4,
     "docs/tables/faults.md": 2,
