@@ -43,14 +43,14 @@ def find_kind(table: Mapping[str, Any]) -> FileKind | None:
     for kind, keys in (
         (STUDY, {"scenario", "vary"}),
         (AIRCRAFT, {"jets", "inertia_kg_m2"}),
+        (AIRCRAFT, {"scaled"}),
         (SCENARIO, {"duration_s"}),
         (MAPPING, {"fmu"}),
         (ENGINE, {"ports", "variables"}),
-        (MODELS, {"identified"}),
     ):
         if keys <= table.keys():
             return kind
-    return None
+    return MODELS if table.keys() == {"identified"} else None  # an aircraft may have some, too
 
 
 def refuse_other_ending(path: Path, expected: FileKind) -> None:

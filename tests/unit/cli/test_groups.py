@@ -11,9 +11,11 @@ from click.testing import CliRunner
 
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
+from cosim.base.storage.toml import read_toml
 from cosim.cli.groups import GROUPS
 from cosim.cli.main import COMMANDS, cli
 from cosim.simulation.controllers.controller_file import read_controller
+from cosim.spec.file_kind import AIRCRAFT, ENGINE, SCENARIO, STUDY, FileKind, find_kind
 from cosim.spec.scenario import Scenario
 
 
@@ -122,6 +124,23 @@ def test_a_file_goes_where_its_kind_belongs(
     with pytest.raises(InputError) as error:
         cli.main(words, standalone_mode=False)
     assert str(error.value).removeprefix(f"{tmp_path}/").startswith(line)
+
+
+@pytest.mark.parametrize(
+    ("files", "kind"),
+    [
+        ("aircraft/*/vehicle.toml", AIRCRAFT),
+        ("engines/*/engine.toml", ENGINE),
+        ("scenarios/*.toml", SCENARIO),
+        ("studies/*.toml", STUDY),
+    ],
+)
+def test_every_file_that_is_shipped_is_of_its_kind(files: str, kind: FileKind) -> None:
+    folder, _, pattern = files.partition("/")
+    paths = sorted(data_folder(folder).glob(pattern))
+    assert len(paths) > 5
+    assert [path for path in paths if find_kind(read_toml(path)) not in (kind, None)] == []
+    assert kind is not AIRCRAFT or all(find_kind(read_toml(path)) is kind for path in paths)
 
 
 def test_a_scenario_is_no_controller() -> None:
