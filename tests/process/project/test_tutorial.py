@@ -81,7 +81,7 @@ def test_the_tutorial_as_written(tmp_path: Path) -> None:
     (simple,) = printed("hexjet sweep", rf"\n  my_controller.py:Simple:{number} % of 40")
     stated(NAME, "*designed* succeeds in {} % of 40 flights, *simple* in {} %", share, simple)
     stated(NAME, "probability may be as low as {} % ({} % interval)", low, 95)
-    (part,) = printed("hexjet sweep", rf"mismatch.delay_samples{number} % of its\s+variance")
+    (part,) = printed("hexjet sweep", rf"mismatch.delay_samples{number} % of\s+its\s+variance")
     stated(NAME, "the delay, with {} % of the variance", part)
     (holds,) = printed("hexjet search", r"0 samples\s+(\d+)")
     stated(NAME, "It holds to {} samples, {} ms more than the engine's own {} ms", holds, 4.0 * holds, 4.0 * samples)
