@@ -261,17 +261,21 @@ def part(autopilot: str, lines: Sequence[Sequence[str]], folders: Sequence[Path]
 
 
 def place_held(autopilot: str, program: str, out: Path, instance: int) -> str:
-    """What an autopilot's own position control makes of a minute of the quadrotor's hover."""
-    folder = out / autopilot / "hold"
-    if not (folder / "summary.json").is_file():
-        options = ("--hold", "2", "--set", "duration_s=62", "--instance", str(instance))
-        craft = ("--aircraft", "quadrotor", *(("--set", "step_s=0.0025") if autopilot == "ardupilot" else ()))
-        run(["sitl", autopilot, "--binary", program, *craft, *options, "--out", str(folder)])
-    flat = open_run(folder).summary.flat_metrics
-    away, height = flat["position.drift_m"] or 0.0, flat["altitude.max_abs_error_m"] or 0.0
+    """What an autopilot's own position control makes of a minute of hover."""
+    quadrotor, late = CRAFTS[autopilot][2], CRAFTS[autopilot][1]
+    said = []
+    for craft, gains in ((quadrotor, VEHICLE), (late, DESIGNED)):
+        folder = out / autopilot / f"hold-{craft.name}"
+        if not (folder / "summary.json").is_file():
+            options = gains_of(autopilot, gains, craft, out) or ()
+            what = ("--aircraft", craft.name, *craft.options, "--hold", "2", "--set", "duration_s=62", *options)
+            run(["sitl", autopilot, "--binary", program, *what, "--instance", str(instance), "--out", str(folder)])
+        flat = open_run(folder).summary.flat_metrics
+        away, height = flat["position.drift_m"] or 0.0, flat["altitude.max_abs_error_m"] or 0.0
+        said.append(f"within {away:.2f} m of its start, and its height within {height:.2f} m")
     return (
-        f"With `--hold 2` {NAMES[autopilot]} kept the quadrotor within {away:.2f} m of its start for a minute, and its "
-        f"height within {height:.2f} m.\n"
+        f"With `--hold 2` {NAMES[autopilot]} kept the quadrotor {said[0]}, for a minute; the Hex-Jet with engines "
+        f"0.1 s late, by designed gains, {said[1]}.\n"
     )
 
 
