@@ -35,9 +35,9 @@ from cosim.design.levels import DESIGNED, THRUST_AXES, tunings_at
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from cosim.design.loop.criteria import FINE
 from cosim.design.proof import NOT_KEPT, prove
 from cosim.design.shipped_comparison import WORSE
-from cosim.design.tune import FINE
 from cosim.engine import load_engine
 from cosim.results.report.marks import table, write_marks
 from cosim.simulation.controllers.controller_file import ProofRecord, apply_controller, read_controller

@@ -148,7 +148,8 @@ def design(
     aircraft : str or Path
         A name or a folder.
     controller : str
-        One of the predictors, or ``auto`` for the best of them.
+        One of the predictors, ``auto`` for the best of them, or ``optimal``: the controller at the limit of
+        performance, of low order.
     model : str or Path or None
         A file with identified models, taken instead of what engine and airframe make together.
     amplitude : float or None
@@ -198,12 +199,13 @@ def design(
     from cosim.design.design import design as make
     from cosim.design.loop.limit import need_solver
     from cosim.design.proof import add_proof
-    from cosim.simulation.controllers.controller_file import Requirements
+    from cosim.simulation.controllers.controller_file import LAW, Requirements
 
     hears, texts = progress or Progress(), as_settings(settings)
     mention([*texts, *([str(engine)] if engine else [])], Path())
     if out is not None:  # before minutes of searching
         prepare(Path(out))
+    limit = limit or controller == LAW
     if limit:
         need_solver()
     name, vehicle = engine_for(str(aircraft), None if engine is None else str(engine)), str(aircraft)

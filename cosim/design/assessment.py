@@ -10,8 +10,8 @@ from cosim.base.signals import AXES
 from cosim.control.predictors.registry import BASELINE, SMITH
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import ClosedLoop
+from cosim.design.loop.criteria import fine_loop
 from cosim.design.loop.tuning import Tuning
-from cosim.design.tune import fine_loop
 from cosim.engine import EngineSpec
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import RateGains, RateModel, Vehicle
@@ -58,6 +58,7 @@ class AxisDesign:
     after: Assessment | None
     limits: Mapping[str, float]  # bandwidth [Hz] without delay, without lag, without the bound on noise
     checks: Mapping[str, bool]
+    why_not: str = ""  # why the requirements cannot be kept, where that is known
 
 
 def shipped_tuning(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
@@ -89,7 +90,7 @@ def assess(channel: Channel, tuning: Tuning, need: Requirements) -> Assessment:
     closed = fine_loop(channel, tuning)
     if closed.unstable_poles:
         return Assessment(tuning.controller, tuning, False, *[None] * 10)
-    settled = bool(tuning.gains.i) and not closed.load_left
+    settled = tuning.is_integrating and not closed.load_left
     return Assessment(
         tuning.controller,
         tuning,

@@ -8,7 +8,6 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
-from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.assessment import Assessment
 from cosim.design.design import Design
 from cosim.design.loop.channel import Channel
@@ -47,12 +46,12 @@ def make_controller_table(design: Design) -> dict[str, Any]:
         vehicle["control"]["schedule"] = design.schedule.model_dump(mode="json", exclude_none=True)
     elif design.vehicle.control.schedule:
         vehicle["control"]["schedule"] = False  # overrules the aircraft's
-    if PREDICTORS[roll.controller].needs_model:
+    if roll.needs_model:
         vehicle["identified"] = {
             design.engine.family: {
                 axis: _model(design.axes[axis].channel, chosen[axis], design).model_dump()
                 for axis in AXES
-                if PREDICTORS[chosen[axis].controller].needs_model
+                if chosen[axis].tuning.needs_model
             }
         }
     scenario, spec = design.scenario, design.engine
@@ -95,6 +94,7 @@ def make_controller_table(design: Design) -> dict[str, Any]:
     )
     return {
         "controller": roll.controller,
+        **({} if roll.law is None else {"controller_parameters": dict(roll.law)}),
         "vehicle": vehicle,
         "design": purpose.model_dump(mode="json", exclude_none=True),
     }

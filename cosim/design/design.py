@@ -29,17 +29,19 @@ from cosim.design.levels import (
 )
 from cosim.design.limits import Say, bandwidths_without_limits, explain_failure, find_allowances, tolerance_checks
 from cosim.design.loop.actuator import Actuator
+from cosim.design.loop.at_limit import tune_at_limit
 from cosim.design.loop.channel import Channel, channels, engine_lead, hover_fraction
+from cosim.design.loop.criteria import fine_loop, is_acceptable, objective
 from cosim.design.loop.dynamics import Dynamics, fit_dynamics, make_lag_dynamics, with_misfit
 from cosim.design.loop.engine_uncertainty import engine_tolerances
 from cosim.design.loop.firmware import Firmware
 from cosim.design.loop.limit import AxisLimit, axis_limit, need_solver
 from cosim.design.loop.tuning import Tuning, candidates, designable
 from cosim.design.proof_result import Proof
-from cosim.design.tune import TuningResult, fine_loop, objective, settle, tune, tune_near
+from cosim.design.tune import TuningResult, settle, tune, tune_near
 from cosim.engine import EngineSpec, load_engine
 from cosim.identify.sweep import Identification, identify_engine
-from cosim.simulation.controllers.controller_file import Requirements, read_controller
+from cosim.simulation.controllers.controller_file import LAW, Requirements, read_controller
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import (
     RateModel,
@@ -142,9 +144,7 @@ def design(
     Raises InputError for an unknown name, a vehicle that the engines do not lift, or an engine that does not answer.
     """
     need = need or Requirements()
-    names = candidates() if controller == "auto" else (controller,)
-    for name in names:
-        designable(name, f"--controller {name}", ["auto"])
+    names = _candidate_names(controller, start)
     scenario, vehicle = _scenario(engine, aircraft, settings)
     engine, unchecked, apart = scenario.engine, scenario.engine_unchecked, scenario.engine_isolated
     spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
@@ -169,15 +169,17 @@ def design(
         if not spec.matches_model(table.get("engine_sha256", "")):
             raise InputError(f"{model}: its model of {axis} is of another {spec.family}: its hash is another")
         plants[axis] = replace(plants[axis], identified=RateModel(**table))
-    if controller == "auto" and plants["roll"].is_by_servo and firmware is None:
-        names = (BASELINE.name,)  # a predictor is for engines that answer late
+    if plants["roll"].is_by_servo:
+        names = _names_for_servos(names, controller, vehicle, firmware)
     source = f"{identified.source}; with the airframe of {vehicle.name}"
     begin = None if start is None else _read_start(start, plants, scenario.aircraft, vehicle, spec)
     inputs = _AxisInputs(vehicle, spec, names, need, source, lead, firmware, say)
     axes, inputs = _design_axes(plants, inputs, begin)
     reason = explain_failure(axes, need)
     allowing = (
-        find_allowances(axes["roll"], names, need, say, lead) if reason and start is None and not firmware else {}
+        find_allowances(axes["roll"], names, need, say, lead)
+        if reason and start is None and not firmware and names != (LAW,)
+        else {}
     )
     burning: list[LevelDesign] = []
     plan: Schedule | None = None
@@ -188,6 +190,28 @@ def design(
         spec, vehicle, scenario, need, identified, source, axes, burning, plan, reason, allowing,
         firmware=inputs.firmware, tolerances=tolerances.words,
     )  # fmt: skip
+
+
+def _candidate_names(controller: str, start: Path | None) -> Sequence[str]:
+    """Return the controllers that are tried.  Raises InputError for what no design can use."""
+    if controller == LAW:
+        need_solver()
+        if start is not None:
+            raise InputError(f"--controller {LAW}: its search begins at the limit: leave --start out")
+        return (LAW,)
+    names = candidates() if controller == "auto" else (controller,)
+    for name in names:
+        designable(name, f"--controller {name}", ["auto", LAW])
+    return names
+
+
+def _names_for_servos(
+    names: Sequence[str], controller: str, vehicle: Vehicle, firmware: Firmware | None
+) -> Sequence[str]:
+    """Return the controllers that are tried where servos turn the roll: a predictor is for engines that answer late."""
+    if controller == LAW:
+        raise InputError(f"--controller {LAW}: servos turn the roll of {vehicle.name}, and engines have to")
+    return (BASELINE.name,) if controller == "auto" and firmware is None else names
 
 
 def add_limits(design: Design, say: Say = lambda text: None) -> Design:
@@ -245,6 +269,7 @@ def _design_levels(
         for axis, axis_design in axes.items()
         if axis in THRUST_AXES and axis_design.after is not None
     }
+    law = full["roll"].law is not None  # whose gains follow no thrust level
     step, needs = axes["roll"].channel.step, {axis: axis_requirements(axis, need) for axis in THRUST_AXES}
     fits = all(
         meets_requirements(level.channels[axis], full[axis], needs[axis]) for level in levels for axis in THRUST_AXES
@@ -256,7 +281,7 @@ def _design_levels(
     designed = {*DESIGNED, *(fuel for of in level_tunings.values() for fuel in of)}
     while True:
         plan: Schedule | None = None
-        if scheduled and not fits:
+        if scheduled and not fits and not law:
             for axis in THRUST_AXES:
                 say(f"{axis}: with less fuel")
                 followed = follow(axis, levels, full[axis], needs[axis], level_tunings[axis], designed)
@@ -274,10 +299,11 @@ def _design_levels(
                 axis: meets_requirements(level.channels[axis], acting[axis], needs[axis]) for axis in THRUST_AXES
             }
             burning.append(LevelDesign(level, level.fuel in designed, before, after, is_kept))
-        missed = {level.level.fuel for level in burning if plan and not all(level.is_kept.values())}
+        missed = {level.level.fuel for level in burning if (plan or law) and not all(level.is_kept.values())}
         if missed <= designed:
             where = ", ".join(f"{fuel:.0%} of the fuel" for fuel in sorted(missed))
-            return plan, burning, f"a requirement is missed by the schedule with {where}" if missed else ""
+            by = "schedule" if plan else "controller at the limit, which follows no thrust level,"
+            return plan, burning, f"a requirement is missed by the {by} with {where}" if missed else ""
         designed |= missed  # a straight line does not do there
 
 
@@ -447,6 +473,8 @@ def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDes
     before = assess(channel, fixed, need)
     model = predictor_model(channel, inputs.source)
     start = replace(fixed, predictor=roll.predictor if roll else vehicle.control.predictor)
+    if names == (LAW,):
+        return _axis_at_limit(AxisDesign(channel, before, {}, None, {}, {}), start, model, need, roll, say)
     tried: dict[str, TuningResult] = {}
     for with_lead in (None,) if lead is None else (None, lead):
         for name in names:
@@ -468,6 +496,26 @@ def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDes
         say("what limits it")
         limits = bandwidths_without_limits(channel, after, need, lead)
     return AxisDesign(channel, before, objectives, after, limits, tolerance_checks(channel, after.tuning, need))
+
+
+def _axis_at_limit(
+    axis: AxisDesign, fixed: Tuning, model: RateModel, need: Requirements, roll: Tuning | None, say: Say
+) -> AxisDesign:
+    """Return an axis with the law at the limit, found on roll; other axes have roll's with their own models."""
+    channel = axis.channel
+    say(f"{channel.name}: {LAW}")
+    if roll is None or roll.law is None:
+        found = tune_at_limit(channel, model, fixed, need)
+        tuning, value, why_not = found.tuning, found.objective, found.why_not
+    else:
+        tuning = Tuning.of_law(roll.law, model, fixed)
+        closed = fine_loop(channel, tuning)
+        kept = is_acceptable(closed, need)
+        value, why_not = (objective(closed), "") if kept else (inf, "they are missed with roll's answers")
+    if tuning is None or why_not:
+        return replace(axis, candidates={LAW: inf}, why_not=why_not)
+    checks = tolerance_checks(channel, tuning, need)
+    return replace(axis, candidates={LAW: value}, after=assess(channel, tuning, need), checks=checks)
 
 
 def _simplest(objectives: Mapping[str, float]) -> str:

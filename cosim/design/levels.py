@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 from cosim.control.schedule import Factors, GainSchedule
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, hover_fraction
+from cosim.design.loop.criteria import fine_loop, is_acceptable
 from cosim.design.loop.tuning import Tuning, round_gain
-from cosim.design.tune import fine_loop, is_acceptable, tune_near
+from cosim.design.tune import tune_near
 from cosim.engine import EngineSpec
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.scenario import Scenario

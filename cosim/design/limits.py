@@ -12,8 +12,9 @@ from cosim.design.assessment import Assessment, AxisDesign
 from cosim.design.loop.actuator import SERVO
 from cosim.design.loop.channel import Channel, engine_lead
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from cosim.design.loop.criteria import fine_loop
 from cosim.design.loop.tuning import Tuning
-from cosim.design.tune import fine_loop, tune
+from cosim.design.tune import tune
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import EngineLead
 
@@ -75,6 +76,8 @@ def _stable(channel: Channel, tuning: Tuning) -> bool:
 
 def explain_failure(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
     for axis, axis_design in axes.items():
+        if axis_design.why_not:
+            return f"{axis}: no controller at the limit keeps the requirements: {axis_design.why_not}"
         if axis_design.after is None:
             bandwidth = f", {need.min_bandwidth_hz:g} Hz included" if axis in ("roll", "pitch") else ""
             unsure = axis_design.channel.actuator.dynamics.unsure_words()

@@ -18,6 +18,7 @@ from cosim.base.storage.toml import merge, read_toml
 from cosim.design.controller_table import make_controller_table
 from cosim.design.design import Design
 from cosim.design.limits import Say
+from cosim.design.loop.criteria import CORNER, OVERSHOOT
 from cosim.design.proof_result import ProofFlight
 from cosim.design.shipped_comparison import FlownMeasures, FlownPair, measure_flight
 from cosim.flight import fly
@@ -27,10 +28,8 @@ from cosim.spec.vehicle import Vehicle
 
 # Chosen by us: 1 deg is the twentieth of a doublet's change of 20 deg, to which a settling time is counted.
 STILL_DEG = 1.0  # in hover, of the second half, and what is left of a doublet's swing
-OVERSHOOT = 0.10  # more than promised, for noise and what is not linear
 GUST_DEG = 25.0  # in the gust, of roll and pitch: the doublet's amplitude is 10 deg
 HEIGHT_M = 2.0  # off the height, at most
-CORNER = 2.0  # times these, at a corner of the tolerances, where stability alone is promised
 LARGE_KG = 20.0  # from here on the gust is that of the full scale
 HOVER_S = 20.0
 
@@ -175,6 +174,7 @@ def _fly_designed(design: Design, name: str, table: Mapping[str, Any], changes: 
     controller = make_controller_table(design)
     vehicle = merge(merge(table.get("vehicle", {}), design.scenario.vehicle), controller["vehicle"])
     changes = {**changes, "vehicle": merge(vehicle, changes.get("vehicle", {}))}
+    changes["controller_parameters"] = controller.get("controller_parameters", {})
     return fly(_scenario(design, name, table, controller["controller"], changes), report=False)
 
 

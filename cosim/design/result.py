@@ -149,6 +149,7 @@ def _assessment_dict(assessment: Assessment | None) -> dict[str, Any] | None:
         "predictor": tuning.predictor.model_dump(),
         "model": tuning.model.model_dump(),
         "lead": tuning.lead.model_dump() if tuning.lead else None,
+        "parameters": None if tuning.law is None else dict(tuning.law),
     }
     return values
 
@@ -185,7 +186,6 @@ def detail_lines(design: Design) -> list[str]:
         for axis, axis_design in design.axes.items()
         if axis_design.after is not None and axis_design.after.tuning.lead is not None
     ]
-    lines += [f"{axis}: {limit.describe()}" for axis, limit in design.performance.items()]
     lines.append(_reach(design))
     lines += _level_lines(design)
     checks = [
@@ -193,7 +193,8 @@ def detail_lines(design: Design) -> list[str]:
         for axis, axis_design in design.axes.items()
         for check, fine in axis_design.checks.items()
     ]
-    return [*lines, *_merge_same_values(checks)]
+    limits = [f"{axis}: {limit.describe()}" for axis, limit in design.performance.items()]
+    return [*lines, *_merge_same_values(checks), *limits]
 
 
 def _merge_same_values(entries: Iterable[tuple[str, str]]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from math import inf, log, log1p
+from math import inf, log
 
 import numpy as np
 
@@ -13,11 +13,11 @@ from cosim.base.errors import InputError
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from cosim.design.loop.criteria import FINE, excess, fine_loop, is_acceptable, objective
 from cosim.design.loop.tuning import Tuning
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import EngineLead, RateModel
 
-STEP_M = 1.0
 UNSTABLE = 1e3
 PENALTY = 100.0  # what missing a requirement by 100 % costs in the objective, which is a logarithm
 SEED = 1  # the same design every time
@@ -25,7 +25,6 @@ POPULATION = 6  # times the number of parameters
 GENERATIONS = 40
 ROUNDS = 200  # evaluations of a search
 FASTEST_LEAD = 10.0  # times the poles of the engine: more adds no phase, only noise; nor faster than two steps
-FINE = 4000  # points of the circle with which a tuning is checked
 CLOSE = 0.02  # relative, by which the requirements may be missed where a search begins at its own answer
 WRITTEN = 1500  # points of the circle while digits are changed
 NEGLIGIBLE_GAIN = 0.003  # of the objective: a search finds as much again when it is begun from its own answer
@@ -44,40 +43,6 @@ class TuningResult:
     tuning: Tuning
     objective: float
     evaluations: int
-
-
-def objective(closed: ClosedLoop) -> float:
-    """Return ``ln`` of the integrated absolute error of a set-point step, plus a third of that of a load step.
-
-    The logarithm needs no units and no sizes of the steps.  At a bandwidth w the first goes with 1/w, the second with
-    1/w^3, so the third makes both count as bandwidth.
-    """
-    return float(np.log(closed.step_error) + np.log(closed.load_error) / 3.0)
-
-
-def excess(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> float:
-    """Return by how much the requirements are missed, as a sum of relative parts; 0 where all are kept."""
-    channel = closed.points.channel
-    step = STEP_M if channel.name == "altitude" else need.step_rad
-    tolerated = closed.compute_tolerance(need.delay_samples(channel.transport_samples), need.gain_tolerance)
-    largest = need.max_sensitivity * (1.0 - spare)
-    excesses = (
-        # far from robust against a misfit there is no sensitivity, and a search still needs a slope
-        closed.peak_sensitivity / largest - 1.0
-        if closed.points.unsure is None
-        else 1.0 - max(0.0, closed.distance) * largest + log1p(max(0.0, closed.beyond_stability)),
-        (1.0 + spare) - tolerated if need.delay_tolerance or need.gain_tolerance else 0.0,
-        closed.noise / (need.noise_share * channel.room * (1.0 - spare)) - 1.0,
-        closed.overshoot / (need.max_overshoot * (1.0 - spare)) - 1.0,
-        closed.step_peak * step / (channel.room * (1.0 - spare)) - 1.0,
-        1.0 + spare - closed.bandwidth / need.min_bandwidth_hz if need.min_bandwidth_hz else 0.0,
-    )
-    return sum(max(part, 0.0) for part in excesses)
-
-
-def is_acceptable(closed: ClosedLoop, need: Requirements) -> bool:
-    """Return whether a loop is stable and within the requirements."""
-    return closed.unstable_poles == 0 and excess(closed, need) == 0.0
 
 
 class TuningBounds:
@@ -218,11 +183,6 @@ def _descend(cost: Callable[[Array], float], x: Array, value: float) -> Array:
 def _cost(closed: ClosedLoop, need: Requirements) -> float:
     """Return the objective of a loop with a penalty for what it misses of the requirements."""
     return objective(closed) + PENALTY * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
-
-
-def fine_loop(channel: Channel, tuning: Tuning) -> ClosedLoop:
-    """Return a channel closed with a tuning, at the :data:`FINE` points with which a tuning is checked."""
-    return ClosedLoop(FrequencyGrid(channel, close=FINE), tuning)
 
 
 def settle(

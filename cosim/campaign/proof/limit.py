@@ -8,11 +8,12 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.loop.channel import Channel
+from cosim.design.loop.criteria import fine_loop
 from cosim.design.loop.limit import AxisLimit, need_solver
 from cosim.design.loop.tuning import Tuning
 from cosim.design.measured.computed import find_loop_limit, find_tunings, make_plants
-from cosim.design.tune import fine_loop
 from cosim.simulation.build import build
+from cosim.simulation.controllers.controller_file import LAW
 from cosim.spec.scenario import Scenario
 
 
@@ -33,7 +34,7 @@ def flown_limits(scenario: Scenario, say: Callable[[str], None] = lambda text: N
 def _loops(scenario: Scenario) -> dict[str, tuple[Channel, Tuning]] | str:
     """Return channel and tuning of each axis, or why they are not known."""
     chosen = PREDICTORS.get(scenario.controller)
-    if chosen is None or chosen.response is None:
+    if scenario.controller != LAW and (chosen is None or chosen.response is None):
         return "the controller is not one whose linear loop is known"
     try:
         need_solver()

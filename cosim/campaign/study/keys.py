@@ -175,7 +175,10 @@ def _controller_file(scenario: Scenario, values: Mapping[str, Value]) -> tuple[d
     step = float(values.get("step_s") or scenario.replace(aircraft=aircraft, vehicle={}).step_s)
     file.check_step(Path(path), step)
     files = parameter_files(scenario.parameter_files, "design", Path(path))
-    return {"vehicle": file.vehicle, "parameter_files": files}, {**values, "controller": file.controller}
+    changes: dict[str, Any] = {"vehicle": file.vehicle, "parameter_files": files}
+    if file.controller_parameters:
+        changes["controller_parameters"] = file.controller_parameters
+    return changes, {**values, "controller": file.controller}
 
 
 def custom_keys(scenario: Scenario) -> list[Key]:

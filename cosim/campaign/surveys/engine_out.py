@@ -210,6 +210,7 @@ def _scenario(subject: Subject, file: ControllerFile, jet: int, means: Means) ->
         HEIGHT_M,
         begin + AFTER_S,
         vehicle=file.vehicle,
+        controller_parameters=file.controller_parameters,
         step_s=STEP_S,
         fault=[{"kind": "flame_out", "start_s": begin, "jet": jet}],
     ).replace(vehicle={"control": {"monitor": monitor}})

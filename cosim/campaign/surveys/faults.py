@@ -266,11 +266,12 @@ def scenario_of(subject: Subject, case: Case, start: str, controller: str, step:
     """Return the flight of one cell of the table.  Raises InputError for a design of another control step."""
     step, begin = step or subject.vehicle.control_step, SETTLED_S[start]
     gains: dict[str, Any] = {}
+    parameters: dict[str, float] = {}
     if is_design(controller):
         path = Path(controller)
         file = read_controller(path, subject.aircraft)
         file.check_step(path, step)
-        controller, gains = file.controller, file.vehicle
+        controller, parameters, gains = file.controller, file.controller_parameters, file.vehicle
     roll = {"kind": "step", "signal": "roll_deg", "start_s": 0.5, "amplitude": ROLL_DEG}
     return subject.scenario(
         "survival",
@@ -278,6 +279,7 @@ def scenario_of(subject: Subject, case: Case, start: str, controller: str, step:
         HEIGHT_M,
         begin + AFTER_S,
         vehicle=gains,
+        controller_parameters=parameters,
         step_s=step,
         command=[roll] if start == "roll" else [],
         fault=[] if case.fault is None else [case.fault | {"start_s": begin}],

@@ -21,7 +21,7 @@ class DesignOptions(opt.Output):
 
     engine = opt.word("--engine", "NAME|FILE", "A name, an .fmu or a .toml.  [default: the aircraft's own]")
     aircraft = opt.word("--aircraft", "NAME|DIR", "See: hexjet list aircraft.", "hexjet")
-    controller = opt.word("--controller", "NAME", "One of the predictors, or the best of them.", "auto")
+    controller = opt.word("--controller", "NAME", "A predictor, optimal for the limit, or the best predictor.", "auto")
     model = opt.path("--model", "FILE.toml", "As hexjet identify writes it.")
     amplitude = opt.number(
         "--amplitude",

@@ -62,22 +62,31 @@ class Axis:
 
     @property
     def delay(self) -> float:
-        """``theta``, s: transport, half a step of hold, and ``1 / (1 - p)`` samples of every faster pole (zeros: less).
-
-        ``arg(z - p)`` on the unit circle grows with ``1 / (1 - p)`` at its beginning.
-        """
-        samples: complex = self.model.delay_samples + 0.5
-        for pole in self._fast:
-            samples += 1.0 / (1.0 - pole)
-        for zero in self.model.all_zeros:
-            samples -= 1.0 / (1.0 - zero)
-        return samples.real * self.step
+        """``theta``, s: :func:`low_frequency_delay`."""
+        return low_frequency_delay(self.model)
 
     @property
     def _fast(self) -> list[complex]:
-        poles = list(self.model.all_poles)
-        poles.remove(self.slow_pole)
-        return poles
+        return _fast_poles(self.model)
+
+
+def low_frequency_delay(model: RateModel) -> float:
+    """Return ``theta``, s: transport, half a step of hold, and ``1 / (1 - p)`` samples of every faster pole.
+
+    Of zeros as much less: ``arg(z - p)`` on the unit circle grows with ``1 / (1 - p)`` at its beginning.
+    """
+    samples: complex = model.delay_samples + 0.5
+    for pole in _fast_poles(model):
+        samples += 1.0 / (1.0 - pole)
+    for zero in model.all_zeros:
+        samples -= 1.0 / (1.0 - zero)
+    return samples.real * model.sample_time_s
+
+
+def _fast_poles(model: RateModel) -> list[complex]:
+    poles = list(model.all_poles)
+    poles.remove(max(model.poles))
+    return poles
 
 
 class Actuators:

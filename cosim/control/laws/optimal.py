@@ -186,16 +186,39 @@ def fit_weights(form: ModelForm, basis: Array, weights: Array) -> Array:
     return np.asarray(weights + np.linalg.lstsq(rows, values - rows @ weights, rcond=None)[0], np.float64)
 
 
-def make_predictor(model: RateModel, target: Target) -> tuple[LinearPredictor, float, float]:
+@dataclass(frozen=True)
+class PredictorBases:
+    """What a predictor of a target takes from the poles alone: a search of weights computes it once."""
+
+    form: ModelForm
+    of_target: Array  # functions that ``t`` is a sum of
+    of_predictor: Array  # functions that the predictor's answers are sums of, a column each
+    transition: Array
+
+    @classmethod
+    def of(cls, model: RateModel, target: Target) -> PredictorBases:
+        """Return the bases of a target's poles with a model."""
+        form, step = ModelForm.of(model, target), model.sample_time_s
+        basis = target.basis(step)
+        length = form.late + len(basis) + 8 * (len(form.kept) + LAGS)
+        denominators = [np.array([1.0, 0.0])] * AT_ZERO + _sections(form.fast_poles) + target.denominators(step)
+        functions = orthonormal_basis(denominators, length)
+        return cls(form, basis, functions, functions.T @ np.vstack([functions[1:], np.zeros(functions.shape[1])]))
+
+
+def make_predictor(
+    model: RateModel, target: Target, bases: PredictorBases | None = None
+) -> tuple[LinearPredictor, float, float]:
     """Return the predictor, the proportional gain and the gain of the attitude loop, 1/s, of a target.
 
-    Raises InputError where the target is faster than the model can be.
+    ``bases`` are those of the target's poles, where they are known.  Raises InputError where the target is faster than
+    the model can be.
     """
-    form, step = ModelForm.of(model, target), model.sample_time_s
-    basis = target.basis(step)
+    bases, step = bases or PredictorBases.of(model, target), model.sample_time_s
+    form, basis, functions = bases.form, bases.of_target, bases.of_predictor
     weights = fit_weights(form, basis, sqrt(step) * np.array(target.weights))
     t = basis @ weights
-    length = form.late + len(t) + 8 * (len(form.kept) + LAGS)
+    length = len(functions)
     pad = np.zeros(length)
 
     def extended(response: Array) -> Array:
@@ -213,12 +236,9 @@ def make_predictor(model: RateModel, target: Target) -> tuple[LinearPredictor, f
     if not attitude > 0.0:
         raise InputError("the answer to a load is too fast for the answer to a set-point: less speed, or less response")
     of_rate, of_command = attitude * of_rate, attitude * of_command
-    denominators = [np.array([1.0, 0.0])] * AT_ZERO + _sections(form.fast_poles) + target.denominators(step)
-    functions = orthonormal_basis(denominators, length)
-    transition = functions.T @ np.vstack([functions[1:], np.zeros(functions.shape[1])])
     tail = extended(of_command[form.late + 1 :])
     predictor = LinearPredictor(
-        transition.tolist(),
+        bases.transition.tolist(),
         (functions.T @ of_rate).tolist(),
         (functions.T @ tail).tolist(),
         functions[0].tolist(),

@@ -16,7 +16,7 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 from cosim.control.predictors.smith import robustness_filter
-from cosim.control.predictors.state import Modes, modal_observer
+from cosim.control.predictors.state import LinearPredictor, Modes, modal_observer
 from cosim.spec.vehicle import RateModel
 
 Pair = tuple[Complex, Complex]
@@ -302,6 +302,44 @@ class ObserverSpace:
         state = state + np.outer(gain, measured - output @ state)
         keep("observer", state)
         return np.asarray(prediction @ state + self._on_the_way @ sent[: samples + 1])
+
+    def apply_command(self, command: Array, x: Rows, keep: Keep) -> None:
+        """Do nothing: it reads the past commands."""
+
+
+def linear_response(predictor: LinearPredictor) -> PairResponse:
+    """Return ``P_y`` and ``P_u`` of a predictor that is stated as matrices.
+
+    ``P_y = c (I - F / z)^-1 g``, and ``P_u`` the same of ``h`` behind the oldest of the ``n`` commands that it keeps,
+    ``z^-n``, with what it weighs each of them by.
+    """
+    transition, entering = np.array(predictor.transition), np.stack([predictor.of_rate, predictor.of_command], axis=1)
+    of_state, weights = np.array(predictor.of_state), np.array(predictor.weights)
+
+    def response(z: Complex) -> Pair:
+        states = np.linalg.solve(np.eye(len(of_state)) - transition / z[:, None, None], entering.astype(complex))
+        of_rate, of_late = (of_state @ states).T
+        return np.asarray(of_rate), np.asarray(of_late * z ** -len(weights) + np.polyval([*weights, 0.0], 1.0 / z))
+
+    return response
+
+
+class LinearSpace:
+    """A predictor that is stated as matrices."""
+
+    def __init__(self, predictor: LinearPredictor) -> None:
+        self._transition, self._of_state = np.array(predictor.transition), np.array(predictor.of_state)
+        self._of_rate, self._of_command = np.array(predictor.of_rate), np.array(predictor.of_command)
+        self._weights = np.array(predictor.weights[::-1])  # the last command first
+        self.history_length = len(self._weights)
+        self.states = {"predictor": len(self._of_state)}
+
+    def predicted(self, measured: Array, x: Rows, keep: Keep) -> Array:
+        sent = x["sent"][: self.history_length]
+        state = self._transition @ x["predictor"]
+        state = state + np.outer(self._of_rate, measured) + np.outer(self._of_command, sent[-1])
+        keep("predictor", state)
+        return np.asarray(self._of_state @ state + self._weights @ sent)
 
     def apply_command(self, command: Array, x: Rows, keep: Keep) -> None:
         """Do nothing: it reads the past commands."""

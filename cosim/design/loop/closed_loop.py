@@ -23,7 +23,6 @@ import numpy as np
 
 from cosim.base.arrays import Array, Complex
 from cosim.control.lead import lead_polynomials
-from cosim.control.predictors.registry import PREDICTORS
 from cosim.design.loop.channel import Channel, angles
 from cosim.design.loop.frequency import LoopMargins, loop_margins, pid_response, zeros_outside
 from cosim.design.loop.state_space import Space, Steps
@@ -162,7 +161,7 @@ class ClosedLoop:
         """Unit steps of set-point and load over :data:`WINDOW` times the channel's pace, exactly."""
         channel = self.points.channel
         samples = ceil(window_s(channel) / channel.step)
-        if self.tuning.firmware is not None or PREDICTORS[self.tuning.controller].space is None:
+        if self.tuning.firmware is not None or not self.tuning.has_space:
             return steps_by_response(channel, self.tuning, samples)
         return self.space.steps(samples)
 

@@ -69,6 +69,7 @@ def reduce_limit(
     lag_s: float,
     start: Sequence[tuple[float, float]] = START,
     rounds: int = ROUNDS,
+    frequencies: int = FREQUENCIES,
 ) -> LowOrder:
     """Return the target of the least load error within ``bounds`` that poles of this number reach.
 
@@ -86,6 +87,8 @@ def reduce_limit(
         Natural frequency times the delay at low frequency, and damping, from which the poles are searched.
     rounds : int
         Of the search; 0: the poles are those of ``start``.
+    frequencies : int
+        At which the peak sensitivity is kept at last.
 
     Raises
     ------
@@ -127,4 +130,4 @@ def reduce_limit(
     if rounds:
         simplex = np.vstack([x, x + FIRST * np.eye(len(x))])
         x = minimize(cost, x, method="Nelder-Mead", options={"maxfev": rounds, "initial_simplex": simplex}).x
-    return solve(at(x), FREQUENCIES)
+    return solve(at(x), frequencies)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from cosim.base.errors import InputError, nearest
-from cosim.control.predictors.linear import PairResponse, PredictorSpace
+from cosim.control.laws.axis import low_frequency_delay
+from cosim.control.laws.optimal import PredictorBases, Target, make_predictor
+from cosim.control.predictors.linear import LinearSpace, PairResponse, PredictorSpace, linear_response
 from cosim.control.predictors.registry import PREDICTORS, PredictorSpec
+from cosim.control.predictors.state import LinearPredictor
 from cosim.design.loop.firmware import Firmware
+from cosim.simulation.controllers.controller_file import LAW
 from cosim.spec.vehicle import EngineLead, PredictorTuning, RateGains, RateModel
 
 
@@ -41,17 +46,57 @@ class Tuning:
     model: RateModel  # what the predictor believes
     lead: EngineLead | None = None
     firmware: Firmware | None = None  # whose loop has these gains; None: ours
+    law: Mapping[str, float] | None = None  # parameters of the law at the limit, which says the gains; None: no law
+
+    @classmethod
+    def of_law(
+        cls, values: Mapping[str, float], model: RateModel, fixed: Tuning, bases: PredictorBases | None = None
+    ) -> Tuning:
+        """Return the law at the limit with these parameters; ``fixed`` has what it leaves as it is.
+
+        ``bases`` are those of the poles, where they are known.  Raises InputError where the parameters ask for more
+        than the model can be.
+        """
+        predictor, gain, attitude = make_predictor(model, Target.of(values, low_frequency_delay(model)), bases)
+        gains = fixed.gains.model_copy(update={"p": gain, "i": 0.0, "d": 0.0})
+        tuning = cls(LAW, attitude, gains, fixed.predictor, model, law=values)
+        tuning.__dict__["_of_law"] = predictor  # which is computed there otherwise
+        return tuning
+
+    @property
+    def needs_model(self) -> bool:
+        """Whether it flies with a model of the engine."""
+        return self.law is not None or PREDICTORS[self.controller].needs_model
+
+    @property
+    def is_integrating(self) -> bool:
+        """Whether it has a part that takes away what a load that lasts does."""
+        return self.law is not None or bool(self.gains.i)
+
+    @cached_property
+    def _of_law(self) -> LinearPredictor:
+        assert self.law is not None
+        return make_predictor(self.model, Target.of(self.law, low_frequency_delay(self.model)))[0]
 
     def answer(self) -> PairResponse:
         """Return the responses ``P_y`` and ``P_u`` of the predictor.  Raises InputError for one that states none."""
+        if self.law is not None:
+            return linear_response(self._of_law)
         spec = designable(self.controller, f"controller {self.controller!r}")
         assert spec.response is not None
         return spec.response(self.model, spec.own(self.predictor))
 
     def space(self) -> PredictorSpace | None:
         """Return the predictor in state space; None for one that states its frequency response alone."""
+        if self.law is not None:
+            return LinearSpace(self._of_law)
         spec = designable(self.controller, f"controller {self.controller!r}")
         return None if spec.space is None else spec.space(self.model, spec.own(self.predictor))
+
+    @property
+    def has_space(self) -> bool:
+        """Whether the predictor has a state space."""
+        return self.law is not None or PREDICTORS[self.controller].space is not None
 
 
 def round_gain(value: float) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
+from cosim.control.laws.optimal import Optimal
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.assessment import shipped_tuning
 from cosim.design.design import identify_there, make_dynamics
@@ -16,11 +17,12 @@ from cosim.design.levels import THRUST_AXES, tunings_at
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, hover_fraction
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from cosim.design.loop.criteria import FINE
 from cosim.design.loop.frequency import LoopMargins
 from cosim.design.loop.limit import AxisLimit, axis_limit
 from cosim.design.loop.tuning import Tuning
-from cosim.design.tune import FINE
 from cosim.engine import EngineSpec
+from cosim.simulation.controllers.controller_file import LAW
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
@@ -46,7 +48,7 @@ class Plants:
 
 def make_plants(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants | str:
     """Return the channels of a scenario's vehicle with the fuel that it begins with; or why there are none."""
-    if scenario.controller not in PREDICTORS:
+    if scenario.controller not in (*PREDICTORS, LAW):
         return "a controller from outside: there is nothing to compute from"
     if scenario.stations:
         return "the engines are not all the same"
@@ -106,8 +108,13 @@ def _tuning(channel: Channel, scenario: Scenario, vehicle: Vehicle, spec: Engine
     tuning = shipped_tuning(channel, vehicle, spec)
     if channel.name == "altitude":
         return tuning
-    chosen = PREDICTORS[scenario.controller]
     modelled = tuning.controller != BASELINE.name
+    if scenario.controller == LAW:
+        if not modelled:
+            return tuning
+        stated = {parameter.name: parameter.default for parameter in Optimal.parameters}
+        return Tuning.of_law(stated | scenario.controller_parameters, tuning.model, tuning)
+    chosen = PREDICTORS[scenario.controller]
     predicted = modelled if chosen.needs_model else channel.name == "roll" or vehicle.allocation == "rotors"
     name = scenario.controller if predicted else BASELINE.name
     return Tuning(name, tuning.angle_gain, tuning.gains, tuning.predictor, tuning.model, tuning.lead)

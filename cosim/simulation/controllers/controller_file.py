@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, nearest
 from cosim.base.storage.toml import Model, NotNegative, merge, parse_setting, read_toml, set_path, validate
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec, load_engine
@@ -18,6 +18,7 @@ from cosim.spec.scenario.parameter_file import parse_table
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
 
 NO_PROOF = "has no proof flights: made with --no-proof, or for another autopilot, or before designs had them"
+LAW = "optimal"  # the law of an entry point that a design has a form of, beside the predictors
 SAME_STEP_S = 1e-9  # control steps nearer to each other than this are one
 NOISE_SHARE = 0.0833  # of the room of the command: three standard deviations of noise take a quarter of it
 STEP_RAD = 0.1745  # 10 deg, the size of the roll doublet
@@ -118,6 +119,7 @@ class ControllerFile(Model):
     """The file as a whole."""
 
     controller: str
+    controller_parameters: dict[str, float] = Field(default_factory=dict)  # of the law at the limit
     vehicle: dict[str, Any]
     design: Purpose
 
@@ -150,7 +152,7 @@ def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path
     table = read_toml(path)
     refuse_other_kind(table, path, DESIGN)
     file = validate(ControllerFile, table, str(path))
-    PREDICTORS.find(file.controller, f"{path}: controller = {file.controller!r}")
+    _check_controller(file, path)
     made_for = file.design.aircraft
     if aircraft is not None and aircraft_name(aircraft, folder) != made_for:
         flown = aircraft_name(aircraft, folder)
@@ -169,6 +171,22 @@ def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path
         without = merge(file.vehicle, {"servo": {"bank_inertia_kg_m2": 0.0}})
         file = file.model_copy(update={"vehicle": without})
     return file
+
+
+def _check_controller(file: ControllerFile, path: Path) -> None:
+    """Refuse a controller that no design makes, and parameters that it does not have.  Raises InputError."""
+    from cosim.simulation.controllers.source import find_controller_source
+
+    complaint = f"{path}: controller = {file.controller!r}"
+    if file.controller == LAW:
+        source = find_controller_source(LAW, Path(), complaint)
+        assert source is not None
+        source.resolve_values(file.controller_parameters, f"{path}: controller_parameters")
+        return
+    if file.controller not in PREDICTORS:
+        raise InputError(f"{complaint}; {nearest(file.controller, [*PREDICTORS, LAW])}")
+    if file.controller_parameters:
+        raise InputError(f"{path}: controller_parameters: of controller {LAW!r} alone, not of {file.controller!r}")
 
 
 def _older_than_banks(file: ControllerFile, original: Vehicle) -> bool:
@@ -216,6 +234,8 @@ def apply_controller(
     for key in ("controller_parameters", "controller_sha256"):  # what was said of the scenario's own controller
         table.pop(key, None)
     written = {"aircraft": flown, "controller": file.controller, "vehicle": file.vehicle, "expect": []}
+    if file.controller_parameters:
+        written["controller_parameters"] = file.controller_parameters
     table = merge(table, written | {"parameter_files": parameter_files(known, "design", path)})
     for text in settings:
         keys, value = parse_setting(text)

@@ -22,6 +22,7 @@ from cosim.base.errors import FlightError
 from cosim.base.signals import Actuation, Ambient, Unallocated
 from cosim.design.figures import Curve, bode
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from cosim.design.loop.criteria import FINE
 from cosim.design.loop.frequency import LoopMargins, loop_margins, margin_points
 from cosim.design.measured import margins, measure_margins
 from cosim.design.measured.computed import compute_margins, find_tunings, make_plants
@@ -37,7 +38,6 @@ from cosim.design.measured.excitation import (
     still,
 )
 from cosim.design.measured.page import heading, rows
-from cosim.design.tune import FINE
 from cosim.engine import EngineSpec, load_engine
 from cosim.engine.bank import EngineBank
 from cosim.simulation.build import build

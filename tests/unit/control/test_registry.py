@@ -22,8 +22,9 @@ from cosim.control.predictors.registry import PREDICTORS, PredictorSpec, TuningP
 from cosim.control.predictors.smith import FilteredSmithPredictor, NoPredictor, robustness_filter
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response
+from cosim.design.loop.criteria import excess, objective
 from cosim.design.loop.tuning import Tuning, candidates
-from cosim.design.tune import TuningBounds, excess, objective
+from cosim.design.tune import TuningBounds
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import load_vehicle
 

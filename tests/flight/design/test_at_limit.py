@@ -1,0 +1,162 @@
+"""A design of the law at the limit: what it is computed with is what flies, and it keeps what was asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.base.errors import InputError
+from cosim.base.storage.toml import read_toml, toml_text
+from cosim.campaign.study.keys import with_values
+from cosim.codegen.form import make_form
+from cosim.control.laws.optimal import Optimal
+from cosim.design import tune as search
+from cosim.design.assessment import predictor_model
+from cosim.design.controller_table import make_controller_table
+from cosim.design.design import Design, add_limits, design
+from cosim.design.loop import at_limit
+from cosim.design.loop.at_limit import tune_at_limit
+from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response
+from cosim.design.loop.criteria import excesses
+from cosim.design.loop.tuning import Tuning
+from cosim.design.measured.computed import compute_margins
+from cosim.design.result import answer_lines, detail_lines
+from cosim.simulation.build import build
+from cosim.simulation.controllers.controller_file import Requirements, apply_controller
+from cosim.spec.scenario import Scenario
+
+pytest.importorskip("clarabel", reason="Clarabel is not installed")
+
+DEFAULTS = {parameter.name: parameter.default for parameter in Optimal.parameters}
+
+
+@cache
+def designed() -> Design:
+    """The Hex-Jet with its engine, with searches that are short: they end worse, and keep the requirements."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(search, "GENERATIONS", 2)
+        patch.setattr(search, "POPULATION", 3)
+        patch.setattr(search, "ROUNDS", 30)
+        patch.setattr(at_limit, "ROUNDS", 60)
+        return design("edf-as-flown", controller="optimal", lead=False)
+
+
+def law() -> Tuning:
+    after = designed().axes["roll"].after
+    assert after is not None
+    return after.tuning
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "optimal.toml"
+    path.write_text(toml_text(make_controller_table(designed())), encoding="utf-8")
+    return path
+
+
+def test_a_law_by_its_matrices_and_by_its_response_is_one_loop() -> None:
+    channel = replace(designed().axes["roll"].channel, added_delay=2)
+    tuning = Tuning.of_law(DEFAULTS, predictor_model(channel, "test"), law())
+    closed = ClosedLoop(FrequencyGrid(channel), tuning)
+    assert closed.unstable_poles == 0
+    other = steps_by_response(channel, tuning, 400)
+    for ours, theirs in zip(closed.steps, other, strict=True):
+        assert np.asarray(ours)[:400] == pytest.approx(np.asarray(theirs), abs=1e-7)
+
+
+def test_a_design_keeps_what_is_asked() -> None:
+    roll, need = designed().axes["roll"], designed().need
+    after = roll.after
+    assert designed().ok
+    assert after is not None
+    assert after.peak_sensitivity is not None
+    assert after.peak_sensitivity <= need.max_sensitivity
+    assert after.tolerated is not None
+    assert after.tolerated >= 1.0
+    assert after.noise is not None
+    assert after.noise <= need.noise_share * roll.channel.room
+    assert after.step_peak is not None
+    assert after.step_peak * need.step_rad <= roll.channel.room
+    assert all(roll.checks.values())
+    assert list(roll.candidates) == ["optimal"]
+    other = Tuning.of_law(
+        DEFAULTS, law().model, law()
+    )  # as the law ships it is too sensitive to gain and delay at once
+    assert "tolerances" in excesses(ClosedLoop(FrequencyGrid(roll.channel), other), need)
+
+
+def test_at_the_late_corners_a_step_overshoots_by_no_more_than_a_proof_allows() -> None:
+    channel, need = designed().axes["roll"].channel, designed().need
+    corners = at_limit._late_corners(channel, need)
+    assert [corner.actuator_delay - channel.actuator_delay for corner in corners] == [7.0, 7.0]
+    assert [corner.gain / channel.gain for corner in corners] == pytest.approx([0.7, 1.3])
+    for corner in corners:
+        assert ClosedLoop(FrequencyGrid(corner, close=100), law()).overshoot < 0.2
+
+
+def test_its_file_flies_the_law_that_was_designed(file: Path) -> None:
+    table = read_toml(file)
+    assert table["controller"] == "optimal"
+    assert table["controller_parameters"] == law().law
+    scenario = apply_controller("roll-doublet", file)
+    assert scenario.controller_parameters == law().law
+    swept = with_values(Scenario.load("roll-doublet"), {"controller": str(file)})
+    assert (swept.controller, swept.controller_parameters) == (scenario.controller, scenario.controller_parameters)
+    with build(scenario) as simulation:
+        (axis, *_) = make_form(simulation)["axes"]
+        vehicle, spec = simulation.vehicle, simulation.engine
+    assert axis["gains"]["p"] == pytest.approx(law().gains.p, rel=1e-12)
+    assert axis["scale"] * vehicle.control.attitude.gain_1_s[0] == pytest.approx(law().angle_gain, rel=1e-12)
+    margins = compute_margins(scenario, vehicle, spec, ["roll"])
+    assert not isinstance(margins, str)
+    after = designed().axes["roll"].after
+    assert after is not None
+    assert after.margins is not None
+    assert margins["roll"].margins.gain_db == pytest.approx(after.margins.gain_db, rel=1e-6)
+
+
+def test_parameters_that_a_controller_does_not_have_are_refused(file: Path) -> None:
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace("damping_1", "dampin_1"), encoding="utf-8")
+    with pytest.raises(
+        InputError, match=r"controller_parameters\.dampin_1: unknown parameter; did you mean 'damping_1'"
+    ):
+        apply_controller("roll-doublet", file)
+    file.write_text(text.replace('controller = "optimal"', 'controller = "smith"', 1), encoding="utf-8")
+    with pytest.raises(InputError, match=r"controller_parameters: of controller 'optimal' alone, not of 'smith'"):
+        apply_controller("roll-doublet", file)
+
+
+def test_where_none_keeps_the_requirements_it_says_what_each_would_have_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(at_limit, "RELAXED", (1.25, 2.5))
+    monkeypatch.setattr(at_limit, "SLOWER", (1.0,))
+    monkeypatch.setattr(at_limit, "TURNS", 4)
+    channel, need = designed().axes["roll"].channel, Requirements(min_bandwidth_hz=4.0)
+    found = tune_at_limit(channel, law().model, law(), need)
+    assert found.tuning is None
+    assert found.why_not == "it would take a bandwidth of 1.6 Hz"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"engine": "edf", "start": Path("x.toml")}, "--controller optimal: its search begins at the limit"),
+        ({"engine": "edf", "aircraft": "jetwing"}, "--controller optimal: servos turn the roll of jetwing"),
+    ],
+)
+def test_what_it_is_not_for_is_refused(arguments: dict[str, object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        design(controller="optimal", **arguments)  # type: ignore[arg-type]
+
+
+@pytest.mark.long
+def test_the_page_ends_with_how_many_times_the_limit_it_is() -> None:
+    limited = add_limits(replace(designed()))
+    assert limited.performance["roll"].times_tolerant is not None
+    assert 1.0 < limited.performance["roll"].times_tolerant < 1.6
+    assert "times the least that any linear controller leaves" in detail_lines(limited)[-1]
+    assert answer_lines(limited)[0].startswith("controller: optimal; ")
