@@ -19,7 +19,8 @@ from cosim.base.storage.toml import parse_setting, read_toml, set_path
 from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study, flatten_settings
-from cosim.design.proof_flights import CORNER, HEIGHT_M, OVERSHOOT, STILL_DEG, lean_of, side_s
+from cosim.design.loop.criteria import CORNER, OVERSHOOT
+from cosim.design.proof_flights import HEIGHT_M, STILL_DEG, lean_of, side_s
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import Purpose, apply_controller, read_purpose
 from cosim.simulation.delay_ledger import sum_transport_samples

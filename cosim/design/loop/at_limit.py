@@ -50,6 +50,16 @@ FIRST, FIRST_LAG = 0.02, 0.2  # of the simplex, as a part of the weights' length
 ROUNDS = 300  # of the simplex
 PENALTY, UNSTABLE = 100.0, 1e3  # what missing a requirement by 100 % costs in the objective, and no loop
 RELAXED = (1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)  # times a requirement
+WAYS = (  # a requirement in words, its keys, and whether more of it asks for less
+    ("a peak sensitivity of {max_sensitivity:.3g}", ("max_sensitivity",), True),
+    (
+        "tolerances of {delay_tolerance:.2g} of the delay and {gain_tolerance:.2g} of the gain",
+        ("delay_tolerance", "gain_tolerance"),
+        False,
+    ),
+    ("noise of {noise_share:.3g} of the room", ("noise_share",), True),
+    ("a bandwidth of {min_bandwidth_hz:.2g} Hz", ("min_bandwidth_hz",), False),
+)
 THREE_DB = sqrt(10.0 ** (0.3 / LAGS) - 1.0)  # rad: frequency times lag at which so many lags have lost 3 dB
 
 
@@ -237,28 +247,12 @@ def tune_at_limit(channel: Channel, model: RateModel, fixed: Tuning, need: Requi
 
 def _explain(search: _Search) -> str:
     """Return which requirement, each by itself, would have to be relaxed and to what."""
-    need, ways = search.need, []
-    for text, changed in (
-        (
-            "a peak sensitivity of {max_sensitivity:.3g}",
-            lambda factor: {"max_sensitivity": need.max_sensitivity * factor},
-        ),
-        (
-            "tolerances of {delay_tolerance:.2g} of the delay and {gain_tolerance:.2g} of the gain",
-            lambda factor: {
-                "delay_tolerance": need.delay_tolerance / factor,
-                "gain_tolerance": need.gain_tolerance / factor,
-            },
-        ),
-        ("noise of {noise_share:.3g} of the room", lambda factor: {"noise_share": need.noise_share * factor}),
-        (
-            "a bandwidth of {min_bandwidth_hz:.2g} Hz",
-            lambda factor: {"min_bandwidth_hz": need.min_bandwidth_hz / factor},
-        ),
-    ):
+    ways = []
+    for text, names, grows in WAYS:
         for factor in RELAXED:
-            relaxed = need.model_copy(update=changed(factor))
+            changed = {name: getattr(search.need, name) * (factor if grows else 1.0 / factor) for name in names}
+            relaxed = search.need.model_copy(update=changed)
             if _Search(search.channel, search.model, search.fixed, relaxed).find_start() is not None:
-                ways.append(text.format(**relaxed.model_dump()))
+                ways.append(text.format(**changed))
                 break
     return f"it would take {', or '.join(ways)}" if ways else "none of them alone is what stands in the way"

@@ -24,9 +24,10 @@ from cosim.design.design import Design, design
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import channels
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from cosim.design.loop.criteria import CORNER
 from cosim.design.loop.dynamics import bounds, fit_dynamics, with_misfit
 from cosim.design.proof import add_proof, prove
-from cosim.design.proof_flights import CORNER, describe_fault
+from cosim.design.proof_flights import describe_fault
 from cosim.design.proof_result import Proof
 from cosim.design.result import summary_lines, to_dict
 from cosim.design.shipped_comparison import FlownMeasures, FlownPair, comparison_lines, comparison_rows, worse_lines
