@@ -21,7 +21,9 @@ class DesignOptions(opt.Output):
 
     engine = opt.word("--engine", "NAME|FILE", "A name, an .fmu or a .toml.  [default: the aircraft's own]")
     aircraft = opt.word("--aircraft", "NAME|DIR", "See: hexjet list aircraft.", "hexjet")
-    controller = opt.word("--controller", "NAME", "A predictor, optimal for the limit, or the best predictor.", "auto")
+    controller = opt.word(
+        "--controller", "NAME", "A predictor, auto for the best of them, or optimal: near the limit.", "auto"
+    )
     model = opt.path("--model", "FILE.toml", "As hexjet identify writes it.")
     amplitude = opt.number(
         "--amplitude",
