@@ -27,16 +27,24 @@ from cosim.design.levels import (
     meets_requirements,
     tunings_at,
 )
-from cosim.design.limits import Say, bandwidths_without_limits, explain_failure, find_allowances, tolerance_checks
+from cosim.design.limits import (
+    Say,
+    bandwidths_without_limits,
+    candidate_names,
+    design_axis_at_limit,
+    explain_failure,
+    find_allowances,
+    names_for_servos,
+    tolerance_checks,
+)
 from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.at_limit import tune_at_limit
 from cosim.design.loop.channel import Channel, channels, engine_lead, hover_fraction
-from cosim.design.loop.criteria import fine_loop, is_acceptable, objective
+from cosim.design.loop.criteria import fine_loop, objective
 from cosim.design.loop.dynamics import Dynamics, fit_dynamics, make_lag_dynamics, with_misfit
 from cosim.design.loop.engine_uncertainty import engine_tolerances
 from cosim.design.loop.firmware import Firmware
 from cosim.design.loop.limit import AxisLimit, axis_limit, need_solver
-from cosim.design.loop.tuning import Tuning, candidates, designable
+from cosim.design.loop.tuning import Tuning
 from cosim.design.proof_result import Proof
 from cosim.design.tune import TuningResult, settle, tune, tune_near
 from cosim.engine import EngineSpec, load_engine
@@ -144,7 +152,7 @@ def design(
     Raises InputError for an unknown name, a vehicle that the engines do not lift, or an engine that does not answer.
     """
     need = need or Requirements()
-    names = _candidate_names(controller, start)
+    names = candidate_names(controller, start)
     scenario, vehicle = _scenario(engine, aircraft, settings)
     engine, unchecked, apart = scenario.engine, scenario.engine_unchecked, scenario.engine_isolated
     spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
@@ -170,7 +178,7 @@ def design(
             raise InputError(f"{model}: its model of {axis} is of another {spec.family}: its hash is another")
         plants[axis] = replace(plants[axis], identified=RateModel(**table))
     if plants["roll"].is_by_servo:
-        names = _names_for_servos(names, controller, vehicle, firmware)
+        names = names_for_servos(names, controller, vehicle, firmware)
     source = f"{identified.source}; with the airframe of {vehicle.name}"
     begin = None if start is None else _read_start(start, plants, scenario.aircraft, vehicle, spec)
     inputs = _AxisInputs(vehicle, spec, names, need, source, lead, firmware, say)
@@ -190,28 +198,6 @@ def design(
         spec, vehicle, scenario, need, identified, source, axes, burning, plan, reason, allowing,
         firmware=inputs.firmware, tolerances=tolerances.words,
     )  # fmt: skip
-
-
-def _candidate_names(controller: str, start: Path | None) -> Sequence[str]:
-    """Return the controllers that are tried.  Raises InputError for what no design can use."""
-    if controller == LAW:
-        need_solver()
-        if start is not None:
-            raise InputError(f"--controller {LAW}: its search begins at the limit: leave --start out")
-        return (LAW,)
-    names = candidates() if controller == "auto" else (controller,)
-    for name in names:
-        designable(name, f"--controller {name}", ["auto", LAW])
-    return names
-
-
-def _names_for_servos(
-    names: Sequence[str], controller: str, vehicle: Vehicle, firmware: Firmware | None
-) -> Sequence[str]:
-    """Return the controllers that are tried where servos turn the roll: a predictor is for engines that answer late."""
-    if controller == LAW:
-        raise InputError(f"--controller {LAW}: servos turn the roll of {vehicle.name}, and engines have to")
-    return (BASELINE.name,) if controller == "auto" and firmware is None else names
 
 
 def add_limits(design: Design, say: Say = lambda text: None) -> Design:
@@ -474,7 +460,7 @@ def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDes
     model = predictor_model(channel, inputs.source)
     start = replace(fixed, predictor=roll.predictor if roll else vehicle.control.predictor)
     if names == (LAW,):
-        return _axis_at_limit(AxisDesign(channel, before, {}, None, {}, {}), start, model, need, roll, say)
+        return design_axis_at_limit(AxisDesign(channel, before, {}, None, {}, {}), start, model, need, roll, say)
     tried: dict[str, TuningResult] = {}
     for with_lead in (None,) if lead is None else (None, lead):
         for name in names:
@@ -496,26 +482,6 @@ def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDes
         say("what limits it")
         limits = bandwidths_without_limits(channel, after, need, lead)
     return AxisDesign(channel, before, objectives, after, limits, tolerance_checks(channel, after.tuning, need))
-
-
-def _axis_at_limit(
-    axis: AxisDesign, fixed: Tuning, model: RateModel, need: Requirements, roll: Tuning | None, say: Say
-) -> AxisDesign:
-    """Return an axis with the law at the limit, found on roll; other axes have roll's with their own models."""
-    channel = axis.channel
-    say(f"{channel.name}: {LAW}")
-    if roll is None or roll.law is None:
-        found = tune_at_limit(channel, model, fixed, need)
-        tuning, value, why_not = found.tuning, found.objective, found.why_not
-    else:
-        tuning = Tuning.of_law(roll.law, model, fixed)
-        closed = fine_loop(channel, tuning)
-        kept = is_acceptable(closed, need)
-        value, why_not = (objective(closed), "") if kept else (inf, "they are missed with roll's answers")
-    if tuning is None or why_not:
-        return replace(axis, candidates={LAW: inf}, why_not=why_not)
-    checks = tolerance_checks(channel, tuning, need)
-    return replace(axis, candidates={LAW: value}, after=assess(channel, tuning, need), checks=checks)
 
 
 def _simplest(objectives: Mapping[str, float]) -> str:
