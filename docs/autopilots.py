@@ -281,13 +281,12 @@ def place_held(autopilot: str, program: str, out: Path, instance: int) -> str:
 
 def campaign_flown(folder: Path) -> str:
     """What a campaign of ``hexjet sweep`` over an autopilot came to, and at which pace."""
-    columns = open_campaign(folder).columns
+    campaign = open_campaign(folder)
+    columns = campaign.columns
     count, name = len(columns["flight"]), columns["autopilot"][0]
-    step = median(
-        float(spent) / int(steps) for spent, steps in zip(columns["duration_s"], columns["steps"], strict=True)
-    )
-    told, missing = (sum(map(int, columns[f"autopilot_{what}"])) for what in ("frames", "missing"))
-    pace = sum(step * int(frames) for frames in columns["autopilot_frames"]) / sum(map(float, columns["wall_s"]))
+    spent = [float(value) for value in columns["wall_s"]]
+    told, missing = (sum(map(int, filter(None, columns[f"autopilot_{what}"]))) for what in ("frames", "missing"))
+    pace = told * campaign.study.base().step_s / sum(spent)
     kept = f"{sum(columns['success'])} of {count} flights within the limits"
     day = datetime.fromtimestamp((folder / "study.toml").stat().st_mtime, UTC)
     return (

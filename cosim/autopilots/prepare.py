@@ -14,7 +14,7 @@ from typing import Any
 from cosim.autopilots import ardupilot, betaflight, px4
 from cosim.autopilots.block import AutopilotBlock, ExternalRateLoop
 from cosim.autopilots.firmware_parameters import list_px4_parameters
-from cosim.autopilots.lockstep import LOCAL, Autopilot, find_configured_program
+from cosim.autopilots.lockstep import LOCAL, Autopilot, StartTiming, find_configured_program
 from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
     ardupilot_hold,
@@ -83,16 +83,21 @@ class PreparedAutopilot:
         self, scenario: Scenario, folder: Path, page: bool = True, realtime_factor: float | None = None, **details: Any
     ) -> AutopilotRun:
         """Fly a scenario, see :func:`cosim.autopilots.run.fly_autopilot`; ``details``: more for its lockstep.json."""
-        module = {"betaflight": betaflight, "px4": px4, "ardupilot": ardupilot}[self.name]
         return fly_autopilot(
             scenario,
-            AutopilotBlock(self.autopilot, self.name, module.HANDLING, self.rates, self.hold_from_s),
+            AutopilotBlock(self.autopilot, self.name, start_timing(self.name), self.rates, self.hold_from_s),
             folder,
             files=[] if self.program is None else [self.program],
             details=dict(self.details) | details,
             realtime_factor=realtime_factor,
             page=page,
         )
+
+
+def start_timing(name: str) -> StartTiming:
+    """Return an autopilot's timing before its flight."""
+    timings = {"betaflight": betaflight.HANDLING, "px4": px4.HANDLING, "ardupilot": ardupilot.HANDLING}
+    return timings[name]
 
 
 @contextmanager

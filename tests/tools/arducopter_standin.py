@@ -340,10 +340,10 @@ class Copter:
             self._mode, self._place = mode, [*place]
             say(f"mode {mode}")
 
-    def _loiter(self, told: dict, yaw: float) -> list[float]:
+    def _loiter(self, told: dict, yaw: float, dt: float) -> list[float]:
         """The lean that holds the place, and the throttle that holds the height, into the place of the stick's."""
         moving = told["velocity"]
-        self._place[2] -= 0.0025 * CLIMB * (self.radio.range(3, self.radio.pulses[2]) / 500.0 - 1.0)
+        self._place[2] -= dt * CLIMB * (self.radio.range(3, self.radio.pulses[2]) / 500.0 - 1.0)
         north, east, down = (
             limit(1.6 * (1.0 * (a - b) - v), -3.0, 3.0)
             for a, b, v in zip(self._place, told["position"], moving, strict=True)
@@ -405,7 +405,7 @@ class Copter:
         if getattr(self.motors, "flies_level", False):
             wanted = [0.0, 0.0]  # it would push sideways and stay level
         if self._mode == LOITER:
-            wanted = self._loiter(told, yaw)
+            wanted = self._loiter(told, yaw, dt)
         turn, bend = self.radio.angle(4), self.parameters["PILOT_Y_EXPO"]
         turn = math.radians(self.parameters["PILOT_Y_RATE"]) * (1.0 - bend) * turn / (1.0 - bend * abs(turn))
         self._shape(wanted, turn, yaw, dt)

@@ -39,6 +39,13 @@ class StudyAutopilot(Model):
             parse_channel(text, "channels")
         return self
 
+    @property
+    def before_s(self) -> float:
+        """Time from the autopilot's first frame to a flight's first step, s."""
+        from cosim.autopilots.prepare import start_timing
+
+        return start_timing(self.name).before_s
+
     def seen_from(self, folder: Path) -> StudyAutopilot:
         """Return a copy with its program by absolute path."""
         return self.model_copy(update={"binary": str((folder / self.binary).absolute())}) if self.binary else self

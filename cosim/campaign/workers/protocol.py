@@ -20,7 +20,8 @@ LIMIT_FACTOR = 10.0  # chosen by us: of simulated time; a flight takes a hundred
 
 def time_limit(study: Study) -> float:
     """Return how long a flight of ``study`` may take by default, s of wall time."""
-    return max(MIN_LIMIT_S, LIMIT_FACTOR * study.base().duration_s)
+    before = 0.0 if study.autopilot is None else study.autopilot.before_s
+    return max(MIN_LIMIT_S, LIMIT_FACTOR * (study.base().duration_s + before))
 
 
 def update_mean(mean: float | None, seconds: float) -> float:

@@ -137,7 +137,7 @@ def test_tilting_banks_are_flown_by_the_script(program: Path, tmp_path: Path) ->
 
 def test_it_holds_its_place_by_itself_once_the_switch_is_raised(program: Path, tmp_path: Path) -> None:
     """In Loiter, in the wind, which would carry it away by then; one that has no place yet says so and does not."""
-    scenario = QUADROTOR.replace(engine="motor", duration_s=6.0, environment={"wind_ned_m_s": [0.0, 3.0, 0.0]})
+    scenario = QUADROTOR.replace(engine="motor", duration_s=5.0, environment={"wind_ned_m_s": [0.0, 3.0, 0.0]})
     early = tmp_path / "early" / "arducopter"
     early.parent.mkdir()
     early.write_text(program.read_text().replace(f"PLACE_S = {PLACE_S}", "PLACE_S = 25.0"))

@@ -17,6 +17,7 @@ from cosim.autopilots.prepare import INSTANCE_PORTS, MOST_INSTANCES, reserve_ins
 from cosim.base.errors import FlightError, InputError
 from cosim.campaign import fly_again, open_campaign, run_campaign
 from cosim.campaign.study.study import Study
+from cosim.campaign.workers.protocol import time_limit
 from cosim.simulation.controllers.recorded import ACTUATORS
 
 TABLE: dict[str, Any] = {
@@ -100,6 +101,12 @@ def test_a_table_that_does_not_fit_is_one_line(autopilot: dict[str, Any], said: 
         study(autopilot=autopilot)
     assert said in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_flight_may_take_as_long_as_with_the_time_before_it() -> None:
+    """A busy machine needs that: PX4's stand is twenty times as long as this flight."""
+    assert time_limit(study(autopilot={"name": "px4"})) == 10.0 * (1.5 + 30.0)
+    assert time_limit(study()) == 10.0 * (1.5 + 6.0)
 
 
 def test_controllers_have_no_place_beside_it() -> None:
