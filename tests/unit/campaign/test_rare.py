@@ -164,9 +164,9 @@ def test_the_interval_of_a_lognormal_mean_holds_it() -> None:
 
 
 def test_the_page_has_what_was_measured_and_it_is_what_an_interval_states() -> None:
-    """docs/rare.md: every interval holds the truth in 93 to 97 of 100, within the error of counting so many."""
-    page = (DOCS / "rare.md").read_text(encoding="utf-8")
-    lines = parts_of(page, DOCS / "rare.md")[measured.MARK].splitlines()[2:]
+    """docs/tables/rare.md: every interval holds the truth in 93 to 97 of 100, within the error of counting so many."""
+    page = (DOCS / "tables" / "rare.md").read_text(encoding="utf-8")
+    lines = parts_of(page, DOCS / "tables" / "rare.md")[measured.MARK].splitlines()[2:]
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     assert {row[0] for row in cells} == {truth.name for truth in TRUTHS.values()}
     for row in cells:
