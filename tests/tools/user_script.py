@@ -7,7 +7,23 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cosim import Command, Scenario, Stepper, compare, design, export, fly, identify, margins, open_run, show, sweep
+from cosim import (
+    Command,
+    Scenario,
+    Stepper,
+    check_engine,
+    compare,
+    design,
+    export,
+    faults,
+    fly,
+    identify,
+    identify_log,
+    margins,
+    open_run,
+    show,
+    sweep,
+)
 from cosim.base.protocols import Parameter
 
 
@@ -25,6 +41,8 @@ def study(folder: Path) -> float:
         highest += len(design("turbojet", start=designed.controller).lines())
     measured = margins(scenario, ["roll"], limit=True).axes["roll"].response.margins["phase_deg"]
     identified = identify("roll", "edf", from_hz=0.5).model.delay_samples
+    held = sum(row.verdict == "held" for row in faults(kinds=["flame-out"]).survival.rows)
+    won += held if check_engine("edf", settings={"gain": 0.3}).is_fit else len(identify_log(folder, "roll").tables())
     apart = compare(run, "hover", shift={"B": 0.1}).compared[0].same
     path: Path = export(run, "mcap")
     with Stepper("hover") as flight:
@@ -43,4 +61,7 @@ def mistakes(scenario: Scenario) -> None:
     sweep("hover", controller=["smith"])  # type: ignore[call-arg]
     identify("rol")  # type: ignore[arg-type]
     export("runs/a", "csvv")  # type: ignore[arg-type]
+    faults("hexjet", kind=["flame-out"])  # type: ignore[call-arg]
+    identify_log("a.ulg", "rol")  # type: ignore[arg-type]
+    check_engine("edf").is_ok  # type: ignore[attr-defined]  # noqa: B018
     len(margins("hover"))  # type: ignore[arg-type]
