@@ -1,6 +1,6 @@
 """Write real-engine.md's tables and figure: recorded steps of a JetCat P300-PRO beside our turbines.
 
-python docs/real_engine.py RECORDINGS [--fit] [--page docs/real-engine.md]
+python docs/real_engine.py RECORDINGS [--fit] [--pages docs]
 
 With --fit the parameters of jetcat-p300 are fitted anew, from all steps and from each half, and the page's table of
 these is written instead.
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +18,6 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from cosim.base.arrays import Array
-from cosim.base.errors import InputError
 from cosim.engine import load_engine, make_bank
 from cosim.results.report.marks import check_marks, write_marks
 
@@ -39,19 +37,20 @@ STEPS = [  # recording, begin [s], seconds that are compared; the even ones were
 ENGINES = ("jetcat-p300", "turbine-220", "turbine-100", "turbine-20")
 SHARES = (0.1, 0.5, 0.9)
 FROM = {  # about where every fit begins, far from what it finds; delay_samples is fitted as a real number
-    "fuel_gain": 1.0, "fuel_response": 0.001, "fuel_rise_share": 0.5, "fuel_rise": 0.2, "fuel_fall": 0.2,
+    "fuel_integral": 0.015, "fuel_response": 0.001, "fuel_ramp": 0.001, "fuel_fall": 0.2, "pump_time_constant": 0.1,
     "delay_samples": 50.0,
 }  # fmt: skip
-STARTS, SPREAD = 5, 0.7  # of each fit, a factor of two either way: its least squares have several hollows
+PUMP_STEP_S, PUMP_FROM = 0.02, np.array([0.02, 0.015, 0.5, 0.2])
 HALVES = {"all ten": range(10), "1st, 3rd, ...": range(0, 10, 2), "2nd, 4th, ...": range(1, 10, 2)}
 
 
 class Recorded(NamedTuple):
-    """One step: rows of time [s, from the step], set-point and speed [krpm]."""
+    """One step: rows of time [s, from the step], set-point and speed [krpm], the fuel pump's volts."""
 
     times: Array
     setpoint: Array
     speed: Array
+    volts: Array
 
 
 def read_steps(folder: Path) -> list[Recorded]:
@@ -62,7 +61,7 @@ def read_steps(folder: Path) -> list[Recorded]:
         rows = files[name][
             np.abs(files[name]["time_s"] - begin - 0.5 * (seconds - BEFORE_S)) <= 0.5 * (seconds + BEFORE_S)
         ]
-        steps.append(Recorded(rows["time_s"] - begin, rows["setpoint_rpm"] / 1e3, rows["rpm"] / 1e3))
+        steps.append(Recorded(rows["time_s"] - begin, rows["setpoint_rpm"] / 1e3, rows["rpm"] / 1e3, rows["pump_V"]))
     return steps
 
 
@@ -111,8 +110,8 @@ def follow(steps: Sequence[Recorded], tried: Sequence[Mapping[str, float]]) -> l
     ]
 
 
-def fit(steps: Sequence[Recorded]) -> dict[str, float]:
-    """Return the parameters with the least squares of what the speeds at all rows are off by."""
+def fit(steps: Sequence[Recorded]) -> tuple[dict[str, float], Array]:
+    """Return the parameters with the least squares of what the speeds at all rows are off by, and their correlation."""
     begin, real = np.array(list(FROM.values())), np.concatenate([step.speed for step in steps])
 
     def off(points: Sequence[Array]) -> Array:
@@ -123,20 +122,43 @@ def fit(steps: Sequence[Recorded]) -> dict[str, float]:
         here, *moved = off([point, *(point + 1e-3 * np.diag(point))])
         return np.asarray((np.array(moved) - here).T / (1e-3 * point))
 
-    most = np.where(np.array(list(FROM)) == "fuel_rise_share", 1.0 / begin, 50.0)
-    random = np.random.default_rng(1)
-    starts = [np.ones(len(begin)), *np.exp(random.uniform(-SPREAD, SPREAD, (STARTS - 1, len(begin))))]
-    found = []
-    for start in starts:
-        with suppress(InputError):  # on its way an engine that never settles
-            found.append(
-                least_squares(
-                    lambda x: off([x])[0], np.minimum(start, 0.99 * most), slopes, (1e-4, most), max_nfev=60,
-                    xtol=1e-4, ftol=1e-5,
-                )
-            )  # fmt: skip
-    point = min(found, key=lambda one: one.cost).x
-    return dict(zip(FROM, (begin * point).tolist(), strict=True))
+    best = least_squares(
+        lambda x: off([x])[0], np.ones(len(begin)), slopes, (0.06, 50.0), max_nfev=60, xtol=1e-4, ftol=1e-5
+    )
+    spread = np.linalg.inv(best.jac.T @ best.jac)
+    correlation = spread / np.sqrt(np.outer(np.diag(spread), np.diag(spread)))
+    return dict(zip(FROM, (begin * best.x).tolist(), strict=True)), correlation
+
+
+def pump(step: Recorded, gain: float, response: float, rise: float, fall: float, by_error: bool = True) -> Array:
+    """Return the pump's volts at the rows, led by the recorded set-point and speed alone, in the ECU's law.
+
+    ``by_error``: the change of the error counts, else that of the speed alone.
+    """
+    times = np.arange(step.times[0], step.times[-1] + PUMP_STEP_S, PUMP_STEP_S)
+    asked, speed = (np.interp(times, step.times, course) for course in (step.setpoint, step.speed))
+    pushed = np.diff(asked - speed if by_error else -speed)
+    steps = PUMP_STEP_S * gain * (speed[:-1] / 60.0) ** 2 * (asked - speed)[:-1] + response * pushed
+    volts = [float(step.volts[step.times < 0.0].mean())]
+    for change in steps.tolist():
+        volts.append(volts[-1] + min(max(change, -PUMP_STEP_S * fall * volts[-1]), PUMP_STEP_S * rise))
+    return np.interp(step.times, times, volts)
+
+
+def pump_table(steps: Sequence[Recorded]) -> list[str]:
+    """Return the page's rows: the ECU's law fitted to the pump's volts, in its two forms."""
+    lines = ["| what changes the volts | gain | response | rise | fall | off, rms |", "| --- |" + " ---: |" * 5]
+    for what, by_error in (("error and its change", True), ("error and the change of the speed", False)):
+
+        def off(x: Array, by_error: bool = by_error) -> Array:
+            return np.concatenate([pump(step, *(x * PUMP_FROM), by_error) - step.volts for step in steps])
+
+        best = least_squares(off, np.ones(4), diff_step=1e-3)
+        gain, response, rise, fall = best.x * PUMP_FROM
+        far = np.sqrt(np.mean(best.fun**2))
+        units = f"{gain:.4f} V/s per krpm | {response:.4f} V per krpm | {rise:.3f} V/s | {fall:.3f} 1/s"
+        lines.append(f"| {what} | {units} | {far:.3f} V |")
+    return lines
 
 
 def fit_table(steps: Sequence[Recorded]) -> list[str]:
@@ -145,7 +167,9 @@ def fit_table(steps: Sequence[Recorded]) -> list[str]:
     if spec.uncertainty is None:
         raise SystemExit("engines/jetcat-p300/engine.toml: no [uncertainty] to compare with")
     deviation = dict(zip(spec.uncertainty.parameters, spec.uncertainty.deviation, strict=True))
-    fits = {name: fit([steps[n] for n in chosen]) for name, chosen in HALVES.items()}
+    found = {name: fit([steps[n] for n in chosen]) for name, chosen in HALVES.items()}
+    print(np.array2string(found["all ten"][1], precision=2, separator=", "))
+    fits = {name: values for name, (values, _) in found.items()}
     fits["engine.toml"] = {key: spec.parameters[key] for key in FROM}
     lines = ["| | " + " | ".join(fits) + " | deviation |", "| --- |" + " ---: |" * (len(fits) + 1)]
     for key in FROM:
@@ -211,6 +235,24 @@ def table(steps: Sequence[Recorded], answers: dict[str, list[Array]]) -> list[st
     return lines
 
 
+def engine_table(steps: Sequence[Recorded], answers: dict[str, list[Array]]) -> list[str]:
+    """Return the page's rows: an engine each, over all steps."""
+    real = np.array([crossings(step.times, step.speed, ends_of(step, step.speed)) for step in steps])
+    lines = [
+        "| engine | off over all ten steps, rms, % of range | in its worst step | times within 10 % | farthest time |",
+        "| --- | ---: | ---: | ---: | ---: |",
+    ]
+    for name, courses in answers.items():
+        left = [got - step.speed for got, step in zip(courses, steps, strict=True)]
+        each = [100.0 * float(np.sqrt(np.mean(one**2))) / SWING_KRPM for one in left]
+        whole = 100.0 * float(np.sqrt(np.mean(np.concatenate(left) ** 2))) / SWING_KRPM
+        got = [crossings(step.times, one, ends_of(step, one)) for step, one in zip(steps, courses, strict=True)]
+        far = 100.0 * (np.array(got) / real - 1.0)
+        within, worst = np.count_nonzero(np.abs(far) <= 10.0), far.flat[np.abs(far).argmax()]
+        lines.append(f"| `{name}` | {whole:.2f} | {max(each):.1f} | {within} of {far.size} | {worst:+.0f} % |")
+    return lines
+
+
 def draw(steps: Sequence[Recorded], answers: dict[str, list[Array]], target: Path) -> None:
     """Draw every step."""
     figure, axes = plt.subplots(5, 2, figsize=(10.0, 13.0), constrained_layout=True)
@@ -229,20 +271,22 @@ def main() -> None:
     """Write table and figure into the page, between its marks."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("recordings", type=Path)
-    parser.add_argument("--page", type=Path, default=Path(__file__).parent / "real-engine.md")
+    parser.add_argument("--pages", type=Path, default=Path(__file__).parent, help="where the pages are")
     parser.add_argument("--fit", action="store_true", help="fit jetcat-p300 anew and write that table")
     chosen = parser.parse_args()
-    mark = "fit" if chosen.fit else "steps"
-    check_marks(chosen.page, [mark])
+    page, data = chosen.pages / "real-engine.md", chosen.pages / "tables" / "real-engine.md"
+    check_marks(page, ["fit"] if chosen.fit else ["engines", "volts"])
+    check_marks(data, ["steps"])
     steps = read_steps(chosen.recordings)
     if chosen.fit:
-        rows = fit_table(steps)
-        print("\n".join(rows))
+        parts = {"fit": fit_table(steps)}
+        print("\n".join(parts["fit"]))
     else:
         answers = {name: [model(name, step) for step in steps] for name in ENGINES}
-        draw(steps, answers, chosen.page.parent / "pictures" / "real-engine.png")
-        rows = table(steps, answers)
-    write_marks(chosen.page, {mark: "\n".join(rows) + "\n"})
+        draw(steps, answers, chosen.pages / "pictures" / "real-engine.png")
+        parts = {"engines": engine_table(steps, answers), "volts": pump_table(steps)}
+        write_marks(data, {"steps": "\n".join(table(steps, answers)) + "\n"})
+    write_marks(page, {mark: "\n".join(rows) + "\n" for mark, rows in parts.items()})
 
 
 if __name__ == "__main__":

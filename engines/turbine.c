@@ -186,7 +186,20 @@ static double scheduled_fuel(const Variables *v, State *s, double error)
     return f + limit(change, -h * f * least, HUGE_VAL);
 }
 
-/* Fuel: by schedule, or the integral of the speed's error less a share of the speed, within the least and the most
+/* Fuel by error: the error of the speed and its change move the fuel, the first by a power of the level, within two ramps
+ * that hold both, the one in kg/s, the other a share of the fuel.  turbine-220/README.md. */
+static double led_fuel(const Variables *v, State *s, double error)
+{
+    const double h = ENGINE_STEP, f = s->asked, n = s->w / (v->full_speed * RPM);
+    const double most = v->fuel_ramp == 0.0 ? HUGE_VAL : h * v->fuel_ramp;
+    const double least = v->fuel_fall == 0.0 ? HUGE_VAL : h * f * v->fuel_fall;
+    const double gain = h * v->fuel_integral * pow(n, v->fuel_integral_exponent);
+    const double change = gain * error + v->fuel_response * (error - s->error);
+    s->error = error;
+    return f + limit(change, -least, most);
+}
+
+/* Fuel: by error, by schedule, or the integral of the speed's error less a share of the speed, within the least and the most
  * fuel; the integral stands while the command is held. */
 static double fuel_command(const Plant *a, State *s)
 {
@@ -195,8 +208,8 @@ static double fuel_command(const Plant *a, State *s)
         return 0.0;
     const double low = leanest_fuel(a, s->w), off = (s->reference - s->w) / (v->full_speed * RPM);
     const double error = fabs(off) <= v->speed_dead_band ? 0.0 : off - copysign(v->speed_dead_band, off);
-    if (v->fuel_gain > 0.0 && s->phase == RUNNING) {
-        const double command = scheduled_fuel(v, s, error);
+    if ((v->fuel_integral > 0.0 || v->fuel_gain > 0.0) && s->phase == RUNNING) {
+        const double command = v->fuel_integral > 0.0 ? led_fuel(v, s, error) : scheduled_fuel(v, s, error);
         return s->asked = limit(command, low, most_fuel(a, s->w, command));
     }
     const double command = s->integral - damping(v, s), high = most_fuel(a, s->w, command);

@@ -20,7 +20,7 @@ KINDS = {
     "aerodynamics": ("vehicle.aero",),
     "wind and air": ("environment.",),
 }
-_OF_ENGINES = ("gain", "thrust", "fuel_gain")  # parameters of an engine that are its thrust
+_OF_ENGINES = ("gain", "thrust")  # parameters of an engine that are its thrust
 
 
 def kinds_not_varied(study: Study) -> list[str]:

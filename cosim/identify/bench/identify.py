@@ -29,6 +29,7 @@ from cosim.identify.verdict import Judgement, judge_model, shared_record
 LONGEST_DELAY_S = 2.0
 LEAST_DEVIANCE_FALL = 30.0  # that the command is worth, as of a flight's log
 LEAST_LEVELS = 3  # of the command, from which on a curve can be told from a straight line
+HALVES_APART = 4.0  # standard deviations by which two halves of one log may differ: p = 6e-5
 APART = 3.29  # standard deviations by which logs of one engine may differ: p = 0.001
 LONG_RANGE = 100.5  # up to which a throttle without a unit is taken for percent
 UNIT_RANGE = 1.05  # and up to which for a share of full throttle
@@ -37,7 +38,7 @@ SHORT = 0.04  # of delay and lags together: over so long rows may be averaged
 CLEAR = 10.0  # by which Schwarz' criterion has to fall for a zero that drifts, or rise for a form to be refuted
 BY_LEVEL = Form(by_level=True)
 SPEEDS = ("rpm", "krpm")
-ECU_RAMP = ("fuel_gain", "fuel_rise_share", "fuel_fall")  # of an ECU's fuel by schedule
+ECU_RAMP = ("fuel_integral", "fuel_fall")  # of an ECU's fuel by error
 POOR_PREDICTION = 1.5  # times the residual of what was fitted, above which the part held back is ill explained
 
 
@@ -168,6 +169,8 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     estimates = tuple(_widen(problem, one, max(record.clock_deviation for record in records)) for one in estimates)
     chosen = estimates[0]
     spread, doubts = _compare_logs(problem, chosen, records)
+    chosen, changed = _hold_both_halves(problem, chosen)
+    estimates, doubts = (chosen, *estimates[1:]), [*doubts, *changed]
     left_over = problem.residual(chosen)
     misfit = test_residuals(problem.parts, left_over, chosen.delay, chosen.total[0])
     lacks = _lacks(problem, left_over, records[0]) if misfit.failed else []
@@ -340,6 +343,41 @@ def _compare_logs(
                 f"{records[last].path.name}, farther apart than noise: two engines, or another day; the spread is kept"
             )
     return spread, doubts
+
+
+def _hold_both_halves(problem: Problem, chosen: Estimate) -> tuple[Estimate, list[str]]:
+    """Return an estimate whose bounds hold the fits of both halves of a log, and what is to be said of that.
+
+    It is the same where the halves agree to the noise, where there are several logs, and where a half has no movement.
+    """
+    if len(problem.parts) != 1:
+        return chosen, []
+    (part,), names = problem.parts, (*chosen.form.names, "gain")
+    moved = part.command_times[1:][np.diff(part.command) != 0.0]
+    middle = float(np.median(moved)) if len(moved) else part.times[0]
+    sides = [part.chosen(part.times < middle), part.chosen(part.times >= middle)]
+    if not all(len(side.times) > 10 * len(names) and np.ptp(side.output) > 0.0 for side in sides) or len(moved) < 4:
+        return chosen, []
+    halves = [fit(Problem([side], problem.longest_delay, problem.drift), chosen.form, chosen) for side in sides]
+    values = np.array([[*half.x[: len(names) - 1], half.gain] for half in halves])
+    deviations = np.array([[half.deviation(i) for i in range(len(names))] for half in halves])
+    apart = np.abs(values[1] - values[0]) > HALVES_APART * np.hypot(*deviations)
+    if not apart.any():
+        return chosen, []
+    said = " and ".join(
+        f"{name} {first:.4g} and {second:.4g}"
+        for name, first, second, far in zip(names, *values, apart, strict=True)
+        if far
+    )
+    covariance, count = chosen.covariance.copy(), len(names)
+    covariance[np.arange(count), np.arange(count)] += (values[1] - values[0]) ** 2
+    low = min(chosen.delay_bounds[0], *(values[:, 0] - DEVIATIONS_95 * deviations[:, 0]))
+    high = max(chosen.delay_bounds[1], *(values[:, 0] + DEVIATIONS_95 * deviations[:, 0]))
+    bounds = max(float(low), 0.0), min(float(high), problem.longest_delay)
+    return replace(chosen, covariance=covariance, delay_bounds=bounds), [
+        f"the log's halves, before {middle:.0f} s and after, differ by more than noise: {said}; two engines, an engine "
+        "that changed, or a clock that does; the bounds hold both"
+    ]
 
 
 def _lacks(problem: Problem, left_over: Array, record: BenchRecord) -> list[str]:

@@ -17,7 +17,7 @@ from cosim.engine import EngineBank, load_engine
 from cosim.identify.bench import BenchIdentification, Choices, Columns, grey_box, identify_bench, read_records
 from cosim.identify.bench.evidence import Foretold, HeldBack, Misfit, describe_held_back, movement_rows
 from cosim.identify.bench.grey_box_result import write as write_engine
-from cosim.identify.bench.identify import throttle_limits
+from cosim.identify.bench.identify import ECU_RAMP, throttle_limits
 from cosim.identify.bench.result import page
 
 DOCUMENT = (Path(__file__).parents[3] / "docs" / "bench.md").read_text(encoding="utf-8")
@@ -458,6 +458,22 @@ def test_two_engines_mixed_are_named_and_their_bounds_wide(tmp_path: Path) -> No
     assert result.chosen.deviation(len(result.chosen.x)) > 1.0
 
 
+def test_two_engines_in_one_file_are_named_and_the_bounds_hold_both(tmp_path: Path) -> None:
+    """The form explains the whole by a mean of both; its bounds alone would hold neither."""
+    times, command, first, _ = bench_log("stairs of 5 s", 10.0, seed=1)
+    other = Truth(delay=0.15, lags=(0.6,), gain=130.0)
+    _, _, second, _ = bench_log("stairs of 5 s", 10.0, other, seed=2)
+    columns = np.tile(command, 2), np.concatenate([first, second]), np.concatenate([times, times + times[-1] + 0.1])
+    (record,) = read_records([write(tmp_path / "two.csv", *columns)])
+    result = identify_bench([record])
+    assert sum("the log's halves, before" in note and "the bounds hold both" in note for note in result.notes) == 1
+    gain = 1.96 * result.chosen.deviation(len(result.chosen.x))
+    assert abs(result.chosen.gain - 100.0) < gain
+    assert abs(result.chosen.gain - 130.0) < gain
+    assert result.chosen.delay_bounds[0] < 0.1
+    assert result.chosen.delay_bounds[1] > 0.145
+
+
 def test_columns_that_are_called_alike_are_asked_for(tmp_path: Path) -> None:
     times, command, thrust, _ = bench_log("stairs of 5 s", 20.0)
     path = tmp_path / "two.csv"
@@ -563,7 +579,7 @@ def test_an_engine_that_foretells_what_was_held_back_is_left_though_more_than_no
 @pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the recordings of a JetCat P300-PRO are not at hand")
 def test_the_ramp_of_a_real_ecu_foretells_half_of_its_steps_from_the_others(hexjet: Hexjet, tmp_path: Path) -> None:
     """Within 1.5 % of the range: an engine is left, and the page says what it lacks."""
-    fits = [text for name in ("fuel_gain", "fuel_rise_share", "fuel_fall") for text in ("--fit", name)]
+    fits = [text for name in ECU_RAMP for text in ("--fit", name)]
     log = str(RECORDINGS / "run-2023-01-09-a.csv")
     done = hexjet("identify", "bench", log, "--engine", "jetcat-p300", *fits, "--out", str(tmp_path / "mine"))
     assert done.status == 0, done.err
@@ -604,6 +620,6 @@ def test_a_real_turbojet_is_no_lag_and_that_is_said(name: str, begin: float, end
     result = identify_bench(read_records([RECORDINGS / name], Columns("setpoint_rpm", "rpm", begin=begin, end=end)))
     assert not result.is_explained
     assert any("what the model lacks" in note for note in result.notes)
-    assert any("try --engine jetcat-p300 --fit fuel_gain" in note for note in result.notes)
+    assert any("try --engine jetcat-p300 --fit fuel_integral" in note for note in result.notes)
     assert 2.0 < result.chosen.total[0] < 4.0
     assert result.chosen.delay_bounds[0] < 0.4

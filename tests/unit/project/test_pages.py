@@ -104,6 +104,8 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/tables/export-vehicle.md": ("test_vehicle_export.py",),
     "docs/tables/packages.md": ("marks", "test_package.py"),
     "docs/tables/paper.md": ("marks", "test_readings.py", "test_reproduce.py"),
+    "docs/tables/real-engine.md": ("test_engine_jetcat.py",),
+    "docs/tables/full-scale-ecu.md": ("test_full_scale_ecu.py",),
     "docs/faults.md": ("marks", "test_pages.py", "test_engine_out.py", "test_faults.py", "test_quadrotor.py"),
     "docs/full-scale.md": (
         "marks",
