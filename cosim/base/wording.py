@@ -35,6 +35,7 @@ _OTHER_NAMES = {  # of an option: the arguments that mean the same, where they a
     "to": ("to", "kind"),
     "wind-speed": ("winds",),
 }
+_EVERYWHERE = ("aircraft", "controller", "engine", "model", "vary")  # of some call, if not of the one that raises
 # a command that is quoted stays as it is, to be typed into a shell; an option ends where its name does
 _QUOTED_OR_OPTION = re.compile(
     r"(?P<quoted>\bhexjet [a-z](?:[^;:(),]|[:,](?! ))*)|(?<![\w-])--(?P<option>[a-z][a-z-]*)"
@@ -101,7 +102,7 @@ def _argument(option: str, parameters: Mapping[str, Any]) -> str | None:
         if argument in parameters:
             is_flag = is_denied or parameters[argument].annotation in (bool, "bool")
             return f"{argument}={not is_denied}" if is_flag else argument
-    return None
+    return option if option in _EVERYWHERE else None
 
 
 def _arguments_of(option: str) -> tuple[str, ...]:

@@ -36,6 +36,7 @@ LINES = [  # as a line is written, and as a program reads it
     ("c: name a folder with --out", "c: name a folder with out"),
     ("one is made by: hexjet design --out F (then --controller F)", None),
     ("hexjet sweep DIR --out x; --out y", "hexjet sweep DIR --out x; out y"),
+    ("m.toml: is a mapping file; it goes with --engine FILE", "m.toml: is a mapping file; it goes with engine FILE"),
     ("a--out and ---out", "a--out and ---out"),
 ]
 
