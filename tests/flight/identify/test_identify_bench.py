@@ -20,7 +20,7 @@ from cosim.identify.bench.grey_box_result import write as write_engine
 from cosim.identify.bench.identify import ECU_RAMP, throttle_limits
 from cosim.identify.bench.result import page
 
-DOCUMENT = (Path(__file__).parents[3] / "docs" / "bench.md").read_text(encoding="utf-8")
+DOCUMENT = " ".join((Path(__file__).parents[3] / "docs" / "bench.md").read_text(encoding="utf-8").split())
 RECORDINGS = Path(__file__).parents[4] / "shared" / "data" / "jetcat-p300" / "recordings"
 ONE = Truth()
 TWO = Truth(lags=(0.4, 0.2))
