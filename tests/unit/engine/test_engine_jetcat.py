@@ -63,7 +63,7 @@ def test_engines_drawn_by_its_uncertainty_follow_them_too(page: Any) -> None:
         off = [np.concatenate([got - step.speed for got, step in zip(one, steps, strict=True)]) for one in courses]
         within.append(float(np.mean([np.sqrt(np.mean(one**2)) < 0.01 * page.SWING_KRPM for one in off])))
     assert within[0] == 1.0
-    assert within[1] == pytest.approx(0.8, abs=0.1)
+    assert within[1] == pytest.approx(0.8, abs=0.15)
 
 
 @pytest.mark.parametrize("name", ["turbine-220", "turbine-100", "turbine-20"])
