@@ -106,6 +106,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/tables/paper.md": ("marks", "test_readings.py", "test_reproduce.py"),
     "docs/tables/real-engine.md": ("test_engine_jetcat.py",),
     "docs/tables/full-scale-ecu.md": ("test_full_scale_ecu.py",),
+    "docs/tables/full-scale.md": ("marks", "test_pages.py", "test_engine_out.py", "test_full_scale.py"),
     "docs/faults.md": ("marks", "test_pages.py", "test_engine_out.py", "test_faults.py", "test_quadrotor.py"),
     "docs/full-scale.md": (
         "marks",
@@ -957,7 +958,7 @@ def test_what_full_scale_flies_with() -> None:
     """docs/full-scale.md: inputs of its tables."""
     (command,) = Scenario.load("full-scale-roll-doublet").command
     assert isinstance(command, DoubletCommand)
-    stated(FULL, "in the roll doublet of {}° (overshoot, time to settle) and in {} s of hover", command.amplitude,
+    stated("docs/tables/full-scale.md", "in the roll doublet of {}° (overshoot, time to settle) and in {} s of hover", command.amplitude,
            Scenario.load("full-scale-hover").duration_s)  # fmt: skip
     late = load_engine("turbine-220", {}, STEP).transport_delay or 0.0
     stated(FULL, "with an ECU that answers {} s late and limits the acceleration", late)

@@ -27,7 +27,7 @@ from cosim.cli.options import load_scenario
 from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.results.expectations import check_expected, find_expectation
-from cosim.results.report.marks import parts_of
+from cosim.results.report.marks import page_parts
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import read_controller
 from cosim.spec.scaling import _LAW, length_scale, scale_vehicle
@@ -411,12 +411,13 @@ def test_the_shipped_gains_are_what_the_design_wrote(aircraft: str, engine: str)
 
 # --- two reports of one engine, and what an ECU may add ---------------------------------------------------------------
 
-PAGE = (DOCS / "full-scale.md").read_text(encoding="utf-8")
+PAGE, DATA = ((DOCS / name).read_text(encoding="utf-8") for name in ("full-scale.md", "tables/full-scale.md"))
+PARTS = page_parts(DOCS / "full-scale.md")
 
 
 def cells(title: str, part: str) -> list[str]:
     """A row of one of the page's tables."""
-    found = re.search(rf"^\| {re.escape(title)} \| (.*) \|$", parts_of(PAGE, "full-scale.md")[part], re.MULTILINE)
+    found = re.search(rf"^\| {re.escape(title)} \| (.*) \|$", PARTS[part], re.MULTILINE)
     assert found, title
     return [cell.strip() for cell in found[1].split("|")]
 
@@ -469,7 +470,7 @@ def test_the_faster_engine_is_lost_late_and_the_slower_is_not() -> None:
 
 def figures(sentence: str) -> list[float]:
     """The figures that stand for ``{}`` in a sentence of the page, which is there once."""
-    page = " ".join(PAGE.replace("**", "").split())
+    page = " ".join((PAGE + DATA).replace("**", "").split())
     found = re.findall(r"([-\d.]+)".join(map(re.escape, sentence.split("{}"))), page)
     assert len(found) == 1, sentence
     return [float(each) for each in ([found[0]] if isinstance(found[0], str) else found[0])]
@@ -499,7 +500,7 @@ def test_the_verdict_is_that_of_the_tables() -> None:
     assert rounded(damping, 2.0 * lead["damping"] * lead["natural_rad_s"], 2)
     (delay,) = figures("with a lead its delay of {} s becomes the limit")
     assert delay == pytest.approx(load_engine("turbine-220", {}, 0.004).transport_delay)
-    titles = [title.strip() for title in parts_of(PAGE, "full-scale.md")["gains"].splitlines()[0].strip("|").split("|")]
+    titles = [title.strip() for title in PARTS["gains"].splitlines()[0].strip("|").split("|")]
     reached = {name: dict(zip(titles[1:], cells(name, "gains"), strict=True)) for name in ("p220", "turbine-220")}
     plain = [name for name in titles[5:] if not name.endswith("lead")]
     assert [reached["p220"][name] for name in plain] == ["none"] * len(plain)
