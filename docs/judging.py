@@ -45,9 +45,9 @@ OFF: Mapping[str, tuple[str, ...]] = {
 # Peak sensitivities with what is said of them.
 PEAKS: Mapping[float, str] = {
     1.7: "good: what `hexjet design` asks for",
-    2.0: "the usual upper limit",
-    2.5: "only if the engine is known well",
-    3.8: "do not fly: *hasty*",
+    2.0: "usual: the upper limit",
+    2.5: "from 2.0 to here only with a well-known engine",
+    3.8: "above 2.5 do not fly on it alone: *hasty*",
 }
 
 

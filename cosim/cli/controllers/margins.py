@@ -68,12 +68,13 @@ def margins(options: Margins) -> int:
 
 
 def print_margins(margins: MeasuredMargins, paths: dict[str, Path]) -> None:
-    """Print a table an axis, what is to be said about it, and where the page is."""
+    """Print a table an axis, what is to be said about it, where the page is, and the judgement last."""
     from cosim.design.measured.page import (
         ENGINE_COLUMNS,
         columns,
         engine_rows,
         heading,
+        judgement_line,
         limit_line,
         rows,
         uncertainty_line,
@@ -97,3 +98,4 @@ def print_margins(margins: MeasuredMargins, paths: dict[str, Path]) -> None:
     if margins.uncomputed:
         say(f"not computed: {margins.uncomputed}")
     say(f"report: {paths['report']}", wrap=False)
+    say(judgement_line(margins))

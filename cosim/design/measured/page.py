@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +30,13 @@ QUANTITIES = (  # quantity, what it is called, and its numbers
     ("delay_less_s", "delay, less", "{:.4f} s"),
     ("peak_sensitivity", "peak |S|", "{:.3f}"),
     ("crossover_hz", "crossover", "{:.3f} Hz"),
+)
+
+
+PEAK_BANDS = (  # upper end of peak |S|, and what docs/judging.md says up to there
+    (2.0, "up to 2.0, good or usual"),
+    (2.5, "from 2.0 to 2.5, only with a well-known engine"),
+    (inf, "above 2.5, do not fly on it alone"),
 )
 
 
@@ -124,6 +131,14 @@ def limit_line(measured: AxisMargins) -> str | None:
     if limit is None:
         return None
     return f"no limit of performance: {limit}" if isinstance(limit, str) else f"{measured.axis}: {limit.describe()}"
+
+
+def judgement_line(margins: MeasuredMargins) -> str:
+    """Return the band of the greatest measured peak sensitivity, and that it is not the only rule."""
+    peaks = {axis: each.response.margins["peak_sensitivity"].value for axis, each in margins.axes.items()}
+    axis = max(peaks, key=lambda name: peaks[name])
+    band = next(words for end, words in PEAK_BANDS if peaks[axis] <= end)
+    return f"judgement: {axis}: peak |S| {peaks[axis]:.2f}: {band}; the margins must be enough too: docs/judging.md"
 
 
 def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:

@@ -7,6 +7,8 @@ import re
 import shlex
 from cmath import exp
 from math import log10, radians
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from command_tools import Hexjet
@@ -15,6 +17,7 @@ from places import DOCS, script
 from stated_figures import stated
 
 from cosim.base.storage.paths import data_folder
+from cosim.design.measured.page import PEAK_BANDS, judgement_line
 from cosim.engine import library
 from cosim.results.report.marks import parts_of, row
 from cosim.simulation.controllers.controller_file import Requirements
@@ -60,14 +63,37 @@ def test_the_arithmetic_of_the_page() -> None:
         assert abs(1.0 - 10.0 ** (-gain / 20.0)) == pytest.approx(1.0 / peak, rel=1e-12)
         assert abs(1.0 - exp(1j * radians(phase))) == pytest.approx(1.0 / peak, rel=1e-12)
     assert next(iter(judging.PEAKS)) == Requirements().max_sensitivity
+    assert [end for end, _ in PEAK_BANDS][:2] == list(judging.PEAKS)[1:3]
     stated(NAME, "ask for {} % of its delay, as `hexjet design` does", 100.0 * Requirements().delay_tolerance)
     engine = library.read_engine(data_folder("engines") / "edf-as-flown")
     late = float(next(each.start for each in engine.variables if each.name == "delay_samples") or 0.0)
     stated(NAME, "engines that respond {} s late", late * judging.STEP_MS / 1000.0)
+    stated(NAME, "margin, more than the {} ms that are", 0.3 * late * judging.STEP_MS)
+    stated(NAME, "*hasty* has {} ms of delay", number(MARGINS, "hasty", 5))
+    stated(NAME, "and a peak sensitivity of {}. *busy* has a peak sensitivity of {}, and {} ms",
+           number(MARGINS, "hasty", 6), number(MARGINS, "busy", 6), number(MARGINS, "busy", 5))  # fmt: skip
+    assert number(MARGINS, "busy", 5) < 0.3 * late * judging.STEP_MS < number(MARGINS, "hasty", 5)
     stated(NAME, "Thrust that is {} % off is {} dB", 20, 20.0 * log10(1.2))
     for name in set(judging.LOOPS) - {"busy"}:  # which has several crossovers
         phase, crossover, delay = (number(MARGINS, name, column) for column in (3, 4, 5))
         assert phase / 360.0 / crossover == pytest.approx(delay / 1000.0, rel=0.03), name
+
+
+@pytest.mark.parametrize(
+    ("peaks", "band"),
+    [
+        ({"roll": 1.7, "yaw": 2.0}, "yaw: peak |S| 2.00: up to 2.0, good or usual"),
+        ({"roll": 2.43, "yaw": 2.0}, "roll: peak |S| 2.43: from 2.0 to 2.5, only with a well-known engine"),
+        ({"roll": 1.7, "yaw": 4.12}, "yaw: peak |S| 4.12: above 2.5, do not fly on it alone"),
+    ],
+)
+def test_the_last_line_judges_the_worst_axis(peaks: dict[str, float], band: str) -> None:
+    axes = {
+        axis: SimpleNamespace(response=SimpleNamespace(margins={"peak_sensitivity": SimpleNamespace(value=peak)}))
+        for axis, peak in peaks.items()
+    }
+    margins: Any = SimpleNamespace(axes=axes)
+    assert judgement_line(margins) == f"judgement: {band}; the margins must be enough too: docs/judging.md"
 
 
 def test_what_the_text_says_of_the_tables() -> None:
