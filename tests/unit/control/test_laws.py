@@ -38,7 +38,7 @@ from cosim.design.loop.closed_loop import WINDOW, ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import make_lag_dynamics
 from cosim.design.loop.tuning import Tuning
 from cosim.engine import EngineSpec, load_engine
-from cosim.results.report.marks import parts_of
+from cosim.results.report.marks import page_parts
 from cosim.simulation.build import build
 from cosim.simulation.controllers.models import make_predictors, make_scenario_belief
 from cosim.spec.vehicle import Vehicle
@@ -175,7 +175,7 @@ def test_the_rank_of_smith_depends_on_the_horizon_as_the_page_says() -> None:
     found = {name: LawLoop(channel, law(name), attitude, 20.0) for name in ("pid", "pid-smith")}
     for each in found.values():  # over all that is followed: the error itself
         assert each.errors_within(each.samples * channel.step) == pytest.approx((each.step_error, each.load_error))
-    part = parts_of((ROOT / PAGE).read_text(encoding="utf-8"), PAGE)["horizons"]
+    part = page_parts(ROOT / PAGE)["horizons"]
     (line,) = [line for line in part.splitlines() if line.startswith(f"| {TITLES['pid-smith']} |")]
     cells = [cell.strip() for cell in line.strip("|").split("|")[1:]]
     for horizon, cell in zip((2.0, 3.0, 5.0, 7.0, 14.0), cells, strict=True):
@@ -201,7 +201,7 @@ def test_a_filter_of_the_set_point_is_the_pages() -> None:
     found = SetpointFilter.best(each, channel.room)
     assert found.overshoot <= each.overshoot + 1e-3
     assert found.lag_s > 0.95 * STEP
-    part = parts_of((ROOT / PAGE).read_text(encoding="utf-8"), PAGE)["filters"]
+    part = page_parts(ROOT / PAGE)["filters"]
     cells = {
         row[0]: row[1:] for row in ([cell.strip() for cell in line.split("|")[1:]] for line in part.splitlines()[2:])
     }

@@ -125,6 +125,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/log-export.md": ("test_export_formats.py", "test_flightgear.py"),
     "docs/judging.md": ("marks", "test_judging.py"),
     "docs/laws.md": ("marks", "test_laws.py"),
+    "docs/tables/laws.md": ("marks", "test_laws.py"),
     "docs/margins.md": ("test_measured_margins.py", "test_engine_tolerances.py"),
     "docs/metrics.md": ("test_metrics_docs.py",),
     "docs/requirements.md": ("test_requirements.py",),
