@@ -225,7 +225,7 @@ def test_what_cannot_be_flown_is_one_line(given: list[str], said: str, program: 
 
 
 def test_the_page_says_what_it_is_flown_with() -> None:
-    page = "docs/autopilots.md"
+    page = "docs/tables/autopilots.md"
     stated(
         page,
         "{} s, until its estimator has a position; armed {} s before the flight, because it holds its motors for {} s "

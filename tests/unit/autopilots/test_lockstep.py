@@ -1,6 +1,6 @@
 """The lockstep with stand-ins written from the protocols: no sample lost or doubled, and every fault named.
 
-The tables of docs/autopilots.md say what is sent, in the words of the tests below.
+The tables of docs/tables/autopilots.md say what is sent, in the words of the tests below.
 """
 
 from __future__ import annotations

@@ -74,7 +74,13 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/api.md": ("marks", "test_docstrings.py"),
     "docs/bench.md": ("test_identify_bench.py", "test_bench_coverage.py"),
     "docs/autopilots.md": ("marks", "test_adapters.py", "test_arducopter.py", "test_betaflight.py", "test_lockstep.py"),
-    "docs/tables/autopilots.md": ("marks", "test_px4_program.py"),
+    "docs/tables/autopilots.md": (
+        "marks",
+        "test_px4_program.py",
+        "test_arducopter.py",
+        "test_betaflight.py",
+        "test_lockstep.py",
+    ),
     "docs/benchmarks.md": ("marks", "test_bench.py", "test_flight_page.py"),
     "docs/campaigns.md": ("marks", "test_pages.py", "test_campaign_docs.py", "test_sequential.py"),
     "docs/tables/campaigns.md": ("marks", "test_pages.py", "test_campaign_docs.py", "test_campaign_limits.py"),
@@ -207,7 +213,7 @@ FIGURE = re.compile(
 # (then its number here goes down) and gets none: a new figure comes with a mark, or with a test that has its sentence.
 TYPED: Mapping[str, int] = {
     "docs/accuracy.md": 11,
-    "docs/autopilots.md": 1,
+    "docs/tables/autopilots.md": 1,
     "docs/campaigns.md": 1,
     "docs/control-design.md": 19,
     "docs/design.md": 17,
