@@ -310,6 +310,10 @@ def test_what_cannot_fly_is_one_line(tmp_path: Path, text: str, message: str) ->
         ({"controller": "nowhere.py:Mine"}, "nowhere.py: no such file"),
         ({"controller": "no.such.module:Mine"}, "no.such.module cannot be imported: ModuleNotFoundError"),
         ({"controller": "mine.py"}, "controller mine.py: a file alone is none; name its class too: mine.py:Mine"),
+        (
+            {"controller": "mine.toml"},
+            "controller mine.toml is a design, which no scenario names: give it with controller",
+        ),
         ({"controller": "smiht"}, "unknown controller 'smiht'; did you mean 'smith'?"),
         (
             {"controller_parameters": {"share": 1.0}},
