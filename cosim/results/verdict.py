@@ -20,6 +20,8 @@ BADGES: dict[RunVerdict, str] = {
     Verdict.BEYOND_LIMITS: "unmet",
 }
 
+NOTHING_EXPECTED = "Nothing was expected of it, so that nothing but its limits was checked."
+
 
 def judge(
     outcome: Outcome, beyond: Sequence[str], expectations_met: bool | None, requirements_kept: bool | None = None

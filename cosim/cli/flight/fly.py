@@ -219,19 +219,29 @@ def _sensors(summary: Summary) -> str:
     return f", sensors {summary.sensors}" if summary.sensors else ""
 
 
-def print_run(run: Run) -> None:
-    """Print outcome, metrics, what was expected and not met, and where the report is."""
+def _print_heading(summary: Summary) -> None:
+    """Print how a flight ended, what flew, and what is to be known of the verdict."""
     from rich.markup import escape
 
-    summary, controller = run.summary, run.summary.own_controller
+    from cosim.base.outcomes import Verdict
+    from cosim.results.verdict import NOTHING_EXPECTED
+
     say(f"{summary.scenario}: [bold]{escape(summary.ending)}[/bold]", marked=True)
     say(
         f"{summary.aircraft}, engine {summary.engine_shown}{_other_engines(summary)}, controller "
         f"{summary.controller_shown}, seed {summary.seed}{_sensors(summary)}: {summary.duration_s:.2f} s flown"
         + _speed(summary.realtime_factor)
     )
+    if summary.verdict == Verdict.NOTHING_CHECKED:
+        say(NOTHING_EXPECTED)
     for note in summary.notes:
         say(f"note: {note}", wrap=False)
+
+
+def print_run(run: Run) -> None:
+    """Print outcome, metrics, what was expected and not met, and where the report is."""
+    summary, controller = run.summary, run.summary.own_controller
+    _print_heading(summary)
     print_metrics([run])
     _print_whole(run)
     for text in summary.exceeded:

@@ -27,7 +27,7 @@ from cosim.results.report.requirements import (
 from cosim.results.report.signals_data import FlightData, read_vehicle, run_data
 from cosim.results.run import LOG, SCENARIO, Run
 from cosim.results.summary import DelayRow, Summary
-from cosim.results.verdict import BADGES
+from cosim.results.verdict import BADGES, NOTHING_EXPECTED
 from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, metric, show_value
 
 KINDS = {
@@ -128,7 +128,7 @@ def verdict(summary: Summary) -> str:
         sentences = [f"{summary.outcome.capitalize()} after {duration} of {summary.planned_s:g} s: {summary.reason}."]
     sentences += [f"{text[0].upper()}{text[1:]}." for text in summary.exceeded]
     if summary.verdict == Verdict.NOTHING_CHECKED:
-        sentences.append("Nothing was expected of it, so that nothing but its limits was checked.")
+        sentences.append(NOTHING_EXPECTED)
     commanded = [_axis_verdict(axis, metrics) for axis, metrics in summary.metrics.items() if metrics.commanded]
     sentences += commanded or [_worst_error(summary)]
     if summary.touchdown_m_s is not None:
