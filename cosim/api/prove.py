@@ -88,7 +88,8 @@ def prove(
     Parameters
     ----------
     name : str or Path
-        A study, a scenario, the controller file of a design or its folder; or the folder of a proof to be resumed.
+        A study, a scenario whose engine states its uncertainty, the controller file of a design or its folder; or the
+        folder of a proof to be resumed.
     claim : str or None
         What is to be shown: a probability at a confidence, as ``99.9%@95%``; None: the study's.
     budget : int or None

@@ -8,9 +8,9 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
 from cosim.campaign.proof.design_study import design_study, find_design
-from cosim.campaign.study.options import open_study
+from cosim.campaign.study.options import NothingVariesError, open_study
 from cosim.campaign.study.plan import only_controller
-from cosim.campaign.study.sequential import default_runs, parse_claim
+from cosim.campaign.study.sequential import MAX_TESTED, default_runs, parse_claim
 from cosim.campaign.study.study import Study, find_study, study_names
 
 
@@ -25,16 +25,50 @@ def proof_study(name: str, claim: str | None, budget: int | None = None, **optio
     if designed is not None:
         if claim is None:
             raise InputError(f"{name}: a design states no claim; --claim says what is to be shown, such as 99.9%@95%")
-        return _checked(design_study(designed, claim, budget or default_runs(claim), **options), claim)
+        runs = _most_flights(claim, "--claim", budget)
+        return _checked(design_study(designed, claim, runs, **options))
     table = _study_table(name)
-    claim = claim or table.get("until")
-    if claim is None:
-        open_study(name, **options)  # a name that is not known is reported before
+    stated = table.get("until")
+    if not claim and stated is None:
+        _open(name, **options)  # a name that is not known is reported before
         raise InputError(f"{name}: states no claim (until); --claim says what is to be shown, such as 99.9%@95%")
-    study = open_study(name, until=claim, design="random", runs=budget or default_runs(claim), **options)
+    where = "--claim" if claim else f"{name}: until ="
+    claim = str(claim or stated)
+    runs = _most_flights(claim, where, budget)
+    study = _open(name, until=claim, design="random", runs=runs, **options)
     if not any(options.get(key) for key in ("settings", "controllers", "vary")):  # what flies is what the title says
         study = study.changed(**{key: table[key] for key in ("title", "description") if key in table})
-    return _checked(study, claim)
+    return _checked(study)
+
+
+def _open(name: str, **options: Any) -> Study:
+    """Open a study as ``open_study``, whose ``--vary`` no proof has."""
+    try:
+        return open_study(name, **options)
+    except NothingVariesError:
+        what = "a proof is of a study, a .toml file that names the scenario and says in [[vary]] what does"
+        raise InputError(f"{name}: nothing varies; {what}") from None
+
+
+def _most_flights(claim: str, where: str, budget: int | None) -> int:
+    """Return how many flights the proof has at most.
+
+    Raises InputError for a claim that compares controllers, and where so many flights cannot show it.
+    """
+    parsed = parse_claim(claim, where)
+    if parsed.pair is not None:
+        raise InputError(f"{where} {claim}: compares two controllers, which hexjet sweep --until does")
+    needed = parsed.fewest
+    most = budget or default_runs(claim)
+    if most > MAX_TESTED:
+        raise InputError(f"--budget {most}: at most {MAX_TESTED:,}")
+    if most < needed:
+        subject = f"--budget {budget}" if budget else f"{where} {claim}"
+        raise InputError(
+            f"{subject}: {most:,} flights do not show it, even if all succeed; {claim} takes {needed:,} without a "
+            "failure, and more with one"
+        )
+    return most
 
 
 def _study_table(name: str) -> dict[str, Any]:
@@ -42,9 +76,7 @@ def _study_table(name: str) -> dict[str, Any]:
     return read_toml(find_study(name)) if Path(name).is_file() or name in study_names() else {}
 
 
-def _checked(study: Study, claim: str) -> Study:
-    """Raise InputError for a claim that compares controllers, and a study with more than one of them."""
-    if parse_claim(claim).pair is not None:
-        raise InputError(f"--claim {claim}: compares two controllers, which hexjet sweep --until does")
+def _checked(study: Study) -> Study:
+    """Raise InputError for a study with more than one controller."""
     only_controller(study, "a proof")
     return study

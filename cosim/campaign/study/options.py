@@ -22,6 +22,10 @@ from cosim.spec.scenario import Range, Scenario, scenario_names
 from cosim.spec.vehicle import aircraft_seen_from, file_seen_from
 
 
+class NothingVariesError(InputError):
+    """Nothing varies in what is to be a study."""
+
+
 def open_study(
     name: str | Path,
     *,
@@ -76,7 +80,7 @@ def open_study(
     if _is_engine_drawn(data, folder, where):
         data["vary"] = [*data["vary"], {"key": UNCERTAIN, "uncertainty": True}]
     if not data["vary"]:
-        raise InputError(f"{where}: nothing varies; --vary KEY=LO:HI says what does")
+        raise NothingVariesError(f"{where}: nothing varies; --vary KEY=LO:HI says what does")
     if data.get("until") is not None:
         data = {"design": "random", "runs": default_runs(str(data["until"]))} | data
     data.setdefault("design", _default_design(data))

@@ -57,19 +57,19 @@ class Claim(NamedTuple):
         return ceil(log(self.error) / log(self.probability))
 
 
-def parse_claim(text: str) -> Claim:
-    """Read ``99.9%@95%``, or ``smith>baseline@95%`` for two controllers.  Raises InputError: one line."""
+def parse_claim(text: str, name: str = "until =") -> Claim:
+    """Read ``99.9%@95%``, or ``smith>baseline@95%`` for two controllers.  Raises InputError: one line with ``name``."""
     match = re.fullmatch(r"\s*(?:([0-9.]+)\s*%|(.+?)\s*>\s*(.+?))\s*@\s*([0-9.]+)\s*%\s*", text)
     if match is None:
         raise InputError(
-            f"until = {text}: write it as PROBABILITY%@CONFIDENCE%, such as 99.9%@95%, "
+            f"{name} {text}: write it as PROBABILITY%@CONFIDENCE%, such as 99.9%@95%, "
             "or CONTROLLER>CONTROLLER@CONFIDENCE%"
         )
-    probability = _EVEN if match[1] is None else _percentage(match[1], 1.0, text)
+    probability = _EVEN if match[1] is None else _percentage(match[1], 1.0, f"{name} {text}")
     pair = None if match[1] is not None else (match[2], match[3])
     if pair is not None and pair[0] == pair[1]:
-        raise InputError(f"until = {text}: compares {pair[0]} with itself")
-    return Claim(probability, _percentage(match[4], 50.0, text), pair)
+        raise InputError(f"{name} {text}: compares {pair[0]} with itself")
+    return Claim(probability, _percentage(match[4], 50.0, f"{name} {text}"), pair)
 
 
 def default_runs(text: str) -> int:
@@ -83,7 +83,7 @@ def _percentage(text: str, least: float, where: str) -> float:
     except ValueError:
         value = -1.0
     if not least <= value < 100.0:
-        raise InputError(f"until = {where}: {text} % must be at least {least:g} and below 100")
+        raise InputError(f"{where}: {text} % must be at least {least:g} and below 100")
     return value / 100.0
 
 

@@ -60,10 +60,10 @@ class Prove(CampaignOptions):
 def prove(options: Prove) -> int:
     """Show or refute that a vehicle keeps its requirements, with what a review asks beside it, on one page.
 
-    STUDY is a study's or a scenario's name or file, DESIGN a controller file of hexjet design or its folder, DIR a
-    proof's folder, to be resumed.  Flies until the claim is decided, flies the worst again, compares the controller
-    with the best linear one, and says what is not covered and how credible the model is.  Status 0: shown; 1: refuted,
-    open, or stopped before; 2: wrong input.
+    STUDY is a study's name or file, or a scenario's where the engine states its uncertainty; DESIGN a controller file
+    of hexjet design or its folder; DIR a proof's folder, to be resumed.  Flies until the claim is decided, flies the
+    worst again, compares the controller with the best linear one, and says what is not covered and how credible the
+    model is.  Status 0: shown; 1: refuted, open, or stopped before; 2: wrong input.
     """
     from cosim.api.prove import prove as show_claim
 

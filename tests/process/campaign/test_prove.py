@@ -279,8 +279,18 @@ def test_a_rare_failure_has_its_probability(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (["hover", "--claim", "99.9%@95%", "--budget", "100"], "nothing varies"),
-        (["STUDY", "--claim", "99.9%@95%", "--budget", "100"], "100 flights do not show it, even if all succeed"),
+        (
+            ["hover", "--claim", "99.9%@95%", "--budget", "2995"],
+            "nothing varies; a proof is of a study, a .toml file that",
+        ),
+        (
+            ["STUDY", "--claim", "99.9%@95%", "--budget", "100"],
+            "--budget 100: 100 flights do not show it, even if all succeed; 99.9%@95% takes 2,995 without a failure",
+        ),
+        (["STUDY", "--budget", "2000000"], "--budget 2000000: at most 1,000,000"),
+        (["STUDY", "--claim", "99.9999%@95%"], "--claim 99.9999%@95%: 1,000,000 flights do not show it"),
+        (["STUDY", "--claim", "99%"], "--claim 99%: write it as"),
+        (["STUDY", "--claim", "100%@95%"], "--claim 100%@95%: 100 % must be at least 1"),
         (["STUDY", "--claim", "smith>baseline@95%"], "compares two controllers, which hexjet sweep --until does"),
         (
             ["predictor-robustness", "--claim", "99%@95%"],
