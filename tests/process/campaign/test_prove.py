@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_tools import Done, Hexjet
-from places import DESIGNS
+from places import DESIGNS, ROOT
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
@@ -314,6 +314,15 @@ def test_what_cannot_be_shown_is_refused_in_a_line(
     done: Done = hexjet("prove", *(named.get(word, word) for word in arguments))
     assert (done.status, done.err.count("\n")) == (2, 1), done.err
     assert reason.lower() in done.err.lower()
+
+
+def test_the_quick_example_of_the_page_is_accepted() -> None:
+    """Its budget shows its claim, though the study's own claim takes more flights."""
+    page = (ROOT / "docs" / "prove.md").read_text()
+    (line,) = [line for line in page.splitlines() if line.startswith("hexjet prove") and "--budget 40" in line]
+    words = shlex.split(line, comments=True)
+    option = dict(zip(words[3::2], words[4::2], strict=True))
+    assert proof_study(words[2], option["--claim"], int(option["--budget"])).draws == 40
 
 
 def test_a_design_is_proven_over_the_box_that_it_was_made_for(tmp_path: Path) -> None:
