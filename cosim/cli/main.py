@@ -224,7 +224,7 @@ def _explain(error: InputError | FlightError | click.ClickException | OSError) -
     if isinstance(error, InputError):
         return str(error), FLIGHT_FAILED if isinstance(error, NotIdentifiedError) else WRONG_INPUT
     if isinstance(error, click.NoSuchOption) and (key := _key_of(error)) is not None:
-        return f"No such option {error.option_name!r}; --set {key}=... is a key of the scenario", WRONG_INPUT
+        return f"No such option {error.option_name!r}; it is a key of the scenario: --set {key}=...", WRONG_INPUT
     if isinstance(error, click.ClickException):
         where = f" ({error.ctx.command_path} --help)" if isinstance(error, click.UsageError) and error.ctx else ""
         return " ".join(error.format_message().split()) + where, WRONG_INPUT

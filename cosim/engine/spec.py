@@ -244,6 +244,15 @@ class EngineSource:
         )
 
 
+def _refuse_misspelt_file(path: Path) -> None:
+    """Raise InputError with the likeliest engine's file beside ``path``, where a name is that of a file."""
+    from difflib import get_close_matches
+
+    files = [file.name for file in Path().iterdir() if file.suffix.lower() in (".fmu", SUFFIX)] if path.suffix else []
+    if meant := get_close_matches(path.name, files, n=1):
+        raise InputError(f"engine {path}: no such file; did you mean {meant[0]!r}?")
+
+
 def find_source(name_or_path: str) -> EngineSource:
     """Find an engine by its name in the library, the path of its archive, or that of a mapping file.
 
@@ -267,6 +276,7 @@ def find_source(name_or_path: str) -> EngineSource:
     name = name_or_path.removesuffix(FMI2_SUFFIX)
     folder = data_folder("engines") / name
     if not (folder / "engine.toml").is_file():
+        _refuse_misspelt_file(path)
         allowed = nearest(name, list_engine_names())
         raise InputError(
             f"unknown engine {name_or_path!r}; {allowed}, or the path of an .fmu or .ssp, or of a .toml that maps one"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from math import isfinite, nan
 from pathlib import Path
@@ -88,7 +88,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not UTF-8 text (byte {error.start})") from error
+        raise InputError(f"{path}: not UTF-8 text (byte {error.start}); a TOML file is needed") from error
     try:
         table: dict[str, Any] = _copy(_parsed.get(text, lambda: tomllib.loads(text)))
         return table
@@ -217,6 +217,14 @@ def set_path(data: dict[str, Any], path: list[str], value: Any, where: str) -> N
 _OTHERS = 5  # keys that a line names beside the first that is wrong
 
 
+def _meant(key: str, unknown: Sequence[str]) -> str:
+    """Return a clause with the unknown key that may be meant for a missing one; empty where none is near."""
+    import difflib
+
+    close = difflib.get_close_matches(key, unknown, n=1, cutoff=0.8)
+    return f"; unknown key {close[0]} may be meant for it" if close else ""
+
+
 def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
     errors = error.errors()
     if not _is_not_false(errors[0]):
@@ -232,7 +240,8 @@ def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
         name = str(first["loc"][-1])
         return f"unknown key {key!r}; {nearest(name, _allowed_keys(model, first['loc']))}{rest}"
     if kind == "missing":
-        return f"{key} is missing{rest}"
+        unknown = [".".join(_path(model, item["loc"])) for item in errors if item["type"] == "extra_forbidden"]
+        return f"{key} is missing{_meant(key, unknown) or rest}"
     if kind == "union_tag_not_found":
         return f"{key}.kind is missing{rest}"
     if kind == "union_tag_invalid":

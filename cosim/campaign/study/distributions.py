@@ -231,6 +231,8 @@ def _parse_form(form: str, text: str) -> dict[str, Any]:
             return _span(form, text)
         if "," in form:
             return {"values": [_value(part) for part in form.split(",")]}
+        if ends := re.fullmatch(r"([\d.]+)\s*(?:-|\.\.|to)\s*([\d.]+)", form):
+            raise InputError(f"--vary {text}: write the range as {ends[1]}:{ends[2]}")
         raise InputError(f"--vary {text}: one value does not vary; KEY=LO:HI or KEY=A,B do, or --set {text}")
     name, argument_text = call.groups()
     if name == "log":

@@ -85,6 +85,8 @@ def read_bytes(path: Path) -> bytes:
             raise UnusableError("is not an ordinary file; an .fmu archive is needed")
         if status.st_size > MOST_PACKED:
             raise UnusableError(f"is {_size(status.st_size)} large; an engine may have {_size(MOST_PACKED)}")
+        if path.suffix.lower() == ".py":
+            raise UnusableError("is Python code, not an FMU: pythonfmu3 build -f makes one of it")
         return path.read_bytes()
     except FileNotFoundError as error:
         raise UnusableError("no such file") from error

@@ -21,6 +21,8 @@ def find_scenario(name: str | Path) -> Path:
             raise InputError(f"{path}: no such scenario file")
         return path
     if str(name) not in scenario_names():
+        if (path / "scenario.toml").is_file():
+            raise InputError(f"{path} is a run's folder; its scenario is {path / 'scenario.toml'}")
         raise InputError(
             f"unknown scenario {str(name)!r}; {similar(str(name), scenario_names())}, or give the path of a .toml file"
         )

@@ -296,7 +296,7 @@ class Scenario(Model):
         for text in settings or []:
             key, value = parse_setting(text)
             set_path(data, key, value, f"{path}: --set")
-        return cls.from_table(data, path.parent, str(path), origin)
+        return cls.from_table(data, path.parent, str(path) if origin is None else f"{path}: --set", origin)
 
     @classmethod
     def as_filed(cls, path: Path) -> "Scenario | None":

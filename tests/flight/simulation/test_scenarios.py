@@ -84,6 +84,11 @@ def test_a_classic_smith_predictor_leans_under_a_constant_moment() -> None:
     [
         ("name = 'x'\nduration_s = = 3\n", r"x\.toml: not valid TOML: .*line 2"),
         ("name = 'x'", r"x\.toml: duration_s is missing"),
+        (
+            "name = 'x'\nduration_s = 1\n[[command]]\nkind = 'doublet'\nsignal = 'roll_deg'\nstart_s = 0\namplitude = 1\n"
+            "width_ms = 2",
+            r"command\.0\.width_s is missing; unknown key command\.0\.width_ms may be meant for it$",
+        ),
         ("name = 'x'\nduration_s = nan", r"x\.toml: duration_s = nan: .*(finite|greater)"),
         ("name = 'x'\nduration_s = -1", r"x\.toml: duration_s = -1: .*greater than 0"),
         ("name = 'x'\nduration_s = 1\ncontroler = 'smith'", r"unknown key 'controler'; did you mean 'controller'\?"),
@@ -147,6 +152,10 @@ def test_unknown_names_list_the_known_ones(tmp_path: Path) -> None:
         Scenario.load("rol-doublet")
     with pytest.raises(InputError, match=r"none\.toml: no such scenario file"):
         Scenario.load(tmp_path / "none.toml")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "scenario.toml").touch()
+    with pytest.raises(InputError, match=r"run is a run's folder; its scenario is .*run.scenario\.toml$"):
+        Scenario.load(tmp_path / "run")
 
 
 def test_settings_write_over_the_file() -> None:

@@ -95,6 +95,7 @@ def test_correlations_and_criteria_are_read() -> None:
         ("a=", "--vary a=: write it as KEY=LO:HI, "),
         ("a=1:2:3:4", "write it as KEY=LO:HI, "),
         ("a=5", "one value does not vary; KEY=LO:HI or KEY=A,B do, or --set a=5"),
+        ("a=5-6", "--vary a=5-6: write the range as 5:6"),
         ("a=2:1", "a: 2 to 1 is empty; the lower bound comes first"),
         ("a=1:1", "a: 1 to 1 is empty"),
         ("a=1:x", "'x' is not a number"),

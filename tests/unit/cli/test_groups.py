@@ -36,11 +36,11 @@ def test_every_command_has_a_group_and_its_line_fits_eighty_columns() -> None:
         (["fyl"], "No such command 'fyl'; did you mean 'fly'? allowed: aircraft, "),
         (
             ["fly", "hover", "--duration", "5"],
-            "No such option '--duration'; --set duration_s=... is a key of the scenario",
+            "No such option '--duration'; it is a key of the scenario: --set duration_s=...",
         ),
         (
             ["fly", "hover", "--mass", "5"],
-            "No such option '--mass'; --set vehicle.mass_kg=... is a key of the scenario",
+            "No such option '--mass'; it is a key of the scenario: --set vehicle.mass_kg=...",
         ),
         (["fly", "hover", "--sed", "5"], "No such option '--sed'. (Did you mean one of: '--seed', "),
     ],

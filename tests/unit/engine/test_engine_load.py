@@ -206,6 +206,16 @@ def test_unknown_engine_lists_the_known_ones() -> None:
     )
 
 
+def test_a_misspelt_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "MyEngine.fmu").touch()
+    with monkeypatch.context() as there:
+        there.chdir(tmp_path)
+        assert refusal("MyEngine.fm") == "engine MyEngine.fm: no such file; did you mean 'MyEngine.fmu'?"
+    source = tmp_path / "engine.py"
+    source.touch()
+    assert refusal(str(source)) == f"{source}: is Python code, not an FMU: pythonfmu3 build -f makes one of it"
+
+
 @pytest.mark.parametrize("name", ["edf", "edf-fmi2"])
 @pytest.mark.parametrize("step", [0.005, 0.002, 0.0040001])
 def test_a_step_that_does_not_fit_names_both_numbers(name: str, step: float) -> None:

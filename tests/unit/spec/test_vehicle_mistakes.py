@@ -205,7 +205,10 @@ TEXTS = {
     "vehicle.toml": [
         (lambda text: text.replace("mass_kg =", "mass_kg"), r"vehicle\.toml: not valid TOML: .*line \d+"),
         (lambda text: text + "\n[aero]\nspan_m = 1.0\n", r"vehicle\.toml: not valid TOML: .*\[?aero"),
-        (lambda text: text.replace("# ", "# \udcff", 1), r"vehicle\.toml: not UTF-8 text"),
+        (
+            lambda text: text.replace("# ", "# \udcff", 1),
+            r"vehicle\.toml: not UTF-8 text \(byte \d+\); a TOML file is needed",
+        ),
     ],
     "hexjet.xml": [
         (lambda text: text.replace("</fdm_config>", ""), r"hexjet\.xml: not valid XML: .*line \d+"),
