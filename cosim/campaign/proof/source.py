@@ -37,7 +37,10 @@ def proof_study(name: str, claim: str | None, budget: int | None = None, **optio
     runs = _most_flights(claim, where, budget)
     study = _open(name, until=claim, design="random", runs=runs, **options)
     if not any(options.get(key) for key in ("settings", "controllers", "vary")):  # what flies is what the title says
-        study = study.changed(**{key: table[key] for key in ("title", "description") if key in table})
+        said = {key: table[key] for key in ("title", "description") if key in table}
+        if "title" in said and stated is not None and claim != str(stated):  # the file's words are of its own claim
+            said = {"title": f"{table['name']}: {claim} in place of the {stated} that its file states"}
+        study = study.changed(**said)
     return _checked(study)
 
 

@@ -323,7 +323,11 @@ def test_the_quick_example_of_the_page_is_accepted() -> None:
     (line,) = [line for line in page.splitlines() if line.startswith("hexjet prove") and "--budget 40" in line]
     words = shlex.split(line, comments=True)
     option = dict(zip(words[3::2], words[4::2], strict=True))
-    assert proof_study(words[2], option["--claim"], int(option["--budget"])).draws == 40
+    study = proof_study(words[2], option["--claim"], int(option["--budget"]))
+    assert study.draws == 40
+    assert study.title == "roll-doublet-claim: 90%@90% in place of the 99%@95% that its file states"
+    assert study.description.startswith("Of the study as its file states it, not of these flights")
+    assert "99 of 100" in proof_study(words[2], "99%@95%").title
 
 
 def test_a_design_is_proven_over_the_box_that_it_was_made_for(tmp_path: Path) -> None:
