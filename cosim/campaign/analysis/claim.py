@@ -56,8 +56,8 @@ class ClaimResult(NamedTuple):
         bound = format_percent(verdict.bound, up=verdict.decision == "refuted")
         return (
             f"{self.text} is {WORDS[verdict.decision]} by {counted}; {probability} {side} {bound} "
-            f"({100.0 * self.claim.confidence:g} %, one-sided), {format_percent(low, up=False)} to "
-            f"{format_percent(high, up=True)} (95 %)"
+            f"with {100.0 * self.claim.confidence:g} % confidence; the two-sided interval of 95 % confidence is "
+            f"{format_percent(low, up=False)} to {format_percent(high, up=True)}"
         )
 
     def _counted(self, verdict: Verdict) -> str:

@@ -59,21 +59,17 @@ def _part(saved: SavedWorst, place: str) -> Part:
         "says": saved.result.lines()[0],
         "notes": saved.result.notes,
     }
-    return Part(result, _describe(found, run, saved.result.plan.likely))
+    return Part(result, _describe(found, run, saved.result.plan))
 
 
-def _describe(found: WorstCase, run: str, likely: bool) -> str:
+def _describe(found: WorstCase, run: str, plan: WorstPlan) -> str:
     """Return what was found in a clause of the proof's sentence."""
     moved = [effect for effect in important(found.effects) if effect.share >= 0.01][:NOTED]
     keys = ", ".join(f"{effect.name} {100.0 * effect.share:.0f} %" for effect in moved)
     place = f"{found.distance:.2f} standard deviations from the middle ({keys or 'no key'})"
     effort = f"{found.flights:,} flights that searched"
+    what = f"its {'most likely failure' if plan.likely else 'worst case'} within {plan.where}"
     if not found.fails:
-        what = (
-            "its most likely failure found none; the nearest to one"
-            if likely
-            else "its worst case found no failure; it"
-        )
+        what += " found none; the nearest to one" if plan.likely else " found no failure; it"
         return f"{effort} for {what} is {run}, margin {found.margin:.3g}, {place}"
-    what = "its most likely failure" if likely else "its worst case"
     return f"{what} in {effort} is {run}, margin {found.margin:.3g}, {place}"

@@ -436,6 +436,13 @@ class Programme:
         return cones
 
 
+_WHY_STOPPED = {  # by Clarabel's status
+    "NumericalError": "its arithmetic is not exact enough here",
+    "InsufficientProgress": "its steps no longer came nearer",
+    "MaxIterations": "it took its most steps",
+}
+
+
 def _describe_none(bounds: Bounds, status: str) -> str:
     """Return why a programme has no solution, by the solver's status: it is shown to have none, or was not solved."""
     kept = (
@@ -444,7 +451,8 @@ def _describe_none(bounds: Bounds, status: str) -> str:
     )
     if "Infeasible" in status:
         return f"no linear controller was found with {kept}"
-    return f"the limit with {kept} is not known: the solver stopped before it was found ({status})"
+    why = _WHY_STOPPED.get(status, status)
+    return f"the limit with {kept} is not known: the solver stopped before it was found: {why}"
 
 
 def _plane(response: Complex) -> Array:

@@ -21,7 +21,7 @@ from cosim.design.assessment import shipped_tuning
 from cosim.design.loop import limit as limits
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.loop.limit import AxisLimit, Bounds, Limit, bound_prices, find_limit
+from cosim.design.loop.limit import AxisLimit, Bounds, Limit, _describe_none, bound_prices, find_limit
 from cosim.design.measured.computed import find_loop_limit
 from cosim.engine import load_engine
 from cosim.spec.scenario import Scenario
@@ -211,3 +211,11 @@ def test_a_loop_without_a_limit_says_why_in_margins() -> None:
     tuning = shipped_tuning(roll(), vehicle, load_engine(scenario.engine, {}, scenario.step_s))
     loop = ClosedLoop(FrequencyGrid(replace(roll(), rate_hold=2), close=100), tuning)
     assert find_loop_limit(loop) == "roll: no limit is computed where measurements are held"
+
+
+def test_why_the_solver_stopped_is_said_in_words() -> None:
+    said = _describe_none(Bounds(1.8, 1e-3, 0.7), "NumericalError")
+    assert said.endswith(
+        "is not known: the solver stopped before it was found: its arithmetic is not exact enough here"
+    )
+    assert _describe_none(Bounds(1.8, 1e-3, 0.7), "MaxTime").endswith(": MaxTime")

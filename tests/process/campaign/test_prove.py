@@ -131,6 +131,7 @@ def test_90_percent_is_shown_on_one_page_and_in_one_json(proven: Path) -> None:
     assert {data[part]["done"] for part in ("most_likely_failure", "worst_case", "rare")} == {False}
     assert {axis: limit["done"] for axis, limit in data["limit"].items()} == dict.fromkeys(AXES, False)
     assert any("no key varies engines, delay, thrust" in text for text in data["not_covered"])
+    assert "at least 92.0 % with 95 % confidence; the two-sided interval of 95 % confidence is 9" in data["says"][0]
     page = (proven / "proof.html").read_text()
     for text in (data["sentence"], data["repeat"]["command"], *(one["name"] for one in data["credibility"])):
         assert text in page
@@ -238,6 +239,10 @@ def test_the_most_likely_failure_and_the_worst_case_are_runs(hexjet: Hexjet, tmp
     assert max(likely["keys"], key=likely["keys"].get) == "mismatch.thrust_factor"
     assert worst["margin"] < likely["margin"] < 0.0
     assert likely["says"] in data["sentence"]
+    assert likely["says"].startswith(
+        "its most likely failure within 6 standard deviations of the middle of all keys in"
+    )
+    assert worst["says"].startswith("its worst case within 3 standard deviations of the middle of all keys in")
     for found in (likely, worst):
         assert open_run(tmp_path / "p" / found["run"]).outcome == "completed"
     assert [one["level"] for one in data["credibility"] if one["name"] == "Results robustness"] == [1]  # few flights
