@@ -51,20 +51,20 @@ class Proof:
     lean_deg: float = 0.0  # to which the doublets went; 0 where nothing was flown
 
     def lines(self) -> list[str]:
-        """Describe the proof by measured response and the one by flights, in a sentence each."""
+        """Describe the proof by flights and the one by measured response, in a sentence each."""
         lines = []
+        if self.flights:
+            passed = sum(not flight.fault for flight in self.flights)
+            lines.append(
+                f"flown in six degrees of freedom with noise and the engine itself: {passed} of {len(self.flights)} "
+                f"flights kept what was promised ({self._flown_words()})"
+            )
         if isfinite(self.measured_hz):
             lines.append(
                 f"measured to {self.measured_hz:.3g} Hz: the engine's own response takes "
                 f"{100.0 * self.stability_fraction:.0f} % of what stability leaves it, peak |S| {self.sensitivity:.2f}"
                 f"; beyond, the loop's gain is at most "
                 f"{self.above:.2g}"
-            )
-        if self.flights:
-            passed = sum(not flight.fault for flight in self.flights)
-            lines.append(
-                f"flown in six degrees of freedom with noise and the engine itself: {passed} of {len(self.flights)} "
-                f"flights kept what was promised ({self._flown_words()})"
             )
         return lines
 

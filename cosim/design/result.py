@@ -163,15 +163,16 @@ def summary_lines(design: Design) -> list[str]:
 
 
 def answer_lines(design: Design) -> list[str]:
-    """Return the answer: the controller, what is worse with it, what limits it; or why there is none."""
+    """Return the answer: the controller, its proof, what is worse with it, what limits it; or why there is none."""
     if not design.ok:
         return [f"no acceptable design: {design.reason}", *_allowing_lines(design)]
     roll = design.axes["roll"]
     lines = [f"controller: {design.controller}; {_compare_candidates(roll)}"]
-    lines += comparison_lines(design.proof.compared) if design.proof else []
-    if design.proof is None and design.firmware is None:
+    if design.proof is not None:
+        lines += [*design.proof.lines(), *comparison_lines(design.proof.compared)]
+    elif design.firmware is None:
         lines.append("not flown: the proof was left out")
-    return [*lines, *_limit_lines(roll), *(design.proof.lines() if design.proof else [])]
+    return [*lines, *_limit_lines(roll)]
 
 
 def detail_lines(design: Design) -> list[str]:

@@ -2,7 +2,7 @@
 
 Margins are those of linear loops.  What a pilot sees is a flight, and what an engineer pays for is the work of the
 actuators, so both sets of gains fly hover with noise and the roll doublets of the proof, and where the designed ones
-are worse beyond :data:`MEASURES` that is said before anything else.
+are worse beyond :data:`MEASURES` that is said right after the verdict.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 import click
@@ -98,7 +99,7 @@ def design(options: DesignOptions) -> int:
     Writes a controller file for hexjet fly --controller, and a page beside it.  A design ends with its proof: the loops
     with the engine's own response, and hover, gust, and doublets to the lean that the pilot may ask for, flown with
     noise, at the corners of the tolerances and with one engine off.  What is worse as flown than with the gains that
-    ship is said first.
+    ship is said right after the verdict.
     Status 1: no design keeps the requirements, and what would allow one; or its proof failed, and where.
     """
     from cosim.base.runtime.threads import one_thread
@@ -121,8 +122,21 @@ def design(options: DesignOptions) -> int:
     with output_to_stderr(options.as_json), part_progress("design", quiet=options.as_json) as show:
         result = make(engine, progress=CommandProgress(show), **chosen)
     result.write(options.out)
-    options.answer(result.to_dict, lambda: print_design(result.designed, result.files))
+
+    def show_answer() -> None:
+        print_design(result.designed, result.files)
+        if "controller" in result.files and options.autopilot is None:
+            say(f"next: {fly_command(options, result.files['controller'])}", wrap=False)
+
+    options.answer(result.to_dict, show_answer)
     return DONE if result.ok else FLIGHT_FAILED
+
+
+def fly_command(options: DesignOptions, file: Path) -> str:
+    """Return the command that flies a design: with its aircraft, its engine and the settings that it was made for."""
+    given = [("--aircraft", options.aircraft if options.aircraft != "hexjet" else None), ("--engine", options.engine)]
+    given += [*(("--set", text) for text in options.settings), ("--controller", str(file))]
+    return " ".join(["hexjet fly SCENARIO", *(f"{name} {quote(value)}" for name, value in given if value)])
 
 
 # columns at a fuel level; the report has every column

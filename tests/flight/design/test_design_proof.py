@@ -345,7 +345,8 @@ def test_what_is_worse_as_flown_is_the_first_thing_said(sound: Design) -> None:
     assert lines[1] == "WORSE as flown than what ships: throttle activity 0.075 -> 1.331 1/s (17.7 times) in doublet"
     proof = Proof("", 9.0, 0.1, 1.7, 0.1, (), (), [pair], 20.0)
     made = replace(sound, proof=proof)
-    assert summary_lines(made)[1:3] == lines
+    assert summary_lines(made)[1] == proof.lines()[0]  # the verdict first
+    assert summary_lines(made)[2:4] == lines
     assert to_dict(made)["worse"] == lines
     record = to_dict(made)["proof"]  # by the keys that older readers know
     assert record["share"] == proof.stability_fraction

@@ -6,6 +6,8 @@ import io
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import click
 import pytest
@@ -13,6 +15,7 @@ from command_tools import Hexjet
 from places import TESTS
 
 from cosim.cli import main as command
+from cosim.cli.controllers.design import fly_command
 from cosim.cli.flight.fly import print_run
 from cosim.results.run import open_run
 
@@ -85,3 +88,12 @@ def test_ctrl_c_is_answered_in_a_line(
 def test_a_design_that_no_flight_would_know_is_refused_before_the_search(hexjet: Hexjet, tmp_path: Path) -> None:
     done = hexjet("design", "--engine", "edf", "--out", "d.txt")
     assert (done.status, done.err) == (2, "hexjet: --out d.txt: must end in .toml, by which --controller knows it\n")
+
+
+def test_a_design_says_the_command_that_flies_it() -> None:
+    options: Any = SimpleNamespace(aircraft="hexjet", engine=None, settings=())
+    assert fly_command(options, Path("runs/d/c.toml")) == "hexjet fly SCENARIO --controller runs/d/c.toml"
+    options = SimpleNamespace(aircraft="quadjet", engine="my e.fmu", settings=("engine_parameters.delay=4",))
+    assert fly_command(options, Path("c.toml")) == (
+        "hexjet fly SCENARIO --aircraft quadjet --engine 'my e.fmu' --set engine_parameters.delay=4 --controller c.toml"
+    )
