@@ -21,6 +21,8 @@ from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study, flatten_settings
 from cosim.design.loop.criteria import CORNER, OVERSHOOT
 from cosim.design.proof_flights import HEIGHT_M, STILL_DEG, lean_of, side_s
+from cosim.engine import list_engine_names
+from cosim.engine.library import FMI2_SUFFIX
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import Purpose, apply_controller, read_purpose
 from cosim.simulation.delay_ledger import sum_transport_samples
@@ -53,6 +55,7 @@ def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
         )
     made, nominal = read_purpose(file), bool(options.get("nominal_engine"))
     settings = _settings(made, options.get("settings") or ())
+    _need_engine(file, made.engine, str(settings["engine"]))
     aircraft = str(settings.pop("aircraft"))
     texts = [f"{key}={dumps(value)}" for key, value in flatten_settings(settings)]
     designed = apply_controller(SCENARIO, file, texts, aircraft)
@@ -77,6 +80,13 @@ def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
     )
     named = f"{aircraft_name(aircraft)}-{made.engine}-designed"
     return study.changed(name=named, title=f"{file.name}: the design for {made.aircraft} with engine {made.engine}")
+
+
+def _need_engine(file: Path, designed_for: str, flown: str) -> None:
+    """Raise InputError where the engine of the design is a file of the user's, of which the design states no path."""
+    if flown != designed_for or Path(flown).is_file() or flown.removesuffix(FMI2_SUFFIX) in list_engine_names():
+        return
+    raise InputError(f"{file}: designed for engine {flown!r}, which is not shipped; give its file with --engine")
 
 
 def tolerance_box(made: Purpose, scenario: Scenario) -> list[str]:

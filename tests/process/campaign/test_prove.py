@@ -322,6 +322,17 @@ def test_what_cannot_be_shown_is_refused_in_a_line(
     assert reason.lower() in done.err.lower()
 
 
+@pytest.mark.parametrize("words", [["prove", "--claim", "99%@95%"], ["search", "--worst"]], ids=["prove", "search"])
+def test_a_design_for_an_engine_of_the_users_asks_for_its_file(
+    words: list[str], hexjet: Hexjet, tmp_path: Path
+) -> None:
+    design = (DESIGNS / "turbojet.toml").read_text()
+    (tmp_path / "mine.toml").write_text(design.replace('engine = "turbojet"', 'engine = "MyEngine"'))
+    done: Done = hexjet(words[0], "mine.toml", *words[1:])
+    assert (done.status, done.err.count("\n")) == (2, 1), done.err
+    assert "mine.toml: designed for engine 'MyEngine', which is not shipped; give its file with --engine" in done.err
+
+
 def test_the_quick_example_of_the_page_is_accepted() -> None:
     """Its budget shows its claim, though the study's own claim takes more flights."""
     page = (ROOT / "docs" / "prove.md").read_text()
