@@ -9,7 +9,7 @@ the scenario commands, so that one set of numbers serves every vehicle and every
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import sqrt
+from math import degrees, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES
 from cosim.results.metrics import POSITION_SETPOINT, Record, commands_position
-from cosim.results.steadiness import AxisLimitInputs, axis_limits
+from cosim.results.steadiness import LEAST_GAIN_1_S, AxisLimitInputs, axis_limits, noise_floor
 from cosim.results.wording import metric
 
 if TYPE_CHECKING:
@@ -88,6 +88,21 @@ def make_limit_inputs(scenario: Scenario, vehicle: Vehicle) -> LimitInputs:
             for gain in vehicle.control.attitude.gain_1_s
         ),
     )
+
+
+def note_small_steps(scenario: Scenario, measure: LimitInputs) -> list[str]:
+    """Return a line for each commanded step of an axis that cannot be told from the noise of the sensors."""
+    floors = {
+        f"{name}_deg": degrees(noise_floor(axis, scenario.step_s))
+        for name, axis in zip(AXES, measure.axes, strict=False)
+        if scenario.sensor_noise and axis.gain_1_s >= LEAST_GAIN_1_S
+    }
+    return [
+        f"command.{number}: the {entry.kind} of {entry.amplitude:g} deg in {entry.signal} is below the noise floor of "
+        f"{floors[entry.signal]:.2g} deg"
+        for number, entry in enumerate(scenario.command)
+        if entry.kind in ("step", "doublet") and 0.0 < abs(entry.amplitude) < floors.get(entry.signal, 0.0)
+    ]
 
 
 def flight_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str, float]:

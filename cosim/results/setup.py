@@ -10,7 +10,7 @@ from cosim.base.runtime import kernels
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
 from cosim.results.expectations import allowed_metric_names, find_expectation
-from cosim.results.limits import make_limit_inputs
+from cosim.results.limits import make_limit_inputs, note_small_steps
 from cosim.results.metrics import Reach
 from cosim.results.requirements.signals import event_times
 from cosim.results.requirements.stated import check_signals, stated_requirements
@@ -112,6 +112,7 @@ def _notes(simulation: Simulation, flown: Sequence[FlownParameters]) -> list[str
         *list_design_notes(flown, simulation.engine),
         *list_model_notes(scenario, vehicle, simulation.engine),
         *note_settings_without_effect(scenario, vehicle, simulation.stations),
+        *note_small_steps(scenario, make_limit_inputs(scenario, vehicle)),
         *note_few_substeps(scenario),
     ]
 

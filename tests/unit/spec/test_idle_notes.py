@@ -1,4 +1,4 @@
-"""What of a flight is stated and does nothing is said: turbulence by half, a tank whose engines report no flow."""
+"""What of a flight is stated and does nothing is said: turbulence by half, a small step, a tank without a flow."""
 
 from __future__ import annotations
 
@@ -30,6 +30,15 @@ def test_whole_turbulence_and_none_are_not_noted() -> None:
     assert not any("turbulence" in note for note in notes("hover"))
     whole = ["environment.turbulence_wind_m_s=6", "environment.turbulence_severity=3"]
     assert not any("turbulence" in note for note in notes("hover", *whole))
+
+
+def test_a_step_below_the_noise_floor_is_noted() -> None:
+    small = Scenario.load("roll-doublet", [*SHORT, "command.0.amplitude=0.17"])
+    said = ["command.0: the doublet of 0.17 deg in roll_deg is below the noise floor of 0.35 deg"]
+    assert [note for note in fly(small, report=False).summary.notes if "floor" in note] == said
+    for other in (["command.0.amplitude=-0.5"], ["command.0.amplitude=0.17", "sensor_noise=false"]):
+        flown = fly(Scenario.load("roll-doublet", [*SHORT, *other]), report=False)
+        assert not any("floor" in note for note in flown.summary.notes)
 
 
 def test_a_tank_without_fuel_flow_is_said_and_nothing_was_measured() -> None:
