@@ -284,7 +284,7 @@ def test_the_documentation_stays_readable_in_length() -> None:
     """README and docs/ without code blocks, data pages (docs/tables) and the reference made of the code (docs/api.md)."""
     paths = [path for path in (ROOT / "docs").rglob("*.md") if path.parent.name != "tables" and path.name != "api.md"]
     code = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
-    words = {path.name: len(code.sub("", path.read_text("utf-8")).split()) for path in (ROOT / "README.md", *paths)}
+    words = {str(path): len(code.sub("", path.read_text("utf-8")).split()) for path in (ROOT / "README.md", *paths)}
     longest = sorted(words.items(), key=lambda page: -page[1])[:5]
     assert sum(words.values()) <= 60_000, f"{sum(words.values())} words; the longest are {longest}"
 
