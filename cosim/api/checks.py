@@ -124,7 +124,7 @@ def check_engine(
     if out is not None:
         check_results_folder(Path(out), *CHECK)
     texts = as_settings(settings)
-    mention([*texts, str(engine)], Path())
+    mention([*texts, engine], Path())
     numbers = parse_numbers(tuple(texts), "--set")
     result = EngineCheckResult(check_fmu(str(engine), step_s, numbers, make_limits(time_limit_s)))
     return result if out is None else result.write(out)
@@ -278,5 +278,5 @@ def check_aircraft(
     from cosim.campaign.surveys.aircraft_check import check_aircraft as check
 
     flown = None if engine is None else str(engine)
-    mention([flown] if flown else [], Path())
+    mention([engine], Path())
     return AircraftCheckResult(check(str(aircraft), flown, None if out is None else Path(out)))

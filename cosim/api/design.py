@@ -202,7 +202,7 @@ def design(
     from cosim.simulation.controllers.controller_file import LAW, Requirements
 
     hears, texts = progress or Progress(), as_settings(settings)
-    mention([*texts, *([str(engine)] if engine else [])], Path())
+    mention([*texts, engine], Path())
     if out is not None:  # before minutes of searching
         prepare(Path(out))
     limit = limit or controller == LAW

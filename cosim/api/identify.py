@@ -183,7 +183,7 @@ def identify(
     if out is not None:
         check_results_folder(Path(out), RECORD, *FILES)
     texts, name = as_settings(settings), None if engine is None else str(engine)
-    mention([*texts, *([name] if name else [])], Path())
+    mention([*texts, name], Path())
     swept: dict[str, Any] = {"from_hz": from_hz, "to_hz": to_hz, "amplitude": amplitude, "duration": duration_s}
     swept |= {"hold": hold} | ({} if lags is None else {"lags": lags})
     if subject != "engine":
@@ -362,7 +362,7 @@ def identify_bench(
     found: BenchIdentification | GreyIdentification
     if engine is not None:
         texts = as_settings(settings)
-        mention([*texts, str(engine)], Path())
+        mention([*texts, engine], Path())
         found = _fit_engine(records, str(engine), fit, texts, (throttle_range, between, longest_delay_s))
     else:
         lags = identify(records, Choices(throttle_range, between, longest_delay_s))

@@ -96,7 +96,7 @@ def study_settings(
     from cosim.spec.vehicle import file_seen_from
 
     engines = [] if engine is None else [f"engine={json.dumps(file_seen_from(str(engine), Path()))}"]
-    mention([*metrics, *([str(engine)] if engine else []), *([wind] if wind else [])], Path())
+    mention([*metrics, engine, wind], Path())
     vehicle = aircraft_settings(None if aircraft is None else str(aircraft))
     return [*vehicle, *engines, *as_settings(settings), *plugin_settings(tuple(metrics), wind)]
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from cosim.campaign.surveys.faults import Survival
 
 WRITTEN = ("survival.csv", "survival.html", "cases")
+AIRBORNE = ("failsafe", "wind, m/s", "moving, m/s", "ended", "down, m/s", "sideways, m/s", "thrust 10 s later, N")
 WORKERS = Limits(1, 64)
 
 
@@ -152,7 +153,7 @@ def faults(
     hears = progress or Progress()
     if out is not None:
         check_results_folder(Path(out), *WRITTEN)
-    mention([*controllers, *([str(engine)] if engine else [])], Path())
+    mention([*controllers, engine], Path())
     named = [seen_from(controller, Path()) for controller in controllers]
     flown = None if engine is None else str(engine)
     result = FaultsResult(
@@ -337,9 +338,6 @@ class FailsafesResult(Result):
         return [Table("", AIRBORNE, rows)]
 
 
-AIRBORNE = ("failsafe", "wind, m/s", "moving, m/s", "ended", "down, m/s", "sideways, m/s", "thrust 10 s later, N")
-
-
 @checked(workers=WORKERS, flights=Limits(1, 1000), seed=Limits(0))
 def failsafes(
     aircraft: str | Path = "hexjet",
@@ -348,7 +346,7 @@ def failsafes(
     controller: str | None = None,
     kinds: Sequence[str] = (),
     heights: Sequence[float] = (),
-    winds: Sequence[float] = (0.0, 5.0, 10.0),
+    winds: Sequence[float] = (),
     flights: int = 3,
     seed: int = 0,
     airborne: bool = False,
@@ -373,7 +371,7 @@ def failsafes(
     heights : sequence of float
         Above the ground [m]; none: 3, 10 and 30, and 100 and 300 where the fuel runs down.
     winds : sequence of float
-        [m/s].
+        [m/s]; none: 0, 5 and 10.
     flights : int
         From each height, each in the next of the winds and at a moment of its own.
     seed : int
@@ -402,12 +400,13 @@ def failsafes(
         For an aircraft, an engine, a controller or a failsafe that there is none of, and a vehicle without an
         autopilot.
     """
-    from cosim.campaign.surveys.failsafes import Conditions
+    from cosim.campaign.surveys.failsafes import WINDS_M_S, Conditions
     from cosim.campaign.surveys.failsafes import failsafes as fly_all
 
     hears = progress or Progress()
-    mention([each for each in (engine, controller) if isinstance(each, str)], Path())
-    conditions = Conditions(tuple(heights), tuple(winds), moving, flights, airborne, seed, nominal_engine)
+    mention([engine, controller], Path())
+    wind_speeds = tuple(winds) or WINDS_M_S
+    conditions = Conditions(tuple(heights), wind_speeds, moving, flights, airborne, seed, nominal_engine)
     flown = None if engine is None else str(engine)
     result = FailsafesResult(
         next(iter(fly_all([str(aircraft)], flown, controller, list(kinds), conditions, workers, hears.update)))

@@ -123,12 +123,14 @@ def trust(*places: Path | str) -> None:
     _add(places=frozenset(Path(place).resolve() for place in places))
 
 
-def mention(texts: Iterable[str], folder: Path) -> None:
-    """Take the code in these texts, with which a program changes a scenario, as named by the user.
+def mention(choices: Iterable[Path | str | None], folder: Path) -> None:
+    """Take the code in these choices, with which a program changes a scenario, as named by the user.
 
-    Files are seen from ``folder``.  A command has its arguments for that, and changes scenarios by what files say too.
+    Files are seen from ``folder``; None is no choice.  A command has its arguments for that, and changes scenarios by
+    what files say too.
     """
     if _decision.by_program:
+        texts = [str(choice) for choice in choices if choice]
         _add(named=frozenset(name for text in texts for name in (*_names(text, folder), *_mapping(text, folder))))
 
 

@@ -54,7 +54,7 @@ def choose(
     if isinstance(scenario, Scenario) and not (texts or engines or controller or aircraft or seed is not None):
         return scenario
     named = None if controller is None else str(controller)
-    mention([*texts, *engines, *([named] if named else [])], Path())
+    mention([*texts, *engines, named], Path())
     vehicle = None if aircraft is None else str(aircraft)
     return load_scenario(scenario, named, engines, seed, texts, aircraft=vehicle, note=note)
 

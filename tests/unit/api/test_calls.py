@@ -24,6 +24,7 @@ import cosim
 from cosim import InputError
 from cosim.api import Result
 from cosim.base.wording import with_arguments
+from cosim.campaign.surveys.failsafes import WINDS_M_S
 from cosim.cli.main import COMMANDS, cli
 from cosim.cli.results.show import show as show_command
 from cosim.spec.scenario import Scenario
@@ -98,6 +99,22 @@ def test_a_wrong_argument_is_one_line(
         getattr(cosim, name)(*arguments, **options)
     assert str(error.value).startswith(line)
     assert "\n" not in str(error.value)
+
+
+def test_failsafes_without_winds_are_those_of_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    winds = []
+
+    def fly(
+        aircraft: object, engine: object, controller: object, kinds: object, conditions: Any, *others: object
+    ) -> Any:
+        winds.append(conditions.winds)
+        yield None
+
+    monkeypatch.setattr("cosim.campaign.surveys.failsafes.failsafes", fly)
+    cosim.failsafes()
+    cosim.failsafes(winds=[])
+    cosim.failsafes(winds=[3.0])
+    assert winds == [WINDS_M_S, WINDS_M_S, (3.0,)]
 
 
 OTHERWISE = {"inertia_tolerance": "inertia", "mass_tolerance": "mass", "thrust_tolerance": "thrust", "seed": "drawn"}

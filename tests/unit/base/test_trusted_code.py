@@ -67,6 +67,11 @@ def test_a_mapping_file_names_its_fmu_where_it_is_an_engine(file: Path) -> None:
         assert not runs(code, *arguments)
 
 
+def test_what_a_program_names_is_a_text_or_a_path(file: Path) -> None:
+    trust.mention([None, "", "other.py", Path("mine.py")], file.parent)
+    trust.need_trust([trust.code_of(file)], "test")
+
+
 @pytest.mark.parametrize("name", ["scenario.toml", "table.csv", "run", "program"])
 def test_data_is_never_named_as_code(name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text("text")
