@@ -121,8 +121,7 @@ def check_engine(
     from cosim.base.storage.toml import parse_numbers
     from cosim.engine import check_fmu, make_limits
 
-    if out is not None:
-        check_results_folder(Path(out), *CHECK)
+    check_results_folder(out, *CHECK)
     texts = as_settings(settings)
     mention([*texts, engine], Path())
     numbers = parse_numbers(tuple(texts), "--set")

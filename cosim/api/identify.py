@@ -180,8 +180,7 @@ def identify(
     from cosim.identify.files import FILES, RECORD
     from cosim.identify.sweep import identify_axis, identify_engine
 
-    if out is not None:
-        check_results_folder(Path(out), RECORD, *FILES)
+    check_results_folder(out, RECORD, *FILES)
     texts, name = as_settings(settings), None if engine is None else str(engine)
     mention([*texts, name], Path())
     swept: dict[str, Any] = {"from_hz": from_hz, "to_hz": to_hz, "amplitude": amplitude, "duration": duration_s}
@@ -352,8 +351,7 @@ def identify_bench(
     from cosim.identify.bench.beyond_lags import fit_beyond_lags
     from cosim.identify.files import FILES, RECORD
 
-    if out is not None:
-        check_results_folder(Path(out), RECORD, *FILES)
+    check_results_folder(out, RECORD, *FILES)
     if not logs:
         raise InputError("identify_bench: logs: name one at least")
     if engine is None and (fit or settings):

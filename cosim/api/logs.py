@@ -161,8 +161,7 @@ def identify_log(
     from cosim.identify.logs import read_flight_log
     from cosim.identify.prediction_error.identify_log import identify_log as identify
 
-    if out is not None:
-        check_results_folder(Path(out), RECORD, *FILES)
+    check_results_folder(out, RECORD, *FILES)
     if (axis is None) == (engine is None):
         raise InputError("identify log: say --axis roll, pitch or yaw, or --engine N")
     if axis is not None and lags == 0:
@@ -310,8 +309,7 @@ def validate(
     from cosim.identify.prediction_error.validate import read_model
     from cosim.identify.prediction_error.validate import validate as compare
 
-    if out is not None:
-        check_results_folder(Path(out), *VALIDATION)
+    check_results_folder(out, *VALIDATION)
     stated = read_model(Path(model), axis)
     read = read_flight_log(Path(log), time_column, time_unit)
     result = ValidateResult(compare(stated, read, begin, end))

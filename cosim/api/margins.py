@@ -170,8 +170,7 @@ def margins(
     from cosim.design.measured import measure_margins
 
     hears, done = progress or Progress(), 0
-    if out is not None:
-        check_results_folder(Path(out), *WRITTEN)
+    check_results_folder(out, *WRITTEN)
     named = controller if isinstance(controller, (str, Path)) else None
     chosen = choose(scenario, named, aircraft, engine, settings, seed, hears.note)
 

@@ -176,8 +176,7 @@ def replay(
     from cosim.results.run import SCENARIO
 
     hears, path = progress or Progress(), Path(log)
-    if out is not None:
-        check_results_folder(Path(out), *WRITTEN)
+    check_results_folder(out, *WRITTEN)
     if throttle_range is not None and not throttle_range[0] < throttle_range[1]:
         low, high = throttle_range
         raise InputError(f"--throttle-range {low:g} {high:g}: the second must be the larger")

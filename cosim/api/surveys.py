@@ -151,8 +151,7 @@ def faults(
     from cosim.spec.controller_name import seen_from
 
     hears = progress or Progress()
-    if out is not None:
-        check_results_folder(Path(out), *WRITTEN)
+    check_results_folder(out, *WRITTEN)
     mention([*controllers, engine], Path())
     named = [seen_from(controller, Path()) for controller in controllers]
     flown = None if engine is None else str(engine)

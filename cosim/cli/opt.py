@@ -202,8 +202,7 @@ class Output(Record):
         """
         from cosim.base.storage.files import check_results_folder
 
-        if self.out is not None:
-            check_results_folder(self.out, record, *files)
+        check_results_folder(self.out, record, *files)
 
     def answer(self, data: Callable[[], Any], show: Callable[[], None], *, nan: bool = False) -> None:
         """Print ``data`` as one JSON object where that is asked for, ``nan``: which may hold NaN; else ``show`` it."""

@@ -90,11 +90,15 @@ def map_os_errors(failure: type[Exception], path: Path | str) -> Iterator[None]:
         raise failure(f"{path}: {one_line(error)}") from error
 
 
-def check_results_folder(folder: Path, record: str, *files: str) -> None:
-    """Raise InputError where ``folder`` holds one of ``files``, or ``record``, that no earlier call left there.
+def check_results_folder(out: Path | str | None, record: str, *files: str) -> None:
+    """Raise InputError where the folder ``out`` holds one of ``files``, or ``record``, that no earlier call left there.
 
-    And where ``folder`` is a file.  An earlier call is told by its ``record``; one in JSON must be an object.
+    And where ``out`` is a file.  An earlier call is told by its ``record``; one in JSON must be an object.  None: no
+    results are written.
     """
+    if out is None:
+        return
+    folder = Path(out)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; name a folder with --out")
     present = [name for name in (*files, record) if os.path.lexists(folder / name)]
