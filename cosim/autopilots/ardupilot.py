@@ -46,9 +46,8 @@ from cosim.spec.vehicle import Vehicle
 
 PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10
 # Its estimator takes to GNSS some 44 s after its start, and only then has a level and a place: 60 s chosen by us.  It
-# holds its motors for 2 s
-# (ARMING_DELAY_SEC) after it was armed, and lets them go within 1 s (twice MOT_SPOOL_TIME) once throttle is raised.
-# Full stick: ANGLE_MAX, and PILOT_Y_RATE as it ships.
+# holds its motors for 2 s (ARMING_DELAY_SEC) after it was armed, and lets them go within 1 s (twice MOT_SPOOL_TIME)
+# once throttle is raised.  Full stick: ANGLE_MAX, and PILOT_Y_RATE as it ships.
 HANDLING = StartTiming(before_s=60.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0, turns_target=True)
 HOVER = 0.35  # default of MOT_THST_HOVER; ArduPilot learns it in modes that hold the height, not in Stabilize
 _SERIALS = (0, 1, 2, 5, 6, 7, 8)  # serial ports that are TCP ports by default; 3 and 4 are the simulated GNSS receivers
@@ -141,7 +140,7 @@ class ArduPilot(Sitl):
         log = self._folder / "ardupilot.log"
         if self._binary is not None:
             # it would not say that it hears no sticks
-            listen(socket.SOCK_DGRAM, self.sticks_port, self.name, "--instance").close()
+            listen(socket.SOCK_DGRAM, self.sticks_port, self.name, self.port_option).close()
             self._program = Program(self._command(), self._folder, log, {})
         timer = AnswerTimer(self.name, _START_S, self._program, f"sent nothing to port {port}")
         while self._peer is None:

@@ -172,6 +172,7 @@ class Betaflight(Sitl):
     """
 
     name = "betaflight"
+    port_option = "--port"
 
     def __init__(
         self,

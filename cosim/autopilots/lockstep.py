@@ -201,7 +201,7 @@ def check_program(path: Path, where: str) -> Path:
     return path.absolute()
 
 
-def listen(kind: socket.SocketKind, port: int, what: str, option: str = "--port") -> socket.socket:
+def listen(kind: socket.SocketKind, port: int, what: str, option: str) -> socket.socket:
     """Return a loopback socket at a port, with a time-out for datagrams.
 
     Raises InputError where it is taken; ``option`` states another.
@@ -267,6 +267,7 @@ class Sitl:
     """Common state of the autopilots that run as programs: counts, program, sockets, and the vehicle's outputs."""
 
     name: ClassVar[str]
+    port_option: ClassVar[str] = "--instance"  # that states another port
     log_pattern: ClassVar[str] = ""  # of its own logs in its folder; empty: none is read
     patience_s = 0.0  # that it has to end by itself once it is asked to
 
@@ -294,7 +295,7 @@ class Sitl:
         """Make its folder, and return a socket that listens at a port of this machine.  Raises InputError."""
         self._folder.mkdir(parents=True, exist_ok=True)
         self._earlier_logs = self._find_logs()
-        return self._own(listen(kind, port, self.name, "--instance"))
+        return self._own(listen(kind, port, self.name, self.port_option))
 
     def _describe_start(self, error: FlightError, log: Path, title: str) -> FlightError:
         """Return why it did not begin: with what it printed last, and whether it is the right program at all."""

@@ -20,7 +20,6 @@ from cosim.autopilots.betaflight import (
     make_gain_settings,
     make_mixer_settings,
 )
-from cosim.autopilots.lockstep import listen
 from cosim.base.errors import InputError
 from cosim.spec.vehicle import Vehicle, load_vehicle
 
@@ -96,11 +95,15 @@ def test_the_program_is_named_where_its_version_is_asked_for(tmp_path: Path) -> 
     one.close()
 
 
-def test_a_busy_port_is_named() -> None:
+def test_a_busy_port_is_named(tmp_path: Path) -> None:
+    """With the option by which this autopilot's command takes another."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
         held.bind(("127.0.0.1", 0))
-        with pytest.raises(InputError, match=rf"port {held.getsockname()[1]} is in use"):
-            listen(socket.SOCK_DGRAM, held.getsockname()[1], "betaflight")
+        port = held.getsockname()[1]
+        one = Betaflight(tmp_path / "any", tmp_path, vehicle("hexjet"), 0.004, port=port)
+        with pytest.raises(InputError, match=rf"betaflight: port {port} is in use; .*\(--port\)"):
+            one.start()
+        one.close()
 
 
 def test_what_is_no_program_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
