@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf, pi
+from math import inf
 
 from cosim.autopilots.lockstep import StickPositions
 from cosim.base.errors import FlightError
@@ -11,6 +11,7 @@ from cosim.base.limits import clip
 from cosim.base.signals import Command, Measured, PerJet, Unallocated
 from cosim.control.allocation.thrust_map import ThrustMap
 from cosim.control.altitude import AltitudeController
+from cosim.control.autopilot.geometry import wrap
 from cosim.control.belief import Belief
 
 # Chosen by us: a vehicle commanded below the ground that has been this still for this long has landed.
@@ -20,10 +21,6 @@ STILL_SPEED, STILL_TIME = 0.1, 1.0
 CLIMB, LET_GO = 3.0, 0.1
 
 TARGET_TIME = 5.0  # s in which a pilot sees that the autopilot holds another heading
-
-
-def _wrap(angle: float) -> float:
-    return (angle + pi) % (2.0 * pi) - pi
 
 
 def find_hover_throttle(belief: Belief) -> float:
@@ -102,11 +99,11 @@ class StickPilot:
     def _turn_stick(self, yaw: float, heading: float) -> float:
         """Return the yaw stick for a commanded heading [rad] at a measured one."""
         if not self._turns_target:
-            return self._heading * _wrap(yaw - heading) / self._turn
+            return self._heading * wrap(yaw - heading) / self._turn
         target = heading if self._target is None else self._target
-        stick = clip(self._heading * _wrap(yaw - target) / self._turn, -1.0, 1.0)
+        stick = clip(self._heading * wrap(yaw - target) / self._turn, -1.0, 1.0)
         # what is held may be another than what is believed to be: the vehicle's heading tells, slowly
-        self._target = target + self._step * (stick * self._turn + _wrap(heading - target) / TARGET_TIME)
+        self._target = target + self._step * (stick * self._turn + wrap(heading - target) / TARGET_TIME)
         return stick
 
     def _landed(self, height: float, down: float) -> bool:
