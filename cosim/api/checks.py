@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Limits, Result, Table, checked
+from cosim.api.call import FolderResult, Limits, Result, Table, checked
 from cosim.api.call.choices import as_settings
 from cosim.base.trust import mention
-from cosim.base.wording import says_arguments
 
 if TYPE_CHECKING:
     from cosim.campaign.surveys.aircraft_check import AircraftCheck
@@ -19,8 +18,10 @@ if TYPE_CHECKING:
 CHECK = ("check.json", "report.html")
 
 
-class EngineCheckResult(Result):
+class EngineCheckResult(FolderResult):
     """Whether an FMU is fit to be an engine, and how it answers its throttle.
+
+    ``write`` leaves ``check.json`` and ``report.html``.
 
     Attributes
     ----------
@@ -37,30 +38,11 @@ class EngineCheckResult(Result):
         """Whether no problem was found."""
         return self.check.ok
 
-    @says_arguments
-    def write(self, folder: Path | str) -> EngineCheckResult:
-        """Write ``check.json`` and ``report.html``.
-
-        Parameters
-        ----------
-        folder : Path or str
-            Made if need be.
-
-        Returns
-        -------
-        EngineCheckResult
-            This one, which has the files now.
-
-        Raises
-        ------
-        FlightError
-            If a file cannot be written.
-        """
+    def _write(self, folder: Path) -> dict[str, Path]:
         from cosim.results.report.engine_check import write_check
 
-        page = write_check(self.check, Path(folder))
-        self.files = {"report": page, "json": page.with_name(CHECK[0])}
-        return self
+        page = write_check(self.check, folder)
+        return {"report": page, "json": page.with_name(CHECK[0])}
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet fmu check --json`` prints."""

@@ -7,11 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.call import Limits, Result, Table, checked
+from cosim.api.call import FolderResult, Limits, Table, checked
 from cosim.api.call.choices import as_settings
 from cosim.base.errors import InputError
 from cosim.base.trust import mention
-from cosim.base.wording import says_arguments
 
 if TYPE_CHECKING:
     from cosim.identify.bench import BenchIdentification, BenchRecord
@@ -23,8 +22,10 @@ BOUNDS = "with 95 % bounds"
 Subject = Literal["roll", "pitch", "yaw", "engine"]
 
 
-class IdentifyResult(Result):
+class IdentifyResult(FolderResult):
     """A response, and the models fitted to it.
+
+    ``write`` leaves ``identification.json``, ``response.csv``, ``report.html`` and, of an axis, ``model.toml``.
 
     Attributes
     ----------
@@ -46,31 +47,10 @@ class IdentifyResult(Result):
         """The first of the models, in discrete time."""
         return self.identification.model
 
-    @says_arguments
-    def write(self, folder: Path | str) -> IdentifyResult:
-        """Write ``identification.json``, ``response.csv``, ``report.html`` and, of an axis, ``model.toml``.
-
-        Parameters
-        ----------
-        folder : Path or str
-            Made if need be.
-
-        Returns
-        -------
-        IdentifyResult
-            This one, which has the files now.
-
-        Raises
-        ------
-        InputError
-            For somebody else's files of these names.
-        FlightError
-            If a file cannot be written.
-        """
+    def _write(self, folder: Path) -> dict[str, Path]:
         from cosim.identify.sweep import write
 
-        self.files = write(self.identification, Path(folder))
-        return self
+        return write(self.identification, folder)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet identify --json`` prints."""
@@ -198,8 +178,10 @@ def identify(
     return result if out is None else result.write(out)
 
 
-class BenchIdentifyResult(Result):
+class BenchIdentifyResult(FolderResult):
     """An engine from its bench logs.
+
+    ``write`` leaves ``identification.json``, ``report.html`` and, where there is one, an engine with its uncertainty.
 
     Attributes
     ----------
@@ -219,35 +201,13 @@ class BenchIdentifyResult(Result):
         found = self.identification
         return not found.refused if isinstance(found, BenchIdentification) else found.leaves_engine
 
-    @says_arguments
-    def write(self, folder: Path | str) -> BenchIdentifyResult:
-        """Write ``identification.json``, ``report.html`` and, where there is one, an engine with its uncertainty.
-
-        Parameters
-        ----------
-        folder : Path or str
-            Made if need be.
-
-        Returns
-        -------
-        BenchIdentifyResult
-            This one, which has the files now.
-
-        Raises
-        ------
-        InputError
-            For somebody else's files of these names.
-        FlightError
-            If a file cannot be written.
-        """
+    def _write(self, folder: Path) -> dict[str, Path]:
         from cosim.identify.bench import BenchIdentification, grey_box_result, result
 
-        found, path = self.identification, Path(folder)
+        found = self.identification
         if isinstance(found, BenchIdentification):
-            self.files = result.write(found, path)
-        else:
-            self.files = grey_box_result.write(found, path)
-        return self
+            return result.write(found, folder)
+        return grey_box_result.write(found, folder)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet identify bench --json`` prints."""

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.call import Limits, Result, Table, checked
+from cosim.api.call import FolderResult, Limits, Table, checked
 from cosim.base.errors import InputError
-from cosim.base.wording import says_arguments
 
 if TYPE_CHECKING:
     from cosim.identify.logs import FlightLog, LogSignals
@@ -20,8 +19,10 @@ BOUNDS = "with 95 % bounds"
 FAMILY = "edf-as-flown"  # under which the model of an axis is filed where nothing says whose it is
 
 
-class LogIdentifyResult(Result):
+class LogIdentifyResult(FolderResult):
     """A model from the log of a flight.
+
+    ``write`` leaves ``identification.json``, ``report.html`` and, of an axis, ``model.toml``, of a thrust an engine.
 
     Attributes
     ----------
@@ -34,31 +35,10 @@ class LogIdentifyResult(Result):
         self.files = {}
         self._step_s, self._family = step_s, family
 
-    @says_arguments
-    def write(self, folder: Path | str) -> LogIdentifyResult:
-        """Write ``identification.json``, ``report.html`` and, of an axis, ``model.toml``, of a thrust an engine.
-
-        Parameters
-        ----------
-        folder : Path or str
-            Made if need be.
-
-        Returns
-        -------
-        LogIdentifyResult
-            This one, which has the files now.
-
-        Raises
-        ------
-        InputError
-            For somebody else's files of these names.
-        FlightError
-            If a file cannot be written.
-        """
+    def _write(self, folder: Path) -> dict[str, Path]:
         from cosim.identify.prediction_error.result import write
 
-        self.files = write(self.identification, Path(folder), self._step_s, self._family)
-        return self
+        return write(self.identification, folder, self._step_s, self._family)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet identify log --json`` prints."""
@@ -197,8 +177,10 @@ def _signals_of(
     return signals._replace(setpoint=setpoint or signals.setpoint)
 
 
-class ValidateResult(Result):
+class ValidateResult(FolderResult):
     """How well a model answers the commands of a log.
+
+    ``write`` leaves ``validation.json`` and ``report.html``.
 
     Attributes
     ----------
@@ -215,29 +197,10 @@ class ValidateResult(Result):
         """``explained``, ``not explained`` or ``not told``: whether gain and delay, fitted anew, are the model's."""
         return self.validation.judgement.verdict
 
-    @says_arguments
-    def write(self, folder: Path | str) -> ValidateResult:
-        """Write ``validation.json`` and ``report.html``.
-
-        Parameters
-        ----------
-        folder : Path or str
-            Made if need be.
-
-        Returns
-        -------
-        ValidateResult
-            This one, which has the files now.
-
-        Raises
-        ------
-        FlightError
-            If a file cannot be written.
-        """
+    def _write(self, folder: Path) -> dict[str, Path]:
         from cosim.identify.prediction_error.validate import write
 
-        self.files = write(self.validation, Path(folder))
-        return self
+        return write(self.validation, folder)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet validate --json`` prints."""

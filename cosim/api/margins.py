@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Limits, Progress, Result, Table, checked
+from cosim.api.call import FolderResult, Limits, Progress, Table, checked
 from cosim.api.call.choices import choose
 from cosim.base.signals import AXES
-from cosim.base.wording import says_arguments
 from cosim.spec.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -18,8 +17,10 @@ if TYPE_CHECKING:
 WRITTEN = ("margins.json", "response.csv", "report.html")
 
 
-class MarginsResult(Result):
+class MarginsResult(FolderResult):
     """The margins of one controller on one vehicle.
+
+    ``write`` leaves ``margins.json``, ``response.csv`` and ``report.html``.
 
     Attributes
     ----------
@@ -36,29 +37,10 @@ class MarginsResult(Result):
         """By axis: ``axes["roll"].response.margins["phase_deg"]`` has ``value``, ``low`` and ``high``, where told."""
         return self.measured.axes
 
-    @says_arguments
-    def write(self, folder: Path | str) -> MarginsResult:
-        """Write ``margins.json``, ``response.csv`` and ``report.html``.
-
-        Parameters
-        ----------
-        folder : Path or str
-            Made if need be.
-
-        Returns
-        -------
-        MarginsResult
-            This one, which has the files now.
-
-        Raises
-        ------
-        FlightError
-            If a file cannot be written.
-        """
+    def _write(self, folder: Path) -> dict[str, Path]:
         from cosim.design.measured import write
 
-        self.files = write(self.measured, Path(folder))
-        return self
+        return write(self.measured, folder)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet margins --json`` prints."""

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Limits, Progress, Result, Table, checked
+from cosim.api.call import FolderResult, Limits, Progress, Table, checked
 from cosim.api.call.choices import choose
 from cosim.base.errors import InputError
-from cosim.base.wording import says_arguments
 from cosim.spec.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -19,8 +18,10 @@ WRITTEN = ("replay.json", "replay.csv", "report.html")
 CHANNEL_COLUMNS = ("channel", "within", "error rms", "movement", "Theil's U", "bias / var / cov %", "told")
 
 
-class ReplayResult(Result):
+class ReplayResult(FolderResult):
     """What a recorded flight says of the model.
+
+    ``write`` leaves ``replay.json``, ``replay.csv`` and ``report.html``.
 
     Attributes
     ----------
@@ -37,29 +38,10 @@ class ReplayResult(Result):
         """Whether the model explains the flight."""
         return self.replayed.verdict == "explained"
 
-    @says_arguments
-    def write(self, folder: Path | str) -> ReplayResult:
-        """Write ``replay.json``, ``replay.csv`` and ``report.html``.
-
-        Parameters
-        ----------
-        folder : Path or str
-            Made if need be.
-
-        Returns
-        -------
-        ReplayResult
-            This one, which has the files now.
-
-        Raises
-        ------
-        FlightError
-            If a file cannot be written.
-        """
+    def _write(self, folder: Path) -> dict[str, Path]:
         from cosim.identify.replay.page import write
 
-        self.files = write(self.replayed, Path(folder))
-        return self
+        return write(self.replayed, folder)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet replay --json`` prints."""

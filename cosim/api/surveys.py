@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Limits, Progress, Result, Table, checked
+from cosim.api.call import FolderResult, Limits, Progress, Table, checked
 from cosim.base.trust import mention
-from cosim.base.wording import says_arguments
 
 if TYPE_CHECKING:
     from cosim.campaign.surveys.engine_out import EngineOut
@@ -20,8 +19,10 @@ AIRBORNE = ("failsafe", "wind, m/s", "moving, m/s", "ended", "down, m/s", "sidew
 WORKERS = Limits(1, 64)
 
 
-class FaultsResult(Result):
+class FaultsResult(FolderResult):
     """Which single faults a vehicle survives, with which controller.
+
+    ``write`` leaves ``survival.csv``, ``survival.html`` and every flight as a scenario in ``cases``.
 
     Attributes
     ----------
@@ -33,29 +34,10 @@ class FaultsResult(Result):
         self.survival = survival
         self.files = {}
 
-    @says_arguments
-    def write(self, folder: Path | str) -> FaultsResult:
-        """Write ``survival.csv``, ``survival.html`` and every flight as a scenario in ``cases``.
-
-        Parameters
-        ----------
-        folder : Path or str
-            Made if need be.
-
-        Returns
-        -------
-        FaultsResult
-            This one, which has the files now.
-
-        Raises
-        ------
-        FlightError
-            If a file cannot be written.
-        """
+    def _write(self, folder: Path) -> dict[str, Path]:
         from cosim.campaign.surveys.fault_page import write
 
-        self.files = write(self.survival, Path(folder))
-        return self
+        return write(self.survival, folder)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet faults --json`` prints."""
@@ -161,8 +143,10 @@ def faults(
     return result if out is None else result.write(out)
 
 
-class EngineOutResult(Result):
+class EngineOutResult(FolderResult):
     """What becomes of vehicles with one engine out.
+
+    ``write`` leaves ``engine-out.csv``.
 
     Attributes
     ----------
@@ -174,29 +158,10 @@ class EngineOutResult(Result):
         self.engine_out = engine_out
         self.files = {}
 
-    @says_arguments
-    def write(self, folder: Path | str) -> EngineOutResult:
-        """Write ``engine-out.csv``.
-
-        Parameters
-        ----------
-        folder : Path or str
-            Made if need be.
-
-        Returns
-        -------
-        EngineOutResult
-            This one, which has the file now.
-
-        Raises
-        ------
-        FlightError
-            If the file cannot be written.
-        """
+    def _write(self, folder: Path) -> dict[str, Path]:
         from cosim.campaign.surveys.engine_out import write
 
-        self.files = {"table": write(self.engine_out, Path(folder))}
-        return self
+        return {"table": write(self.engine_out, folder)}
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet faults --engine-out --json`` prints."""
@@ -269,8 +234,10 @@ def engine_out(
     return result if out is None else result.write(out)
 
 
-class FailsafesResult(Result):
+class FailsafesResult(FolderResult):
     """How flights end after what an autopilot has an answer to.
+
+    ``write`` leaves ``failsafes.csv``, and every flight as a scenario in ``flights``.
 
     Attributes
     ----------
@@ -282,29 +249,10 @@ class FailsafesResult(Result):
         self.survey = survey
         self.files = {}
 
-    @says_arguments
-    def write(self, folder: Path | str) -> FailsafesResult:
-        """Write ``failsafes.csv``, and every flight as a scenario in ``flights``.
-
-        Parameters
-        ----------
-        folder : Path or str
-            Made if need be.
-
-        Returns
-        -------
-        FailsafesResult
-            This one, which has the file now.
-
-        Raises
-        ------
-        FlightError
-            If a file cannot be written.
-        """
+    def _write(self, folder: Path) -> dict[str, Path]:
         from cosim.campaign.surveys.failsafe_table import write
 
-        self.files = {"table": write(self.survey, Path(folder))}
-        return self
+        return {"table": write(self.survey, folder)}
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet failsafes --json`` prints."""

@@ -1,6 +1,6 @@
 """What calls share: arguments that are checked, a hearer of progress, and a result that shows itself."""
 
 from cosim.api.call.arguments import Limits, checked
-from cosim.api.call.result import Progress, Result, Table
+from cosim.api.call.result import FolderResult, Progress, Result, Table
 
-__all__ = ["Limits", "Progress", "Result", "Table", "checked"]
+__all__ = ["FolderResult", "Limits", "Progress", "Result", "Table", "checked"]

@@ -5,9 +5,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from cosim.base.errors import Notice
+from cosim.base.wording import says_arguments
 
 
 class Progress:
@@ -151,3 +152,33 @@ class Result:
         if self.report is not None:
             parts.append(f'<p>report: <a href="{escape(self.report.as_posix())}">{escape(str(self.report))}</a></p>')
         return "".join(parts)
+
+
+class FolderResult(Result):
+    """What a call came to, with files that go into one folder."""
+
+    @says_arguments
+    def write(self, folder: Path | str) -> Self:
+        """Write its files.
+
+        Parameters
+        ----------
+        folder : Path or str
+            Made if need be.
+
+        Returns
+        -------
+        FolderResult
+            This one, which has the files now.
+
+        Raises
+        ------
+        InputError or FlightError
+            If a file cannot be written; of an identification the first for somebody else's files of these names.
+        """
+        self.files = self._write(Path(folder))
+        return self
+
+    def _write(self, folder: Path) -> dict[str, Path]:
+        """Write the files and return them by kind."""
+        raise NotImplementedError
