@@ -298,6 +298,8 @@ def _read_start(
 ) -> dict[str, dict[float, Tuning]]:
     """Return the tunings of a controller file from which a search goes on: by axis, then by fraction of fuel."""
     file = read_controller(start, aircraft)
+    if file.controller == LAW:
+        raise InputError(f"{start}: is of controller {LAW!r}, whose search begins at the limit: leave --start out")
     changes = merge(file.vehicle, {"mass_kg": vehicle.mass_kg})
     designed, _ = load_vehicle(aircraft, changes, f"{start}: vehicle")
     tunings: dict[str, dict[float, Tuning]] = {}

@@ -160,6 +160,13 @@ def test_what_it_is_not_for_is_refused(arguments: dict[str, object], said: str) 
         designs.design(controller="optimal", **arguments)  # type: ignore[arg-type]
 
 
+def test_no_search_of_gains_begins_at_its_file(file: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"optimal\.toml: is of controller 'optimal', whose search begins at the limit"
+    ):
+        designs.design("edf-as-flown", start=file)
+
+
 @pytest.mark.long
 def test_the_page_ends_with_how_many_times_the_limit_it_is() -> None:
     limited = add_limits(replace(designed()))
