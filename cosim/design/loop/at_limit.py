@@ -80,7 +80,6 @@ class _Search:
         self.points = FrequencyGrid(channel, close=CLOSE)
         # a delay between two steps is the nearest whole one to the law
         self.believed = model.model_copy(update={"delay_samples": float(round(model.delay_samples))})
-        self.flat = replace(channel, added_delay=0)
         self.delay = low_frequency_delay(model)
         self.corners = [FrequencyGrid(corner, close=ROUGH) for corner in _late_corners(channel, need)]
 
@@ -135,7 +134,7 @@ class _Search:
         wide = need.delay_samples(self.channel.transport_samples)
         for _ in range(TURNS):
             try:
-                low = reduce_limit(self.flat, self.believed, bounds, lag, pairs, rounds=0, frequencies=COARSE)
+                low = reduce_limit(self.channel, self.believed, bounds, lag, pairs, rounds=0, frequencies=COARSE)
                 tuning = self.tuning(low.target)
             except InputError:
                 return None

@@ -78,7 +78,7 @@ def reduce_limit(
     channel : Channel
         Whose noise is counted.
     model : RateModel
-        What the controller believes of it.
+        What the controller believes of it, with the delay that it adds itself.
     bounds : Bounds
         What is kept by the loop of the model.
     lag_s : float
@@ -96,7 +96,7 @@ def reduce_limit(
         Where the solver is not installed, or no such poles keep the bounds.
     """
     need_solver()
-    identified = replace(channel, identified=model)
+    identified = replace(channel, identified=model, added_delay=0)  # the model has it
     delay, step = identified.slowness_s, channel.step
     plant = Plant(identified, round(window_s(identified) / step))
     longest = plant.length - len(plant.kept) + 1

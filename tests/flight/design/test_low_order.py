@@ -12,6 +12,7 @@ from optimal_block import Behind
 from places import script
 
 from cosim.base.errors import InputError
+from cosim.design.assessment import predictor_model
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.limit import Bounds, find_limit
 from cosim.design.loop.low_order import START, LowOrder, free_weights, reduce_limit
@@ -53,6 +54,16 @@ def test_a_low_order_keeps_the_bounds_in_the_loop_and_is_near_the_limit() -> Non
         assert peak <= 2.001 * BOUNDS.peak_sensitivity
     least = find_limit(roll(), BOUNDS._replace(step_error=1.001 * low.loop.step_error)).load_error
     assert least < low.loop.load_error < 1.3 * least
+
+
+def test_a_delay_that_the_controller_adds_counts_once() -> None:
+    late = replace(roll(), added_delay=2)
+    low = reduce_limit(late, predictor_model(late, "exact"), BOUNDS, LAG_S, rounds=0)
+    same = roll().with_delay(roll().actuator_delay + 2.0)
+    block = Behind(same, low.target)
+    loop = script("law_loop").LawLoop(same, block, block.attitude)
+    assert loop.load_error == pytest.approx(low.loop.load_error, rel=1e-4)
+    assert loop.peak_sensitivity == pytest.approx(low.loop.peak_sensitivity, rel=1e-4)
 
 
 def test_a_search_of_poles_only_lowers_the_load_error() -> None:
