@@ -20,7 +20,7 @@ from cosim.identify.bench.evidence import (
     predict_held_back,
     test_residuals,
 )
-from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, make_part
+from cosim.identify.bench.fit import Estimate, Form, Part, Problem, bound_delay, fit, make_part
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
 from cosim.identify.engine_file import DEVIATIONS_95
@@ -321,18 +321,24 @@ def _widen(problem: Problem, estimate: Estimate, deviation: float) -> Estimate:
     return replace(estimate, covariance=covariance, delay_bounds=(low, high) if np.isinf(deviation) else bounds)
 
 
+def _fit_alone(problem: Problem, parts: Sequence[Part], chosen: Estimate) -> list[tuple[str, Array, Array]]:
+    """Fit a form to each part alone: of each parameter, the gain last, its name, values and standard deviations."""
+    fits = [fit(Problem([part], problem.longest_delay, problem.drift), chosen.form, chosen) for part in parts]
+    values = np.array([[*one.x, one.gain] for one in fits]).T
+    return [
+        (name, values[i], np.array([one.deviation(i) for one in fits]))
+        for i, name in enumerate((*chosen.form.names, "gain"))
+    ]
+
+
 def _compare_logs(
     problem: Problem, chosen: Estimate, records: Sequence[BenchRecord]
 ) -> tuple[dict[str, float], list[str]]:
     """Return how far several logs of one engine are apart, and what is to be said of that."""
     if len(problem.parts) < 2:
         return {}, []
-    names = (*chosen.form.names, "gain")
-    alone = [fit(Problem([part], problem.longest_delay, problem.drift), chosen.form, chosen) for part in problem.parts]
     spread, doubts = {}, []
-    for i, name in enumerate(names):
-        values = np.array([one.gain if name == "gain" else one.x[i] for one in alone])
-        deviations = np.array([one.deviation(i) for one in alone])
+    for name, values, deviations in _fit_alone(problem, problem.parts, chosen):
         more = float(np.var(values, ddof=1) - np.mean(deviations**2))
         spread[name] = float(np.sqrt(max(more, 0.0)))
         order = np.argsort(values)
@@ -352,31 +358,29 @@ def _hold_both_halves(problem: Problem, chosen: Estimate) -> tuple[Estimate, lis
     """
     if len(problem.parts) != 1:
         return chosen, []
-    (part,), names = problem.parts, (*chosen.form.names, "gain")
+    (part,), count = problem.parts, len(chosen.form.names) + 1
     moved = part.command_times[1:][np.diff(part.command) != 0.0]
     middle = float(np.median(moved)) if len(moved) else part.times[0]
     sides = [part.chosen(part.times < middle), part.chosen(part.times >= middle)]
-    if not all(len(side.times) > 10 * len(names) and np.ptp(side.output) > 0.0 for side in sides) or len(moved) < 4:
+    if not all(len(side.times) > 10 * count and np.ptp(side.output) > 0.0 for side in sides) or len(moved) < 4:
         return chosen, []
-    halves = [fit(Problem([side], problem.longest_delay, problem.drift), chosen.form, chosen) for side in sides]
-    values = np.array([[*half.x[: len(names) - 1], half.gain] for half in halves])
-    deviations = np.array([[half.deviation(i) for i in range(len(names))] for half in halves])
-    apart = np.abs(values[1] - values[0]) > HALVES_APART * np.hypot(*deviations)
-    if not apart.any():
-        return chosen, []
-    said = " and ".join(
+    halves = _fit_alone(problem, sides, chosen)
+    apart = [
         f"{name} {first:.4g} and {second:.4g}"
-        for name, first, second, far in zip(names, *values, apart, strict=True)
-        if far
-    )
-    covariance, count = chosen.covariance.copy(), len(names)
-    covariance[np.arange(count), np.arange(count)] += (values[1] - values[0]) ** 2
-    low = min(chosen.delay_bounds[0], *(values[:, 0] - DEVIATIONS_95 * deviations[:, 0]))
-    high = max(chosen.delay_bounds[1], *(values[:, 0] + DEVIATIONS_95 * deviations[:, 0]))
+        for name, (first, second), deviations in halves
+        if abs(second - first) > HALVES_APART * float(np.hypot(*deviations))
+    ]
+    if not apart:
+        return chosen, []
+    covariance = chosen.covariance.copy()
+    covariance[np.arange(count), np.arange(count)] += [(second - first) ** 2 for _, (first, second), _ in halves]
+    _, delays, deviations = halves[0]
+    low = min(chosen.delay_bounds[0], *(delays - DEVIATIONS_95 * deviations))
+    high = max(chosen.delay_bounds[1], *(delays + DEVIATIONS_95 * deviations))
     bounds = max(float(low), 0.0), min(float(high), problem.longest_delay)
     return replace(chosen, covariance=covariance, delay_bounds=bounds), [
-        f"the log's halves, before {middle:.0f} s and after, differ by more than noise: {said}; two engines, an engine "
-        "that changed, or a clock that does; the bounds hold both"
+        f"the log's halves, before {middle:.0f} s and after, differ by more than noise: {' and '.join(apart)}; two "
+        "engines, an engine that changed, or a clock that does; the bounds hold both"
     ]
 
 
