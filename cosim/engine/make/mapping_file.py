@@ -18,7 +18,6 @@ from cosim.engine.fmu.variables import Variable
 from cosim.engine.make.controller_fmu import is_controller
 
 _COLUMN = 32  # at which comments begin
-_FREE = ("ram_drag", "force_forward", "force_right", "torque")  # never looked for
 _HEAD = """\
 # Ports of {fmu}, begun by hexjet fmu map. A line behind "# OPEN" is to be stated; others hold unless you change them.
 # All that a mapping file may say: docs/own-engine.md. It takes the FMU's place: --engine {file}
