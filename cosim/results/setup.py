@@ -10,7 +10,7 @@ from cosim.base.runtime import kernels
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
 from cosim.results.expectations import allowed_metric_names, find_expectation
-from cosim.results.limits import make_limit_inputs, note_small_steps
+from cosim.results.limits import LimitInputs, make_limit_inputs, note_small_steps
 from cosim.results.metrics import Reach
 from cosim.results.requirements.signals import event_times
 from cosim.results.requirements.stated import check_signals, stated_requirements
@@ -54,6 +54,7 @@ def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -
                          changed=tuple(parameter.changed))
         for parameter, copy in zip(files, resolved.parameter_files, strict=True)
     ]  # fmt: skip
+    yardstick = make_limit_inputs(scenario, simulation.vehicle)
     model = simulation.vehicle.model or f"{simulation.vehicle.name}.xml"
     model = Path(model).name if is_aircraft_path(scenario.aircraft) else model
     return Setup(
@@ -83,11 +84,11 @@ def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -
         jets_m=[jet.position_m for jet in simulation.vehicle.jets],
         delay_ledger=[DelayRow(**vars(row)) for row in simulation.ledger],
         reach=find_reach(simulation),
-        yardstick=make_limit_inputs(scenario, simulation.vehicle),
+        yardstick=yardstick,
         expectation=find_expectation(scenario),
         requires=stated_requirements(scenario),
         event_times_s=event_times(scenario) if scenario.require else {},
-        notes=_notes(simulation, files) if notes else [],
+        notes=_notes(simulation, files, yardstick) if notes else [],
         versions=versions(),
         blas_kernels=kernels.find_kernels(),
         sha256={
@@ -106,13 +107,13 @@ def make_setup(simulation: Simulation, resolved: Scenario, notes: bool = True) -
     ).retitled()
 
 
-def _notes(simulation: Simulation, flown: Sequence[FlownParameters]) -> list[str]:
+def _notes(simulation: Simulation, flown: Sequence[FlownParameters], yardstick: LimitInputs) -> list[str]:
     scenario, vehicle = simulation.scenario, simulation.vehicle
     return [
         *list_design_notes(flown, simulation.engine),
         *list_model_notes(scenario, vehicle, simulation.engine),
         *note_settings_without_effect(scenario, vehicle, simulation.stations),
-        *note_small_steps(scenario, make_limit_inputs(scenario, vehicle)),
+        *note_small_steps(scenario, yardstick),
         *note_few_substeps(scenario),
     ]
 

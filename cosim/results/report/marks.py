@@ -47,7 +47,7 @@ def page_parts(path: Path) -> dict[str, str]:
 
     Raises InputError if one of them cannot be read, or its marks do not come in pairs or have a name twice.
     """
-    return {name: text for parts in _by_page(path).values() for name, text in parts.items()}
+    return _merged(_by_page(path))
 
 
 def check_marks(path: Path, names: Iterable[str]) -> None:
@@ -56,7 +56,7 @@ def check_marks(path: Path, names: Iterable[str]) -> None:
     Raises InputError where this is not so.
     """
     pages = _by_page(path)
-    _refuse_unknown(path, names, page_parts(path))
+    _refuse_unknown(path, names, _merged(pages))
     for page in pages:
         if not os.access(page, os.W_OK):
             raise InputError(f"{page}: cannot be written to")
@@ -68,8 +68,9 @@ def write_marks(path: Path, parts: Mapping[str, str]) -> None:
     Raises InputError for marks that do not come in pairs, for a part that has no mark, and if a file cannot be
     written.
     """
-    _refuse_unknown(path, parts, page_parts(path))
-    for page, marked in _by_page(path).items():
+    pages = _by_page(path)
+    _refuse_unknown(path, parts, _merged(pages))
+    for page, marked in pages.items():
         new = {name: text for name, text in parts.items() if name in marked}
         if new or page == path:
             write_whole(page, filled(read_text(page), new, page), InputError)
@@ -85,6 +86,10 @@ def _by_page(path: Path) -> dict[Path, dict[str, str]]:
             raise InputError(f"{page}: its mark <!-- measured: {twice[0]} --> stands on {path} too")
         found[page] = parts
     return found
+
+
+def _merged(pages: Mapping[Path, Mapping[str, str]]) -> dict[str, str]:
+    return {name: text for parts in pages.values() for name, text in parts.items()}
 
 
 def _refuse_unknown(path: Path, names: Iterable[str], marked: Mapping[str, str]) -> None:
