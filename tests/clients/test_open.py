@@ -47,7 +47,7 @@ def test_by_keyboard(runs: int, tmp_path: Path, browser: Any) -> None:
         assert page.locator("[role=row]").count() < 80  # those in sight alone
         page.set_viewport_size(
             {"width": 390, "height": 700}
-        )  # a phone: three lines a run, and nothing beside the screen
+        )  # a phone: some lines a run, and nothing beside the screen
         page.wait_for_selector("body.slim")
         first = page.locator("#row0").inner_text()
         assert all(word in first for word in ("run-", "2026-01-", "roll.rmse_deg", "as planned"))
