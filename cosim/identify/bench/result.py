@@ -71,10 +71,8 @@ def write(result: BenchIdentification, folder: Path) -> dict[str, Path]:
 def page(result: BenchIdentification) -> Page:
     """Return the page of an identification."""
     held = describe_held(result) or "nothing could be held back to test it"
-    left_over = (
-        f"Left over: {result.residual_rms:.3g} (rms); {held}. Of that {100.0 * result.misfit.share:.2g} % follow the "
-        f"command (p {result.misfit.p:.2g})."
-    )
+    size, share = result.judgement.evidence
+    left_over = f"{size[0].upper()}{size[1:]}, {share}. {held[0].upper()}{held[1:]}."
     columns = ["with 95 % bounds", *(estimate.form.label for estimate in result.estimates)]
     untold = result.untold or ("delay, lags, gain and curve within its range are told",)
     cards = [
