@@ -1,4 +1,4 @@
-"""Flies other people's autopilots, as programs that you name, and writes docs/tables/autopilots.md.
+"""Flies other people's autopilots, as programs that you name, and writes docs/autopilots.md and its data page.
 
     python docs/autopilots.py --px4 px4_sitl_default/bin/px4 --ardupilot build/sitl/bin/arducopter --betaflight
         [--px4-inside PROGRAM] [--betaflight-inside PROGRAM] [--ardupilot-inside PROGRAM] [--px4-campaign FOLDER]
@@ -6,8 +6,8 @@
 
 ``--X-inside``: the same autopilot built with an exported predictor in the place of its rate loop.  Of an autopilot that
 is not named, the table stays as it is.  What is in the folder is taken up and not flown again: after a change of the
-program take another folder.  What is said of one flight goes to docs/autopilots.md.  Each flight is flown a second time
-from its record, without the autopilot, and compared bit for bit.
+program take another folder.  Each flight is flown a second time from its record, without the autopilot, and compared
+bit for bit.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ from cosim.results.run import open_run
 from cosim.results.wording import metric
 
 PAGE = Path(__file__).parent / "autopilots.md"
-TABLES = Path(__file__).parent / "tables" / "autopilots.md"
 STOPPED = 128  # statuses above it are a signal's
 NAMES = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}
 HOVER, ROLL, YAW, LAND, OUT = FLIGHTS = ("hover", "roll doublet", "yaw doublet", "climb and land", "flame-out")
@@ -221,7 +220,7 @@ def rows(
                         flown(autopilot, program, (*options, *extra), craft, flight, places[flight])
             there = {flight: folder for flight, folder in places.items() if folder.is_dir()}
             none = gains == DESIGNED and found_none(design_of(autopilot, craft, given.out))
-            absent = dict.fromkeys(craft.flights, "no design" if none else "")
+            absent = dict.fromkeys(craft.flights, "no design") if none else {}
             if there or none:
                 promised = promises(autopilot, craft, given.out) if gains == DESIGNED else {}
                 cells = [
@@ -339,14 +338,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/autopilots"))
     given = parser.parse_args()
     named = [name for name in NAMES if getattr(given, name) is not None]
-    check_marks(TABLES, [f"flown: {name}" for name in named])
+    check_marks(PAGE, [f"flown: {name}" for name in named])
     for name in named:
         stated = getattr(given, name)
         program = find_program(name, Path(stated) if stated else None)
         programs = {"plain": str(program or ""), "inside": getattr(given, f"{name}_inside")}
         lines, folders = rows(name, programs, given)
-        write_marks(TABLES, {f"flown: {name}": part(name, lines, folders)})
-        parts: dict[str, str] = {}
+        parts = {f"flown: {name}": part(name, lines, folders)}
         if name != "betaflight":
             parts[f"{name}: its place"] = place_held(name, programs["plain"], given.out, given.instance)
         if name == "px4" and programs["inside"]:
