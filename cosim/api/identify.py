@@ -13,7 +13,7 @@ from cosim.base.errors import InputError
 from cosim.base.trust import mention
 
 if TYPE_CHECKING:
-    from cosim.identify.bench import BenchIdentification, BenchRecord
+    from cosim.identify.bench import BenchIdentification, BenchRecord, Choices
     from cosim.identify.bench.grey_box import GreyIdentification
     from cosim.identify.sweep import Identification
     from cosim.spec.vehicle import RateModel
@@ -317,38 +317,35 @@ def identify_bench(
     if engine is None and (fit or settings):
         raise InputError("--fit and --set are for the parameters of an engine: --engine NAME")
     records = read_records([*map(Path, logs)], Columns(command, output, time_column, time_unit, begin, end))
+    choices = Choices(throttle_range, between, longest_delay_s)
     found: BenchIdentification | GreyIdentification
     if engine is not None:
         texts = as_settings(settings)
         mention([*texts, engine], Path())
-        found = _fit_engine(records, str(engine), fit, texts, (throttle_range, between, longest_delay_s))
+        found = _fit_engine(records, str(engine), fit, texts, choices)
     else:
-        lags = identify(records, Choices(throttle_range, between, longest_delay_s))
+        lags = identify(records, choices)
         found = fit_beyond_lags(lags, longest_delay_s) or lags
     result = BenchIdentifyResult(found)
     return result if out is None else result.write(out)
 
 
 def _fit_engine(
-    records: list[BenchRecord],
-    engine: str,
-    fitted: Sequence[str],
-    settings: Sequence[str],
-    stated: tuple[tuple[float, float] | None, str, float],
+    records: list[BenchRecord], engine: str, fitted: Sequence[str], settings: Sequence[str], choices: Choices
 ) -> GreyIdentification:
-    """Return the parameters of an engine as fitted; ``stated``: throttle range, between rows, longest delay."""
+    """Return the parameters of an engine as fitted.  Raises InputError where no throttle range is known."""
     from cosim.base.storage.toml import parse_numbers
     from cosim.identify.bench.grey_box import GreyChoices, fit_engine
     from cosim.identify.bench.identify import is_straight, throttle_limits
 
     notes: list[str] = []
-    throttle_range, between, longest = stated
     limits = (0.0, 1.0)
     if records[0].command_unit not in ("rpm", "krpm"):
-        limits, known = throttle_limits(records, throttle_range, notes)
+        limits, known = throttle_limits(records, choices.limits, notes)
         if not known:
             raise InputError(f"{records[0].path}: what throttle 0 and 1 are is not known: --throttle-range LOW HIGH")
-    straight = is_straight(records, between, notes)
+    straight = is_straight(records, choices.between, notes)
     numbers = parse_numbers(tuple(settings), "--set")
-    found = fit_engine(records, GreyChoices(engine, tuple(fitted), numbers, limits, straight, longest))
+    stated = GreyChoices(engine, tuple(fitted), numbers, limits, straight, choices.longest_delay)
+    found = fit_engine(records, stated)
     return replace(found, notes=(*found.notes, *notes))

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.api.call import FolderResult, Limits, Table, checked
+from cosim.api.identify import BOUNDS
 from cosim.base.errors import InputError
+from cosim.base.signals import AXES
 
 if TYPE_CHECKING:
     from cosim.identify.logs import FlightLog, LogSignals
@@ -15,7 +17,6 @@ if TYPE_CHECKING:
     from cosim.identify.prediction_error.validate import Validation
 
 VALIDATION = ("validation.json", "report.html")
-BOUNDS = "with 95 % bounds"
 FAMILY = "edf-as-flown"  # under which the model of an axis is filed where nothing says whose it is
 
 
@@ -146,11 +147,11 @@ def identify_log(
         raise InputError("identify log: say --axis roll, pitch or yaw, or --engine N")
     if axis is not None and lags == 0:
         raise InputError("--lags 0: an axis has one at least")
-    read = read_flight_log(Path(log), time_column, time_unit)
+    read, subject = read_flight_log(Path(log), time_column, time_unit), axis or f"engine:{engine}"
     found = identify(
         read,
-        axis or f"engine:{engine}",
-        _signals_of(read, axis, engine, command, output, setpoint),
+        subject,
+        _signals_of(read, subject, command, output, setpoint),
         longest_delay=longest_delay_s,
         step=working_step_s,
         begin=begin,
@@ -163,17 +164,17 @@ def identify_log(
 
 
 def _signals_of(
-    log: FlightLog, axis: str | None, engine: int | None, command: str | None, output: str | None, setpoint: str | None
+    log: FlightLog, subject: str, command: str | None, output: str | None, setpoint: str | None
 ) -> LogSignals:
     """Return the channels that are named, or those that the log has of an axis or an engine.  Raises InputError."""
     from cosim.identify.logs import LogSignals, signals_of, unit_of
 
     if command and output:
-        unit = "rad/s" if axis else unit_of(output, log.signal(output).unit) or "output"
+        unit = "rad/s" if subject in AXES else unit_of(output, log.signal(output).unit) or "output"
         return LogSignals(command, output, setpoint or "", "command", unit)
     if command or output:
         raise InputError("--command and --output: both or none")
-    signals = signals_of(log, axis or f"engine:{engine}")
+    signals = signals_of(log, subject)
     return signals._replace(setpoint=setpoint or signals.setpoint)
 
 

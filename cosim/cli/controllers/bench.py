@@ -13,9 +13,7 @@ from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
     from cosim.api.identify import BenchIdentifyResult
-    from cosim.identify.bench import BenchIdentification
     from cosim.identify.bench.evidence import HeldBack
-    from cosim.identify.bench.grey_box import GreyIdentification
 
 MOST_MOVEMENTS = 16  # that a terminal shows; the page has all
 
@@ -72,36 +70,35 @@ def identify_bench(options: Bench) -> int:
     with output_to_stderr(options.as_json):
         result = identify(*options.logs, **options.chosen(*_CHOSEN))
         result.write(options.run_folder("identify-bench"))
-    options.answer(result.to_dict, lambda: print_result(result))
+    options.answer(result.to_dict, lambda: print_bench(result))
     return DONE if result.found else FLIGHT_FAILED
 
 
-def print_result(result: BenchIdentifyResult) -> None:
-    """Print the forms, or what was fitted of an engine."""
+def print_bench(result: BenchIdentifyResult) -> None:
+    """Print the forms, or what was fitted of an engine, what is to be said of them, and the files."""
     from cosim.identify.bench import BenchIdentification
-
-    found = result.identification
-    if isinstance(found, BenchIdentification):
-        print_bench(found, result.files)
-    else:
-        print_fitted(found, result.files)
-
-
-def print_fitted(found: GreyIdentification, paths: dict[str, Path]) -> None:
-    """Print what was fitted of an engine, what is to be said of it, and where the files are."""
+    from cosim.identify.bench.evidence import output_swing
     from cosim.identify.bench.grey_box import output_unit
-    from cosim.identify.bench.grey_box_result import rows, summary
+    from cosim.identify.bench.result import describe_held
 
-    say(summary(found))
-    show_table(("with 95 % bounds", found.choices.engine), rows(found), (1,))
-    _show_movements(found.held_back, output_unit(found.records[0]), found.swing)
-    for note in found.notes:
-        say(f"note: {note}")
-    if "engine" not in paths:
-        say("no engine: with these parameters it does not explain the log")
+    found, held = result.identification, ""
+    summary, *others = result.lines()
+    say(summary)
+    for table in result.tables():
+        columns = table.columns[:3]  # of forms the first two
+        show_table(columns, [row[:3] for row in table.rows], range(1, len(columns)))
+    if isinstance(found, BenchIdentification):
+        _show_movements(found.held_back, found.records[0].output_unit, output_swing(found.problem.parts))
+        held = describe_held(found)
+    else:
+        _show_movements(found.held_back, output_unit(found.records[0]), found.swing)
+    if held and held not in found.notes:
+        say(f"held back: {held}")
+    for line in others:
+        say(line)
     for name in ("engine", "report"):
-        if name in paths:
-            say(f"{name}: {paths[name]}", wrap=False)
+        if name in result.files:
+            say(f"{name}: {result.files[name]}", wrap=False)
 
 
 def _show_movements(held_back: HeldBack | None, unit: str, swing: float) -> None:
@@ -109,26 +106,3 @@ def _show_movements(held_back: HeldBack | None, unit: str, swing: float) -> None
 
     if held_back is not None and 0 < len(held_back.movements) <= MOST_MOVEMENTS:
         show_table(MOVEMENT_COLUMNS, movement_rows(held_back, unit, swing), range(2, len(MOVEMENT_COLUMNS)))
-
-
-def print_bench(found: BenchIdentification, paths: dict[str, Path]) -> None:
-    """Print the forms beside each other, what is to be said of them, what the log does not tell, and the files."""
-    from cosim.identify.bench.evidence import output_swing
-    from cosim.identify.bench.result import describe_held, rows, summary, why_no_engine
-
-    say(summary(found))
-    labels = [estimate.form.label for estimate in found.estimates[:2]]
-    show_table(("with 95 % bounds", *labels), [row[:3] for row in rows(found)], range(1, 1 + len(labels)))
-    _show_movements(found.held_back, found.records[0].output_unit, output_swing(found.problem.parts))
-    held = describe_held(found)
-    if held and held not in found.notes:
-        say(f"held back: {held}")
-    for note in found.notes:
-        say(f"note: {note}")
-    for line in found.untold:
-        say(f"not told: {line}")
-    if reason := why_no_engine(found):
-        say(f"no engine: {reason}")
-    for name in ("engine", "report"):
-        if name in paths:
-            say(f"{name}: {paths[name]}", wrap=False)

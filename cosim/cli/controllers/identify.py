@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,10 +15,10 @@ from cosim.cli.groups import Group
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
 if TYPE_CHECKING:
-    from cosim.api.identify import Subject
+    from cosim.api.call import Result
+    from cosim.api.identify import IdentifyResult, Subject
+    from cosim.api.logs import LogIdentifyResult
     from cosim.identify.logs import FlightLog
-    from cosim.identify.prediction_error.identify_log import LogIdentification
-    from cosim.identify.sweep import Identification
 
 
 @click.group(cls=Group)
@@ -83,7 +82,7 @@ def _identify(subject: Subject, name: str, options: Sweep, choices: dict[str, An
         hold = parse_numbers(options.holds, "--hold")
         result = sweep(subject, hold=hold, **choices, **options.chosen(*_SWEPT))
     result.write(options.run_folder(name))
-    options.answer(result.to_dict, lambda: print_identification(result.identification, result.files))
+    options.answer(result.to_dict, lambda: print_identification(result))
     return DONE if result.found else FLIGHT_FAILED
 
 
@@ -180,7 +179,7 @@ def identify_from_log(options: FromLog) -> int:
     result = identify_log(options.log, hold=parse_numbers(options.holds, "--hold"), **options.chosen(*_FROM_LOG))
     what = options.axis or f"engine-{options.engine}"
     result.write(options.run_folder(f"identify-log-{what}"))
-    options.answer(result.to_dict, lambda: print_from_log(result.identification, result.files))
+    options.answer(result.to_dict, lambda: print_from_log(result))
     return DONE
 
 
@@ -195,30 +194,29 @@ def print_channels(log: FlightLog) -> None:
         click.echo(text.format(**channel).rstrip())
 
 
-def print_from_log(identified: LogIdentification, paths: dict[str, Path]) -> None:
+def print_from_log(result: LogIdentifyResult) -> None:
     """Print the forms side by side, what is to be said of them, and where the files are."""
-    from cosim.identify.prediction_error.result import rows, summary, why_no_engine
-
-    say(summary(identified))
-    _show_side_by_side([estimate.form.label for estimate in identified.estimates], rows(identified))
-    for note in identified.notes:
-        say(f"note: {note}")
-    if identified.engine and (reason := why_no_engine(identified)):
-        say(f"no engine: {reason}")
+    summary, *others = result.lines()
+    say(summary)
+    _show_side_by_side(result)
+    for line in others:
+        say(line)
     for name in ("model", "engine", "report"):
-        if name in paths:
-            say(f"{name}: {paths[name]}", wrap=False)
+        if name in result.files:
+            say(f"{name}: {result.files[name]}", wrap=False)
 
 
-def _show_side_by_side(labels: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def _show_side_by_side(result: Result) -> None:
     """Print models beside each other, a row a parameter."""
-    show_table(("with 95 % bounds", *labels), rows, range(1, 1 + len(labels)))
+    for table in result.tables():
+        show_table(table.columns, table.rows, range(1, len(table.columns)))
 
 
-def print_identification(identification: Identification, paths: dict[str, Path]) -> None:
+def print_identification(result: IdentifyResult) -> None:
     """Print the models side by side, the discrete form of the best, how the specified one compares, and the files."""
-    from cosim.identify.sweep.result import equations, fit_rows
+    from cosim.identify.sweep.result import equations
 
+    identification, paths = result.identification, result.files
     sweep, response = identification.sweep, identification.response
     say(
         f"{identification.subject}: [bold]{identification.channel}[/bold], {sweep.from_hz:.3g} to {sweep.to_hz:.3g} Hz "
@@ -226,7 +224,7 @@ def print_identification(identification: Identification, paths: dict[str, Path])
         f"coherence at least {response.coherence.min():.4f}",
         marked=True,
     )
-    _show_side_by_side([fit.label for fit in identification.fits], fit_rows(identification))
+    _show_side_by_side(result)
     for reason in identification.refused:
         say(f"no model: {reason}")
     for text in () if identification.refused else equations(identification):

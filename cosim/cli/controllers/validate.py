@@ -45,9 +45,8 @@ def validate(options: Validate) -> int:
     comparison = result.validation
 
     def show() -> None:
-        judgement = comparison.judgement
-        say(f"{judgement.verdict}: {comparison.model.what} of {comparison.model.path} beside {comparison.log}")
-        for line in judgement.evidence:
+        say(result.lines()[0])
+        for line in comparison.judgement.evidence:
             say(f"  {line}")
         for name, value in rows(comparison):
             say(f"  {name}: {value}")
