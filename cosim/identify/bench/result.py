@@ -72,7 +72,7 @@ def page(result: BenchIdentification) -> Page:
     """Return the page of an identification."""
     held = describe_held(result) or "nothing could be held back to test it"
     size, share = result.judgement.evidence
-    left_over = f"{size[0].upper()}{size[1:]}, {share}. {held[0].upper()}{held[1:]}."
+    left_over = f"{size[0].upper()}{size[1:]}, {share}; {held}."
     columns = ["with 95 % bounds", *(estimate.form.label for estimate in result.estimates)]
     untold = result.untold or ("delay, lags, gain and curve within its range are told",)
     cards = [
