@@ -28,18 +28,17 @@ def _names(*kinds: str) -> Complete:
     return complete
 
 
-def _logs(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Return the folders of runs, and files beside them."""
-    return [CompletionItem(incomplete, type="file"), *_runs(context, parameter, incomplete)[1:]]
+def _runs(beside: str) -> Complete:
+    """Return what completes the folders in ``runs``, by which a run is named, the newest first; ``beside``: others."""
 
+    def complete(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        runs = Path("runs")
+        folders = [path for path in runs.iterdir() if path.is_dir()] if runs.is_dir() else []
+        folders.sort(key=lambda path: path.stat().st_mtime, reverse=True)
+        items = [CompletionItem(str(path)) for path in folders if str(path).startswith(incomplete)]
+        return [CompletionItem(incomplete, type=beside), *items]
 
-def _runs(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Return the folders in ``runs``, by which a run is named, the newest first, and folders beside them."""
-    runs = Path("runs")
-    folders = [path for path in runs.iterdir() if path.is_dir()] if runs.is_dir() else []
-    folders.sort(key=lambda path: path.stat().st_mtime, reverse=True)
-    items = [CompletionItem(str(path)) for path in folders if str(path).startswith(incomplete)]
-    return [CompletionItem(incomplete, type="dir"), *items]
+    return complete
 
 
 _COMPLETES: dict[str, Complete] = {
@@ -52,9 +51,9 @@ _COMPLETES: dict[str, Complete] = {
     "engine": _names("engines"),
     "engines": _names("engines"),
     "aircraft": _names("aircraft"),
-    "folder": _runs,
-    "log": _logs,
-    "names": _runs,
+    "folder": _runs("dir"),
+    "log": _runs("file"),
+    "names": _runs("dir"),
     "name": _names("scenarios", "studies", "engines", "aircraft", "controllers"),
 }
 

@@ -15,6 +15,8 @@ from cosim.base.wording import at_command_line
 from cosim.cli.complete import complete_by
 from cosim.cli.outputs import Out
 
+T = TypeVar("T")
+
 
 class Number(click.FloatRange):
     """A finite number; click lets NaN through any range."""
@@ -33,9 +35,9 @@ class Number(click.FloatRange):
 class AlsoCalled(click.Option):
     """An option that is also known by names that it had before, which no help lists."""
 
-    def __init__(self, *declarations: Any, aliases: Sequence[str] = (), **attributes: Any) -> None:
+    def __init__(self, *declarations: Any, aliases: tuple[str, ...], **attributes: Any) -> None:
         super().__init__(*declarations, **attributes)
-        self.aliases = tuple(aliases)
+        self.aliases = aliases
 
     def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
         """Let the parser know all names."""
@@ -54,8 +56,15 @@ class Option(NamedTuple):
 
 
 def option(*names: str, **attributes: Any) -> Any:
-    """Declare a field of a record as an option; ``attributes`` as of ``click.option``, ``aliases``: hidden names."""
-    return Option(click.option, names, {"cls": AlsoCalled, **attributes})
+    """Declare a field of a record as an option; ``attributes`` as of ``click.option``."""
+    return Option(click.option, names, attributes)
+
+
+def renamed(field: T, *before: str) -> T:
+    """Declare that the option of a field is also known by the names that it had ``before``."""
+    declared = cast(Option, field)
+    attributes = declared.attributes | {"cls": AlsoCalled, "aliases": before}
+    return cast(T, declared._replace(attributes=attributes))
 
 
 def argument(**attributes: Any) -> Any:
@@ -74,21 +83,17 @@ def words(name: str, metavar: str | None, text: str) -> tuple[str, ...]:
 
 
 @overload
-def word(name: str, metavar: str | None, text: str, *, aliases: Sequence[str] = ()) -> str | None: ...
+def word(name: str, metavar: str | None, text: str) -> str | None: ...
 @overload
 def word(name: str, metavar: str | None, text: str, default: str) -> str: ...
-def word(name: str, metavar: str | None, text: str, default: str | None = None, *, aliases: Sequence[str] = ()) -> Any:
+def word(name: str, metavar: str | None, text: str, default: str | None = None) -> Any:
     """Declare an option that is a text; its help ends with the default."""
-    shown = default is not None
-    return option(name, metavar=metavar, help=text, default=default, show_default=shown, aliases=aliases)
+    return option(name, metavar=metavar, help=text, default=default, show_default=default is not None)
 
 
-def choice(
-    name: str, allowed: Sequence[str], text: str, default: str | None = None, *, aliases: Sequence[str] = ()
-) -> Any:
+def choice(name: str, allowed: Sequence[str], text: str, default: str | None = None) -> Any:
     """Declare an option that is one of the texts that are allowed."""
-    shown = default is not None
-    return option(name, type=click.Choice(allowed), help=text, default=default, show_default=shown, aliases=aliases)
+    return option(name, type=click.Choice(allowed), help=text, default=default, show_default=default is not None)
 
 
 def choices(name: str, allowed: Sequence[str], text: str) -> tuple[str, ...]:
@@ -96,10 +101,9 @@ def choices(name: str, allowed: Sequence[str], text: str) -> tuple[str, ...]:
     return cast("tuple[str, ...]", option(name, type=click.Choice(allowed), multiple=True, help=text))
 
 
-def path(name: str, metavar: str | None, text: str, *, aliases: Sequence[str] = (), **limits: Any) -> Path | None:
+def path(name: str, metavar: str | None, text: str, **limits: Any) -> Path | None:
     """Declare an option that is a path; ``limits`` as of ``click.Path``."""
-    kind = click.Path(path_type=Path, **limits)
-    return cast("Path | None", option(name, type=kind, metavar=metavar, help=text, aliases=aliases))
+    return cast("Path | None", option(name, type=click.Path(path_type=Path, **limits), metavar=metavar, help=text))
 
 
 def out(text: str, metavar: str = "DIR", kind: Out | None = None) -> Path | None:
@@ -234,10 +238,8 @@ WIND = word("--wind", "NAME|FILE.csv", "Yours over time and place, the same way,
 LOG_PART = (
     word("--time", "NAME", "A table's column of time.  [default: the one called so]"),
     word("--time-unit", None, "Of that column: s, ms, us, ns, min or h.  [default: as the column says, or s]"),
-    option(
-        "--begin", type=Number(), metavar="S", help="Use the log from here on, in its own time.", aliases=["--from"]
-    ),
-    option("--end", type=Number(), metavar="S", help="And to here.", aliases=["--to"]),
+    renamed(number("--begin", "S", "Use the log from here on, in its own time."), "--from"),
+    renamed(number("--end", "S", "And to here."), "--to"),
 )
 
 

@@ -24,12 +24,14 @@ class Bench(opt.LogPart, opt.Output):
     logs: tuple[Path, ...] = opt.argument(metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
     command = opt.word("--command", "SUM", "Throttle or set-point.  [default: the column called so]")
     output = opt.word("--output", "SUM", "Thrust or speed.  [default: the column called so]")
-    throttle_range: tuple[float, float] | None = opt.option(
-        "--throttle-range",
-        aliases=["--range"],
-        type=(opt.Number(), opt.Number()),
-        metavar="LOW HIGH",
-        help="What throttle 0 and 1 are in the log.",
+    throttle_range: tuple[float, float] | None = opt.renamed(
+        opt.option(
+            "--throttle-range",
+            type=(opt.Number(), opt.Number()),
+            metavar="LOW HIGH",
+            help="What throttle 0 and 1 are in the log.",
+        ),
+        "--range",
     )
     between = opt.choice(
         "--between", ("auto", "held", "straight"), "What the command does between two rows.", default="auto"

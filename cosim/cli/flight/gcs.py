@@ -54,11 +54,13 @@ class Gcs(Flight, opt.Output):
     personality = opt.choice(
         "--personality", ["px4", "ardupilot", "generic"], "What the ground station takes it for.", "px4"
     )
-    parameters = opt.path(
-        "--parameters",
-        "FILE.toml",
-        "Where parameters are kept; none: nowhere.  [default: one file a vehicle in the folder for settings]",
-        aliases=["--params"],
+    parameters = opt.renamed(
+        opt.path(
+            "--parameters",
+            "FILE.toml",
+            "Where parameters are kept; none: nowhere.  [default: one file a vehicle in the folder for settings]",
+        ),
+        "--params",
     )
     rtf = opt.number("--rtf", "X", "As in fly.", min=0.0, default=1.0)
     duration = opt.positive("--duration", "S", "[default: until Ctrl-C]")

@@ -46,14 +46,16 @@ class Sitl(Flight, opt.Output):
         metavar="X",
         help="Pace it at X times real time; 0: as fast as both can.  [default: 0]",
     )
-    timeout: float = opt.option(
-        "--time-limit",
-        aliases=["--timeout"],
-        type=opt.Number(min=0.1, max=600.0),
-        metavar="S",
-        help="For an answer, of the clock: an autopilot that takes longer is taken for hung.",
-        default=5.0,
-        show_default=True,
+    timeout = opt.renamed(
+        opt.number(
+            "--time-limit",
+            "S",
+            "For an answer, of the clock: an autopilot that takes longer is taken for hung.",
+            min=0.1,
+            max=600.0,
+            default=5.0,
+        ),
+        "--timeout",
     )
     out = opt.out("The run's folder.  [default: a new one in runs/]")
     as_json = opt.json("Print summary and lockstep as one JSON object.")

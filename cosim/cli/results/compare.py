@@ -65,7 +65,7 @@ def compare(options: Compare) -> int:
     from cosim.api.compare import expand_campaigns, page_path
 
     requested = expand_campaigns(options.names, options.flights)
-    page = None if not options.page else page_path(options.run_folder("comparison"))
+    page = page_path(options.run_folder("comparison")) if options.page else None
     if page is not None and page.exists():
         raise InputError(f"{page}: is there already; choose another name or remove it")
     with output_to_stderr(options.as_json):

@@ -159,8 +159,8 @@ class ExportVehicle(ExportOptions):
     outside = opt.choices(
         "--outside", ["engines", "controller"], "What is not in the FMU: its inputs and outputs become the FMU's."
     )
-    kind = opt.choice(
-        "--to", ["fmu", "ssp"], "ssp: archives of a system, with the engines as components.", "fmu", aliases=["--as"]
+    kind = opt.renamed(
+        opt.choice("--to", ["fmu", "ssp"], "ssp: archives of a system, with the engines as components.", "fmu"), "--as"
     )
     name = opt.word("--name", None, "Of the files, an identifier.", "vehicle")
     out = opt.out(

@@ -64,7 +64,7 @@ class Sweep(CampaignOptions):
     )
     runs = opt.whole("--runs", "N", "Draws; a grid has as many as it has points.", min=1)
     repeats = opt.whole("--repeats", "N", "Fly a whole grid more than once.", min=1)
-    design = opt.word("--sampling", "NAME", "grid, latin-hypercube, random or sobol.", aliases=["--design"])
+    design = opt.renamed(opt.word("--sampling", "NAME", "grid, latin-hypercube, random or sobol."), "--design")
     controllers = opt.words("--controller", "NAME|FILE", "Each draw is flown with every one.")
     correlate = opt.words("--correlate", "KEY,KEY=R", "Rank correlation of what is drawn for two keys.")
     aircraft, engine, nominal_engine = _AIRCRAFT, _ENGINE, opt.NOMINAL_ENGINE

@@ -130,13 +130,9 @@ class FailsafeOptions(opt.Output):
         multiple=True,
         help="[default: 3, 10 and 30 m, and 100 and 300 m where the fuel runs down]",
     )
-    winds: tuple[float, ...] = opt.option(
-        "--wind-speed",
-        aliases=["--wind"],
-        type=float,
-        metavar="M/S",
-        multiple=True,
-        help="[default: 0, 5 and 10 m/s]",
+    winds: tuple[float, ...] = opt.renamed(
+        opt.option("--wind-speed", type=float, metavar="M/S", multiple=True, help="[default: 0, 5 and 10 m/s]"),
+        "--wind",
     )
     flights = opt.whole(
         "--flights",
