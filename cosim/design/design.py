@@ -16,6 +16,7 @@ from cosim.base.signals import AXES
 from cosim.base.storage.toml import merge, parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped_tuning
+from cosim.design.candidates import candidate_names, design_axis_at_limit, names_for_servos
 from cosim.design.levels import (
     DESIGNED,
     THRUST_AXES,
@@ -27,16 +28,7 @@ from cosim.design.levels import (
     meets_requirements,
     tunings_at,
 )
-from cosim.design.limits import (
-    Say,
-    bandwidths_without_limits,
-    candidate_names,
-    design_axis_at_limit,
-    explain_failure,
-    find_allowances,
-    names_for_servos,
-    tolerance_checks,
-)
+from cosim.design.limits import Say, bandwidths_without_limits, explain_failure, find_allowances, tolerance_checks
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead, hover_fraction
 from cosim.design.loop.criteria import fine_loop, objective
