@@ -278,7 +278,7 @@ def _design_levels(
             }
             burning.append(LevelDesign(level, level.fuel in designed, before, after, is_kept))
         missed = {level.level.fuel for level in burning if (plan or law) and not all(level.is_kept.values())}
-        if missed <= designed:
+        if plan is None or missed <= designed:  # without a schedule there is nothing to design there
             where = ", ".join(f"{fuel:.0%} of the fuel" for fuel in sorted(missed))
             by = "schedule" if plan else "controller at the limit, which follows no thrust level,"
             return plan, burning, f"a requirement is missed by the {by} with {where}" if missed else ""
