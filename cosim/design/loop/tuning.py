@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
 from cosim.base.errors import InputError, nearest
 from cosim.control.laws.axis import low_frequency_delay
@@ -47,6 +46,7 @@ class Tuning:
     lead: EngineLead | None = None
     firmware: Firmware | None = None  # whose loop has these gains; None: ours
     law: Mapping[str, float] | None = None  # parameters of the law at the limit, which says the gains; None: no law
+    matrices: LinearPredictor | None = field(default=None, repr=False, compare=False)  # of the law's predictor
 
     @classmethod
     def of_law(
@@ -59,9 +59,7 @@ class Tuning:
         """
         predictor, gain, attitude = make_predictor(model, Target.of(values, low_frequency_delay(model)), bases)
         gains = fixed.gains.model_copy(update={"p": gain, "i": 0.0, "d": 0.0})
-        tuning = cls(LAW, attitude, gains, fixed.predictor, model, law=values)
-        tuning.__dict__["_of_law"] = predictor  # which is computed there otherwise
-        return tuning
+        return cls(LAW, attitude, gains, fixed.predictor, model, law=values, matrices=predictor)
 
     @property
     def needs_model(self) -> bool:
@@ -73,23 +71,18 @@ class Tuning:
         """Whether it has a part that takes away what a load that lasts does."""
         return self.law is not None or bool(self.gains.i)
 
-    @cached_property
-    def _of_law(self) -> LinearPredictor:
-        assert self.law is not None
-        return make_predictor(self.model, Target.of(self.law, low_frequency_delay(self.model)))[0]
-
     def answer(self) -> PairResponse:
         """Return the responses ``P_y`` and ``P_u`` of the predictor.  Raises InputError for one that states none."""
-        if self.law is not None:
-            return linear_response(self._of_law)
+        if self.matrices is not None:
+            return linear_response(self.matrices)
         spec = designable(self.controller, f"controller {self.controller!r}")
         assert spec.response is not None
         return spec.response(self.model, spec.own(self.predictor))
 
     def space(self) -> PredictorSpace | None:
         """Return the predictor in state space; None for one that states its frequency response alone."""
-        if self.law is not None:
-            return LinearSpace(self._of_law)
+        if self.matrices is not None:
+            return LinearSpace(self.matrices)
         spec = designable(self.controller, f"controller {self.controller!r}")
         return None if spec.space is None else spec.space(self.model, spec.own(self.predictor))
 
