@@ -88,15 +88,24 @@ def fuel(
     return np.array([one.fuel_flow[0] for one in outputs]), np.array([one.spool_speed[0] * RPM for one in outputs])
 
 
-def test_fuel_falls_as_a_share_of_itself() -> None:
-    flow, _ = fuel(1.0, 0.0, 2.0)
+BY_ERROR: dict[str, float] = {}  # as shipped
+BY_SCHEDULE = {  # turbine-220/README.md has both laws
+    "fuel_integral": 0.0, "fuel_gain": 2.155, "fuel_response": 0.000804, "fuel_rise_share": 0.7256,
+    "fuel_rise": 0.2687, "fuel_fall": 0.1887, "pump_time_constant": 0.05,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("law", "fall"), [(BY_ERROR, 0.1846), (BY_SCHEDULE, 0.1887)])
+def test_fuel_falls_as_a_share_of_itself(law: dict[str, float], fall: float) -> None:
+    flow, _ = fuel(1.0, 0.0, 2.0, **law)
     rate = np.diff(np.log(flow)) / STEP
-    assert rate.min() == pytest.approx(-0.1846, rel=1e-3)
+    assert rate.min() == pytest.approx(-fall, rel=1e-3)
 
 
-def test_a_small_step_is_slower_than_a_large_one_and_none_overshoots() -> None:
-    _, small = fuel(0.0, 0.15, 15.0)
-    _, large = fuel(0.0, 1.0, 15.0)
+@pytest.mark.parametrize("law", [BY_ERROR, BY_SCHEDULE])
+def test_a_small_step_is_slower_than_a_large_one_and_none_overshoots(law: dict[str, float]) -> None:
+    _, small = fuel(0.0, 0.15, 15.0, **law)
+    _, large = fuel(0.0, 1.0, 15.0, **law)
     for speed in (small, large):
         assert speed.max() < speed[-1] + 0.02 * (speed[-1] - speed[0])
     shares = [(speed - speed[0]) / (speed[-1] - speed[0]) for speed in (small, large)]
