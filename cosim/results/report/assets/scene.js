@@ -268,12 +268,12 @@
       if (renderer.getPixelRatio() !== ratio) renderer.setPixelRatio(ratio);
       renderer.render(root, camera);
     };
-    let asked = false, stands = 0, seen = true, compiled = false;
-    const show = () => {
-      if (asked || !compiled || !seen) return;
+    let asked = false, stands = 0, seen = true, compiled = false, stale = true;
+    const paint = () => {
+      if (asked || !compiled) return;
       asked = true;
       requestAnimationFrame(() => {
-        asked = false;
+        asked = stale = false;
         vehicles.forEach(put);
         const first = vehicles[0].real.body.position;
         const at = inWorld(first.x, first.y, first.z);
@@ -286,7 +286,7 @@
         last.copy(at);
         draw(moving);
         clearTimeout(stands);
-        if (slow) stands = setTimeout(() => requestAnimationFrame(() => { if (seen) draw(fine); }), 250);
+        if (slow) stands = setTimeout(() => requestAnimationFrame(() => draw(fine)), 250);
         read.replaceChildren(...words().map((text, n) => {
           const line = element("div", {}, text);
           if (vehicles.length > 1) line.style.color = vehicles[n].flight.colour; // as an attribute the live page's policy forbids it
@@ -295,6 +295,7 @@
         drawn(canvas);
       });
     };
+    const show = () => { stale = true; if (seen) paint(); };
     const fit = () => {
       const width = stage.clientWidth, height = high(width);
       if (!width || !height) return; // it is not seen
@@ -308,12 +309,12 @@
     last.copy(inWorld(...vehicles[0].real.body.position.toArray()));
     controls.addEventListener("change", show);
     new ResizeObserver(fit).observe(stage);
-    // out of sight it is not drawn; it comes back, also on paper, as it is then
+    // out of sight it is drawn once, so that it is there when it is scrolled to; it comes back, also on paper, as it is then
     addEventListener("beforeprint", () => { if (compiled) { vehicles.forEach(put); draw(fine); } });
-    new IntersectionObserver((entries) => { seen = entries[entries.length - 1].isIntersecting; show(); }, { rootMargin: "100px" }).observe(stage);
+    new IntersectionObserver((entries) => { seen = entries[entries.length - 1].isIntersecting; if (seen && stale) paint(); }, { rootMargin: "100px" }).observe(stage);
     fit();
     look();
-    const begin = () => { compiled = true; show(); };
+    const begin = () => { compiled = true; paint(); };
     renderer.compileAsync(root, camera).then(begin, begin); // beside what the page does
     return {
       show,
