@@ -117,15 +117,19 @@ class _Search:
         return self.channel.room * (1.0 - SPARE)
 
     def _first_command(self, lag: float) -> float:
-        """Return the largest command after a unit step of the set-point: ``a / (b T)`` of the lags' answer."""
+        """Return the largest command after a unit step of the set-point: ``a / (b T)`` of the lags' answer.
+
+        Zeros that cannot be inverted stay in the answer, as much as is 1 at rest.
+        """
         model, step = self.believed, self.channel.step
         impulse = np.zeros(round(12.0 * lag / step) + 8)
         impulse[0] = 1.0
         pole = float(np.exp(-step / lag))
         answer = filter_response([(1.0 - pole) ** LAGS], polynomial([pole] * LAGS), impulse)
-        zeros = polynomial([zero for zero in model.all_zeros if abs(zero) < 1.0])
-        command: Array = filter_response(polynomial(model.all_poles), zeros, answer)
-        return float(np.abs(command).max()) / (model.gain * step)
+        kept = polynomial([zero for zero in model.all_zeros if abs(zero) >= 1.0])
+        inside = polynomial([zero for zero in model.all_zeros if abs(zero) < 1.0])
+        command: Array = filter_response(polynomial(model.all_poles), inside, answer)
+        return float(np.abs(command).max()) / (abs(model.gain * float(kept.sum())) * step)
 
     def draw_closer(self, lag: float, pairs: Pairs) -> Tuning | None:
         """Return the law that keeps the requirements with this lag and these poles, or None."""

@@ -106,6 +106,18 @@ def test_at_the_late_corners_a_step_overshoots_by_no_more_than_a_proof_allows() 
         assert ClosedLoop(FrequencyGrid(corner, close=100), law()).overshoot < 0.2
 
 
+@pytest.mark.parametrize("zero", [0.0, -1.0, -1.5, 1.5])
+def test_the_largest_command_after_a_step_is_that_of_the_loop(zero: float) -> None:
+    """With zeros that the law inverts, and with those that it leaves in its answer."""
+    roll = designed().axes["roll"].channel
+    exact = roll.model("exact")
+    model = exact.model_copy(update={"zeros": [zero, *exact.zeros[1:]], "gain": exact.gain / (1.0 - zero)})
+    channel = replace(roll, identified=model)
+    search = at_limit._Search(channel, model, law(), Requirements())
+    closed = ClosedLoop(FrequencyGrid(channel), Tuning.of_law(DEFAULTS, model, law()))
+    assert search._first_command(DEFAULTS["response"] * search.delay) == pytest.approx(closed.step_peak, rel=1e-9)
+
+
 def test_its_file_flies_the_law_that_was_designed(file: Path) -> None:
     table = read_toml(file)
     assert table["controller"] == "optimal"
