@@ -7,7 +7,6 @@ its own arguments instead.
 from __future__ import annotations
 
 import functools
-import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -37,10 +36,8 @@ _OTHER_NAMES = {  # of an option: the arguments that mean the same, where they a
 }
 _EVERYWHERE = ("aircraft", "controller", "engine", "model", "vary")  # of some call, if not of the one that raises
 # a command that is quoted stays as it is, to be typed into a shell; an option ends where its name does
-_QUOTED_OR_OPTION = re.compile(
-    r"(?P<quoted>\bhexjet [a-z](?:[^;:(),]|[:,](?! ))*)|(?<![\w-])--(?P<option>[a-z][a-z-]*)"
-)
-_SUBJECT = re.compile(r"(\w+) ([^\s=:,]+)(?=: )")  # an argument with its value, in front
+_QUOTED_OR_OPTION = r"(?P<quoted>\bhexjet [a-z](?:[^;:(),]|[:,](?! ))*)|(?<![\w-])--(?P<option>[a-z][a-z-]*)"
+_SUBJECT = r"(\w+) ([^\s=:,]+)(?=: )"  # an argument with its value, in front
 _options: ContextVar[tuple[str, ...] | None] = ContextVar("options", default=None)  # of the command that runs
 
 
@@ -70,6 +67,8 @@ def says_arguments(call: Callable[P, R]) -> Callable[P, R]:
             return call(*arguments, **named)
         except (InputError, FlightError) as error:
             if _options.get() is None and len(error.args) == 1 and "--" in str(error):
+                import inspect  # not at start-up, of which it is a good part
+
                 parameters.update(parameters or inspect.signature(call).parameters)
                 error.args = (with_arguments(str(error), parameters, name),)
             raise
@@ -89,10 +88,10 @@ def with_arguments(text: str, parameters: Mapping[str, Any], name: str) -> str:
         is_subject |= argument is not None and match.start() == 0
         return argument or match[0]
 
-    worded = _QUOTED_OR_OPTION.sub(replaced, text)
+    worded = re.sub(_QUOTED_OR_OPTION, replaced, text)
     if not is_subject:
         return worded
-    return f"{name}: " + _SUBJECT.sub(r"\1 = \2", worded, count=1) if _SUBJECT.match(worded) else f"{name}: {worded}"
+    return f"{name}: " + (re.sub(_SUBJECT, r"\1 = \2", worded, count=1) if re.match(_SUBJECT, worded) else worded)
 
 
 def _argument(option: str, parameters: Mapping[str, Any]) -> str | None:

@@ -197,6 +197,14 @@ def test_a_line_that_names_an_option_names_an_argument_instead(name: str, record
         assert "--" not in with_arguments(f"so {option} 3", parameters, name), option
 
 
+def test_an_import_loads_no_more_than_it_needs() -> None:
+    code = "import sys; before = set(sys.modules); from cosim import fly; print(*sys.modules.keys() - before)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE)
+    loaded = set(done.stdout.split())
+    assert "cosim.base.errors" in loaded
+    assert loaded & {"click", "inspect", "numpy", "pydantic"} == set()
+
+
 def test_a_package_that_is_called_stays_a_package() -> None:
     from cosim.identify import identify_engine
 
