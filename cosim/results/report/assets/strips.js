@@ -317,9 +317,8 @@
     }
 
     // a tint for each phase, and its name in the first of panels above each other
-    ground(u, phases) {
-      const { ctx } = u, { left, top, width, height } = u.bbox, ratio = devicePixelRatio;
-      const x = (t) => Math.max(left, Math.min(left + width, u.valToPos(t, "x", true)));
+    tint(u, x, phases) {
+      const { ctx } = u, { top, height } = u.bbox, ratio = devicePixelRatio;
       const names = [...new Set(phases.map(([, , name]) => name))];
       ctx.font = `${10 * ratio}px ${getComputedStyle(document.body).fontFamily}`;
       for (const [from, to, name] of phases) {
@@ -339,7 +338,7 @@
       const x = (t) => Math.max(left, Math.min(left + width, u.valToPos(t, "x", true)));
       ctx.save();
       const shown = new Set(this.lines.map((line) => line.flight.number));
-      if (shown.size === 1) this.ground(u, this.lines[0].flight.phases);
+      if (shown.size === 1) this.tint(u, x, this.lines[0].flight.phases);
       for (const number of shown) {
         const flight = flights[number];
         for (const event of flight.events) {
