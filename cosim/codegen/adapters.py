@@ -12,7 +12,7 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
 from cosim.codegen.files import NO_LICENCE, Labels, licence_line, make_common_values, render_controller, render_files
-from cosim.codegen.form import Form
+from cosim.codegen.predictor_form import Form
 
 # A file among the sources of a program, or that includes them, is a part of it: its licence is the program's.
 # PX4's is BSD-3-Clause, which leaves it to the user.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -12,8 +12,8 @@ from typing import Any
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.codegen.form import Form
 from cosim.codegen.hinged import render_solver
+from cosim.codegen.predictor_form import Form
 from cosim.codegen.vectors import INPUTS, LOOP_INPUTS, LOOP_OUTPUTS, RecordedFlight, list_output_names, make_loop_rows
 from cosim.control.allocation.allocation import LEAST_SHARE
 from cosim.control.altitude import LEAST_UPRIGHT
@@ -22,7 +22,6 @@ TEMPLATES = Path(__file__).resolve().parent / "templates"
 # whose headers are included, by the C or by the adapter of the FMUs
 _RESERVED = ("math", "stdbool", "stdint", "stdio", "string", "time", "engine", "slave", "variables", "fmi2", "fmi3")
 
-Fields = tuple[dict[str, Any], list[tuple[str, int | None]]]  # constants by name; states with their sizes
 NO_LICENCE = "not stated (choose one with --licence)"
 
 
@@ -146,98 +145,18 @@ def _c(value: Any, indent: str = "        ") -> str:
 
 
 def _prepare_form(form: Form) -> Form:
-    """Return the form with what templates need beside: which C helpers are used, and every predictor's fields."""
-    axes = [axis | {"predictor": _fields(axis["predictor"])} for axis in form["axes"]]
+    """Return the form with what templates need beside: which C helpers are used."""
+    axes = form["axes"]
     predictors = [axis["predictor"] for axis in axes]
     leads = [axis["lead"] for axis in axes] + [form["altitude"]["lead"]]
     scheduled = [axes[0]["lead"], form["altitude"]["lead"]] if form["schedule"] else []
     return form | {
-        "axes": axes,
-        "uses_line": bool(form["delay"] or any(predictor.get("line") for predictor in predictors)),
+        "uses_line": bool(form["delay"] or any(predictor["line"] for predictor in predictors)),
         "uses_discrete": any(predictor["kind"] in ("early-late", "early-late-filtered") for predictor in predictors),
         "uses_sent": any("weights" in predictor for predictor in predictors),
         "uses_lead": any(leads),
         "lead_orders": sorted({lead["order"] for lead in scheduled if lead}),
     }
-
-
-def _fields(predictor: Form) -> Form:
-    """Return a predictor with its constants (name, size, value) and its states (name, size)."""
-    kind = predictor["kind"]
-    if kind == "none":
-        return predictor
-    title, fields = PREDICTOR_KINDS[kind]
-    values, states = fields(predictor)
-    if "weights" in predictor:
-        values["weights"] = predictor["weights"]
-        states.append(("sent", len(predictor["weights"])))
-    constants = [(name, _size(value)) for name, value in values.items()]
-    return {"line": 0} | predictor | {"title": title, "constants": constants, "states": states, "values": values}
-
-
-def _smith_fields(predictor: Form) -> Fields:
-    values: dict[str, Any] = {}
-    states: list[tuple[str, int | None]] = []
-    for name in ("now", "then", "rest"):
-        model = predictor.get(name)
-        if model:
-            values |= {f"{name}_b": model["b"], f"{name}_a": model["a"]}
-            states.append((name, len(model["a"])))
-    if predictor["kind"] == "early-late-filtered":
-        values["through"] = predictor["through"]
-        if predictor["rest"]:
-            states.append(("before", None))
-    if predictor["line"]:
-        states.append(("line", predictor["line"]))
-    return values, states
-
-
-def _modal_fields(predictor: Form) -> Fields:
-    values: dict[str, Any] = {}
-    for name, vector in predictor["real"].items():
-        values[name] = vector
-        if predictor["paired"]:
-            values[f"{name}_im"] = predictor["imaginary"][name]
-    states = [("x", predictor["order"]), *([("x_im", predictor["order"])] if predictor["paired"] else [])]
-    if predictor["disturbance"]:
-        values["gathered"] = predictor["gathered"]
-        states.append(("disturbance", None))
-    return values, states
-
-
-def _integrator_fields(predictor: Form) -> Fields:
-    return {name: predictor[name] for name in ("f", "transition", "of_rate", "of_command", "of_state")}, [("x", 2)]
-
-
-def _observer_fields(predictor: Form) -> Fields:
-    values = {"transition": predictor["F"]} | {name: predictor[name] for name in ("gain", "push", "of_state")}
-    if predictor["disturbance"]:
-        values["of_disturbance"] = predictor["of_disturbance"]
-    return values, [("x", len(predictor["gain"]))]
-
-
-def _linear_fields(predictor: Form) -> Fields:
-    names = ("transition", "of_rate", "of_command", "of_state")
-    return {name: predictor[name] for name in names}, [("x", len(predictor["of_state"]))]
-
-
-# By the kind in a form: the title, and what gives constants and states.
-PREDICTOR_KINDS: dict[str, tuple[str, Callable[[Form], Fields]]] = {
-    "none": ("none", lambda predictor: ({}, [])),
-    "early-late": ("Smith's predictor", _smith_fields),
-    "early-late-filtered": ("Smith's predictor with a robustness filter", _smith_fields),
-    "double-integrator": ("state predictor with a double-integrator observer", _integrator_fields),
-    "model-observer": ("state predictor with an observer of the identified model", _observer_fields),
-    "linear": ("linear predictor", _linear_fields),
-    "modes": ("state predictor with an observer of the identified model, mode by mode", _modal_fields),
-}
-
-
-def _size(value: Any) -> str | None:
-    if not isinstance(value, list):
-        return None
-    rows = len(value)
-    return f"{rows}][{len(value[0])}" if isinstance(value[0], list) else str(rows)
 
 
 def _values(f: Form) -> list[tuple[str, Any]]:
@@ -252,7 +171,7 @@ def _values(f: Form) -> list[tuple[str, Any]]:
     ]
     for axis in f["axes"]:
         values.append((axis["name"], axis["gains"]))
-        if "values" in axis["predictor"]:
+        if axis["predictor"]["kind"] != "none":
             values.append((f"{axis['name']}_predictor", axis["predictor"]["values"]))
         if axis["lead"] and not axis["scheduled"]:
             values.append((f"{axis['name']}_lead", axis["lead"]["constants"]))

@@ -6,13 +6,12 @@ of the block that flies, not computed anew.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import exp
-from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.codegen.hinged import make_hinged_form
+from cosim.codegen.predictor_form import Form, make_predictor_form
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.allocation.reallocation import command_to_torque
@@ -22,27 +21,11 @@ from cosim.control.cascade import Cascade
 from cosim.control.laws.axis import RateLaw
 from cosim.control.lead import Lead
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.control.predictors.smith import (
-    DelayedModel,
-    DelayLine,
-    DiscreteModel,
-    FilteredSmithPredictor,
-    NoPredictor,
-    SmithPredictor,
-)
-from cosim.control.predictors.state import (
-    DoubleIntegratorObserver,
-    LinearPredictor,
-    ModalPredictor,
-    ModelObserver,
-    StatePredictor,
-)
 from cosim.control.rate import RateController
 from cosim.control.schedule import FINE
 from cosim.simulation.step import Simulation
 from cosim.spec.vehicle import EngineLead, RateGains, Vehicle
 
-Form = dict[str, Any]
 LAWS = ("pid", "pid-smith", "pid-filtered-smith", "pid-state", "pid-state-disturbance", "optimal")  # that have one
 
 
@@ -221,94 +204,3 @@ def _thrust(thrust_map: ThrustMap, loops: bool) -> Form:
         ],
         "curves": [{"throttle": list(c.throttles), "thrust": list(c.thrusts), "slope": list(c.slopes)} for c in curves],
     }
-
-
-def make_predictor_form(predictor: object, axis: str = "roll") -> Form:
-    """Return a predictor's constants.  Raises InputError for one that has no C form."""
-    for kind, write in _PREDICTORS.items():
-        if type(predictor) is kind:
-            return write(predictor)
-    supported = ", ".join(kind.__name__ for kind in _PREDICTORS)
-    raise InputError(f"{axis}: the predictor {type(predictor).__name__} has no C form; those that have: {supported}")
-
-
-def _discrete(model: DiscreteModel) -> Form:
-    return {"b": list(model.b), "a": list(model.a)}
-
-
-def _delayed(model: DelayedModel) -> Form:
-    return {"line": model.line.samples, "then": _discrete(model.model)}
-
-
-def _smith(predictor: SmithPredictor) -> Form:
-    then = predictor.then
-    delayed = {"line": then.samples, "then": None} if isinstance(then, DelayLine) else _delayed(then)
-    return {"kind": "early-late", "now": _discrete(predictor.now), **delayed}
-
-
-def _filtered(predictor: FilteredSmithPredictor) -> Form:
-    rest = _discrete(predictor.rest) if predictor.rest else None
-    smith = {"kind": "early-late-filtered", "now": _discrete(predictor.now), **_delayed(predictor.then)}
-    return smith | {"through": predictor.through, "rest": rest}
-
-
-def _state(predictor: StatePredictor) -> Form:
-    common = {
-        "f": predictor.f,
-        "push": list(predictor.push),
-        "of_state": list(predictor.of_state),
-        "weights": list(predictor.weights),
-        "of_disturbance": predictor.of_disturbance,
-    }
-    observer = predictor.observer
-    if type(observer) is DoubleIntegratorObserver:
-        return common | {
-            "kind": "double-integrator",
-            "transition": list(observer.transition),
-            "of_rate": list(observer.of_rate),
-            "of_command": list(observer.of_command),
-        }
-    if type(observer) is ModelObserver:
-        return common | {
-            "kind": "model-observer",
-            "disturbance": observer.with_disturbance,
-            "F": [list(row) for row in observer.F],
-            "gain": list(observer.gain),
-        }
-    raise InputError(f"the observer {type(observer).__name__} has no C form; allowed: the built-in ones")
-
-
-def _linear(predictor: LinearPredictor) -> Form:
-    names = ("transition", "of_rate", "of_command", "of_state", "weights")
-    return {"kind": "linear"} | {name: getattr(predictor, name) for name in names}
-
-
-def _modal(predictor: ModalPredictor) -> Form:
-    vectors = {
-        "poles": predictor.poles,
-        "residues": predictor.residues,
-        "shares": predictor.shares,
-        "gain": predictor.gain,
-        "ahead": predictor.state_weights,
-    }  # real, or complex where the model has pairs
-    paired = any(complex(x).imag != 0.0 for vector in vectors.values() for x in vector)
-    return {
-        "kind": "modes",
-        "order": len(predictor.poles),
-        "paired": paired,
-        "disturbance": predictor.with_disturbance,
-        "real": {name: [complex(x).real for x in vector] for name, vector in vectors.items()},
-        "imaginary": {name: [complex(x).imag for x in vector] for name, vector in vectors.items()},
-        "weights": list(predictor.weights),
-        "gathered": predictor.command_weight,
-    }
-
-
-_PREDICTORS: dict[type, Callable[[Any], Form]] = {
-    NoPredictor: lambda predictor: {"kind": "none"},
-    SmithPredictor: _smith,
-    FilteredSmithPredictor: _filtered,
-    StatePredictor: _state,
-    LinearPredictor: _linear,
-    ModalPredictor: _modal,
-}

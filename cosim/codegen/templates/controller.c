@@ -144,24 +144,24 @@ static Real predict_[[ axis.name ]](const [[ n ]]_[[ A ]]Predictor *p, [[ n ]]_[
     Real applied)
 {
 {% if q.kind == "early-late" %}
-    const Real now = discrete_model(p->now_b, p->now_a, s->now, [[ q.now.a|length ]], applied);
-{% if q.then %}
-{% set late = "discrete_model(p->then_b, p->then_a, s->then, " ~ q.then.a|length ~ ", applied)" %}
+    const Real now = discrete_model(p->now_b, p->now_a, s->now, [[ q.now_a|length ]], applied);
+{% if q.then_a is defined %}
+{% set late = "discrete_model(p->then_b, p->then_a, s->then, " ~ q.then_a|length ~ ", applied)" %}
 {% else %}
 {% set late = "now" %}
 {% endif %}
     const Real then = {% if q.line %}delay_line(s->line, &s->at, [[ q.line ]], [[ late ]]){% else %}[[ late ]]{% endif %};
     return measured + (now - then);
 {% elif q.kind == "early-late-filtered" %}
-{% set late = "discrete_model(p->then_b, p->then_a, s->then, " ~ q.then.a|length ~ ", applied)" %}
+{% set late = "discrete_model(p->then_b, p->then_a, s->then, " ~ q.then_a|length ~ ", applied)" %}
     const Real then = {% if q.line %}delay_line(s->line, &s->at, [[ q.line ]], [[ late ]]){% else %}[[ late ]]{% endif %};
     const Real difference = measured - then;
     Real filtered = p->through * difference;
-{% if q.rest %}
-    filtered += discrete_model(p->rest_b, p->rest_a, s->rest, [[ q.rest.a|length ]], s->before);
+{% if q.rest_a is defined %}
+    filtered += discrete_model(p->rest_b, p->rest_a, s->rest, [[ q.rest_a|length ]], s->before);
     s->before = difference;
 {% endif %}
-    const Real now = discrete_model(p->now_b, p->now_a, s->now, [[ q.now.a|length ]], applied);
+    const Real now = discrete_model(p->now_b, p->now_a, s->now, [[ q.now_a|length ]], applied);
     return measured + (now - then) + (filtered - difference);
 {% elif q.kind == "linear" %}
     send(s->sent, [[ q.weights|length ]], applied);
@@ -198,15 +198,15 @@ static Real predict_[[ axis.name ]](const [[ n ]]_[[ A ]]Predictor *p, [[ n ]]_[
         s->x[i] = ahead[i] + p->gain[i] * error;
     }
     return p->of_state[0] * s->x[0] + p->of_state[1] * s->x[1] + dot(p->weights, s->sent, [[ q.weights|length ]])
-{%- if q.disturbance %}
+{%- if q.of_disturbance is defined %}
 
         + p->of_disturbance * s->x[2]
 {%- endif %};
 {% else %}
-{% set plus_d = " + s->disturbance" if q.disturbance else "" %}
+{% set plus_d = " + s->disturbance" if q.gathered is defined else "" %}
     Real estimated = R(0.0);
-    for (int i = 0; i < [[ q.order ]]; i++) {
-{% if q.paired %}
+    for (int i = 0; i < [[ q.poles|length ]]; i++) {
+{% if q.poles_im is defined %}
         const Real re = s->x[i];
         const Real im = s->x_im[i];
         s->x[i] = p->poles[i] * re - p->poles_im[i] * im[[ plus_d ]]
@@ -220,19 +220,19 @@ static Real predict_[[ axis.name ]](const [[ n ]]_[[ A ]]Predictor *p, [[ n ]]_[
     }
     const Real error = measured - estimated;
     Real answer = R(0.0);
-    for (int i = 0; i < [[ q.order ]]; i++) {
+    for (int i = 0; i < [[ q.poles|length ]]; i++) {
         s->x[i] += p->gain[i] * error;
-{% if q.paired %}
+{% if q.poles_im is defined %}
         s->x_im[i] += p->gain_im[i] * error;
         answer += p->ahead[i] * s->x[i] - p->ahead_im[i] * s->x_im[i];
 {% else %}
         answer += p->ahead[i] * s->x[i];
 {% endif %}
     }
-{% if q.disturbance %}
-    s->disturbance += p->gain[ [[- q.order ]]] * error;
+{% if q.gathered is defined %}
+    s->disturbance += p->gain[ [[- q.poles|length ]]] * error;
 {% endif %}
-    return answer + dot(p->weights, s->sent, [[ q.weights|length ]]){% if q.disturbance %} + p->gathered * s->disturbance{% endif %};
+    return answer + dot(p->weights, s->sent, [[ q.weights|length ]]){% if q.gathered is defined %} + p->gathered * s->disturbance{% endif %};
 {% endif %}
 {% endif %}
 }
