@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.api.call import FolderResult, Limits, Progress, Table, checked
 from cosim.api.call.choices import choose
@@ -26,10 +26,15 @@ class MarginsResult(FolderResult):
     ----------
     measured : MeasuredMargins
         Everything.
+    kept : bool or None
+        Whether no margin is worse than what ``at_least`` asked for; None where nothing was asked for.
     """
 
-    def __init__(self, measured: MeasuredMargins) -> None:
+    def __init__(self, measured: MeasuredMargins, at_least: str | None = None) -> None:
+        from cosim.design.measured.judgement import falls_below
+
         self.measured = measured
+        self.kept = None if at_least is None else not falls_below(measured.judged, at_least)
         self.files = {}
 
     @property
@@ -44,10 +49,11 @@ class MarginsResult(FolderResult):
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet margins --json`` prints."""
-        return self.measured.to_dict()
+        return self.measured.to_dict() | ({} if self.kept is None else {"kept": self.kept})
 
     def lines(self) -> list[str]:
-        """Return what was measured, and what is to be said about it."""
+        """Return what was measured, whether it is enough, and what is to be said about it."""
+        from cosim.design.measured.judgement import judgement_line
         from cosim.design.measured.page import limit_line, uncertainty_line
 
         measured = self.measured
@@ -56,14 +62,16 @@ class MarginsResult(FolderResult):
         more = [line for each in measured.axes.values() for line in (uncertainty_line(each), limit_line(each)) if line]
         missing = [f"not computed: {measured.uncomputed}"] if measured.uncomputed else []
         first = f"margins of {measured.controller_shown} on {scenario.aircraft}, engine {scenario.engine}"
-        return [first, *more, *notes, *missing]
+        return [first, judgement_line(measured.judged), *more, *notes, *missing]
 
     def tables(self) -> list[Table]:
-        """Return a table an axis."""
-        from cosim.design.measured.page import ENGINE_COLUMNS, columns, engine_rows, heading, rows
+        """Return a table an axis, the margins beside their limits, and how well the engine is known."""
+        from cosim.design.measured.judgement import COLUMNS as JUDGED_COLUMNS
+        from cosim.design.measured.page import ENGINE_COLUMNS, columns, engine_rows, heading, judged_rows, rows
 
         measured = self.measured
         tables = [Table(heading(each), columns(each), rows(each)) for each in measured.axes.values()]
+        tables.append(Table("beside their limits", JUDGED_COLUMNS, judged_rows(measured)))
         if measured.uncertainty_source is not None:
             tables.append(Table("uncertainty of the engine", ENGINE_COLUMNS, engine_rows(measured.engine_ranges)))
         return tables
@@ -94,6 +102,7 @@ def margins(
     period_s: float | None = None,
     periods: int = 5,
     limit: bool = False,
+    at_least: Literal["enough", "narrow"] | None = None,
     out: str | Path | None = None,
     progress: Progress | None = None,
 ) -> MarginsResult:
@@ -131,6 +140,8 @@ def margins(
         That are measured.
     limit : bool
         Whether each computed loop is compared with the best that any linear controller could do.
+    at_least : str or None
+        The judgement that every margin is to have for ``kept``; narrow: with a well-known engine alone.
     out : str or Path or None
         A folder for page and data; without it nothing is written.
     progress : Progress or None
@@ -173,5 +184,5 @@ def margins(
         limit=limit,
         say=tell,
     )
-    result = MarginsResult(measured)
+    result = MarginsResult(measured, at_least)
     return result if out is None else result.write(out)

@@ -10,10 +10,12 @@ import click
 from cosim.base.signals import AXES
 from cosim.cli import opt
 from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table
-from cosim.cli.options import DONE, Flight, example, offer_to_compile, warn_of_fmu_defects
+from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, offer_to_compile, warn_of_fmu_defects
 
 if TYPE_CHECKING:
     from cosim.design.measured import MeasuredMargins
+
+BANDS = ("enough", "narrow")  # that may be asked for
 
 
 class Margins(Flight, opt.Output):
@@ -32,6 +34,9 @@ class Margins(Flight, opt.Output):
     period_s = opt.positive("--period", "S", "Of the multisine.  [default: 20, or 60 for a slow loop]")
     periods = opt.whole("--periods", None, "That are measured.", min=3, default=5)
     limit = opt.flag("--limit", "Compare each computed loop with the best that any linear controller could do.")
+    at_least = opt.choice(
+        "--at-least", BANDS, "Status 1 where a margin is worse; narrow: for a well-known engine alone."
+    )
     seed = opt.whole("--seed", None, "Of sensor noise and turbulence.")
     settings = opt.SETTINGS
     out = opt.OUT
@@ -45,7 +50,8 @@ def margins(options: Margins) -> int:
 
     A multisine is added between the controller and its actuators while the vehicle of SCENARIO holds still; what passes
     before and behind gives the open loop, with 95 % bounds, beside the computed one where the controller is built in.
-    Status 1: the vehicle does not stay in the air.
+    The last line judges every margin by docs/judging.md and names the worst.  Status 0: measured, whatever the margins;
+    1: with --at-least, a margin is worse; or the vehicle does not stay in the air.
     """
     from cosim.base.runtime.threads import one_thread
 
@@ -58,23 +64,25 @@ def margins(options: Margins) -> int:
     offer_to_compile(*options.engines)
     loaded, axes = options.load(), options.axes or AXES
     warn_of_fmu_defects(loaded.engine, folder=loaded.folder)
-    chosen = options.chosen("amplitude", "from_hz", "to_hz", "period_s", "periods", "limit")
+    chosen = options.chosen("amplitude", "from_hz", "to_hz", "period_s", "periods", "limit", "at_least")
     with output_to_stderr(options.as_json), part_progress("margins", options.as_json) as show:
         result = measure(loaded, axes, progress=CommandProgress(show), **chosen)
     name = f"margins-{folder_name(result.measured.controller)}"
     paths = result.write(options.run_folder(name)).files
     options.answer(result.to_dict, lambda: print_margins(result.measured, paths))
-    return DONE
+    return FLIGHT_FAILED if result.kept is False else DONE
 
 
 def print_margins(margins: MeasuredMargins, paths: dict[str, Path]) -> None:
     """Print a table an axis, what is to be said about it, where the page is, and the judgement last."""
+    from cosim.design.measured.judgement import COLUMNS as JUDGED_COLUMNS
+    from cosim.design.measured.judgement import judgement_line
     from cosim.design.measured.page import (
         ENGINE_COLUMNS,
         columns,
         engine_rows,
         heading,
-        judgement_line,
+        judged_rows,
         limit_line,
         rows,
         uncertainty_line,
@@ -97,5 +105,8 @@ def print_margins(margins: MeasuredMargins, paths: dict[str, Path]) -> None:
         show_table(ENGINE_COLUMNS, engine_rows(margins.engine_ranges), [1, 2, 3])
     if margins.uncomputed:
         say(f"not computed: {margins.uncomputed}")
+    show_table(
+        JUDGED_COLUMNS, judged_rows(margins), (2, 3), title="beside their limits", title_justify="left", title_style=""
+    )
     say(f"report: {paths['report']}", wrap=False)
-    say(judgement_line(margins))
+    say(judgement_line(margins.judged))

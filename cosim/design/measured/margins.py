@@ -21,6 +21,7 @@ from cosim.design.measured.computed import Computed, compute_margins
 from cosim.design.measured.engine_range import EngineRange, range_over_engines
 from cosim.design.measured.estimate import QUANTITIES, Response, measured, relative_difference, relative_differences
 from cosim.design.measured.excitation import Multisine, Record, Tap, fly_excitation, multisine, still
+from cosim.design.measured.judgement import Judged, find_worst, judge_axis
 from cosim.engine.fmu.uncertainty import ParameterRange
 from cosim.simulation.build import build
 from cosim.simulation.controllers.external_controller import find_controller
@@ -60,6 +61,12 @@ class AxisMargins:
     notes: tuple[str, ...]
     uncertainty: LoopUncertainty | None = None  # of the engine at the crossover; None: not stated, or it does not turn
     over_engine: EngineRange | None = None  # the margins over that uncertainty; None: as above
+    transport_s: float | None = None  # that the vehicle has from command to measured rate; None: not known
+
+    @property
+    def judged(self) -> list[Judged]:
+        """Its margins beside the limits of ``docs/judging.md``."""
+        return judge_axis(self)
 
     @property
     def is_complete(self) -> bool:
@@ -109,6 +116,11 @@ class MeasuredMargins:
     engine_ranges: tuple[ParameterRange, ...] = ()  # of its uncertain parameters
 
     @property
+    def judged(self) -> list[Judged]:
+        """The margins of all axes beside the limits of ``docs/judging.md``."""
+        return [row for measured in self.axes.values() for row in measured.judged]
+
+    @property
     def controller(self) -> str:
         """The controller's name without a folder."""
         return label(self.scenario.controller)
@@ -138,6 +150,7 @@ class MeasuredMargins:
             "not_computed": self.uncomputed or None,
             "engine_uncertainty_source": self.uncertainty_source,
             "engine_parameters": [row._asdict() for row in self.engine_ranges],
+            "worst_margin": find_worst(self.judged)._asdict(),
             "axes": {axis: _axis_dict(measured) for axis, measured in self.axes.items()},
         }
 
@@ -169,6 +182,7 @@ def _axis_dict(measured: AxisMargins) -> dict[str, Any]:
             name: measured.half.margins[name].value if name in measured.half.margins else None for name in QUANTITIES
         },
         "limit": measured.limit.to_dict() if isinstance(measured.limit, AxisLimit) else None,
+        "judged": [row.to_dict() for row in measured.judged],
         "notes": list(measured.notes),
         "engine_uncertainty": None
         if measured.uncertainty is None
@@ -320,6 +334,7 @@ class _MarginRequest:
             _notes(response, other),
             known,
             self._over_engine(response),
+            self.transport_s,
         )
 
     def _over_engine(self, response: Response) -> EngineRange | None:

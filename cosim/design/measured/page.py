@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from math import inf, isfinite
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,8 @@ import numpy as np
 from cosim.base.storage.files import write_files
 from cosim.design.figures import FAR, Curve, bode
 from cosim.design.measured.engine_range import EngineRange
+from cosim.design.measured.judgement import COLUMNS as JUDGED_COLUMNS
+from cosim.design.measured.judgement import judgement_line
 from cosim.design.measured.margins import AxisMargins, MeasuredMargins
 from cosim.engine.fmu.uncertainty import ParameterRange
 from cosim.results.report.page import render
@@ -30,13 +32,6 @@ QUANTITIES = (  # quantity, what it is called, and its numbers
     ("delay_less_s", "delay, less", "{:.4f} s"),
     ("peak_sensitivity", "peak |S|", "{:.3f}"),
     ("crossover_hz", "crossover", "{:.3f} Hz"),
-)
-
-
-PEAK_BANDS = (  # upper end of peak |S|, and what docs/judging.md says up to there
-    (2.0, "up to 2.0, good or usual"),
-    (2.5, "from 2.0 to 2.5, only with a well-known engine"),
-    (inf, "above 2.5, do not fly on it alone"),
 )
 
 
@@ -62,6 +57,11 @@ def rows(measured: AxisMargins) -> list[list[str]]:
         line = [title, value, bounds, "-" if measured.computed is None else other, off]
         lines.append(line if measured.over_engine is None else [*line, _over_engine(name, form, measured.over_engine)])
     return lines
+
+
+def judged_rows(margins: MeasuredMargins) -> list[list[str]]:
+    """Return a row of cells for each margin beside its limit, as :data:`JUDGED_COLUMNS` head them."""
+    return [row.cells() for row in margins.judged]
 
 
 def answer(measured: AxisMargins) -> str:
@@ -133,14 +133,6 @@ def limit_line(measured: AxisMargins) -> str | None:
     return f"no limit of performance: {limit}" if isinstance(limit, str) else f"{measured.axis}: {limit.describe()}"
 
 
-def judgement_line(margins: MeasuredMargins) -> str:
-    """Return the band of the greatest measured peak sensitivity, and that it is not the only rule."""
-    peaks = {axis: each.response.margins["peak_sensitivity"].value for axis, each in margins.axes.items()}
-    axis = max(peaks, key=lambda name: peaks[name])
-    band = next(words for end, words in PEAK_BANDS if peaks[axis] <= end)
-    return f"judgement: {axis}: peak |S| {peaks[axis]:.2f}: {band}; the margins must be enough too: docs/judging.md"
-
-
 def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
     """Write ``margins.json``, ``response.csv`` and ``report.html``.  Raises FlightError if a file cannot be written."""
     paths = {"json": folder / "margins.json", "response": folder / "response.csv", "report": folder / "report.html"}
@@ -166,6 +158,7 @@ def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
         answers=[answer(measured) for measured in margins.axes.values()],
         tables=tables,
         engine=(ENGINE_COLUMNS, engine),
+        judgement=(judgement_line(margins.judged), JUDGED_COLUMNS, judged_rows(margins)),
     )
     return paths
 

@@ -17,7 +17,16 @@ from places import DOCS, script
 from stated_figures import stated
 
 from cosim.base.storage.paths import data_folder
-from cosim.design.measured.page import PEAK_BANDS, judgement_line
+from cosim.design.measured.estimate import Bounded
+from cosim.design.measured.judgement import (
+    KNOWN_PEAK,
+    PEAK,
+    falls_below,
+    guaranteed_gain_db,
+    guaranteed_phase_deg,
+    judge_axis,
+    judgement_line,
+)
 from cosim.engine import library
 from cosim.results.report.marks import parts_of, row
 from cosim.simulation.controllers.controller_file import Requirements
@@ -43,7 +52,10 @@ def test_the_first_commands_print_what_the_page_says(hexjet: Hexjet) -> None:
     assert [HASTY in line for line in lines] == [True, True, True]
     measured, flown, late = (hexjet(*shlex.split(line)[1:], "--json") for line in lines)
     assert (measured.status, flown.status, late.status) == (0, 1, 1)
-    found = json.loads(measured.out)["axes"]["roll"]["measured"]
+    answer = json.loads(measured.out)
+    worst, found = answer["worst_margin"], answer["axes"]["roll"]["measured"]
+    assert (worst["axis"], worst["margin"], worst["band"]) == ("roll", "peak_sensitivity", "too little")
+    assert worst["value"] == found["peak_sensitivity"]["value"]
     values = {name: each["value"] for name, each in found.items() if each}
     assert row(judging.margins_row("hasty", values)) in MARGINS
     stated(NAME, "prints a phase margin of {} deg", values["phase_deg"])
@@ -63,7 +75,6 @@ def test_the_arithmetic_of_the_page() -> None:
         assert abs(1.0 - 10.0 ** (-gain / 20.0)) == pytest.approx(1.0 / peak, rel=1e-12)
         assert abs(1.0 - exp(1j * radians(phase))) == pytest.approx(1.0 / peak, rel=1e-12)
     assert next(iter(judging.PEAKS)) == Requirements().max_sensitivity
-    assert [end for end, _ in PEAK_BANDS][:2] == list(judging.PEAKS)[1:3]
     stated(NAME, "ask for {} % of its delay, as `hexjet design` does", 100.0 * Requirements().delay_tolerance)
     engine = library.read_engine(data_folder("engines") / "edf-as-flown")
     late = float(next(each.start for each in engine.variables if each.name == "delay_samples") or 0.0)
@@ -85,21 +96,73 @@ def test_the_arithmetic_of_the_page() -> None:
         assert phase / 360.0 / crossover == pytest.approx(delay / 1000.0, rel=0.03), name
 
 
+def an_axis(axis: str, uncertainty: float | None = None, lost: int = 0, **margins: tuple[float, float, float]) -> Any:
+    """An axis with these margins, each with its bounds, a transport delay of 100 ms and steps of 4 ms."""
+    found = {"peak_sensitivity": Bounded(1.7, 1.7, 1.7)} | {name: Bounded(*each) for name, each in margins.items()}
+    return SimpleNamespace(
+        axis=axis,
+        response=SimpleNamespace(margins=found),
+        transport_s=0.1,
+        sine=SimpleNamespace(step=0.004),
+        uncertainty=None if uncertainty is None else SimpleNamespace(delay_s=uncertainty),
+        over_engine=None if uncertainty is None else SimpleNamespace(draws=200, unstable=lost),
+    )
+
+
 @pytest.mark.parametrize(
-    ("peaks", "band"),
+    ("margins", "line"),
     [
-        ({"roll": 1.7, "yaw": 2.0}, "yaw: peak |S| 2.00: up to 2.0, good or usual"),
-        ({"roll": 2.43, "yaw": 2.0}, "roll: peak |S| 2.43: from 2.0 to 2.5, only with a well-known engine"),
-        ({"roll": 1.7, "yaw": 4.12}, "yaw: peak |S| 4.12: above 2.5, do not fly on it alone"),
+        ({"gain_db": (8.4, 8.3, 8.5), "gain_down_db": (-23.0, -23.1, -22.9), "phase_deg": (34.0, 33.9, 34.1),
+          "delay_s": (0.124, 0.12, 0.13)},
+         "every margin is enough; worst: roll phase, lag 34.0 deg, by its bounds 33.9 deg, "
+         "limit 29.0 deg (23.1 deg with a well-known engine)"),
+        ({"phase_deg": (24.0, 23.9, 24.1)},
+         "fly it only with a well-known engine; worst: roll phase, lag 24.0 deg, by its bounds 23.9 deg, "
+         "limit 29.0 deg (23.1 deg with a well-known engine)"),
+        ({"gain_db": (6.1, 5.9, 6.3)},  # its bounds may lie below what it was found at
+         "fly it only with a well-known engine; worst: roll gain up 6.1 dB, by its bounds 5.9 dB, "
+         "limit 6.0 dB (4.4 dB with a well-known engine)"),
+        ({"gain_down_db": (-3.0, -3.1, -2.9), "phase_deg": (23.0, 22.9, 23.1)},
+         "do not fly on it; worst: roll gain down -3.0 dB, by its bounds -2.9 dB, limit -6.0 dB (-4.4 dB with a well-known engine), "
+         "and 1 more too little"),
+        ({"delay_s": (0.029, 0.029, 0.029)}, "do not fly on it; worst: roll delay, more 29 ms, limit 30 ms"),
+        ({"peak_sensitivity": (2.4, 2.3, 2.51)},
+         "do not fly on it; worst: roll peak |S| 2.40, by its bounds 2.51, "
+         "limit 2.00 (2.50 with a well-known engine)"),
+        ({"uncertainty": 0.01, "delay_s": (0.029, 0.029, 0.029)},
+         "do not fly on it; worst: roll delay, more 29 ms, limit 30 ms"),
+        ({"uncertainty": 0.0096, "delay_s": (0.029, 0.029, 0.029), "lost": 1},
+         "do not fly on it; worst: roll drawn engines that lose it 1, limit 0"),
     ],
-)
-def test_the_last_line_judges_the_worst_axis(peaks: dict[str, float], band: str) -> None:
-    axes = {
-        axis: SimpleNamespace(response=SimpleNamespace(margins={"peak_sensitivity": SimpleNamespace(value=peak)}))
-        for axis, peak in peaks.items()
+)  # fmt: skip
+def test_the_last_line_judges_every_margin_and_names_the_worst(margins: dict[str, Any], line: str) -> None:
+    rows = judge_axis(an_axis("roll", **margins)) + judge_axis(an_axis("yaw", peak_sensitivity=(1.1, 1.1, 1.1)))
+    assert judgement_line(rows) == f"judgement: {line}: docs/judging.md"
+    bands = ["enough", "narrow", "too little"]
+    worst = max(bands.index(row.band or "enough") for row in rows)
+    assert [falls_below(rows, band) for band in bands[:2]] == [worst > 0, worst > 1]
+
+
+def test_the_limits_of_the_margins_are_those_of_the_page() -> None:
+    assert tuple(judging.PEAKS)[1:3] == (PEAK, KNOWN_PEAK)
+    for peak in (PEAK, KNOWN_PEAK):
+        assert judging.guaranteed(peak) == pytest.approx((guaranteed_gain_db(peak), guaranteed_phase_deg(peak)))
+    rows = {
+        row.margin: row for row in judge_axis(an_axis("roll", gain_db=(7.0, 7.0, 7.0), phase_deg=(40.0, 40.0, 40.0)))
     }
-    margins: Any = SimpleNamespace(axes=axes)
-    assert judgement_line(margins) == f"judgement: {band}; the margins must be enough too: docs/judging.md"
+    gain, phase = rows["gain_db"], rows["phase_deg"]
+    assert gain.limit == 6.0
+    stated(NAME, "on both sides; narrow is {} dB", gain.known_limit)
+    stated(NAME, "Ask for the {} deg that a peak sensitivity of {} guarantees; narrow is {} deg",
+           phase.limit, PEAK, phase.known_limit)  # fmt: skip
+
+
+def test_what_has_no_known_delay_is_not_judged_by_one() -> None:
+    axis = an_axis("pitch", delay_s=(0.001, 0.001, 0.001))
+    axis.transport_s = None
+    (late,) = [row for row in judge_axis(axis) if row.margin == "delay_s"]
+    assert (late.limit, late.band, late.cells()[-2:]) == (None, None, ["not judged", "delay not known"])
+    assert judgement_line(judge_axis(axis)).startswith("judgement: every margin is enough; worst: pitch peak |S| 1.70")
 
 
 def test_what_the_text_says_of_the_tables() -> None:

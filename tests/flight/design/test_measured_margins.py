@@ -510,14 +510,30 @@ def test_the_page_states_what_is_flown() -> None:
 
 def test_the_command_says_and_writes_it(hexjet: Hexjet, tmp_path: Path) -> None:
     out = tmp_path / "margins"
-    done = hexjet("margins", "--axis", "yaw", "--period", "4", "--periods", "3", "--out", str(out), "--json")
+    done = hexjet("margins", "--axis", "yaw", "--period", "4", "--periods", "3", "--out", str(out), "--json",
+                  "--at-least", "narrow")  # fmt: skip
     assert done.status == 0, done.err
     said = json.loads(done.out)
+    assert said.pop("kept") is True
     assert said == json.loads((out / "margins.json").read_text(encoding="utf-8"))
     yaw = said["axes"]["yaw"]
     assert yaw["measured"]["phase_deg"]["low"] < yaw["computed"]["phase_deg"] < yaw["measured"]["phase_deg"]["high"]
     assert (out / "response.csv").read_text(encoding="utf-8").startswith("axis,frequency_hz,")
-    assert "yaw" in (out / "report.html").read_text(encoding="utf-8")
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "<td>yaw</td><td>phase, lag</td>" in page.replace(' class="number"', "")
+
+
+def test_the_status_says_whether_the_margins_are_what_was_asked_for(
+    monkeypatch: pytest.MonkeyPatch, hexjet: Hexjet, tmp_path: Path
+) -> None:
+    """The loop of the other test, with more to be asked of it than it has."""
+    monkeypatch.setattr("cosim.design.measured.judgement.PEAK", 1.01)
+    monkeypatch.setattr("cosim.design.measured.judgement.KNOWN_PEAK", 1.02)
+    out = str(tmp_path / "margins")
+    done = hexjet("margins", "--axis", "yaw", "--period", "4", "--periods", "3", "--out", out, "--at-least", "narrow")
+    assert done.status == 1, done.err
+    last = " ".join(done.out.split("judgement:")[-1].split())
+    assert re.match(r"do not fly on it; worst: yaw gain up [\d.]+ dB, .*, and 2 more too little: docs", last), last
 
 
 @pytest.mark.parametrize(
