@@ -6,11 +6,11 @@ Every number is finite and in range when a record exists; the constructors raise
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from enum import Enum
 from math import isfinite
 from types import NoneType, UnionType
-from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, NamedTuple, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
 from cosim.base.errors import InputError
 
@@ -24,8 +24,12 @@ class Bounds(NamedTuple):
     upper: float
 
 
+@dataclass_transform(frozen_default=True)
 class CheckedRecord:
-    """A record whose fields are checked against their annotations at construction."""
+    """A frozen data class, as each of its subclasses is, whose fields are checked against their annotations."""
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True)(cls)
 
     def __post_init__(self) -> None:
         hints = _hints(type(self))

@@ -8,7 +8,6 @@ exists; the constructors raise InputError with one line otherwise.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import Enum
 from math import pi, sqrt
 from typing import Annotated, Any, NamedTuple, get_args
@@ -51,43 +50,36 @@ class Answer(NamedTuple):
     text: str
 
 
-@dataclass(frozen=True)
 class Arm(CheckedRecord):
     """Start flying; ``force`` skips the checks that are not about the vehicle's safety on the ground."""
 
     force: bool = False
 
 
-@dataclass(frozen=True)
 class Disarm(CheckedRecord):
     """Engines to idle; in the air only with ``force``, and then they are shut off."""
 
     force: bool = False
 
 
-@dataclass(frozen=True)
 class SetMode(CheckedRecord):
     mode: str
 
 
-@dataclass(frozen=True)
 class Takeoff(CheckedRecord):
     """Climb to a height above home; without one to the parameter's."""
 
     altitude_m: Metres | None = None
 
 
-@dataclass(frozen=True)
 class Land(CheckedRecord):
     """Land below the present position."""
 
 
-@dataclass(frozen=True)
 class ReturnHome(CheckedRecord):
     """Climb, fly home, land."""
 
 
-@dataclass(frozen=True)
 class Goto(CheckedRecord):
     """Fly to a position and hold there; an omitted value keeps its present value."""
 
@@ -106,7 +98,6 @@ class OrbitYaw(Enum):
     TANGENT = "tangent"
 
 
-@dataclass(frozen=True)
 class Orbit(CheckedRecord):
     """Fly round a centre until something else is asked, or ``turns`` times; what is not given is as where it is.
 
@@ -128,19 +119,16 @@ class Orbit(CheckedRecord):
             raise InputError("Orbit: give north and east, or neither")
 
 
-@dataclass(frozen=True)
 class Hold(CheckedRecord):
     """Stop and stay."""
 
 
-@dataclass(frozen=True)
 class SetSpeed(CheckedRecord):
     """Horizontal speed of automatic flight until the next arming, m/s."""
 
     m_s: Speed
 
 
-@dataclass(frozen=True)
 class SetHome(CheckedRecord):
     """Set the home position; an omitted value is the vehicle's present one."""
 
@@ -149,14 +137,12 @@ class SetHome(CheckedRecord):
     altitude: Metres | None = None
 
 
-@dataclass(frozen=True)
 class Kill(CheckedRecord):
     """Shut the engines off at once; in the air only with ``force``."""
 
     force: bool = False
 
 
-@dataclass(frozen=True)
 class Sticks(CheckedRecord):
     """Manual sticks: roll right, pitch forward (nose down), yaw right in -1..1; throttle 0..1, centre 0.5."""
 
@@ -166,7 +152,6 @@ class Sticks(CheckedRecord):
     throttle: Share
 
 
-@dataclass(frozen=True)
 class OffboardAttitude(CheckedRecord):
     """Either an attitude (body to NED, normalised here) or body rates, rad/s; ``thrust`` is the collective."""
 
@@ -182,7 +167,6 @@ class OffboardAttitude(CheckedRecord):
             raise InputError(f"OffboardAttitude.quaternion = {list(self.quaternion)}: must be of length 1")
 
 
-@dataclass(frozen=True)
 class OffboardVelocity(CheckedRecord):
     """NED velocity, m/s, with a heading or a turn rate or neither."""
 
@@ -198,7 +182,6 @@ class OffboardVelocity(CheckedRecord):
             raise InputError("OffboardVelocity: give yaw or yaw_rate, not both")
 
 
-@dataclass(frozen=True)
 class OffboardPosition(CheckedRecord):
     north: Metres
     east: Metres
@@ -231,7 +214,6 @@ _NEEDS = {
 }
 
 
-@dataclass(frozen=True)
 class MissionItem(CheckedRecord):
     """One item of a mission; which fields count follows from its kind."""
 
@@ -258,7 +240,6 @@ class MissionItem(CheckedRecord):
             raise InputError(f"MissionItem {self.kind.value}: give north and east, or neither")
 
 
-@dataclass(frozen=True)
 class MissionUpload(CheckedRecord):
     """A new mission in place of the old one."""
 
@@ -275,17 +256,14 @@ class MissionUpload(CheckedRecord):
                 )
 
 
-@dataclass(frozen=True)
 class MissionStart(CheckedRecord):
     """Fly the mission from its present item."""
 
 
-@dataclass(frozen=True)
 class MissionSetCurrent(CheckedRecord):
     index: Index
 
 
-@dataclass(frozen=True)
 class MissionClear(CheckedRecord):
     """Delete the mission."""
 
@@ -300,7 +278,6 @@ class ZoneKind(Enum):
 _POLYGONS = (ZoneKind.STAY_IN_POLYGON, ZoneKind.STAY_OUT_OF_POLYGON)
 
 
-@dataclass(frozen=True)
 class FenceZone(CheckedRecord):
     """A polygon by its corners (north, east), or a circle by its centre and ``radius``, m."""
 
@@ -317,7 +294,6 @@ class FenceZone(CheckedRecord):
             raise InputError("FenceZone: a circle has one centre and a radius above 0")
 
 
-@dataclass(frozen=True)
 class FenceUpload(CheckedRecord):
     """A new fence in place of the old one; without zones there is none."""
 
@@ -329,7 +305,6 @@ class FenceUpload(CheckedRecord):
             raise InputError(f"FenceUpload.zones: {len(self.zones)} zones, at most {MOST_ZONES} are allowed")
 
 
-@dataclass(frozen=True)
 class RallyPoint(CheckedRecord):
     """A place to return to where it is nearer than home; ``altitude``: of the flight there, at least."""
 
@@ -338,7 +313,6 @@ class RallyPoint(CheckedRecord):
     altitude: Metres
 
 
-@dataclass(frozen=True)
 class RallyUpload(CheckedRecord):
     """New rally points in place of the old ones."""
 
@@ -350,13 +324,11 @@ class RallyUpload(CheckedRecord):
             raise InputError(f"RallyUpload.points: {len(self.points)} points, at most {MOST_RALLY} are allowed")
 
 
-@dataclass(frozen=True)
 class SetParameter(CheckedRecord):
     name: str
     value: Number
 
 
-@dataclass(frozen=True)
 class InjectFault(CheckedRecord):
     """A fault from the next step on, by the kinds of a scenario's faults.
 
@@ -373,17 +345,14 @@ class InjectFault(CheckedRecord):
     duration_s: Seconds | None = None  # absent: to the end
 
 
-@dataclass(frozen=True)
 class ClearFaults(CheckedRecord):
     """End every injected fault."""
 
 
-@dataclass(frozen=True)
 class LinkLost(CheckedRecord):
     """Report that the link to the last ground station is lost."""
 
 
-@dataclass(frozen=True)
 class LinkBack(CheckedRecord):
     """Report that a ground station is connected again."""
 
