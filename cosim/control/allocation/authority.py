@@ -252,14 +252,11 @@ class Reach:
         residual = np.max(np.abs(rows @ wrench - values))
         return float(objective.goal @ wrench) if residual <= TOLERANCE else -inf
 
-    def effectiveness(self, angles: Any) -> Array:
-        """Return force and moment of each jet per thrust, with the hinges at ``angles`` [rad]: shape (6, jets)."""
-        import numpy as np
-
-        return self._linear(np.zeros(len(self._layout.stations)), angles)[0]
-
     def _linear(self, thrust: Array, at: Any) -> tuple[Array, Array]:
-        """Return :meth:`effectiveness` and the change per rad of each hinge: shapes (6, jets) and (6, hinges)."""
+        """Return force and moment of each jet per thrust, hinges ``at`` [rad], and their change per rad of each hinge.
+
+        Shapes (6, jets) and (6, hinges).
+        """
         import numpy as np
 
         layout, angles = self._layout, [float(angle) for angle in at]

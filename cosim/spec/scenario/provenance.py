@@ -65,13 +65,10 @@ def flown_parameters(scenario: Scenario) -> list[FlownParameters]:
     return flown
 
 
-def controller_shown(scenario: Scenario, law: str = "") -> str:
-    """Return a scenario's controller for display, ``law`` in place of the controller's own label.
-
-    Raises InputError as :func:`flown_parameters`.
-    """
+def controller_shown(scenario: Scenario) -> str:
+    """Return a scenario's controller for display.  Raises InputError as :func:`flown_parameters`."""
     own = scenario.controller_sha256 or ""
-    return describe_controller(law or label(scenario.controller), own, flown_parameters(scenario))
+    return describe_controller(label(scenario.controller), own, flown_parameters(scenario))
 
 
 def copy_parameters(

@@ -16,7 +16,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.frames import IDENTITY, from_euler, rotate
 from cosim.base.signals import Measured
 from cosim.control.autopilot.estimation.position import Estimator, Fix
-from cosim.control.autopilot.estimation.position_gains import kalman_gains
+from cosim.control.autopilot.estimation.position_gains import settling_gains
 from cosim.control.autopilot.geometry import lean_acceleration, lean_from_acceleration, wrap
 from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
@@ -153,7 +153,7 @@ def test_gains_settle_at_the_steady_kalman_filter() -> None:
     R = np.diag([SENSOR.position_noise_m**2, SENSOR.velocity_noise_m_s**2])
     P = solve_discrete_are(F.T, H.T, Q, R)
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    gains = kalman_gains(GAINS, SENSOR, DT)
+    gains = settling_gains(GAINS, SENSOR, DT)[0]
     # position is averaged longest: after a minute its weight is within a thousandth of where it goes
     np.testing.assert_allclose(gains[-1], K, rtol=1e-3)
     # the first fix is one of two: what was known at the start weighs as much
@@ -191,7 +191,7 @@ def test_late_fixes_count_as_if_they_had_come_in_time() -> None:
     for one in (SENSOR, sensor):
         late = one.latency_samples
         estimator = Estimator(GAINS, one, DT)
-        gains = np.array(kalman_gains(GAINS, one, DT))
+        gains = np.array(settling_gains(GAINS, one, DT)[0])
 
         def ahead(x: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
             t = steps * DT
@@ -263,7 +263,7 @@ def test_standing_averages_the_position_and_feels_no_push() -> None:
         assert fix.velocity == fix.disturbance == (0.0, 0.0)
         estimates.append(fix.position[0])
     # 200 fixes of 0.3 m; the filter forgets, so that not all of them count: three times the settled deviation
-    assert abs(estimates[-1]) < 3 * 0.3 * sqrt(kalman_gains(GAINS, SENSOR, DT)[-1][0][0])
+    assert abs(estimates[-1]) < 3 * 0.3 * sqrt(settling_gains(GAINS, SENSOR, DT)[0][-1][0][0])
 
 
 # --- control law ---------------------------------------------------------------------------------------------------
@@ -335,7 +335,7 @@ def loops(gains: PositionGains, w: NDArray[np.float64]) -> tuple[Complex, Comple
     below that of the fixes (63 rad/s), and the loop crosses at 1.
     """
     answer = roll_answer()(np.exp(1j * w * DT))
-    L = np.array(kalman_gains(gains, SENSOR, DT)[-1]) / SENSOR.period_samples
+    L = np.array(settling_gains(gains, SENSOR, DT)[0][-1]) / SENSOR.period_samples
     late = SENSOR.latency_samples
     F = np.array([[1.0, DT, DT * DT / 2], [0.0, 1.0, DT], [0.0, 0.0, 1.0]])
     B = np.array([DT * DT / 2, DT, 0.0])

@@ -14,20 +14,16 @@ _LEAST_VELOCITY_NOISE = 0.001
 _EPOCHS = 600  # after which the gains have settled: a minute at 10 Hz
 
 
-def kalman_gains(gains: PositionGains, sensor: PositionSensor, step: float) -> list[list[list[float]]]:
-    """Return the gains (3 x 2) of each GNSS epoch: position, velocity, disturbance by position, velocity.
-
-    The last ones stay.  They vary from the first fix on, so that the noise of position is averaged away while the
-    vehicle stands, instead of staying for the half minute that the settled filter needs.
-    """
-    return settling_gains(gains, sensor, step)[0]
-
-
 @lru_cache
 def settling_gains(
     gains: PositionGains, sensor: PositionSensor, step: float
 ) -> tuple[list[list[list[float]]], list[tuple[float, float]]]:
-    """Return the gains of :func:`kalman_gains`, and by number of epochs the deviations of position and velocity."""
+    """Return the Kalman gains (3 x 2) of each GNSS epoch, and by number of epochs the deviations of its two readings.
+
+    Gains are of position, velocity and disturbance by position and velocity, deviations of position and velocity.  The
+    last gains stay.  They vary from the first fix on, so that the noise of position is averaged away while the vehicle
+    stands, instead of staying for the half minute that the settled filter needs.
+    """
     T = sensor.period_samples * step
     F = np.array([[1.0, T, 0.5 * T * T], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
     qa, qb = gains.acceleration_noise_m_s15**2, gains.disturbance_walk_m_s25**2
