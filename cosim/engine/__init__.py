@@ -6,8 +6,7 @@ The only package that imports FMPy, and only where it is needed, because that im
 from cosim.engine.bank import EngineBank
 from cosim.engine.fmu.air import Air
 from cosim.engine.isolated import IsolatedBank, make_bank
-from cosim.engine.qualify.check import check_fmu, make_limits
-from cosim.engine.qualify.load import load_engine
+from cosim.engine.qualify.check import check_fmu, load_engine, make_limits
 from cosim.engine.qualify.report import CheckReport
 from cosim.engine.spec import EngineSpec, build_engines, list_engine_names
 

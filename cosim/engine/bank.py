@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from types import TracebackType
 
 import cosim.engine._bank as _bank
 from cosim.base.errors import EngineError
@@ -343,7 +342,5 @@ class EngineBank:
     def __enter__(self) -> EngineBank:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

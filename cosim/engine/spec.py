@@ -32,7 +32,7 @@ from cosim.engine.library import (
 )
 from cosim.engine.response import NO_CHANGE, Curve, SmallStep, trim_flat_ends
 from cosim.engine.rundown import FlameOutLaw
-from cosim.engine.ssp.parameter_set import read_parameter_set
+from cosim.engine.ssp.structure import read_parameter_set
 from cosim.engine.ssp.system import SUFFIX, is_system, read_system
 
 
@@ -74,9 +74,7 @@ class EngineSpec:
     quiet: float = field(default=NO_CHANGE, repr=False)  # fraction of itself by which the thrust may move at rest
     air: Air = STANDARD_AIR  # in which the curve was measured
     isolated: bool = False  # whether it needs a process of its own
-    small_step: SmallStep | None = (
-        None  # how late it is to a small step, as measured at the control step; None: see Measured
-    )
+    small_step: SmallStep | None = None  # how late it is to a small step, at the control step; None: see Measured
     logged_outputs: tuple[tuple[str, Variable], ...] = ()  # further outputs by their names in the log
     slot: int = 0  # index of the engine in its FMU, from 0
     siblings: tuple[Sibling, ...] = field(default=(), repr=False)  # of the first one: those that are held with it
@@ -237,11 +235,8 @@ class EngineSource:
     @property
     def code(self) -> list[Code]:
         """Code that the engine runs: its archive, unless it is one of the library."""
-        return (
-            []
-            if self.engine is not None
-            else [Code(self.archive.path, self.archive.sha256, (self.path, self.archive.path))]
-        )
+        archive = self.archive
+        return [Code(archive.path, archive.sha256, (self.path, archive.path))] if self.engine is None else []
 
 
 def _refuse_misspelt_file(path: Path) -> None:

@@ -163,12 +163,7 @@ def _source(kind: str, name: str, scenario: Scenario) -> Source:
         source = Source(name, kind, lambda: table, {path.name: path})
     else:
         source = find_block(kind, name, scenario.folder)
-    flown_sha256 = scenario.own_sha256.get(name)
-    if flown_sha256 is not None and flown_sha256 != source.sha256:
-        raise InputError(
-            f"scenario {scenario.name}: {kind} {source.label} is not the one that was flown: its sha256 is "
-            f"{source.sha256[:12]}, then it was {flown_sha256[:12]}; leave out own_sha256 to fly what is there now"
-        )
+    source.check_hash(scenario.own_sha256.get(name), f"scenario {scenario.name}", kind, "own_sha256")
     return source
 
 

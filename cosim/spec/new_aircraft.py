@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from cosim.base.errors import InputError, nearest
-from cosim.base.storage.files import one_line
+from cosim.base.storage.files import map_os_errors
 from cosim.spec.vehicle import VEHICLE, aircraft_names, find_aircraft, load_vehicle
 
 HEAD = """\
@@ -63,9 +63,7 @@ def new_aircraft(name: str, base: str, folder: Path) -> Path:
     text = re.sub(r'^model = ".*"\n', "", text, flags=re.MULTILINE)
     if path.exists():
         raise InputError(f"{path}: is there already; choose another name, or another folder with --out")
-    try:
+    with map_os_errors(InputError, path):
         folder.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: {one_line(error)}") from error
     return path

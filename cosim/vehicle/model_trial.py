@@ -15,6 +15,7 @@ from typing import Final
 
 from cosim.base.errors import InputError
 from cosim.base.runtime.processes import python_command, run_child
+from cosim.base.storage.files import write_if_possible
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.scratch import scratch
 from cosim.vehicle.executive import VERSION, Complaint, Executive
@@ -33,7 +34,6 @@ def check_model_loads(xml: bytes, model: Path, text: bytes) -> None:
     ``xml``: what JSBSim loads; ``model`` and ``text``: the user's file, and its contents with those of files it names.
     """
     from cosim.base.storage.user import cache_folder
-    from cosim.engine.qualify.misbehaviour_record import write_if_possible
 
     if model.resolve().is_relative_to(data_folder("aircraft").resolve()):
         return

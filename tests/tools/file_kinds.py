@@ -258,7 +258,7 @@ def _parameters(folder: Path) -> Path:
 
 def _read_parameters(path: Path) -> None:
     from cosim.engine.fmu.archive import read_archive
-    from cosim.engine.ssp.parameter_set import read_parameter_set
+    from cosim.engine.ssp.structure import read_parameter_set
 
     read_parameter_set(path, read_archive(path.with_name("engine.fmu")))
 

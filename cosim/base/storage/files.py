@@ -81,6 +81,13 @@ def write_whole(path: Path, content: str | bytes | Iterator[str], failure: type[
             file.writelines(piece.encode() if isinstance(piece, str) else piece for piece in pieces)
 
 
+def write_if_possible(path: Path, text: str) -> None:
+    """Write a whole file and the folders above it; do nothing where they cannot be written to: a cache's entry."""
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, text)
+
+
 @contextmanager
 def map_os_errors(failure: type[Exception], path: Path | str) -> Iterator[None]:
     """Raise ``failure``, with path and reason in a line, in the place of an OSError."""

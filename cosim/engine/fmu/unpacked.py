@@ -9,7 +9,6 @@ import shutil
 import tempfile
 from ctypes import CDLL
 from pathlib import Path
-from types import TracebackType
 
 from cosim.base.errors import InputError
 from cosim.base.storage.scratch import scratch
@@ -60,9 +59,7 @@ class UnpackedArchive:
     def __enter__(self) -> Path:
         return self.path
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

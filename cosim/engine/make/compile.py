@@ -14,7 +14,7 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.runtime.processes import python_command, run_child
-from cosim.base.storage.files import replace_on_success
+from cosim.base.storage.files import map_os_errors, replace_on_success
 from cosim.base.storage.scratch import temporary
 from cosim.base.trust import code_of, remember
 from cosim.engine.fmu.container import (
@@ -94,16 +94,13 @@ def compile_archive(path: Path, out: Path | None = None, windows: bool = False) 
         libraries = sorted(file for file in binaries.glob("*") if file.is_file()) if binaries.is_dir() else []
         if not libraries:
             raise InputError(f"{path}: its sources make no library")
-        try:
-            with replace_on_success(target) as copy:
-                copy.write_bytes(data)
-                with zipfile.ZipFile(copy, "a", zipfile.ZIP_DEFLATED) as fmu:
-                    for file in libraries:
-                        name = file.relative_to(folder).as_posix()
-                        if name not in names:
-                            fmu.write(file, name)
-        except OSError as error:
-            raise InputError(f"{target}: {error.strerror or error}") from error
+        with map_os_errors(InputError, target), replace_on_success(target) as copy:
+            copy.write_bytes(data)
+            with zipfile.ZipFile(copy, "a", zipfile.ZIP_DEFLATED) as fmu:
+                for file in libraries:
+                    name = file.relative_to(folder).as_posix()
+                    if name not in names:
+                        fmu.write(file, name)
     remember([code_of(target)])
     return target
 

@@ -10,15 +10,17 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter
 
 from cosim.base.errors import InputError
+from cosim.base.storage.files import write_if_possible
 from cosim.base.storage.user import cache_folder
 from cosim.base.trust import need_trust
 from cosim.engine.fmu.air import STANDARD_AIR, Air
@@ -28,12 +30,12 @@ from cosim.engine.fmu.port_kinds import KINDS
 from cosim.engine.fmu.ports import normalise_name
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.fmu.variables import Port, Variable
+from cosim.engine.load import load_unchecked
 from cosim.engine.measure import EngineMeasurement, measure_once
-from cosim.engine.qualify.misbehaviour_record import read_misbehaviour, record_misbehaviour, write_if_possible
 from cosim.engine.qualify.report import CheckReport
 from cosim.engine.qualify.supervisor import READ, STARTED, ChildResult, Limits, run_in_child
 from cosim.engine.response import NO_CHANGE, Response, find_curve_problems
-from cosim.engine.spec import EngineSource, check_whole_steps, find_source, resolve_parameters
+from cosim.engine.spec import EngineSource, EngineSpec, check_whole_steps, find_source, resolve_parameters
 
 DEFAULT_STEP_S = 0.004  # of the Hex-Jet's control loop
 LIMITS = Limits()
@@ -274,6 +276,47 @@ def _notes(archive: Archive, library: bool) -> list[str]:
 
 # ---- before a flight
 
+
+def load_engine(
+    name_or_path: str,
+    parameters: Mapping[str, float],
+    step: float,
+    *,
+    unchecked: bool = False,
+    measured: EngineMeasurement | None = None,
+    air: Air = STANDARD_AIR,
+    isolated: bool = False,
+) -> EngineSpec:
+    """Find, validate and measure an engine that will be stepped by ``step`` seconds.
+
+    As :func:`cosim.engine.load.load_unchecked`, but an engine that is not of the library is tried in another process
+    before this one loads it, and refused if ``hexjet fmu check`` finds it unfit; ``unchecked`` leaves that out.  One
+    that was found to crash, hang, print or bring a run time of its own asks for a process of its own, unless its
+    mapping file says ``isolated = false``.  This process loads none that asks for one, nor any where ``isolated``
+    is set.
+    An archive is code, which the user has to trust.
+
+    Raises InputError: one line that names the engine, what is wrong, and what is allowed.
+    """
+    source = find_source(name_or_path)
+    need_trust(source.code, f"engine {source.path.name}")
+    is_harmless = source.engine is not None or source.mapping.isolated is False
+    isolated = isolated or bool(
+        source.mapping.isolated or (not is_harmless and read_misbehaviour(source.archive.sha256))
+    )
+    measure_foreign: Callable[[str, Mapping[str, float], float, Air], EngineMeasurement] | None
+    if unchecked or source.engine is not None:
+        measure_foreign = measure_unchecked if isolated else None
+    else:
+        measure_foreign = partial(measure_in_child, isolated=isolated)
+    spec = load_unchecked(
+        name_or_path, parameters, step, measured=measured, air=air, measure_foreign=measure_foreign, source=source
+    )
+    spec = replace(spec, isolated=True) if isolated else spec
+    misbehaviour = "" if is_harmless else read_misbehaviour(source.archive.sha256)  # known only now that it is measured
+    return replace(spec, isolated=True, misbehaviour=misbehaviour) if misbehaviour else spec
+
+
 _fit_engines: set[tuple[str, str, float]] = set()  # checked in this process: sha256 of the archive, mapping, step
 
 
@@ -396,3 +439,27 @@ def _read_cached(path: Path) -> EngineMeasurement | None:
         return measured if sane else None
     except (OSError, ValueError):
         return None
+
+
+# ---- what a check found, in the user's cache: a file may be deleted at any time, and counts as missing if unreadable
+
+
+def read_misbehaviour(sha256: str) -> str:
+    """Return why an archive needs a process of its own according to its last check, else an empty string."""
+    try:
+        return _record_path(sha256).read_text(encoding="utf-8").strip()[:300]
+    except (OSError, ValueError):
+        return ""
+
+
+def record_misbehaviour(sha256: str, why: str) -> None:
+    """Record why an archive needs a process of its own; an empty ``why`` after a complete check removes the record."""
+    if why:
+        write_if_possible(_record_path(sha256), why)
+        return
+    with suppress(OSError):
+        _record_path(sha256).unlink(missing_ok=True)
+
+
+def _record_path(sha256: str) -> Path:
+    return cache_folder() / "apart" / f"{sha256}.txt"

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path as FilePath
 from pathlib import PurePosixPath
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
-from cosim.engine.fmu.container import UnusableError, to_one_line
+from cosim.base.errors import InputError, nearest
+from cosim.engine.fmu.archive import Archive
+from cosim.engine.fmu.container import UnusableError, check_xml, read_bytes, to_one_line
 from cosim.engine.fmu.units import Unit
 from cosim.engine.library import BASE_UNITS
 
@@ -226,6 +229,35 @@ def read_values(root: ElementTree.Element, where: str) -> dict[str, Value]:
             ) from None
         values[name] = Value(number, typed[0].get("unit"))
     return values
+
+
+def read_parameter_set(path: FilePath, archive: Archive) -> dict[str, float]:
+    """Return the values of a parameter set file by parameter, in the units of the archive's parameters.
+
+    Raises InputError: one line with the file, and the parameter that is unknown or has an incompatible unit.
+    """
+    try:
+        data = read_bytes(path)
+        check_xml(path.name, data)
+        root = ElementTree.fromstring(data)
+        units, values = read_units(root), read_values(root, "the set")
+        known = {v.name: v for v in archive.parameters}
+        converted = {}
+        for name, value in values.items():
+            if name not in known:
+                allowed = nearest(name, known) if known else "it has none"
+                raise UnusableError(f"{name}: {archive.path.name} has no such parameter; {allowed}")
+            variable = known[name]
+            factor, offset = 1.0, 0.0
+            if value.unit is not None and value.unit != variable.unit:
+                source_unit = units.get(value.unit)
+                if source_unit is None or variable.base is None:
+                    raise UnusableError(f"{name}: is in {value.unit}, the parameter in {variable.unit or 'no unit'}")
+                factor, offset = convert_units(source_unit, variable.base, name)
+            converted[name] = factor * value.value + offset
+    except UnusableError as reason:
+        raise InputError(f"{path}: {reason}") from reason
+    return converted
 
 
 def _resolve_parameter(path: Path, name: str, structure: Structure) -> Node:

@@ -113,12 +113,14 @@ class Source:
                 raise InputError(f"{where}.{name} = {value:g}: must be from {least:g} to {most:g} {unit}".rstrip())
         return {name: specified.get(name, parameter.default) for name, parameter in parameters.items()}
 
-    def check_hash(self, sha256: str | None, where: str) -> None:
-        """Refuse another file than the one that flew.  Raises InputError with the difference."""
+    def check_hash(
+        self, sha256: str | None, where: str, kind: str = "controller", key: str = "controller_sha256"
+    ) -> None:
+        """Refuse another file than the one that flew, whose hash ``key`` states.  Raises InputError."""
         if sha256 is not None and sha256 != self.sha256:
             raise InputError(
-                f"{where}: controller {self.label} is not the one that was flown: its sha256 is {self.sha256[:12]}, "
-                f"then it was {sha256[:12]}; leave out controller_sha256 to fly what is there now"
+                f"{where}: {kind} {self.label} is not the one that was flown: its sha256 is {self.sha256[:12]}, "
+                f"then it was {sha256[:12]}; leave out {key} to fly what is there now"
             )
 
 

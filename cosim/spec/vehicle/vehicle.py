@@ -247,17 +247,14 @@ class Vehicle(Model):
     def _exists_without_fuel(self) -> Self:
         if self.fuel is None:
             return self
-        whole, fuel, position = self.mass_kg, self.fuel.mass_kg, self.fuel.position_m
+        whole, fuel = self.mass_kg, self.fuel.mass_kg
         if fuel >= whole:
             raise ValueError(f"fuel.mass_kg {fuel:g} is a part of mass_kg {whole:g} and must be below it")
-        # about the empty vehicle's own centre of gravity, by the theorem of parallel axes
-        squares = [x * x for x in position]
-        shift = fuel * whole / (whole - fuel)
-        empty = [moment - shift * (sum(squares) - own) for moment, own in zip(self.inertia_kg_m2, squares, strict=True)]
+        empty = self.with_fuel(0.0).inertia_kg_m2
         a, b, c = sorted(empty)
         if a <= 0.0 or a + b < c:
             raise ValueError(
-                f"fuel: {fuel:g} kg at {list(position)} leave an empty vehicle with the moments of inertia "
+                f"fuel: {fuel:g} kg at {list(self.fuel.position_m)} leave an empty vehicle with the moments of inertia "
                 f"{[round(moment, 6) for moment in empty]} kg m^2, which no body has"
             )
         return self
