@@ -21,18 +21,9 @@ from typing import NamedTuple
 from cosim.base.geodesy import Geodesy
 from cosim.base.protocols import Column, Diagnostics
 from cosim.base.signals import Measured, Sample, State
+from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Message, Severity
 from cosim.control.autopilot.parameters import Parameters
-from cosim.control.autopilot.requests import (
-    Answer,
-    MissionItem,
-    OffboardAttitude,
-    OffboardPosition,
-    OffboardVelocity,
-    Request,
-    Result,
-    Sticks,
-)
 from cosim.control.autopilot.status import Status
 from cosim.engine import EngineSpec
 from cosim.simulation.ending import Ending
@@ -46,7 +37,7 @@ MESSAGE_HISTORY = 100
 ANSWER_TIMEOUT = 2.0  # s for an answer at a port: ground stations ask again after 1 to 3 s
 
 # requests that are sent continuously, of which only the last one counts
-_STREAMS = (Sticks, OffboardAttitude, OffboardVelocity, OffboardPosition)
+_STREAMS = (rq.Sticks, rq.OffboardAttitude, rq.OffboardVelocity, rq.OffboardPosition)
 
 
 @dataclass(frozen=True)
@@ -59,12 +50,12 @@ class Shutdown:
     """Request to end the session; refused while it flies."""
 
 
-GroundRequest = Request | Restart | Shutdown
-AnswerCallback = Callable[[Answer], None]
+GroundRequest = rq.Request | Restart | Shutdown
+AnswerCallback = Callable[[rq.Answer], None]
 Claim = Callable[[], bool]  # takes a request over; False where its sender has already been told that it was not done
 
 
-def ignore_answer(answer: Answer) -> None:
+def ignore_answer(answer: rq.Answer) -> None:
     """Ignore an answer, for senders that need none."""
 
 
@@ -95,7 +86,7 @@ class Snapshot(NamedTuple):
     status: Status
     pace: PaceReport
     ending: Ending | None  # once the flight is over
-    mission: tuple[MissionItem, ...]
+    mission: tuple[rq.MissionItem, ...]
     diagnostics: tuple[Diagnostics, Diagnostics, Diagnostics]  # of the predictors of roll, pitch and yaw
 
 
@@ -174,9 +165,9 @@ class Exchange:
                 queue.append((waiting, claim))
                 self._queues[sender] = queue
         if dropped is not None:
-            dropped.answer(Answer(True, Result.ACCEPTED, "followed by a newer one"))
+            dropped.answer(rq.Answer(True, rq.Result.ACCEPTED, "followed by a newer one"))
         if is_full:
-            waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "too many requests"))
+            waiting.answer(rq.Answer(False, rq.Result.TEMPORARILY_REJECTED, "too many requests"))
 
     # --- for the flight ------------------------------------------------------------------------------------------
 
@@ -203,7 +194,7 @@ class Exchange:
                 if queue:
                     self._queues[sender] = queue
         for waiting in late:
-            waiting.answer(Answer(False, Result.FAILED, "too late"))
+            waiting.answer(rq.Answer(False, rq.Result.FAILED, "too late"))
         return taken
 
     def say(self, severity: Severity, text: str, k: int = 0) -> None:
@@ -238,7 +229,7 @@ class Port:
         # answers it.
         self._deadlines: dict[int, float] = {}
         self._request_count = 0
-        self._answered: deque[tuple[int, Answer]] = deque()
+        self._answered: deque[tuple[int, rq.Answer]] = deque()
         self.unsubscribe = exchange.subscribe(self._on_publish)
 
     def ask(self, request: GroundRequest, reply: AnswerCallback | None = None, sender: str = "") -> None:
@@ -266,7 +257,7 @@ class Port:
                 self._replies.pop(number)(answer)
         for number in [number for number, until in self._deadlines.copy().items() if now >= until]:
             if self._withdraw(number):
-                self._replies.pop(number)(Answer(False, Result.FAILED, "the flight does not answer"))
+                self._replies.pop(number)(rq.Answer(False, rq.Result.FAILED, "the flight does not answer"))
 
     def take_messages(self) -> list[Message]:
         """Return the messages that are new since the last call."""
@@ -285,7 +276,7 @@ class Port:
         """Return whether the request was still undecided; one operation of a dict, as two threads may call it."""
         return self._deadlines.pop(number, None) is not None
 
-    def _queue_answer(self, number: int, answer: Answer) -> None:
+    def _queue_answer(self, number: int, answer: rq.Answer) -> None:
         """Queue an answer and wake the loop; called in the flight's thread, or at once in this one."""
         self._answered.append((number, answer))
         self.wake()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -24,6 +23,7 @@ from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
 from cosim.groundstation.mavlink.wire.transports import endpoint
 from cosim.groundstation.read_only import ReadOnlyObserver
 from cosim.results.run import REQUESTS, TELEMETRY
+from cosim.results.summary import versions
 
 if TYPE_CHECKING:
     from cosim.groundstation.foxglove_feed import FoxgloveFeed
@@ -218,7 +218,7 @@ def make_vehicle_constants(info: FlightInfo, personality: Personality, system: i
         info.geodesy,
         len(vehicle.jets),
         vehicle.name,
-        _version(),
+        versions().get("hexjet-cosim", "0.0.0"),  # not installed: the program runs from a clone
         personality,
         system,
         tilt_range=vehicle.servo.range_rad if vehicle.servo else float("nan"),
@@ -230,10 +230,3 @@ def make_vehicle_constants(info: FlightInfo, personality: Personality, system: i
         velocity_noise=sensors.gnss.velocity_noise_m_s,
         height_noise=sensors.barometer.noise_m,
     )
-
-
-def _version() -> str:
-    try:
-        return version("hexjet-cosim")
-    except PackageNotFoundError:  # the program runs from a clone and is not installed
-        return "0.0.0"

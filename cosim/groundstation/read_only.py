@@ -23,32 +23,25 @@ _REQUESTS_PER_SAMPLE = 8  # requests that are refused at one sample
 
 
 class ReadOnlyObserver:
-    """Factory of observers that publish a scripted or recorded flight and refuse every request."""
+    """Observer that publishes a scripted or recorded flight and refuses every request; called to begin a flight."""
 
     def __init__(self, exchange: Exchange, on_begin: Callable[[FlightInfo], None] = lambda info: None) -> None:
         self._exchange = exchange
         self._on_begin = on_begin
 
-    def __call__(self, simulation: Simulation, pace: Pace, folder: Path | None, factor: float | None) -> _ReadOnlyFeed:
-        pilot = simulation.pilot if isinstance(simulation.pilot, Autopilot) else None
+    def __call__(
+        self, simulation: Simulation, pace: Pace, folder: Path | None, factor: float | None
+    ) -> ReadOnlyObserver:
+        self._simulation, self._pace = simulation, pace
+        self._pilot = pilot = simulation.pilot if isinstance(simulation.pilot, Autopilot) else None
         parameters = pilot.parameters if pilot else _list_parameters(simulation)
-        info = make_flight_info(simulation, 1, parameters, folder, factor)
-        self._on_begin(info)
-        return _ReadOnlyFeed(simulation, pilot, info, pace, self._exchange)
-
-
-class _ReadOnlyFeed:
-    """Observer that publishes a flight and refuses every request."""
-
-    def __init__(
-        self, simulation: Simulation, pilot: Autopilot | None, info: FlightInfo, pace: Pace, exchange: Exchange
-    ) -> None:
-        self._simulation, self._pilot, self._info, self._pace = simulation, pilot, info, pace
-        self._exchange = exchange
-        self._last_message = 0
-        self._last = -1.0
+        self._info = make_flight_info(simulation, 1, parameters, folder, factor)
+        self._last_message, self._last = 0, -1.0
+        self._on_begin(self._info)
+        return self
 
     def observe(self, sample: Sample) -> None:
+        """Publish the flight as it is after a step, not more often than anybody looks."""
         now = time.monotonic()
         if now - self._last < PUBLISH_EVERY:
             return

@@ -19,15 +19,9 @@ from typing import Any
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Observer
+from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Severity
 from cosim.control.autopilot.parameters import Caution
-from cosim.control.autopilot.requests import (
-    Answer,
-    MissionClear,
-    MissionUpload,
-    Result,
-    SetParameter,
-)
 from cosim.flight import reserve_folder
 from cosim.groundstation.exchange import Exchange, FlightInfo, PendingRequest, Restart, Shutdown
 from cosim.groundstation.log_limit import LIMIT_MB
@@ -188,7 +182,7 @@ class Session:
         # Requests that still wait here were meant for the previous flight.
         while flight.info.number > 1 and (late := [*self._guard.take_remaining(), *exchange.take_requests(1)]):
             for waiting in late:
-                waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "a new flight begins"))
+                waiting.answer(rq.Answer(False, rq.Result.TEMPORARILY_REJECTED, "a new flight begins"))
         self._parameters.restore(flight.set_parameter)
         self._on_begin(flight.info)
         exchange.say(Severity.INFO, f"flight {flight.info.number}: {flight.info.vehicle.name}")
@@ -239,7 +233,7 @@ class Session:
             return Ending("completed", "a restart was asked for")
         return None
 
-    def _serve(self, flight: SessionFlight, waiting: PendingRequest, k: int) -> Answer:
+    def _serve(self, flight: SessionFlight, waiting: PendingRequest, k: int) -> rq.Answer:
         """Execute a request and return the answer."""
         request = waiting.request
         if isinstance(request, (Restart, Shutdown)):
@@ -247,25 +241,25 @@ class Session:
         try:
             answer = flight.ask(waiting.sender, request, k)
         except FlightError as error:
-            waiting.answer(Answer(False, Result.FAILED, str(error)))
+            waiting.answer(rq.Answer(False, rq.Result.FAILED, str(error)))
             raise
-        if isinstance(request, SetParameter) and answer.accepted:
+        if isinstance(request, rq.SetParameter) and answer.accepted:
             self._parameters.save(flight.pilot.parameters.changed())
-        elif isinstance(request, (MissionUpload, MissionClear)):
+        elif isinstance(request, (rq.MissionUpload, rq.MissionClear)):
             # Publish at once, because a client may read the mission back as soon as it has the answer.
             flight.publish(None, None)
         return answer
 
     def _serve_judged(
         self, flight: SessionFlight, waiting: PendingRequest, cautions: list[Caution] | None, k: int
-    ) -> Answer:
+    ) -> rq.Answer:
         """Make a parameter change that has its verdict, and warn of it; or refuse it, which is recorded too."""
         request, pilot = waiting.request, flight.pilot
-        assert isinstance(request, SetParameter)
+        assert isinstance(request, rq.SetParameter)
         in_air = pilot.armed and pilot.status.landed is not LandedState.ON_GROUND
         if why := find_refusal(request, cautions, in_air, pilot.parameters.values):
             self.exchange.say(Severity.ERROR, why, k)
-            answer = Answer(False, Result.TEMPORARILY_REJECTED, why)
+            answer = rq.Answer(False, rq.Result.TEMPORARILY_REJECTED, why)
             flight.refuse(waiting.sender, request, answer, k)
             return answer
         answer = self._serve(flight, waiting, k)
@@ -273,15 +267,15 @@ class Session:
             warn(self.exchange.say, request, cautions, k)
         return answer
 
-    def _end_or_restart(self, request: Restart | Shutdown, sender: str, is_armed: bool) -> Answer:
+    def _end_or_restart(self, request: Restart | Shutdown, sender: str, is_armed: bool) -> rq.Answer:
         if is_armed:
             what = "restart" if isinstance(request, Restart) else "shutdown"
-            return Answer(False, Result.TEMPORARILY_REJECTED, f"{what} refused: it is armed")
+            return rq.Answer(False, rq.Result.TEMPORARILY_REJECTED, f"{what} refused: it is armed")
         if isinstance(request, Restart):
             self._restart = True
         else:
             self.stop(f"shut down by {sender}")
-        return Answer(True, Result.ACCEPTED, "")
+        return rq.Answer(True, rq.Result.ACCEPTED, "")
 
     def _serve_after_end(self, flight: SessionFlight, ending: Ending) -> None:
         """Answer requests after a flight has ended by itself, until there is a restart or the session ends."""
@@ -292,24 +286,24 @@ class Session:
             deadline = time.monotonic() + (left / self.factor if self.factor else 0.0)
         while not (self._restart or self._stopping) and (deadline is None or time.monotonic() < deadline):
             for waiting in [w for w in exchange.take_requests(_REQUESTS_PER_STEP) if not self._guard.defer(w)]:
-                answer = Answer(False, Result.FAILED, f"the flight is over: {ending.reason}")
+                answer = rq.Answer(False, rq.Result.FAILED, f"the flight is over: {ending.reason}")
                 if isinstance(waiting.request, (Restart, Shutdown)):
                     answer = self._end_or_restart(waiting.request, waiting.sender, is_armed=False)
-                elif isinstance(waiting.request, SetParameter):
+                elif isinstance(waiting.request, rq.SetParameter):
                     answer = self._set_for_next_flight(flight, waiting.request, [])
                 waiting.answer(answer)
             for waiting, cautions in self._guard.take_verdicts(flight.pilot.parameters, exchange.clock()):
-                assert isinstance(waiting.request, SetParameter)
+                assert isinstance(waiting.request, rq.SetParameter)
                 waiting.answer(self._set_for_next_flight(flight, waiting.request, cautions))
             flight.publish(None, ending)
             time.sleep(_POLL_S)
 
     def _set_for_next_flight(
-        self, flight: SessionFlight, request: SetParameter, cautions: list[Caution] | None
-    ) -> Answer:
+        self, flight: SessionFlight, request: rq.SetParameter, cautions: list[Caution] | None
+    ) -> rq.Answer:
         """Set a parameter for the next flight, as this one is over."""
         if why := find_refusal(request, cautions, False, {}):
-            return Answer(False, Result.TEMPORARILY_REJECTED, why)
+            return rq.Answer(False, rq.Result.TEMPORARILY_REJECTED, why)
         answer = flight.pilot.handle(request, flight.simulation.k)
         if answer.accepted:
             self._parameters.save(flight.pilot.parameters.changed())

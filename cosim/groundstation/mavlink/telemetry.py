@@ -213,11 +213,11 @@ def _version(text: str) -> int:
     QGroundControl asks for an update of anything below 1.4.1, so what this project calls 0.1 is 2.1 here.  The kind is
     128, a beta: an official release would be compared with PX4's newest.
     """
-    major, minor, patch = _numbers(text)
+    major, minor, patch = parse_version(text)
     return min(major + 2, U8) << 24 | minor << 16 | patch << 8 | 128
 
 
-def _numbers(version: str) -> tuple[int, int, int]:
+def parse_version(version: str) -> tuple[int, int, int]:
     """Return major, minor and patch, each clipped to a byte."""
     numbers = [min(int(part), U8) if part.isdigit() else 0 for part in version.split(".")[:3]]
     major, minor, patch = (*numbers, 0, 0, 0)[:3]

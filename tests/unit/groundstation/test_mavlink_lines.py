@@ -29,7 +29,7 @@ from cosim.groundstation.mavlink.wire.dialect import mav, prepare_message
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import TELEMETRY_FRACTION, Priority
 from cosim.groundstation.mavlink.wire.signing import Signing
-from cosim.groundstation.mavlink.wire.transports import channel, connection, serial_port
+from cosim.groundstation.mavlink.wire.transports import channel, serial_port
 from cosim.groundstation.mavlink.wire.transports.channel import MOST_PEERS
 from cosim.groundstation.mavlink.wire.transports.endpoint import parse_endpoint
 from cosim.groundstation.mavlink.wire.transports.serial_port import SerialDevice
@@ -330,7 +330,7 @@ def test_a_port_that_is_full_takes_nothing_and_does_not_spin(terminal: Terminal,
 
 def test_a_port_that_stops_draining_is_dropped_and_taken_up_again(terminal: Terminal, monkeypatch: Any) -> None:
     """Beside UDP and TCP, which are answered all the time."""
-    for module in (connection, serial_port):
+    for module in (channel, serial_port):
         monkeypatch.setattr(module, "STALL", 0.5)
     flight = Flight(terminal.url, "udpin:127.0.0.1:0", "tcpin:127.0.0.1:0")
     serial, udp, tcp = flight.link._channels[0], Udp(flight.link.ports[1]), Tcp(flight.link.ports[2])
@@ -371,7 +371,7 @@ def test_a_port_that_stops_draining_is_dropped_and_taken_up_again(terminal: Term
 
 
 def test_a_connection_that_takes_nothing_is_dropped_and_told_of(monkeypatch: Any) -> None:
-    monkeypatch.setattr(connection, "STALL", 0.5)
+    monkeypatch.setattr(channel, "STALL", 0.5)
     flight = Flight("tcpin:127.0.0.1:0", "udpin:127.0.0.1:0")
     deaf = socket.socket()
     deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

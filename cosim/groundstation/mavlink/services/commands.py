@@ -9,27 +9,8 @@ from collections.abc import Callable
 from math import hypot, radians, remainder, tau
 
 from cosim.base.errors import InputError
+from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Mode
-from cosim.control.autopilot.requests import (
-    Arm,
-    ClearFaults,
-    Disarm,
-    Goto,
-    Hold,
-    InjectFault,
-    Kill,
-    Land,
-    MissionSetCurrent,
-    MissionStart,
-    Orbit,
-    OrbitYaw,
-    Request,
-    ReturnHome,
-    SetHome,
-    SetMode,
-    SetSpeed,
-    Takeoff,
-)
 from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, LIST, UNSUPPORTED, from_custom, from_main_sub
 from cosim.groundstation.mavlink.services.mav_command import (
     ABSOLUTE_FRAMES,
@@ -82,7 +63,7 @@ def plan_command(command: MavCommand, context: Context) -> Plan:
         return Plan(result=CommandResult.UNSUPPORTED_FRAME)
 
 
-def _do(*requests: Request) -> Plan:
+def _do(*requests: rq.Request) -> Plan:
     return Plan(requests)
 
 
@@ -101,9 +82,9 @@ def _whole(value: float | None) -> int:
 def _arm(command: MavCommand, context: Context) -> Plan:
     arm, force = command.params[0], command.params[1] == FORCE
     if arm == 1.0:
-        return _do(Arm(force))
+        return _do(rq.Arm(force))
     if arm == 0.0:
-        return _do(Disarm(force))
+        return _do(rq.Disarm(force))
     return _refuse("arm: parameter 1 must be 0 or 1")
 
 
@@ -111,16 +92,16 @@ def _take_off(command: MavCommand, context: Context) -> Plan:
     """Plan a take-off to parameter 7, above the sea as in PX4, or above home for ArduPilot or a relative frame."""
     altitude = command.params[6]
     if altitude is None:
-        return _do(Takeoff())
+        return _do(rq.Takeoff())
     if command.frame in RELATIVE_FRAMES or context.vehicle.personality == "ardupilot":
-        return _do(Takeoff(altitude))
+        return _do(rq.Takeoff(altitude))
     if command.frame is not None and command.frame not in ABSOLUTE_FRAMES:
         return _refuse("", CommandResult.UNSUPPORTED_FRAME)
     state = context.state
     if altitude < state.altitude_above_sea + 1.0:
         here = f"the vehicle is at {state.altitude_above_sea:.0f} m"
         return _refuse(f"take-off refused: {altitude:.0f} m above sea level asked for, {here}")
-    return _do(Takeoff(altitude - state.altitude_above_sea + state.height_above_home))
+    return _do(rq.Takeoff(altitude - state.altitude_above_sea + state.height_above_home))
 
 
 def _land(command: MavCommand, context: Context) -> Plan:
@@ -129,7 +110,7 @@ def _land(command: MavCommand, context: Context) -> Plan:
         here = context.state.status.fix.position
         if (north - here[0]) ** 2 + (east - here[1]) ** 2 > 4.0:
             return _refuse("land refused: it lands where it is; fly to the place first")
-    return _do(Land())
+    return _do(rq.Land())
 
 
 def _set_mode(command: MavCommand, context: Context) -> Plan:
@@ -150,16 +131,16 @@ def _set_standard_mode(command: MavCommand, context: Context) -> Plan:
 def _mode(mode: Mode | None, number: str) -> Plan:
     if mode is None:
         return _refuse(f"mode {number} is not known here", CommandResult.UNSUPPORTED)
-    return _do(SetMode(mode.value))
+    return _do(rq.SetMode(mode.value))
 
 
 def _reposition(command: MavCommand, context: Context) -> Plan:
     """Plan a flight to a position, height and yaw [rad]; without any of them a pause."""
     speed, yaw = command.params[0], command.params[3]
     if command.position is None and command.params[6] is None and yaw is None:
-        return _do(Hold())
+        return _do(rq.Hold())
     heading = None if yaw is None else remainder(yaw, tau)
-    return _do(Goto(*_target(command, context), heading, speed if speed is not None and speed > 0.0 else None))
+    return _do(rq.Goto(*_target(command, context), heading, speed if speed is not None and speed > 0.0 else None))
 
 
 def _orbit(command: MavCommand, context: Context) -> Plan:
@@ -169,18 +150,18 @@ def _orbit(command: MavCommand, context: Context) -> Plan:
         return _refuse("orbit: parameter 1, the radius, is missing")
     target = _target(command, context)
     return _do(
-        Orbit(
+        rq.Orbit(
             abs(radius),
             radius > 0.0,
             speed if speed is not None and speed > 0.0 else None,
             *target,
-            _ORBIT_YAW.get(0 if yaw is None else int(yaw), OrbitYaw.AS_IT_IS),
+            _ORBIT_YAW.get(0 if yaw is None else int(yaw), rq.OrbitYaw.AS_IT_IS),
             0.0 if angle is None else abs(angle) / tau,
         )
     )
 
 
-_ORBIT_YAW = {0: OrbitYaw.CENTRE, 3: OrbitYaw.TANGENT}  # ORBIT_YAW_BEHAVIOUR; all others keep the heading
+_ORBIT_YAW = {0: rq.OrbitYaw.CENTRE, 3: rq.OrbitYaw.TANGENT}  # ORBIT_YAW_BEHAVIOUR; all others keep the heading
 
 
 def _yaw(command: MavCommand, context: Context) -> Plan:
@@ -192,7 +173,7 @@ def _yaw(command: MavCommand, context: Context) -> Plan:
     if command.params[3] == 1.0:
         sense = -1.0 if command.params[2] is not None and command.params[2] < 0.0 else 1.0
         heading = context.state.euler[2] + sense * heading
-    return _do(Goto(yaw=remainder(heading, tau)))
+    return _do(rq.Goto(yaw=remainder(heading, tau)))
 
 
 def _change_speed(command: MavCommand, context: Context) -> Plan:
@@ -201,38 +182,38 @@ def _change_speed(command: MavCommand, context: Context) -> Plan:
         return _refuse("speed: only that over the ground can be set")
     if speed is None or speed < 0.0:
         return _refuse("speed: parameter 2 must be m/s")
-    return _do(SetSpeed(speed))
+    return _do(rq.SetSpeed(speed))
 
 
 def _set_home(command: MavCommand, context: Context) -> Plan:
     if command.params[0] == 1.0:
-        return _do(SetHome())
+        return _do(rq.SetHome())
     if command.position is None:
         return _refuse("home: latitude and longitude are missing")
-    return _do(SetHome(*_target(command, context)))
+    return _do(rq.SetHome(*_target(command, context)))
 
 
 def _terminate(command: MavCommand, context: Context) -> Plan:
     if command.params[0] is None or command.params[0] < 0.5:
         return _refuse("terminate: parameter 1 must be 1; there is no way back")
-    return _do(Kill(True))
+    return _do(rq.Kill(True))
 
 
 def _start_mission(command: MavCommand, context: Context) -> Plan:
     """Plan a mission's start at the present item, or at that of parameter 1 where it is not 0."""
     first = _whole(command.params[0])
-    return _do(MissionSetCurrent(first), MissionStart()) if first > 0 else _do(MissionStart())
+    return _do(rq.MissionSetCurrent(first), rq.MissionStart()) if first > 0 else _do(rq.MissionStart())
 
 
 def _set_item(command: MavCommand, context: Context) -> Plan:
     item = _whole(command.params[0])
-    return _refuse("mission: parameter 1 must be an item") if item < 0 else _do(MissionSetCurrent(item))
+    return _refuse("mission: parameter 1 must be an item") if item < 0 else _do(rq.MissionSetCurrent(item))
 
 
 def _pause(command: MavCommand, context: Context) -> Plan:
     if command.params[0] == 0.0:
-        return _do(Hold())
-    return _do(MissionStart()) if command.params[0] == 1.0 else _refuse("pause: parameter 1 must be 0 or 1")
+        return _do(rq.Hold())
+    return _do(rq.MissionStart()) if command.params[0] == 1.0 else _refuse("pause: parameter 1 must be 0 or 1")
 
 
 def _target(command: MavCommand, context: Context) -> tuple[float | None, float | None, float | None]:
@@ -278,34 +259,34 @@ def _fail(command: MavCommand, context: Context) -> Plan:
     if not context.vehicle.can_fail:
         return Plan(result=CommandResult.UNSUPPORTED)
     if kind == _OK:
-        return _do(ClearFaults())  # all faults are cleared, because a single one cannot be named
-    faults: tuple[InjectFault, ...] = ()
+        return _do(rq.ClearFaults())  # all faults are cleared, because a single one cannot be named
+    faults: tuple[rq.InjectFault, ...] = ()
     if unit == _MOTOR:
         if not 0 <= which <= context.vehicle.jets:
             return _refuse(f"failure: engine {which}; there are 1 to {context.vehicle.jets}, and 0 for all")
         if fault := _ENGINE_FAULTS.get(kind):
             jets = (which,) if which else tuple(range(1, context.vehicle.jets + 1))
-            faults = (InjectFault(fault[0], jets, amount=fault[1]),)
+            faults = (rq.InjectFault(fault[0], jets, amount=fault[1]),)
     elif unit == _SERVO and kind in (_OFF, _STUCK):
         servos = context.vehicle.servos
         if not 0 <= which <= len(servos):
             if servos == ("left", "right"):
                 return _refuse(f"failure: servo {which}; 1 is the left one, 2 the right one, 0 both")
             return _refuse(f"failure: servo {which}; there are 1 to {len(servos)}, and 0 for all")
-        faults = tuple(InjectFault("servo_jam", servo=servo) for servo in (servos[which - 1 : which] or servos))
+        faults = tuple(rq.InjectFault("servo_jam", servo=servo) for servo in (servos[which - 1 : which] or servos))
     elif unit in _SENSORS:
         faults = _sensor_fault(kind, _SENSORS[unit])
     return Plan(faults) if faults else _refuse("failure: not one that can be made here", CommandResult.UNSUPPORTED)
 
 
-def _sensor_fault(kind: int, sensor: str) -> tuple[InjectFault, ...]:
+def _sensor_fault(kind: int, sensor: str) -> tuple[rq.InjectFault, ...]:
     if kind in (_OFF, _STUCK):
-        return (InjectFault("sensor_dropout", sensor=sensor),)
+        return (rq.InjectFault("sensor_dropout", sensor=sensor),)
     if kind != _WRONG:
         return ()
     if sensor == "barometer":
-        return (InjectFault("sensor_bias", sensor=sensor, amount=_BAROMETER_BIAS),)
-    return (InjectFault("sensor_bias", sensor=sensor, vector=_GYRO_BIAS if sensor == "gyro" else _GNSS_BIAS),)
+        return (rq.InjectFault("sensor_bias", sensor=sensor, amount=_BAROMETER_BIAS),)
+    return (rq.InjectFault("sensor_bias", sensor=sensor, vector=_GYRO_BIAS if sensor == "gyro" else _GNSS_BIAS),)
 
 
 # --- commands that do not concern the pilot ---------------------------------------------------------------------
@@ -401,8 +382,8 @@ def _reboot(command: MavCommand, context: Context) -> Plan:
 
 
 _HANDLERS: dict[int, Handler] = {
-    17: lambda command, context: _do(Hold()),  # NAV_LOITER_UNLIM
-    20: lambda command, context: _do(ReturnHome()),  # NAV_RETURN_TO_LAUNCH
+    17: lambda command, context: _do(rq.Hold()),  # NAV_LOITER_UNLIM
+    20: lambda command, context: _do(rq.ReturnHome()),  # NAV_RETURN_TO_LAUNCH
     21: _land,  # NAV_LAND
     22: _take_off,  # NAV_TAKEOFF
     115: _yaw,  # CONDITION_YAW

@@ -13,6 +13,7 @@ from typing import Any
 
 from cosim.control.autopilot.parameters import Parameter
 from cosim.groundstation.mavlink.services.service import crc32
+from cosim.groundstation.mavlink.telemetry import parse_version
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
@@ -36,7 +37,7 @@ class Metadata:
                 "version": _VERSION,
                 "vendorName": "hexjet-cosim",
                 "modelName": name,
-                "firmwareVersion": _format_version(version),
+                "firmwareVersion": ".".join(map(str, parse_version(version))),
                 "metadataTypes": [{"type": _TYPE_PARAMETER, "uri": _uri(PARAMETERS), "fileCrc": crc32(inner)}],
             }
         )
@@ -85,9 +86,3 @@ def _compress(content: Mapping[str, Any]) -> bytes:
 
 def _uri(path: str) -> str:
     return f"mftp:///{path}"
-
-
-def _format_version(version: str) -> str:
-    """Return the three numbers of a version such as 0.1.0.dev3, with dots."""
-    numbers = [part for part in version.split(".") if part.isdigit()]
-    return ".".join([*numbers, "0", "0", "0"][:3])

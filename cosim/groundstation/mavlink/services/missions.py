@@ -16,18 +16,7 @@ from math import nan
 
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
-from cosim.control.autopilot.requests import (
-    LONGEST_MISSION,
-    Answer,
-    FenceUpload,
-    MissionClear,
-    MissionItem,
-    MissionSetCurrent,
-    MissionUpload,
-    RallyUpload,
-    Request,
-    Result,
-)
+from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.status import Status
 from cosim.groundstation.mavlink.services.items import (
     ACCEPTED,
@@ -68,7 +57,7 @@ _LEGACY_FRAMES = {
     wire.MAV_FRAME_GLOBAL_INT: wire.MAV_FRAME_GLOBAL,
     wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: wire.MAV_FRAME_GLOBAL_RELATIVE_ALT,
 }
-_CLEARING: dict[int, Request] = {MISSION: MissionClear(), FENCE: FenceUpload(()), RALLY: RallyUpload(())}
+_CLEARING: dict[int, rq.Request] = {MISSION: rq.MissionClear(), FENCE: rq.FenceUpload(()), RALLY: rq.RallyUpload(())}
 
 
 @dataclass
@@ -79,7 +68,7 @@ class _Upload:
     last_progress: float  # when an item last came
     mission_type: int = MISSION
     items: list[Item] = field(default_factory=list)
-    mission: list[MissionItem] = field(default_factory=list)
+    mission: list[rq.MissionItem] = field(default_factory=list)
     waiting: bool = False  # whether the pilot's answer is pending
 
 
@@ -107,7 +96,7 @@ class MissionService(Service):
 
     def __init__(
         self,
-        items: Callable[[], tuple[MissionItem, ...]],
+        items: Callable[[], tuple[rq.MissionItem, ...]],
         status: Callable[[], Status | None],
         ask: Ask,
         geodesy: Geodesy,
@@ -117,7 +106,7 @@ class MissionService(Service):
         self._upload: _Upload | None = None
         # The last upload: its client, number of items, type and result.
         self._last_upload: tuple[Client, int, int, int] | None = None
-        self._mission: tuple[MissionItem, ...] = ()  # the last upload as the autopilot has it
+        self._mission: tuple[rq.MissionItem, ...] = ()  # the last upload as the autopilot has it
         self._sent_items: list[Item] = []  # its items as they were received
         self._progress_sent: tuple[int, ...] = ()
         self._progress_at = -REPEAT_INTERVAL
@@ -224,8 +213,8 @@ class MissionService(Service):
         self._upload = None
         if count == 0:
             return self._clear(client, mission_type)
-        if count > LONGEST_MISSION:
-            lines = _warn(f"{_NAMES[mission_type]} refused: {count} items, {LONGEST_MISSION} are allowed")
+        if count > rq.LONGEST_MISSION:
+            lines = _warn(f"{_NAMES[mission_type]} refused: {count} items, {rq.LONGEST_MISSION} are allowed")
             return [_ack(client, NO_SPACE, mission_type), *lines]
         self._upload = _Upload(client, count, self._now, self._now, mission_type)
         return [self._next_request(self._upload)]
@@ -264,22 +253,22 @@ class MissionService(Service):
             return self._refuse(upload, ERROR, f"{_NAMES[mission_type]} refused: too many requests")
         return []
 
-    def _request(self, upload: _Upload) -> MissionUpload | FenceUpload | RallyUpload:
+    def _request(self, upload: _Upload) -> rq.MissionUpload | rq.FenceUpload | rq.RallyUpload:
         """Return the autopilot's request for an upload that is complete.  Raises InputError, ItemError."""
         if upload.mission_type == FENCE:
             return to_fence(upload.items, self._geodesy)
         if upload.mission_type == RALLY:
             return to_rally(upload.items, self._geodesy, self._home_altitude())
-        return MissionUpload(tuple(upload.mission))
+        return rq.MissionUpload(tuple(upload.mission))
 
-    def _finish_upload(self, upload: _Upload, request: Request, answer: Answer) -> Outgoing:
+    def _finish_upload(self, upload: _Upload, request: rq.Request, answer: rq.Answer) -> Outgoing:
         peer = upload.client.peer
         if not answer.accepted:
-            code = ERROR if answer.result is Result.FAILED else DENIED
+            code = ERROR if answer.result is rq.Result.FAILED else DENIED
             return [(peer, message) for message in self._refuse(upload, code, answer.text)]
         self._upload = None
         out: Outgoing = [(peer, self._end(upload, ACCEPTED))]
-        if isinstance(request, MissionUpload):
+        if isinstance(request, rq.MissionUpload):
             self._mission, self._sent_items = request.items, upload.items
             out += [(peer, message) for message in _warn(_describe_left_out(upload.items))]
         return out
@@ -310,7 +299,7 @@ class MissionService(Service):
         refused: list[str] = []
         remaining = len(requests)
 
-        def reply(answer: Answer) -> Outgoing:
+        def reply(answer: rq.Answer) -> Outgoing:
             nonlocal remaining
             remaining -= 1
             if not answer.accepted:
@@ -324,7 +313,7 @@ class MissionService(Service):
         return []
 
     def _set_current(self, index: int, client: Client) -> list[Message]:
-        def reply(answer: Answer) -> Outgoing:
+        def reply(answer: rq.Answer) -> Outgoing:
             if answer.accepted:
                 status = self._status()
                 if status is not None and status.mission_current == index:
@@ -333,7 +322,7 @@ class MissionService(Service):
             return [(client.peer, message) for message in _warn(answer.text)]
 
         try:
-            self._answers.request(MissionSetCurrent(index), client, reply)
+            self._answers.request(rq.MissionSetCurrent(index), client, reply)
         except InputError:
             return _warn(f"mission item {index}: there are {len(self._items())}")
         return []

@@ -13,8 +13,7 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.groundstation.mavlink.wire.hub import Hub
 from cosim.groundstation.mavlink.wire.peer import Peer
-from cosim.groundstation.mavlink.wire.transports.channel import DATAGRAM, RETRY, STALL
-from cosim.groundstation.mavlink.wire.transports.connection import Connection
+from cosim.groundstation.mavlink.wire.transports.channel import DATAGRAM, RETRY, STALL, Connection
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
 _BITS = 10  # bits per byte on the line: a start bit, eight data bits, a stop bit

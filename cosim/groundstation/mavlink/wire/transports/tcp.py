@@ -12,11 +12,11 @@ from cosim.groundstation.mavlink.wire.transports.channel import (
     DATAGRAM,
     MOST_PEERS,
     RETRY,
+    Connection,
     is_replaceable,
     name_station,
     open_socket,
 )
-from cosim.groundstation.mavlink.wire.transports.connection import Connection
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
 # Bytes that the kernel may buffer for a connection, and how many of them may be unsent: old telemetry is of no use
