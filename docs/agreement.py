@@ -29,8 +29,15 @@ from cosim.design.measured.computed import make_plants  # noqa: E402
 from cosim.identify.sweep import identify_axis  # noqa: E402
 from cosim.identify.sweep.fit import fit  # noqa: E402
 from cosim.identify.sweep.response import FrequencyResponse  # noqa: E402
-from cosim.identify.sweep.result import LEDGER_SAMPLES, agrees_with_ledger, fit_rows, low_frequency_delay  # noqa: E402
-from cosim.identify.sweep.verdict import MISFIT, all_delay_is_determined, why_refused  # noqa: E402
+from cosim.identify.sweep.result import (  # noqa: E402  # noqa: E402
+    LEDGER_SAMPLES,
+    MISFIT,
+    agrees_with_ledger,
+    all_delay_is_determined,
+    fit_rows,
+    low_frequency_delay,
+    why_refused,
+)
 from cosim.results.report.marks import table, write_marks  # noqa: E402
 from cosim.simulation.build import build  # noqa: E402
 from cosim.simulation.delay_ledger import select_axis  # noqa: E402

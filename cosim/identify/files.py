@@ -1,34 +1,49 @@
-"""The files that an identification leaves beside its page."""
+"""The files that an identification leaves."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError
 from cosim.base.storage.files import check_results_folder, map_os_errors, write_files
 
+if TYPE_CHECKING:
+    from cosim.identify.page import Page
+
 RECORD = "identification.json"  # every identification leaves it: a folder without it is somebody else's
-_ENGINE = ("engine.toml", "engine.fmu", "README.md")
-FILES = ("report.html", "response.csv", "model.toml", *_ENGINE)
+ENGINE = ("engine.toml", "engine.fmu", "README.md")
+FILES = ("report.html", "response.csv", "model.toml", *ENGINE)
+_NAMES = {"response": "response.csv", "model": "model.toml", "engine": "engine.toml", "readme": "README.md"}
 
 
 def write_identification(
-    folder: Path, texts: Mapping[Path, str], archive: Path | None, remove_engine: bool = False
-) -> None:
-    """Write files by their paths, and where an engine is left a copy of its ``archive`` as ``engine`` in ``folder``.
+    folder: Path,
+    record: Mapping[str, Any],
+    page: Page,
+    texts: Mapping[str, str],
+    archive: Path | None = None,
+    removed: Iterable[str] = ENGINE,
+) -> dict[str, Path]:
+    """Write the ``record`` as JSON, ``texts`` by their kind, and the page; return the paths by kind.
 
-    ``remove_engine``: an engine that an earlier identification left there goes, also where none is left now.  Raises
-    InputError for a folder with files of these names and without RECORD, FlightError if a file cannot be read or
-    written.
+    ``archive`` is copied as that of the engine.  What an earlier identification left there of the files ``removed``
+    goes, also where none is left now.  Raises InputError for a folder with files of these names and without RECORD,
+    FlightError if a file cannot be read or written.
     """
     check_results_folder(folder, RECORD, *FILES)
-    files: dict[Path, str | bytes] = dict(texts)
+    paths = {"json": folder / RECORD, **{kind: folder / _NAMES[kind] for kind in texts}}
+    files: dict[Path, str | bytes] = {paths["json"]: json.dumps(record, indent=2, allow_nan=False) + "\n"}
+    files |= {paths[kind]: text for kind, text in texts.items()}
     if archive is not None:
         with map_os_errors(FlightError, archive):
             files[folder / f"engine{archive.suffix}"] = archive.read_bytes()  # it may be the one that goes
-    if remove_engine:
-        with map_os_errors(FlightError, folder):
-            for name in _ENGINE:
-                (folder / name).unlink(missing_ok=True)
+    with map_os_errors(FlightError, folder):
+        for name in removed:
+            (folder / name).unlink(missing_ok=True)
     write_files(files)
+    paths["report"] = folder / "report.html"
+    page.write(paths["report"])
+    return paths

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -26,16 +25,9 @@ def write(result: GreyIdentification, folder: Path) -> dict[str, Path]:
 
     Raises FlightError if a file cannot be written.
     """
-    paths = {"json": folder / "identification.json"}
-    texts = {paths["json"]: json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"}
-    archive = None
-    if result.leaves_engine:
-        paths["engine"], archive = folder / "engine.toml", result.spec.archive.path
-        texts[paths["engine"]] = toml_text(engine_table(result))
-    write_identification(folder, texts, archive, remove_engine=True)
-    paths["report"] = folder / "report.html"
-    page(result).write(paths["report"])
-    return paths
+    texts = {"engine": toml_text(engine_table(result))} if result.leaves_engine else {}
+    archive = result.spec.archive.path if result.leaves_engine else None
+    return write_identification(folder, result.to_dict(), page(result), texts, archive)
 
 
 def page(result: GreyIdentification) -> Page:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -55,17 +54,11 @@ def write(result: BenchIdentification, folder: Path) -> dict[str, Path]:
 
     Raises FlightError if a file cannot be written.
     """
-    paths = {"json": folder / "identification.json"}
-    texts = {paths["json"]: json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"}
-    no_engine = why_no_engine(result)
-    if not no_engine:
-        paths |= {"engine": folder / "engine.toml", "readme": folder / "README.md"}
-        texts |= {paths["engine"]: toml_text(engine_table(result)), paths["readme"]: readme(result)}
-    archive = None if no_engine else data_folder("fmus") / f"{FITTED}.fmu"
-    write_identification(folder, texts, archive, remove_engine=True)
-    paths["report"] = folder / "report.html"
-    page(result).write(paths["report"])
-    return paths
+    texts, archive = {}, None
+    if not why_no_engine(result):
+        texts = {"engine": toml_text(engine_table(result)), "readme": readme(result)}
+        archive = data_folder("fmus") / f"{FITTED}.fmu"
+    return write_identification(folder, result.to_dict(), page(result), texts, archive)
 
 
 def page(result: BenchIdentification) -> Page:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.errors import InputError
-from cosim.identify.logs.flight_log import SEARCHED, Channel, FlightLog, numbers
+from cosim.identify.logs.flight_log import SEARCHED, Channel, FlightLog, name_instances, numbers
 
 HEAD = b"\xa3\x95"
 FMT, FMT_LENGTH = 0x80, 89
@@ -30,7 +30,6 @@ TYPES = {
 _Format = tuple[str, int, str, list[str]]  # name, length, format characters, labels
 INSTANCES = ("I", "Instance")  # what a field of whole numbers is called that tells instances apart, before 2018
 INSTANCE_UNIT = "#"  # and its unit since, in FMTU
-MOST_INSTANCES = 256  # that one message may have: more values are no instances
 DESCRIPTIONS = ("FMT", "FMTU", "UNIT", "MULT")  # messages about messages
 _INTEGER_FORMATS = "bBhHiIqQM"  # format characters of whole numbers
 
@@ -66,7 +65,7 @@ def read(path: Path) -> FlightLog:
         if name == "MSG" and "Message" in labels:
             texts = [bytes(text).split(b"\0")[0].decode("utf-8", "replace") for text in rows["Message"]]
             events = list(zip(times.tolist(), texts, strict=True))
-        for full, part in _instances(name, rows, _instance(columns, labels, units.get(kind))):
+        for full, part in name_instances(name, rows, _instance(columns, labels, units.get(kind))):
             for label, c in zip(labels, columns, strict=True):
                 if TYPES[c][1] and label != stamp:
                     channels[f"{full}.{label}"] = Channel(times[part], TYPES[c][1] * numbers(rows[label][part]))
@@ -154,20 +153,6 @@ def _instance(columns: str, labels: Sequence[str], units: str | None) -> str:
     if units is not None and len(units) == len(labels):
         return next((x for x, unit in zip(labels, units, strict=True) if unit == INSTANCE_UNIT and x in integers), "")
     return next((label for label in INSTANCES if label in integers), "")
-
-
-def _instances(name: str, rows: np.ndarray, field: str) -> list[tuple[str, NDArray[np.int64]]]:
-    """Return the name and the row numbers of each instance of a message."""
-    everything = [(name, np.arange(len(rows)))]
-    if not field:
-        return everything
-    values, which = np.unique(rows[field], return_inverse=True)
-    if len(values) > MOST_INSTANCES:
-        return everything
-    order = np.argsort(which, kind="stable")
-    ends = np.cumsum(np.bincount(which, minlength=len(values)))
-    row_groups = np.split(order, ends[:-1])
-    return [(f"{name}[{value}]", part) for value, part in zip(values.tolist(), row_groups, strict=True)]
 
 
 def _index_messages(data: bytes) -> tuple[dict[int, _Format], dict[int, list[int]], int, int]:

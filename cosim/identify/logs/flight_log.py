@@ -19,6 +19,7 @@ _TERM = re.compile(rf"\s*([+-])?\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?({_
 UNIT_AT_END = re.compile(r"(?:.*_)?(N|kN|mN|kgf|gf|lbf|rpm|krpm|V|percent|pct|us)")
 DEGREE = np.pi / 180.0
 SEARCHED = 2**16  # bytes of a file in which the head of a log is looked for, behind what does not belong to it
+MOST_INSTANCES = 256  # that one message may have: more values are no instances
 LEAST_SHARED = 0.5  # of the rows of the shorter of two channels: with fewer equal stamps they are of two clocks
 NUMBERS = {  # what numpy calls a number in a log's bytes, by its letter as of struct
     "b": "i1",
@@ -160,6 +161,18 @@ def numbers(values: Any) -> Array:
     with np.errstate(invalid="ignore"):
         numeric = np.asarray(values).astype(np.float64)
     return np.where(np.isnan(numeric), np.nan, numeric)
+
+
+def name_instances(name: str, rows: np.ndarray, column: str, fewest: int = 1) -> list[tuple[str, Any]]:
+    """Return the name and the indices of the rows of each instance of a message, which ``column`` numbers.
+
+    All rows are of one where there is no such column, or it has fewer numbers than ``fewest`` or too many for that.
+    """
+    if column:
+        found, which = np.unique(rows[column], return_inverse=True)
+        if fewest <= len(found) <= MOST_INSTANCES:
+            return [(f"{name}[{number}]", np.flatnonzero(which == n)) for n, number in enumerate(found.tolist())]
+    return [(name, slice(None))]
 
 
 def terms(text: str) -> list[tuple[float, str]]:

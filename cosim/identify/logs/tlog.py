@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.identify.logs.flight_log import NUMBERS, Channel, FlightLog, numbers
+from cosim.identify.logs.flight_log import NUMBERS, Channel, FlightLog, name_instances, numbers
 
 DIALECTS = (  # by name: nothing of the ground station is needed but what the build made of the messages
     "cosim.groundstation.mavlink.wire._messages",
@@ -30,7 +29,6 @@ MAGIC_1, MAGIC_2 = 0xFE, 0xFD
 SIGNED, SIGNATURE, CHECKSUM = 0x01, 13, 2
 OWN_CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
 MOST_LATE_S = 5.0  # a frame may be taken so long after its own time by a link that is slow; more is another clock
-MOST_INSTANCES = 256
 MOST_NAMED = 10
 SHORTEST = 8  # bytes of a frame without a payload
 LONGEST_ARRAY = 32  # numbers in a field: a longer one is a piece of a file
@@ -92,7 +90,7 @@ def read(path: Path) -> FlightLog:
         kind, sender = _kinds()[key[0]][key[1]], key[2]
         times = _times(table, taken[key], clocks.get(sender))
         full = kind.name + (f"[{sender[0]}/{sender[1]}]" if len(senders[kind.name]) > 1 else "")
-        for name, rows in _instances(full, kind, table):
+        for name, rows in name_instances(full, table, kind.instance, 2):
             channels |= _fields(name, kind, table[rows], times[rows])
         if kind.name == "STATUSTEXT":
             events += [
@@ -251,14 +249,6 @@ def _times(table: np.ndarray, taken: Array, zero: float | None) -> Array:
             if np.all(np.abs(taken - boot_times) < MOST_LATE_S):
                 return boot_times
     return taken
-
-
-def _instances(name: str, kind: Kind, table: np.ndarray) -> list[tuple[str, NDArray[np.int64]]]:
-    """Return the name and the row numbers of each instance, of which there may be one."""
-    values, which = np.unique(table[kind.instance] if kind.instance else np.zeros(len(table)), return_inverse=True)
-    if not 1 < len(values) <= MOST_INSTANCES:
-        return [(name, np.arange(len(table)))]
-    return [(f"{name}[{value}]", np.flatnonzero(which == n)) for n, value in enumerate(values.tolist())]
 
 
 def _fields(name: str, kind: Kind, table: np.ndarray, times: Array) -> dict[str, Channel]:

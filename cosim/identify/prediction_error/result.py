@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -43,21 +42,14 @@ def write(result: LogIdentification, folder: Path, step: float, family: str) -> 
 
     ``family`` is the engine under which an axis' model is filed.  Raises FlightError if a file cannot be written.
     """
-    paths = {"json": folder / "identification.json"}
-    texts = {paths["json"]: json.dumps(result.to_dict(step), indent=2, allow_nan=False) + "\n"}
-    archive = None
+    texts, archive = {}, None
     if not result.engine:
-        paths["model"] = folder / "model.toml"
         table = {"identified": {family: {result.what: result.rate_model(step).model_dump()}}}
-        texts[paths["model"]] = toml_text(table)
+        texts = {"model": toml_text(table)}
     elif not why_no_engine(result):
-        paths |= {"engine": folder / "engine.toml", "readme": folder / "README.md"}
+        texts = {"engine": toml_text(engine_table(result)), "readme": readme(result)}
         archive = data_folder("fmus") / f"{FITTED}.fmu"
-        texts |= {paths["engine"]: toml_text(engine_table(result)), paths["readme"]: readme(result)}
-    write_identification(folder, texts, archive, remove_engine=True)
-    paths["report"] = folder / "report.html"
-    page(result).write(paths["report"])
-    return paths
+    return write_identification(folder, result.to_dict(step), page(result), texts, archive)
 
 
 def page(result: LogIdentification) -> Page:
@@ -175,10 +167,8 @@ def rows(result: LogIdentification) -> list[list[str]]:
         else f"gain, {result.signals.output_unit}/s per {result.signals.command_unit}"
     )
     lines.append([gain, *(_about(estimate.gain, estimate.gain_deviation) for estimate in result.estimates)])
-    names = sorted(
-        {name for estimate in result.estimates for name in estimate.form.names if name != "delay_s"}, key=_order
-    )
-    for name in names:
+    richest = max(result.estimates, key=lambda estimate: estimate.form.lags)
+    for name in richest.form.names[:-1]:
         cells = []
         for estimate in result.estimates:
             if name not in estimate.form.names:
@@ -213,10 +203,6 @@ def rows(result: LogIdentification) -> list[list[str]]:
     )
     lines.append(["order of the noise", *(f"{estimate.order}" for estimate in result.estimates)])
     return lines
-
-
-def _order(name: str) -> int:
-    return ["rate_1_s", "lag_s", "lag_2_s", "lag_3_s"].index(name)
 
 
 def _mark_fixed(estimate: Estimate, name: str, value: float, text: str) -> str:

@@ -108,7 +108,7 @@ def prepare(
         )
     if len(spans) > 1:
         notes.append(f"{len(spans)} stretches, {usable:.1f} s of {high - low:.1f} s")
-    even = [_even(channel.times) for channel in (command, output)]
+    even = [_index(channel.times)[1] for channel in (command, output)]
     uneven = max(np.nan_to_num(clock.jitter) for clock in clocks) > LEAST_JITTER
     filled = _interpolate_lost(command)
     shared = 1 if clocks[0].step >= 0.99 * sample and not uneven else 2
@@ -189,10 +189,6 @@ def _index(times: Array) -> tuple[NDArray[np.int64], Array | None]:
     return (index, even) if slope > 0.0 and np.std(times - even) < MOST_JITTER * slope else (index, None)
 
 
-def _even(times: Array) -> Array | None:
-    return _index(times)[1]
-
-
 def _within(channel: Channel, low: float, high: float) -> Channel:
     use = (channel.times >= low) & (channel.times <= high)
     if use.sum() < 2:
@@ -231,28 +227,13 @@ def _find_movement(command: Channel, spans: Sequence[tuple[float, float]]) -> li
         for at in edges:
             part = command.values[(command.times >= at) & (command.times < at + IDLE_S)]
             moving.append(bool(part.size) and float(np.ptp(part)) > IDLE_FRACTION * size)
-        first = None
-        moving = _bridge_pauses(moving, round(PAUSE_S / IDLE_S))
-        for n, yes in enumerate([*moving, False]):
-            if yes and first is None:
-                first = n
-            elif not yes and first is not None:
-                low = edges[first] + (EDGE_S if first > 0 else 0.0)
-                high = min(edges[n - 1] + IDLE_S - EDGE_S, end) if n < len(edges) else end
-                stretches.append((float(low), float(high)))
-                first = None
+        rows = np.flatnonzero(moving)  # a pause of PAUSE_S at most between movement is none
+        for run in np.split(rows, np.flatnonzero(np.diff(rows) > round(PAUSE_S / IDLE_S) + 1) + 1) if rows.size else ():
+            first, after = int(run[0]), int(run[-1]) + 1
+            low = edges[first] + (EDGE_S if first > 0 else 0.0)
+            high = min(edges[after - 1] + IDLE_S - EDGE_S, end) if after < len(edges) else end
+            stretches.append((float(low), float(high)))
     return stretches
-
-
-def _bridge_pauses(moving: list[bool], longest: int) -> list[bool]:
-    """Count pauses of at most so many windows between movement as movement."""
-    bridged, last = list(moving), -1
-    for n, yes in enumerate(moving):
-        if yes:
-            if last >= 0 and n - last - 1 <= longest:
-                bridged[last:n] = [True] * (n - last)
-            last = n
-    return bridged
 
 
 def _interpolate_lost(command: Channel) -> Channel:

@@ -23,7 +23,7 @@ from cosim.identify.prediction_error.problem import Problem
 from cosim.identify.prediction_error.search import solve
 from cosim.identify.prediction_error.stretches import Prepared, prepare
 from cosim.identify.sweep.fit import Model as Continuous
-from cosim.identify.sweep.verdict import MISFIT
+from cosim.identify.sweep.result import MISFIT
 from cosim.identify.verdict import NOT_EXPLAINED, NOT_TOLD, Judgement, judge_model, shared_record
 from cosim.spec.vehicle import RateModel, read_models
 

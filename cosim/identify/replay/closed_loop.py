@@ -25,17 +25,8 @@ def cut_whole(model: Model, flight: RecordedFlight, length_s: float) -> Flying:
     begin, end = max(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True), key=lambda part: part[1] - part[0])
     part = slice(begin, end)
     assert flight.setpoints is not None
-    whole = replace(
-        flight,
-        times=flight.times[part],
-        rate=flight.rate[part],
-        force=flight.force[part],
-        angles=flight.angles[part],
-        velocity=flight.velocity[part],
-        altitude=flight.altitude[part],
-        usable=flight.usable[part],
-        setpoints=flight.setpoints[part],
-    )
+    signals = ("times", "rate", "force", "angles", "velocity", "altitude", "usable", "setpoints")
+    whole = replace(flight, **{name: getattr(flight, name)[part] for name in signals})
     rows = max(round(length_s / flight.step), 4)
     windows = tuple(Window(first, first + rows) for first in range(0, end - begin - 1 - rows, rows))
     if len(windows) < 2:

@@ -205,11 +205,7 @@ def _motor(log: FlightLog, n: int, mapping: ThrottleChannels) -> str | None:
     if n in mapping.throttles:
         return mapping.throttles[n]
     names = [pattern.format(n=n, m=n - 1) for pattern in _MOTORS]
-    return next((name for name in names if name in log.channels and _moves(log.channels[name])), None)
-
-
-def _moves(channel: Channel) -> bool:
-    return bool(np.isfinite(channel.values).any())
+    return next((name for name in names if name in log.channels and np.isfinite(log.channels[name].values).any()), None)
 
 
 def _throttles(log: FlightLog, vehicle: Vehicle, mapping: ThrottleChannels, notes: list[str]) -> list[Channel]:

@@ -15,18 +15,17 @@ from cosim.base.signals import AXES, Sample
 from cosim.base.storage.toml import parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE
 from cosim.engine import EngineSpec, load_engine
-from cosim.identify.sweep.engine import settling_lag
+from cosim.identify.sweep.engine import estimate_response, settling_lag
 from cosim.identify.sweep.fit import Fit, fit
-from cosim.identify.sweep.response import FrequencyResponse, Record, estimate
+from cosim.identify.sweep.response import FrequencyResponse, Record
 from cosim.identify.sweep.result import (
     Identification,
     Sweep,
     check_band,
-    need_coherence,
     note_off_ledger,
     suitable_duration,
+    why_refused,
 )
-from cosim.identify.sweep.verdict import why_refused
 from cosim.simulation.axis_chain import is_turned_by_throttle, list_hinged_parts
 from cosim.simulation.build import build
 from cosim.simulation.controllers.allocators import make_effectiveness
@@ -159,7 +158,7 @@ def _fly_until_clear(
     refusal: NotIdentifiedError | None = None
     for _ in range(LOUDER if automatic else 1):
         try:
-            best = (flight, *_response(flight.record(), flight.sweep, subject, lags))
+            best = (flight, *estimate_response(flight.record(), flight.sweep, subject, lags))
         except NotIdentifiedError as error:
             refusal = error
         if not automatic or (best and not best[2] and not why_refused(fit(best[1], lags, "first"), engine=False)):
@@ -323,31 +322,15 @@ def _granted_fraction(command: Array, refused: Array, cut: Array) -> float:
     return float(np.clip(1.0 - short[hit] / np.maximum(np.abs(command[hit]), short[hit]), 0.0, 0.999).min())
 
 
-# ---- response and fits
-
-
-def _response(record: Record, sweep: Sweep, subject: str, lags: int) -> tuple[FrequencyResponse, list[str]]:
-    """Estimate the response twice, the second time around a first model; return it with notes."""
-    response = estimate(record, sweep.from_hz, sweep.to_hz)
-    need_coherence(response, subject, sweep.amplitude)
-    first = fit(response, lags, "first").model
-    response = estimate(record, sweep.from_hz, sweep.to_hz, first.response)
-    return response, need_coherence(response, subject, sweep.amplitude)
-
-
 def _fits(
     response: FrequencyResponse, lags: int, hold: Mapping[str, float] | None, delay: float | None
 ) -> tuple[Fit, ...]:
     """Fit the chosen form, then those it is worth comparing with."""
     fixed = dict(hold or {})
     name = "1 lag" if lags == 1 else f"{lags} lags"
-    fits = [fit(response, lags, name + _describe_fixed(fixed), fixed)]
+    fits = [fit(response, lags, ", ".join([name, *(f"{held} held" for held in fixed)]), fixed)]
     if not fixed and delay is not None:
         fits.append(fit(response, lags, f"{name}, engine's delay", {"delay_samples": delay}))
     if not fixed:
         fits.append(fit(response, lags + 1, f"{lags + 1} lags"))
     return tuple(fits)
-
-
-def _describe_fixed(fixed: Mapping[str, float]) -> str:
-    return "".join(f", {name} held" for name in fixed)

@@ -63,11 +63,7 @@ def identify_engine(
         record = fly_sweep(engine, throttle, sweep, step)
     except EngineError as error:
         raise InputError(f"sweep of {engine.name}: {error}") from error
-    response = estimate(record, low, high)
-    need_coherence(response, f"engine {engine.name}: its thrust", size)
-    first = fit(response, lags, "free", hold)
-    response = estimate(record, low, high, first.model.response)
-    notes = need_coherence(response, f"engine {engine.name}: its thrust", size)
+    response, notes = estimate_response(record, sweep, f"engine {engine.name}: its thrust", lags, hold)
     fits = _fits(response, lags, hold)
     return Identification(
         kind="engine",
@@ -84,6 +80,17 @@ def identify_engine(
         reference=None,
         notes=tuple(notes),
     )
+
+
+def estimate_response(
+    record: Record, sweep: Sweep, subject: str, lags: int, hold: Mapping[str, float] | None = None
+) -> tuple[FrequencyResponse, list[str]]:
+    """Estimate the response twice, the second time around a first model; return it with notes."""
+    response = estimate(record, sweep.from_hz, sweep.to_hz)
+    need_coherence(response, subject, sweep.amplitude)
+    first = fit(response, lags, "first", hold).model
+    response = estimate(record, sweep.from_hz, sweep.to_hz, first.response)
+    return response, need_coherence(response, subject, sweep.amplitude)
 
 
 def _fits(response: FrequencyResponse, lags: int, hold: Mapping[str, float] | None) -> tuple[Fit, ...]:

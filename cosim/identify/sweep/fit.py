@@ -116,7 +116,8 @@ class Fit:
     @property
     def values(self) -> dict[str, float]:
         """The continuous parameters by name."""
-        return dict(zip(names(len(self.model.lags)), _natural(self.model), strict=True))
+        natural = [self.model.gain, self.model.rate, *self.model.lags, self.model.delay_samples]
+        return dict(zip(names(len(self.model.lags)), natural, strict=True))
 
 
 def names(lags: int) -> list[str]:
@@ -293,7 +294,3 @@ class _Problem:
             float(np.degrees(np.abs(error.imag).max())),
             together,
         )
-
-
-def _natural(model: Model) -> list[float]:
-    return [model.gain, model.rate, *model.lags, model.delay_samples]

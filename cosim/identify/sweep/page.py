@@ -5,7 +5,6 @@ In it: measured, fitted and stated, how far off, and the coherence.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -13,9 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
-from cosim.base.storage.files import check_results_folder, write_files
 from cosim.base.storage.toml import toml_text
-from cosim.identify.files import FILES, RECORD
+from cosim.identify.files import write_identification
 from cosim.identify.page import Card, Page
 from cosim.identify.sweep.result import Identification, equations, fit_rows, rate_response
 from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, Figure, axis_name, panels, trace
@@ -39,21 +37,11 @@ def write(identification: Identification, folder: Path) -> dict[str, Path]:
     Where the fit is refused there is no ``model.toml``, and one that an earlier call left in the folder is removed.
     Raises InputError for somebody else's files of these names, FlightError if a file cannot be written.
     """
-    check_results_folder(folder, RECORD, *FILES)
-    paths = {"json": folder / RECORD, "response": folder / "response.csv"}
-    texts = {
-        "json": json.dumps(identification.to_dict(), indent=2, allow_nan=False) + "\n",
-        "response": _csv(identification),
-    }
-    if identification.kind == "axis" and identification.refused:
-        (folder / "model.toml").unlink(missing_ok=True)
-    elif identification.kind == "axis":
-        paths["model"] = folder / "model.toml"
+    is_axis, texts = identification.kind == "axis", {"response": _csv(identification)}
+    if is_axis and not identification.refused:
         texts["model"] = toml_text(identification.model_table())
-    write_files({path: texts[name] for name, path in paths.items()})
-    paths["report"] = folder / "report.html"
-    write_page(identification, paths["report"])
-    return paths
+    removed = ("model.toml",) if is_axis and "model" not in texts else ()
+    return write_identification(folder, identification.to_dict(), page(identification), texts, removed=removed)
 
 
 def _csv(identification: Identification) -> str:
@@ -70,8 +58,8 @@ def _csv(identification: Identification) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_page(identification: Identification, path: Path) -> None:
-    """Write the page of an identification.  Raises FlightError if the file cannot be written."""
+def page(identification: Identification) -> Page:
+    """Return the page of an identification."""
     sweep, is_axis = identification.sweep, identification.kind == "axis"
     columns = ["with 95 % bounds", *(fit.label for fit in identification.fits)]
     equation = "" if identification.refused else "G(z) = " + "\n       ".join(equations(identification))
@@ -80,7 +68,7 @@ def write_page(identification: Identification, path: Path) -> None:
         Card("Models", columns, fit_rows(identification), BOUNDS, code=equation),
         Card("Frequency response", text=f"{identification.channel}, in {unit}.", figure="response"),
     ]
-    Page(
+    return Page(
         "identification by a sweep",
         f"{identification.subject}: {identification.channel}" + (f", engine {identification.engine}" * is_axis),
         f"Swept from {sweep.from_hz:.3g} to {sweep.to_hz:.3g} Hz in {sweep.duration_s:g} s, amplitude "
@@ -92,7 +80,7 @@ def write_page(identification: Identification, path: Path) -> None:
         {"response": response_figure(identification)},
         identification.notes,
         [f"no model: {reason}" for reason in identification.refused],
-    ).write(path)
+    )
 
 
 def response_figure(identification: Identification) -> Figure:

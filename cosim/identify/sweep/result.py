@@ -13,14 +13,6 @@ from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.identify.sweep.fit import LEAST_COHERENCE, Fit
 from cosim.identify.sweep.response import FrequencyResponse, shortest_record
-from cosim.identify.sweep.verdict import (
-    MISFIT,
-    all_delay_is_determined,
-    half_width,
-    is_determined,
-    is_none,
-    why_refused,
-)
 from cosim.identify.verdict import NOT_TOLD, Judgement, judge_model, shared_record
 from cosim.spec.vehicle import RateModel
 
@@ -29,6 +21,9 @@ LONGEST_SWEEP_S = 3600.0
 CYCLES = 20.0  # of the lowest frequency, in a sweep of automatic duration
 USABLE = 0.5  # share of the points that must have coherence
 SLOW_POLE = 20.0  # 1/s: a slow pole that may be faster is not known at all
+MISFIT = 0.1  # root mean square of |ln(model / response)| above which a form is not found: 10 % or 6 deg; ours
+NO_LAG = 0.05  # of a step: a shorter lag is none, because no sample shows it
+ONE_SAMPLE = 1.0  # a delay counts as known within its value or this, whichever is more
 LEDGER_SHARE, LEDGER_SAMPLES = 0.1, 1.0  # that a sum of delays may be off the ledger's, the more of the two; chosen
 
 
@@ -210,6 +205,61 @@ def need_coherence(response: FrequencyResponse, subject: str, amplitude: float) 
     return []
 
 
+# ---- whether a model may be used: what it leaves over, and which of its numbers are known
+
+
+def half_width(fit: Fit, name: str) -> float:
+    """Return how far the further 95 % bound of a free parameter is from its value, in the parameter's unit."""
+    low, high = fit.bounds[name]
+    return max(high - fit.values[name], fit.values[name] - low)
+
+
+def is_none(fit: Fit, name: str) -> bool:
+    """Return whether a free lag is shorter than any sample can show: it ran to the end of its range."""
+    return name in fit.bounds and name.startswith("lag") and fit.values[name] < NO_LAG * fit.model.step
+
+
+def is_determined(fit: Fit, name: str) -> bool:
+    """Return whether the bounds of a parameter are narrower than its value; of a delay, than a sample at least."""
+    if name not in fit.bounds:
+        return True
+    least = ONE_SAMPLE if name == "delay_samples" else 0.0
+    return bool(half_width(fit, name) <= max(abs(fit.values[name]), least))
+
+
+def all_delay_is_determined(fit: Fit) -> bool:
+    """Return whether delay and lags together are known better than their sum is long."""
+    total = fit.model.delay_samples + sum(fit.model.lags) / fit.model.step
+    return bool(fit.all_delay_half <= max(total, ONE_SAMPLE))
+
+
+def why_refused(fit: Fit, engine: bool) -> list[str]:
+    """Return why a fit is no model that may be used, a line a reason, with what to do; empty where it may.
+
+    Refused are a misfit above ``MISFIT`` and a gain, a lag, a delay or an engine's time constant whose bound exceeds
+    its value.  The slow pole of an axis may be anything near 0, and a lag shorter than ``NO_LAG`` steps is none.
+    """
+    reasons = []
+    if not fit.misfit <= MISFIT:
+        reasons.append(
+            f"the form is {100.0 * fit.misfit:.0f} % off the response, {100.0 * MISFIT:.0f} % at most: another --lags, "
+            "a narrower band (--from-hz, --to-hz) or another --amplitude"
+        )
+    words = {"gain": "gain", "rate_1_s": "time constant", "delay_samples": "delay", "lag_s": "lag"}
+    unknown = [
+        words.get(name, "further lag")
+        for name in fit.bounds
+        if (engine or name != "rate_1_s") and not is_none(fit, name) and not is_determined(fit, name)
+    ]
+    if unknown:
+        few = "" if len(fit.model.lags) <= (0 if engine else 1) else "fewer --lags, "
+        reasons.append(
+            f"not determined by this sweep, as the bounds exceed the value: {', '.join(unknown)}: {few}a wider band "
+            "(--from-hz, --to-hz), more --amplitude, or state what is known by --hold"
+        )
+    return reasons
+
+
 def agrees_with_ledger(fit: Fit, ledger_samples: float) -> bool:
     """Return whether the sum of all delay of a fit is the delay ledger's (samples)."""
     return abs(low_frequency_delay(fit) - ledger_samples) <= max(LEDGER_SHARE * ledger_samples, LEDGER_SAMPLES)
@@ -254,7 +304,8 @@ def fit_rows(identification: Identification) -> list[list[str]]:
         at_rest = [fit.model.gain / fit.model.rate if fit.model.rate else float("inf") for fit in identification.fits]
         rows.append(["gain at rest, N", *(f"{value:.4g} ({value / GRAVITY:.4g} kgf)" for value in at_rest)])
     if identification.kind == "axis":
-        rows.append(["all delay, samples", *(_all_delay(fit) for fit in identification.fits)])
+        sums = [(f"{low_frequency_delay(fit):.2f}", all_delay_is_determined(fit)) for fit in identification.fits]
+        rows.append(["all delay, samples", *(text if known else "not determined" for text, known in sums)])
     rows.append(["misfit, %", *(f"{100 * fit.misfit:.2g}" for fit in identification.fits)])
     rows.append(["worst, dB and deg", *(f"{fit.worst_db:.2g}, {fit.worst_deg:.2g}" for fit in identification.fits)])
     return rows
@@ -282,10 +333,6 @@ def _with_bounds(fit: Fit, name: str, scale: float, invert: bool) -> str:
     ends = (scale * (1.0 / end if invert and end else end) for end in (low, high))
     half = max(abs(end - scale * (1.0 / value if invert and value else value)) for end in ends)
     return f"{number(value)} ±{float(f'{half:.1g}'):g}"
-
-
-def _all_delay(fit: Fit) -> str:
-    return f"{low_frequency_delay(fit):.2f}" if all_delay_is_determined(fit) else "not determined"
 
 
 def low_frequency_delay(fit: Fit) -> float:

@@ -35,8 +35,15 @@ from cosim.identify.sweep import (
 from cosim.identify.sweep import axis as sweeping
 from cosim.identify.sweep.fit import counts
 from cosim.identify.sweep.response import FrequencyResponse
-from cosim.identify.sweep.result import equation, fit_rows, low_frequency_delay, note_off_ledger, rate_response
-from cosim.identify.sweep.verdict import MISFIT, why_refused
+from cosim.identify.sweep.result import (
+    MISFIT,
+    equation,
+    fit_rows,
+    low_frequency_delay,
+    note_off_ledger,
+    rate_response,
+    why_refused,
+)
 from cosim.simulation.controllers.models import find_models
 from cosim.simulation.script.command_script import make_sweep
 from cosim.spec.scenario import Scenario

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,12 +63,13 @@ def test_an_identification_is_renewed_in_its_own_folder(hexjet: Hexjet, tmp_path
 
 
 def test_an_identification_by_a_program_leaves_it_alone_too(tmp_path: Path) -> None:
+    page: Any = SimpleNamespace(write=lambda path: None)
     (tmp_path / "engine.toml").write_text("mine")
     with pytest.raises(InputError, match=r"engine\.toml: is there already"):
-        write_identification(tmp_path, {tmp_path / "identification.json": "{}"}, None, remove_engine=True)
+        write_identification(tmp_path, {}, page, {})
     assert (tmp_path / "engine.toml").read_text() == "mine"
     (tmp_path / "identification.json").write_text("{}")
-    write_identification(tmp_path, {tmp_path / "identification.json": "{}"}, None, remove_engine=True)
+    assert write_identification(tmp_path, {}, page, {})["json"].read_text() == "{}\n"
     assert not (tmp_path / "engine.toml").exists()
 
 
