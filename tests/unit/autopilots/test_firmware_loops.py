@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 from places import script
 
-from cosim.api.call.firmware import firmware_for
+from cosim.api.design import firmware_for
 from cosim.autopilots.betaflight import compute_gain_units, make_gain_settings
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3

@@ -10,7 +10,7 @@ import pytest
 from command_tools import Hexjet
 from places import DESIGNS
 
-from cosim.api.call.firmware import write_parameters
+from cosim.api.design import write_parameters
 from cosim.autopilots import ardupilot, betaflight, px4
 from cosim.autopilots import prepare as preparation
 from cosim.autopilots.parameters import (
