@@ -13,7 +13,7 @@ from cosim.api.studies import study_settings
 from cosim.base.errors import InputError
 
 if TYPE_CHECKING:
-    from cosim.campaign.rare.result import SavedRare
+    from cosim.campaign.rare.simulation import SavedRare
     from cosim.campaign.search.result import SavedSearch
     from cosim.campaign.search.worst_folder import SavedWorst
     from cosim.campaign.workers.protocol import Workers
@@ -39,10 +39,7 @@ class SearchResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``hexjet search --json`` prints."""
-        from cosim.campaign.search.result import SavedSearch
-
-        found = self.searched
-        return found.to_dict() if isinstance(found, SavedSearch) else found.to_json()
+        return self.searched.to_json()
 
     def lines(self) -> list[str]:
         """Return what was flown, what counts as broken, and what was found."""

@@ -8,22 +8,14 @@ it is.
 
 from __future__ import annotations
 
-import json
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import FlightError
-from cosim.base.storage.files import lock_file, map_os_errors, write_whole
-from cosim.campaign.folder import freeze
-from cosim.campaign.folder import load as load_study
 from cosim.campaign.rare.estimate import Budget
 from cosim.campaign.rare.page import write_page
-from cosim.campaign.rare.result import RareCase, SavedRare
-from cosim.campaign.rare.simulation import ASKED, Failure, Plan, RareResult, simulate
-from cosim.campaign.search.probe import Journal
-from cosim.campaign.search.question import CASES, JOURNAL, STUDY, Words, begin_question, fly_row_again, holds_question
+from cosim.campaign.rare.simulation import ASKED, Failure, Plan, RareCase, RareResult, SavedRare, simulate
+from cosim.campaign.search.question import Words, empty_cases, fly_row_again, open_question
 from cosim.campaign.study.normal_space import NormalSpace
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import Flight, only_controller
@@ -34,7 +26,7 @@ from cosim.campaign.workers.protocol import Workers
 from cosim.results.log.arrow import write_table
 
 ROWS, RESULT, REPORT = "flights.parquet", "rare.json", "rare.html"
-RARE = Words("rare.toml", "simulation of rare failures", "one", "another one")
+RARE = Words("rare.toml", "simulation of rare failures", "one", "another one", "process")
 CASES_RECORDED = 3  # failures that are flown again, the most likely first
 
 
@@ -75,15 +67,14 @@ def run_rare(
     same as without a stop.  Raises InputError if study or folder is not usable (another simulation's, in use, or one
     that is not resumed), and nothing is overwritten then; FlightError if no more can be flown or written.
     """
-    frozen = freeze(study)
-    with map_os_errors(FlightError, out):
-        if not holds_question(out, frozen, plan.table(), resume, RARE):
-            begin_question(out, frozen, plan.table(), RARE)
-        with lock_file(out / JOURNAL, f"{out}: another process is at work there"):
-            result = simulate(load_study(out / STUDY), plan, workers, Journal(out / JOURNAL), progress)
-            shutil.rmtree(out / CASES, ignore_errors=True)  # left by one that was stopped while it flew them
-            saved = SavedRare(out, result, tuple(_cases(result, out / CASES)))
-            _write(saved)
+    with open_question(study, plan.table(), out, resume, RARE) as (flown, journal):
+        result = simulate(flown, plan, workers, journal, progress)
+        saved = SavedRare(out, result, tuple(_cases(result, empty_cases(out))))
+        columns = {"repeat": int, "level": int} | kinds(result.study) | {"margin": float}
+        table = {name: [row.get(name) for row in result.rows] for name in columns}
+        write_table(out / ROWS, table, kinds=columns)
+        saved.write(RESULT)
+        write_page(saved, out / REPORT)
     return saved
 
 
@@ -100,12 +91,3 @@ def _fly_again(result: RareResult, failure: Failure, folder: Path) -> RareCase:
     flight = Flight(failure.number, failure.number, result.controller, seed, values)  # type: ignore[arg-type]
     again = fly_row_again(result.study, flight, row, folder)
     return RareCase(folder.name, failure.number, failure.distance, seed, values, again.reason, again.same)
-
-
-def _write(saved: SavedRare) -> None:
-    result, folder = saved.result, saved.folder
-    columns = {"repeat": int, "level": int} | kinds(result.study) | {"margin": float}
-    table = {name: [row.get(name) for row in result.rows] for name in columns}
-    write_table(folder / ROWS, table, kinds=columns)
-    write_whole(folder / RESULT, json.dumps(saved.to_json(), indent=1, allow_nan=False) + "\n")
-    write_page(saved, folder / REPORT)

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from cosim.campaign.rare.estimate import probability_text
-from cosim.campaign.rare.result import SavedRare
-from cosim.campaign.rare.simulation import RareResult, describe_plan
+from cosim.campaign.rare.simulation import RareResult, SavedRare, describe_plan
 from cosim.campaign.rare.subset import Repeat
 from cosim.campaign.search.page import text
 from cosim.campaign.search.question import CASES, case_links

@@ -16,6 +16,7 @@ from cosim.campaign.analysis.margin import row_margin
 from cosim.campaign.rare.estimate import SEEDS_DECIDE, Budget, Estimate, estimate, probability_text, seed_effect
 from cosim.campaign.rare.subset import Candidates, Repeat, run_repeats, subset_simulation
 from cosim.campaign.search.probe import FlownRows, Journal, Point
+from cosim.campaign.search.question import Answered
 from cosim.campaign.study.draws import flight_seed
 from cosim.campaign.study.normal_space import NormalSpace
 from cosim.campaign.study.plan import Flight, only_controller
@@ -184,6 +185,22 @@ class RareResult:
             "reason": row["reason"],
             "distance": failure.distance,
         }
+
+
+@dataclass(frozen=True)
+class RareCase:
+    """A failure flown again from its own scenario file: the folder's name, and whether it is the same bit for bit."""
+
+    name: str
+    flight: int
+    distance: float  # standard deviations
+    seed: int
+    values: dict[str, Any]
+    reason: str
+    same: bool
+
+
+SavedRare = Answered[RareResult, RareCase]
 
 
 def simulate(

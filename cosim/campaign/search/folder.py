@@ -7,21 +7,16 @@ holds: their ``scenario.toml`` flies as it is.
 
 from __future__ import annotations
 
-import json
 import re
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import lock_file, map_os_errors, write_whole
-from cosim.campaign.folder import freeze
-from cosim.campaign.folder import load as load_study
+from cosim.base.errors import InputError
 from cosim.campaign.search.page import write_page
-from cosim.campaign.search.probe import Journal, Point, Prober
-from cosim.campaign.search.question import CASES, JOURNAL, STUDY, Words, begin_question, fly_row_again, holds_question
-from cosim.campaign.search.result import Case, SavedSearch, plan_table
+from cosim.campaign.search.probe import Point, Prober
+from cosim.campaign.search.question import Words, empty_cases, fly_row_again, open_question
+from cosim.campaign.search.result import Case, SavedSearch
 from cosim.campaign.search.search import Edge, JointResult, Plan, SearchResult, SecondKey, search
 from cosim.campaign.search.span import span
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_number, parse_vary
@@ -34,7 +29,7 @@ from cosim.campaign.workers.protocol import Workers
 from cosim.spec.controller_name import short_name
 
 RESULT, REPORT = "search.json", "search.html"
-SEARCH = Words("search.toml", "search", "a search", "another search")
+SEARCH = Words("search.toml", "search", "a search", "another search", "search")
 
 
 def resolve_search(
@@ -136,20 +131,13 @@ def run_search(
     Raises InputError if study or folder is not usable (another search's, in use, or one that is not resumed), and
     nothing is overwritten then; FlightError if no more can be flown or written.
     """
-    frozen = freeze(study)
-    with map_os_errors(FlightError, out):
-        if not holds_question(out, frozen, plan_table(plan), resume, SEARCH):
-            begin_question(out, frozen, plan_table(plan), SEARCH)
-        with lock_file(out / JOURNAL, f"{out}: another search is at work there"):
-            flown = load_study(out / STUDY)
-            engine = engine_draw(flown.base()) if plan.draws_engine else None
-            prober = Prober(flown, plan.seeds, plan.share, workers, Journal(out / JOURNAL), progress, engine)
-            result = search(plan, prober)
-            shutil.rmtree(out / CASES, ignore_errors=True)  # left by a search stopped while it flew them
-            cases = tuple(_cases(result, prober, out / CASES))
-            looked = [(point, prober.result(point).breaks) for point in prober.points]
-            searched = SavedSearch(out, result, cases, looked)
-            _write(searched)
+    with open_question(study, plan.table(), out, resume, SEARCH) as (flown, journal):
+        engine = engine_draw(flown.base()) if plan.draws_engine else None
+        prober = Prober(flown, plan.seeds, plan.share, workers, journal, progress, engine)
+        result = search(plan, prober)
+        searched = SavedSearch(out, result, tuple(_cases(result, prober, empty_cases(out))))
+        searched.write(RESULT)
+        write_page(searched, out / REPORT)
     return searched
 
 
@@ -205,8 +193,3 @@ def _edges(result: SearchResult, controller: str) -> list[Edge]:
 
 def _is_joint(joint: JointResult) -> bool:
     return sum(value != 0.0 for value in joint.deviations.values()) > 1
-
-
-def _write(searched: SavedSearch) -> None:
-    write_whole(searched.folder / RESULT, json.dumps(searched.to_dict(), indent=1, allow_nan=False) + "\n")
-    write_page(searched, searched.folder / REPORT)

@@ -42,7 +42,7 @@ def write_page(searched: SavedSearch, path: Path) -> None:
     render(
         TEMPLATE,
         path,
-        figures(result, searched.points),
+        figures(result),
         result=result,
         base=base,
         title="" if list_changes(base, flown_parameters(base)) else base.title,
@@ -162,14 +162,14 @@ def _joint(result: SearchResult, joint: JointResult) -> str:
 # ---- figures
 
 
-def figures(result: SearchResult, prober_points: list[tuple[Point, bool]]) -> dict[str, Figure]:
+def figures(result: SearchResult) -> dict[str, Figure]:
     """Return Plotly figures by name: ``curve`` or ``key0``, ``key1``, ..., and ``pair0``, ... for two keys together."""
     if result.plan.over:
         return {"curve": _curve(result)}
     drawn = {f"key{number}": _bands(result, span) for number, span in enumerate(result.plan.spans)}
     if len(result.plan.spans) == 2:
         for number, joint in enumerate(result.joints):
-            looked = [entry for entry in prober_points if entry[0].controller == joint.controller]
+            looked = [entry for entry in result.points if entry[0].controller == joint.controller]
             drawn[f"pair{number}"] = _pair(result.plan, joint, looked)
     elif len(result.plan.spans) > 2:
         drawn["shares"] = _deviations(result)

@@ -6,17 +6,22 @@ flight as it came, and ``cases/`` the runs of the flights that show the answer.
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
-from collections.abc import Mapping
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
-from cosim.base.errors import InputError
-from cosim.base.storage.files import write_whole
+from cosim.base.errors import FlightError, InputError
+from cosim.base.storage.files import lock_file, map_os_errors, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.campaign.folder import FrozenStudy
+from cosim.campaign.folder import FrozenStudy, freeze
+from cosim.campaign.folder import load as load_study
+from cosim.campaign.search.probe import Journal
 from cosim.campaign.search.search import describe_flight
 from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.campaign.study.study import Study
@@ -29,19 +34,17 @@ STUDY, JOURNAL, CASES = "study", "flights.jsonl", "cases"
 
 
 class Words(NamedTuple):
-    """How messages name the file that has what was asked, what a folder may lack or hold, and another one of it."""
+    """How messages name the file of what is asked, what a folder may lack or hold, another one, and who works there."""
 
     file: str
     none: str
     one: str
     other: str
+    busy: str
 
 
-def holds_question(out: Path, frozen: FrozenStudy, asked: Mapping[str, Any], resume: bool, words: Words) -> bool:
-    """Return whether the folder holds this very question, to be resumed; InputError if it holds anything else.
-
-    ``asked`` is what is asked, as a table.
-    """
+def _holds_question(out: Path, frozen: FrozenStudy, asked: Mapping[str, Any], resume: bool, words: Words) -> bool:
+    """Return whether the folder holds this very question, to be resumed; InputError if it holds anything else."""
     if not out.exists() or not any(out.iterdir()):
         return False
     if not (out / words.file).is_file():
@@ -59,7 +62,7 @@ def holds_question(out: Path, frozen: FrozenStudy, asked: Mapping[str, Any], res
     return True
 
 
-def begin_question(out: Path, frozen: FrozenStudy, asked: Mapping[str, Any], words: Words) -> None:
+def _begin_question(out: Path, frozen: FrozenStudy, asked: Mapping[str, Any], words: Words) -> None:
     """Write what the folder needs before its first flight."""
     (out / STUDY).mkdir(parents=True)
     frozen.write(out / STUDY)
@@ -105,6 +108,33 @@ class Answered(Generic[A, C]):
         """Return the table that the folder's JSON file holds."""
         cases = [asdict(case) for case in self.cases]  # type: ignore[call-overload]
         return {"folder": str(self.folder), **self.result.to_json(), "cases": cases, "confirmed": self.confirmed}
+
+    def write(self, name: str) -> None:
+        """Write the folder's JSON file.  Raises OSError."""
+        write_whole(self.folder / name, json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n")
+
+
+@contextmanager
+def open_question(
+    study: Study, asked: Mapping[str, Any], out: Path, resume: bool, words: Words
+) -> Iterator[tuple[Study, Journal]]:
+    """Hold the folder of a question, which is begun if need be; yields the study as it is there, and the flights.
+
+    ``asked`` is what is asked, as a table.  Raises InputError if study or folder is not usable (another question's, in
+    use, or one that is not resumed), and nothing is overwritten then; FlightError if the folder cannot be written to.
+    """
+    frozen = freeze(study)
+    with map_os_errors(FlightError, out):
+        if not _holds_question(out, frozen, asked, resume, words):
+            _begin_question(out, frozen, asked, words)
+        with lock_file(out / JOURNAL, f"{out}: another {words.busy} is at work there"):
+            yield load_study(out / STUDY), Journal(out / JOURNAL)
+
+
+def empty_cases(out: Path) -> Path:
+    """Return the folder for the runs that show the answer, without what one left that was stopped while it flew."""
+    shutil.rmtree(out / CASES, ignore_errors=True)
+    return out / CASES
 
 
 class FlownAgain(NamedTuple):

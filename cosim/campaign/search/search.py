@@ -9,9 +9,9 @@ that finds has been flown and does break; that nothing smaller does, nobody know
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import sqrt
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -21,10 +21,14 @@ from cosim.campaign.search.probe import BudgetSpentError, Point, Prober, count_n
 from cosim.campaign.search.span import Span
 from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.study.key import Key, Value
+from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import MARGIN_OF, Row
 from cosim.results.metrics import check_expectations
 from cosim.results.wording import metric
+from cosim.simulation.controllers.external_controller import find_controller
+from cosim.spec.controller_name import is_design
+from cosim.spec.scenario import Scenario
 
 Side = Literal["up", "down"]
 SIDES: dict[int, Side] = {1: "up", -1: "down"}
@@ -62,6 +66,20 @@ class Plan:
         if self.over and level is not None:
             values[self.over.key.path] = level
         return Point.of(controller, values)
+
+    def table(self) -> dict[str, Any]:
+        """Return the plan as a table of TOML."""
+        keys = [
+            {"key": span.key.path, "unit": span.key.unit}
+            | {name: getattr(span, name) for name in ("low", "high", "start", "points", "tolerance", "logarithmic")}
+            for span in self.spans
+        ]
+        table: dict[str, Any] = {"seeds": list(self.seeds), "share": self.share, "budget": self.budget, "keys": keys}
+        if self.draws_engine:
+            table["draws_engine"] = True
+        if self.over:
+            table["over"] = {"key": self.over.key.path, "unit": self.over.key.unit, "levels": list(self.over.levels)}
+        return table
 
 
 @dataclass(frozen=True)
@@ -122,6 +140,7 @@ class SearchResult:
     edges: tuple[Edge, ...]
     joints: tuple[JointResult, ...]
     flights: int
+    points: Sequence[tuple[Point, bool]] = ()  # every point that was flown, and whether it breaks
 
     @property
     def criterion(self) -> str:
@@ -157,6 +176,31 @@ class SearchResult:
         broken = [e for e in self.edges if e.controller == controller and e.deviation is not None]
         return min(broken, key=lambda edge: abs(edge.deviation or 0.0), default=None)
 
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as a table of plain values, as ``search.json`` holds it."""
+        base = self.study.base()
+        return {
+            "scenario": base.name,
+            "aircraft": base.aircraft_name,
+            "engine": base.engine,
+            "controllers": self.study.controller_names,
+            "controller_sha256": {name: _sha256(base, name) for name in self.study.controller_names},
+            "criterion": self.criterion,
+            **({"engine_note": self.engine_note} if self.engine_note else {}),
+            **self.plan.table(),
+            "flights": self.flights,
+            "alone": [asdict(edge) | {"comes_back": edge.comes_back} for edge in self.edges],
+            "together": [asdict(joint) for joint in self.joints],
+        }
+
+
+def _sha256(base: Scenario, controller: str) -> str | None:
+    """Return the hash of a user-supplied controller."""
+    if is_design(controller):
+        return None
+    source = find_controller(with_values(base, {"controller": controller}))
+    return None if source is None else source.sha256
+
 
 def search(plan: Plan, prober: Prober) -> SearchResult:
     """Search every controller of the study.  Raises FlightError if flights cannot be flown."""
@@ -165,7 +209,8 @@ def search(plan: Plan, prober: Prober) -> SearchResult:
     joints: tuple[JointResult, ...] = ()
     if len(plan.spans) > 1:
         joints = tuple(search_jointly(plan, prober, controller, edges) for controller in study.controller_names)
-    return SearchResult(study, plan, tuple(edges), joints, prober.flights)
+    points = [(point, prober.result(point).breaks) for point in prober.points]
+    return SearchResult(study, plan, tuple(edges), joints, prober.flights, points)
 
 
 def describe_flight(study: Study, row: Row) -> str:

@@ -6,21 +6,16 @@ The folder is that of any search (:mod:`cosim.campaign.search.folder`): ``study/
 
 from __future__ import annotations
 
-import json
 import re
-import shutil
 from collections.abc import Callable, Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import lock_file, map_os_errors, write_whole
-from cosim.campaign.folder import freeze
-from cosim.campaign.folder import load as load_study
+from cosim.base.errors import InputError
 from cosim.campaign.search.folder import REPORT, RESULT, SEARCH, fly_case, point_seeds
-from cosim.campaign.search.probe import Journal, Point, Prober
-from cosim.campaign.search.question import CASES, JOURNAL, STUDY, Answered, begin_question, holds_question
+from cosim.campaign.search.probe import Point, Prober
+from cosim.campaign.search.question import Answered, empty_cases, open_question
 from cosim.campaign.search.result import Case
 from cosim.campaign.search.worst_case import (
     LIKELY_WITHIN,
@@ -94,18 +89,12 @@ def run_worst(
     same as without a stop.  Raises InputError if study or folder is not usable, FlightError if no more can be flown or
     written.
     """
-    frozen = freeze(study)
-    with map_os_errors(FlightError, out):
-        if not holds_question(out, frozen, plan.table(), resume, SEARCH):
-            begin_question(out, frozen, plan.table(), SEARCH)
-        with lock_file(out / JOURNAL, f"{out}: another search is at work there"):
-            flown = load_study(out / STUDY)
-            prober = Prober(flown, plan.seeds, 0.0, workers, Journal(out / JOURNAL), progress)
-            result = search_worst(plan, prober)
-            shutil.rmtree(out / CASES, ignore_errors=True)  # left by a search stopped while it flew them
-            saved = SavedWorst(out, result, tuple(_cases(result, prober, out / CASES)))
-            write_whole(out / RESULT, json.dumps(saved.to_json(), indent=1, allow_nan=False) + "\n")
-            write_page(saved.result, saved.cases, out / REPORT)
+    with open_question(study, plan.table(), out, resume, SEARCH) as (flown, journal):
+        prober = Prober(flown, plan.seeds, 0.0, workers, journal, progress)
+        result = search_worst(plan, prober)
+        saved = SavedWorst(out, result, tuple(_cases(result, prober, empty_cases(out))))
+        saved.write(RESULT)
+        write_page(saved.result, saved.cases, out / REPORT)
     return saved
 
 

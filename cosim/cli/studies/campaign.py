@@ -16,7 +16,7 @@ from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, example
 if TYPE_CHECKING:
     from cosim.api.searches import SearchResult
     from cosim.api.studies import SweepResult
-    from cosim.campaign.rare.result import SavedRare
+    from cosim.campaign.rare.simulation import SavedRare
     from cosim.campaign.search.result import SavedSearch
     from cosim.campaign.search.worst_folder import SavedWorst
     from cosim.campaign.study.key import Key

@@ -17,8 +17,7 @@ from click.testing import CliRunner
 from cosim.base.errors import FlightError, InputError
 from cosim.campaign.rare.estimate import Budget
 from cosim.campaign.rare.folder import resolve_rare, run_rare
-from cosim.campaign.rare.result import SavedRare
-from cosim.campaign.rare.simulation import Plan
+from cosim.campaign.rare.simulation import Plan, SavedRare
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.cluster import DaskWorkers

@@ -460,7 +460,7 @@ def test_a_search_and_a_survey_of_faults_fly_it_and_say_which_it_was(mine: str, 
     study, plan = resolve_search("hover", vary=vary, controllers=[mine], settings=["duration_s=0.2"])
     with choose_workers(1, None, None) as workers:
         searched = run_search(study, plan, tmp_path / "search", workers)
-    assert list(searched.to_dict()["controller_sha256"].values()) == [sha256[mine]]
+    assert list(searched.to_json()["controller_sha256"].values()) == [sha256[mine]]
     journal = (tmp_path / "search" / "flights.jsonl").read_text(encoding="utf-8").splitlines()
     assert {json.loads(line)["row"]["controller_sha256"] for line in journal if "row" in json.loads(line)} == {
         sha256[mine]
