@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from itertools import combinations
 from pathlib import Path
@@ -17,7 +17,6 @@ from cosim.campaign.analysis.claim import judge_claim
 from cosim.campaign.analysis.figures import KIND_COLOURS, campaign_figures
 from cosim.campaign.analysis.sensitivity import Ranking, joint
 from cosim.campaign.analysis.stability_map import MAP_KEYS, map_tables
-from cosim.campaign.analysis.statistics import Interval, MedianDifference
 from cosim.campaign.analysis.summary import (
     SUCCESS,
     compare_controllers,
@@ -37,7 +36,6 @@ from cosim.campaign.study.keys import FLOWN_STATIONS
 from cosim.campaign.workers.flight_row import describe_not_flown
 from cosim.results.report.page import render
 from cosim.results.report.plot import run_colour
-from cosim.results.wording import Metric
 
 if TYPE_CHECKING:
     from cosim.campaign.store import Campaign
@@ -84,10 +82,8 @@ def report_contents(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]
     """Return the figures of the report and the values for its template; write the scenario files of its cases."""
     table, study = read_flight_table(campaign), campaign.study
     proportions = success_fractions(table)
-    names = [SUCCESS, *(metric.name for metric in table.metrics)]
-    rankings = {
-        name: [rank_keys(table, controller, name) for controller in controller_indices(table)] for name in names
-    }
+    names, controllers = [SUCCESS, *(metric.name for metric in table.metrics)], controller_indices(table)
+    rankings = {name: [rank_keys(table, controller, name) for controller in controllers] for name in names}
     leading = next((name for name in names if any(rankings[name])), SUCCESS)
     order = order_by_influence(table, rankings[leading])
     figures = campaign_figures(table, proportions, rankings, order)
@@ -118,9 +114,14 @@ def report_contents(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]
         "kind_colours": KIND_COLOURS,
         "keys": key_rows(study, table),
         "correlations": [describe_correlation(correlation) for correlation in study.correlate],
-        "comparisons": comparison_rows(table),
-        "metric_rows": metric_rows(table),
-        "rankings": ranking_tables(table, rankings),
+        "comparisons": compare_controllers(table),
+        "spreads": [[find_spread(table, each, metric.name) for each in controllers] for metric in table.metrics],
+        "rankings": {
+            name: [(number, found) for number, found in enumerate(ranking) if found is not None]
+            for name, ranking in rankings.items()
+            if any(ranking)
+        },
+        "labels": {SUCCESS: SUCCESS} | {metric.name: metric.label for metric in table.metrics},
         "reasons": reason_rows(campaign, table),
         "cases": case_rows(campaign, table),
         "warnings": warnings(campaign, table, stops=claim is not None),
@@ -332,122 +333,7 @@ def _joint(rows: Any, first: Array, second: Array, values: Array) -> float:
     return max(0.0, joint(first[rows], second[rows], values[rows])) if some else 0.0
 
 
-def ranking_tables(table: FlightTable, rankings: Mapping[str, Sequence[Ranking | None]]) -> list[dict[str, Any]]:
-    """Return one table for success and for each metric that could be ranked."""
-    labels = {SUCCESS: "success"} | {metric.name: metric.label for metric in table.metrics}
-    return [
-        {
-            "figure": f"ranking-{name}",
-            "label": labels[name],
-            "rankings": [
-                {
-                    "controller": table.controllers[controller],
-                    "colour": run_colour(controller),
-                    "flights": element.flights,
-                    "floor": f"{100.0 * element.floor:.1f}",
-                    "explained": f"{100.0 * element.explained:.0f}",
-                    "rows": [
-                        {
-                            "key": effect.key,
-                            "index": f"{100.0 * max(effect.index, 0.0):.1f}",
-                            "interval": _span([100.0 * end for end in effect.interval], ".1f"),
-                            "real": effect.real,
-                            "rank": NONE if effect.rank is None else f"{effect.rank:+.2f}",
-                            "rank_interval": _span(effect.rank_interval, "+.2f"),
-                            "partial": NONE if effect.partial is None else f"{effect.partial:+.2f}",
-                        }
-                        for effect in element.effects
-                    ],
-                }
-                for controller, element in enumerate(ranking)
-                if element is not None
-            ],
-        }
-        for name, ranking in rankings.items()
-        if any(ranking)
-    ]
-
-
-def _span(ends: Interval | Sequence[float] | None, form: str) -> str:
-    return "" if ends is None else f"{ends[0]:{form}} to {ends[1]:{form}}"
-
-
-# ---- controllers compared, and metrics
-
-
-def comparison_rows(table: FlightTable) -> list[dict[str, Any]]:
-    """Return a row of texts for every two controllers, on the draws that both have flown."""
-    return [
-        {
-            "first": table.controllers[comparison.first],
-            "second": table.controllers[comparison.second],
-            "first_colour": run_colour(comparison.first),
-            "second_colour": run_colour(comparison.second),
-            "pairs": comparison.pairs,
-            "difference": NONE if comparison.pairs.difference is None else format_points(comparison.pairs.difference),
-            "interval": "" if comparison.interval is None else " to ".join(map(format_points, comparison.interval)),
-            "p": format_p_value(comparison.p_holm),
-            "completed": comparison.completed,
-            "metrics": [
-                _difference(metric, difference)
-                for metric in table.metrics
-                if (difference := comparison.metrics[metric.name]) is not None
-            ],
-        }
-        for comparison in compare_controllers(table)
-    ]
-
-
-def _difference(metric: Metric, difference: MedianDifference) -> dict[str, Any]:
-    low, high = difference.interval or (np.nan, np.nan)
-    return {
-        "label": metric.label,
-        "unit": metric.unit,
-        "draws": difference.draws,
-        "median": format_signed(metric.factor * difference.median),
-        "interval": f"{format_signed(metric.factor * low)} to {format_signed(metric.factor * high)}"
-        if difference.interval
-        else "",
-        "p": format_p_value(difference.p),
-    }
-
-
-def format_points(difference: float) -> str:
-    """Format a difference of fractions in percentage points, 0 without a sign."""
-    text = f"{100.0 * difference:+.1f}"
-    return text[1:] if text[1:] == "0.0" else text
-
-
-def format_signed(value: float) -> str:
-    """Format a number with its sign, 0 without."""
-    return f"{value:+.3g}" if value else "0"
-
-
-def format_p_value(p: float) -> str:
-    """Format a p-value in two digits, or as below 0.0001."""
-    return "< 0.0001" if p < 1e-4 else f"{p:.2g}"
-
-
-def metric_rows(table: FlightTable) -> list[dict[str, Any]]:
-    """Return the spread of each metric for each controller."""
-    rows = []
-    for number, metric in enumerate(table.metrics):
-        cells = []
-        for controller in controller_indices(table):
-            quartiles = find_spread(table, controller, metric.name)
-            cells.append(
-                {"text": NONE, "none": 0, "flights": 0, "of": int(np.sum(table.rows_of(controller)))}
-                if quartiles is None
-                else {
-                    "text": f"{metric.factor * quartiles.median:.3g}",
-                    "span": _span((metric.factor * quartiles.low, metric.factor * quartiles.high), ".3g"),
-                    "none": quartiles.none,
-                    "flights": quartiles.flights,
-                    "of": quartiles.of,
-                }
-            )
-        rows.append({"metric": metric, "figure": f"metric-{number}", "cells": cells})
-    return rows
+# ---- why flights were no success, and the data
 
 
 def reason_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:

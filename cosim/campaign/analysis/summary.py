@@ -48,7 +48,7 @@ class Comparison(NamedTuple):
     interval: Interval | None  # interval of the difference of success, second less first
     p: float  # McNemar's
     p_holm: float  # corrected for the number of comparisons
-    metrics: dict[str, MedianDifference | None]  # second less first, over draws that both completed
+    metrics: dict[str, MedianDifference]  # second less first, over draws that both completed; as far as both have them
     completed: int  # draws that both completed
 
 
@@ -107,8 +107,9 @@ def _compared(table: FlightTable, first: int, second: int) -> Comparison:
     completed = table.completed[rows] & table.completed[others]
     metrics = {}
     for name in (metric_spec.name for metric_spec in table.metrics):
-        difference = (table.values[name][others] - table.values[name][rows])[completed]
-        metrics[name] = median_difference(difference[np.isfinite(difference)])
+        apart = (table.values[name][others] - table.values[name][rows])[completed]
+        if (difference := median_difference(apart[np.isfinite(apart)])) is not None:
+            metrics[name] = difference
     p = mcnemar(counted)
     return Comparison(first, second, counted, newcombe(counted), p, p, metrics, int(np.sum(completed)))
 
@@ -246,7 +247,6 @@ def _comparison(table: FlightTable, comparison: Comparison) -> dict[str, Any]:
                 "wilcoxon_p": None if table.grid else difference.p,
             }
             for name, difference in comparison.metrics.items()
-            if difference is not None
         },
     }
 
