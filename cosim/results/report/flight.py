@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.outcomes import Verdict
-from cosim.results.events import Event, list_events, list_phases
+from cosim.results.events import list_events, list_phases
 from cosim.results.log.columns import custom_columns
 from cosim.results.metrics import AxisMetrics
 from cosim.results.report.flight_figures import run_figures
@@ -18,11 +18,14 @@ from cosim.results.report.page import TEMPLATES, Flights, render
 from cosim.results.report.panels import make_rest_columns
 from cosim.results.report.plot import BLUE
 from cosim.results.report.requirements import (
+    SOURCES,
     ZERO,
+    by_margin,
     deciding_events,
+    describe_margin,
     margin_columns,
     margins_over_time,
-    requirement_rows,
+    shortened,
 )
 from cosim.results.report.signals_data import FlightData, read_vehicle, run_data
 from cosim.results.run import LOG, SCENARIO, Run
@@ -84,7 +87,9 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
         strips=strips,
         axis_rows=AXIS_ROWS,
         shaded=bool(flights and (flights.runs[0][0]["upsets"] or flights.runs[0][0]["events"])),
-        events=event_rows(events),
+        events=events,
+        kinds=KINDS,
+        grave=GRAVE,
         phases=list(dict.fromkeys(phase.name for phase in phases)),
         refused=any(
             trace["label"] == "refused"
@@ -94,11 +99,15 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
         summary=summary,
         verdict=verdict(summary),
         badge=verdict_badge(summary),
-        metrics=metric_table(summary),
+        axes=sorted(summary.metrics.items(), key=lambda item: not item[1].commanded),
+        axis_cell=axis_cell,
         axis_limits=axis_limits_line(summary),
         whole=whole_rows(summary),
         expectations=expectation_rows(summary),
-        requirements=requirement_rows(summary),
+        requirements=by_margin(summary),
+        sources=SOURCES,
+        shortened=shortened,
+        describe_margin=describe_margin,
         ledgers=ledgers(summary),
         jets=jet_drawing(summary),
         uncertain=uncertain_rows(summary),
@@ -158,20 +167,6 @@ def _worst_error(summary: Summary) -> str:
     return f"Largest attitude error: {degrees(error):.2g}°, in {axis}."
 
 
-def metric_table(summary: Summary) -> list[dict[str, Any]]:
-    """Return a row for each axis, commanded ones first, with its cells in the order of AXIS_ROWS."""
-    ordered = sorted(summary.metrics.items(), key=lambda item: not item[1].commanded)
-    return [
-        {
-            "axis": axis,
-            "commanded": metrics.commanded,
-            "cells": [axis_cell(metrics, key, factor, digits) for _, key, _, factor, digits in AXIS_ROWS],
-            "beyond": [f"{axis}.{row.key}" in summary.beyond for row in AXIS_ROWS],
-        }
-        for axis, metrics in ordered
-    ]
-
-
 def axis_limits_line(summary: Summary) -> str:
     """Return the limits of the axes in words; an empty string for a flight that has none."""
     limits = [(metric(name), most) for name, most in summary.limits.items() if name.split(".")[0] in summary.metrics]
@@ -196,20 +191,6 @@ def whole_rows(summary: Summary) -> list[dict[str, Any]]:
         cell = NONE if value is None else f"{of.factor * value:.4g}"
         rows.append({"label": of.label.capitalize(), "value": cell, "unit": of.unit, "limit": "", "beyond": False})
     return rows
-
-
-def event_rows(events: Sequence[Event]) -> list[dict[str, str]]:
-    """Return the events as texts: start and end [s], kind and text."""
-    return [
-        {
-            "time": f"{event.time_s:.3f}",
-            "until": "" if not event.lasts else "the end" if event.end_s is None else f"{event.end_s:.3f}",
-            "kind": KINDS[event.kind],
-            "text": event.text,
-            "grave": "unmet" if event.severity <= GRAVE else "",
-        }
-        for event in events
-    ]
 
 
 def expectation_rows(summary: Summary) -> list[dict[str, Any]]:

@@ -62,26 +62,6 @@ def by_margin(summary: Summary) -> list[RequirementResult]:
     return sorted(summary.requirements, key=lambda result: np.inf if result.scaled is None else result.scaled)
 
 
-def requirement_rows(summary: Summary) -> list[dict[str, str]]:
-    """Return the requirements as texts, the smallest margin first."""
-    rows = []
-    for result in by_margin(summary):
-        rows.append(
-            {
-                "name": result.name,
-                "source": SOURCES[result.source],
-                "margin": _describe_margin(result),
-                "share": NONE if result.margin is None else f"{100.0 * result.margin / result.scale:.0f} %",
-                "at": "over the whole flight" if result.decided_at_s is None else f"at {result.decided_at_s:.3f} s",
-                "formula": result.formula if result.source == "require" else shortened(result.formula),
-                "reason": result.reason,
-                "state": result.note or ("kept" if result.kept else "broken"),
-                "badge": "met" if result.kept else "unmet",
-            }
-        )
-    return rows
-
-
 def compared_margins(summaries: Sequence[Summary | None]) -> list[dict[str, Any]]:
     """Return a row for each requirement that one of several flights states, with a cell for each flight."""
     stated = [
@@ -99,10 +79,11 @@ def compared_margins(summaries: Sequence[Summary | None]) -> list[dict[str, Any]
 
 
 def _margin_cell(result: RequirementResult) -> tuple[str, str]:
-    return _describe_margin(result) if result.margin is not None else result.note, "" if result.kept else "unmet"
+    return describe_margin(result) if result.margin is not None else result.note, "" if result.kept else "unmet"
 
 
-def _describe_margin(result: RequirementResult) -> str:
+def describe_margin(result: RequirementResult) -> str:
+    """Format a margin with its unit; a dash where there is none."""
     unit, factor = display_unit(result.unit)
     return NONE if result.margin is None else f"{factor * result.margin:.4g} {'' if unit == '1' else unit}".strip()
 
