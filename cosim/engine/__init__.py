@@ -9,17 +9,3 @@ from cosim.engine.isolated import IsolatedBank, make_bank
 from cosim.engine.qualify.check import check_fmu, load_engine, make_limits
 from cosim.engine.qualify.report import CheckReport
 from cosim.engine.spec import EngineSpec, build_engines, list_engine_names
-
-__all__ = [
-    "Air",
-    "CheckReport",
-    "EngineBank",
-    "EngineSpec",
-    "IsolatedBank",
-    "build_engines",
-    "check_fmu",
-    "list_engine_names",
-    "load_engine",
-    "make_bank",
-    "make_limits",
-]
