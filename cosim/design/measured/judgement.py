@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from math import asin, degrees, inf, isfinite, log10
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+from cosim.design.measured.axis_margins import AxisMargins
 from cosim.simulation.controllers.controller_file import Requirements
-
-if TYPE_CHECKING:
-    from cosim.design.measured.margins import AxisMargins
 
 ENOUGH, NARROW, TOO_LITTLE = BANDS = ("enough", "narrow", "too little")  # narrow: with a well-known engine alone
 VERDICTS = {

@@ -12,14 +12,12 @@ from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.signals import AXES
 from cosim.design.loop.engine_uncertainty import (
     EngineSensitivity,
-    LoopUncertainty,
-    delay_deviations,
-    gain_deviations,
 )
 from cosim.design.loop.limit import AxisLimit, need_solver
+from cosim.design.measured.axis_margins import NYQUIST_HZ, AxisMargins
 from cosim.design.measured.computed import Computed, compute_margins
 from cosim.design.measured.engine_range import EngineRange, range_over_engines
-from cosim.design.measured.estimate import QUANTITIES, Response, measured, relative_difference, relative_differences
+from cosim.design.measured.estimate import QUANTITIES, Response, measured, relative_differences
 from cosim.design.measured.excitation import Multisine, Record, Tap, fly_excitation, multisine, still
 from cosim.design.measured.judgement import Judged, find_worst, judge_axis
 from cosim.engine.fmu.uncertainty import ParameterRange
@@ -35,7 +33,6 @@ WITHIN = 10.0
 PERIODS = 5
 LEAST_PERIODS = 3  # that say a spread
 TO_HZ = 0.1  # over the control step
-NYQUIST_HZ = 0.5  # over the control step
 FALLS = 0.7  # |L| at the band's end over an octave below: one that falls less is measured up to half the control rate
 LITTLE = 0.01  # |L| at the band's end that is not looked after: 40 dB of gain
 LESS, TRIES = 0.4, 5  # times the amplitude where the vehicle was lost or an actuator at its end
@@ -44,64 +41,6 @@ JUDGED = ("gain_db", "gain_down_db", "phase_deg", "delay_s", "peak_sensitivity")
 COHERENT = 0.9
 
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class AxisMargins:
-    """One axis: measured, computed where that can be, and at half the amplitude."""
-
-    axis: str
-    unit: str
-    sine: Multisine
-    amplitude: float
-    periods: int
-    response: Response
-    half: Response
-    computed: Computed | None
-    notes: tuple[str, ...]
-    uncertainty: LoopUncertainty | None = None  # of the engine at the crossover; None: not stated, or it does not turn
-    over_engine: EngineRange | None = None  # the margins over that uncertainty; None: as above
-    transport_s: float | None = None  # that the vehicle has from command to measured rate; None: not known
-
-    @property
-    def judged(self) -> list[Judged]:
-        """Its margins beside the limits of ``docs/judging.md``."""
-        return judge_axis(self)
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether it was measured up to half the control rate, above which a sampled loop has nothing."""
-        return self.band_hz[1] * self.sine.step >= NYQUIST_HZ * (1.0 - 1e-9)
-
-    @property
-    def band_hz(self) -> tuple[float, float]:
-        """The lowest and the highest line that stands out of the noise."""
-        heard = self.response.hertz[self.response.used]
-        return float(heard[0]), float(heard[-1])
-
-    def in_deviations(self) -> tuple[float | None, float | None]:
-        """Return the margins of gain, the nearer of both, and of more delay in the engine's standard deviations."""
-        if self.uncertainty is None:
-            return None, None
-        gains = [self._margin(name) for name in ("gain_db", "gain_down_db")]
-        gain_db = min([abs(value) for value in gains if value is not None], default=None)
-        delay_s = self._margin("delay_s")
-        return gain_deviations(self.uncertainty, gain_db), delay_deviations(self.uncertainty, delay_s)
-
-    def _margin(self, name: str) -> float | None:
-        return self.response.margins[name].value if name in self.response.margins else None
-
-    @property
-    def limit(self) -> AxisLimit | str | None:
-        """The computed loop beside the limit of performance, or why it has none; None where it was not asked for."""
-        return None if self.computed is None else self.computed.limit
-
-    def off(self, name: str) -> float | None:
-        """Return how far the measured number is off the computed, relative (of gains by factors); None without both."""
-        if self.computed is None or name not in self.response.margins:
-            return None
-        value, reference = self.response.margins[name].value, getattr(self.computed.margins, name)
-        return relative_difference(name, value, reference) if reference else None
 
 
 @dataclass(frozen=True)
@@ -118,7 +57,7 @@ class MeasuredMargins:
     @property
     def judged(self) -> list[Judged]:
         """The margins of all axes beside the limits of ``docs/judging.md``."""
-        return [row for measured in self.axes.values() for row in measured.judged]
+        return [row for measured in self.axes.values() for row in judge_axis(measured)]
 
     @property
     def controller(self) -> str:
@@ -182,7 +121,7 @@ def _axis_dict(measured: AxisMargins) -> dict[str, Any]:
             name: measured.half.margins[name].value if name in measured.half.margins else None for name in QUANTITIES
         },
         "limit": measured.limit.to_dict() if isinstance(measured.limit, AxisLimit) else None,
-        "judged": [row.to_dict() for row in measured.judged],
+        "judged": [row.to_dict() for row in judge_axis(measured)],
         "notes": list(measured.notes),
         "engine_uncertainty": None
         if measured.uncertainty is None

@@ -11,10 +11,11 @@ import numpy as np
 
 from cosim.base.storage.files import write_files
 from cosim.design.figures import FAR, Curve, bode
+from cosim.design.measured.axis_margins import AxisMargins
 from cosim.design.measured.engine_range import EngineRange
 from cosim.design.measured.judgement import COLUMNS as JUDGED_COLUMNS
 from cosim.design.measured.judgement import judgement_line
-from cosim.design.measured.margins import AxisMargins, MeasuredMargins
+from cosim.design.measured.margins import MeasuredMargins
 from cosim.engine.fmu.uncertainty import ParameterRange
 from cosim.results.report.page import render
 from cosim.results.report.plot import BLUE, GREY, ORANGE, RED, Figure, beneath, panels, trace
