@@ -78,6 +78,7 @@ _FULL_SUM = 500.0  # pidsum_limit of an axis, which is the whole range of a serv
 _SUM_TO_MOTOR = 1.0 / 1000.0  # PID_MIXER_SCALING
 # src/main/flight/pid.h: what one unit of a gain in the console is, per deg/s, per deg and per deg/s^2
 P_SCALE, I_SCALE, D_SCALE = 0.032029, 0.244381, 0.000529
+YAW_I = 2.5  # src/main/flight/pid_init.c: by how much more its integral of yaw's error counts
 
 
 def find_installed() -> Path | None:
@@ -374,8 +375,8 @@ def compute_torque_scale(vehicle: Vehicle) -> Vector3:
 def compute_gain_units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
     """Return for each axis what 1 of its attitude gain [1/s] and of P, I and D is here, by :func:`mixing`."""
     return {
-        axis: (0.1, *(degrees(1.0) * axis_scale * scale for scale in (P_SCALE, I_SCALE, D_SCALE)))  # type: ignore[misc]
-        for axis, axis_scale in zip(AXES, compute_torque_scale(vehicle), strict=True)
+        axis: (0.1, unit * P_SCALE, unit * I_SCALE * (YAW_I if axis == "yaw" else 1.0), unit * D_SCALE)
+        for axis, unit in zip(AXES, (degrees(scale) for scale in compute_torque_scale(vehicle)), strict=True)
     }
 
 

@@ -20,6 +20,12 @@ from cosim.base.limits import clip
 from cosim.base.signals import AXES, Vector3
 from cosim.spec.vehicle import RateGains, Vehicle
 
+# Not every release has these, nor needs them.  From 1.16: a low-pass of yaw's torque, of 2 Hz as shipped, which no
+# design has.  After 1.17: a model of second order that the attitude set-point goes through.  As shipped, 50 rad/s, it
+# makes roll 40 ms late; and while the stick turns the heading, that set-point is the heading itself, so much earlier,
+# and its loop holds the turn back: a yaw designed for 1 % of overshoot had 6.  200 is the most that it takes.  How late
+# GNSS is: until 1.17, and after it.
+PX4_OF_SOME_RELEASES = ("MC_YAW_TQ_CUTOFF", "MC_REF_W_N", "EKF2_GPS_DELAY", "SENS_GPS0_DELAY")
 _THRUST = 6.5  # default of CA_ROTOR_CT
 _LEAST_OFFSET = 0.01  # m, to the left or right, below which PX4 gives a tilt no yaw
 _MOST_ROTORS = 12  # limit of PX4's control allocation
@@ -146,7 +152,7 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
         for axis, limit in zip(AXES, control.attitude.rate_limit_rad_s, strict=True)
     }
     parameters |= {"IMU_GYRO_CUTOFF": 0.0, "MC_AIRMODE": 1.0}  # the gyro of the vehicle is filtered already
-    parameters["MC_YAW_TQ_CUTOFF"] = 0.0  # since 1.16 a low-pass of 2 Hz as shipped, which no design has
+    parameters |= {"MC_YAW_TQ_CUTOFF": 0.0, "MC_REF_W_N": 200.0}
     if control.rate.roll.d:
         parameters["IMU_DGYRO_CUTOFF"] = 1.0 / (2.0 * pi * control.rate.roll.d_filter_s)
     return parameters
@@ -190,7 +196,9 @@ def px4_target(vehicle: Vehicle, step: float, target: str) -> dict[str, float]:
     parameters = px4_parameters(vehicle) | px4_outputs(vehicle, "HIL_ACT" if target == "hil" else "PWM_MAIN")
     if target == "board":
         return parameters
-    return parameters | px4_link(step) | ({"SDLOG_PROFILE": _EVERY_SAMPLE} if target == "sitl" else {})
+    late = round(1e3 * step * vehicle.sensors.gnss.latency_samples)  # ms; a fraction to the older name
+    parameters |= px4_link(step) | {"EKF2_GPS_DELAY": float(late), "SENS_GPS0_DELAY": late}
+    return parameters | ({"SDLOG_PROFILE": _EVERY_SAMPLE} if target == "sitl" else {})
 
 
 def leave_px4_gains(parameters: Mapping[str, float]) -> dict[str, float]:
@@ -316,6 +324,7 @@ def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
     refuse_effectiveness("ardupilot", vehicle)
     throttle_min = control.allocation.throttle_min
     parameters: dict[str, float] = {"SIM_RATE_HZ": round(1.0 / step), "SCHED_LOOP_RATE": min(round(1.0 / step), 400)}
+    parameters["SIM_DRIFT_SPEED"] = 0.0  # the gyro is the vehicle's, bias and all; a drift of its own came on top
     parameters |= _ardupilot_frame_parameters(vehicle)
     for axis, gains, scale in pair_rate_gains(vehicle, ardupilot_torque_scale(vehicle)):
         name = f"ATC_RAT_{'RLL' if axis == 'roll' else 'PIT' if axis == 'pitch' else 'YAW'}"
@@ -398,7 +407,7 @@ NOTES = {
     "ardupilot": (
         "The shipped quadrotor's and the Hex-Jet's, with its script, flew ArduCopter 4.6.0-dev in its",
         "SITL, hover and doublets; no hardware has flown with any of them.",
-        "RCn_*, RC7_OPTION, ARMING_CHECK = 0 and SIM_RATE_HZ are for hexjet sitl. On hardware leave",
+        "RCn_*, RC7_OPTION, ARMING_CHECK = 0 and SIM_* are for hexjet sitl. On hardware leave",
         "them out: calibrate your transmitter, and keep the arming checks.",
     ),
 }
@@ -420,6 +429,6 @@ def _is_real(name: str) -> bool:
     """Return whether PX4 stores a parameter as a float, whatever its value."""
     integer_prefixes = (
         "CA_AIRFRAME", "CA_ROTOR_COUNT", "CA_SV_TL_COUNT", "COM_", "RC_MAP", "RC_CHAN", "MC_AIRMODE", "HIL_ACT",
-        "PWM_MAIN", "IMU_INTEG_RATE", "MPC_THR_CURVE", "SDLOG_",
+        "PWM_MAIN", "IMU_INTEG_RATE", "MPC_THR_CURVE", "SDLOG_", "SENS_GPS",
     )  # fmt: skip
     return not (name.startswith(integer_prefixes) or name.endswith(("_TILT", "_CT", "_TD")))

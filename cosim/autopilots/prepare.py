@@ -17,6 +17,7 @@ from cosim.autopilots.firmware_parameters import list_px4_parameters
 from cosim.autopilots.lockstep import LOCAL, Autopilot, StartTiming, find_configured_program
 from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
+    PX4_OF_SOME_RELEASES,
     ardupilot_hold,
     ardupilot_parameters,
     ardupilot_script,
@@ -199,7 +200,8 @@ def _px4(
         rate_parameters, gain = px4_external_rates(vehicle)
         parameters, external = parameters | rate_parameters, make_external_rate_loop(rates, gain, has_gyro=True)
     parameters |= setup.parameters
-    launch = px4.LaunchOptions(setup.instance, setup.limit_s, parameters, setup.magnetic_field)
+    optional = set(PX4_OF_SOME_RELEASES) - setup.parameters.keys()  # who states one wants it
+    launch = px4.LaunchOptions(setup.instance, setup.limit_s, parameters, setup.magnetic_field, optional)
     autopilot = px4.Px4(program, folder, vehicle, scenario.step_s, _geodesy(scenario), launch)
     endpoint = f"TCP port {px4.PORT + setup.instance}"
     details = {"gains": setup.gains, "hold_from_s": setup.hold_from_s, "parameters": parameters}

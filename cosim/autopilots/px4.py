@@ -73,12 +73,14 @@ def invert_yaw_curve(turn: float) -> float:
     return 2.0 * sqrt(p / 3.0) * sinh(asinh(1.5 * q / p * sqrt(3.0 / p)) / 3.0)
 
 
-def check_unknown_parameters(log: Path, parameters: Collection[str]) -> None:
+def check_unknown_parameters(log: Path, parameters: Collection[str], optional: Collection[str] = ()) -> None:
     """Refuse parameters of ours that PX4 does not have, by what it printed.  Raises InputError that names them.
 
-    Its own scripts ask for parameters of modules that it was built without, and print the same of these.
+    Its own scripts ask for parameters of modules that it was built without, and print the same of these.  Those that
+    are ``optional`` need not be there.
     """
-    unknown = [name for name in dict.fromkeys(_UNKNOWN.findall(log.read_text(errors="replace"))) if name in parameters]
+    printed = dict.fromkeys(_UNKNOWN.findall(log.read_text(errors="replace")))
+    unknown = [name for name in printed if name in parameters and name not in optional]
     if unknown:
         raise InputError(f"px4: {describe_unknown(unknown, set(parameters) - set(unknown), 'PX4')} (--param; {log})")
 
@@ -103,6 +105,7 @@ class LaunchOptions:
     limit_s: float = 5.0  # wall-clock time limit of an answer
     parameters: Mapping[str, float] = field(default_factory=dict)  # over its airframe's, as PX4_PARAM_<NAME>
     magnetic_field: Vector3 | None = None  # gauss, NED; None: the Earth's at the place
+    optional: Collection[str] = ()  # of the parameters, which its release need not have
 
 
 class Px4(Sitl):
@@ -117,7 +120,8 @@ class Px4(Sitl):
     ) -> None:
         super().__init__(binary, folder, vehicle, step, launch.limit_s)
         self.field = launch.magnetic_field or compute_earth_field(place.latitude_deg, place.longitude_deg)
-        self._place, self._instance, self._parameters = place, launch.instance, launch.parameters
+        self._place, self._instance = place, launch.instance
+        self._parameters, self.optional = launch.parameters, launch.optional
         self._fix_every = vehicle.sensors.gnss.period_samples
         self._accuracy = max(1, round(100.0 * max(vehicle.sensors.gnss.position_noise_m, 0.3)))  # cm
         self._mag_every = max(1, round(_MAG_EVERY / step))
@@ -150,7 +154,7 @@ class Px4(Sitl):
             with suppress(TimeoutError):
                 self._link = self._own(self._server.accept()[0])
         if self._program is not None:
-            check_unknown_parameters(log, self._parameters)  # its parameters are set before it connects
+            check_unknown_parameters(log, self._parameters, self.optional)  # its parameters are set before it connects
         self._server.setblocking(False)
         set_receive_timeout(self._link).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 

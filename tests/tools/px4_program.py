@@ -48,6 +48,7 @@ _AXES = ("ROLL", "PITCH", "YAW")
 DEFAULTS: dict[str, float] = {
     "SYS_AUTOSTART": 0, "CA_AIRFRAME": 0, "CA_ROTOR_COUNT": 0, "CA_SV_TL_COUNT": 0, "IMU_INTEG_RATE": 250,
     "IMU_GYRO_CUTOFF": 40.0, "IMU_DGYRO_CUTOFF": 20.0, "IMU_GYRO_RATEMAX": 800, "MC_AIRMODE": 0, "MC_YAW_TQ_CUTOFF": 2.0,
+    "MC_REF_W_N": 50.0, "SENS_GPS0_DELAY": 10,
     "COM_RC_IN_MODE": 3, "COM_SPOOLUP_TIME": 1.0, "MAN_DEADZONE": 0.1, "MPC_THR_HOVER": 0.5, "MPC_MANTHR_MIN": 0.08,
     "MPC_THR_MAX": 1.0, "MPC_THR_CURVE": 0, "MPC_MAN_TILT_MAX": 35.0, "MPC_MAN_Y_MAX": 150.0, "MPC_MAN_Y_TAU": 0.08,
     "THR_MDL_FAC": 0.0, "RC_MAP_ROLL": 0, "RC_MAP_PITCH": 0, "RC_MAP_YAW": 0, "RC_MAP_THROTTLE": 0, "RC_MAP_ARM_SW": 0,
@@ -171,7 +172,7 @@ class Loops:
         self.asked = np.zeros(3, np.float32)  # rates, of the attitude loop of the sample before
         self.most, self.thrust, self.turn, self.yaw_torque = 0.0, 0.0, 0.0, 0.0
         self.heading: float | None = None
-        self.position = Position()
+        self.position, self.model = Position(), Model()
 
     def stick(self, channels: tuple[int, ...], name: str) -> float:
         """From -1 to 1, by the ends and the middle of its channel; 0 where no channel is named."""
@@ -214,11 +215,13 @@ class Loops:
             roll, pitch, self.thrust = self.position.hold(self.thrust, seen.yaw, throttle, dt)
         else:
             self.position.place = None
-        errors = np.array([
-            roll - seen.roll,
-            pitch - seen.pitch,
-            0.0 if self.heading is None else _wrapped(self.heading - seen.yaw),
-        ])  # fmt: skip
+        towards = np.array([roll, pitch, seen.yaw if self.heading is None else self.heading])
+        errors = self.model.follow(towards, self.turn, max(v["MC_REF_W_N"], 0.1), dt) - (
+            seen.roll,
+            seen.pitch,
+            seen.yaw,
+        )
+        errors[2] = _wrapped(errors[2])
         gains = np.array([v[f"MC_{axis}_P"] for axis in _AXES])
         most = np.radians([v[f"MC_{axis}RATE_MAX"] for axis in _AXES])
         lean = np.array([-np.sin(seen.pitch), np.sin(seen.roll), np.cos(seen.roll)]) * self.turn
@@ -253,6 +256,31 @@ class Loops:
         by = {101 + n: value for n, value in enumerate(np.clip(motors, 0.0, 1.0))}
         by |= {201 + n: value for n, value in enumerate(tilts)}
         return [float(by.get(int(self.values[f"PWM_MAIN_FUNC{n}"]), 0.0)) for n in range(1, 17)]
+
+
+class Model:
+    """What attitude set-points go through on the way to their loop: second order, both poles the same, exact over a step.
+
+    While the stick turns the heading, the set-point is the heading itself, and only the turn is carried on.
+    """
+
+    def __init__(self) -> None:
+        self.angle: Array | None = None
+        self.rate = np.zeros(3)
+
+    def follow(self, towards: Array, turn: float, hertz: float, dt: float) -> Array:
+        """``hertz`` in rad/s."""
+        if self.angle is None:
+            self.angle = towards.copy()
+            return self.angle.copy()
+        off, fade = towards - self.angle, np.exp(-hertz * dt)
+        off[2] = _wrapped(off[2])
+        moved = (1.0 - (1.0 + hertz * dt) * fade) * off + dt * fade * self.rate
+        self.rate = hertz**2 * dt * fade * off + (1.0 - hertz * dt) * fade * self.rate
+        if turn:
+            self.rate[2] = 0.0
+        self.angle = self.angle + moved + dt * np.array([0.0, 0.0, turn])
+        return self.angle.copy()
 
 
 class Position:

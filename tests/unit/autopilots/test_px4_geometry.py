@@ -4,14 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import cos, sin
+from pathlib import Path
 
 import numpy as np
 import pytest
 from command_tools import Hexjet
 from px4_program import DEFAULTS, configured, mixer
 
-from cosim.autopilots.parameters import PX4_TARGETS, px4_link, px4_parameters, px4_target, px4_torque_scale
-from cosim.autopilots.px4 import invert_yaw_curve
+from cosim.autopilots.parameters import (
+    PX4_OF_SOME_RELEASES,
+    PX4_TARGETS,
+    px4_link,
+    px4_parameters,
+    px4_target,
+    px4_torque_scale,
+)
+from cosim.autopilots.prepare import Setup, prepare
+from cosim.autopilots.px4 import Px4, check_unknown_parameters, invert_yaw_curve
 from cosim.base.errors import InputError
 from cosim.codegen.form import make_form
 from cosim.simulation.build import build
@@ -120,8 +129,24 @@ def test_its_program_has_every_name_that_is_told_to_it(vehicle: Vehicle, capsys:
     """And as many digits as its single precision has."""
     told = px4_target(vehicle, STEP, "sitl")
     values = configured({f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in told.items()})
-    assert not [name for name in told if f"Parameter {name} not found" in capsys.readouterr().out]
-    assert {name: values[name] for name in told} == {name: float(np.float32(value)) for name, value in told.items()}
+    printed = capsys.readouterr().out
+    assert [name for name in told if f"Parameter {name} not found" in printed] == ["EKF2_GPS_DELAY"]
+    here = {name: value for name, value in told.items() if name in values}
+    assert {name: values[name] for name in here} == {name: float(np.float32(value)) for name, value in here.items()}
+
+
+def test_a_name_of_another_release_is_missed_by_who_states_it_alone(tmp_path: Path) -> None:
+    log = tmp_path / "px4.log"
+    log.write_text("ERROR [param] Parameter EKF2_GPS_DELAY not found.\n")
+    told, setup = px4_target(TOLD[0], STEP, "sitl"), Setup(parameters={"EKF2_GPS_DELAY": 10.0})
+    check_unknown_parameters(log, told, PX4_OF_SOME_RELEASES)
+    hover = Scenario.load("hover")
+    ours, stated = (prepare("px4", hover, tmp_path, None, how).autopilot for how in (Setup(), setup))
+    assert isinstance(ours, Px4)
+    assert isinstance(stated, Px4)
+    check_unknown_parameters(log, told, ours.optional)
+    with pytest.raises(InputError, match="EKF2_GPS_DELAY: this PX4 has none of that name"):
+        check_unknown_parameters(log, told, stated.optional)
 
 
 def test_a_target_is_told_of_what_it_has(hexjet: Hexjet) -> None:
