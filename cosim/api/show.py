@@ -12,6 +12,7 @@ from cosim.base.errors import InputError, similar
 from cosim.base.storage.paths import data_folder, files_in, names_in
 from cosim.base.trust import without_code
 from cosim.spec.controller_name import is_design
+from cosim.spec.file_kind import AIRCRAFT, MODELS, SCENARIO, STUDY, describe_path, find_kind, nearest_paths
 
 if TYPE_CHECKING:
     from cosim.spec.vehicle import Vehicle
@@ -54,6 +55,7 @@ _MEANINGS_OF_MARGINS = {  # of the last part of a key in the file of a design
     "settling_s": "of a step, within 5 %",
 }
 _NO_THRUST = 1e-9  # of full thrust: what is left of it when its lag has run down, and no idling
+_FILES = "the folder of a run or an aircraft, the file of a scenario, a study, a design or an engine's mapping"
 _TEXTS = ("name", "title", "description")
 
 
@@ -67,7 +69,7 @@ class Number(NamedTuple):
 
 
 class ShowResult(Result):
-    """What something is that can be flown.
+    """What something is that can be flown, or what became of a flight.
 
     Attributes
     ----------
@@ -112,14 +114,15 @@ class ShowResult(Result):
 def show(
     name: str | Path, kind: Literal["scenarios", "studies", "engines", "aircraft", "controllers"] | None = None
 ) -> ShowResult:
-    """Show what something is that can be flown: its numbers, their units and what they mean, from its files.
+    """Show what something is that can be flown, or was: its numbers, their units and what they mean, from its files.
 
     To measure the thrust of an engine, its FMU is held at throttles until it stands still.
 
     Parameters
     ----------
     name : str or Path
-        A scenario, study, engine, aircraft or controller; the file of a design; or the mapping file of an engine.
+        A scenario, study, engine, aircraft or controller, also by its file; the folder of a run; the file of a design;
+        or the mapping file of an engine.
     kind : str or None
         Where several kinds have the name; None: all that have it.
 
@@ -134,15 +137,15 @@ def show(
         If nothing is called so.
     """
     with without_code():
-        file = None if kind else _design(str(name)) or _engine_file(str(name))
-        return ShowResult([file] if file else _entries(str(name), [kind] if kind else KINDS))
+        path = str(name)
+        file = None if kind else _design(path) or _engine_file(path) or _run(path) or _own_file(path)
+        return ShowResult([file] if file else _entries(path, [kind] if kind else KINDS))
 
 
 def kind_of(item: Mapping[str, Any]) -> str:
     """Return the kind of an item in the singular."""
-    irregular = {"studies": "study", "aircraft": "aircraft"}
     kind = str(item["kind"])
-    return irregular.get(kind, kind.removesuffix("s"))
+    return {"studies": "study", "aircraft": "aircraft"}.get(kind, kind.removesuffix("s"))
 
 
 def number_rows(item: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -168,9 +171,62 @@ def _entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
         if entry["name"] == name
     ]
     if not shown:
+        path = Path(name)
+        if path.exists():
+            raise InputError(
+                f"{name}: cannot be shown; {describe_path(path)}; allowed: a name of hexjet list, {_FILES}"
+            )
         names = {entry["name"] for entries in catalogues.values() for entry in entries}
-        raise InputError(f"nothing that can be flown is called {name!r}; {similar(name, names)}")
+        names |= {str(other) for other in nearest_paths(path)}
+        raise InputError(f"nothing is called {name!r}; {similar(name, names)}")
     return shown
+
+
+def _run(name: str) -> dict[str, Any] | None:
+    """Return what became of the flight in a run's folder, None for any other name.  Raises InputError."""
+    from cosim.results.report.requirements import checked_rows
+    from cosim.results.run import SUMMARY, open_run
+
+    if not (Path(name) / SUMMARY).is_file():
+        return None
+    summary = open_run(name).summary
+    meanings: dict[str, list[str]] = {}
+    for key, (_, source, allowed, margin, at) in checked_rows(summary):
+        meanings.setdefault(key, []).append(f"{source} {allowed}, margin {margin}, {at}")
+    return {
+        "kind": "runs",
+        "name": name,
+        "title": summary.ending,
+        "description": f"{summary.scenario}: {summary.aircraft}, engine {summary.engine_shown}, "
+        f"controller {summary.controller_shown}, seed {summary.seed}",
+        "numbers": [
+            Number(key, value, _unit(key), "; ".join(meanings.get(key, ())))
+            for key, value in summary.flat_metrics.items()
+            if value is not None or key in meanings
+        ],
+    }
+
+
+def _own_file(name: str) -> dict[str, Any] | None:
+    """Return what the file of a scenario or a study, or the folder of an aircraft is; None for any other name.
+
+    Raises InputError.
+    """
+    from cosim.base.storage.toml import read_toml
+
+    path = Path(name)
+    file = path / "vehicle.toml" if path.is_dir() else path
+    if file.suffix.lower() != ".toml" or not file.is_file():
+        return None
+    table = read_toml(file)
+    kind = {SCENARIO: "scenarios", STUDY: "studies", AIRCRAFT: "aircraft"}.get(find_kind(table) or MODELS)
+    if kind is None:
+        return None
+    numbers = (
+        _aircraft(name) if kind == "aircraft" else _scenario(name, table) if kind == "scenarios" else _file_rows(table)
+    )
+    described = {key: " ".join(str(table.get(key, "")).split()) for key in ("title", "description")}
+    return {"kind": kind, "name": name, **described, "numbers": list(numbers)}
 
 
 def _design(name: str) -> dict[str, Any] | None:
@@ -248,14 +304,15 @@ def _numbers(kind: str, name: str) -> Iterator[Number]:
         return _engine(name)
     if kind == "controllers":
         return _controller(name)
-    return _scenario(name) if kind == "scenarios" else _file_rows(_table(kind, name))
+    table = _table(kind, name)
+    return _scenario(name, table) if kind == "scenarios" else _file_rows(table)
 
 
-def _scenario(name: str) -> Iterator[Number]:
+def _scenario(name: str, table: Mapping[str, Any]) -> Iterator[Number]:
     """Yield what flies, where the file leaves that to the defaults too, and what the file states."""
     from cosim.spec.scenario import Scenario
 
-    scenario, table = Scenario.load(name), _table("scenarios", name)
+    scenario = Scenario.load(name)
     first = ("duration_s", "step_s", "aircraft", "engine", "controller", "seed")
     for key in first:
         yield Number(key, getattr(scenario, key), _unit(key), _MEANINGS[key])
@@ -263,9 +320,10 @@ def _scenario(name: str) -> Iterator[Number]:
 
 
 def _aircraft(name: str) -> Iterator[Number]:
-    from cosim.spec.vehicle import load_vehicle
+    from cosim.spec.vehicle import is_file, load_vehicle
 
     vehicle, _ = load_vehicle(name)
+    engines = [jet.engine for jet in vehicle.jets]
     jets, weight = len(vehicle.jets), vehicle.mass_kg * GRAVITY
     yield Number("mass", vehicle.mass_kg, "kg", "with fuel, without payload")
     for axis, inertia in zip("xyz", vehicle.inertia_kg_m2, strict=True):
@@ -281,7 +339,7 @@ def _aircraft(name: str) -> Iterator[Number]:
     for arm, word in arms:
         yield Number(f"arm {word}", arm, "m", "of the farthest jet from the centre of gravity")
     yield Number("hover thrust", weight / jets, "N", "of each jet: weight over jets")
-    if vehicle.engine is not None:
+    if vehicle.engine is not None and not any(is_file(each or vehicle.engine) for each in engines):
         yield from _thrusts(vehicle, weight)
     if vehicle.servo is not None:
         yield Number("tilt range", vehicle.servo.range_rad, "rad", "of a bank, either way from straight up")
@@ -439,5 +497,4 @@ def catalogue(kind: str) -> list[dict[str, Any]]:
 def _entry(name: str, path: Path) -> dict[str, Any]:
     from cosim.base.storage.toml import read_toml
 
-    table = read_toml(path)
-    return {"name": name, "title": str(table.get("title", ""))}
+    return {"name": name, "title": str(read_toml(path).get("title", ""))}

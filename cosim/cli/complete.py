@@ -41,6 +41,11 @@ def _runs(beside: str) -> Complete:
     return complete
 
 
+def _either(*ways: Complete) -> Complete:
+    """Return what completes by all of these."""
+    return lambda *asked: [item for way in ways for item in way(*asked)]
+
+
 _COMPLETES: dict[str, Complete] = {
     "--aircraft": _names("aircraft"),
     "--controller": _names("controllers"),
@@ -54,7 +59,7 @@ _COMPLETES: dict[str, Complete] = {
     "folder": _runs("dir"),
     "log": _runs("file"),
     "names": _runs("dir"),
-    "name": _names("scenarios", "studies", "engines", "aircraft", "controllers"),
+    "name": _either(_names("scenarios", "studies", "engines", "aircraft", "controllers"), _runs("dir")),
 }
 
 

@@ -25,6 +25,7 @@ from cosim.results.run import SUMMARY
 from cosim.results.summary import ParametersRecord
 from cosim.results.verdict import read_verdict
 from cosim.spec.controller_name import describe_controller
+from cosim.spec.file_kind import describe_path
 
 INDEX, TAGS = ".index.json", "tags.json"
 FORM = 3  # version of the index; other versions are ignored
@@ -54,7 +55,7 @@ class Shelf:
 
     def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
-            raise InputError(f"{folder}: is no folder of runs")
+            raise InputError(f"{folder}: is no folder of runs; {describe_path(folder)}")
         self.folder = folder
         self._rows: dict[str, tuple[list[int], Entry]] = {}
         self._load()

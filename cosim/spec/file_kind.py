@@ -1,8 +1,9 @@
-"""What a TOML file is, by its keys: one that is handed over for another kind is named as what it is."""
+"""What a file or a folder is: one that is handed over for another kind is named as what it is."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,6 +35,56 @@ _ENDINGS = {  # of files that are no TOML
     ".ssp": "a system of FMUs, not {}; it goes with --engine FILE",
     ".ulg": "a log, not {}; it goes with hexjet replay FILE",
 }
+
+
+_FOLDERS = (  # by files in them; the first that has all is it
+    (("proof.json",), FileKind("the folder of a proof", "hexjet prove --resume")),
+    (
+        ("study.toml", "flights"),
+        FileKind("the folder of a campaign", "hexjet report FOLDER, or hexjet fly FOLDER --flight N"),
+    ),
+    (("search.json",), FileKind("the folder of a search", "hexjet search --resume")),
+    (("rare.json",), FileKind("the folder of a hexjet rare", "hexjet rare --resume")),
+    (("summary.json",), FileKind("the folder of a run", "hexjet show FOLDER")),
+    (("margins.json",), FileKind("the folder of measured margins", "its report.html")),
+    (("identification.json",), FileKind("the folder of an identification", "hexjet validate")),
+    (("replay.json",), FileKind("the folder of a replay", "its report.html")),
+    (("validation.json",), FileKind("the folder of a validation", "its report.html")),
+    (("check.json",), FileKind("the folder of an engine's check", "its report.html")),
+    (("vehicle.toml",), FileKind("the folder of an aircraft", "--aircraft FOLDER")),
+    (("engine.toml",), ENGINE),
+)
+
+
+def describe_path(path: Path) -> str:
+    """Return what is at a path and what it goes with, or that nothing is and the nearest names: a clause of a line."""
+    if path.is_dir():
+        kind = next((kind for marks, kind in _FOLDERS if all((path / mark).exists() for mark in marks)), None)
+        if kind is None:
+            return "it is a folder of another kind" if any(path.iterdir()) else "it is an empty folder"
+        return f"it is {kind.name}; {'see' if kind.use.startswith('its ') else 'it goes with'} {kind.use}"
+    if path.is_file():
+        from cosim.base.storage.toml import read_toml
+
+        if (ending := _ENDINGS.get(path.suffix.lower())) is not None:
+            return "it is " + ending.replace(", not {}", "")
+        kind = None
+        with suppress(InputError):
+            kind = find_kind(read_toml(path)) if path.suffix.lower() == ".toml" else None
+        return "it is a file of another kind" if kind is None else f"it is {kind.name}; it goes with {kind.use}"
+    close = ", ".join(repr(str(other)) for other in nearest_paths(path))
+    return f"nothing is there{f'; did you mean {close}?' if close else ''}"
+
+
+def nearest_paths(path: Path) -> list[Path]:
+    """Return paths whose last part is like that of one that is not there: beside it, and in the folder ``runs``."""
+    import difflib
+
+    others: dict[str, Path] = {}
+    for folder in (Path("runs"), path.parent):
+        with suppress(OSError):
+            others |= {each.name: each for each in folder.iterdir() if not each.name.startswith(".")}
+    return [others[name] for name in difflib.get_close_matches(path.name, others)]
 
 
 def find_kind(table: Mapping[str, Any]) -> FileKind | None:

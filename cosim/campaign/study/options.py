@@ -17,7 +17,7 @@ from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.study.sequential import default_runs
 from cosim.campaign.study.study import DESIGNS, Correlation, Study, flatten_settings, study_names
 from cosim.spec.controller_name import seen_from, short_name
-from cosim.spec.file_kind import SCENARIO, STUDY, refuse_other_ending, refuse_other_kind
+from cosim.spec.file_kind import SCENARIO, STUDY, describe_path, refuse_other_ending, refuse_other_kind
 from cosim.spec.scenario import Range, Scenario, scenario_names
 from cosim.spec.vehicle import aircraft_seen_from, file_seen_from
 
@@ -119,7 +119,12 @@ def _read_source(name: str | Path) -> tuple[dict[str, Any], Path, str]:
         elif str(name) in scenario_names():
             return {"name": str(name), "scenario": str(name)}, Path(), f"scenario {name}"
         elif len(path.parts) > 1 or path.suffix:
-            raise InputError(f"{path}: no such study or scenario; a .toml file, or a name of hexjet list, is needed")
+            raise InputError(
+                f"{path}: no such study or scenario; a .toml file, or a name of hexjet list, is needed; "
+                + describe_path(path)
+            )
+        elif path.exists():
+            raise InputError(f"{path}: is no study or scenario; {describe_path(path)}")
         else:
             suggestion = similar(str(name), [*study_names(), *scenario_names()])
             raise InputError(f"unknown study or scenario {str(name)!r}; {suggestion}, or give the path of a .toml file")

@@ -244,6 +244,7 @@ def print_run(run: Run) -> None:
     _print_heading(summary)
     print_metrics([run])
     _print_whole(run)
+    _print_checked(summary)
     for text in summary.exceeded:
         say(f"beyond its limit: {text}")
     for result in summary.requirements:
@@ -302,6 +303,17 @@ def _print_whole(run: Run) -> None:
         for row in whole_rows(run.summary)
     ]
     show_table(("whole flight", "value", "limit", "unit"), rows, (1, 2), pad_edge=False)
+
+
+def _print_checked(summary: Summary) -> None:
+    """Print the limits and expectations of a flight that came to its end, each with its margin and what decided it."""
+    from cosim.results.report.requirements import CHECKED, checked_rows
+
+    rows = [cells for _, cells in checked_rows(summary)] if summary.outcome == "completed" else []
+    if len(rows) > 1:
+        show_table(CHECKED, rows, (3, 4), pad_edge=False)
+    for name, source, allowed, margin, at in rows if len(rows) == 1 else ():
+        say(f"{source}: {name} {allowed}: margin {margin}, decided at {at}".replace("at overall", "overall"))
 
 
 def _speed(factor: float | None) -> str:

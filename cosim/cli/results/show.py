@@ -28,9 +28,10 @@ class Show(opt.Output):
 def show(options: Show) -> int:
     """Show what NAME, of hexjet list, is: its numbers, their units and what they mean, from its files.
 
-    To measure the thrust of an engine, its FMU is held at throttles until it stands still.  NAME may be the file of a
-    design, too: what it was made for, what its proof came to, its margins and gains; or the mapping file of an engine:
-    its parameters, and how well they are known.
+    To measure the thrust of an engine, its FMU is held at throttles until it stands still.  NAME may be the folder of a
+    run: what hexjet fly printed; the folder of an aircraft, the file of a scenario or a study; the file of a design:
+    what it was made for, what its proof came to, its margins and gains; or the mapping file of an engine: its
+    parameters, and how well they are known.
     """
     from cosim.api.show import show as show_item
 
@@ -45,6 +46,12 @@ def show(options: Show) -> int:
 
 
 def _print(item: Mapping[str, Any]) -> None:
+    if item["kind"] == "runs":
+        from cosim.cli.flight.fly import print_run
+        from cosim.results.run import open_run
+
+        print_run(open_run(item["name"]))
+        return
     say(f"[bold]{item['name']}[/bold], {kind_of(item)}: {item['title']}", marked=True)
     if item["description"]:
         say(item["description"])

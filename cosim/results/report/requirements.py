@@ -17,7 +17,7 @@ from cosim.results.report.panels import Panel, Trace
 from cosim.results.report.plot import BLUE, RED
 from cosim.results.requirements import FlightSignals, RequirementResult
 from cosim.results.summary import Summary
-from cosim.results.wording import NONE, display_unit
+from cosim.results.wording import NONE, display_unit, metric
 
 ZERO = Column("margin_zero", "", "", "below it a requirement is broken")
 SOURCES = {"require": "required", "expect": "expected", "limits": "limit", "success": "success"}
@@ -60,6 +60,35 @@ def margin_columns(margins: Sequence[MarginOverTime], rows: int) -> dict[str, Ca
 def by_margin(summary: Summary) -> list[RequirementResult]:
     """Return the requirements of a flight, the smallest margin in scales first, those without one last."""
     return sorted(summary.requirements, key=lambda result: np.inf if result.scaled is None else result.scaled)
+
+
+CHECKED = ("limit or expectation", "of", "allowed", "margin", "decided at")
+
+
+def checked_rows(summary: Summary) -> list[tuple[str, tuple[str, ...]]]:
+    """Return the limits and expectations that a flight was held to, the smallest margin first.
+
+    Each with its metric, and cells as :data:`CHECKED` heads them.  What a flight has nothing of, and keeps so, is left
+    out.
+    """
+    rows = []
+    for result in by_margin(summary):
+        if result.source in ("limits", "expect") and not (result.margin is None and result.kept):
+            of = metric(result.name)
+            margin = result.note if result.margin is None else f"{of.factor * result.margin:.4g} {of.unit}".strip()
+            at = "overall" if result.decided_at_s is None else f"{result.decided_at_s:.3f} s"
+            rows.append((result.name, (of.label, SOURCES[result.source], _allowed(result, summary), margin, at)))
+    return rows
+
+
+def _allowed(result: RequirementResult, summary: Summary) -> str:
+    """Return the range of a metric that a limit or an expectation allows."""
+    of, least, most = metric(result.name), None, summary.limits.get(result.name)
+    if result.source == "expect" and summary.expectation is not None:
+        allowed = summary.expectation.metrics[result.name]
+        least, most = allowed.min, allowed.max
+    ends = [f"{sign} {of.factor * end:.4g}" for sign, end in (("≥", least), ("≤", most)) if end is not None]
+    return f"{' and '.join(ends)} {of.unit}".strip()
 
 
 def compared_margins(summaries: Sequence[Summary | None]) -> list[dict[str, Any]]:

@@ -8,10 +8,14 @@ from typing import Any
 
 import pytest
 
+from cosim import fly
 from cosim.api.show import _file_rows, _table, catalogue
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
+from cosim.cli.flight.fly import _print_checked
 from cosim.cli.results.show import show
+from cosim.spec.new_aircraft import new_aircraft
+from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 
 
@@ -97,5 +101,83 @@ def test_another_file_is_no_design(name: str, tmp_path: Path, monkeypatch: pytes
     (tmp_path / "scenarios").mkdir()
     (tmp_path / "scenarios" / "hover.toml").write_text('name = "hover"\n')
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match="nothing that can be flown is called"):
+    with pytest.raises(InputError, match=r"cannot be shown; it is a file of another kind|nothing is called"):
         show.main([name], standalone_mode=False)
+
+
+def test_a_run_shows_what_fly_printed_and_by_how_much_its_limits_were_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    folder = tmp_path / "run"
+    scenario = Scenario.load("roll-doublet").replace(duration_s=6.0, expect=[])
+    summary = fly(scenario, folder).summary
+    assert show.main([str(folder)], standalone_mode=False) == 0
+    printed = capsys.readouterr().out
+    assert max(len(line) for line in printed.splitlines() if not line.startswith("report: ")) <= 80
+    rows = [line.split() for line in printed.partition(" limit or expectation")[2].splitlines()]
+    (drift,) = [result for result in summary.requirements if result.name == "position.drift_m"]
+    assert drift.kept
+    assert drift.margin is not None
+    limit = f"{summary.limits['position.drift_m']:.4g}"
+    assert ["drift", "from", "the", "start", "limit", "≤", limit, "m", f"{drift.margin:.4g}", "m",
+            f"{drift.decided_at_s:.3f}", "s"] in rows  # fmt: skip
+    (one,) = shown(capsys, str(folder))
+    assert (one["kind"], one["title"]) == ("runs", summary.ending)
+    (number,) = [each for each in one["numbers"] if each["name"] == "position.drift_m"]
+    assert number["value"] == summary.position.drift_m
+    assert number["meaning"].startswith(f"limit ≤ {limit} m, margin ")
+
+
+def test_a_limit_alone_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    summary = fly(Scenario.load("hover").replace(duration_s=1.0, expect=[])).summary
+    (lonely,) = [result for result in summary.requirements if result.name == "speed.max_m_s"]
+    _print_checked(summary.model_copy(update={"requirements": [lonely]}))
+    line = f"limit: largest ground speed ≤ {summary.limits['speed.max_m_s']:.4g} m/s: margin {lonely.margin:.4g} m/s, "
+    assert capsys.readouterr().out.startswith(line + "decided at ")
+    lost = summary.model_copy(update={"outcome": "crashed"})
+    _print_checked(lost)
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("camp", "camp: cannot be shown; it is the folder of a campaign; it goes with hexjet report FOLDER, or "),
+        ("measured", "measured: cannot be shown; it is the folder of measured margins; see its report.html; allowed"),
+        ("empty", "empty: cannot be shown; it is an empty folder; allowed: a name of hexjet list, the folder of a run"),
+        ("hover-smith-001", "nothing is called 'hover-smith-001'; did you mean 'runs/hover-smith-001'? see: hexjet"),
+        ("runs/hover-smith-01", "nothing is called 'runs/hover-smith-01'; did you mean 'runs/hover-smith-001'?"),
+        ("engine.fmu", "engine.fmu: cannot be shown; it is an FMU; it goes with --engine FILE; allowed"),
+    ],
+)
+def test_what_cannot_be_shown_is_named_as_what_it_is(
+    name: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for each in ("camp/flights", "measured", "empty", "runs/hover-smith-001"):
+        (tmp_path / each).mkdir(parents=True)
+    for file in ("camp/study.toml", "camp/scenario.toml", "measured/margins.json", "engine.fmu"):
+        (tmp_path / file).write_text("")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError) as refused:
+        show.main([name], standalone_mode=False)
+    assert str(refused.value).startswith(line)
+    if "/" not in name and "001" not in name:
+        with pytest.raises(InputError, match="^" + name) as refused:
+            Scenario.read(name)
+        assert line.partition("cannot be shown; ")[2].partition(";")[0].removeprefix("it ") in str(refused.value)
+
+
+def test_files_and_folders_of_ones_own_are_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('name = "mine"\ntitle = "My flight"\nduration_s = 3.0\nengine = "motor"\n')
+    (one,) = shown(capsys, str(file))
+    assert (one["kind"], one["title"], numbers(one)["engine"]) == ("scenarios", "My flight", "motor")
+    study = tmp_path / "mass.toml"
+    study.write_text('scenario = "hover"\ntitle = "Masses"\nruns = 4\n[[vary]]\nkey = "seed"\nvalues = [1, 2]\n')
+    (one,) = shown(capsys, str(study))
+    assert (one["kind"], one["title"], numbers(one)["runs"]) == ("studies", "Masses", 4)
+    new_aircraft("mine", "quadjet", tmp_path / "mine")
+    (one,) = shown(capsys, str(tmp_path / "mine"))
+    (shipped,) = shown(capsys, "quadjet")
+    assert (one["kind"], numbers(one)) == ("aircraft", numbers(shipped))

@@ -145,7 +145,7 @@ def test_only_what_is_here_and_has_an_end_is_deleted(runs: Path, tmp_path: Path)
 
 def test_wrong_folders_and_ports(hexjet: Hexjet, tmp_path: Path) -> None:
     done = hexjet("open", "nowhere")
-    assert (done.status, done.err.splitlines()) == (2, ["hexjet: nowhere: is no folder of runs"])
+    assert (done.status, done.err.splitlines()) == (2, ["hexjet: nowhere: is no folder of runs; nothing is there"])
     assert hexjet("open", str(tmp_path), "--port", "70000").status == 2
 
 
