@@ -71,7 +71,7 @@ def checked_rows(summary: Summary) -> list[tuple[str, tuple[str, ...]]]:
     Each with its metric, and cells as :data:`CHECKED` heads them.  What a flight has nothing of, and keeps so, is left
     out.
     """
-    rows = []
+    rows: list[tuple[str, tuple[str, ...]]] = []
     for result in by_margin(summary):
         if result.source in ("limits", "expect") and not (result.margin is None and result.kept):
             of = metric(result.name)
