@@ -61,7 +61,8 @@ class StickPilot:
         self._lean, self._turn, self._climb = lean, turn, gains.altitude.position_1_s / CLIMB
         self._step, self._hold_from, self._steps = belief.step_s, hold_from, 0
         self._turns_target = turns_target
-        self._target: float | None = None  # heading that the autopilot holds, as the sticks have turned it, rad
+        # headings, rad: that the autopilot holds, as the sticks have turned it, and that its loop has turned to by now
+        self._target: tuple[float, float] | None = None
         self._still_needed, self._still = round(STILL_TIME / belief.step_s), 0
         self.hover = find_hover_throttle(belief)
 
@@ -100,10 +101,13 @@ class StickPilot:
         """Return the yaw stick for a commanded heading [rad] at a measured one."""
         if not self._turns_target:
             return self._heading * wrap(yaw - heading) / self._turn
-        target = heading if self._target is None else self._target
+        target, expected = self._target or (heading, heading)
         stick = clip(self._heading * wrap(yaw - target) / self._turn, -1.0, 1.0)
-        # what is held may be another than what is believed to be: the vehicle's heading tells, slowly
-        self._target = target + self._step * (stick * self._turn + wrap(heading - target) / TARGET_TIME)
+        # what is held may be another than what is believed to be: by how far the vehicle is from where it should have
+        # turned to tells, slowly; by how far it is from what is held would be a second loop while it turns
+        moved = stick * self._turn + wrap(heading - expected) / TARGET_TIME
+        expected += self._step * (moved + self._heading * wrap(target - expected))
+        self._target = target + self._step * moved, expected
         return stick
 
     def _landed(self, height: float, down: float) -> bool:
