@@ -219,11 +219,11 @@ class BenchIdentifyResult(FolderResult):
 
         found = self.identification
         notes = [f"note: {note}" for note in found.notes]
+        untold = [f"not told: {line}" for line in found.untold]
         if not isinstance(found, BenchIdentification):
             refused = [] if found.leaves_engine else ["no engine: with these parameters it does not explain the log"]
-            return [grey_box_result.summary(found), *notes, *refused]
+            return [grey_box_result.summary(found), *notes, *untold, *refused]
         reason = result.why_no_engine(found)
-        untold = [f"not told: {line}" for line in found.untold]
         return [result.summary(found), *notes, *untold, *([f"no engine: {reason}"] if reason else [])]
 
     def tables(self) -> list[Table]:

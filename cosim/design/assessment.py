@@ -59,6 +59,7 @@ class AxisDesign:
     limits: Mapping[str, float]  # bandwidth [Hz] without delay, without lag, without the bound on noise
     checks: Mapping[str, bool]
     why_not: str = ""  # why the requirements cannot be kept, where that is known
+    nearest: str = ""  # which candidate comes nearest to them, where none keeps them
 
 
 def shipped_tuning(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuning:

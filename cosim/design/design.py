@@ -28,7 +28,14 @@ from cosim.design.levels import (
     meets_requirements,
     tunings_at,
 )
-from cosim.design.limits import Say, bandwidths_without_limits, explain_failure, find_allowances, tolerance_checks
+from cosim.design.limits import (
+    Say,
+    bandwidths_without_limits,
+    describe_nearest,
+    explain_failure,
+    find_allowances,
+    tolerance_checks,
+)
 from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, engine_lead, hover_fraction
 from cosim.design.loop.criteria import fine_loop, objective
@@ -466,7 +473,8 @@ def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDes
     objectives = {key: result.objective for key, result in tried.items()}
     best = tried[_simplest(objectives)]
     if not isfinite(best.objective):
-        return AxisDesign(channel, before, objectives, None, {}, {})
+        nearest = describe_nearest(channel, tried, need)
+        return AxisDesign(channel, before, objectives, None, {}, {}, nearest=nearest)
     settled = settle(channel, best.tuning, need, not predicted)
     if settled is None and firmware is not None and firmware.units is not None:
         return AxisDesign(channel, before, dict.fromkeys(tried, inf), None, {}, {})  # none in its whole numbers

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from math import ceil, floor, isfinite
 
 import numpy as np
 
+from cosim.base.errors import InputError
 from cosim.design.assessment import Assessment, AxisDesign
 from cosim.design.loop.actuator import SERVO
 from cosim.design.loop.channel import Channel, engine_lead
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.loop.criteria import fine_loop
+from cosim.design.loop.criteria import excesses, fine_loop
 from cosim.design.loop.tuning import Tuning
-from cosim.design.tune import tune
+from cosim.design.tune import TuningResult, tune
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import EngineLead
 
@@ -85,8 +87,25 @@ def explain_failure(axes: Mapping[str, AxisDesign], need: Requirements) -> str:
             if unsure and axis_design.channel.is_by_servo:
                 left = unsure.removeprefix("what was measured, ")
                 misfit = f", whatever others and what its hinges turn add to it, {left}"
-            return f"{axis}: no gains keep the requirements{bandwidth}{misfit}"
+            nearest = f"; {axis_design.nearest}" if axis_design.nearest else ""
+            return f"{axis}: no gains keep the requirements{bandwidth}{misfit}{nearest}"
     return ""
+
+
+def describe_nearest(channel: Channel, tried: Mapping[str, TuningResult], need: Requirements) -> str:
+    """Return which candidate comes nearest to requirements that none keeps, what it misses and by how much, or ""."""
+    found = []
+    for name, result in tried.items():
+        with suppress(InputError, ValueError, ArithmeticError):  # of a predictor whose answer does not end, say
+            closed = fine_loop(channel, result.tuning)
+            if not closed.unstable_poles:
+                missed = {what: part for what, part in excesses(closed, need).items() if part > 0.0}
+                found.append((sum(missed.values()), name, missed))
+    if not found:
+        return ""
+    _, name, missed = min(found, key=lambda each: each[0])
+    words = " and ".join(f"{what} by {100.0 * part:.2g} %" for what, part in missed.items())
+    return f"nearest comes {name}, which misses {words}"
 
 
 def find_allowances(

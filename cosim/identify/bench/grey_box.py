@@ -23,6 +23,7 @@ from cosim.identify.bench.evidence import (
     test_residuals,
 )
 from cosim.identify.bench.fit import Part, Problem
+from cosim.identify.bench.missing_evidence import describe_small_movements
 from cosim.identify.bench.record import BenchRecord
 from cosim.identify.bench.robust import invert, memory_rows, robust_factor
 from cosim.identify.engine_file import DEVIATIONS_95
@@ -37,6 +38,7 @@ FINE = 1e-4  # of a parameter, to see what it does
 ROUNDS = 2  # of fit and memory of the noise in turn
 POOR_PREDICTION = 1.5
 CLOSE = 0.015  # of the output's range (rms), to which movements have to be foretold that are not explained to the noise
+LEAST_PART = 0.05  # of a value, that is left of it at an end of its bounds
 HORIZON_S = 3.0  # for which the output counts as on its way after a movement
 
 
@@ -65,6 +67,7 @@ class GreyIdentification:
     misfit: Misfit
     held_back: HeldBack | None
     notes: tuple[str, ...]
+    untold: tuple[str, ...] = ()
 
     @property
     def is_close(self) -> bool:
@@ -127,6 +130,7 @@ class GreyIdentification:
             "close": self.is_close,
             "held_back_rms": None if self.held_back is None else list(self.held_back[:2]),
             "held_back": None if self.held_back is None else self.held_back.to_dict(),
+            "not_told": list(self.untold),
         }
 
 
@@ -225,10 +229,31 @@ def fit_engine(records: Sequence[BenchRecord], choices: GreyChoices, is_strict: 
         notes.append(describe_lack(parts, residual))
     if held_back is not None and held_back.others > POOR_PREDICTION * held_back.fitted:
         notes.append(describe_held_back(held_back, output_unit(records[0]), swing))
+    untold = [] if is_strict else _untold(model, records, parts, residual, _ends_of_bounds(model, values, covariance))
     return GreyIdentification(
         tuple(records), choices, model.with_values(values[1:]), values, covariance, residual, tuple(parts),
-        misfit, held_back, tuple(notes),
+        misfit, held_back, tuple(notes), tuple(untold),
     )  # fmt: skip
+
+
+def _ends_of_bounds(model: _Model, values: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return two sets of values at the ends of the 95 % bounds, in the direction that the logs tell least."""
+    scale = _scale(model)
+    sizes, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
+    way = DEVIATIONS_95 * np.sqrt(max(float(sizes[-1]), 0.0)) * directions[:, -1] * scale
+    low, high = _ends(model)
+    least = np.maximum(low, LEAST_PART * values)
+    return np.clip(values - way, least, high), np.clip(values + way, least, high)
+
+
+def _untold(
+    model: _Model, records: Sequence[BenchRecord], parts: Sequence[Part], residual: Array, ends: tuple[Array, Array]
+) -> list[str]:
+    def answer(part: Part) -> tuple[Array, Array]:
+        one, other = (model.answer(values, [part]) for values in ends)
+        return one, other
+
+    return describe_small_movements(records, parts, residual, HORIZON_S, answer, output_unit(records[0]))
 
 
 def output_unit(record: BenchRecord) -> str:

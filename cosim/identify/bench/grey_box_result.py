@@ -34,6 +34,7 @@ def page(result: GreyIdentification) -> Page:
     """Return the page of a fit."""
     cards = [
         Card("Models", ["with 95 % bounds", result.choices.engine], rows(result), BOUNDS),
+        *([Card("What the log does not tell, and the next test", lines=result.untold)] if result.untold else []),
         *movement_cards(result.held_back, output_unit(result.records[0]), result.swing),
         Card("Measured and modelled", figure="signals"),
     ]

@@ -179,9 +179,8 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
         tuple(records), problem, limits, known, straight, estimates, misfit, held_back, spread,
         (*notes, *doubts, *_doubts(chosen, misfit, held_back, records[0], output_swing(problem.parts)), *lacks), (),
     )  # fmt: skip
-    return replace(
-        found, untold=tuple(describe_missing_evidence(chosen, records, limits, problem.longest_delay, straight))
-    )
+    untold = describe_missing_evidence(chosen, records, limits, problem.longest_delay, straight, found.is_explained)
+    return replace(found, untold=tuple(untold))
 
 
 def _check_moves(record: BenchRecord) -> None:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from cosim.identify.bench.fit import Estimate
+from cosim.base.arrays import Array
+from cosim.identify.bench.evidence import REST, find_movements
+from cosim.identify.bench.fit import Estimate, Part
 from cosim.identify.bench.record import BenchRecord, find_levels
 from cosim.identify.engine_file import DEVIATIONS_95
 
@@ -17,6 +22,20 @@ WIDE = 0.3  # of delay and lags together: bounds of the delay that are wider say
 NARROW = 0.6  # of the throttle's range: a log that stays within less says nothing of the rest
 STEP = 0.2  # of the throttle's range, that a next test steps
 
+# of small movements
+SMALL = 0.03  # of the command's range, by which a next test steps to either side
+LARGE = 0.15  # of it: movements above that do not tell what small ones do
+HOLDS_S = (0.25, 0.5, 1.0, 2.0, 4.0)  # of a next test's steps
+FEWEST_ROWS = 5  # in each of them
+STEPS = 40  # of a next test, at least
+CYCLES = 4  # that are simulated, the last of which counts
+TOLD = 6.0  # standard deviations of the noise, by which two engines have to differ
+LONGEST_S = 600.0
+LEAST_QUIET = 50  # rows at rest that tell the noise
+MOST_MEMORY = 0.98  # of it, from one row to the next
+
+Answer = Callable[[Part], tuple[Array, Array]]  # of two engines that the logs do not tell apart
+
 
 def describe_missing_evidence(
     chosen: Estimate,
@@ -24,8 +43,12 @@ def describe_missing_evidence(
     limits: tuple[float, float],
     longest: float,
     straight: bool,
+    is_explained: bool,
 ) -> list[str]:
-    """Return a line for each thing that the logs do not tell, with the next test: which step, how long, which level."""
+    """Return a line for each thing that the logs do not tell, with the next test: which step, how long, which level.
+
+    Bounds of the lag of a form that does not explain the logs are none: no further step would narrow them.
+    """
     total = chosen.total[0]
     hold = max(SUGGESTED * total, 2.0)
     low = min(float(record.command.min()) for record in records)
@@ -33,7 +56,7 @@ def describe_missing_evidence(
     step = f"a step from {low:.4g} to {high:.4g} and back, each held {hold:.2g} s"
     return [
         *_delay(chosen, records, longest, straight, step),
-        *_lags(chosen, records, step),
+        *_lags(chosen, records, step, is_explained),
         *_levels(records, limits, (low, high), hold, total),
     ]
 
@@ -61,10 +84,10 @@ def _delay(chosen: Estimate, records: Sequence[BenchRecord], longest: float, str
     return lines
 
 
-def _lags(chosen: Estimate, records: Sequence[BenchRecord], step: str) -> list[str]:
+def _lags(chosen: Estimate, records: Sequence[BenchRecord], step: str, is_explained: bool) -> list[str]:
     row = max(record.step for record in records)
     lines = []
-    if DEVIATIONS_95 * chosen.deviation(1) > WIDE * float(chosen.x[1]):
+    if is_explained and DEVIATIONS_95 * chosen.deviation(1) > WIDE * float(chosen.x[1]):
         lines.append(
             f"the lag: {chosen.x[1]:.3g} s, its bounds are ±{DEVIATIONS_95 * chosen.deviation(1):.2g} s. Next: {step}"
         )
@@ -107,3 +130,104 @@ def _levels(
             f"Next: steps at {limits[0] + 0.1 * span:.4g} and {limits[1]:.4g}"
         )
     return lines
+
+
+class SmallTest(NamedTuple):
+    """Steps to both sides of a level, and by how much two engines differ there, in the output's unit and by noise."""
+
+    hold_s: float
+    seconds: float
+    apart: float
+    deviations: float
+
+
+def describe_small_movements(
+    records: Sequence[BenchRecord], parts: Sequence[Part], residual: Array, rest: float, answer: Answer, unit: str
+) -> list[str]:
+    """Return a line where the logs have large movements alone, with the test that tells how small ones are answered.
+
+    ``residual`` of all parts is what a model leaves over, whose part at rest is the noise; ``rest`` s is about delay
+    and lags together, ``unit`` that of ``answer``.
+    """
+    spans = [find_movements(part, REST * rest) for part in parts]
+    user, own = (np.concatenate([one.command for one in many]) for many in (records, parts))
+    scale = float(np.ptp(user) / max(np.ptp(own), 1e-300))
+    sizes = [scale * _size(part, *span) for part, each in zip(parts, spans, strict=True) for span in each]
+    size, span = min((one for one in sizes if one > 0.0), default=0.0), float(np.ptp(user))
+    if not all(spans) or not size > LARGE * span:
+        return []
+    soonest = min((later - sooner for each in spans for (sooner, _), (later, _) in pairwise(each)), default=np.inf)
+    middle = 0.5 * float(user.min() + user.max())
+    held = {one: seconds for record in records for one, seconds in find_levels(record).items()}
+    stood = [one for one, seconds in held.items() if seconds > REST * rest] or list(held)
+    level = min(stood, key=lambda one: abs(one - middle))
+    step = float(f"{SMALL * span:.0e}")
+    first, unit_of_command = records[0], f" {records[0].command_unit}" if records[0].command_unit else ""
+    offset = float(own[0]) - float(user[0]) / scale
+    test = find_small_test(parts[0], offset + level / scale, step / scale, _quiet(parts, residual, rest), answer)
+    often = f" or sooner than {soonest:.2g} s after another" if np.isfinite(soonest) else ""
+    line = (
+        f"how small, quick commands are answered: no movement of {first.command_name} is smaller than "
+        f"{size:.2g}{unit_of_command} ({100.0 * size / span:.0f} % of its range){often}. "
+        f"Next: {step:g}{unit_of_command} up and down about {level:g}, or about where it hovers, "
+    )
+    if test is None:
+        return [
+            f"{line}over and over, farther where the noise hides it: engines at the ends of these bounds differ little"
+        ]
+    return [
+        f"{line}each held {test.hold_s:g} s, for {test.seconds:.0f} s, logged every {1e3 * parts[0].step:.0f} ms: two "
+        f"engines at the ends of these bounds are {test.apart:.2g} {unit} apart there (rms), {test.deviations:.0f} "
+        "standard deviations of the noise"
+    ]
+
+
+def find_small_test(
+    part: Part, level: float, step: float, noise: tuple[float, float], answer: Answer
+) -> SmallTest | None:
+    """Return the shortest test of small steps that tells two engines apart, None where none does in :data:`LONGEST_S`.
+
+    ``noise``: how much of it a row keeps of the row before, and the standard deviation of what is new.
+    """
+    memory, deviation = noise
+    tests = []
+    for hold in HOLDS_S:
+        if hold < FEWEST_ROWS * part.step:
+            continue
+        begins = hold * np.arange(2 * CYCLES)
+        command = np.concatenate([[level], level + step * np.resize([1.0, -1.0], len(begins)), [level]])
+        times = np.arange(0.0, begins[-1] + hold, part.step)
+        command_times = np.concatenate([[-hold], begins, [begins[-1] + hold]])
+        own = replace(part, command_times=command_times, command=command, times=times, output=times, straight=False)
+        one, other = answer(own)
+        last = (one - other)[times >= begins[-2]]
+        new = last[1:] - memory * last[:-1]
+        a_second = float(np.sum(new**2)) / deviation**2 / (2.0 * hold)
+        seconds = max(STEPS * hold, TOLD**2 / max(a_second, 1e-300))
+        if seconds <= LONGEST_S:
+            tests.append(SmallTest(hold, seconds, float(np.std(last)), float(np.sqrt(a_second * seconds))))
+    return max(tests, key=lambda test: test.deviations**2 / test.seconds, default=None)
+
+
+def _size(part: Part, begin: float, end: float) -> float:
+    before, after = np.interp([begin, np.nextafter(end, begin)], part.command_times, part.command)
+    return abs(float(after - before))
+
+
+def _quiet(parts: Sequence[Part], residual: Array, rest: float) -> tuple[float, float]:
+    """Return the noise where the command has long stood, else of all rows: its memory, and what is new in a row."""
+    before, after, quiet = [], [], []
+    rows = np.split(residual, np.cumsum([len(part.times) for part in parts])[:-1])
+    for part, left in zip(parts, rows, strict=True):
+        moved = np.append(-np.inf, part.command_times[1:][np.diff(part.command) != 0.0])
+        since = part.times - moved[np.searchsorted(moved, part.times, side="right") - 1]
+        near = np.diff(part.times) < 1.5 * part.step
+        quiet.append((since[:-1] > 2.0 * REST * rest)[near])
+        before.append(left[:-1][near])
+        after.append(left[1:][near])
+    old, new, use = np.concatenate(before), np.concatenate(after), np.concatenate(quiet)
+    if np.count_nonzero(use) >= LEAST_QUIET:
+        old, new = old[use], new[use]
+    power = 0.5 * float(old @ old + new @ new)
+    memory = float(np.clip(old @ new / power, 0.0, MOST_MEMORY)) if power > 0.0 else 0.0
+    return memory, max(float(np.std(new - memory * old)), 1e-12 * float(np.ptp(new) + 1.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
@@ -448,12 +449,26 @@ def test_where_there_is_no_design_it_says_which_delay_would_allow_one(monkeypatc
     found = short(least=2.0)
     assert not found.ok
     assert "roll" in found.reason
+    assert re.search(r"; nearest comes [\w +-]+, which misses .*[\w ]+ by [\d.e+]+ %", found.reason), found.reason
     allowed = found.allowing["delay_s"]
     assert 0.0 < allowed < 0.1
     with pytest.raises(InputError, match="no acceptable design"):
         make_controller_table(found)
     samples = round(allowed / 0.004)
     assert short(f"engine_parameters.delay_samples={samples}", least=2.0).axes["roll"].after is not None
+
+
+def test_of_candidates_that_miss_the_requirements_the_nearest_stable_one_is_named() -> None:
+    """Gains whose peak sensitivity is too high; a thousand times as much gain is unstable."""
+    channel = parts("edf")[3]["roll"]
+    own, wild = tuning("smith", channel), tuning("smith", channel, p=15.0)
+    tried = {name: search.TuningResult(one, float("inf"), 1) for name, one in (("wild", wild), ("smith", own))}
+    peak = limits.fine_loop(channel, own).peak_sensitivity
+    asked = Requirements(max_sensitivity=0.5 * peak + 0.5, min_bandwidth_hz=0.0, noise_share=1.0)
+    words = limits.describe_nearest(channel, tried, asked)
+    assert words.startswith("nearest comes smith, which misses peak sensitivity by ")
+    assert f"{100.0 * (peak / asked.max_sensitivity - 1.0):.2g} %" in words
+    assert limits.describe_nearest(channel, {"wild": tried["wild"]}, asked) == ""
 
 
 def test_an_engine_that_does_not_lift_is_refused() -> None:

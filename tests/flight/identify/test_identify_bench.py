@@ -591,6 +591,9 @@ def test_the_ramp_of_a_real_ecu_foretells_half_of_its_steps_from_the_others(hexj
     assert words.format(*(f"{100.0 * value / swing:.1f}" for value in (held["others_rms"], worst))) in DOCUMENT
     assert any("what the model lacks" in note for note in told["notes"])
     assert any("the log has no thrust" in note for note in told["notes"])
+    (line,) = told["not_told"]
+    assert line.startswith("how small, quick commands are answered: no movement of setpoint_rpm is smaller than ")
+    assert "Next: 2000 rpm up and down about 60000" in line
 
 
 @pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the recordings of a JetCat P300-PRO are not at hand")
