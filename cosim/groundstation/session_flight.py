@@ -29,7 +29,7 @@ from cosim.simulation.step import Simulation
 
 # Chosen by us: twice as often as steps at 250 Hz; a flight at full speed publishes less.
 PUBLISH_EVERY = 2e-3  # s of wall time
-_WARN_EVERY = 10.0  # s of wall time between two messages about missed deadlines
+_WARN_EVERY = 10.0  # s of wall time between two messages about late steps
 
 
 @dataclass
@@ -150,7 +150,7 @@ class StickOwner:
 
 
 class Publisher:
-    """Observer that publishes snapshots, not more often than anybody looks, and reports missed deadlines."""
+    """Observer that publishes snapshots, not more often than anybody looks, and reports late steps."""
 
     def __init__(self, flight: SessionFlight) -> None:
         self._flight = flight
@@ -174,7 +174,7 @@ class Publisher:
         if missed:
             self._flight.exchange.say(
                 Severity.WARNING,
-                f"{missed} deadlines missed in {_WARN_EVERY:g} s, latest by {1e3 * report.longest_delay:.1f} ms",
+                f"{missed} steps late in {_WARN_EVERY:g} s, the latest by {1e3 * report.longest_delay:.1f} ms",
                 self._flight.simulation.k,
             )
 

@@ -79,7 +79,7 @@ def test_channels_pose_scene_and_words_of_a_flight(tmp_path: Path) -> None:
                 elif told[0] == MESSAGE:
                     number, stamp = struct.unpack_from("<IQ", told, 1)
                     name, content = list(wanted)[number], told[13:]
-                    # a busy machine has words of its own: deadlines that were missed
+                    # a busy machine has words of its own: steps that were late
                     if name != "/log" or "said" in Log.FromString(content).message:
                         seen[name] = (stamp, content)
         snapshot = exchange.snapshot

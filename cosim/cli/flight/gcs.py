@@ -178,7 +178,6 @@ def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
     from shlex import quote
 
     last, beyond = runs[-1], runs[-1].summary.exceeded
-    paced = [run.summary.pacing for run in runs if run.summary.pacing is not None]
     refused = {reason.replace("_", " "): count for reason, count in counts["refused"].items() if count}
     why = f" ({', '.join(f'{count} {reason}' for reason, count in sorted(refused.items()))})" if refused else ""
     signatures = sum(refused.get(reason, 0) for reason in ("signature", "unsigned", "replay"))
@@ -186,7 +185,7 @@ def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
     return "; ".join(
         [
             ", ".join([f"{len(runs)} flight{'s' if len(runs) > 1 else ''}, the last {last.summary.ending}", *beyond]),
-            f"{sum(pacing.missed_deadlines for pacing in paced)} steps late" if paced else "not paced",
+            *_late_steps(runs),
             f"{counts['taken']} frames taken, {sum(refused.values())} refused{why}",
             f"{signatures} bad signatures",
             *([f"{sum(faults.values())} faults of the links, the first: {next(iter(faults))}"] if faults else []),
@@ -194,6 +193,19 @@ def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
             f"again: hexjet fly {quote(f'{last.folder}/scenario.toml')}",
         ]
     )
+
+
+def _late_steps(runs: Sequence[Run]) -> list[str]:
+    """Return how many steps of all flights were late, where the end of the only flight does not say so."""
+    paced = [run.summary for run in runs if run.summary.pacing is not None]
+    if not paced:
+        return ["not paced"]
+    if len(runs) == 1 and "of them late" in paced[0].ending:
+        return []
+    late = sum(each.pacing.missed_deadlines for each in paced if each.pacing is not None)
+    return [
+        f"{late} of {sum(each.steps for each in paced)} steps late{f' in all {len(runs)} flights' if runs[1:] else ''}"
+    ]
 
 
 def _describe_link(url: str) -> str:
@@ -242,7 +254,7 @@ def _state(links: Links) -> str:
     status, pace = snapshot.status, snapshot.pace
     state = "armed" if status.armed else "disarmed"
     speed = "" if pace.reached_factor is None else f"  {pace.reached_factor:.2f} x"
-    missed = f"  deadlines missed {pace.missed} of {pace.steps}" if pace.factor else ""
+    missed = f"  steps late {pace.missed} of {pace.steps}" if pace.factor else ""
     count = sum(list(links.link.refused.values()))  # a list at once: another thread counts
     refused = f"  frames refused {count}" if count else ""
     return (

@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from hashlib import sha256
 from math import nan
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from command_tools import Hexjet
 from patience import PATIENCE
 
 from cosim.base.errors import InputError
+from cosim.cli.flight.gcs import session_line
 from cosim.flight import reserve_folder
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.results.run import open_run
@@ -368,17 +370,38 @@ def test_a_session_ends_with_a_line_that_tells_how_it_went(vehicle: Any, station
     assert out.endswith(f"{line}\n")
     run, later = tmp_path / "run", tmp_path / "run-3"
     told = re.fullmatch(
-        r"2 flights, the last completed, nothing checked; stopped by SIGINT in the air; (\d+) steps late; (\d+) frames taken, "
-        r"(\d+) refused \((.*)\); 3 bad signatures; "
+        r"2 flights, the last completed, nothing checked; stopped by SIGINT in the air; (\d+) of (\d+) steps late "
+        r"in all 2 flights; (\d+) frames taken, (\d+) refused \((.*)\); 3 bad signatures; "
         rf"recorded in {run} {later}; again: hexjet fly {later}/scenario.toml",
         line,
     )
     assert told, line
-    assert "3 unsigned" in told[4]
-    assert int(told[3]) == sum(int(each.split()[0]) for each in told[4].split(", ")) > 3
-    assert int(told[2]) > 3
-    missed = [open_run(each).summary.pacing for each in (run, later)]
-    assert int(told[1]) == sum(each.missed_deadlines for each in missed if each is not None)
+    assert "3 unsigned" in told[5]
+    assert int(told[4]) == sum(int(each.split()[0]) for each in told[5].split(", ")) > 3
+    assert int(told[3]) > 3
+    flown = [open_run(each).summary for each in (run, later)]
+    assert int(told[1]) == sum(each.pacing.missed_deadlines for each in flown if each.pacing is not None)
+    assert int(told[2]) == sum(each.steps for each in flown)
+
+
+def test_late_steps_are_said_once() -> None:
+    """A flight's own end says them where it came to its planned end; several flights have one number for all."""
+
+    def run(steps: int, late: int, *, told: bool) -> Any:
+        ending = f"flew {steps} steps" + (f", {late} of them late" if told else "")
+        pacing = SimpleNamespace(missed_deadlines=late)
+        summary = SimpleNamespace(ending=ending, steps=steps, pacing=pacing, exceeded=[])
+        return SimpleNamespace(summary=summary, folder=Path("runs/one"))
+
+    counts = {"refused": {}, "failures": {}, "taken": 0}
+    alone = session_line([run(100, 3, told=True)], counts)
+    assert alone.startswith("1 flight, the last flew 100 steps, 3 of them late; 0 frames taken, ")
+    assert session_line([run(100, 0, told=False)], counts).startswith(
+        "1 flight, the last flew 100 steps; 0 of 100 steps late; "
+    )
+    assert session_line([run(100, 3, told=True), run(50, 1, told=True)], counts).startswith(
+        "2 flights, the last flew 50 steps, 1 of them late; 4 of 150 steps late in all 2 flights; "
+    )
 
 
 @pytest.mark.long

@@ -4,7 +4,7 @@ import { Panels } from "./panels.js";
 import { element, get, hasWords, number, write } from "./show.js";
 
 const KEPT = 1000; // events
-const KINDS = [[/^mode /, "mode"], [/^(dis)?armed/, "arming"], [/^failsafe/i, "failsafe"], [/deadlines/, "late"]]; // of messages
+const KINDS = [[/^mode /, "mode"], [/^(dis)?armed/, "arming"], [/^failsafe/i, "failsafe"], [/steps late/, "late"]]; // of messages
 const PERIOD_MS = 250; // between two changes of the engines' table: figures that flicker cannot be read
 
 export class EnginePage {
