@@ -39,10 +39,11 @@ class ProofResult(Result):
         return self.proof.to_json()
 
     def lines(self) -> list[str]:
-        """Return the result in one sentence, what it does not cover, and the command that repeats it."""
+        """Return the sentence, what belongs to it, what is not covered, and the command that repeats it."""
         proof = self.proof
         return [
             proof.sentence,
+            *(f"{about}: {text}" for about, text in proof.facts.items()),
             *(f"not covered: {text}" for text in proof.not_covered),
             f"again: {proof.repeat['command']}",
         ]

@@ -1,4 +1,4 @@
-"""What a proof came to, and the one sentence of it that a review board reads first."""
+"""What a proof came to, the one sentence of it that a review board reads first, and what belongs to that."""
 
 from __future__ import annotations
 
@@ -83,9 +83,18 @@ class Proof:
 
     @property
     def sentence(self) -> str:
-        """The result in one sentence: what is shown, the most likely failure, and the controller beside the best."""
-        parts = [self._shown(), *([self.rare.says] if self.rare.result else []), self._failure(), self._limit()]
-        return f"{'; '.join(parts)}."
+        """The result in one sentence: who keeps what, with which probability, as so many flights show."""
+        return f"{self._shown()}."
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What belongs to the sentence, by what it is about: draws, failures, and the controller beside the best."""
+        return {
+            "probability over": self.over,
+            **({"rare failures": self.rare.says} if self.rare.result else {}),
+            "most likely failure": self._failure(),
+            "controller": self._limit(),
+        }
 
     def _shown(self) -> str:
         study = self.study
@@ -103,7 +112,7 @@ class Proof:
             f"{verdict.flights:,} flight{'s' if verdict.flights != 1 else ''}, {verdict.failures:,} of them failed"
         )
         counted = f"{confidence:g} % confidence, {flights}, {stopped}"
-        text = f"{who} keeps {what} with probability {side} {bound} over {self.over} ({counted})"
+        text = f"{who} keeps {what} with probability {side} {bound} ({counted})"
         if verdict.decision == "shown":
             return text[0].upper() + text[1:]
         claimed = f"{100.0 * self.claim.claim.probability:g} %"
@@ -140,6 +149,7 @@ class Proof:
         return {
             "format": FORMAT,
             "sentence": self.sentence,
+            "facts": self.facts,
             "decision": self.decision,
             "study": dict(self.study),
             "claim": self.claim.to_dict(),

@@ -83,8 +83,10 @@ def prove(options: Prove) -> int:
 
 
 def print_proof(proof: Proof) -> None:
-    """Print the sentence, the requirements, the credibility and where the page is."""
+    """Print the sentence, what belongs to it, the requirements, the credibility and where the page is."""
     say(proof.sentence)
+    for about, text in proof.facts.items():
+        say(f"{about}: {text}")
     show_table(["", "requirement", "broken", "smallest margin"], list(proof.requirement_rows()), [2, 3])
     show_table(["credibility, NASA-STD-7009B", "level"], [(one.name, str(one.level)) for one in proof.credibility], [1])
     for line in (

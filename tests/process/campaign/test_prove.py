@@ -102,6 +102,9 @@ def told(folder: Path) -> dict[str, Any]:
     return data
 
 
+MOST_WORDS = 45  # of the sentence
+
+
 class Some:
     """A worker that flies no more than so many."""
 
@@ -120,7 +123,10 @@ def test_90_percent_is_shown_on_one_page_and_in_one_json(proven: Path) -> None:
     assert data["sentence"].startswith(
         "The vehicle hexjet with controller smith and engine edf-as-flown keeps R1 to R3 with probability at least 92.0 %"
     )
-    assert "(95 % confidence, 36 flights, 0 of them failed, stopped by rule)" in data["sentence"]
+    assert data["sentence"].endswith("(95 % confidence, 36 flights, 0 of them failed, stopped by rule).")
+    assert len(data["sentence"].split()) <= MOST_WORDS
+    assert list(data["facts"]) == ["probability over", "most likely failure", "controller"]
+    assert data["facts"]["probability over"] == data["over"]
     assert [one["label"] for one in data["requirements"]] == ["R1", "R2", "R3"]
     level = data["requirements"][1]
     assert (level["says"], level["broken"], level["unit"]) == ("level: always(abs(roll_deg) < 30)", 0, "deg")
@@ -133,7 +139,12 @@ def test_90_percent_is_shown_on_one_page_and_in_one_json(proven: Path) -> None:
     assert any("no key varies engines, delay, thrust" in text for text in data["not_covered"])
     assert "at least 92.0 % with 95 % confidence; the two-sided interval of 95 % confidence is 9" in data["says"][0]
     page = (proven / "proof.html").read_text()
-    for text in (data["sentence"], data["repeat"]["command"], *(one["name"] for one in data["credibility"])):
+    for text in (
+        data["sentence"],
+        *data["facts"].values(),
+        data["repeat"]["command"],
+        *(one["name"] for one in data["credibility"]),
+    ):
         assert text in page
 
 
@@ -198,7 +209,8 @@ def test_refuted_and_open_are_no_success(study: Path, hexjet: Hexjet, tmp_path: 
     assert data["sentence"].startswith("99 % is refuted: the vehicle hexjet")
     assert "with probability at most" in data["sentence"]
     assert data["worst"][-1]["why"] == "fails nearest to the middle of the draws"
-    assert f"the middle of what is drawn is {data['worst'][-1]['run']}" in data["sentence"]
+    assert f"the middle of what is drawn is {data['worst'][-1]['run']}" in data["facts"]["most likely failure"]
+    assert len(data["sentence"].split()) <= MOST_WORDS
     assert data["requirements"][2]["margin"] < 0.0
     seldom = tmp_path / "seldom.toml"  # one in two
     seldom.write_text(HOVER.replace('"altitude.max_abs_error_m" = { max = 0.5 }', '"altitude.rmse_m" = { max = 1.0 }'))
@@ -238,7 +250,7 @@ def test_the_most_likely_failure_and_the_worst_case_are_runs(hexjet: Hexjet, tmp
     assert likely["distance"] == pytest.approx(2.1, abs=0.1)
     assert max(likely["keys"], key=likely["keys"].get) == "mismatch.thrust_factor"
     assert worst["margin"] < likely["margin"] < 0.0
-    assert likely["says"] in data["sentence"]
+    assert likely["says"] == data["facts"]["most likely failure"]
     assert likely["says"].startswith(
         "its most likely failure within 6 standard deviations of the middle of all keys in"
     )
@@ -275,7 +287,7 @@ def test_a_rare_failure_has_its_probability(tmp_path: Path) -> None:
     data = json.loads((out / "proof.json").read_text())["rare"]
     assert data["done"]
     assert data["low"] < 2.33e-4 < data["high"] < 2e-3
-    assert data["says"] in proof.sentence
+    assert data["says"] == proof.facts["rare failures"]
     assert data["says"] in (out / "proof.html").read_text()
     assert "no method for rare failures" not in " ".join(proof.not_covered)
     assert "--rare 2800" in proof.repeat["command"]
@@ -393,6 +405,7 @@ def test_the_shipped_example_and_its_page(hexjet: Hexjet, tmp_path: Path) -> Non
     assert (done.status, data["decision"]) == (0, "shown")
     shown = " ".join((DOCS / "prove.md").read_text(encoding="utf-8").split())
     assert data["sentence"] in shown
+    assert all(f"{about}: {text}" in shown for about, text in data["facts"].items())
     assert set(data["limit"]) == set(AXES)
     assert data["limit"]["roll"]["times"] > data["limit"]["roll"]["times_as_tolerant"] > 1.0
     assert all(limit["times"] >= 1.0 if limit["done"] else limit["says"] for limit in data["limit"].values())
