@@ -87,7 +87,7 @@ class Station:
         self.mav.robust_parsing = True
         self.inbox: list[Any] = []
         self.counts: Counter[str] = Counter()
-        self.vehicle_sender = FramePacker(1, 1)
+        self.vehicle_sender = FramePacker(1)
         self.vehicle_parser = Parser(Counter(), is_datagram=True)
 
     def send(self, kind: str, *values: Any) -> None:

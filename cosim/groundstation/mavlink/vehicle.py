@@ -37,7 +37,7 @@ from cosim.groundstation.mavlink.telemetry import (
 )
 from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState
 from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
-from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, mav, prepare_message
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, COMPONENT, Message, mav, prepare_message
 from cosim.groundstation.mavlink.wire.frames import Frame
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import Peer, Priority
@@ -119,7 +119,7 @@ class MavlinkVehicle:
         """Dispatch a frame to the handler or the service of its message."""
         self._now = now
         message, refused = frame.message, self.link.refused
-        if frame.system == self.constants.system and frame.component == self.constants.component:
+        if frame.system == self.constants.system and frame.component == COMPONENT:
             refused["own"] += 1
             return
         if frame.system == 0:
@@ -185,7 +185,7 @@ class MavlinkVehicle:
         if message.msgname == "MANUAL_CONTROL":
             system = message.target
         component = getattr(message, "target_component", 0)
-        return system in (0, self.constants.system) and component in (0, self.constants.component)
+        return system in (0, self.constants.system) and component in (0, COMPONENT)
 
     def _pack(self, message: Message) -> Message | None:
         try:
@@ -255,7 +255,7 @@ class MavlinkVehicle:
         if state is None:
             self._acknowledge(command, client, CommandResult.TEMPORARILY_REJECTED)
             return
-        key = (client.system, client.component, command._replace(confirmation=0))
+        key = (client.system, client.component, command)
         if key in self._pending:
             return  # the same command is being executed, and its answer will be sent
         if self._last_done is not None and command.number in commands.ONCE:

@@ -23,7 +23,6 @@ class VehicleConstants:
     version: str = "0.1.0"
     personality: Personality = "px4"
     system: int = 1
-    component: int = 1
     tilt_range: float = nan  # rad to either side of the middle; NaN: the outputs are sent in rad
     servos: tuple[str, ...] = ("left", "right")  # names of the servos as faults state them
     # Least and greatest angle of each servo, where the servos are not two banks.
@@ -33,4 +32,3 @@ class VehicleConstants:
     position_noise: float = nan  # m, standard deviation of the GNSS; NaN: not known
     velocity_noise: float = nan  # m/s
     height_noise: float = nan  # m, of the barometer
-    can_fail: bool = True  # whether the vehicle accepts INJECT_FAILURE

@@ -90,7 +90,7 @@ def test_every_message_is_read_as_pymavlink_reads_it(number: int) -> None:
 @pytest.mark.parametrize("number", sorted(KINDS))
 def test_every_message_is_sent_as_pymavlink_sends_it(number: int) -> None:
     theirs = mav.MAVLink(None, srcSystem=1, srcComponent=1)
-    ours = FramePacker(1, 1)
+    ours = FramePacker(1)
     chance = random.Random(number)
     for _ in range(3):
         message = _random(KINDS[number], chance)

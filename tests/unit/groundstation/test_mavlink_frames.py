@@ -109,7 +109,7 @@ def test_what_is_not_known_is_refused() -> None:
 
 
 def test_pymavlink_reads_what_is_sent() -> None:
-    sender, other = FramePacker(1, 1), station()
+    sender, other = FramePacker(1), station()
     for i in range(300):
         message = other.parse_char(sender.pack_frame(prepare_message(heartbeat())))
         assert message.get_seq() == i % 256
@@ -187,7 +187,7 @@ def test_every_bit_of_a_signed_frame_counts() -> None:
 
 def test_pymavlink_believes_our_signature() -> None:
     signing = Signing(KEY, clock=lambda: NOW)
-    sender = FramePacker(1, 1, link=5, signing=signing)
+    sender = FramePacker(1, link=5, signing=signing)
     other = station()
     other.signing.secret_key = KEY
     stamps = []
@@ -206,7 +206,7 @@ def test_pymavlink_believes_our_signature() -> None:
 def test_the_vehicle_signs_later_than_what_it_has_accepted() -> None:
     reader, _, signing = guarded()
     reader.feed(signed(at=NOW + 1000.0))
-    frame = FramePacker(1, 1, signing=signing).pack_frame(prepare_message(heartbeat()))
+    frame = FramePacker(1, signing=signing).pack_frame(prepare_message(heartbeat()))
     assert int.from_bytes(frame[-12:-6], "little") > int((NOW + 1000.0 - EPOCH) * 1e5)
 
 

@@ -256,8 +256,6 @@ def _altitude(command: MavCommand, value: float, context: Context) -> float:
 def _fail(command: MavCommand, context: Context) -> Plan:
     unit, kind = _whole(command.params[0]), _whole(command.params[1])
     which = 0 if command.params[2] is None else _whole(command.params[2])
-    if not context.vehicle.can_fail:
-        return Plan(result=CommandResult.UNSUPPORTED)
     if kind == _OK:
         return _do(rq.ClearFaults())  # all faults are cleared, because a single one cannot be named
     faults: tuple[rq.InjectFault, ...] = ()

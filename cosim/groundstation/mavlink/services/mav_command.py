@@ -36,12 +36,11 @@ _UNSET = 0x7FFFFFFF  # value of x and y in COMMAND_INT that means: not set
 
 
 class MavCommand(NamedTuple):
-    """A command of either message; None: missing.  Latitude and longitude are in degrees."""
+    """A command of either message, whichever time it is sent; None: missing.  Latitude and longitude are in degrees."""
 
     number: int
     params: tuple[float | None, ...]  # parameters 1 to 7, counted from 0
     frame: int | None  # MAV_FRAME; None for COMMAND_LONG, which states no frame
-    confirmation: int
 
     @property
     def position(self) -> tuple[float, float] | None:
@@ -75,11 +74,11 @@ def parse_command(message: Message) -> MavCommand:
     first = [message.param1, message.param2, message.param3, message.param4]
     if message.msgname == "COMMAND_LONG":
         values = [*first, message.param5, message.param6, message.param7]
-        return MavCommand(message.command, tuple(map(_finite_or_none, values)), None, message.confirmation)
+        return MavCommand(message.command, tuple(map(_finite_or_none, values)), None)
     # x and y are 1e-4 m where the frame is local; handlers of positions refuse such frames
     position = [None if value == _UNSET else value * 1e-7 for value in (message.x, message.y)]
     return MavCommand(
-        message.command, (*map(_finite_or_none, first), *position, _finite_or_none(message.z)), message.frame, 0
+        message.command, (*map(_finite_or_none, first), *position, _finite_or_none(message.z)), message.frame
     )
 
 

@@ -20,6 +20,7 @@ Outgoing = list[tuple[Peer | None, Message]]
 Ask = Callable[[Request, Callable[[Answer], None], str], None]
 
 MAX_CLIENTS = 16  # clients for which a service keeps state; chosen by us, more than are ever connected
+MOST_OPEN = 100  # requests of a service that wait for their answers; chosen by us
 _FIRST_TEXT_ID = 0x8000  # texts of services are numbered from here on
 _text_id = 0
 
@@ -84,14 +85,14 @@ class RateLimit:
 class AnswerQueue:
     """Queue of the autopilot's answers, filled from any thread and emptied in the link's."""
 
-    def __init__(self, ask: Ask, limit: int = 100) -> None:
-        self._ask, self._most = ask, limit
+    def __init__(self, ask: Ask) -> None:
+        self._ask = ask
         self._ready: deque[tuple[Callable[[Answer], Outgoing], Answer]] = deque()
         self._open = 0
 
     def request(self, request: Request, client: Client, then: Callable[[Answer], Outgoing]) -> bool:
         """Ask the pilot; ``then`` makes messages of the answer.  False: too much is open, the client will ask again."""
-        if self._open >= self._most:
+        if self._open >= MOST_OPEN:
             return False
         self._open += 1
         self._ask(request, lambda answer: self._ready.append((then, answer)), client.label)

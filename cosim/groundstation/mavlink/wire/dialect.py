@@ -19,6 +19,7 @@ mav.MAVLINK_IGNORE_CRC = False  # damaged frames are refused even if MAV_IGNORE_
 Message = Any  # an instance of one of the generated classes
 KINDS: dict[int, Any] = mav.mavlink_map
 BY_NAME: dict[str, Any] = {kind.msgname: kind for kind in KINDS.values()}
+COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1, of the vehicle
 CHECKSUM = 2  # bytes of a frame's checksum
 _UNSENT = mav.MAVLink(None)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import NamedTuple
 
-from cosim.groundstation.mavlink.wire.dialect import BY_NAME, CHECKSUM, Message, mav
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, CHECKSUM, COMPONENT, Message, mav
 from cosim.groundstation.mavlink.wire.signing import Signing
 
 RADIO_STATUS = BY_NAME["RADIO_STATUS"].id
@@ -99,17 +99,15 @@ class Parser:
 class FramePacker:
     """Packer of frames to one receiver, with its own sequence and link id."""
 
-    def __init__(self, system: int, component: int, link: int = 0, signing: Signing | None = None) -> None:
-        self._mav = mav.MAVLink(None, srcSystem=system)
-        self._component = component
+    def __init__(self, system: int, link: int = 0, signing: Signing | None = None) -> None:
+        self._mav = mav.MAVLink(None, srcSystem=system, srcComponent=COMPONENT)
         self._signing = signing
         if signing is not None:
             signing.enable_signing(self._mav, link)
         self.signature = 0 if signing is None else mav.MAVLINK_SIGNATURE_BLOCK_LEN  # bytes of a signature
 
-    def pack_frame(self, message: Message, component: int | None = None) -> bytes:
+    def pack_frame(self, message: Message) -> bytes:
         """Return the next frame."""
-        self._mav.srcComponent = self._component if component is None else component
         if self._signing is not None:
             self._mav.signing.timestamp = self._signing.make_time_stamp()
         raw: bytes = message.pack(self._mav)

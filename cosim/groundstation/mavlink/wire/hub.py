@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import selectors
-import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
@@ -31,12 +30,7 @@ class Hub:
     """Registry of a link's sockets and stations.  ``clock`` [s] gives all times here."""
 
     def __init__(
-        self,
-        system: int = 1,
-        component: int = 1,
-        signing: Signing | None = None,
-        log: TelemetryLog | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        self, system: int, signing: Signing | None, log: TelemetryLog | None, clock: Callable[[], float]
     ) -> None:
         self.refused: Counter[str] = Counter()  # frames and bytes that were refused, by reason
         self.failures: Counter[str] = Counter()  # exceptions of this program by kind, each of which is a defect
@@ -46,8 +40,7 @@ class Hub:
         self.log = log
         self.handler: FrameHandler | None = None
         self.now = clock
-        self._ids = (system, component)
-        self._signing = signing
+        self._system, self._signing = system, signing
         self._peer_count = 0
         self._selector = selectors.DefaultSelector()
 
@@ -76,7 +69,7 @@ class Hub:
         self, name: str, transmit: Callable[[bytes], int], is_datagram: bool, line: float | None = None
     ) -> Peer:
         """Return a new station with its own sequence and, for signatures, its own link id; see :class:`.Peer`."""
-        packer = FramePacker(*self._ids, link=self._peer_count & 0xFF, signing=self._signing)
+        packer = FramePacker(self._system, self._peer_count & 0xFF, self._signing)
         self._peer_count += 1
         return Peer(name, transmit, self.new_parser(is_datagram), packer, is_datagram, self.now, self.refused, line)
 

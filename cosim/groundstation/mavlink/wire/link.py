@@ -44,12 +44,11 @@ class Link(Hub):
         self,
         endpoints: Sequence[Endpoint],
         system: int = 1,
-        component: int = 1,
         signing: Signing | None = None,
         log: TelemetryLog | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(system, component, signing, log, clock)
+        super().__init__(system, signing, log, clock)
         # By reason, the count that was reported last and the time of that report.
         self._reports: dict[str, tuple[int, float]] = {}
         self._channels: list[Channel] = []

@@ -31,8 +31,6 @@ TELEMETRY_FRACTION = 0.5
 _SLOWER, _FASTER, _SLOWEST = 0.75, 0.05, 0.05
 _RADIO_LOW = 25  # % free in a radio's buffer, below which it is slowed down
 
-_Item = tuple[Message, int | None]
-
 
 class Priority(Enum):
     """Priority class of a queued message."""
@@ -122,8 +120,8 @@ class Peer:
         self._parser = parser
         self._packer = packer
         self._refused = refused
-        self._answers: deque[_Item] = deque()
-        self._bulk: deque[_Item] = deque()
+        self._answers: deque[Message] = deque()
+        self._bulk: deque[Message] = deque()
         self._telemetry: dict[tuple[int, int], Message] = {}
         self._frame = b""  # the rest of the frame that is being sent
         self._waiting = 0  # bytes of answers and bulk data that wait
@@ -161,13 +159,13 @@ class Peer:
 
     # --- sending -----------------------------------------------------------------------------------------------------
 
-    def send(self, packed: Message, priority: Priority = Priority.ANSWER, component: int | None = None) -> bool:
+    def send(self, packed: Message, priority: Priority = Priority.ANSWER) -> bool:
         """Queue a message that must arrive, and return whether there was room for it."""
         if self._waiting > self._limit:
             self.stuck = True
             self.dropped += 1
             return False
-        (self._answers if priority is Priority.ANSWER else self._bulk).append((packed, component))
+        (self._answers if priority is Priority.ANSWER else self._bulk).append(packed)
         self._waiting += self._size(packed)
         self.flush()
         return True
@@ -186,7 +184,7 @@ class Peer:
             now = self._clock()
             if self.line is not None and not self.line.is_free(now):
                 return
-            frame = self._frame = self._frame or self._packer.pack_frame(*self._next())
+            frame = self._frame = self._frame or self._packer.pack_frame(self._next())
             count = self._transmit(frame)
             if count < len(frame) and self.line is not None:
                 self.line.note_stall()
@@ -201,23 +199,23 @@ class Peer:
                 return
             self.sent += 1
 
-    def _next(self) -> _Item:
+    def _next(self) -> Message:
         """Take what goes next out of its queue."""
         answers, bulk, telemetry = self._answers, self._bulk, self._telemetry
         if answers:
-            item = answers.popleft()
-            self._waiting -= self._size(item[0])
-            return item
+            packed = answers.popleft()
+            self._waiting -= self._size(packed)
+            return packed
         if not (bulk and telemetry):
             self._balance = 0
         if bulk and (not telemetry or self._balance <= 0):
-            item = bulk.popleft()
-            self._waiting -= self._size(item[0])
-            self._balance += self._size(item[0])
-            return item
+            packed = bulk.popleft()
+            self._waiting -= self._size(packed)
+            self._balance += self._size(packed)
+            return packed
         packed = telemetry.pop(next(iter(telemetry)))
         self._balance -= self._size(packed)
-        return packed, None
+        return packed
 
     @property
     def flush_due(self) -> float:

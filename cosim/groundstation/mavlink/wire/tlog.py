@@ -22,14 +22,14 @@ _STAMP = struct.Struct(">Q")
 class TelemetryLog:
     """Telemetry log that grows frame by frame.  Raises InputError where its file cannot be opened."""
 
-    def __init__(self, path: Path, system: int = 1, component: int = 1, clock: Callable[[], float] = time.time) -> None:
+    def __init__(self, path: Path, system: int = 1, clock: Callable[[], float] = time.time) -> None:
         try:
             self._file: BinaryIO | None = path.open("wb")
         except OSError as error:
             raise InputError(f"{path}: the telemetry log cannot be written: {error}") from error
         self._clock = clock
         # The log is not signed, because each link has a signature of its own.
-        self._packer = FramePacker(system, component)
+        self._packer = FramePacker(system)
         self.frames = 0
         self.failure = ""  # why writing stopped; empty while it goes on
 
