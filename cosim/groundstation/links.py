@@ -15,8 +15,8 @@ from cosim.groundstation.mavlink.services.logs import LOG_FOLDER, LogService, Lo
 from cosim.groundstation.mavlink.services.metadata import Metadata
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.params import ParameterService
+from cosim.groundstation.mavlink.telemetry_state import Personality, VehicleConstants
 from cosim.groundstation.mavlink.vehicle import MavlinkVehicle
-from cosim.groundstation.mavlink.vehicle_constants import Personality, VehicleConstants
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.signing import Signing, read_key
 from cosim.groundstation.mavlink.wire.tlog import TelemetryLog

@@ -24,7 +24,6 @@ from cosim.control.autopilot.modes import LandedState, Severity
 from cosim.control.autopilot.parameters import Caution
 from cosim.flight import reserve_folder
 from cosim.groundstation.exchange import Exchange, FlightInfo, PendingRequest, Restart, Shutdown
-from cosim.groundstation.log_limit import LIMIT_MB
 from cosim.groundstation.parameter_guard import (
     ParameterGuard,
     ParameterWriter,
@@ -35,7 +34,7 @@ from cosim.groundstation.parameter_guard import (
     warn,
 )
 from cosim.groundstation.parameter_store import make_vehicle_key
-from cosim.groundstation.session_flight import Publisher, SessionFlight, forward_messages, make_flight_info
+from cosim.groundstation.session_flight import LIMIT_MB, Publisher, SessionFlight, forward_messages, make_flight_info
 from cosim.results.run import REQUESTS, Run, claim_folder
 from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build

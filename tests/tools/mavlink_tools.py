@@ -37,8 +37,8 @@ from cosim.control.autopilot.requests import (
 )
 from cosim.control.autopilot.status import Status
 from cosim.groundstation.exchange import Exchange, FlightInfo, Port, Snapshot
+from cosim.groundstation.mavlink.telemetry_state import VehicleConstants
 from cosim.groundstation.mavlink.vehicle import MavlinkVehicle
-from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import Peer

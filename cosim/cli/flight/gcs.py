@@ -141,7 +141,7 @@ def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) ->
     """Print where to connect, what flies, and where it is recorded."""
     from rich.console import Console
 
-    from cosim.groundstation.log_limit import estimate_hourly_mb
+    from cosim.groundstation.session_flight import estimate_hourly_mb
     from cosim.spec.scenario import controller_shown
 
     console = Console(stderr=True) if to_stderr else terminal()

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from math import ceil, isfinite, isnan, nan, pi
 
 from cosim.base.signals import PerServo
-from cosim.groundstation.mavlink.fields import I16, I32, U16, U32, to_field
-from cosim.groundstation.mavlink.telemetry_state import TelemetryState
+from cosim.groundstation.mavlink.telemetry_state import I16, I32, U16, U32, TelemetryState, to_field
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 
 KELVIN = 273.15

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from cosim.control.autopilot.modes import BY_STICK, LandedState, Mode
-from cosim.groundstation.mavlink.vehicle_constants import Personality
+from cosim.groundstation.mavlink.telemetry_state import Personality
 
 AUTOPILOT: dict[Personality, int] = {"px4": 12, "ardupilot": 3, "generic": 0}  # MAV_AUTOPILOT
 GENERIC_MULTIROTOR = 43  # MAV_TYPE for a number of engines that has no name of its own

@@ -12,10 +12,18 @@ from cosim.base.frames import conjugate, from_euler, rotate
 from cosim.control.autopilot.estimation.wind import estimate_wind
 from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.status import Status
-from cosim.groundstation.mavlink.fields import I16, I32, U8, U16, to_e7, to_field, to_mm
 from cosim.groundstation.mavlink.modes import AUTOPILOT, LANDED, LIST, STANDARD, base_mode, custom_mode, vehicle_type
-from cosim.groundstation.mavlink.telemetry_state import TelemetryState
-from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
+from cosim.groundstation.mavlink.telemetry_state import (
+    I16,
+    I32,
+    U8,
+    U16,
+    TelemetryState,
+    VehicleConstants,
+    to_e7,
+    to_field,
+    to_mm,
+)
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 from cosim.vehicle.atmosphere import standard_density
 

@@ -1,18 +1,45 @@
-"""The source of the vehicle's messages: a snapshot, and the state that is kept from one to the next."""
+"""What the vehicle's messages are made of: its constants, a snapshot, and the state from one to the next."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from math import isnan, nan
+from typing import Literal
 
 from cosim.base.frames import to_euler
+from cosim.base.geodesy import Geodesy
 from cosim.base.protocols import EngineState
-from cosim.base.signals import Vector3
+from cosim.base.signals import PerJet, Vector3
 from cosim.control.autopilot.modes import LandedState
 from cosim.groundstation.exchange import Snapshot
-from cosim.groundstation.mavlink.fields import U32
-from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
+
+# The most that a field holds.
+U8, U16, U32, I16, I32 = 0xFF, 0xFFFF, 0xFFFFFFFF, 0x7FFF, 0x7FFFFFFF
+Personality = Literal["px4", "ardupilot", "generic"]
+PERSONALITIES: tuple[Personality, ...] = ("px4", "ardupilot", "generic")
+
+
+@dataclass(frozen=True)
+class VehicleConstants:
+    """Constant data of a vehicle: identity, outputs, engines, and noise of its sensors."""
+
+    geodesy: Geodesy
+    jets: int
+    name: str = "hexjet"
+    version: str = "0.1.0"
+    personality: Personality = "px4"
+    system: int = 1
+    tilt_range: float = nan  # rad to either side of the middle; NaN: the outputs are sent in rad
+    servos: tuple[str, ...] = ("left", "right")  # names of the servos as faults state them
+    # Least and greatest angle of each servo, where the servos are not two banks.
+    ranges: tuple[tuple[float, float], ...] = ()
+    full_thrust: PerJet = ()  # N, each engine at full throttle; empty: not known
+    fuel_capacity: float = nan  # kg; NaN: no tank
+    position_noise: float = nan  # m, standard deviation of the GNSS; NaN: not known
+    velocity_noise: float = nan  # m/s
+    height_noise: float = nan  # m, of the barometer
 
 
 @dataclass
@@ -93,3 +120,16 @@ class TelemetryState:
     @property
     def altitude_above_sea(self) -> float:
         return self.vehicle.geodesy.ground + self.altitude
+
+
+def to_field(value: float, low: int, high: int) -> int:
+    """Return a value rounded and clipped to a field's range; NaN becomes 0."""
+    return 0 if isnan(value) else round(min(max(value, low), high))
+
+
+def to_e7(angle_deg: float) -> int:
+    return to_field(angle_deg * 1e7, -I32, I32)
+
+
+def to_mm(metres: float) -> int:
+    return to_field(metres * 1e3, -I32, I32)

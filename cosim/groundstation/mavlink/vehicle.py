@@ -35,8 +35,7 @@ from cosim.groundstation.mavlink.telemetry import (
     home_position,
     statustext,
 )
-from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState
-from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
+from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState, VehicleConstants
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, COMPONENT, Message, mav, prepare_message
 from cosim.groundstation.mavlink.wire.frames import Frame
 from cosim.groundstation.mavlink.wire.link import Link

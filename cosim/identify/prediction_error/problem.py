@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.identify.prediction_error.estimate import ORDERS, Estimate, Form, spread
-from cosim.identify.prediction_error.stretch import Stretch, hold_response
+from cosim.identify.prediction_error.stretches import Stretch, hold_response
 from cosim.identify.sweep.fit import separate_equal
 
 LEAST_VALID = 0.4  # share of the equations that lost samples may leave, which bounds the order

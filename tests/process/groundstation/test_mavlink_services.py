@@ -22,8 +22,8 @@ from cosim.groundstation.mavlink.services.ftp import FileService, MemoryFile
 from cosim.groundstation.mavlink.services.metadata import GENERAL, Metadata
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.params import ParameterService
+from cosim.groundstation.mavlink.telemetry_state import VehicleConstants
 from cosim.groundstation.mavlink.vehicle import MavlinkVehicle
-from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.transports.endpoint import parse_endpoint
 from cosim.simulation.autopilot_setup import attach_autopilot

@@ -23,8 +23,7 @@ from cosim.control.autopilot.estimation.estimates import LEAN_SURE, SPEED_SURE
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.flight import fly
 from cosim.groundstation.mavlink.streams import STREAMS
-from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState
-from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
+from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState, VehicleConstants
 from cosim.groundstation.session import make_ground_scenario
 from cosim.groundstation.web.feed import describe_state as web_state
 from cosim.results.autopilot.autopilot_record import read_pilot_record

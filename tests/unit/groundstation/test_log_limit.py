@@ -10,8 +10,8 @@ import pytest
 
 from cosim.flight import fly
 from cosim.groundstation.exchange import Exchange
-from cosim.groundstation.log_limit import estimate_hourly_mb
 from cosim.groundstation.session import RecordOptions, Session
+from cosim.groundstation.session_flight import estimate_hourly_mb
 from cosim.results.run import open_run
 from cosim.spec.scenario import Scenario
 

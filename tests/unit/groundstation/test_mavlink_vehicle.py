@@ -24,8 +24,7 @@ from cosim.control.autopilot.requests import LinkBack, LinkLost
 from cosim.groundstation.mavlink.modes import base_mode, custom_mode, from_custom, vehicle_type
 from cosim.groundstation.mavlink.streams import BY_ID, DEFAULT, STREAMS
 from cosim.groundstation.mavlink.telemetry import statustext
-from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState
-from cosim.groundstation.mavlink.vehicle_constants import PERSONALITIES
+from cosim.groundstation.mavlink.telemetry_state import PERSONALITIES, FlightEvents, TelemetryState
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.atmosphere import standard_density

@@ -1,13 +1,19 @@
-"""Conversion between MAVLink's mission items and those that the autopilot flies."""
+"""Conversion between MAVLink's mission items and what the autopilot flies: missions, fences, rally points.
+
+https://mavlink.io/en/services/mission.html#geofence: every corner of a polygon is an item that carries the number of
+corners; a circle is one item.  Heights of rally points as those of waypoints.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from math import degrees, hypot, isfinite, isnan, nan, pi, radians
 from typing import NamedTuple, get_args
 
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
-from cosim.control.autopilot.requests import ItemKind, Metres, MissionItem
+from cosim.control.autopilot import requests as rq
+from cosim.control.autopilot.requests import ItemKind, Metres, MissionItem, ZoneKind
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
@@ -269,3 +275,116 @@ def _find_code(text: str) -> int:
     """Return the result code of the field that an error of ``MissionItem`` names."""
     name = text.removeprefix("MissionItem.").split(" ")[0]
     return _FIELDS.get(name, int(INVALID))
+
+
+# ---- fence and rally points
+
+
+_POLYGONS = {
+    wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: ZoneKind.STAY_IN_POLYGON,
+    wire.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: ZoneKind.STAY_OUT_OF_POLYGON,
+}
+_CIRCLES = {
+    wire.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: ZoneKind.STAY_IN_CIRCLE,
+    wire.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: ZoneKind.STAY_OUT_OF_CIRCLE,
+}
+_COMMANDS = {kind: command for command, kind in (_POLYGONS | _CIRCLES).items()}
+_RALLY = wire.MAV_CMD_NAV_RALLY_POINT
+# Old stations send a return point with a fence.  It is ignored, because this vehicle returns home or to a rally point.
+_RETURN_POINT = wire.MAV_CMD_NAV_FENCE_RETURN_POINT
+
+
+def check_fence_item(item: Item) -> None:
+    """Refuse an item that is not one of a fence.  Raises ItemError."""
+    if item.command not in (*_POLYGONS, *_CIRCLES, _RETURN_POINT):
+        raise ItemError(UNSUPPORTED, f"command {item.command} is not one of a fence")
+    first = item.params[0]
+    if item.command in _CIRCLES and not (isfinite(first) and first > 0.0):
+        raise ItemError(PARAM1, f"radius {first:g}: more than 0 m is needed")
+    if item.command in _POLYGONS and not (isfinite(first) and first == int(first)):
+        raise ItemError(PARAM1, f"{first:g} corners: a whole number is needed")
+
+
+def to_fence(items: Sequence[Item], geodesy: Geodesy) -> rq.FenceUpload:
+    """Return the fence of these items.  Raises ItemError for corners that do not make up their polygon."""
+    zones: list[rq.FenceZone] = []
+    corners: list[tuple[float, float]] = []
+    for index, item in enumerate(items):
+        if item.command == _RETURN_POINT:
+            continue
+        corner = to_local_position(item, geodesy, 0.0)
+        try:
+            if item.command in _CIRCLES:
+                zones.append(rq.FenceZone(_CIRCLES[item.command], (corner,), float(item.params[0])))
+                continue
+            corners.append(corner)
+            count = item.params[0]
+            next_item = items[index + 1] if index + 1 < len(items) else None
+            if len(corners) < count and (
+                next_item is None or next_item.command != item.command or next_item.params[0] != count
+            ):
+                raise ItemError(PARAM1, f"item {index}: a polygon of {count:g} corners ends after {len(corners)}")
+            if len(corners) >= count:
+                zones.append(rq.FenceZone(_POLYGONS[item.command], tuple(corners)))
+                corners = []
+        except InputError as error:
+            raise ItemError(PARAM1, f"item {index}: {error}") from error
+    try:
+        return rq.FenceUpload(tuple(zones))
+    except InputError as error:
+        raise ItemError(NO_SPACE, str(error)) from error
+
+
+def from_fence(zones: Sequence[rq.FenceZone], geodesy: Geodesy) -> list[Item]:
+    """Return a fence as mission items."""
+    items = []
+    for zone in zones:
+        circle = zone.kind in _CIRCLES.values()
+        first = zone.radius if circle else float(len(zone.points))
+        for north, east in zone.points:
+            x, y = _to_e7(north, east, geodesy)
+            items.append(Item(wire.MAV_FRAME_GLOBAL_INT, _COMMANDS[zone.kind], (first, 0.0, 0.0, 0.0), x, y, 0.0))
+    return items
+
+
+def check_rally_item(item: Item) -> None:
+    """Refuse an item that is not a rally point.  Raises ItemError."""
+    if item.command != _RALLY:
+        raise ItemError(UNSUPPORTED, f"command {item.command} is no rally point")
+
+
+def to_rally(items: Sequence[Item], geodesy: Geodesy, home_altitude: float) -> rq.RallyUpload:
+    """Return the rally points of these items.  Raises ItemError."""
+    points = []
+    for item in items:
+        altitude = to_altitude(item, geodesy, home_altitude)
+        north, east = to_local_position(item, geodesy, altitude)
+        try:
+            points.append(rq.RallyPoint(north, east, altitude))
+        except InputError as error:
+            raise ItemError(INVALID, str(error)) from error
+    try:
+        return rq.RallyUpload(tuple(points))
+    except InputError as error:
+        raise ItemError(NO_SPACE, str(error)) from error
+
+
+def from_rally(points: Sequence[rq.RallyPoint], geodesy: Geodesy) -> list[Item]:
+    """Return rally points as mission items, heights above the sea."""
+    items = []
+    for point in points:
+        x, y = _to_e7(point.north, point.east, geodesy)
+        z = geodesy.ground + point.altitude
+        items.append(Item(wire.MAV_FRAME_GLOBAL_INT, _RALLY, (0.0, 0.0, 0.0, 0.0), x, y, z))
+    return items
+
+
+def _to_e7(north: float, east: float, geodesy: Geodesy) -> tuple[int, int]:
+    latitude, longitude, _ = geodesy.to_geodetic(north, east, 0.0)
+    return round(1e7 * latitude), round(1e7 * longitude)
+
+
+CHECKS: dict[int, Callable[[Item], None]] = {
+    wire.MAV_MISSION_TYPE_FENCE: check_fence_item,
+    wire.MAV_MISSION_TYPE_RALLY: check_rally_item,
+}

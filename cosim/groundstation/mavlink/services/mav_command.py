@@ -11,8 +11,7 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from cosim.control.autopilot.requests import Request, Result
-from cosim.groundstation.mavlink.telemetry_state import TelemetryState
-from cosim.groundstation.mavlink.vehicle_constants import VehicleConstants
+from cosim.groundstation.mavlink.telemetry_state import TelemetryState, VehicleConstants
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.peer import Peer
 

@@ -4,7 +4,7 @@ The vehicle is the one who asks for every item of an upload, again after a quart
 here at all.  What was uploaded is given back as it came; a mission from elsewhere is written as items.
 https://mavlink.io/en/services/mission.html
 
-Fence and rally points travel the same way and are :mod:`cosim.groundstation.mavlink.services.plans`'s.
+Fence and rally points travel the same way; what their items are :mod:`cosim.groundstation.mavlink.services.items` says.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from cosim.control.autopilot.status import Status
 from cosim.groundstation.mavlink.services.items import (
     ACCEPTED,
     CANCELLED,
+    CHECKS,
     DENIED,
     ERROR,
     LEFT_OUT,
@@ -31,11 +32,14 @@ from cosim.groundstation.mavlink.services.items import (
     UNSUPPORTED,
     Item,
     ItemError,
+    from_fence,
+    from_rally,
     parse_item,
+    to_fence,
     to_item,
     to_mission_item,
+    to_rally,
 )
-from cosim.groundstation.mavlink.services.plans import CHECKS, from_fence, from_rally, to_fence, to_rally
 from cosim.groundstation.mavlink.services.service import AnswerQueue, Ask, Client, Outgoing, Service, make_service_text
 from cosim.groundstation.mavlink.telemetry import mission_progress, mission_state
 from cosim.groundstation.mavlink.wire.dialect import Message

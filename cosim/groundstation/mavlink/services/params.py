@@ -28,7 +28,7 @@ from cosim.groundstation.mavlink.services.service import (
     crc32,
     decode_text,
 )
-from cosim.groundstation.mavlink.vehicle_constants import Personality
+from cosim.groundstation.mavlink.telemetry_state import Personality
 from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 from cosim.groundstation.mavlink.wire.peer import Peer
