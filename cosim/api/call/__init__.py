@@ -2,5 +2,3 @@
 
 from cosim.api.call.arguments import Limits, checked
 from cosim.api.call.result import FolderResult, Progress, Result, Table
-
-__all__ = ["FolderResult", "Limits", "Progress", "Result", "Table", "checked"]

@@ -2,5 +2,3 @@
 
 from cosim.identify.logs.flight_log import Channel, FlightLog, LogSignals, unit_of
 from cosim.identify.logs.read import KINDS, is_flight_log, read_flight_log, signals_of
-
-__all__ = ["KINDS", "Channel", "FlightLog", "LogSignals", "is_flight_log", "read_flight_log", "signals_of", "unit_of"]

@@ -2,5 +2,3 @@
 
 from cosim.identify.replay.recorded import RecordedFlight, ThrottleChannels, has_commands, record_flight
 from cosim.identify.replay.replay import Choices, Replay, replay
-
-__all__ = ["Choices", "RecordedFlight", "Replay", "ThrottleChannels", "has_commands", "record_flight", "replay"]

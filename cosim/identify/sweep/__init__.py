@@ -10,17 +10,3 @@ from cosim.identify.sweep.fit import Fit, Model, fit
 from cosim.identify.sweep.page import write
 from cosim.identify.sweep.response import FrequencyResponse, Record, estimate
 from cosim.identify.sweep.result import Identification, Sweep
-
-__all__ = [
-    "Fit",
-    "FrequencyResponse",
-    "Identification",
-    "Model",
-    "Record",
-    "Sweep",
-    "estimate",
-    "fit",
-    "identify_axis",
-    "identify_engine",
-    "write",
-]
