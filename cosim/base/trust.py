@@ -93,7 +93,7 @@ def need_trust(code: Iterable[Code], what: str) -> None:
     for sha256 in unshipped.keys() & _read_remembered():
         del unshipped[sha256]
     unknown = [file for file in unshipped.values() if not _is_accepted(file)]
-    if unknown and not _has_consent(unknown):
+    if unknown and not (_ask and _ask(unknown)):
         names = _list_files(unknown)
         how = "cosim.trust" if _decision.by_program else "--trust"
         raise CodeRefusedError(
@@ -290,10 +290,6 @@ def _read_remembered() -> frozenset[str]:
     except (OSError, RuntimeError):
         return frozenset()
     return _hashes_by_file[file][1]
-
-
-def _has_consent(files: Sequence[Code]) -> bool:
-    return _ask is not None and _ask(files)
 
 
 def _list_files(files: Sequence[Code]) -> str:

@@ -110,15 +110,11 @@ def _valid(
         shown = shown if len(shown) <= _SHOWN else f"{shown[: _SHOWN - 3]}..."
         wrong = error.errors(include_url=False)
         listed = [each["ctx"]["expected"] for each in wrong if each["type"] == "literal_error"]
+        names = listed[0].split("'")[1::2] if listed else []  # of a text such as: 'a', 'b' or 'c'
         for each in wrong:
             if listed and isinstance(each["input"], str):
-                raise InputError(f"{where}: {each['input']!r}: {nearest(each['input'], _words(listed[0]))}") from None
+                raise InputError(f"{where}: {each['input']!r}: {nearest(each['input'], names)}") from None
         allowed = listed[0] if listed else parameter.annotation
         raise InputError(f"{where}: {shown} is a value of type {type(value).__name__}; allowed: {allowed}") from None
     _check_value(where, valid, limits)
     return valid
-
-
-def _words(listed: str) -> list[str]:
-    """Return the words of a list in quotes: ``'a', 'b' or 'c'``."""
-    return listed.split("'")[1::2]

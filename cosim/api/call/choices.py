@@ -80,12 +80,13 @@ def load_scenario(
     else:
         scenario = _read(scenario, settings)
     changes: dict[str, Any] = {}
+    keys = {text.partition("=")[0].strip() for text in settings}
     if aircraft is not None:
         from cosim.spec.vehicle import aircraft_seen_from, engine_of
 
         aircraft = aircraft_seen_from(aircraft, Path())
         changes |= {"aircraft": aircraft, "engine": engine_of(aircraft) or scenario.engine}
-        if controller is None and model is None and designed is None and "controller" not in _keys_of(settings):
+        if controller is None and model is None and designed is None and "controller" not in keys:
             changes |= _controller_without_a_model(aircraft, scenario, note)
     if controller is not None:
         # a file on the command line is meant from here, one in the scenario from the scenario's folder
@@ -125,11 +126,6 @@ def _read(scenario: Scenario | str | Path, settings: Sequence[str]) -> Scenario:
         key, value = parse_setting(text)
         set_path(table, key, value, f"{where}: --set")
     return Scenario.from_table(table, scenario.folder, where, scenario.origin or scenario)
-
-
-def _keys_of(settings: tuple[str, ...]) -> set[str]:
-    """Return the keys of ``--set`` that are the scenario's own."""
-    return {text.partition("=")[0].strip() for text in settings}
 
 
 def _controller_without_a_model(aircraft: str, scenario: Any, note: Note) -> dict[str, str]:

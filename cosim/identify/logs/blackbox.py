@@ -276,7 +276,7 @@ class _Frames:
         if kind == "P" and self.last is None:
             self.unusable += 1
             return
-        self._predicted(kind, layout, values)
+        self._add_predicted(layout, values)
         if kind in "GHS":
             if kind == "H":
                 self.home = values
@@ -292,7 +292,7 @@ class _Frames:
             self.time = values[self.timed]
         self.rows.extend(values)
 
-    def _predicted(self, kind: str, layout: Layout, values: list[int]) -> None:
+    def _add_predicted(self, layout: Layout, values: list[int]) -> None:
         """Add to each value what its predictor says, in 32 bits."""
         last, before, homes = self.last or (), self.before or (), 0
         for n, code in enumerate(layout.predictors):
