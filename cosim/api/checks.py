@@ -85,7 +85,7 @@ def check_engine(
     settings : sequence of str or mapping
         Parameters of the engine.
     time_limit_s : float
-        For all of it [s].
+        Time of the clock for the whole check [s].
     out : str or Path or None
         A folder for page and data; without it nothing is written.
 

@@ -135,7 +135,9 @@ def compare(
 
     hears = progress or Progress()
     if not 2 <= len(flights) <= len(LETTERS):
-        raise InputError(f"compare: {len(flights)} flights; allowed: 2 to {len(LETTERS)}")
+        raise InputError(
+            f"compare: {len(flights)} flight{'s' if len(flights) != 1 else ''}; allowed: 2 to {len(LETTERS)}"
+        )
     if out is not None and page_path(Path(out)).exists():
         raise InputError(f"{page_path(Path(out))}: is there already; choose another name or remove it")
     loaded = [_load_flight(letter, each, hears.note) for letter, each in zip(LETTERS, flights, strict=False)]

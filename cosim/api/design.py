@@ -154,17 +154,17 @@ def design(
     model : str or Path or None
         A file with identified models, taken instead of what engine and airframe make together.
     amplitude : float or None
-        Of the engine's sweep, in throttle; None: 0.005.
+        Amplitude of the engine's sweep, in throttle; None: 0.005.
     max_sensitivity : float
         The largest peak of |S|.
     delay_tolerance : float or None
-        Of the delay, both ways, as a share; None: of the engine's uncertainty, or 0.3.
+        Share of the delay that it may be off, both ways; None: as the engine's uncertainty, or 0.3.
     gain_tolerance : float or None
-        Of the gain, both ways, as a share; None: as of the delay.
+        Share of the gain that it may be off, both ways; None: as of the delay.
     engine_spread : float or None
-        Of gain and lag, by which one engine is off in the proof, as a share.
+        Share of gain and lag by which one engine is off in the proof.
     min_bandwidth_hz : float
-        Of roll and pitch [Hz].
+        Least bandwidth of roll and pitch [Hz].
     noise_share : float
         One standard deviation of sensor noise in a command, as a share of its room.
     autopilot : str or None

@@ -107,7 +107,7 @@ def export(
     out : str or Path or None
         The file or its folder, what is there is overwritten; None: in the run's folder.
     rates : str
-        Of ULog: ``all`` steps, or each topic about as often as ``px4`` logs it.
+        Rates of ULog: ``all`` steps, or each topic about as often as ``px4`` logs it.
 
     Returns
     -------
@@ -174,7 +174,7 @@ def export_controller(
     settings : sequence of str or mapping
         Written over the scenario's.
     name : str
-        Of files, functions and types, an identifier.
+        Name of files, functions and types, an identifier.
     licence : str or None
         Stated in every file that is ours alone, an SPDX expression; None: NOASSERTION.
     fmus : bool
@@ -259,7 +259,7 @@ def export_vehicle(
     kind : str
         ``fmu``, or ``ssp``: archives of a system, with the engines as components.
     name : str
-        Of the files, an identifier.
+        Name of the files, an identifier.
     progress : Progress or None
         Hears notes.
 

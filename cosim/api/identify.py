@@ -117,17 +117,17 @@ def identify(
     engine : str or Path or None
         A name, an FMU or its mapping file; None: the aircraft's own.
     aircraft : str or Path
-        Of an axis.
+        Of an axis: what flies.
     controller : str or None
-        Of an axis; None: smith, or baseline where no model is known.
+        Of an axis: what flies it; None: smith, or baseline where no model is known.
     from_hz : float or None
         Lowest frequency of the response [Hz]; None: as it suits, as the next three.
     to_hz : float or None
         Highest frequency of the response [Hz].
     amplitude : float or None
-        Of the chirp, in the unit of the command.
+        Amplitude of the chirp, in the unit of the command.
     duration_s : float or None
-        Of the chirp [s].
+        Duration of the chirp [s].
     lags : int or None
         Beside the slow pole; None: one of an axis, none of an engine.
     hold : mapping or None
@@ -135,13 +135,13 @@ def identify(
     substeps : int or None
         Of an axis: JSBSim steps in a control step.
     seed : int or None
-        Of an axis: of the sensor noise.
+        Of an axis: seed of the sensor noise.
     throttle : float
-        Of an engine: around which it is swept.
+        Of an engine: the throttle around which it is swept.
     step_s : float
         Of an engine: its sample time [s].
     settings : sequence of str or mapping
-        Of an axis, written over the scenario; of an engine, its parameters.
+        Of an axis: written over the scenario; of an engine: its parameters.
     out : str or Path or None
         A folder for model, page and data; without it nothing is written.
 
@@ -277,9 +277,9 @@ def identify_bench(
     between : str
         What the command does between two rows: ``held``, ``straight``, or ``auto``, by how it moves.
     longest_delay_s : float
-        That is looked for [s].
+        Longest delay that is looked for [s].
     engine : str or Path or None
-        Whose parameters are fitted: a name, an FMU or its mapping file.
+        Engine whose parameters are fitted: a name, an FMU or its mapping file.
     fit : sequence of str
         Which, beside the delay, which always is.
     settings : sequence of str or mapping
@@ -287,7 +287,7 @@ def identify_bench(
     time_column : str or None
         A table's column of time.
     time_unit : str or None
-        Of that column: s, ms, us, ns, min or h.
+        Unit of that column: s, ms, us, ns, min or h.
     begin : float or None
         The logs are used from here on, in their own time [s].
     end : float or None

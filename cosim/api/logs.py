@@ -107,13 +107,13 @@ def identify_log(
     time_column : str or None
         A table's column of time.
     time_unit : str or None
-        Of that column: s, ms, us, ns, min or h.
+        Unit of that column: s, ms, us, ns, min or h.
     begin : float or None
         The log is used from here on, in its own time [s].
     end : float or None
         And to here [s].
     longest_delay_s : float
-        That is looked for [s].
+        Longest delay that is looked for [s].
     working_step_s : float or None
         Samples are averaged to it [s]; None: as it suits.
     lags : int or None
@@ -246,11 +246,11 @@ def validate(
     log : str or Path
         As for :func:`identify_log`, of another flight best.
     axis : str or None
-        Of a model file that has more than one.
+        The axis, of a model file that has several.
     time_column : str or None
         A table's column of time.
     time_unit : str or None
-        Of that column: s, ms, us, ns, min or h.
+        Unit of that column: s, ms, us, ns, min or h.
     begin : float or None
         The log is used from here on, in its own time [s].
     end : float or None

@@ -116,7 +116,7 @@ def margins(
     scenario : Scenario or str or Path
         Vehicle, engine, controller and air; its commands, faults and passing disturbances are left out.
     axes : sequence of str
-        Of roll, pitch and yaw.
+        Axes that are measured, of roll, pitch and yaw.
     controller : str or Path or object or None
         In place of the scenario's: a name or a file, as ``hexjet fly --controller`` has it; or a class or an object of
         one's own.
@@ -127,7 +127,7 @@ def margins(
     settings : sequence of str or mapping
         Written over the scenario's: ``vehicle.mass_kg=6`` or ``{"vehicle.mass_kg": 6.0}``.
     seed : int or None
-        Of sensor noise and turbulence.
+        Seed of sensor noise and turbulence.
     amplitude : float or None
         Peak of what is added, in shares of thrust, rad of tilt or rad/s^2.
     from_hz : float or None
@@ -135,9 +135,9 @@ def margins(
     to_hz : float or None
         Highest frequency [Hz]; None: a tenth of the control rate.
     period_s : float or None
-        Of the multisine [s]; None: 20, or 60 for a slow loop.
+        Period of the multisine [s]; None: 20, or 60 for a slow loop.
     periods : int
-        That are measured.
+        Periods that are measured.
     limit : bool
         Whether each computed loop is compared with the best that any linear controller could do.
     at_least : str or None

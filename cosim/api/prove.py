@@ -96,7 +96,7 @@ def prove(
     budget : int or None
         Flights at most; None: ten times what the claim needs at least.
     controllers : sequence of str
-        Of a study with several, the one that is meant.
+        The controller that is meant, of a study with several.
     aircraft : str or Path or None
         In place of the scenario's, with the engine that it is made for.
     engine : str or Path or None
@@ -106,7 +106,7 @@ def prove(
     settings : sequence of str or mapping
         Written over the scenario's.
     seed : int or None
-        Of the draws.
+        Seed of the draws.
     search : int
         Flights for each search, of the most likely failure and of the worst case; 0: none.
     rare : int
@@ -120,7 +120,7 @@ def prove(
     cluster : str or None
         The address of a Dask scheduler, or ``local``.
     time_limit_s : float or None
-        For a flight [s].
+        Time of the clock for a flight [s].
     out : str or Path or None
         The folder; None: a new one in ``runs/``.
     resume : bool

@@ -119,7 +119,7 @@ def replay(
     time_column : str or None
         A table's column of time.
     time_unit : str or None
-        Of that column: s, ms, us, ns, min or h.
+        Unit of that column: s, ms, us, ns, min or h.
     begin : float or None
         The log is used from here on, in its own time [s].
     end : float or None
@@ -127,15 +127,15 @@ def replay(
     window_s : float or None
         The vehicle starts anew after so long [s]; None: by its size.
     draws : int
-        Of the vehicle within its tolerances.
+        Vehicles that are drawn within their tolerances.
     inertia_tolerance : float
         Standard deviation of each moment of inertia, as a share of it.
     mass_tolerance : float
-        Of the mass, the same.
+        Standard deviation of the mass, as a share of it.
     thrust_tolerance : float
-        Of the thrust, the same, of an engine that states no uncertainty.
+        Standard deviation of the thrust, as a share of it, of an engine that states no uncertainty.
     seed : int
-        Of the draws.
+        Seed of the draws.
     out : str or Path or None
         A folder for page and data; without it nothing is written.
     progress : Progress or None

@@ -157,7 +157,7 @@ def search(
     likely : bool
         Whether the failure that is nearest to the middle of what is drawn is searched.
     within : str or float or None
-        Of these two: at most so many standard deviations from the middle, or ``ranges``.
+        With ``worst`` or ``likely``: at most so many standard deviations from the middle, or ``ranges``.
     over : str or None
         A curve: a search at each of these values of a second key, ``KEY=LO:HI:N``.
     controllers : sequence of str
@@ -167,7 +167,7 @@ def search(
     seeds : int
         Flights of every point.
     share : float
-        Of a point's flights that have to break before it does; 0: any of them.
+        Share of a point's flights that have to break before it does; 0: any of them.
     success : sequence of str
         What a completed flight must keep too, ``METRIC<=X``.
     budget : int
@@ -181,17 +181,17 @@ def search(
     settings : sequence of str or mapping
         Written over the scenario's.
     metrics : sequence of str
-        Of your own, beside the built-in ones.
+        Metrics of your own, beside the built-in ones.
     wind : str or None
-        Of your own, over time and place.
+        A wind of your own, over time and place.
     seed : int or None
-        Of the first flight of a point.
+        Seed of the first flight of a point.
     workers : int or None
         Processes; None: one a processor.
     cluster : str or None
         The address of a Dask scheduler, or ``local``.
     time_limit_s : float or None
-        For a flight [s].
+        Time of the clock for a flight [s].
     out : str or Path or None
         The folder; None: a new one in ``runs/``.
     resume : bool
@@ -334,17 +334,17 @@ def rare(
     settings : sequence of str or mapping
         Written over the scenario's.
     metrics : sequence of str
-        Of your own, beside the built-in ones.
+        Metrics of your own, beside the built-in ones.
     wind : str or None
-        Of your own, over time and place.
+        A wind of your own, over time and place.
     seed : int or None
-        Of the draws.
+        Seed of the draws.
     workers : int or None
         Processes; None: one a processor.
     cluster : str or None
         The address of a Dask scheduler, or ``local``.
     time_limit_s : float or None
-        For a flight [s].
+        Time of the clock for a flight [s].
     out : str or Path or None
         The folder; None: a new one in ``runs/``.
     resume : bool

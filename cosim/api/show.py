@@ -55,7 +55,9 @@ _MEANINGS_OF_MARGINS = {  # of the last part of a key in the file of a design
     "settling_s": "of a step, within 5 %",
 }
 _NO_THRUST = 1e-9  # of full thrust: what is left of it when its lag has run down, and no idling
-_FILES = "the folder of a run or an aircraft, the file of a scenario, a study, a design or an engine's mapping"
+_FILES = (
+    "the folder of a run, a design or an aircraft, the file of a scenario, a study, a design or an engine's mapping"
+)
 _TEXTS = ("name", "title", "description")
 
 
@@ -222,9 +224,7 @@ def _own_file(name: str) -> dict[str, Any] | None:
     kind = {SCENARIO: "scenarios", STUDY: "studies", AIRCRAFT: "aircraft"}.get(find_kind(table) or MODELS)
     if kind is None:
         return None
-    numbers = (
-        _aircraft(name) if kind == "aircraft" else _scenario(name, table) if kind == "scenarios" else _file_rows(table)
-    )
+    numbers = {"aircraft": _aircraft(name), "scenarios": _scenario(name, table), "studies": _file_rows(table)}[kind]
     described = {key: " ".join(str(table.get(key, "")).split()) for key in ("title", "description")}
     return {"kind": kind, "name": name, **described, "numbers": list(numbers)}
 
@@ -234,8 +234,8 @@ def _design(name: str) -> dict[str, Any] | None:
     from cosim.base.storage.toml import read_toml
     from cosim.simulation.controllers.controller_file import describe_proof, read_purpose
 
-    path = Path(name)
-    table = read_toml(path) if is_design(name) and path.is_file() else {}
+    path = Path(name) / "controller.toml" if Path(name).is_dir() else Path(name)
+    table = read_toml(path) if is_design(str(path)) and path.is_file() else {}
     if not isinstance(table.get("design"), Mapping):  # a study's is a word
         return None
     purpose = read_purpose(path)

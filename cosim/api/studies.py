@@ -161,17 +161,17 @@ def sweep(
     settings : sequence of str or mapping
         Written over the scenario's: ``duration_s=2.5`` or ``{"duration_s": 2.5}``.
     metrics : sequence of str
-        Of your own, beside the built-in ones.
+        Metrics of your own, beside the built-in ones.
     wind : str or None
-        Of your own, over time and place.
+        A wind of your own, over time and place.
     seed : int or None
-        Of the draws.
+        Seed of the draws.
     workers : int or None
         Processes; None: one a processor.
     cluster : str or None
         The address of a Dask scheduler, or ``local``.
     time_limit_s : float or None
-        For a flight [s]; None: 60, or ten of its lengths.
+        Time of the clock for a flight [s]; None: 60, or ten of its lengths.
     out : str or Path or None
         The folder; None: a new one in ``runs/``.
     resume : bool

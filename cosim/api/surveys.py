@@ -322,7 +322,7 @@ def failsafes(
     flights : int
         From each height, each in the next of the winds and at a moment of its own.
     seed : int
-        Of the moments and the noise.
+        Seed of the moments and the noise.
     airborne : bool
         Whether it begins in the air, trimmed, from every height in every wind once.
     moving : float

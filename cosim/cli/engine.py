@@ -80,7 +80,7 @@ class Survey(opt.Output):
         nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path)
     )
     controller = opt.word("--controller", "NAME", "As in hexjet design, or auto.", "baseline")
-    time_limit = opt.number("--time-limit", "S", "For each command.", min=1.0, default=900.0)
+    time_limit = opt.number("--time-limit", "S", "Time of the clock for each command.", min=1.0, default=900.0)
     page = opt.path(
         "--page",
         "FILE.md",
@@ -106,6 +106,9 @@ def fmu_survey(options: Survey) -> int:
     engines, page = options.engines, options.page
     if options.missing and page is None:
         raise InputError("--missing: goes with --page, which has the rows")
+    for path in engines:
+        if not path.exists():
+            raise InputError(f"{path}: no such file")
     if page:
         check_marks(page, [MARK])
     if page and options.missing:
@@ -132,7 +135,7 @@ class Check(opt.Output):
     engine: str = opt.argument(metavar="NAME|FILE")
     step_s = opt.positive("--step", "S", "Control step.  [default: 0.004, or the library engine's]")
     settings = opt.words("--set", "PARAMETER=VALUE", "Set a parameter of the engine.")
-    time_limit_s = opt.number("--time-limit", "S", "For all of it.", min=1.0, default=120.0)
+    time_limit_s = opt.number("--time-limit", "S", "Time of the clock for the whole check.", min=1.0, default=120.0)
     out = opt.OUT
     as_json = opt.JSON
 

@@ -11,7 +11,7 @@ GROUPS = {
     },
     "Look": {
         "list": "list what can be flown",
-        "show": "show one of them with its numbers and units",
+        "show": "show one of them, or a run, with its numbers",
         "open": "look through runs in the browser",
         "compare": "lay flights over each other",
         "report": "write the page of a run or a campaign again",

@@ -118,7 +118,7 @@ def whole(name: str, metavar: str | None, text: str, **limits: int) -> int | Non
 def whole(name: str, metavar: str | None, text: str, *, default: int | None = None, **limits: Any) -> Any:
     """Declare an option that is a whole number; ``limits`` as of ``click.IntRange``."""
     kind = click.IntRange(**limits) if limits else int
-    return option(name, type=kind, metavar=metavar, help=text, default=default, show_default=default is not None)
+    return option(name, type=kind, metavar=metavar or "N", help=text, default=default, show_default=default is not None)
 
 
 @overload
@@ -128,7 +128,7 @@ def number(name: str, metavar: str | None, text: str, **limits: float) -> float 
 def number(name: str, metavar: str | None, text: str, *, default: float | None = None, **limits: Any) -> Any:
     """Declare an option that is a finite number; ``limits`` as of ``click.FloatRange``."""
     kind = Number(**limits)
-    return option(name, type=kind, metavar=metavar, help=text, default=default, show_default=default is not None)
+    return option(name, type=kind, metavar=metavar or "X", help=text, default=default, show_default=default is not None)
 
 
 @overload
@@ -236,10 +236,10 @@ WIND = word("--wind", "NAME|FILE.csv", "Yours over time and place, the same way,
 
 
 LOG_PART = (
-    word("--time", "NAME", "A table's column of time.  [default: the one called so]"),
-    word("--time-unit", None, "Of that column: s, ms, us, ns, min or h.  [default: as the column says, or s]"),
+    word("--time", "NAME", "Column of time, of a table.  [default: the one called so]"),
+    word("--time-unit", None, "Unit of that column: s, ms, us, ns, min or h.  [default: as the column says, or s]"),
     renamed(number("--begin", "S", "Use the log from here on, in its own time."), "--from"),
-    renamed(number("--end", "S", "And to here."), "--to"),
+    renamed(number("--end", "S", "Use the log up to here, in its own time."), "--to"),
 )
 
 

@@ -46,6 +46,7 @@ _FOLDERS = (  # by files in them; the first that has all is it
     (("search.json",), FileKind("the folder of a search", "hexjet search --resume")),
     (("rare.json",), FileKind("the folder of a hexjet rare", "hexjet rare --resume")),
     (("summary.json",), FileKind("the folder of a run", "hexjet show FOLDER")),
+    (("controller.toml",), FileKind("the folder of a design", "--controller FOLDER/controller.toml")),
     (("margins.json",), FileKind("the folder of measured margins", "its report.html")),
     (("identification.json",), FileKind("the folder of an identification", "hexjet validate")),
     (("replay.json",), FileKind("the folder of a replay", "its report.html")),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from math import isfinite, nan
 from pathlib import Path
@@ -233,9 +233,7 @@ def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
     first = errors[0]
     key = ".".join(_path(model, first["loc"]))
     kind, value = first["type"], first["input"]
-    others = [".".join(_path(model, item["loc"])) for item in errors[1:]]
-    others = [other for other in dict.fromkeys(others) if other not in ("", key)]
-    rest = f"; wrong too: {', '.join(others[:_OTHERS])}{', ...' if len(others) > _OTHERS else ''}" if others else ""
+    rest = "".join(_describe_others(model, errors, key))
     if kind == "extra_forbidden":
         name = str(first["loc"][-1])
         return f"unknown key {key!r}; {nearest(name, _allowed_keys(model, first['loc']))}{rest}"
@@ -257,6 +255,20 @@ def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
     shown = "" if isinstance(value, (dict, list)) else f" = {value!r}"
     return f"{key}{shown}: {message}{rest}" if key else f"{message}{rest}"
+
+
+def _describe_others(model: type[BaseModel], errors: Sequence[ErrorDetails], first: str) -> Iterator[str]:
+    """Yield clauses with the keys that are wrong beside the first: those that are missing, unknown, and otherwise."""
+    kinds: dict[str, dict[str, None]] = {"missing": {}, "unknown": {}, "wrong": {}}
+    names = {"missing": "missing", "extra_forbidden": "unknown"}
+    for item in errors[1:]:
+        key = ".".join(_path(model, item["loc"]))
+        if key not in ("", first):
+            kinds[names.get(item["type"], "wrong")][key] = None
+    for kind, keys in kinds.items():
+        if keys:
+            listed = [*list(keys)[:_OTHERS], *(["..."] if len(keys) > _OTHERS else [])]
+            yield f"; {kind}{' too' if kind == names.get(errors[0]['type'], 'wrong') else ''}: {', '.join(listed)}"
 
 
 def _is_not_false(item: ErrorDetails) -> bool:

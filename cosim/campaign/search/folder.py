@@ -62,7 +62,7 @@ def resolve_search(
     if repeated is not None:
         raise InputError(f"--vary {repeated}: is there twice")
     if not varied:
-        raise InputError(f"{name}: nothing is varied; --vary KEY=LO:HI says what")
+        raise InputError(f"{name}: nothing varies; --vary KEY=LO:HI says what does")
     if over_entries and len(varied) > 1:
         raise InputError(f"--over {over}: goes with one --vary, and there are {len(varied)}")
     plain = [entry.model_copy(update={"levels": None}).text for entry in (*varied, *over_entries)]

@@ -14,7 +14,7 @@ from cosim.base.storage.toml import parse_setting, read_toml, validate
 from cosim.base.trust import mention
 from cosim.campaign.study.distributions import UNCERTAIN, parse_number, parse_vary, vary_tables
 from cosim.campaign.study.engine_draw import default_draw
-from cosim.campaign.study.sequential import default_runs
+from cosim.campaign.study.sequential import default_runs, parse_claim
 from cosim.campaign.study.study import DESIGNS, Correlation, Study, flatten_settings, study_names
 from cosim.spec.controller_name import seen_from, short_name
 from cosim.spec.file_kind import SCENARIO, STUDY, describe_path, refuse_other_ending, refuse_other_kind
@@ -72,6 +72,8 @@ def open_study(
         data["controllers"] = [seen_from(controller, Path()) for controller in controllers]
     chosen = {"design": design, "runs": runs, "repeats": repeats, "seed": seed, "until": until}
     data |= {key: value for key, value in chosen.items() if value is not None}
+    if until:
+        parse_claim(until, "--until")
     if not data.get("until"):
         data.pop("until", None)
     if "title" in data and (vary or settings or controllers or design or runs or repeats):

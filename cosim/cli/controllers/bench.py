@@ -36,7 +36,9 @@ class Bench(opt.LogPart, opt.Output):
     between = opt.choice(
         "--between", ("auto", "held", "straight"), "What the command does between two rows.", default="auto"
     )
-    longest_delay_s = opt.number("--longest-delay", "S", "Looked for.", min=0.0, max=4.0, min_open=True, default=2.0)
+    longest_delay_s = opt.number(
+        "--longest-delay", "S", "Longest delay that is looked for.", min=0.0, max=4.0, min_open=True, default=2.0
+    )
     engine = opt.word("--engine", "NAME|FILE", "Fit parameters of this engine instead.")
     fit = opt.words("--fit", "PARAMETER", "One of them; beside the delay, which always is.")
     settings = opt.words("--set", "PARAMETER=VALUE", "Set one of them, or say where to begin.")

@@ -25,11 +25,11 @@ class DesignOptions(opt.Output):
     controller = opt.word(
         "--controller", "NAME", "A predictor, auto for the best of them, or optimal: near the limit.", "auto"
     )
-    model = opt.path("--model", "FILE.toml", "As hexjet identify writes it.")
+    model = opt.path("--model", "FILE.toml", "Take the models in this file, as hexjet identify writes it.")
     amplitude = opt.number(
         "--amplitude",
         "A",
-        "Of the engine's chirp, in throttle; more where the flight will reach its limits.  [default: 0.005]",
+        "Amplitude of the engine's chirp, in throttle; more where the flight will reach its limits.  [default: 0.005]",
         min=0.0,
         max=0.5,
         min_open=True,
@@ -38,22 +38,26 @@ class DesignOptions(opt.Output):
     delay_tolerance = opt.number(
         "--delay-tolerance",
         None,
-        "Of the delay, both ways.  [default: the engine's [uncertainty], or 0.3 without one]",
+        "Share of the delay that it may be off, both ways.  [default: the engine's [uncertainty], or 0.3 without one]",
         min=0.0,
         max=1.0,
     )
     gain_tolerance = opt.number(
-        "--gain-tolerance", None, "Of the gain, both ways.  [default: as of the delay]", min=0.0, max=0.95
+        "--gain-tolerance",
+        None,
+        "Share of the gain that it may be off, both ways.  [default: as of the delay]",
+        min=0.0,
+        max=0.95,
     )
     engine_spread = opt.number(
         "--engine-spread",
         None,
-        "Of gain and lag, by which one engine is off in the proof.  [default: that of the engine's [uncertainty], or "
+        "Share of gain and lag by which one engine is off in the proof.  [default: as the engine's [uncertainty], or "
         "0.3, at most the gain's tolerance where that is not the engine's]",
         min=0.0,
         max=0.95,
     )
-    min_bandwidth_hz = opt.number("--min-bandwidth", "HZ", "Of roll and pitch.", min=0.0, default=0.16)
+    min_bandwidth_hz = opt.number("--min-bandwidth", "HZ", "Least bandwidth of roll and pitch.", min=0.0, default=0.16)
     noise_share = opt.number(
         "--noise-share",
         None,

@@ -31,8 +31,8 @@ class Sweep(opt.Output):
 
     from_hz = opt.number("--from-hz", "HZ", "Lowest frequency of the response.")
     to_hz = opt.number("--to-hz", "HZ", "Highest frequency of the response.")
-    amplitude = opt.number("--amplitude", "A", "Of the chirp, in the unit of the command.")
-    duration_s = opt.number("--duration", "S", "Of the chirp.")
+    amplitude = opt.number("--amplitude", "A", "Amplitude of the chirp, in the unit of the command.")
+    duration_s = opt.number("--duration", "S", "Duration of the chirp.")
     holds = opt.words("--hold", "NAME=VALUE", "Keep a parameter of the model.")
     out = opt.OUT
     as_json = opt.JSON
@@ -93,7 +93,7 @@ class AxisSweep(opt.Record):
     engine = opt.word("--engine", "NAME|FILE", "See: hexjet list engines.  [default: the aircraft's own]")
     controller = opt.word("--controller", "NAME", "[default: smith, or baseline if no model is known]")
     substeps = opt.whole("--substeps", None, "JSBSim steps in a control step.")
-    seed = opt.whole("--seed", None, "Of the sensor noise.")
+    seed = opt.whole("--seed", None, "Seed of the sensor noise.")
     lags = opt.whole("--lags", None, "Beside the slow pole.", min=1, max=2, default=1)
     settings: tuple[str, ...] = opt.SETTINGS
 
@@ -135,7 +135,9 @@ class FromLog(opt.LogPart, opt.Output):
     )
     setpoint = opt.word("--setpoint", "SUM", "What was asked of the output: to test for bias.")
     time_column, time_unit, begin, end = opt.LOG_PART
-    longest_delay_s = opt.number("--longest-delay", "S", "Looked for.", min=0.0, max=5.0, min_open=True, default=0.4)
+    longest_delay_s = opt.number(
+        "--longest-delay", "S", "Longest delay that is looked for.", min=0.0, max=5.0, min_open=True, default=0.4
+    )
     working_step_s = opt.positive("--working-step", "S", "Samples are averaged to it.")
     lags = opt.whole("--lags", None, "Beside the pole.  [default: the better of two]", min=0, max=3)
     holds = opt.words("--hold", "NAME=VALUE", "Keep a parameter: lag_s=0.009.")

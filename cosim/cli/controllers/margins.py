@@ -25,19 +25,23 @@ class Margins(Flight, opt.Output):
     controller = opt.word(
         "--controller", "NAME|FILE", "As in hexjet fly: built in, a design's file, or one of yours in any way."
     )
-    aircraft = opt.word("--aircraft", "NAME|DIR", "With the engine that it is made for; see: hexjet list aircraft.")
+    aircraft = opt.word(
+        "--aircraft",
+        "NAME|DIR",
+        "Overrides the scenario's, with the engine that it is made for; see: hexjet list aircraft.",
+    )
     engines = opt.ENGINES
-    axes = opt.choices("--axis", AXES, "May be repeated.  [default: all]")
-    amplitude = opt.number("--amplitude", "A", "Peak, of a share of thrust, rad of tilt or rad/s^2.")
-    from_hz = opt.positive("--from-hz", "HZ", "[default: two periods]")
-    to_hz = opt.positive("--to-hz", "HZ", "[default: a tenth of the control rate]")
-    period_s = opt.positive("--period", "S", "Of the multisine.  [default: 20, or 60 for a slow loop]")
-    periods = opt.whole("--periods", None, "That are measured.", min=3, default=5)
+    axes = opt.choices("--axis", AXES, "Axis that is measured; may be repeated.  [default: all]")
+    amplitude = opt.number("--amplitude", "A", "Peak of the multisine: share of thrust, rad of tilt or rad/s^2.")
+    from_hz = opt.positive("--from-hz", "HZ", "Lowest frequency.  [default: two periods]")
+    to_hz = opt.positive("--to-hz", "HZ", "Highest frequency.  [default: a tenth of the control rate]")
+    period_s = opt.positive("--period", "S", "Period of the multisine.  [default: 20, or 60 for a slow loop]")
+    periods = opt.whole("--periods", None, "Periods that are measured.", min=3, default=5)
     limit = opt.flag("--limit", "Compare each computed loop with the best that any linear controller could do.")
     at_least = opt.choice(
         "--at-least", BANDS, "Status 1 where a margin is worse; narrow: for a well-known engine alone."
     )
-    seed = opt.whole("--seed", None, "Of sensor noise and turbulence.")
+    seed = opt.whole("--seed", None, "Seed of sensor noise and turbulence.")
     settings = opt.SETTINGS
     out = opt.OUT
     as_json = opt.JSON

@@ -41,13 +41,20 @@ class Replayed(opt.LogPart, Flight, opt.Output):
         help="What throttle 0 and 1 are in the log.",
     )
     window_s = opt.number("--window", "S", "It starts anew after so long.  [default: by its size]", min=0.1, max=10.0)
-    draws = opt.whole("--draws", None, "Of the vehicle within its tolerances.", min=1, max=1000, default=20)
-    inertia = opt.number("--inertia-tolerance", "%", "Standard deviation.", min=0.0, max=50.0, default=5.0)
-    mass = opt.number("--mass-tolerance", "%", "The same.", min=0.0, max=50.0, default=2.0)
-    thrust = opt.number(
-        "--thrust-tolerance", "%", "The same, of an engine without [uncertainty].", min=0.0, max=50.0, default=3.0
+    draws = opt.whole("--draws", None, "Vehicles that are drawn within their tolerances.", min=1, max=1000, default=20)
+    inertia = opt.number(
+        "--inertia-tolerance", "%", "Standard deviation of each moment of inertia.", min=0.0, max=50.0, default=5.0
     )
-    drawn = opt.whole("--seed", None, "Of the draws.", min=0, default=1)
+    mass = opt.number("--mass-tolerance", "%", "Standard deviation of the mass.", min=0.0, max=50.0, default=2.0)
+    thrust = opt.number(
+        "--thrust-tolerance",
+        "%",
+        "Standard deviation of the thrust of an engine without [uncertainty].",
+        min=0.0,
+        max=50.0,
+        default=3.0,
+    )
+    drawn = opt.whole("--seed", None, "Seed of the draws.", min=0, default=1)
     time_column, time_unit, begin, end = opt.LOG_PART
     out = opt.OUT
     as_json = opt.JSON

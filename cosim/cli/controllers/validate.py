@@ -17,7 +17,7 @@ class Validate(opt.LogPart, opt.Output):
 
     model: Path = opt.argument(metavar="MODEL", type=click.Path(path_type=Path))
     log: Path = opt.argument(metavar="LOG", type=click.Path(path_type=Path))
-    axis = opt.choice("--axis", AXES, "Of a model file that has more than one.")
+    axis = opt.choice("--axis", AXES, "The axis, of a model file that has several.")
     time_column, time_unit, begin, end = opt.LOG_PART
     out = opt.OUT
     as_json = opt.JSON

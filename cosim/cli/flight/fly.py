@@ -36,7 +36,7 @@ class Fly(Flight, opt.Output):
     )
     aircraft = opt.word(
         "--aircraft",
-        "NAME",
+        "NAME|DIR",
         "Overrides the scenario's, with the engine that it is made for; see: hexjet list aircraft.",
     )
     engines = opt.words(
@@ -72,7 +72,7 @@ class Fly(Flight, opt.Output):
         "--flightgear", "[HOST:]PORT", "Let FlightGear show it: fgfs --fdm=null --native-fdm=socket,in,60,,5550,udp."
     )
     shared_assets: bool = opt.SHARED_ASSETS
-    flight = opt.whole("--flight", "N", "Of a campaign in the folder SCENARIO.", min=0)
+    flight = opt.whole("--flight", "N", "Fly this flight of the campaign in the folder SCENARIO again.", min=0)
     as_json = opt.json("Print the run's summary as one JSON object and nothing else.")
 
 

@@ -23,7 +23,10 @@ class Gcs(Flight, opt.Output):
     """Options of ``hexjet gcs``."""
 
     scenario = opt.option(
-        "--scenario", default="hover", metavar="NAME|FILE", help="Whose wind, place and faults.  [default: a calm day]"
+        "--scenario",
+        default="hover",
+        metavar="NAME|FILE",
+        help="Scenario that gives wind, place and faults.  [default: a calm day]",
     )
     aircraft = opt.word(
         "--aircraft", "NAME|DIR", "Overrides the scenario's, with its engine; see: hexjet list aircraft."
@@ -62,7 +65,9 @@ class Gcs(Flight, opt.Output):
         ),
         "--params",
     )
-    rtf = opt.number("--rtf", "X", "As in fly.", min=0.0, default=1.0)
+    rtf = opt.number(
+        "--rtf", "X", "Pace the flight at X times real time; 0 is as fast as it goes.", min=0.0, default=1.0
+    )
     duration = opt.positive("--duration", "S", "[default: until Ctrl-C]")
     web: int | None = opt.option(
         "--web", type=click.IntRange(0, 65535), is_flag=False, flag_value=8765, metavar="[PORT]",
@@ -79,7 +84,7 @@ class Gcs(Flight, opt.Output):
     log_limit = opt.number(
         "--log-limit",
         "MB",
-        "Of each flight's log at most: what is flown beyond is not recorded.",
+        "The most that a flight's log may take: what is flown beyond is not recorded.",
         min=1.0,
         default=2000.0,
     )

@@ -50,7 +50,7 @@ class Sitl(Flight, opt.Output):
         opt.number(
             "--time-limit",
             "S",
-            "For an answer, of the clock: an autopilot that takes longer is taken for hung.",
+            "Time of the clock for an answer: an autopilot that takes longer is taken for hung.",
             min=0.1,
             max=600.0,
             default=5.0,
@@ -262,7 +262,7 @@ class Parameters(opt.Record):
 
     autopilot: str = opt.argument(type=click.Choice(["px4", "ardupilot", "betaflight"]))
     aircraft = opt.word("--aircraft", "NAME|DIR", "See: hexjet list aircraft.", "hexjet")
-    gains = opt.word("--gains", "FILE.toml", "Of hexjet design, in the place of the vehicle's own.")
+    gains = opt.word("--gains", "FILE.toml", "Gains of hexjet design in the place of the vehicle's own.")
     rate = opt.whole("--rate", None, "Steps a second.", min=50, max=2000, default=250)
     target = opt.choice(
         "--target",

@@ -113,7 +113,7 @@ class ExportController(ExportOptions):
     controller = opt.word(
         "--controller", "NAME|FILE.toml", "Overrides the scenario's; or a file that hexjet design wrote."
     )
-    name = opt.word("--name", None, "Of files, functions and types, an identifier.", "controller")
+    name = opt.word("--name", None, "Name of files, functions and types, an identifier.", "controller")
     licence = opt.word(
         "--licence",
         "SPDX",
@@ -128,7 +128,7 @@ class ExportController(ExportOptions):
         "Also its rate loop for the inside of this autopilot, with instructions, in a folder of its own; repeatable.",
     )
     out = opt.out("A new or an empty folder.  [default: NAME]")
-    as_json = opt.json("Print one JSON object.")
+    as_json = opt.JSON
 
 
 @export.command(epilog=example("hexjet export controller --controller turbojet.toml --engine turbojet"))
@@ -162,13 +162,13 @@ class ExportVehicle(ExportOptions):
     kind = opt.renamed(
         opt.choice("--to", ["fmu", "ssp"], "ssp: archives of a system, with the engines as components.", "fmu"), "--as"
     )
-    name = opt.word("--name", None, "Of the files, an identifier.", "vehicle")
+    name = opt.word("--name", None, "Name of the files, an identifier.", "vehicle")
     out = opt.out(
         "A new or an empty folder; or one file, of FMI 3.0, or of 2.0 if its name ends in -fmi2.  [default: NAME]",
         "DIR|FILE.fmu|FILE.ssp",
         _VEHICLE_OUT,
     )
-    as_json = opt.json("Print one JSON object.")
+    as_json = opt.JSON
 
 
 @export.command(epilog=example("hexjet export vehicle --controller smith --out vehicle"))

@@ -19,7 +19,7 @@ class List(opt.Output):
     """Options of ``hexjet list``."""
 
     kind: str | None = opt.argument(required=False, type=click.Choice(KINDS))
-    as_json = opt.json("Print one JSON object.")
+    as_json = opt.JSON
 
 
 @click.command("list", epilog=example("hexjet list engines"))

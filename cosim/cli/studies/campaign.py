@@ -70,7 +70,7 @@ class Sweep(CampaignOptions):
     aircraft, engine, nominal_engine = _AIRCRAFT, _ENGINE, opt.NOMINAL_ENGINE
     settings, metrics, wind = opt.SETTINGS, _METRICS, _WIND
     success = opt.words("--success", "METRIC<=X", "What a completed flight must keep to count.")
-    seed = opt.whole("--seed", None, "Of the draws.")
+    seed = opt.whole("--seed", None, "Seed of the draws.")
     until = opt.word(
         "--until",
         "P%@C%",
@@ -79,7 +79,9 @@ class Sweep(CampaignOptions):
     )
     workers = _WORKERS
     cluster = opt.word("--cluster", "ADDRESS|local", "A Dask scheduler, such as tcp://HOST:8786, or one made here.")
-    time_limit_s = opt.positive("--time-limit", "S", "For a flight.  [default: 60, or ten of its lengths]")
+    time_limit_s = opt.positive(
+        "--time-limit", "S", "Time of the clock for a flight.  [default: 60, or ten of its lengths]"
+    )
     out = opt.OUT
     resume = opt.flag("--resume", "Go on with what the folder holds; nothing that is finished is repeated.")
     keys: str | None = opt.option(
@@ -140,7 +142,7 @@ class Search(CampaignOptions):
     within = opt.word(
         "--within",
         "SD|ranges",
-        "Of --worst and --likely: at most so many standard deviations from the middle, or anywhere in the ranges.  "
+        "With --worst and --likely: at most so many standard deviations from the middle, or anywhere in the ranges.  "
         "[3, a design's ranges; 6 for --likely]",
     )
     over = opt.word("--over", "KEY=LO:HI:N", "A curve: search at each of these values of a second key.")
@@ -151,16 +153,16 @@ class Search(CampaignOptions):
         "--share",
         type=opt.Number(0.0, 1.0),
         default=0.0,
-        help="Of a point's flights that have to break before it does.  [default: any of them]",
+        help="Share of a point's flights that have to break before it does.  [default: any of them]",
     )
     success = opt.words("--success", "METRIC<=X", "What a completed flight must keep too.")
     budget = opt.whole("--budget", None, "Flights for keys together, of each controller.", min=1, default=1000)
     aircraft, engine, nominal_engine = _AIRCRAFT, _ENGINE, opt.NOMINAL_ENGINE
     settings, metrics, wind = opt.SETTINGS, _METRICS, _WIND
-    seed = opt.whole("--seed", None, "Of the first flight of a point.  [default: the scenario's]")
+    seed = opt.whole("--seed", None, "Seed of the first flight of a point.  [default: the scenario's]")
     workers = _WORKERS
     cluster = opt.word("--cluster", "ADDRESS|local", "As in hexjet sweep.")
-    time_limit_s = opt.positive("--time-limit", "S", "For a flight.")
+    time_limit_s = opt.positive("--time-limit", "S", "Time of the clock for a flight.")
     out = opt.OUT
     resume = opt.flag("--resume", "Go on with the same search in DIR; nothing is flown twice.")
     as_json = _JSON
@@ -198,17 +200,17 @@ class Rare(CampaignOptions):
         "--target",
         type=opt.Number(1e-9, 0.5),
         default=1e-6,
-        show_default="1e-6",
-        help="The smallest probability to look for: with the budget, how many flights a level has.",
+        metavar="P",
+        help="The smallest probability to look for: with the budget, how many flights a level has.  [default: 1e-6]",
     )
     budget = opt.whole("--budget", None, "Flights at most.", min=1, default=5000)
     same_seed = opt.flag("--same-seed", "Fly all with one seed: wind and noise are no part of what varies.")
     aircraft, engine, nominal_engine = _AIRCRAFT, _ENGINE, opt.NOMINAL_ENGINE
     settings, metrics, wind = opt.SETTINGS, _METRICS, _WIND
-    seed = opt.whole("--seed", None, "Of the draws.")
+    seed = opt.whole("--seed", None, "Seed of the draws.")
     workers = _WORKERS
     cluster = opt.word("--cluster", "ADDRESS|local", "As in hexjet sweep.")
-    time_limit_s = opt.positive("--time-limit", "S", "For a flight.")
+    time_limit_s = opt.positive("--time-limit", "S", "Time of the clock for a flight.")
     out = opt.OUT
     resume = opt.flag("--resume", "Go on with the same simulation in DIR; nothing is flown twice.")
     as_json = _JSON

@@ -34,7 +34,7 @@ class Faults(opt.Output):
     designs = opt.path(
         "--designs",
         "DIR",
-        "Of --engine-out: where its controllers are, ENGINE.toml by hexjet design; a missing one is designed and "
+        "With --engine-out: the folder of its controllers, ENGINE.toml by hexjet design; a missing one is designed and "
         "written there.  [default: designs in --out]",
         file_okay=False,
     )
@@ -142,7 +142,7 @@ class FailsafeOptions(opt.Output):
         max=1000,
         default=3,
     )
-    seed = opt.whole("--seed", None, "Of the moments and the noise.", min=0, default=0)
+    seed = opt.whole("--seed", None, "Seed of the moments and the noise.", min=0, default=0)
     airborne = opt.flag("--airborne", "Begin in the air, trimmed, from every height in every wind once.")
     nominal_engine = opt.NOMINAL_ENGINE
     moving: float = opt.option(

@@ -26,11 +26,11 @@ class Prove(CampaignOptions):
         "--claim", "P%@C%", "What is to be shown: a probability at a confidence, as 99.9%@95%.  [default: the study's]"
     )
     budget = opt.whole("--budget", "N", "Flights at most.  [default: ten times what the claim needs at least]", min=1)
-    controllers = opt.words("--controller", "NAME|FILE", "Of a study with several, the one that is meant.")
+    controllers = opt.words("--controller", "NAME|FILE", "The controller that is meant, of a study with several.")
     aircraft = opt.word("--aircraft", "NAME|DIR", "Overrides the scenario's, with the engine that it is made for.")
     engine = opt.word("--engine", "NAME|FILE", "As in hexjet sweep.")
     nominal_engine, settings = opt.NOMINAL_ENGINE, opt.SETTINGS
-    seed = opt.whole("--seed", None, "Of the draws.")
+    seed = opt.whole("--seed", None, "Seed of the draws.")
     search = opt.whole(
         "--search", "N", "Flights for each search: of the most likely failure, and of the worst case; 0: none.",
         min=0, default=500,
@@ -49,7 +49,7 @@ class Prove(CampaignOptions):
     )  # fmt: skip
     workers = opt.whole("--workers", "N", "Processes.  [default: one a processor]", min=1)
     cluster = opt.word("--cluster", "ADDRESS|local", "As in hexjet sweep.")
-    time_limit_s = opt.positive("--time-limit", "S", "For a flight.")
+    time_limit_s = opt.positive("--time-limit", "S", "Time of the clock for a flight.")
     out = opt.OUT
     resume = opt.flag("--resume", "Go on with what the folder holds; no flight is repeated.")
     as_json = opt.json("Print one JSON object at the end and nothing else.")

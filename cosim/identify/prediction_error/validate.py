@@ -25,6 +25,7 @@ from cosim.identify.prediction_error.stretches import Prepared, prepare
 from cosim.identify.sweep.fit import Model as Continuous
 from cosim.identify.sweep.result import MISFIT
 from cosim.identify.verdict import NOT_EXPLAINED, NOT_TOLD, Judgement, judge_model, shared_record
+from cosim.spec.file_kind import describe_path
 from cosim.spec.vehicle import RateModel, read_models
 
 MODELLED = "Measured and modelled"
@@ -159,6 +160,8 @@ def read_model(path: Path, axis: str | None = None) -> StatedModel:
         x = np.array([float(best[name]) for name in form.names])
         return StatedModel(file, str(data["what"]), wants, form, x, float(best["gain"]))
     except OSError as error:
+        if not file.exists():
+            raise InputError(f"{path}: no model here; {describe_path(path)}") from error
         raise InputError(f"{file}: {error.strerror or error}") from error
     except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise InputError(

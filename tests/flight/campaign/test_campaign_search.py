@@ -488,7 +488,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"vary": []}, "nothing is varied"),
+        ({"vary": []}, "nothing varies; --vary KEY=LO:HI says what does"),
         ({"vary": ["vehicle.mass=1:2"]}, "did you mean vehicle.mass_kg?"),
         ({"vary": [f"{X}=1,2,3"]}, "a search needs a range of numbers"),
         ({"vary": ["monitor=true,false"]}, "a search needs a range of numbers"),

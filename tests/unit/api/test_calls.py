@@ -61,7 +61,7 @@ def test_a_call_is_typed_and_refuses_a_name_that_is_none(name: str) -> None:
         ("identify", ("engine",), {}, "identify: engine: name which"),
         ("margins", (None,), {}, "margins: scenario: None is a value of type NoneType; allowed: Scenario | str | Path"),
         ("design", (), {"out": "x.txt"}, "design: out = x.txt: must end in .toml, by which controller knows it"),
-        ("compare", ("a",), {}, "compare: 1 flights; allowed: 2 to 8"),
+        ("compare", ("a",), {}, "compare: 1 flight; allowed: 2 to 8"),
         ("export", ("runs/a", "csvv"), {}, "export: to: 'csvv': did you mean 'csv'? allowed: csv, mat, mcap, "),
         ("export_vehicle", (), {"outside": ["engine"]}, "export_vehicle: outside: 'engine': did you mean 'engines'?"),
         ("search", ("hover",), {"within": 3.0}, "search: within: goes with worst=True or likely=True"),

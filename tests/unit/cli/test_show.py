@@ -82,7 +82,9 @@ def test_every_controller_and_a_name_that_there_is_not(capsys: pytest.CaptureFix
     assert "hexjet list" in str(complaint.value)
 
 
-def test_a_design_says_what_it_is_for_and_what_its_proof_came_to(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_design_says_what_it_is_for_and_what_its_proof_came_to(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = Path(__file__).parents[2]
     (one,) = shown(capsys, str(folder / "designs" / "p220.toml"))
     assert (one["kind"], one["title"]) == ("designs", "baseline for hexjet-p220 with engine p220")
@@ -90,6 +92,9 @@ def test_a_design_says_what_it_is_for_and_what_its_proof_came_to(capsys: pytest.
     design = read_toml(folder / "designs" / "p220.toml")
     assert numbers(one)["roll.gain_margin_db"] == design["design"]["axes"]["roll"]["gain_margin_db"]
     assert numbers(one)["control.rate.yaw.p"] == design["vehicle"]["control"]["rate"]["yaw"]["p"]
+    (tmp_path / "controller.toml").write_bytes((folder / "designs" / "p220.toml").read_bytes())
+    (beside,) = shown(capsys, str(tmp_path))
+    assert (beside["title"], numbers(beside)) == (one["title"], numbers(one))
     (older,) = shown(capsys, str(folder / "older" / "0.1.0-a" / "design.toml"))
     assert older["description"].startswith("has no proof flights")
 

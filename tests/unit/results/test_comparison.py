@@ -172,7 +172,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     said = capsys.readouterr().out
     assert "B: b is the same as A: a to the last bit: 50 steps, all columns." in said
     for arguments, wrong in (
-        ([a], "1 flights; allowed: 2 to 8"),
+        ([a], "1 flight; allowed: 2 to 8"),
         ([a, b, "--flight", "1"], "none of these is a campaign"),
         ([a, b, "--no-page", "--signal", "rol*x"], "rol*x: no signal"),
         ([a, str(tmp_path / "none")], "no flight; allowed"),
