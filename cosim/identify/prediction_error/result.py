@@ -167,24 +167,12 @@ def rows(result: LogIdentification) -> list[list[str]]:
         else f"gain, {result.signals.output_unit}/s per {result.signals.command_unit}"
     )
     lines.append([gain, *(_about(estimate.gain, estimate.gain_deviation) for estimate in result.estimates)])
+    titles = {"rate_1_s": "time constant, ms" if result.engine else "slow pole, 1/s", "lag_s": "lag, ms"}
+    if result.engine:
+        titles["lag_s"] = "second lag, ms"
     richest = max(result.estimates, key=lambda estimate: estimate.form.lags)
     for name in richest.form.names[:-1]:
-        cells = []
-        for estimate in result.estimates:
-            if name not in estimate.form.names:
-                cells.append("")
-                continue
-            i = estimate.form.names.index(name)
-            value, deviation = float(estimate.x[i]), estimate.deviation(i)
-            if name == "rate_1_s" and result.engine:
-                cells.append(_mark_fixed(estimate, name, 1e3 / value, _about(1e3 / value, 1e3 * deviation / value**2)))
-            elif name == "rate_1_s":
-                cells.append(_mark_fixed(estimate, name, value, _slow_pole(value, deviation)))
-            else:
-                cells.append(_mark_fixed(estimate, name, 1e3 * value, _about(1e3 * value, 1e3 * deviation)))
-        titles = {"rate_1_s": "time constant, ms" if result.engine else "slow pole, 1/s", "lag_s": "lag, ms"}
-        if result.engine:
-            titles["lag_s"] = "second lag, ms"
+        cells = [_parameter(estimate, name) if name in estimate.form.names else "" for estimate in result.estimates]
         lines.append([titles.get(name, "further lag, ms"), *cells])
     lines.append(["delay, ms", *(_delay(estimate) for estimate in result.estimates)])
     low, high = result.delay_bounds
@@ -205,8 +193,17 @@ def rows(result: LogIdentification) -> list[list[str]]:
     return lines
 
 
-def _mark_fixed(estimate: Estimate, name: str, value: float, text: str) -> str:
-    return f"{value:.4g} held" if name in estimate.fixed else text
+def _parameter(estimate: Estimate, name: str) -> str:
+    """Describe a pole or a lag with its bound; an engine's pole as its time constant, times in ms."""
+    index = estimate.form.names.index(name)
+    value, deviation = float(estimate.x[index]), estimate.deviation(index)
+    if name != "rate_1_s":
+        value, deviation = 1e3 * value, 1e3 * deviation
+    elif estimate.form.engine:
+        value, deviation = 1e3 / value, 1e3 * deviation / value**2
+    if name in estimate.fixed:
+        return f"{value:.4g} held"
+    return _slow_pole(value, deviation) if name == "rate_1_s" and not estimate.form.engine else _about(value, deviation)
 
 
 def _slow_pole(value: float, deviation: float) -> str:
