@@ -23,7 +23,8 @@ from scipy.stats import norm
 
 from cosim.base.arrays import Array
 from cosim.campaign.rare.estimate import Budget, Estimate, estimate
-from cosim.campaign.rare.subset import Repeat, run_repeats, subset_simulation
+from cosim.campaign.rare.subset import Repeat, subset_simulation
+from cosim.campaign.search.line_search import run_together
 from cosim.results.report.marks import table, write_marks
 
 PAGE = Path(__file__).parent / "tables" / "rare.md"
@@ -116,14 +117,14 @@ def simulated(truth: Truth, probability: float, budget: Budget, seed: int) -> tu
         subset_simulation(truth.dimension, budget.size, budget.most_levels, np.random.default_rng([seed, repeat]))
         for repeat in range(budget.repeats)
     ]
-    repeats = run_repeats(
-        generators,
+    repeats = run_together(
+        dict(enumerate(generators)),
         lambda asked: {
             number: truth.margin(candidates.points, np.array(candidates.seeds), level)
             for number, candidates in asked.items()
         },
     )
-    return estimate(repeats), repeats
+    return estimate(list(repeats.values())), list(repeats.values())
 
 
 def rows(studies: int, only: Sequence[str]) -> Iterator[list[str]]:

@@ -112,7 +112,7 @@ def _check_autopilot(study: Study, autopilot: StudyAutopilot, workers: Workers |
         raise InputError(f"study {study.name}: autopilot {autopilot.name} flies on this machine; leave out --cluster")
     from cosim.autopilots.prepare import require_program
 
-    require_program(autopilot.name, Path(autopilot.seen_from(study.folder).binary) if autopilot.binary else None)
+    require_program(autopilot.name, autopilot.program(study.folder))
 
 
 def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) -> tuple[Study | None, Path]:

@@ -274,20 +274,8 @@ class Summary(Setup):
     @property
     def flat_metrics(self) -> dict[str, float | None]:
         """Every metric under the name that an expectation uses, such as ``roll.rmse_rad``."""
-        return (
-            flatten(
-                Metrics(
-                    axes=self.metrics,
-                    altitude=self.altitude,
-                    touchdown_m_s=self.touchdown_m_s,
-                    position=self.position,
-                    speed=self.speed,
-                    effort=self.effort,
-                    fuel_burnt_kg=self.fuel_burnt_kg,
-                )
-            )
-            | self.own_metrics
-        )
+        whole = {name: getattr(self, name) for name in Metrics.model_fields if name != "axes"}
+        return flatten(Metrics(axes=self.metrics, **whole)) | self.own_metrics
 
     @model_validator(mode="before")
     @classmethod
@@ -368,12 +356,7 @@ def summarize(
             lost_s=pace.postponed,
         ),
         metrics=metrics.axes,
-        altitude=metrics.altitude,
-        touchdown_m_s=metrics.touchdown_m_s,
-        position=metrics.position,
-        speed=metrics.speed,
-        effort=metrics.effort,
-        fuel_burnt_kg=metrics.fuel_burnt_kg,
+        **{name: part for name, part in metrics if name != "axes"},
         own_metrics=values,
         own_metrics_failed=failed,
         limits=limits,

@@ -17,10 +17,11 @@ from math import ceil, exp, log, log10, sqrt
 import numpy as np
 
 from cosim.base.errors import InputError
+from cosim.campaign.analysis.statistics import LEVEL, proportion
 from cosim.campaign.rare.subset import LEVEL_FRACTION, Repeat
 
 REPEATS = 8  # chosen by us: t of 7 degrees of freedom, and levels that are not too small
-CONFIDENCE = 0.95
+CONFIDENCE = LEVEL
 SEEDS_DECIDE = 0.5  # of seed_effect: below it noise decides; 0.4 to 0.1 where half of the margin's variance is its
 SMALLEST_LEVEL = 50  # flights a level: five starts
 
@@ -130,15 +131,11 @@ def lognormal_interval(logs: Sequence[float], confidence: float = CONFIDENCE) ->
 
 def _counted(repeats: Sequence[Repeat]) -> Estimate:
     """Return what counting says where failures are not rare, or all margins the same: every flight is independent."""
-    from scipy.special import betaincinv
-
     failed, flights = _first_level(repeats)
     if not failed:
         return _counted_bound(repeats)
-    tail = (1.0 - CONFIDENCE) / 2.0
-    low = float(betaincinv(failed, flights - failed + 1, tail))
-    high = 1.0 if failed == flights else float(betaincinv(failed + 1, flights - failed, 1.0 - tail))
-    return Estimate(failed / flights, low, high, f"{failed:,} of {flights:,} independent flights failed, counted")
+    method = f"{failed:,} of {flights:,} independent flights failed, counted"
+    return Estimate(failed / flights, *proportion(failed, flights).exact, method)
 
 
 def _counted_bound(repeats: Sequence[Repeat]) -> Estimate:

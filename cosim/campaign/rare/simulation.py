@@ -14,7 +14,8 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.campaign.analysis.margin import row_margin
 from cosim.campaign.rare.estimate import SEEDS_DECIDE, Budget, Estimate, estimate, probability_text, seed_effect
-from cosim.campaign.rare.subset import Candidates, Repeat, run_repeats, subset_simulation
+from cosim.campaign.rare.subset import Candidates, Repeat, subset_simulation
+from cosim.campaign.search.line_search import run_together
 from cosim.campaign.search.probe import FlownRows, Journal, Point
 from cosim.campaign.search.question import Answered
 from cosim.campaign.study.draws import flight_seed
@@ -226,7 +227,7 @@ def simulate(
             plan.budget.repeats
         ))
     ]  # fmt: skip
-    repeats = run_repeats(generators, flyer.margins)
+    repeats = list(run_together(dict(enumerate(generators)), flyer.margins).values())
     return RareResult(
         study, plan, controller, estimate(repeats), tuple(repeats), tuple(flyer.failures(repeats)), tuple(flyer.rows),
         tuple(space.names),

@@ -21,7 +21,7 @@ Nothing here knows of flights: a repeat is a generator that yields candidates an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Generator
 from dataclasses import dataclass
 from math import exp, log, sqrt
 from typing import Any, NamedTuple
@@ -189,27 +189,6 @@ def _count_accepted(judgements: Array) -> tuple[tuple[int, int], tuple[int, int]
         (int(np.sum(accepted & redrawn)), int(np.sum(redrawn))),
         (int(np.sum(accepted & ~redrawn)), int(np.sum(~redrawn))),
     )
-
-
-Margins = Callable[[Mapping[int, Candidates]], Mapping[int, Array]]
-
-
-def run_repeats(repeats: Sequence[Generator[Candidates, Array, Repeat]], margins: Margins) -> list[Repeat]:
-    """Run several subset simulations side by side, and return what came of each.
-
-    ``margins`` is asked for those of every repeat's next candidates at a time, by the repeat's number from 0.
-    """
-    ended: dict[int, Repeat] = {}
-    waiting = {number: next(repeat) for number, repeat in enumerate(repeats)}
-    while waiting:
-        answers = margins(waiting)
-        for number in list(waiting):
-            try:
-                waiting[number] = repeats[number].send(answers[number])
-            except StopIteration as end:
-                del waiting[number]
-                ended[number] = end.value
-    return [ended[number] for number in range(len(repeats))]
 
 
 def _next_threshold(margins: Array, count: int) -> float | None:

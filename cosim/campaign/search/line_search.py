@@ -17,6 +17,9 @@ from typing import TypeVar
 Walk = Generator[Sequence[float], Sequence[bool], "Scan"]
 Between = Callable[[float, float], float | None]
 Name = TypeVar("Name", bound=Hashable)
+Asked = TypeVar("Asked")
+Answer = TypeVar("Answer")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -76,15 +79,27 @@ def run_walks(
     walks: Mapping[Name, Walk], evaluate: Callable[[Sequence[tuple[Name, float]]], Sequence[bool]]
 ) -> dict[Name, Scan]:
     """Run all walks to their ends; ``evaluate`` is given all positions that they need next at a time."""
-    scans: dict[Name, Scan] = {}
-    pending: dict[Name, Sequence[float]] = {name: next(walk) for name, walk in walks.items()}
-    while pending:
-        requests = [(name, position) for name, positions in pending.items() for position in positions]
-        results = iter(evaluate(requests))
-        for name, positions in list(pending.items()):
-            del pending[name]
+
+    def answer(asked: Mapping[Name, Sequence[float]]) -> dict[Name, Sequence[bool]]:
+        results = iter(evaluate([(name, position) for name, positions in asked.items() for position in positions]))
+        return {name: [next(results) for _ in positions] for name, positions in asked.items()}
+
+    return run_together(walks, answer)
+
+
+def run_together(
+    generators: Mapping[Name, Generator[Asked, Answer, Result]],
+    answer: Callable[[Mapping[Name, Asked]], Mapping[Name, Answer]],
+) -> dict[Name, Result]:
+    """Run generators side by side to their ends; ``answer`` is given what all of them ask for next at a time."""
+    waiting = {name: next(generator) for name, generator in generators.items()}
+    ended: dict[Name, Result] = {}
+    while waiting:
+        answers = answer(waiting)
+        for name in list(waiting):
             try:
-                pending[name] = walks[name].send([next(results) for _ in positions])
+                waiting[name] = generators[name].send(answers[name])
             except StopIteration as end:
-                scans[name] = end.value
-    return {name: scans[name] for name in walks}
+                del waiting[name]
+                ended[name] = end.value
+    return {name: ended[name] for name in generators}

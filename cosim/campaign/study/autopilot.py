@@ -46,6 +46,10 @@ class StudyAutopilot(Model):
 
         return start_timing(self.name).before_s
 
+    def program(self, folder: Path) -> Path | None:
+        """Return the path of its program, as a study in ``folder`` states it; None where it states none."""
+        return Path(self.seen_from(folder).binary) if self.binary else None
+
     def seen_from(self, folder: Path) -> StudyAutopilot:
         """Return a copy with its program by absolute path."""
         return self.model_copy(update={"binary": str((folder / self.binary).absolute())}) if self.binary else self

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite, log, prod
-from typing import Any, Protocol, overload
+from typing import Any, Protocol, TypeVar, overload
 
 import numpy as np
 
@@ -40,7 +40,27 @@ class Draw:
     values: dict[str, Value]
 
 
-class Draws(Sequence[Draw]):
+T = TypeVar("T")
+
+
+class LazySequence(Sequence[T]):
+    """A sequence whose elements are made when they are asked for: a million of them is not held in memory."""
+
+    @overload
+    def __getitem__(self, index: int) -> T: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[T]: ...
+
+    def __getitem__(self, index: int | slice) -> T | list[T]:
+        numbers = range(len(self))[index]  # IndexError past the end, which iteration needs
+        return self._make(numbers) if isinstance(numbers, int) else [self._make(number) for number in numbers]
+
+    def _make(self, number: int) -> T:
+        raise NotImplementedError
+
+
+class Draws(LazySequence[Draw]):
     """The draws of a study by number, from 0; a block of them is made when one is asked for."""
 
     def __init__(self, study: Study) -> None:
@@ -61,31 +81,17 @@ class Draws(Sequence[Draw]):
     def __len__(self) -> int:
         return self._count
 
-    @overload
-    def __getitem__(self, index: int) -> Draw: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> list[Draw]: ...
-
-    def __getitem__(self, index: int | slice) -> Draw | list[Draw]:
-        if isinstance(index, slice):
-            return [self[number] for number in range(*index.indices(self._count))]
-        number = range(self._count)[index]  # IndexError past the end
+    def _make(self, number: int) -> Draw:
         block, index = divmod(number, BLOCK)
         if self._block[0] != block:
-            self._block = (block, list(self._make(block * BLOCK, min(self._count, (block + 1) * BLOCK))))
+            self._block = (block, list(self._draw(block * BLOCK, min(self._count, (block + 1) * BLOCK))))
         return self._block[1][index]
 
-    def _make(self, first: int, end: int) -> Iterator[Draw]:
+    def _draw(self, first: int, end: int) -> Iterator[Draw]:
         points = self._points(first, end)
         columns = [column for bend in self._bend for column in bend(points)]
         for number, values in enumerate(zip(*columns, strict=True), start=first):
             yield Draw(number, flight_seed(self._seed, number), dict(zip(self._names, values, strict=True)))
-
-
-def draws(study: Study) -> Draws:
-    """Return the draws of ``study``."""
-    return Draws(study)
 
 
 def flight_seed(seed: int, number: int) -> int:

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from math import log, pi
 
 import numpy as np
 
@@ -84,12 +83,6 @@ def _key_column(bend: Callable[[Array], list[Value]], side: int, quantiles: Arra
 
 def _engine_columns(engine: EngineDraw, first: int, quantiles: Array) -> list[list[Value]]:
     return engine.values(quantiles[:, first:])
-
-
-def log_density(points: Array) -> Array:
-    """Return the logarithm of the density at points of shape (n, dimension): -|u|^2 / 2 - dimension / 2 ln(2 pi)."""
-    density: Array = -0.5 * np.sum(points**2, axis=-1) - 0.5 * points.shape[-1] * log(2.0 * pi)
-    return density
 
 
 def draw_seed(random: np.random.Generator) -> int:

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING
 
 from cosim.base.errors import InputError, nearest
-from cosim.campaign.study.draws import draws
+from cosim.campaign.study.draws import Draws, LazySequence
 from cosim.campaign.study.key import Value
 from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.sequential import StoppingRule, parse_claim
@@ -37,8 +37,8 @@ class Flight:
     values: Mapping[str, Value]
 
 
-class _Flights(Sequence[Flight]):
-    """The flights of a study, made when asked for: a million of them is not held in memory."""
+class _Flights(LazySequence[Flight]):
+    """The flights of a study."""
 
     def __init__(self, draws: Sequence[Draw], controllers: Sequence[str]) -> None:
         self._draws = draws
@@ -47,16 +47,7 @@ class _Flights(Sequence[Flight]):
     def __len__(self) -> int:
         return len(self._draws) * len(self._controllers)
 
-    @overload
-    def __getitem__(self, index: int) -> Flight: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Flight]: ...
-
-    def __getitem__(self, index: int | slice) -> Flight | Sequence[Flight]:
-        if isinstance(index, slice):
-            return [self[position] for position in range(*index.indices(len(self)))]
-        number = range(len(self))[index]  # IndexError past the end, which iteration needs
+    def _make(self, number: int) -> Flight:
         draw_number, controller = divmod(number, len(self._controllers))
         draw = self._draws[draw_number]
         return Flight(number, draw.number, self._controllers[controller], draw.seed, draw.values)
@@ -65,7 +56,7 @@ class _Flights(Sequence[Flight]):
 def flights(study: Study) -> Sequence[Flight]:
     """Return every flight of ``study``, in the order in which they are flown."""
 
-    return _Flights(draws(study), controllers(study))
+    return _Flights(Draws(study), controllers(study))
 
 
 def flight_count(study: Study) -> int:

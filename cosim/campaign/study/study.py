@@ -373,9 +373,9 @@ def study_code(study: Study) -> list[Code]:
                 code += list_block_code(value, base.folder)
             elif kind == "aircraft":
                 code += list_aircraft_code(value, base.folder, with_engine=True)
-    if study.autopilot is not None and study.autopilot.binary:
+    if study.autopilot is not None and (program := study.autopilot.program(study.folder)):
         with suppress(OSError):
-            code.append(code_of(Path(study.autopilot.seen_from(study.folder).binary)))
+            code.append(code_of(program))
     return list(dict.fromkeys(code))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from math import isnan, nan
 from pathlib import Path
@@ -88,15 +88,8 @@ def summary(result: Failsafes) -> list[FailsafeSummary]:
                 f"{verdict} from {', '.join(f'{row.height_m:g}' for row in rows if row.verdict == verdict)} m"
                 for verdict in distinct
             )
-        down, sideways, thrust = (
-            max((value for value in values if not isnan(value)), default=nan)
-            for values in (
-                [row.touchdown_m_s for row in rows],
-                [row.sideways_m_s for row in rows],
-                [row.thrust_n for row in rows],
-            )
-        )
-        table.append(FailsafeSummary(name, wind, speed, ends, down, sideways, thrust))
+        worst = [_worst(rows, column) for column in ("touchdown_m_s", "sideways_m_s", "thrust_n")]
+        table.append(FailsafeSummary(name, wind, speed, ends, *worst))
     return table
 
 
@@ -152,14 +145,16 @@ def format_cell(rows: Sequence[Row]) -> str:
             end += f" (wind {' and '.join(f'{wind:g}' for wind in sorted({row.wind_m_s for row in flights}))} m/s)"
         ends.append(end)
 
-    def worst(of: Callable[[Row], float]) -> float:
-        return max((value for value in map(of, rows) if not isnan(value)), default=nan)
-
     numbers = (
-        (worst(lambda row: row.off_m), "{:.2f} m off"),
-        (worst(lambda row: row.touchdown_m_s), "{:.2f} m/s"),
-        (worst(lambda row: row.sideways_m_s), "sideways {:.2f} m/s"),
-        (worst(lambda row: row.drift_m) if rows[0].failsafe.startswith("GNSS") else nan, "{:.1f} m away"),
-        (worst(lambda row: row.thrust_n), "{:.1f} N"),
+        (_worst(rows, "off_m"), "{:.2f} m off"),
+        (_worst(rows, "touchdown_m_s"), "{:.2f} m/s"),
+        (_worst(rows, "sideways_m_s"), "sideways {:.2f} m/s"),
+        (_worst(rows, "drift_m") if rows[0].failsafe.startswith("GNSS") else nan, "{:.1f} m away"),
+        (_worst(rows, "thrust_n"), "{:.1f} N"),
     )
     return ", ".join([*ends, *(form.format(value) for value, form in numbers if not isnan(value))])
+
+
+def _worst(rows: Sequence[Row], column: str) -> float:
+    """Return the largest of a column's numbers; NaN where there is none."""
+    return max((value for row in rows if not isnan(value := getattr(row, column))), default=nan)

@@ -120,11 +120,7 @@ class Survival:
     @property
     def unmonitored_controllers(self) -> list[str]:
         """The controllers with which no monitor watches the engines: they have to see to it themselves."""
-        return [
-            custom_controllers.label
-            for custom_controllers in self.custom_controllers
-            if custom_controllers.level == WHOLE_CONTROLLER
-        ]
+        return [source.label for source in self.custom_controllers if source.level == WHOLE_CONTROLLER]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the table for JSON."""
@@ -134,13 +130,9 @@ class Survival:
             **({"engine_note": self.engine_note} if self.engine_note else {}),
             "warnings": list(self.warnings),
             "own_controllers": [
-                {
-                    "name": custom_controllers.name,
-                    "level": custom_controllers.level,
-                    "sha256": custom_controllers.sha256,
-                }
-                | {"engine_monitor": custom_controllers.level != WHOLE_CONTROLLER}
-                for custom_controllers in self.custom_controllers
+                {"name": source.name, "level": source.level, "sha256": source.sha256}
+                | {"engine_monitor": source.level != WHOLE_CONTROLLER}
+                for source in self.custom_controllers
             ],
             "rows": [asdict(row) for row in self.rows],
             "attainable": [attainable._asdict() for attainable in self.attainable],

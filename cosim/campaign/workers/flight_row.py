@@ -119,8 +119,8 @@ def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = 
             parameters=settings.parameters,
             channels=settings.channels,
         )
-        binary = Path(settings.seen_from(study.folder).binary) if settings.binary else None
-        autopilot = prepare(settings.name, scenario, folder, require_program(settings.name, binary), setup)
+        program = require_program(settings.name, settings.program(study.folder))
+        autopilot = prepare(settings.name, scenario, folder, program, setup)
         flight = autopilot.fly(scenario, folder, page)
     run, counts = flight.run, flight.counts
     digest = hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()

@@ -23,7 +23,6 @@ from math import ceil
 from multiprocessing.connection import Connection, wait
 from select import poll
 from threading import Thread
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.compiled import child_environment
@@ -92,9 +91,7 @@ class LocalWorkers:
     def __enter__(self) -> LocalWorkers:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _hand_out(self, study: Study, waiting: _Waiting, ahead: int, limit: float) -> bool:

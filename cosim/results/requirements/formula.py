@@ -162,7 +162,10 @@ class Sum(Quantity):
 class Formula:
     """What is true or not in every row, and by how much."""
 
-    parts: tuple[Formula, ...] = ()
+    @property
+    def parts(self) -> tuple[Formula, ...]:
+        """The formulas that it is made of."""
+        return tuple([value for value in vars(self).values() if isinstance(value, Formula)])
 
     @property
     def comparisons(self) -> Iterator[Comparison]:
@@ -249,10 +252,6 @@ class Not(Formula):
 
     of: Formula
 
-    @property
-    def parts(self) -> tuple[Formula, ...]:  # type: ignore[override]
-        return (self.of,)
-
     def _evaluate(self, signals: Signals) -> Array:
         return -self.of.margins(signals)
 
@@ -265,8 +264,12 @@ class Not(Formula):
 class Both(Formula):
     """All of its parts; with ``either``, one of them."""
 
-    parts: tuple[Formula, ...]
+    of: tuple[Formula, ...]
     either: bool = False
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:
+        return self.of
 
     def _evaluate(self, signals: Signals) -> Array:
         sign = -1.0 if self.either else 1.0
@@ -285,10 +288,6 @@ class Throughout(Formula):
     of: Formula
     once: bool = False
     seconds: float = inf
-
-    @property
-    def parts(self) -> tuple[Formula, ...]:  # type: ignore[override]
-        return (self.of,)
 
     def _evaluate(self, signals: Signals) -> Array:
         sign = -1.0 if self.once else 1.0
@@ -312,10 +311,6 @@ class Until(Formula):
     of: Formula
     then: Formula
     seconds: float = inf
-
-    @property
-    def parts(self) -> tuple[Formula, ...]:  # type: ignore[override]
-        return (self.of, self.then)
 
     def _evaluate(self, signals: Signals) -> Array:
         then, kept = self._known(signals)
@@ -350,10 +345,6 @@ class After(Formula):
     seconds: float
     of: Formula
 
-    @property
-    def parts(self) -> tuple[Formula, ...]:  # type: ignore[override]
-        return (self.of,)
-
     def _evaluate(self, signals: Signals) -> Array:
         margins, rows = np.full(signals.rows, nan), self._rows(signals)
         margins[: max(signals.rows - rows, 0)] = self.of.margins(signals)[rows:]
@@ -375,10 +366,6 @@ class AfterEvent(Formula):
 
     event: str
     of: Formula
-
-    @property
-    def parts(self) -> tuple[Formula, ...]:  # type: ignore[override]
-        return (self.of,)
 
     @property
     def events(self) -> Iterator[str]:

@@ -101,12 +101,9 @@ def _divided(formula: Formula) -> Formula:
     if isinstance(formula, Comparison):
         return replace(formula, scale=formula.limit)
     if isinstance(formula, Both):
-        return replace(formula, parts=tuple([_divided(part) for part in formula.parts]))
-    if isinstance(formula, Until):
-        return replace(formula, of=_divided(formula.of), then=_divided(formula.then))
-    if isinstance(formula, (Not, Throughout, After, AfterEvent)):
-        return replace(formula, of=_divided(formula.of))
-    return formula
+        return replace(formula, of=tuple(map(_divided, formula.of)))
+    divided = {name: _divided(part) for name, part in vars(formula).items() if isinstance(part, Formula)}
+    return replace(formula, **divided)  # type: ignore[type-var]  # every formula is a dataclass
 
 
 class _Parser:

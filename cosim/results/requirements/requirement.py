@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -139,15 +139,8 @@ class Requirement(Record):
         most = -lost.scales * self.divisor
         if assessment.margin is not None and assessment.margin < most:
             return assessment
-        return Assessment(
-            self,
-            most,
-            kept=False,
-            decided_at_s=lost.end_s,
-            decided_by=assessment.decided_by,
-            note=f"lost at {lost.end_s:.2f} s of {lost.planned_s:g} s",
-            margin_over_time=assessment.margin_over_time,
-        )
+        note = f"lost at {lost.end_s:.2f} s of {lost.planned_s:g} s"
+        return replace(assessment, margin=most, kept=False, decided_at_s=lost.end_s, note=note)
 
 
 def limit_requirements(limits: Mapping[str, float], needed: Iterable[str] = ()) -> list[Requirement]:
@@ -218,14 +211,7 @@ class RequirementResult(Record):
     @property
     def requirement(self) -> Requirement:
         """The requirement, to assess it again."""
-        return Requirement(
-            name=self.name,
-            formula=self.formula,
-            source=self.source,
-            scale=self.scale,
-            reason=self.reason,
-            need=self.need,
-        )
+        return Requirement(**{name: getattr(self, name) for name in Requirement.model_fields})
 
     @property
     def scaled(self) -> float | None:

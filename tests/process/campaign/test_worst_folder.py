@@ -21,7 +21,7 @@ from cosim.campaign.search.folder import RESULT
 from cosim.campaign.search.probe import Point, Prober
 from cosim.campaign.search.question import JOURNAL
 from cosim.campaign.search.worst_folder import SavedWorst, resolve_worst, run_worst
-from cosim.campaign.study.draws import draws
+from cosim.campaign.study.draws import Draws
 from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.results.log.digest import log_digest
@@ -192,7 +192,7 @@ def test_a_law_that_breaks_in_a_corner_of_six_keys_is_found_in_flight(tmp_path: 
         safe = 2.0 * 0.7 ** (1.0 / 6.0) - 1.0  # six of it have a product of 0.7 in the law, and keep
         assert not any(prober.evaluate([Point.of(controller, dict.fromkeys(KEYS, safe))]))
         counted = [
-            prod(0.5 + 0.5 * float(draw.values[key]) for key in KEYS) for draw in draws(study.changed(runs=2000))
+            prod(0.5 + 0.5 * float(draw.values[key]) for key in KEYS) for draw in Draws(study.changed(runs=2000))
         ]
         assert len(counted) == 2000
         assert max(counted) < 0.7

@@ -17,7 +17,7 @@ from cosim.campaign.study.distributions import Vary, parse_vary
 from cosim.campaign.study.draws import (
     BLOCK,
     SMALLEST,
-    draws,
+    Draws,
     flight_seed,
     inverse,
     latin_hypercube,
@@ -44,7 +44,7 @@ def study(vary: list[str], **options: Any) -> Study:
 
 
 def column(made: Study, key: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-    return np.array([draw.values[key] for draw in draws(made)], dtype=np.float64)
+    return np.array([draw.values[key] for draw in Draws(made)], dtype=np.float64)
 
 
 def bent(text: str, shares: Any, key: Key = FLOAT) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -60,10 +60,10 @@ def normal(z: float) -> float:
 
 def test_a_grid_is_every_combination_the_last_key_fastest() -> None:
     made = study([f"{MASS}=5:6:3", "substeps=1:4:4", "engine=edf,edf-as-flown"], repeats=2)
-    points = [(d.values[MASS], d.values["substeps"], d.values["engine"]) for d in draws(made)]
+    points = [(d.values[MASS], d.values["substeps"], d.values["engine"]) for d in Draws(made)]
     once = list(product([5.0, 5.5, 6.0], [1, 2, 3, 4], ["edf", "edf-as-flown"]))
     assert points == once * 2
-    assert len({draw.seed for draw in draws(made)}) == made.draws == 48
+    assert len({draw.seed for draw in Draws(made)}) == made.draws == 48
 
 
 def test_levels_hit_both_ends_and_read_as_a_person_would_write_them() -> None:
@@ -89,7 +89,7 @@ def test_a_latin_hypercube_has_one_point_in_every_stratum(correlate: list[str]) 
 
 def test_values_are_shared_out_evenly_in_a_latin_hypercube() -> None:
     made = study(["engine=edf,edf-as-flown,motor", f"{MASS}=5:6"], runs=30)
-    assert Counter(draw.values["engine"] for draw in draws(made)) == {"edf": 10, "edf-as-flown": 10, "motor": 10}
+    assert Counter(draw.values["engine"] for draw in Draws(made)) == {"edf": 10, "edf-as-flown": 10, "motor": 10}
 
 
 def test_sobol_fills_every_dyadic_box() -> None:
@@ -111,11 +111,11 @@ def test_any_draw_can_be_had_alone_and_from_the_study_alone(design: str) -> None
     made = study(
         [f"{MASS}=5:6", f"{DELAY}=11:30"], runs=2 * BLOCK + 5, design=design, correlate=[f"{MASS},{DELAY}=0.5"]
     )
-    whole = list(draws(made))
+    whole = list(Draws(made))
     assert [draw.number for draw in whole] == list(range(made.draws))
     for number in (2 * BLOCK + 4, 3, BLOCK, BLOCK - 1):
-        assert draws(made)[number] == whole[number]
-    backwards = draws(made)
+        assert Draws(made)[number] == whole[number]
+    backwards = Draws(made)
     assert [backwards[number] for number in (2 * BLOCK, 0, -1)] == [whole[2 * BLOCK], whole[0], whole[-1]]
     assert backwards[BLOCK - 2 : BLOCK + 2] == whole[BLOCK - 2 : BLOCK + 2]
     with pytest.raises(IndexError):
@@ -126,11 +126,11 @@ def test_any_draw_can_be_had_alone_and_from_the_study_alone(design: str) -> None
 def test_a_longer_study_begins_with_the_shorter_one(design: str) -> None:
     vary = [f"{MASS}=5:6", f"{DELAY}=11:30"]
     short, long = (study(vary, design=design, runs=runs, correlate=[f"{MASS},{DELAY}=0.5"]) for runs in (1030, 3000))
-    assert list(draws(short)) == draws(long)[:1030]
+    assert list(Draws(short)) == Draws(long)[:1030]
 
 
 def test_a_million_draws_wait_until_they_are_asked_for() -> None:
-    made = draws(study([f"{MASS}=5:6"], design="random", runs=10_000_000))
+    made = Draws(study([f"{MASS}=5:6"], design="random", runs=10_000_000))
     assert len(made) == 10_000_000
     assert made[9_999_999].number == 9_999_999
 
@@ -161,7 +161,7 @@ def test_a_flights_seed_depends_on_the_study_seed_and_the_number_alone() -> None
         study(["engine=edf,motor", "substeps=1:10:10"], seed=4),
     ]
     for made in studies:
-        assert [draw.seed for draw in draws(made)[:20]] == [flight_seed(4, number) for number in range(20)]
+        assert [draw.seed for draw in Draws(made)[:20]] == [flight_seed(4, number) for number in range(20)]
     seeds = [flight_seed(seed, number) for seed in range(20) for number in range(500)]
     assert len(set(seeds)) == len(seeds)
     assert max(seeds) < 2**53
@@ -171,7 +171,7 @@ def test_a_flights_seed_depends_on_the_study_seed_and_the_number_alone() -> None
 def test_the_first_draws_are_those_of_ever() -> None:
     """A campaign that is taken up in another year goes on with the same draws (numpy keeps these streams)."""
     made = study([f"{MASS}=5:6", f"{DELAY}=11:30"], design="random", runs=1600, seed=6)
-    assert [(draw.seed, *draw.values.values()) for draw in (draws(made)[0], draws(made)[1500])] == STORED
+    assert [(draw.seed, *draw.values.values()) for draw in (Draws(made)[0], Draws(made)[1500])] == STORED
 
 
 # -- distributions: the closed form of the cumulative distribution gives back the share --

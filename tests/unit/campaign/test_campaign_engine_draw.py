@@ -13,7 +13,7 @@ from uncertain_engines import CORRELATION, NOMINAL, fan
 from cosim.base.errors import InputError
 from cosim.campaign.search.folder import resolve_search
 from cosim.campaign.search.probe import Prober
-from cosim.campaign.study.draws import draws, flight_seed
+from cosim.campaign.study.draws import Draws, flight_seed
 from cosim.campaign.study.engine_draw import engine_draw
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights, scenario_of
@@ -32,7 +32,7 @@ def study(file: Path, runs: int | None = RUNS, **options: Any) -> Study:
 
 
 def columns(made: Study) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
-    drawn = draws(made)[:]
+    drawn = Draws(made)[:]
     return {name: np.array([draw.values[name] for draw in drawn], dtype=float) for name in made.drawn}
 
 
@@ -70,7 +70,7 @@ def test_engines_share_one_draw_and_add_one_of_their_own(tmp_path: Path) -> None
 
 def test_whole_numbers_and_limits_are_kept(tmp_path: Path) -> None:
     wide = study(fan(tmp_path, [15.0, 0.2, 0.2], [15.0, 0.2, 0.2]), design="random", runs=3000)
-    for name, values in ((name, [draw.values[name] for draw in draws(wide)]) for name in wide.drawn):
+    for name, values in ((name, [draw.values[name] for draw in Draws(wide)]) for name in wide.drawn):
         if name.endswith("delay_samples"):
             assert {type(value) for value in values} == {int}
             assert min(values) == 0
@@ -91,9 +91,9 @@ def test_whole_numbers_and_limits_are_kept(tmp_path: Path) -> None:
 def test_draws_come_from_the_seed_alone(tmp_path: Path) -> None:
     file = fan(tmp_path, DEVIATION, SPREAD)
     long, short = study(file, 2000, design="random"), study(file, 1500, design="random")
-    assert draws(short)[1200] == draws(long)[1200]
-    assert draws(long)[3] == draws(study(file, 2000, design="random"))[3]
-    assert draws(long)[3] != draws(study(file, 2000, design="random", seed=2))[3]
+    assert Draws(short)[1200] == Draws(long)[1200]
+    assert Draws(long)[3] == Draws(study(file, 2000, design="random"))[3]
+    assert Draws(long)[3] != Draws(study(file, 2000, design="random", seed=2))[3]
 
 
 def test_a_station_is_drawn_about_what_it_states(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_an_uncertain_engine_is_drawn_by_default_and_said_so(tmp_path: Path) -> 
         "the engine of each flight is drawn by the engine's [uncertainty] (delay_samples, pole, gain, each engine by "
         "itself too; source: bench.csv: 6 steps, 2 holds); --nominal-engine flies it as it is stated"
     )
-    assert [draw.values for draw in draws(by_default)] == [draw.values for draw in draws(study(file, 5, vary=mass))]
+    assert [draw.values for draw in Draws(by_default)] == [draw.values for draw in Draws(study(file, 5, vary=mass))]
     nominal = study(file, 5, vary=mass, nominal_engine=True)
     assert keys(nominal) == ["vehicle.mass_kg"]
     assert "flies as it is stated" in nominal.notes()[-1]
@@ -198,7 +198,7 @@ def test_each_point_of_a_grid_has_an_engine_of_its_own(tmp_path: Path) -> None:
     assert len(set(drawn[f"{COMMON}gain"])) == 6
     nominal = columns(study(file, None, vary=["vehicle.mass_kg=5,6"], repeats=3, nominal_engine=True))
     assert drawn["vehicle.mass_kg"].tolist() == nominal["vehicle.mass_kg"].tolist()
-    assert [draw.seed for draw in draws(grid)] == [flight_seed(1, number) for number in range(6)]
+    assert [draw.seed for draw in Draws(grid)] == [flight_seed(1, number) for number in range(6)]
 
 
 def test_a_search_draws_in_all_flights_of_a_point_but_the_first(tmp_path: Path) -> None:

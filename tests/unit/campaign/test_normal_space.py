@@ -12,8 +12,8 @@ import uncertain_engines as engines
 
 from cosim.base.errors import InputError
 from cosim.campaign.study.distributions import parse_vary
-from cosim.campaign.study.draws import draws
-from cosim.campaign.study.normal_space import NormalSpace, draw_seed, log_density
+from cosim.campaign.study.draws import Draws
+from cosim.campaign.study.normal_space import NormalSpace, draw_seed
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study
 
@@ -79,7 +79,7 @@ def test_a_random_study_draws_the_same_values_at_the_same_quantiles(tmp_path: Pa
 
     fan = engines.fan(tmp_path, [2.0, 0.01, 0.02], [0.5, 0.0, 0.004])
     made = study([f"{MASS}=5:6", "engine", f"{NOISE}=log(0.01:0.1)"], settings=[f"engine={fan}"])
-    space, campaign = NormalSpace(made), draws(made)
+    space, campaign = NormalSpace(made), Draws(made)
     assert space.dimension == 2 + made.engine_draw().sides  # type: ignore[union-attr]
     points = ndtri(np.delete(campaign._points(0, 4), 1, axis=1))  # the place of the engine itself has no number
     for row, draw in zip(space.values(points), campaign, strict=True):
@@ -87,9 +87,7 @@ def test_a_random_study_draws_the_same_values_at_the_same_quantiles(tmp_path: Pa
         assert row == pytest.approx(draw.values, rel=1e-9)
 
 
-def test_density_and_seeds() -> None:
-    points = np.array([[0.0, 0.0], [3.0, 4.0]])
-    assert log_density(points) == pytest.approx([-log(2.0 * pi), -12.5 - log(2.0 * pi)])
+def test_seeds() -> None:
     seeds = {draw_seed(np.random.default_rng(number)) for number in range(50)}
     assert len(seeds) == 50
     assert max(seeds) < 2**53

@@ -27,7 +27,8 @@ from cosim.campaign.rare.estimate import (
     probability_text,
     seed_effect,
 )
-from cosim.campaign.rare.subset import Candidates, Level, Repeat, run_repeats, subset_simulation
+from cosim.campaign.rare.subset import Candidates, Level, Repeat, subset_simulation
+from cosim.campaign.search.line_search import run_together
 from cosim.results.report.marks import parts_of
 
 measured = script("rare")
@@ -109,7 +110,10 @@ def test_margins_that_are_all_the_same_lead_nowhere() -> None:
 
 def ended(margin: Callable[[Candidates], Any], seed: int | None = None) -> list[Repeat]:
     generators = [subset_simulation(3, 100, 4, np.random.default_rng(repeat), seed) for repeat in range(8)]
-    return run_repeats(generators, lambda asked: {number: margin(each) for number, each in asked.items()})
+    repeats = run_together(
+        dict(enumerate(generators)), lambda asked: {number: margin(each) for number, each in asked.items()}
+    )
+    return list(repeats.values())
 
 
 def test_candidates_keep_the_normal_distribution_and_their_seeds_all_values() -> None:

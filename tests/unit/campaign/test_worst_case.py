@@ -15,7 +15,7 @@ from cosim.base.errors import InputError
 from cosim.campaign.search.probe import Journal, Prober
 from cosim.campaign.search.worst_case import WorstSearch, search_worst
 from cosim.campaign.search.worst_folder import resolve_worst
-from cosim.campaign.study.draws import draws
+from cosim.campaign.study.draws import Draws
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.campaign.study.study import Study
@@ -84,7 +84,7 @@ def test_no_single_key_and_no_pair_shows_the_planted_failure(planted: Callable[[
 def test_2000_draws_do_not_find_the_planted_failure() -> None:
     """It takes 6e-6 of the draws: half the sum of six uniform distances from the corner below ln 1.25, nearly."""
     study = open_study("gust", vary=[f"{key}=0:1" for key in KEYS], design="random", runs=2000)
-    counted = [corner(draw.values) > 1.0 for draw in draws(study)]
+    counted = [corner(draw.values) > 1.0 for draw in Draws(study)]
     assert len(counted) == 2000
     assert sum(counted) == 0
 
