@@ -8,8 +8,10 @@ from collections.abc import Sequence
 from math import inf, isfinite, log
 from typing import Annotated, Any, Literal, TypeVar
 
+import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError, nearest
 from cosim.base.storage.toml import Model, Positive, validate
 
@@ -41,6 +43,14 @@ class Normal(Model):
     min: float | None = None
     max: float | None = None
 
+    def score(self, bound: float) -> float:
+        """Return the number of standard deviations from the mean to a bound."""
+        return (bound - self.mean) / self.sd
+
+    def values(self, scores: Array) -> Array:
+        """Return the values of standard normal numbers."""
+        return self.mean + self.sd * scores
+
 
 class LogNormal(Model):
     """``median * exp(sigma z)`` with z standard normal, truncated at ``min`` and ``max``."""
@@ -49,6 +59,14 @@ class LogNormal(Model):
     sigma: Positive
     min: float | None = None
     max: float | None = None
+
+    def score(self, bound: float) -> float:
+        """Return the z of a bound; minus infinity for one that nothing is below."""
+        return log(bound / self.median) / self.sigma if bound > 0.0 else -inf
+
+    def values(self, scores: Array) -> Array:
+        """Return the values of standard normal numbers."""
+        return np.asarray(self.median * np.exp(self.sigma * scores))
 
 
 class Triangular(Model):
@@ -63,6 +81,9 @@ class Triangular(Model):
         if not (self.min < self.max and self.min <= self.mode <= self.max):
             raise ValueError(f"min {self.min:g}, mode {self.mode:g}, max {self.max:g}: must grow in this order")
         return self
+
+
+CALLS: dict[str, type[Model]] = {"normal": Normal, "lognormal": LogNormal, "triangular": Triangular}
 
 
 class Vary(Model):
@@ -111,7 +132,8 @@ class Vary(Model):
             if self.lognormal is not None and self.lognormal.min is not None:
                 raise ValueError(f"{self.key}: a lognormal number is above 0, and so must be min")
         for name, form in (("normal", self.normal), ("lognormal", self.lognormal)):
-            if form is not None and not _has_probability(form):
+            # within 8 standard deviations the inverse keeps its digits
+            if form is not None and not (form.score(low) < 8.0 and form.score(high) > -8.0):
                 raise ValueError(f"{self.key}: {_text(low)} to {_text(high)} is too far out for this {name}")
         return self
 
@@ -164,29 +186,9 @@ class Vary(Model):
         if self.range is not None:
             span = ":".join(_text(number) for number in (*self.range, *([self.levels] if self.levels else [])))
             return f"log({span})" if self.scale == "log" else span
-        if self.triangular is not None:
-            return (
-                f"triangular({_text(self.triangular.min)},{_text(self.triangular.mode)},{_text(self.triangular.max)})"
-            )
-        form = self.normal or self.lognormal
-        assert form is not None
-        name, (first, second) = (
-            ("normal", (form.mean, form.sd)) if isinstance(form, Normal) else ("lognormal", (form.median, form.sigma))
-        )
-        bounds = ["" if bound is None else _text(bound) for bound in (form.min, form.max)]
-        return f"{name}({','.join([_text(first), _text(second), *(bounds if any(bounds) else [])])})"
-
-
-def _has_probability(form: Normal | LogNormal) -> bool:
-    """Return whether the bounds leave something within 8 standard deviations, where the inverse keeps its digits."""
-    if isinstance(form, Normal):
-        low, high = ((bound - form.mean) / form.sd if bound is not None else None for bound in (form.min, form.max))
-    else:
-        low, high = (
-            log(bound / form.median) / form.sigma if bound is not None and bound > 0.0 else None
-            for bound in (form.min, form.max)
-        )
-    return (low is None or low < 8.0) and (high is None or high > -8.0)
+        name = next(name for name in CALLS if getattr(self, name) is not None)
+        numbers = ["" if number is None else _text(number) for _, number in getattr(self, name)]
+        return f"{name}({','.join(numbers if any(numbers[2:]) else numbers[:2])})"
 
 
 def vary_tables(value: Any) -> Any:
@@ -237,20 +239,14 @@ def _parse_form(form: str, text: str) -> dict[str, Any]:
     name, argument_text = call.groups()
     if name == "log":
         return {**_span(argument_text, text), "scale": "log"}
-    parameters = {"normal": ("mean", "sd"), "lognormal": ("median", "sigma"), "triangular": ("min", "mode", "max")}
-    if name not in parameters:
-        raise InputError(f"--vary {text}: unknown distribution {name!r}; {nearest(name, [*parameters, 'log'])}")
-    arguments = [part.strip() for part in argument_text.split(",")]
-    names = parameters[name] if name == "triangular" else (*parameters[name], "min", "max")
-    if not len(parameters[name]) <= len(arguments) <= len(names):
-        raise InputError(f"--vary {text}: {name} takes {', '.join(names)}")
-    bounded = dict(zip(names, arguments, strict=False))
-    omitted = [
-        bound for bound, part in bounded.items() if not part and bound in ("min", "max") and name != "triangular"
-    ]
-    return {
-        name: {bound: parse_number(part, f"--vary {text}") for bound, part in bounded.items() if bound not in omitted}
-    }
+    if name not in CALLS:
+        raise InputError(f"--vary {text}: unknown distribution {name!r}; {nearest(name, [*CALLS, 'log'])}")
+    arguments, fields = [part.strip() for part in argument_text.split(",")], CALLS[name].model_fields
+    needed = [key for key, field in fields.items() if field.is_required()]
+    if not len(needed) <= len(arguments) <= len(fields):
+        raise InputError(f"--vary {text}: {name} takes {', '.join(fields)}")
+    stated = {key: part for key, part in zip(fields, arguments, strict=False) if part or key in needed}
+    return {name: {key: parse_number(part, f"--vary {text}") for key, part in stated.items()}}
 
 
 def _span(span: str, text: str) -> dict[str, Any]:

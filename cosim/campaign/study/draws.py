@@ -15,13 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from math import isfinite, log, prod
+from math import log, prod
 from typing import Any, Protocol, TypeVar, overload
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.campaign.study.distributions import Normal, Vary
+from cosim.campaign.study.distributions import Vary
 from cosim.campaign.study.engine_draw import SMALLEST, EngineDraw
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study
@@ -324,9 +324,4 @@ def _distribution(vary: Vary, low: float, high: float) -> Callable[[Array], Arra
         return lambda quantiles: np.asarray(stats.triang.ppf(quantiles, mode, loc=low, scale=high - low))
     form = vary.normal or vary.lognormal
     assert form is not None
-    if isinstance(form, Normal):
-        ends = [(end - form.mean) / form.sd for end in (low, high)]
-        return lambda quantiles: form.mean + form.sd * stats.truncnorm.ppf(quantiles, *ends)
-    ends = [log(end / form.median) / form.sigma if end > 0.0 and isfinite(end) else end for end in (low, high)]
-    ends[0] = ends[0] if low > 0.0 else -np.inf
-    return lambda quantiles: form.median * np.exp(form.sigma * stats.truncnorm.ppf(quantiles, *ends))
+    return lambda quantiles: form.values(stats.truncnorm.ppf(quantiles, form.score(low), form.score(high)))
