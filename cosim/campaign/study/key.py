@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from math import inf, isfinite
 from typing import Literal
@@ -12,34 +13,13 @@ from cosim.spec.vehicle import is_aircraft_path, is_file
 Value = float | int | str | bool
 Kind = Literal["float", "int", "bool", "choice"]
 
-# What the end of a name says of the unit, the longest first.
-UNITS = {
-    "per_unit": "",
-    "kg_m2": "kg m^2",
-    "n_m_s": "N m s",
-    "n_s_m": "N s/m",
-    "m_s25": "m/s^2.5",
-    "m_s15": "m/s^1.5",
-    "rad_s": "rad/s",
-    "deg_s": "deg/s",
-    "m_s3": "m/s^3",
-    "m_s2": "m/s^2",
-    "1_s2": "1/s^2",
-    "kg_s": "kg/s",
-    "m_s": "m/s",
-    "1_s": "1/s",
-    "n_m": "N m",
-    "samples": "samples",
-    "percent": "%",
-    "rad": "rad",
-    "deg": "deg",
-    "kg": "kg",
-    "hz": "Hz",
-    "db": "dB",
-    "m2": "m^2",
-    "m": "m",
-    "n": "N",
-    "s": "s",
+# The units that the end of a name says, with _ for what stands between letters: m_s2; those with the longest end first.
+UNITS = (
+    "kg m^2", "N m s", "N s/m", "m/s^2.5", "m/s^1.5", "rad/s", "deg/s", "m/s^3", "m/s^2", "1/s^2", "kg/s", "m/s", "1/s",
+    "N m", "samples", "rad", "deg", "kg", "Hz", "dB", "m^2", "m", "N", "s",
+)  # fmt: skip
+ENDINGS = {"per_unit": "", "percent": "%"} | {
+    re.sub(r"[ /]", "_", unit).replace("^", "").replace(".", "").lower(): unit for unit in UNITS
 }
 ODD_UNITS = {"spring_n_m": "N/m", "reaction_m": "m"}  # a stiffness reads as a moment does
 
@@ -121,4 +101,4 @@ def unit_of(path: str) -> str:
     name = next((part for part in reversed(path.split(".")) if not part.isdigit()), "")
     if name in ODD_UNITS:
         return ODD_UNITS[name]
-    return next((unit for end, unit in UNITS.items() if f"_{name}".endswith(f"_{end}")), "")
+    return next((unit for end, unit in ENDINGS.items() if f"_{name}".endswith(f"_{end}")), "")
