@@ -16,7 +16,7 @@ from cosim.campaign.analysis.sensitivity import Ranking
 from cosim.campaign.analysis.statistics import Proportion, assign_classes, wilson
 from cosim.campaign.analysis.summary import controller_indices
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
-from cosim.results.report.plot import ABOVE, GREEN, GREY, MAGENTA, ORANGE, RED, layout, run_colour
+from cosim.results.report.plot import ABOVE, GREEN, GREY, MAGENTA, ORANGE, RED, bars, layout, run_colour
 from cosim.results.wording import Metric
 
 Figure = dict[str, Any]
@@ -52,16 +52,14 @@ def outcomes(table: FlightTable) -> Figure:
     )
     of = np.maximum(counts.sum(axis=1), 1)
     data = [
-        {
-            "type": "bar",
-            "orientation": "h",
-            "name": name,
-            "y": table.controllers,
-            "x": round_digits(100.0 * counts[:, kind] / of),
-            "customdata": counts[:, kind].tolist(),
-            "marker": {"color": KIND_COLOURS[name]},
-            "hovertemplate": f"%{{y}}: %{{customdata}} {name} (%{{x:.4~g}} %)<extra></extra>",
-        }
+        bars(
+            name,
+            table.controllers,
+            round_digits(100.0 * counts[:, kind] / of),
+            customdata=counts[:, kind].tolist(),
+            marker={"color": KIND_COLOURS[name]},
+            hovertemplate=f"%{{y}}: %{{customdata}} {name} (%{{x:.4~g}} %)<extra></extra>",
+        )
         for kind, name in enumerate(KINDS)
         if counts[:, kind].any()
     ]
@@ -132,15 +130,13 @@ def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Fi
     data = []
     for controller, _ in reversed(ranked):  # the first on top
         effects = [by_key[controller][path] for path in paths]
-        bar: Figure = {
-            "type": "bar",
-            "orientation": "h",
-            "name": table.controllers[controller],
-            "y": [labels[path] for path in paths],
-            "x": [_percent(effect.index) for effect in effects],
-            "marker": {"color": run_colour(controller), "opacity": [1.0 if effect.real else 0.3 for effect in effects]},
-            "hovertemplate": f"%{{y}}, {table.controllers[controller]}: %{{x:.1f}} %<extra></extra>",
-        }
+        bar = bars(
+            table.controllers[controller],
+            [labels[path] for path in paths],
+            [_percent(effect.index) for effect in effects],
+            marker={"color": run_colour(controller), "opacity": [1.0 if effect.real else 0.3 for effect in effects]},
+            hovertemplate=f"%{{y}}, {table.controllers[controller]}: %{{x:.1f}} %<extra></extra>",
+        )
         if not table.grid:
             bar["error_x"] = {
                 "type": "data",

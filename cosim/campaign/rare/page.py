@@ -11,9 +11,9 @@ from cosim.campaign.rare.estimate import probability_text
 from cosim.campaign.rare.simulation import RareResult, SavedRare, describe_plan
 from cosim.campaign.rare.subset import Repeat
 from cosim.campaign.search.page import text
-from cosim.campaign.search.question import CASES, case_links
+from cosim.campaign.search.question import case_rows
 from cosim.results.report.page import render
-from cosim.results.report.plot import ABOVE, GREY, RED, layout, run_colour
+from cosim.results.report.plot import GREY, RED, closest, dotted, run_colour
 from cosim.spec.controller_name import short_name
 
 Figure = dict[str, Any]
@@ -31,10 +31,6 @@ def write_page(saved: SavedRare, path: Path) -> None:
     """Write the page of a simulation.  Raises FlightError if the file cannot be written."""
     result = saved.result
     base = result.study.base()
-    cases = []
-    for case in saved.cases:
-        values = ", ".join(f"{key} = {text(value)}" for key, value in case.values.items())
-        cases.append({"case": case, "what": values} | case_links(saved.folder / CASES / case.name, path))
     render(
         TEMPLATE,
         path,
@@ -48,7 +44,8 @@ def write_page(saved: SavedRare, path: Path) -> None:
         repeats=repeat_rows(result),
         shifts=shift_rows(result),
         deciders=describe_deciders(result),
-        cases=cases,
+        cases=case_rows(saved, path),
+        text=text,
     )
 
 
@@ -90,20 +87,10 @@ def _levels(result: RareResult) -> Figure:
                 "hovertemplate": "margin %{x:.3g}: %{y:.2e}<extra></extra>",
             }
         )
-    figure = layout(
-        420,
-        80,
-        16,
-        30,
-        46,
-        hovermode="closest",
-        showlegend=True,
-        legend={"orientation": "h", "x": 0, "y": 1.0, **ABOVE},
-    )
+    figure = closest(420, 80)
     figure["xaxis"] = {"title": {"text": "margin"}}
     figure["yaxis"] = {"title": {"text": "probability of less"}, "type": "log"}
-    upright = {"type": "line", "xref": "x", "yref": "paper", "x0": 0.0, "x1": 0.0, "y0": 0, "y1": 1}
-    figure["shapes"] = [upright | {"line": {"color": RED if result.failures else GREY, "width": 1.4, "dash": "dot"}}]
+    figure["shapes"] = [dotted(RED if result.failures else GREY, x=0.0)]
     return {"data": data, "layout": figure}
 
 

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from cosim.campaign.search.probe import Point
-from cosim.campaign.search.question import CASES, case_links
+from cosim.campaign.search.question import case_rows
 from cosim.campaign.search.result import SavedSearch
 from cosim.campaign.search.search import Edge, JointResult, Plan, SearchResult
 from cosim.campaign.search.span import Span
 from cosim.campaign.study.key import Value
 from cosim.results.report.page import render
-from cosim.results.report.plot import ABOVE, GREEN, GREY, RED, layout, run_colour
+from cosim.results.report.plot import GREEN, GREY, RED, bars, closest, dotted, run_colour
 from cosim.spec.controller_name import short_name
 from cosim.spec.scenario import flown_parameters, list_changes
 
@@ -33,11 +33,6 @@ def write_page(searched: SavedSearch, path: Path) -> None:
     """Write the page of a search.  Raises FlightError if the file cannot be written."""
     result = searched.result
     columns, rows = table(result)
-    cases = []
-    for case in searched.cases:
-        values = ", ".join(f"{key} = {value}" for key, value in case.values.items())
-        links = {"what": values} | case_links(searched.folder / CASES / case.name, path)
-        cases.append({name: getattr(case, name) for name in ("name", "seed", "outcome", "reason", "same")} | links)
     base = result.study.base()
     render(
         TEMPLATE,
@@ -53,7 +48,8 @@ def write_page(searched: SavedSearch, path: Path) -> None:
         rows=rows,
         fine=[describe_resolution(span) for span in result.plan.spans],
         together=joint_lines(result),
-        cases=cases,
+        cases=case_rows(searched, path),
+        text=str,
     )
 
 
@@ -184,13 +180,13 @@ def _bands(result: SearchResult, span: Span) -> Figure:
         for first, last, breaks in edge.bands:
             data.append(_bar(short_name(edge.controller), float(first), float(last), RED if breaks else GREEN))
     names = list(dict.fromkeys(short_name(edge.controller) for edge in edges))
-    layout = _layout(110 + ROW_PX * len(names))
+    layout = closest(110 + ROW_PX * len(names), has_legend=False)
     layout["annotations"] = [
         _label(short_name(edge.controller), float(edge.breaks), text(edge.breaks, edge.unit), span.logarithmic)
         for edge in edges
         if edge.breaks is not None and not edge.start_breaks
     ]
-    layout["shapes"] = [_upright(span.start)]
+    layout["shapes"] = [dotted(GREY, x=span.start)]
     layout["xaxis"] = {"title": {"text": _title(span)}, "type": "log" if span.logarithmic else "linear"}
     layout["yaxis"] = {"automargin": True, "type": "category", "range": [len(names) - 0.4, -0.6]}
     return {"data": data, "layout": layout}
@@ -225,8 +221,8 @@ def _curve(result: SearchResult) -> Figure:
             if edges:
                 name = short_name(controller)
                 data += _branch(edges, run_colour(number), name, not any(d["name"] == name for d in data))
-    layout = _layout(460) | {"showlegend": True}
-    layout["shapes"] = [_level(span.start)]
+    layout = closest(460)
+    layout["shapes"] = [dotted(GREY, y=span.start)]
     layout["xaxis"] = {"title": {"text": f"{over.key.path} [{over.key.unit or '1'}]"}}
     if over.key.kind in ("choice", "bool"):
         layout["xaxis"]["type"] = "category"
@@ -308,7 +304,7 @@ def _pair(plan: Plan, joint: JointResult, looked: list[tuple[Point, bool]]) -> F
                 "marker": {"color": RED, "size": 13, "symbol": "x"},
             }
         )
-    layout = _layout(520) | {"showlegend": True}
+    layout = closest(520)
     layout["xaxis"] = {"title": {"text": _title(first)}, "type": "log" if first.logarithmic else "linear"}
     layout["yaxis"] = {"title": {"text": _title(second)}, "type": "log" if second.logarithmic else "linear"}
     return {"data": data, "layout": layout}
@@ -324,39 +320,21 @@ def _value_at(span: Span, deviation: float) -> float | None:
 def _deviations(result: SearchResult) -> Figure:
     """Return the figure of each key's deviation, as a fraction of its range, in the nearest point that breaks."""
     data = [
-        {
-            "type": "bar",
-            "orientation": "h",
-            "name": short_name(joint.controller),
-            "y": list(joint.deviations),
-            "x": [100.0 * deviation for deviation in joint.deviations.values()],
-            "marker": {"color": run_colour(number)},
-            "hovertemplate": f"{short_name(joint.controller)}: %{{y}} %{{x:+.3g}} %<extra></extra>",
-        }
+        bars(
+            short_name(joint.controller),
+            list(joint.deviations),
+            [100.0 * deviation for deviation in joint.deviations.values()],
+            marker={"color": run_colour(number)},
+            hovertemplate=f"{short_name(joint.controller)}: %{{y}} %{{x:+.3g}} %<extra></extra>",
+        )
         for number, joint in enumerate(result.joints)
         if joint.distance is not None
     ]
-    layout = _layout(130 + ROW_PX * len(result.plan.spans)) | {"showlegend": True}
+    layout = closest(130 + ROW_PX * len(result.plan.spans))
     layout["xaxis"] = {"title": {"text": "of the way to the end of the range [%]"}}
     layout["yaxis"] = {"automargin": True, "autorange": "reversed"}
     return {"data": data, "layout": layout}
 
 
-def _layout(height: int) -> Figure:
-    legend = {"orientation": "h", "x": 0, "y": 1.0, **ABOVE}
-    return layout(height, 64, 16, 30, 46, hovermode="closest", showlegend=False, legend=legend)
-
-
 def _title(span: Span) -> str:
     return f"{span.key.path} [{span.key.unit or '1'}]"
-
-
-def _upright(x: float) -> Figure:
-    return {"type": "line", "xref": "x", "yref": "paper", "x0": x, "x1": x, "y0": 0, "y1": 1, **_DOTTED}
-
-
-def _level(y: float) -> Figure:
-    return {"type": "line", "xref": "paper", "yref": "y", "x0": 0, "x1": 1, "y0": y, "y1": y, **_DOTTED}
-
-
-_DOTTED: Figure = {"line": {"color": GREY, "width": 1.4, "dash": "dot"}}

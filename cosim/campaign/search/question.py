@@ -156,8 +156,12 @@ def fly_row_again(study: Study, flight: Flight, row: Row, folder: Path) -> Flown
     return FlownAgain(run.outcome, reason, same)
 
 
-def case_links(folder: Path, page: Path) -> dict[str, str]:
-    """Return the ``report`` of a case's folder as linked from a page, empty without one, and the ``command``'s file."""
-    report = folder / REPORT
-    link = Path(os.path.relpath(report, page.parent)).as_posix() if report.is_file() else ""
-    return {"report": link, "command": shlex.quote((folder / SCENARIO).as_posix())}
+def case_rows(answered: Answered[Any, Any], page: Path) -> list[dict[str, Any]]:
+    """Return each ``case`` with its ``report`` as linked from a page, empty without one, and the file to fly again."""
+    rows = []
+    for case in answered.cases:
+        folder = answered.folder / CASES / case.name
+        report = folder / REPORT
+        link = Path(os.path.relpath(report, page.parent)).as_posix() if report.is_file() else ""
+        rows.append({"case": case, "report": link, "command": shlex.quote((folder / SCENARIO).as_posix())})
+    return rows

@@ -94,7 +94,7 @@ def run_worst(
         result = search_worst(plan, prober)
         saved = SavedWorst(out, result, tuple(_cases(result, prober, empty_cases(out))))
         saved.write(RESULT)
-        write_page(saved.result, saved.cases, out / REPORT)
+        write_page(saved, out / REPORT)
     return saved
 
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from cosim.campaign.search.page import ROW_PX, text
-from cosim.campaign.search.question import CASES, case_links
+from cosim.campaign.search.question import Answered, case_rows
 from cosim.campaign.search.result import Case
 from cosim.campaign.search.worst_case import WorstCase, WorstSearch, important
 from cosim.results.report.page import render
-from cosim.results.report.plot import ABOVE, layout, run_colour
+from cosim.results.report.plot import bars, closest, run_colour
 from cosim.spec.controller_name import short_name
 
 TEMPLATE = Path(__file__).parent / "templates" / "worst.html"
@@ -40,30 +39,21 @@ def _rows(case: WorstCase) -> list[list[str]]:
     return listed
 
 
-def write_page(result: WorstSearch, cases: Sequence[Case], path: Path) -> None:
-    """Write the page of a search, whose flights are in ``cases/`` beside it.
-
-    Raises FlightError if the file cannot be written.
-    """
-    base = result.study.base()
-    flown = []
-    for case in cases:
-        flown.append(
-            {name: getattr(case, name) for name in ("name", "seed", "reason", "same")}
-            | case_links(path.parent / CASES / case.name, path)
-            | {"what": ", ".join(f"{key} = {text(value)}" for key, value in case.values.items())}
-        )
+def write_page(saved: Answered[WorstSearch, Case], path: Path) -> None:
+    """Write the page of a search.  Raises FlightError if the file cannot be written."""
+    result = saved.result
     render(
         TEMPLATE,
         path,
         {"places": _places(result)},
         result=result,
-        base=base,
+        base=result.study.base(),
         lines=result.lines(),
         notes=result.notes,
         columns=titles(result),
         rows=rows(result),
-        cases=flown,
+        cases=case_rows(saved, path),
+        text=text,
     )
 
 
@@ -73,19 +63,9 @@ def _places(result: WorstSearch) -> dict[str, Any]:
     data = []
     for number, case in enumerate(result.cases):
         label = short_name(case.controller)
-        data.append(
-            {
-                "type": "bar",
-                "orientation": "h",
-                "name": label,
-                "y": names,
-                "x": [effect.place for effect in case.effects],
-                "marker": {"color": run_colour(number)},
-                "hovertemplate": f"{label}: %{{y}} %{{x:+.3g}}<extra></extra>",
-            }
-        )
-    legend = {"orientation": "h", "x": 0, "y": 1.0, **ABOVE}
-    drawn = layout(130 + ROW_PX * len(names), 64, 16, 30, 46, hovermode="closest", showlegend=True, legend=legend)
+        says = {"marker": {"color": run_colour(number)}, "hovertemplate": f"{label}: %{{y}} %{{x:+.3g}}<extra></extra>"}
+        data.append(bars(label, names, [effect.place for effect in case.effects], **says))
+    drawn = closest(130 + ROW_PX * len(names))
     unit = "half ranges" if result.plan.within is None else "standard deviations"
     drawn["xaxis"] = {"title": {"text": f"from the middle [{unit}]"}}
     drawn["yaxis"] = {"automargin": True, "autorange": "reversed"}

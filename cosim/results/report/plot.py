@@ -13,6 +13,7 @@ Figure = dict[str, Any]
 BLUE, ORANGE, MAGENTA, GREEN, RED, GREY = "#2f7de1", "#f08c00", "#c2339b", "#2f9e44", "#e03131", "#868e96"
 RUN_COLOURS = (ORANGE, BLUE, GREEN, MAGENTA, RED, "#7048e8", "#1098ad", "#a0522d")
 ABOVE = {"xanchor": "left", "yanchor": "bottom"}  # of a legend: where its place is of it
+LEGEND: Figure = {"orientation": "h", "x": 0, "y": 1.0, **ABOVE}  # in a row above the panels
 HOVER = {"hovermode": "x unified"}  # of a layout: all curves at the pointer's place, in one box
 
 
@@ -24,6 +25,24 @@ def run_colour(number: int) -> str:
 def layout(height: int, left: int, right: int, top: int, bottom: int, **more: Any) -> Figure:
     """Return a figure's layout of a height and with margins, px; ``more`` as Plotly's schema names it."""
     return {"height": height, "margin": {"l": left, "r": right, "t": top, "b": bottom}, **more}
+
+
+def closest(height: int, left: int = 64, *, has_legend: bool = True) -> Figure:
+    """Return the layout of a figure that says of what is nearest to the pointer what it is."""
+    return layout(height, left, 16, 30, 46, hovermode="closest", showlegend=has_legend, legend=LEGEND)
+
+
+def bars(label: str, names: Sequence[str], lengths: Sequence[float], **more: Any) -> Figure:
+    """Return horizontal bars, one for each name."""
+    return {"type": "bar", "orientation": "h", "name": label, "y": list(names), "x": list(lengths), **more}
+
+
+def dotted(colour: str, *, x: float | None = None, y: float | None = None) -> Figure:
+    """Return a dotted line across the whole figure: upright at ``x``, or level at ``y``."""
+    ends = {"xref": "x", "yref": "paper", "x0": x, "x1": x, "y0": 0, "y1": 1}
+    if x is None:
+        ends = {"xref": "paper", "yref": "y", "x0": 0, "x1": 1, "y0": y, "y1": y}
+    return {"type": "line", **ends, "line": {"color": colour, "width": 1.4, "dash": "dot"}}
 
 
 def axis_name(letter: str, number: int) -> str:
@@ -68,7 +87,7 @@ def panels(
     """
     figure_layout = layout(
         height, 64, 12, 36, 44,
-        legend={"orientation": "h", "x": 0, "y": 1.0, **ABOVE},
+        legend=LEGEND,
         xaxis={"title": {"text": x}, "anchor": axis_name("y", len(titles) - 1)},
     )  # fmt: skip
     if log:
