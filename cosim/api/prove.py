@@ -142,8 +142,8 @@ def prove(
     """
     from cosim.campaign.folder import is_campaign
     from cosim.campaign.proof.credibility import read_comparison
+    from cosim.campaign.proof.failure import check_flights
     from cosim.campaign.proof.prove import CAMPAIGN, Request, conclude, fly_study
-    from cosim.campaign.proof.rare_failure import check_flights
     from cosim.campaign.proof.source import proof_study
     from cosim.campaign.run import choose_workers, refuse_changes
     from cosim.flight import new_folder

@@ -1,4 +1,4 @@
-"""The worst case and the most likely failure of what is proven, searched for over all keys at once."""
+"""What is found of failures beside what a proof counts: the worst case, the most likely one, how rare they are."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
+from cosim.base.errors import InputError
 from cosim.campaign.proof.result import Part
+from cosim.campaign.rare.estimate import Budget
+from cosim.campaign.rare.folder import run_rare
+from cosim.campaign.rare.simulation import Plan
 from cosim.campaign.search.question import CASES
 from cosim.campaign.search.worst_case import LIKELY_WITHIN, WORST_WITHIN, WorstCase, WorstPlan, important
 from cosim.campaign.search.worst_folder import SavedWorst, run_worst
@@ -19,6 +23,8 @@ SAID = {  # of one that was not made
     LIKELY: "no search for the most likely failure was made",
     WORST: "no search for the worst case was made",
 }
+TARGET = 1e-6  # the smallest probability that the levels reach: that of hexjet rare by default
+KEPT = ("probability", "low", "high", "method", "flights", "failures", "not_flown", "nearest", "shifts")  # of rare.json
 HINT = "pip install 'hexjet-cosim[worst]'"
 
 
@@ -73,3 +79,31 @@ def _describe(found: WorstCase, run: str, plan: WorstPlan) -> str:
         what += " found none; the nearest to one" if plan.likely else " found no failure; it"
         return f"{effort} for {what} is {run}, margin {found.margin:.3g}, {place}"
     return f"{what} in {effort} is {run}, margin {found.margin:.3g}, {place}"
+
+
+def check_flights(flights: int) -> None:
+    """Raise InputError for fewer flights than a simulation of rare failures needs."""
+    try:
+        Budget(TARGET, flights).check()
+    except InputError as error:
+        raise InputError(str(error).replace("--budget", "--rare", 1)) from error
+
+
+def simulate_rare(study: Study, folder: Path, flights: int, workers: Workers, say: Callable[[str], None]) -> Part:
+    """Return the probability of failure by subset simulation with so many flights; one that was stopped goes on.
+
+    Seeds of noise and turbulence are part of what varies.  Raises FlightError if no more can be flown.
+    """
+    asked = study.changed(until=None, runs=flights)
+    plan = Plan(Budget(TARGET, flights))
+    saved = run_rare(asked, plan, folder, workers, True, lambda flown: say(f"rare: {flown}"))
+    told = saved.to_json()
+    cases = [
+        {
+            "run": f"{folder.parent.name}/{folder.name}/{CASES}/{case.name}",
+            "distance": case.distance,
+            "is_same": case.same,
+        }
+        for case in saved.cases
+    ]
+    return Part({key: told[key] for key in KEPT} | {"cases": cases, "is_same": saved.confirmed}, saved.result.sentence)

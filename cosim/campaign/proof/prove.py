@@ -29,11 +29,10 @@ from cosim.campaign.analysis.table import FlightTable, read_flight_table
 from cosim.campaign.analysis.worst_cases import eccentricity
 from cosim.campaign.folder import STUDY, is_campaign
 from cosim.campaign.proof.credibility import CHOSEN, Evidence, assess_credibility
-from cosim.campaign.proof.failure import LIKELY, SAID, search_failures
+from cosim.campaign.proof.failure import LIKELY, SAID, search_failures, simulate_rare
 from cosim.campaign.proof.failure import WORST as WORST_CASE
 from cosim.campaign.proof.limit import flown_limits
 from cosim.campaign.proof.page import write_page
-from cosim.campaign.proof.rare_failure import simulate_rare
 from cosim.campaign.proof.requirements import proven_requirements
 from cosim.campaign.proof.result import LEAST, NEAREST, Part, Proof, WorstFlight
 from cosim.campaign.proof.scope import kinds_not_varied, not_covered

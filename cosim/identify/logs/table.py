@@ -14,7 +14,7 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.storage.files import one_line
 from cosim.identify.logs.flight_log import Channel, FlightLog
 from cosim.identify.logs.text_table import is_number, read_text, seconds
-from cosim.results.export.mcap_columns import read_mcap_columns
+from cosim.results.export.mcap_file import read_mcap_columns
 from cosim.results.log.arrow import read_csv_numbers, read_numbers
 from cosim.results.log.columns import COLUMNS
 from cosim.results.log.tables import TIME

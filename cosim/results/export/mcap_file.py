@@ -1,4 +1,4 @@
-"""A run's log as MCAP, for Foxglove, PlotJuggler and Rerun.
+"""A run's log as MCAP, for Foxglove, PlotJuggler and Rerun; and its columns out of such a file again.
 
 Every column is in a channel of its subject (:data:`SUBJECTS`), every step, as float64: the log's own names, units and
 meanings in the channel's metadata.  Beside them are Foxglove's own messages, from which it draws: see
@@ -15,8 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.protocols import Column
+from cosim.base.storage.files import one_line
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.export.output import (
     ROWS,
@@ -50,6 +52,7 @@ SUBJECTS = {
     "/fault": r"fault_\w+|health_\d+",
 }
 CUSTOM, TIME = "/own", "/time"
+_PACKAGE = "hexjet"  # of the schemas of our channels
 _DOUBLE = 1  # Protocol Buffers' wire type of eight bytes
 _LEVELS = {0: 5, 1: 5, 2: 5, 3: 4, 4: 3, 5: 2, 6: 2, 7: 1}  # of syslog to foxglove.Log: 5 fatal ... 1 debug
 
@@ -132,7 +135,7 @@ def register_channels(writer: Any, columns: Sequence[Column]) -> list[Channel]:
     channels = []
     for topic, of in group_by_channel(columns).items():
         files = FileDescriptorSet()
-        file = files.file.add(name=f"hexjet{topic}.proto", package="hexjet", syntax="proto3")
+        file = files.file.add(name=f"hexjet{topic}.proto", package=_PACKAGE, syntax="proto3")
         message = file.message_type.add(name=topic.strip("/").title().replace("_", ""))
         for number, column in enumerate(of, 1):
             message.field.add(
@@ -142,19 +145,19 @@ def register_channels(writer: Any, columns: Sequence[Column]) -> list[Channel]:
                 type=FieldDescriptorProto.TYPE_DOUBLE,
                 label=FieldDescriptorProto.LABEL_OPTIONAL,
             )
-        schema = writer.register_schema(f"hexjet.{message.name}", "protobuf", files.SerializeToString())
+        schema = writer.register_schema(f"{_PACKAGE}.{message.name}", "protobuf", files.SerializeToString())
         meanings = {column.name: describe_column(column) for column in of}
-        tags = tuple(_varint(number << 3 | _DOUBLE) for number in range(1, len(of) + 1))
-        layout = [part for n, tag in enumerate(tags) for part in ((f"tag{n}", "u1", (len(tag),)), (f"value{n}", "<f8"))]
-        channels.append(
-            Channel(
-                writer.register_channel(topic, "protobuf", schema, meanings),
-                tuple(column.name for column in of),
-                np.dtype(layout),
-                tags,
-            )
-        )
+        channel = writer.register_channel(topic, "protobuf", schema, meanings)
+        tags, kind = _row_type(len(of))
+        channels.append(Channel(channel, tuple(column.name for column in of), kind, tags))
     return channels
+
+
+def _row_type(fields: int) -> tuple[tuple[bytes, ...], np.dtype[np.void]]:
+    """Return the tags of so many fields, and the layout of a message of them: each its tag and eight bytes."""
+    tags = tuple(_varint(number << 3 | _DOUBLE) for number in range(1, fields + 1))
+    layout = [part for n, tag in enumerate(tags) for part in ((f"tag{n}", "u1", (len(tag),)), (f"value{n}", "<f8"))]
+    return tags, np.dtype(layout)
 
 
 def _varint(number: int) -> bytes:
@@ -206,3 +209,48 @@ def make_text_message(channel: int, line: LogLine) -> Timed:
     message = Log(level=_LEVELS[line.severity], message=line.text, name=line.kind)
     message.timestamp.FromNanoseconds(time)
     return line.k, time, channel, message.SerializeToString()
+
+
+# ---- reading
+
+
+def read_mcap_columns(path: Path) -> dict[str, Array]:
+    """Return every column of a flight of ours, ``time_s`` among them.  Raises InputError for MCAP of another tool.
+
+    A message of ours is one row of a channel: each field a tag and eight bytes, all messages of a channel alike.
+    """
+    try:
+        from google.protobuf.descriptor_pb2 import FileDescriptorSet
+        from mcap.exceptions import McapError
+        from mcap.reader import make_reader
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"{path}: MCAP needs {error.name}, which is not installed: pip install 'hexjet-cosim[export]'"
+        ) from None
+    rows: dict[str, list[bytes]] = {}
+    names: dict[str, list[str]] = {}
+    try:
+        with path.open("rb") as file:
+            for schema, channel, message in make_reader(file).iter_messages():
+                if schema is None or not schema.name.startswith(f"{_PACKAGE}."):
+                    continue
+                if channel.topic not in names:
+                    (described,) = FileDescriptorSet.FromString(schema.data).file
+                    names[channel.topic] = [field.name for field in described.message_type[0].field]
+                rows.setdefault(channel.topic, []).append(message.data)
+    except (McapError, ValueError, OSError) as error:
+        raise InputError(f"{path}: cannot be read as MCAP: {one_line(error)}") from error
+    if not rows:
+        raise InputError(f"{path}: is MCAP of another tool; export the flight as ULog or CSV")
+    columns: dict[str, Array] = {}
+    for topic, messages in rows.items():
+        columns |= _columns(path, names[topic], messages)
+    return columns
+
+
+def _columns(path: Path, names: list[str], messages: list[bytes]) -> dict[str, Array]:
+    _, kind = _row_type(len(names))
+    if any(len(message) != kind.itemsize for message in messages):
+        raise InputError(f"{path}: its messages are not as hexjet export writes them")
+    table = np.frombuffer(b"".join(messages), kind)
+    return {name: table[f"value{n}"].astype(np.float64) for n, name in enumerate(names)}

@@ -30,6 +30,7 @@ from cosim.results.log.tables import Columnar
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    import pyarrow.parquet as pq
 
 Value = float | int | bool | str | None
 
@@ -177,7 +178,6 @@ def stream_to_parquet(stream: Path, parquet: Path) -> int:
 
 def _convert_stream(stream: Path, parquet: Path) -> int:
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     rows = 0
     try:
@@ -185,13 +185,7 @@ def _convert_stream(stream: Path, parquet: Path) -> int:
             closing(pa.OSFile(str(stream))) as file,
             _open(file) as reader,
             replace_on_success(parquet) as temporary,
-            pq.ParquetWriter(
-                temporary,
-                reader.schema.remove_metadata(),
-                compression="zstd",
-                use_dictionary=False,
-                column_encoding=dict.fromkeys(reader.schema.names, "BYTE_STREAM_SPLIT"),
-            ) as writer,
+            _log_writer(temporary, reader.schema.remove_metadata()) as writer,
         ):
             for table in _regroup(_complete_batches(reader)):
                 writer.write_table(table, row_group_size=ROW_GROUP)
@@ -199,6 +193,14 @@ def _convert_stream(stream: Path, parquet: Path) -> int:
     except (OSError, pa.ArrowException) as error:
         raise FlightError(f"{parquet}: {one_line(error)}") from error
     return rows
+
+
+def _log_writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
+    """Open a Parquet file for the numbers of a log."""
+    import pyarrow.parquet as pq
+
+    encoding = dict.fromkeys(schema.names, "BYTE_STREAM_SPLIT")
+    return pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=False, column_encoding=encoding)
 
 
 def _return_memory() -> None:
@@ -220,17 +222,10 @@ def write_log(
     Raises FlightError if the file cannot be written.
     """
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     schema = _schema(columns).with_metadata(dict(note))
     try:
-        with pq.ParquetWriter(
-            path,
-            schema,
-            compression="zstd",
-            use_dictionary=False,
-            column_encoding=dict.fromkeys(schema.names, "BYTE_STREAM_SPLIT"),
-        ) as writer:
+        with _log_writer(path, schema) as writer:
             for block in blocks:
                 arrays = [_of_numbers(block[name]) for name in schema.names]
                 writer.write_table(pa.Table.from_arrays(arrays, schema=schema), row_group_size=ROW_GROUP)

@@ -43,7 +43,7 @@ HOMES = {
     "pandas": ["results/log/tables.py"],
     "pyulog": ["identify/logs/ulog_child.py"],
     "nptdms": ["identify/logs/tdms.py"],
-    "mcap": ["results/export/mcap_file.py", "results/export/mcap_columns.py"],
+    "mcap": ["results/export/mcap_file.py"],
     "mcap_protobuf": ["results/export/mcap_file.py", "results/export/scene.py"],
     "foxglove_schemas_protobuf": ["results/export/mcap_file.py", "results/export/scene.py"],
 }

@@ -20,6 +20,7 @@ import plotly.graph_objects
 import pytest
 from click.testing import CliRunner
 from flights import STEP, samples, scenario, setup
+from packed_columns import unpack
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import Command, Sample
@@ -46,7 +47,6 @@ from cosim.results.report.signals_data import (
     pack,
     quantisation_step,
     run_data,
-    unpack,
 )
 from cosim.results.report.three_views import three_views
 from cosim.results.report.time_plot import stack_panels
