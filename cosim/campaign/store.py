@@ -19,7 +19,8 @@ from pathlib import Path
 from types import TracebackType
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import map_os_errors, one_line, open_without_links, try_lock, write_all
+from cosim.base.storage.appended import AppendedFile
+from cosim.base.storage.files import map_os_errors, one_line, try_lock
 from cosim.base.trust import without_code
 from cosim.campaign.columns import stored_kinds, write_columns
 from cosim.campaign.folder import (
@@ -89,7 +90,7 @@ class Store:
     ``flights`` are all of the study's, ``done`` the numbers of those that are finished, ``tally`` what became of them.
     """
 
-    def __init__(self, folder: Path, journal: int) -> None:
+    def __init__(self, folder: Path, journal: AppendedFile) -> None:
         self.folder = folder
         self.study = load(folder)
         self.flights = flights(self.study)
@@ -133,7 +134,7 @@ class Store:
             raise
 
     @classmethod
-    def _begin_with(cls, folder: Path, journal: int, frozen: FrozenStudy) -> Store:
+    def _begin_with(cls, folder: Path, journal: AppendedFile, frozen: FrozenStudy) -> Store:
         try:
             with map_os_errors(InputError, folder):
                 (folder / FLIGHTS).mkdir(exist_ok=True)
@@ -141,7 +142,7 @@ class Store:
                 store = cls(folder, journal)
                 write_columns(folder, store.study)
         except InputError:
-            os.close(journal)
+            journal.close()
             raise
         return store
 
@@ -166,7 +167,7 @@ class Store:
             store = cls(folder, journal)
             store._take_up()
         except BaseException:
-            os.close(journal)
+            journal.close()
             raise
         return store
 
@@ -182,7 +183,7 @@ class Store:
         self._rows.append(row)
         self._note(row)
         try:
-            _append(self._journal, self.folder / JOURNAL, json.dumps(row) + "\n")
+            self._journal.append((json.dumps(row) + "\n").encode())
         except FlightError:
             self._rows.pop()
             self.done.remove(number)
@@ -191,7 +192,7 @@ class Store:
         if len(self._rows) >= PART_ROWS or now - self._last_write >= WRITE_S:
             self.flush()
         elif now - self._last_sync >= SYNC_S:
-            _sync(self._journal, self.folder / JOURNAL)
+            self._journal.sync()
             self._last_sync = now
 
     @property
@@ -206,20 +207,19 @@ class Store:
             write_table(path, {name: [row.get(name) for row in self._rows] for name in self._kinds}, kinds=self._kinds)
             _sync_folder(path.parent)  # a power cut must not bring back the part before, now that the journal goes
             self._written = len(self._rows)
-        os.ftruncate(self._journal, 0)
+        os.ftruncate(self._journal.number, 0)
         if self._written >= PART_ROWS:
             self._part, self._rows, self._written = self._part + 1, [], 0
         self._last_write = time.monotonic()
 
     def close(self) -> None:
         """Put everything into parts and give the folder free; may be called twice.  Raises FlightError as flush."""
-        if self._journal < 0:
+        if self._journal.number < 0:
             return
         try:
             self.flush()
         finally:
-            os.close(self._journal)
-            self._journal = -1
+            self._journal.close()
 
     def __enter__(self) -> Store:
         return self
@@ -395,38 +395,23 @@ def _journal(folder: Path, of: int) -> Iterator[Row]:
         yield row
 
 
-def _open_journal(folder: Path, how: int) -> int:
+def _open_journal(folder: Path, how: int) -> AppendedFile:
     """Open the journal and take its lock.  Raises InputError if another process has it, OSError."""
-    file = open_without_links(folder / JOURNAL, os.O_RDWR | os.O_APPEND | how)
-    if try_lock(file) is False:
-        os.close(file)
+    file = AppendedFile(folder / JOURNAL, os.O_RDWR | os.O_APPEND | how)
+    if try_lock(file.number) is False:
+        file.close()
         raise InputError(f"{folder}: in use by another process; wait until it ends")
     return file
-
-
-def _sync(file: int, path: Path) -> None:
-    """Write a file's data to the disk.  Raises FlightError."""
-    with map_os_errors(FlightError, path):
-        os.fsync(file)
 
 
 def _sync_folder(folder: Path) -> None:
     """Write the names in a folder to the disk."""
     file = os.open(folder, os.O_RDONLY)
     try:
-        _sync(file, folder)
+        with map_os_errors(FlightError, folder):
+            os.fsync(file)
     finally:
         os.close(file)
-
-
-def _append(file: int, path: Path, line: str) -> None:
-    """Write a line as a whole or not at all.  Raises FlightError."""
-    size = os.fstat(file).st_size
-    try:
-        write_all(file, line.encode())
-    except OSError as error:
-        os.ftruncate(file, size)
-        raise FlightError(f"{path}: {one_line(error)}") from error
 
 
 def _flight_number(row: Row) -> int:

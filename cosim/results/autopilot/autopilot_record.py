@@ -31,10 +31,11 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import InputError
 from cosim.base.frames import to_euler
 from cosim.base.signals import Sample
-from cosim.base.storage.files import open_without_links, read_text, write_all
+from cosim.base.storage.appended import AppendedFile
+from cosim.base.storage.files import map_os_errors, read_text
 from cosim.results.run import AUTOPILOT
 
 if TYPE_CHECKING:  # a page reads the records of flights without an autopilot too: there are none
@@ -53,16 +54,13 @@ class PilotRecord:
     def __init__(self, pilot: Autopilot, path: Path, step: float) -> None:
         self._pilot = pilot
         self._every = max(1, round(ESTIMATE_S / step))
-        self._path = path
         self._last: dict[str, Line] = {}
         self._values: dict[str, float] = {}
         self._said = 0
         self._waiting: list[bytes] = []
         self._size = 0
-        try:
-            self._file = open_without_links(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror or error}") from error
+        with map_os_errors(InputError, path):
+            self._file = AppendedFile(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
 
     def observe(self, sample: Sample) -> None:
         """Write the pilot's state after a step.  Raises FlightError if the file cannot be written."""
@@ -92,13 +90,12 @@ class PilotRecord:
 
     def close(self) -> None:
         """Write the messages since the last step and close the file; may be called twice."""
-        if self._file >= 0:
+        if self._file.number >= 0:
             try:
                 self._messages()
                 self._flush()
             finally:
-                os.close(self._file)
-                self._file = -1
+                self._file.close()
 
     def _messages(self) -> None:
         messages = self._pilot.messages
@@ -135,10 +132,7 @@ class PilotRecord:
     def _flush(self) -> None:
         lines = b"".join(self._waiting)
         self._waiting, self._size = [], 0
-        try:
-            write_all(self._file, lines)
-        except OSError as error:
-            raise FlightError(f"{self._path}: {error.strerror or error}") from error
+        self._file.append(lines)
 
 
 def read_pilot_record(folder: Path) -> list[Line]:

@@ -11,8 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import open_without_links, read_text, write_all
+from cosim.base.errors import InputError
+from cosim.base.storage.appended import AppendedFile
+from cosim.base.storage.files import map_os_errors, read_text
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.requests import Answer, Request, from_dict, to_dict
 
@@ -36,11 +37,9 @@ class RequestLog:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            self._file = open_without_links(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-        except OSError as error:
-            raise InputError(f"{path}: {error.strerror or error}") from error
+        with map_os_errors(InputError, path):
+            self._file = AppendedFile(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        self.close = self._file.close
 
     def write(self, k: int, sender: str, request: Request, answer: Answer, asked: bool = True) -> None:
         """Append a request that was handled before step ``k``, or refused without asking the pilot.
@@ -52,16 +51,7 @@ class RequestLog:
             line["text"] = answer.text
         if not asked:
             line["asked"] = False
-        try:
-            write_all(self._file, (json.dumps(line | to_dict(request), allow_nan=False) + "\n").encode())
-        except OSError as error:
-            raise FlightError(f"{self.path}: {error.strerror or error}") from error
-
-    def close(self) -> None:
-        """Close the file; may be called twice."""
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+        self._file.append((json.dumps(line | to_dict(request), allow_nan=False) + "\n").encode())
 
 
 def read_requests(path: Path) -> list[Entry]:

@@ -24,7 +24,8 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
 from cosim.base.protocols import Column
-from cosim.base.storage.files import one_line, open_without_links, replace_on_success, try_lock, write_all
+from cosim.base.storage.appended import AppendedFile
+from cosim.base.storage.files import map_os_errors, one_line, replace_on_success, try_lock
 from cosim.results.log.columns import COLUMNS, require
 from cosim.results.log.tables import Columnar
 
@@ -47,39 +48,23 @@ class StreamSink:
 
     def __init__(self, path: Path, note: str, columns: Sequence[Column] = COLUMNS) -> None:
         self.path = path
-        try:
-            self._file = open_without_links(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND)
-        except OSError as error:
-            raise InputError(f"{path}: {one_line(error)}") from error
-        try_lock(self._file)
-        self._size = 0
-        self._append(_schema(columns, note).serialize().to_pybytes())
+        with map_os_errors(InputError, path):
+            self._file = AppendedFile(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND)
+        try_lock(self._file.number)
+        self._file.append(_schema(columns, note).serialize().to_pybytes())
 
     def write(self, table: Array) -> None:
         """Append a record batch.  Raises FlightError if it cannot be written; nothing of it is in the file then."""
         numbers = np.asarray(table, "<f8").ravel()
-        self._append(_batch_head(*table.shape), numbers.view(np.uint8).data)
+        self._file.append(_batch_head(*table.shape), numbers.view(np.uint8).data)
 
     def end(self) -> None:
         """Mark the stream as complete.  Raises FlightError."""
-        self._append(_END_OF_STREAM)
+        self._file.append(_END_OF_STREAM)
 
     def close(self) -> None:
         """Close the file and give up the lock."""
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
-
-    def _append(self, *chunks: bytes | memoryview) -> None:
-        size = sum(map(len, chunks))
-        try:
-            written = os.writev(self._file, chunks) if hasattr(os, "writev") else 0
-            if written < size:
-                write_all(self._file, b"".join(chunks)[written:])
-        except OSError as error:
-            os.ftruncate(self._file, self._size)  # half a message would hide what is written after it
-            raise FlightError(f"{self.path}: {one_line(error)}") from error
-        self._size += size
+        self._file.close()
 
 
 @cache

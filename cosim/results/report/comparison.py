@@ -64,30 +64,24 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[LogCo
         description=description,
         runs=[
             {
-                "label": flight.label,
+                "flight": flight,
                 "colour": run_colour(number),
                 "summary": summary,
-                "verdict": "" if summary is None else verdict(summary),
-                "badge": None if summary is None else verdict_badge(summary),
                 "link": "" if flight.run is None else _link(flight.run, path),
-                "source": flight.source,
-                "remarks": flight.remarks,
             }
             for number, (flight, summary) in enumerate(zip(flights, summaries, strict=True))
         ],
+        verdict=verdict,
+        verdict_badge=verdict_badge,
         rows=comparison_rows(summaries),
         requirements=compared_margins(summaries),
         pairs=[
-            {
-                "pair": pair,
-                "colour": run_colour(number),
-                "said": describe_pair(pair),
-                "inputs": inputs_between(flights[0], flights[number]),
-                "signals": [signal_cells(signal) for signal in by_time(pair.signals)],
-                "alike": [signal.name for signal in pair.signals if signal.same],
-            }
+            {"pair": pair, "colour": run_colour(number), "inputs": inputs_between(flights[0], flights[number])}
             for number, pair in enumerate(compared, 1)
         ],
+        describe_pair=describe_pair,
+        by_time=by_time,
+        signal_cells=signal_cells,
     )
 
 

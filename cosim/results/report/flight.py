@@ -103,7 +103,8 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
         axis_cell=axis_cell,
         axis_limits=axis_limits_line(summary),
         whole=whole_rows(summary),
-        expectations=expectation_rows(summary),
+        flat=summary.flat_metrics,
+        is_met=is_met,
         requirements=by_margin(summary),
         sources=SOURCES,
         shortened=shortened,
@@ -193,36 +194,10 @@ def whole_rows(summary: Summary) -> list[dict[str, Any]]:
     return rows
 
 
-def expectation_rows(summary: Summary) -> list[dict[str, Any]]:
-    """Return what was expected, the value of this flight, and whether it is good enough, a row each."""
-    expectation = summary.expectation
-    if expectation is None:
-        return []
-    flat = summary.flat_metrics
-    rows: list[dict[str, Any]] = [
-        {
-            "what": "outcome",
-            "expected": " or ".join(expectation.outcome),
-            "found": summary.outcome,
-            "met": summary.outcome in expectation.outcome,
-        }
-    ]
-    for name, allowed in expectation.metrics.items():
-        value = flat.get(name)
-        bounds = [f"≥ {allowed.min:g}"] if allowed.min is not None else []
-        bounds += [f"≤ {allowed.max:g}"] if allowed.max is not None else []
-        rows.append(
-            {
-                "what": name if name in flat else f"{name} (unknown)",
-                "expected": " and ".join(bounds),
-                "found": NONE if value is None else f"{value:.4g}",
-                "met": not any(
-                    complaint.startswith((f"{name} ", f"{name}:", f"unknown metric {name!r}"))
-                    for complaint in summary.complaints
-                ),
-            }
-        )
-    return rows
+def is_met(summary: Summary, name: str) -> bool:
+    """Return whether nothing was complained of about a metric of which something was expected."""
+    beginnings = (f"{name} ", f"{name}:", f"unknown metric {name!r}")
+    return not any(complaint.startswith(beginnings) for complaint in summary.complaints)
 
 
 class AxisLedger(NamedTuple):

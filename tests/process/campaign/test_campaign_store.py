@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import os
 import re
 import signal
 import subprocess
@@ -65,8 +64,7 @@ def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def abandon(store: Store) -> None:
     """What the end of a process leaves: closed files, and nothing else done."""
-    os.close(store._journal)
-    store._journal = -1
+    store._journal.close()
 
 
 def test_rows_are_in_the_journal_until_they_are_in_a_part(tmp_path: Path, small_parts: None) -> None:
