@@ -114,10 +114,7 @@ class Store:
             what = f"already holds a campaign ({existing})" if is_campaign(folder) else f"already holds {existing}"
             more = "; --resume goes on with it" if is_campaign(folder) else "; choose another folder"
             raise InputError(f"{folder}: {what}{more}")
-        return cls._begin(folder, freeze(study))
-
-    @classmethod
-    def _begin(cls, folder: Path, frozen: FrozenStudy) -> Store:
+        frozen = freeze(study)
         existing = next((name for name in frozen.files if (folder / name).exists()), None)
         if existing is not None:
             raise InputError(f"{folder}: already holds {existing}; choose another folder")

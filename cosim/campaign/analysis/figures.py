@@ -138,15 +138,9 @@ def ranking_figure(table: FlightTable, rankings: Sequence[Ranking | None]) -> Fi
             hovertemplate=f"%{{y}}, {table.controllers[controller]}: %{{x:.1f}} %<extra></extra>",
         )
         if not table.grid:
-            bar["error_x"] = {
-                "type": "data",
-                "symmetric": False,
-                "array": [max(0.0, _percent(effect.interval[1]) - _percent(effect.index)) for effect in effects],
-                "arrayminus": [max(0.0, _percent(effect.index) - _percent(effect.interval[0])) for effect in effects],
-                "thickness": 1,
-                "width": 3,
-                "color": GREY,
-            }
+            above = [max(0.0, _percent(effect.interval[1]) - _percent(effect.index)) for effect in effects]
+            below = [max(0.0, _percent(effect.index) - _percent(effect.interval[0])) for effect in effects]
+            bar["error_x"] = _error_bars(above, below, 3) | {"color": GREY}
         data.append(bar)
     floor = _percent(max(ranking.floor for _, ranking in ranked))
     layout = _layout(96 + len(paths) * (16 + (14 if len(ranked) < 3 else 10) * len(ranked))) | {
@@ -212,14 +206,8 @@ def success_over(table: FlightTable, key: KeyColumn) -> Figure:
             "hovertemplate": f"{name}, %{{customdata}}, %{{y:.1f}} %<extra></extra>",
         }
         if not table.grid:
-            trace["error_y"] = {
-                "type": "data",
-                "symmetric": False,
-                "array": round_digits(100.0 * (high - fraction)),
-                "arrayminus": round_digits(100.0 * (fraction - low)),
-                "thickness": 1,
-                "width": 2,
-            }
+            above, below = round_digits(100.0 * (high - fraction)), round_digits(100.0 * (fraction - low))
+            trace["error_y"] = _error_bars(above, below, 2)
         data.append(trace)
     layout = _layout(270) | {"showlegend": False}
     layout["margin"] |= {"t": 30}
@@ -324,6 +312,10 @@ def round_digits(values: Array, digits: int = 4) -> list[Any]:
 def _layout(height: int) -> Figure:
     legend = {"orientation": "h", "xref": "paper", "yref": "paper", "x": 0, "y": 1, **ABOVE}
     return layout(height, 60, 14, 36, 52, hovermode="closest", legend=legend)
+
+
+def _error_bars(above: Sequence[float], below: Sequence[float], width: int) -> Figure:
+    return {"type": "data", "symmetric": False, "array": above, "arrayminus": below, "thickness": 1, "width": width}
 
 
 def _names_axis() -> Figure:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from contextlib import suppress
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.errors import InputError
 from cosim.campaign.analysis.claim import judge_claim
 from cosim.campaign.analysis.figures import KIND_COLOURS, campaign_figures
 from cosim.campaign.analysis.sensitivity import Ranking, joint
@@ -28,7 +26,7 @@ from cosim.campaign.analysis.summary import (
     ranked_result,
     success_fractions,
 )
-from cosim.campaign.analysis.table import FlightTable, KeyColumn, describe_criterion, read_flight_table
+from cosim.campaign.analysis.table import FlightTable, KeyColumn, describe_criterion, if_here, read_flight_table
 from cosim.campaign.analysis.worst_cases import case_rows
 from cosim.campaign.folder import REPORT
 from cosim.campaign.study.engine_draw import DRAWN_BY
@@ -138,35 +136,20 @@ def head_rows(campaign: Campaign, table: FlightTable) -> list[tuple[str, str]]:
     """Return name and value of what was flown, without anything of the machine."""
     study = campaign.study
     wall = np.array([seconds or 0.0 for seconds in campaign.columns.get("wall_s", [])], dtype=np.float64)
-    simulated = float(np.nansum(table.duration))
+    simulated, base = float(np.nansum(table.duration)), if_here(study.base)
     lines = [
-        ("scenario", scenario_name(study)),
+        ("scenario", base.name if base else study.scenario),
         ("design", DESIGNS[study.design]),
         ("draws", f"{study.draws:,}" + (f", {study.repeats} at each point" if study.repeats > 1 else "")),
         ("controllers", ", ".join(table.controllers)),
         ("seed", str(study.seed)),
-        ("engine", engine_note(study)),
+        ("engine", if_here(lambda: study.engine_note) or ""),
         ("simulated", format_duration(simulated)),
     ]
     if wall.sum() > 0.0:
         lines.append(("work", f"{format_duration(float(wall.sum()))}, {1e3 * float(wall.mean()):.0f} ms a flight"))
         lines.append(("workers", str(len(set(campaign.columns.get("worker", []))))))
     return [line for line in lines if line[1] not in ("", "0")]
-
-
-def engine_note(study: Study) -> str:
-    """Return whether an uncertain engine is drawn, in words; empty where that is not known."""
-    with suppress(InputError):  # flown elsewhere: the scenario or one of its files is not here
-        return study.engine_note
-    return ""
-
-
-def scenario_name(study: Study) -> str:
-    """Return the name of the scenario itself, whatever its file is called."""
-    try:
-        return study.base().name
-    except InputError:  # flown elsewhere: the scenario or one of its files is not here
-        return study.scenario
 
 
 def format_duration(seconds: float) -> str:
@@ -186,15 +169,12 @@ def key_rows(study: Study, table: FlightTable) -> list[dict[str, str]]:
         key = columns.get(name)
         if key is None and name.startswith(FLOWN_STATIONS):
             continue
-        try:
-            nominal = study.key(name).nominal
-        except InputError:  # flown elsewhere: the scenario or one of its files is not here
-            nominal = None
+        varied = if_here(study.key, name)
         rows.append(
             {
                 "path": name,
                 "drawn": by_key.get(name, DRAWN_BY),
-                "nominal": NONE if nominal is None else _value_text(nominal),
+                "nominal": NONE if varied is None or varied.nominal is None else _value_text(varied.nominal),
                 "observed": NONE if key is None else _observed_range(key),
                 "unit": "" if key is None else key.unit,
             }

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +22,10 @@ from cosim.spec.controller_name import short_name
 
 if TYPE_CHECKING:
     from cosim.campaign.store import Campaign
-    from cosim.campaign.study.study import Study
     from cosim.spec.scenario import Range
 
 Mask = NDArray[np.bool_]
+T = TypeVar("T")
 
 # What a flight came to, best first.  "missed": flew to its end, but not within its own limits and what the study asks.
 KINDS = ("success", "missed", "crashed", "diverged", "failed")
@@ -179,7 +179,8 @@ def key_columns(campaign: Campaign) -> list[KeyColumn]:
             values = numbers(column)
             log = vary is not None and (vary.scale == "log" or vary.lognormal is not None)
             log = log and bool(np.all(values > 0.0))
-            columns.append(KeyColumn(name, label, key_unit(campaign.study, name), values, [], log))
+            key = if_here(campaign.study.key, name)
+            columns.append(KeyColumn(name, label, key.unit if key else "", values, [], log))
     return columns
 
 
@@ -188,12 +189,12 @@ def choice_text(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def key_unit(study: Study, path: str) -> str:
-    """Return the unit of a key, or an empty string where it is not known."""
+def if_here(read: Callable[..., T], *arguments: object) -> T | None:
+    """Return what is read of a study; None where it was flown elsewhere, and its scenario or a file is not here."""
     try:
-        return study.key(path).unit
-    except InputError:  # flown elsewhere: the scenario or one of its files is not here
-        return ""
+        return read(*arguments)
+    except InputError:
+        return None
 
 
 def short_names(paths: Sequence[str]) -> list[str]:

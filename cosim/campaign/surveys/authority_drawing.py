@@ -11,7 +11,7 @@ from math import cos, inf, isfinite, pi, sin
 
 from cosim.base.signals import AXES
 from cosim.control.allocation.authority import Reach
-from cosim.results.report.three_views import begin_drawing, finish_drawing, text
+from cosim.results.report.three_views import begin_drawing, finish_drawing, line, text
 from cosim.spec.vehicle import Vehicle
 
 DIRECTIONS = 24  # directions of a section, the axes and the diagonals among them
@@ -103,9 +103,7 @@ def _draw(
         return middle_x + half * corner[0] / wide, middle_y - half * corner[1] / high
 
     for (x, y), (u, v) in (((-wide, 0.0), (wide, 0.0)), ((0.0, -high), (0.0, high))):
-        (a, b), (c, d) = at((x, y)), at((u, v))
-        ends = {"x1": f"{a:g}", "y1": f"{b:g}", "x2": f"{c:g}", "y2": f"{d:g}"}
-        ET.SubElement(root, "line", {"class": "axis"} | ends)
+        line(root, "axis", *at((x, y)), *at((u, v)))
     if not whole:
         text(root, middle_x, middle_y - 8, "the weight is not held in balance", "dim", "middle")
     for kind, section in (("whole", whole), ("most", bound), *(("lost", corners) for corners in without.values())):

@@ -96,25 +96,15 @@ RATE = [
 
 def tilt_panels(log: Log) -> list[Panel]:
     """Return the panels of servos: banks and hinges, and surfaces."""
-    angles = [
-        Panel(
-            f"{name.capitalize().replace('_', ' ')} servo",
-            "deg",
-            [_demand(f"tilt_{name}_command_rad", "commanded"), Trace(f"tilt_{name}_rad", "actual", width=1.4)],
-            DEG,
-            least_span=4.0,
-        )
-        for name in servos_in(log.columns)
+    return [
+        *(_servo_panel(f"{name} servo", f"tilt_{name}", "_rad", "deg", DEG, 4.0) for name in servos_in(log.columns)),
+        *(_servo_panel(name, f"deflection_{name}", "", "deflection", 1.0, 0.1) for name in surfaces_in(log.columns)),
     ]
-    return angles + [
-        Panel(
-            name.capitalize().replace("_", " "),
-            "deflection",
-            [_demand(f"deflection_{name}_command", "commanded"), Trace(f"deflection_{name}", "actual", width=1.4)],
-            least_span=0.1,
-        )
-        for name in surfaces_in(log.columns)
-    ]
+
+
+def _servo_panel(name: str, column: str, end: str, unit: str, scale: float, least_span: float) -> Panel:
+    traces = [_demand(f"{column}_command{end}", "commanded"), Trace(f"{column}{end}", "actual", width=1.4)]
+    return Panel(name.capitalize().replace("_", " "), unit, traces, scale, least_span)
 
 
 def effort_panels(log: Log) -> list[Panel]:

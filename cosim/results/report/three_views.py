@@ -84,10 +84,7 @@ class _Projection:
 
     def line(self, kind: str, start: Sequence[float], end: Sequence[float]) -> None:
         """Draw a line between two points [m, body]."""
-        (a, b), (c, d) = self.at(start), self.at(end)
-        ET.SubElement(
-            self.root, "line", {"class": kind, "x1": f"{a:g}", "y1": f"{b:g}", "x2": f"{c:g}", "y2": f"{d:g}"}
-        )
+        line(self.root, kind, *self.at(start), *self.at(end))
 
     def circle(self, kind: str, point: Sequence[float], radius: float) -> None:
         """Draw a circle around a point [m, body], its radius in px."""
@@ -138,10 +135,7 @@ def _one(view: _Projection, vehicle: Vehicle, reach: float) -> None:
         text(view.root, x, y + (4 if len(numbers) == 1 else 22), ", ".join(numbers), "name", "middle")
     x, y = view.at((0.0, 0.0, 0.0))
     for dx, dy in ((5, 0), (0, 5)):
-        ET.SubElement(
-            view.root, "line",
-            {"class": "cg", "x1": f"{x - dx:g}", "y1": f"{y - dy:g}", "x2": f"{x + dx:g}", "y2": f"{y + dy:g}"},
-        )  # fmt: skip
+        line(view.root, "cg", x - dx, y - dy, x + dx, y + dy)
 
 
 def _along(start: Vector3, axis: Vector3, length: float) -> Vector3:
@@ -185,6 +179,12 @@ def begin_drawing(name: str, width: float, height: float, style: str) -> ET.Elem
     ET.SubElement(root, "title").text = name
     ET.SubElement(root, "style").text = style
     return root
+
+
+def line(root: ET.Element, kind: str, x1: float, y1: float, x2: float, y2: float) -> None:
+    """Add a line between two positions [px], of a class of the style sheet."""
+    ends = {"x1": x1, "y1": y1, "x2": x2, "y2": y2}
+    ET.SubElement(root, "line", {"class": kind} | {name: f"{value:g}" for name, value in ends.items()})
 
 
 def text(root: ET.Element, x: float, y: float, words: str, kind: str, anchor: str = "start") -> None:
