@@ -67,10 +67,13 @@ def read_comparison(path: Path) -> dict[str, Any]:
 def assess_credibility(evidence: Evidence) -> list[Factor]:
     """Return the level of each factor, in the standard's order."""
     record = read_toml(RECORD)
-    return [judge(evidence, record) for judge in _JUDGES]
+    return [Factor(assessment, name, *judge(evidence, record)) for assessment, name, judge in _FACTORS]
 
 
-def _data_pedigree(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
+Judgement = tuple[int, str, str]  # a factor's level, evidence and what would raise it
+
+
+def _data_pedigree(evidence: Evidence, record: Mapping[str, Any]) -> Judgement:
     where = f"the numbers of {evidence.aircraft} and {evidence.engine}"
     if not evidence.is_shipped:
         level, text = 0, f"{where} are of files outside the package, and nothing says where they are from"
@@ -78,14 +81,14 @@ def _data_pedigree(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
         level, text = 1, f"{where} stand in their README.md, each with its parent; many are published or chosen"
     else:
         level, text = 2, f"{where} stand in their README.md; the engine's are identified: {evidence.uncertainty_source}"
-    return Factor(
-        CAPABILITY, "Data pedigree", level, text,
+    raised = (
         "measure mass, inertia and engine of the vehicle that is to fly: hexjet identify bench leaves an engine with "
-        "its uncertainty" if level < 2 else "measure every number of this very vehicle, with its uncertainty",
-    )  # fmt: skip
+        "its uncertainty"
+    )
+    return level, text, raised if level < 2 else "measure every number of this very vehicle, with its uncertainty"
 
 
-def _verification(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
+def _verification(evidence: Evidence, record: Mapping[str, Any]) -> Judgement:
     made = record["verification"]
     stated = (
         f"{made['inside']} of {made['compared']} quantities of NASA's check cases are within what its own simulators "
@@ -103,10 +106,10 @@ def _verification(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
         raised = "tests of that code; hexjet fmu check for an engine"
     else:
         level, text = 2, f"{stated}, of this version {made['version']}"
-    return Factor(CAPABILITY, "Verification", level, text, raised)
+    return level, text, raised
 
 
-def _validation(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
+def _validation(evidence: Evidence, record: Mapping[str, Any]) -> Judgement:
     raised = "log a flight of the vehicle, and give what hexjet replay says of it: --replay replay.json"
     same = [one for one in evidence.comparisons if one["aircraft"] == evidence.aircraft]
     other = [one for one in evidence.comparisons if one["aircraft"] != evidence.aircraft]
@@ -125,113 +128,95 @@ def _validation(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
     else:
         of_aircraft = [one["agrees"] for one in known if one.get("aircraft")]  # of its engine alone it is none of it
         level = int(bool(of_aircraft) and all(of_aircraft))
-    return Factor(
-        CAPABILITY, "Validation", level, "; ".join(texts) or "compared with no measurement of the real vehicle", raised
-    )
+    return level, "; ".join(texts) or "compared with no measurement of the real vehicle", raised
 
 
-def _development_review(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
-    return Factor(
-        CAPABILITY, "Development technical review", 0, "no review of the model by others is on record",
-        "a review by peers who did not write it",
-    )  # fmt: skip
-
-
-def _development_management(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
+def _development_management(evidence: Evidence, record: Mapping[str, Any]) -> Judgement:
     if evidence.is_shipped and record["verification"]["version"] == evidence.version:
         text = "kept under versions, its rules are written down (CONTRIBUTING.md) and every change passes its tests"
-        return Factor(CAPABILITY, "Development process and product management", 2, text, "an audit that measures this")
+        return 2, text, "an audit that measures this"
     text = "model files outside the package, known by their hashes alone"
     if evidence.is_shipped:
         text = f"another version than that of the record, {record['verification']['version']}"
-    return Factor(
-        CAPABILITY, "Development process and product management", 1, text, "keep these files under version and review"
-    )
+    return 1, text, "keep these files under version and review"
 
 
-def _use(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
+def _use(evidence: Evidence, record: Mapping[str, Any]) -> Judgement:
     if evidence.warnings:
-        return Factor(RESULTS, "Use assessment", 0, "; ".join(evidence.warnings), "what is warned of")
+        return 0, "; ".join(evidence.warnings), "what is warned of"
     text = "vehicle, engine and controller are used as they were made to be; no earlier use is on record"
-    return Factor(RESULTS, "Use assessment", 1, text, "a decision that rested on this model and came true")
+    return 1, text, "a decision that rested on this model and came true"
 
 
-def _input_pedigree(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
+def _input_pedigree(evidence: Evidence, record: Mapping[str, Any]) -> Judgement:
     if not evidence.varied:
-        return Factor(RESULTS, "Input pedigree", 0, "nothing was varied", "vary what is not known")
+        return 0, "nothing was varied", "vary what is not known"
     source, raised = evidence.uncertainty_source, "an [uncertainty] of the engine from a bench: hexjet identify bench"
     if evidence.is_engine_drawn and _is_measured(evidence):
         text = f"the engine is drawn by an uncertainty with a source: {source}"
-        return Factor(RESULTS, "Input pedigree", 2, text, "a source for every other range, of this very vehicle")
+        return 2, text, "a source for every other range, of this very vehicle"
     if evidence.is_engine_drawn and source:
         text = f"the engine is drawn by an uncertainty that was not measured: {source}"
     else:
         text = "the ranges are those that the study states; no measurement of them is on record"
-    return Factor(RESULTS, "Input pedigree", 1, text, raised)
+    return 1, text, raised
 
 
-def _uncertainty(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
-    name = "Uncertainty characterization"
+def _uncertainty(evidence: Evidence, record: Mapping[str, Any]) -> Judgement:
     if not evidence.varied:
-        return Factor(RESULTS, name, 0, "nothing was varied", "vary what is not known")
+        return 0, "nothing was varied", "vary what is not known"
     text = f"{evidence.varied} numbers, noise and turbulence are drawn and flown through the whole model"
     if evidence.uncertainty_source is not None and not evidence.is_engine_drawn:
         text += "; the engine states an uncertainty that was not drawn"
-        return Factor(RESULTS, name, 1, text, "draw the engine: leave --nominal-engine out")
+        return 1, text, "draw the engine: leave --nominal-engine out"
     left = f"; nothing of {_listed(evidence.not_varied)}" if evidence.not_varied else ""
     raised = f"vary {_listed(evidence.not_varied)}, or show that they do not matter" if left else "errors of the model"
-    return Factor(RESULTS, name, 2, text + left, raised)
+    return 2, text + left, raised
 
 
-def _robustness(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
-    name = "Results robustness"
+def _robustness(evidence: Evidence, record: Mapping[str, Any]) -> Judgement:
     search = "a search for the worst case over all keys together: --search"
     if not evidence.ranked:
         level = 1 if evidence.searched else 0
         text = "a search over all keys together" if level else "no sensitivity is known"
-        return Factor(RESULTS, name, level, text, "more flights, for the keys' effects to be told from chance")
+        return level, text, "more flights, for the keys' effects to be told from chance"
     text = f"the effect of {evidence.ranked} of {evidence.varied} drawn numbers is known, one at a time"
     if not evidence.searched or evidence.ranked < evidence.varied:
-        return Factor(RESULTS, name, 2, text, "more flights" if evidence.searched else search)
+        return 2, text, "more flights" if evidence.searched else search
     text += ", and all together by a search for the worst case"
     if evidence.not_varied:
-        return Factor(RESULTS, name, 2, text, f"the same for {_listed(evidence.not_varied)}")
-    return Factor(RESULTS, name, 3, text, "what the numbers do together")
+        return 2, text, f"the same for {_listed(evidence.not_varied)}"
+    return 3, text, "what the numbers do together"
 
 
-def _use_review(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
-    return Factor(
-        RESULTS, "Use and analysis technical review", 0, "no review of this proof by others is on record",
-        "the review that this page is for",
-    )  # fmt: skip
-
-
-def _use_management(evidence: Evidence, record: Mapping[str, Any]) -> Factor:
-    name, flown = "Use process and product management", f"{evidence.replayed_same} of {evidence.replayed}"
+def _use_management(evidence: Evidence, record: Mapping[str, Any]) -> Judgement:
+    flown = f"{evidence.replayed_same} of {evidence.replayed}"
     kept = "every flight has the hashes of its log and of what it was made from"
     if not evidence.replayed:
-        return Factor(RESULTS, name, 1, f"{kept}; none was flown again", "fly some again")
+        return 1, f"{kept}; none was flown again", "fly some again"
     if evidence.replayed_same < evidence.replayed:
         text = f"{flown} flights came out the same when they were flown again"
-        return Factor(RESULTS, name, 0, text, "find out why the others did not")
-    return Factor(
-        RESULTS, name, 2, f"{kept}; {flown} flights came out the same, bit for bit, when they were flown again",
-        "another person repeats it on another machine, by the command on this page",
-    )  # fmt: skip
+        return 0, text, "find out why the others did not"
+    text = f"{kept}; {flown} flights came out the same, bit for bit, when they were flown again"
+    return 2, text, "another person repeats it on another machine, by the command on this page"
 
 
-_JUDGES: tuple[Callable[[Evidence, Mapping[str, Any]], Factor], ...] = (
-    _data_pedigree,
-    _verification,
-    _validation,
-    _development_review,
-    _development_management,
-    _use,
-    _input_pedigree,
-    _uncertainty,
-    _robustness,
-    _use_review,
-    _use_management,
+def _review(of: str, raised: str) -> Callable[[Evidence, Mapping[str, Any]], Judgement]:
+    return lambda evidence, record: (0, f"no review of {of} by others is on record", raised)
+
+
+_FACTORS: tuple[tuple[str, str, Callable[[Evidence, Mapping[str, Any]], Judgement]], ...] = (
+    (CAPABILITY, "Data pedigree", _data_pedigree),
+    (CAPABILITY, "Verification", _verification),
+    (CAPABILITY, "Validation", _validation),
+    (CAPABILITY, "Development technical review", _review("the model", "a review by peers who did not write it")),
+    (CAPABILITY, "Development process and product management", _development_management),
+    (RESULTS, "Use assessment", _use),
+    (RESULTS, "Input pedigree", _input_pedigree),
+    (RESULTS, "Uncertainty characterization", _uncertainty),
+    (RESULTS, "Results robustness", _robustness),
+    (RESULTS, "Use and analysis technical review", _review("this proof", "the review that this page is for")),
+    (RESULTS, "Use process and product management", _use_management),
 )
 
 

@@ -52,12 +52,7 @@ def search_failures(
 def _part(saved: SavedWorst, place: str) -> Part:
     (found,), (case,) = saved.result.cases, saved.cases
     run = f"{place}/{CASES}/{case.name}"
-    result = {
-        "fails": found.fails,
-        "margin": found.margin,
-        "distance": found.distance,
-        "flights": found.flights,
-        "reason": found.reason,
+    result = {name: getattr(found, name) for name in ("fails", "margin", "distance", "flights", "reason")} | {
         "values": dict(found.values),
         "keys": {effect.name: effect.share for effect in important(found.effects)},
         "run": run,

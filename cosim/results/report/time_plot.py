@@ -87,10 +87,7 @@ def overlay(readers: Sequence[Reader], labels: Sequence[str], panels: Sequence[P
 
 def _line(reader: Reader, panel: Panel, number: int, trace: Trace) -> Figure:
     """Return a trace in the panel with this number, counted from 0."""
-    return _values(reader, panel.scale * reader.log[trace.column], panel, trace) | {"yaxis": axis_name("y", number)}
-
-
-def _values(reader: Reader, values: Array, panel: Panel, trace: Trace) -> Figure:
+    values = panel.scale * reader.log[trace.column]
     return {
         "type": "scatter",
         "mode": "lines" if values.size > 1 else "markers",
@@ -104,6 +101,7 @@ def _values(reader: Reader, values: Array, panel: Panel, trace: Trace) -> Figure
             "shape": "hv" if trace.is_staircase else "linear",
         },
         **reader.xy(values),
+        "yaxis": axis_name("y", number),
     }
 
 
