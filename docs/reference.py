@@ -573,7 +573,7 @@ def environment_page() -> str:
     statuses = {
         DONE: "done: flown as planned, or completed within its limits and nothing checked, or what was asked for is written",
         FLIGHT_FAILED: "the flight crashed, diverged or failed, went beyond [its limits](../docs/metrics.md#limits), or missed what its "
-        "scenario expects or requires; a check found a fault; the machine had no more to give (disk, memory)",
+        "scenario expects or requires; a check found a fault; a margin is less than was asked for; the machine had no more to give (disk, memory)",
         WRONG_INPUT: "the input was wrong: one line on standard error says what, where, and what is allowed",
         INTERRUPTED: "Ctrl-C: one line says what is kept",
         TERMINATED: "SIGTERM, the same",

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar, cast, overload
 
 import click
 
+from cosim.base.errors import nearest
 from cosim.base.wording import at_command_line
 from cosim.cli.complete import complete_by
 from cosim.cli.outputs import Out
@@ -30,6 +31,15 @@ class Number(click.FloatRange):
     def _describe_range(self) -> str:
         """Return the range for the help; click says ``x<=None`` of a number that has no bounds."""
         return "" if self.min is None and self.max is None else super()._describe_range()
+
+
+class Choice(click.Choice[str]):
+    """One of the texts that are allowed; another is answered with the nearest, as everywhere else."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        if value not in self.choices:
+            self.fail(f"{value!r}: {nearest(str(value), self.choices)}", param, ctx)
+        return super().convert(value, param, ctx)
 
 
 class AlsoCalled(click.Option):
@@ -93,12 +103,12 @@ def word(name: str, metavar: str | None, text: str, default: str | None = None) 
 
 def choice(name: str, allowed: Sequence[str], text: str, default: str | None = None) -> Any:
     """Declare an option that is one of the texts that are allowed."""
-    return option(name, type=click.Choice(allowed), help=text, default=default, show_default=default is not None)
+    return option(name, type=Choice(allowed), help=text, default=default, show_default=default is not None)
 
 
 def choices(name: str, allowed: Sequence[str], text: str) -> tuple[str, ...]:
     """Declare an option that is one of the texts that are allowed, and may be given several times."""
-    return cast("tuple[str, ...]", option(name, type=click.Choice(allowed), multiple=True, help=text))
+    return cast("tuple[str, ...]", option(name, type=Choice(allowed), multiple=True, help=text))
 
 
 def path(name: str, metavar: str | None, text: str, **limits: Any) -> Path | None:

@@ -260,7 +260,7 @@ def _let_it_lean(scenario: Scenario, hold: float | None) -> Scenario:
 class Parameters(opt.Record):
     """Options of ``hexjet sitl params``."""
 
-    autopilot: str = opt.argument(type=click.Choice(["px4", "ardupilot", "betaflight"]))
+    autopilot: str = opt.argument(type=opt.Choice(["px4", "ardupilot", "betaflight"]))
     aircraft = opt.word("--aircraft", "NAME|DIR", "See: hexjet list aircraft.", "hexjet")
     gains = opt.word("--gains", "FILE.toml", "Gains of hexjet design in the place of the vehicle's own.")
     rate = opt.whole("--rate", None, "Steps a second.", min=50, max=2000, default=250)

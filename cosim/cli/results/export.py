@@ -56,7 +56,7 @@ class Log(opt.Output):
     """Options of ``hexjet export DIR``."""
 
     folder: Path = opt.argument(type=click.Path(path_type=Path), metavar="")
-    target: Any = opt.option("--to", type=click.Choice([*FILES]), required=True, help="The format.")
+    target: Any = opt.option("--to", type=opt.Choice([*FILES]), required=True, help="The format.")
     out = opt.out(
         "The file, or its folder; what is there is overwritten.  [default: flight.ulg, .mcap, .mat or .csv in DIR]",
         "FILE|DIR",

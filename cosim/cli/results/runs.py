@@ -18,7 +18,7 @@ from cosim.cli.trust import display_only
 class List(opt.Output):
     """Options of ``hexjet list``."""
 
-    kind: str | None = opt.argument(required=False, type=click.Choice(KINDS))
+    kind: str | None = opt.argument(required=False, type=opt.Choice(KINDS), metavar="[KIND]")
     as_json = opt.JSON
 
 

@@ -235,7 +235,7 @@ def values(found: Tuning) -> tuple[float, float, float]:
         (["--for", "ardupilot", "--aircraft", "trijet"], "is flown by effectiveness"),
         (["--for", "px4", "--controller", "smith"], "no predictor of ours"),
         (["--for", "betaflight", "--start", "gains.toml"], "no predictor of ours"),
-        (["--for", "inav"], "is not one of"),
+        (["--for", "inav"], "'inav': allowed: ardupilot, betaflight, px4"),
     ],
 )
 def test_what_no_autopilot_has_is_refused(told: list[str], said: str) -> None:

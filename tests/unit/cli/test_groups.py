@@ -42,6 +42,8 @@ def test_every_command_has_a_group_and_its_line_fits_eighty_columns() -> None:
             ["fly", "hover", "--mass", "5"],
             "No such option '--mass'; it is a key of the scenario: --set vehicle.mass_kg=...",
         ),
+        (["show", "hover", "--kind", "engine"], "'--kind': 'engine': did you mean 'engines'? allowed: aircraft, "),
+        (["list", "engine"], "'[KIND]': 'engine': did you mean 'engines'? allowed: aircraft, "),
         (["fly", "hover", "--sed", "5"], "No such option '--sed'. (Did you mean one of: '--seed', "),
     ],
 )
