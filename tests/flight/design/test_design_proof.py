@@ -28,7 +28,7 @@ from cosim.design.loop.criteria import CORNER
 from cosim.design.loop.dynamics import bounds, fit_dynamics, with_misfit
 from cosim.design.proof import add_proof, prove
 from cosim.design.proof_flights import describe_fault
-from cosim.design.proof_result import Proof
+from cosim.design.proof_result import Proof, ProofFlight
 from cosim.design.result import summary_lines, to_dict
 from cosim.design.shipped_comparison import FlownMeasures, FlownPair, comparison_lines, comparison_rows, worse_lines
 from cosim.engine import load_engine
@@ -283,6 +283,21 @@ def test_what_only_a_flight_shows_is_no_design(place: Path, sound: Design, monke
     assert found.proof is not None
     assert len(found.proof.flights) == 4  # a corner that fails is enough
     assert all(isolated)
+
+
+def test_a_hover_that_swings_asks_for_less_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing but noise moves it; of a doublet, or at a corner, that is not said."""
+    design: Any = SimpleNamespace(identification=None, need=Requirements(noise_share=0.08), vehicle=None)
+    monkeypatch.setattr(proving, "compare_with_shipped", lambda *a: [])
+    monkeypatch.setattr(proving, "lean_of", lambda vehicle: 20.0)
+    swings = ProofFlight("hover", 1.0, 0, "roll swings by 3.7 deg, 1 at most")
+    for flight, asked in (
+        (swings, True),
+        (replace(swings, gain=0.7), False),
+        (replace(swings, scenario="gust"), False),
+    ):
+        monkeypatch.setattr(proving, "fly_all", lambda *a, flight=flight: [flight])
+        assert prove(design).reason.endswith("less of it may do: --noise-share 0.01") is asked
 
 
 def test_an_engine_that_surges_on_a_fast_throttle_is_no_design(place: Path, lively: Design) -> None:
