@@ -1,17 +1,20 @@
-"""docs/full-scale.md and tables/full-scale-ecu.md: what it says of the real one's ECU, flown again for two cells, and the changes of the vehicle."""
+"""docs/full-scale.md, tables/full-scale-ecu.md, real-engine.md's next test: cells flown again, changes of the vehicle."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from places import script
 
+from cosim.engine import load_engine
 from cosim.results.report.marks import parts_of
+from cosim.simulation.controllers.controller_file import NOISE_SHARE, read_controller
 from cosim.spec.vehicle import load_vehicle
 
-ecu = script("full_scale_ecu")
+ecu, steps = script("full_scale_ecu"), script("small_steps")
 
 
 def row_of(part: str, *first: str) -> str:
@@ -28,10 +31,59 @@ def test_the_vehicle_as_shipped_is_lost_and_with_vanes_flies(tmp_path: Path) -> 
     assert not ecu.flies(shipped)
     tuned = ecu.tried(ecu.REAL, {}, ecu.gains(ecu.TUNED, tmp_path), {})
     assert f"| {ecu.said(tuned)} |" in row_of("real ecu", ecu.REAL, "0.16 s, as fitted")
+    designed = ecu.tried(ecu.REAL, {}, ecu.gains(ecu.DESIGNED, tmp_path), {})
+    assert f"| {ecu.said(designed)} |" in row_of("real ecu", ecu.REAL, "0.16 s, as fitted")
     vanes = ecu.tried(ecu.REAL, {}, ecu.gains(ecu.VANES, tmp_path), {})
     assert ecu.flies(vanes)
     assert f"| {ecu.said(shipped)} |" in row_of("real ecu", ecu.REAL, "0.16 s, as fitted")
     assert f"| {ecu.said(vanes)} |" in row_of("real ecu", ecu.REAL, "0.16 s, as fitted")
+
+
+def test_up_to_which_delay_the_page_says_that_gains_fly() -> None:
+    """By its own table: the tuned gains with both fits, the design's flights that end; as shipped none as fitted."""
+    page = " ".join(ecu.PAGE.read_text(encoding="utf-8").split())
+    tuned, designed, again = (
+        float(number)
+        for text in (
+            "The tuned gains fly with both fits up to {} s; the design stays up with {} s",
+            "if the ECU reads its throttle at every step and no later than {} s;",
+        )
+        for found in [re.search(text.replace("{}", "([0-9.]+)"), page)]
+        if found is not None
+        for number in found.groups()
+    )
+    assert tuned == again
+    column = [*ecu.GAINS].index
+    for delay in ecu.DELAYS_S:
+        rows = [row_of(ecu.LATE, label, f"{delay:.1f} s").split(" | ")[2:] for label in ecu.FITTED]
+        assert all(row[column(ecu.TUNED)].startswith("flies") for row in rows) is (delay <= tuned)
+        stays = all("lost" not in row[column(ecu.DESIGNED)] for row in rows)
+        assert stays is (delay <= designed)
+
+
+def test_the_design_is_of_this_engine_and_with_an_eighth_of_the_noise() -> None:
+    made = read_controller(ecu.DESIGN).design
+    assert (made.engine, made.aircraft) == (ecu.REAL, ecu.AIRCRAFT)
+    assert load_engine(ecu.REAL, {}, ecu.STEP).matches_model(made.engine_sha256)
+    assert made.requirements.noise_share == 0.01 == pytest.approx(NOISE_SHARE / 8.0, rel=0.05)
+
+
+def test_the_next_test_on_the_bench_is_what_the_page_says() -> None:
+    """Both fits answer it as the page says; noise of the recorded size tells them apart, and an engine is itself."""
+    assert parts_of(steps.PAGE.read_text(encoding="utf-8"), steps.PAGE)[steps.MARK].strip() == steps.written().strip()
+    (_, first), (_, second) = steps.swing_and_lag(75e3, 2e3, 1.0)
+    assert 0.1 < first - second < 0.2  # what their delays are apart, and the rest of the lag
+
+
+def test_a_search_prefers_what_flies_and_what_flies_longer() -> None:
+    hover = {"outcome": "completed", "swing_deg": 1.0}
+    doublet = {"outcome": "completed", "overshoot": 10.0, "settling": 4.5}
+    good = {"hover": hover, "roll-doublet": doublet, "gust": {"outcome": "completed", "lean_deg": 5.0}}
+    assert ecu.badness(good) == 2.5
+    assert ecu.badness(good | {"roll-doublet": doublet | {"settling": None}}) == 4.5
+    assert ecu.badness(good | {"roll-doublet": {"outcome": "diverged"}, "gust": {"outcome": "diverged"}}) == 10.5
+    lost = [{"hover": {"outcome": "diverged", "at_s": seconds}} for seconds in (3.0, 20.0)]
+    assert ecu.badness(lost[0]) > ecu.badness(lost[1]) > 50.0
 
 
 def test_one_engine_out_is_held_with_the_opposite_shut_off(tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/related.md": ("test_site.py",),
     "docs/rare.md": ("test_rare.py",),
     "docs/tables/rare.md": ("marks", "test_rare.py"),
-    "docs/real-engine.md": ("test_engine_jetcat.py",),
+    "docs/real-engine.md": ("test_engine_jetcat.py", "test_full_scale_ecu.py"),
     "docs/prove.md": ("test_prove.py",),
     "docs/sensors.md": ("marks", "test_sensor_profile.py"),
     "docs/own-aircraft.md": ("test_aircraft_check.py", "test_model_agreement.py"),
