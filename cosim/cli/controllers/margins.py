@@ -109,8 +109,15 @@ def print_margins(margins: MeasuredMargins, paths: dict[str, Path]) -> None:
         show_table(ENGINE_COLUMNS, engine_rows(margins.engine_ranges), [1, 2, 3])
     if margins.uncomputed:
         say(f"not computed: {margins.uncomputed}")
+    judged = judged_rows(margins)
     show_table(
-        JUDGED_COLUMNS, judged_rows(margins), (2, 3), title="beside their limits", title_justify="left", title_style=""
+        JUDGED_COLUMNS,
+        judged,
+        (2, 3),
+        title="beside their limits",
+        title_justify="left",
+        title_style="",
+        pad_edge=False,
     )
     say(f"report: {paths['report']}", wrap=False)
     say(judgement_line(margins.judged))

@@ -139,7 +139,7 @@ def _print(
         if not pair.same:
             show_table(SIGNAL_TITLES, cells, range(1, 5), plain=True, pad_edge=False)
     if page is not None:
-        say(f"page: {page}", wrap=False)
+        say(f"report: {page}", wrap=False)
 
 
 def _print_metrics(flights: Sequence[ComparedFlight]) -> None:

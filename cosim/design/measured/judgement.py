@@ -31,10 +31,10 @@ JUDGED = {  # quantity: what it is called, its unit on a screen, the factor to i
     "delay_s": ("delay, more", "ms", 1e3, 0),
     "delay_less_s": ("delay, less", "ms", 1e3, 0),
     "peak_sensitivity": ("peak |S|", "", 1.0, 2),
-    UNSTABLE: ("drawn engines that lose it", "", 1.0, 0),
+    UNSTABLE: ("lost draws", "", 1.0, 0),
 }
 AT_MOST = ("peak_sensitivity", UNSTABLE)  # the others are to be at least their limit, in size
-COLUMNS = ("axis", "margin", "at worst, 95 %", "limit (narrow)", "judgement", "limit from")
+COLUMNS = ("axis", "margin", "at worst", "limit (narrow)", "judgement", "from")
 
 
 def guaranteed_gain_db(peak: float) -> float:
@@ -144,16 +144,16 @@ def _limit(name: str, measured: AxisMargins) -> tuple[float | None, float | None
         limits = [sign * round(guaranteed_gain_db(peak), 1) for peak in (PEAK, KNOWN_PEAK)]
         return limits[0], limits[1], "MIL-F-9490D"
     if name in ("phase_deg", "phase_lead_deg"):
-        return guaranteed_phase_deg(PEAK), guaranteed_phase_deg(KNOWN_PEAK), f"guaranteed by |S| {PEAK}"
+        return guaranteed_phase_deg(PEAK), guaranteed_phase_deg(KNOWN_PEAK), f"max |S| {PEAK}"
     if name == UNSTABLE:
         assert measured.over_engine is not None
-        return 0.0, None, f"{measured.over_engine.draws} drawn"
+        return 0.0, None, f"of {measured.over_engine.draws} engines"
     if measured.uncertainty is not None:
-        return DEVIATIONS * measured.uncertainty.delay_s, None, "3 deviations, engine"
+        return DEVIATIONS * measured.uncertainty.delay_s, None, "3 deviations"
     if measured.transport_s is None:
         return None, None, "delay not known"
     need = Requirements()
     step = measured.sine.step
     late = need.delay_samples(measured.transport_s / step) * step
-    part = f"{100.0 * need.delay_tolerance:.0f} % of {1e3 * measured.transport_s:.0f} ms delay"
+    part = f"{100.0 * need.delay_tolerance:.0f} % of {1e3 * measured.transport_s:.0f} ms"
     return late, None, part if late > step else "a control step"
