@@ -24,6 +24,9 @@ from shutil import rmtree
 from statistics import median
 from typing import Any
 
+import numpy as np
+from designed_and_flown import about_ends, agrees, as_measured, predict, small_doublet
+
 from cosim.autopilots.prepare import find_program
 from cosim.campaign import open_campaign
 from cosim.cli.main import main as hexjet
@@ -38,6 +41,7 @@ STOPPED = 128  # statuses above it are a signal's
 NAMES = {"px4": "PX4", "ardupilot": "ArduPilot", "betaflight": "Betaflight"}
 HOVER, ROLL, YAW, LAND, OUT = FLIGHTS = ("hover", "roll doublet", "yaw doublet", "climb and land", "flame-out")
 OWN = dict(zip(FLIGHTS, ("hover", "roll-doublet", "yaw-doublet", "climb-and-land", "fault-flame-out"), strict=True))
+DOUBLETS = {ROLL: "roll", YAW: "yaw"}
 FULL_SCALE = {name: f"full-scale-{of}" for name, of in OWN.items() if name != OUT}
 OCTOJET = {name: f"octojet-{OWN[name]}" for name in (HOVER, ROLL, LAND)}
 # nothing holds the place in the modes that are flown by attitude, which the limit on drift does not know of
@@ -68,6 +72,7 @@ QUADROTOR = Craft("quadrotor", "at once", OWN, options=("--engine", "motor"))
 QUADROTOR_LATE = Craft(
     "quadrotor", "0.1 s late", OWN, options=("--engine", "motor", "--set", "engine_parameters.delay_samples=40")
 )
+SMALL = ["autopilot", "vehicle", "engines", "axis", "design", "flown", "design, small", "flown, small", "agree"]
 LATE = (STOCK, VEHICLE, DESIGNED, OUTSIDE, INSIDE)
 
 
@@ -117,15 +122,50 @@ def design_of(autopilot: str, craft: Craft, out: Path) -> Path:
     return out / "designs" / f"{autopilot}-{craft.key}.toml"
 
 
-def promises(autopilot: str, craft: Craft, out: Path) -> dict[str, str]:
-    """What the design says of the step in a doublet, by the flight."""
-    file = design_of(autopilot, craft, out)
-    axes = tomllib.loads(file.read_text())["design"]["axes"] if file.is_file() else {}
-    said = {flight: axes[axis] for flight, axis in ((ROLL, "roll"), (YAW, "yaw")) if axis in axes}
-    return {
-        flight: f" (design: {100.0 * axis['overshoot']:.0f} %, {axis['settling_s']:.2f} s)"
-        for flight, axis in said.items()
-    }
+def promises(autopilot: str, craft: Craft, there: Mapping[str, Path], out: Path) -> dict[str, str]:
+    """What the design says of each doublet that was flown, by the flight."""
+    file, said = design_of(autopilot, craft, out), {}
+    for flight, axis in DOUBLETS.items():
+        if flight in there and file.is_file():
+            flown_run = open_run(there[flight])
+            designed = as_measured(flown_run, axis, predict(autopilot, file, flown_run, axis))
+            said[flight] = f" (design: {in_words(designed)})"
+    return said
+
+
+def small_flights(autopilot: str, program: str, given: argparse.Namespace) -> list[list[str]]:
+    """Rows of doublets, designed and flown: as large as in the table, and small with sensors at rest."""
+    lines = []
+    extra = () if autopilot == "betaflight" else ("--instance", str(given.instance))
+    for craft in CRAFTS[autopilot]:
+        file = design_of(autopilot, craft, given.out)
+        for flight, axis in DOUBLETS.items():
+            large = given.out / autopilot / f"{craft.key}-{DESIGNED}-{flight}".replace(" ", "-")
+            if not (file.is_file() and (large / "summary.json").is_file()):
+                continue
+            folder = large.with_name(f"{large.name}-small")
+            if not (folder / "summary.json").is_file():
+                settling = tomllib.loads(file.read_text())["design"]["axes"][axis]["settling_s"]
+                changed = small_doublet(open_run(large), axis, settling)
+                flown(autopilot, program, ("--gains", str(file), *changed, *extra), craft, flight, folder)
+            cells, both = [], []
+            for each, measure in ((large, as_measured), (folder, about_ends)):
+                of = open_run(each)
+                designed, flew = (
+                    measure(of, axis, angle)
+                    for angle in (predict(autopilot, file, of, axis), np.asarray(of.log[f"{axis}_rad"]))
+                )
+                both.append(agrees(designed, flew))
+                cells += [in_words(designed), in_words(flew)]
+            said = {(True, True): "both", (False, True): "small", (True, False): "large"}.get(tuple(both), "none")
+            lines.append([NAMES[autopilot], craft.name, craft.engines, axis, *cells, said])
+    return lines
+
+
+def in_words(of: tuple[float, float | None]) -> str:
+    """Overshoot and settling in a cell."""
+    overshoot, settling = of
+    return f"{overshoot:.0f} %, " + ("not settled" if settling is None else f"{settling:.2f} s")
 
 
 def found_none(file: Path) -> bool:
@@ -222,7 +262,7 @@ def rows(
             none = gains == DESIGNED and found_none(design_of(autopilot, craft, given.out))
             absent = dict.fromkeys(craft.flights, "no design") if none else {}
             if there or none:
-                promised = promises(autopilot, craft, given.out) if gains == DESIGNED else {}
+                promised = promises(autopilot, craft, there, given.out) if gains == DESIGNED else {}
                 cells = [
                     cell(there[flight], flight) + promised.get(flight, "")
                     if flight in there
@@ -345,6 +385,7 @@ def main() -> None:
         programs = {"plain": str(program or ""), "inside": getattr(given, f"{name}_inside")}
         lines, folders = rows(name, programs, given)
         parts = {f"flown: {name}": part(name, lines, folders)}
+        parts[f"{name}: designed and flown"] = table(SMALL, small_flights(name, programs["plain"], given), left=7)
         if name != "betaflight":
             parts[f"{name}: its place"] = place_held(name, programs["plain"], given.out, given.instance)
         if name == "px4" and programs["inside"]:

@@ -20,10 +20,36 @@ from cosim.autopilots.parameters import (
 )
 from cosim.autopilots.pilot import find_hover_throttle
 from cosim.base.errors import InputError
-from cosim.base.signals import Vector3
+from cosim.base.signals import AXES, Vector3
+from cosim.simulation.axis_chain import is_turned_by_throttle
 from cosim.simulation.controllers.models import make_scenario_belief
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
+
+_AROUND_HOVER = 0.03  # of thrust, either way, over which a throttle's slope is taken; chosen by us
+
+
+def vehicle_in_throttle(scenario: Scenario) -> Vehicle:
+    """Return a scenario's vehicle with rate gains in throttle, where ours ask for shares of thrust.
+
+    An autopilot's torque is throttle, and nothing bends it as our allocation does: what a throttle gives around hover
+    is the slope of the engine's curve.  A straight curve leaves the vehicle as it is.
+    """
+    vehicle, belief = scenario.resolved_vehicle()[0], make_scenario_belief(scenario, {})
+    if belief.thrust_map.identity:
+        return vehicle
+    jets, hover = len(vehicle.jets), belief.hover
+    more, less = (belief.thrust_map.throttle((hover + way,) * jets) for way in (_AROUND_HOVER, -_AROUND_HOVER))
+    slope = (sum(more) - sum(less)) / (2.0 * _AROUND_HOVER * jets)
+    rate = vehicle.control.rate
+    changed = {}
+    for index, axis in enumerate(AXES):
+        if is_turned_by_throttle(vehicle, index):
+            gains = getattr(rate, axis)
+            scaled = {name: slope * getattr(gains, name) for name in ("p", "i", "d", "integral_limit")}
+            changed[axis] = gains.model_copy(update=scaled)
+    control = vehicle.control.model_copy(update={"rate": rate.model_copy(update=changed)})
+    return vehicle.model_copy(update={"control": control})
 
 
 def list_px4_parameters(scenario: Scenario, step: float, target: str = "sitl") -> dict[str, float]:
@@ -32,7 +58,7 @@ def list_px4_parameters(scenario: Scenario, step: float, target: str = "sitl") -
     ``target``: see :func:`cosim.autopilots.parameters.px4_target`.  Raises InputError for a vehicle that it has no
     parameters for.
     """
-    parameters = px4_target(scenario.resolved_vehicle()[0], step, target)
+    parameters = px4_target(vehicle_in_throttle(scenario), step, target)
     return parameters | px4_hover(find_hover_throttle(make_scenario_belief(scenario, {})))
 
 
@@ -52,7 +78,7 @@ def format_firmware_parameters(autopilot: str, scenario: Scenario, step: float, 
     ``target``: of PX4, see :func:`cosim.autopilots.parameters.px4_target`.  Raises InputError for a vehicle that it has
     no parameters for.
     """
-    vehicle, _ = scenario.resolved_vehicle()
+    vehicle = vehicle_in_throttle(scenario)
     if autopilot == "betaflight":
         lines = [
             *make_mixer_settings(vehicle, vehicle.control.allocation.throttle_min),

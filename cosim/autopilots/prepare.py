@@ -13,7 +13,7 @@ from typing import Any
 
 from cosim.autopilots import ardupilot, betaflight, px4
 from cosim.autopilots.block import AutopilotBlock, ExternalRateLoop
-from cosim.autopilots.firmware_parameters import list_px4_parameters
+from cosim.autopilots.firmware_parameters import list_px4_parameters, vehicle_in_throttle
 from cosim.autopilots.lockstep import LOCAL, Autopilot, StartTiming, find_configured_program
 from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
@@ -177,7 +177,7 @@ def _betaflight(
     assert program is not None
     vehicle, _ = scenario.resolved_vehicle()
     lines = [
-        *([] if setup.gains == "stock" else betaflight.make_gain_settings(vehicle)),
+        *([] if setup.gains == "stock" else betaflight.make_gain_settings(vehicle_in_throttle(scenario))),
         *([] if rates is None else betaflight.EXTERNAL_RATES),
         *setup.lines,
     ]
@@ -258,7 +258,7 @@ def _ardupilot_parameters(scenario: Scenario, program: Path | None, setup: Setup
     if setup.defaults is not None:
         return ARDUPILOT_STICKS | hold | read_parameters(setup.defaults) | dict(setup.parameters)
     try:
-        parameters = ardupilot_parameters(vehicle, scenario.step_s)
+        parameters = ardupilot_parameters(vehicle_in_throttle(scenario), scenario.step_s)
         parameters = leave_ardupilot_gains(parameters) if setup.gains == "stock" else parameters
         return parameters | hold | dict(setup.parameters)
     except InputError:

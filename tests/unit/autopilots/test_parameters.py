@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from math import atan2, cos, degrees, radians, sqrt
 
+import numpy as np
 import pytest
 from arducopter_standin import FRAMES
 from command_tools import Hexjet
 
+from cosim.autopilots.firmware_parameters import list_px4_parameters, vehicle_in_throttle
 from cosim.autopilots.parameters import (
     ardupilot_parameters,
     ardupilot_script,
@@ -18,9 +20,12 @@ from cosim.autopilots.parameters import (
     px4_parameters,
     px4_torque_scale,
 )
+from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.control.allocation.allocation import TiltAllocator
-from cosim.spec.vehicle import Vehicle, load_vehicle
+from cosim.engine import load_engine
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle, engine_of, load_vehicle
 
 HEXJET = load_vehicle("hexjet")[0]
 QUADROTOR = load_vehicle("quadrotor")[0]
@@ -179,3 +184,25 @@ def test_the_files(hexjet: Hexjet) -> None:
     assert done.status == 0
     assert done.out.splitlines()[0] == "mixer CUSTOM"
     assert done.out.splitlines()[-1] == "save"
+
+
+@pytest.mark.parametrize(("aircraft", "turned"), [("hexjet-100", {"roll"}), ("hexjet", set())])
+def test_gains_are_of_the_throttle_where_an_engines_curve_is_bent(aircraft: str, turned: set[str]) -> None:
+    """A share of thrust is as much throttle as the curve says around hover, for which no mixer of theirs is bent; tilts
+    are tilts."""
+    scenario = Scenario.load("hover").replace(aircraft=aircraft, engine=engine_of(aircraft) or "edf")
+    ours, theirs = scenario.resolved_vehicle()[0], vehicle_in_throttle(scenario)
+    curve = load_engine(scenario.engine, {}, scenario.step_s).curve
+    weight = ours.mass_kg * GRAVITY / len(ours.jets)
+    span = curve.thrust[-1] - curve.thrust[0]
+    low, high = (np.interp(weight + way * span, curve.thrust, curve.throttle) for way in (-0.02, 0.02))
+    slope = (high - low) / 0.04
+    for axis in ("roll", "pitch", "yaw"):
+        before, after = (getattr(vehicle.control.rate, axis) for vehicle in (ours, theirs))
+        for name in ("p", "i", "d"):
+            assert getattr(after, name) == pytest.approx(
+                getattr(before, name) * (slope if axis in turned else 1.0), rel=0.01
+            )
+    assert (abs(slope - 1.0) > 0.05) == bool(turned)
+    told = list_px4_parameters(scenario, scenario.step_s)
+    assert told["MC_ROLLRATE_P"] == px4_parameters(theirs)["MC_ROLLRATE_P"]

@@ -30,7 +30,7 @@ from cosim.spec.scenario import Scenario
 
 PROGRAM = Path("/bin/true")  # is never started here
 HOVER = Scenario.load("hover")
-QUAD = HOVER.replace(aircraft="quadrotor", step_s=0.0025)
+QUAD = HOVER.replace(aircraft="quadrotor", engine="motor", step_s=0.0025)
 
 
 def prepare(

@@ -147,6 +147,9 @@ def test_a_name_of_another_release_is_missed_by_who_states_it_alone(tmp_path: Pa
     check_unknown_parameters(log, told, ours.optional)
     with pytest.raises(InputError, match="EKF2_GPS_DELAY: this PX4 has none of that name"):
         check_unknown_parameters(log, told, stated.optional)
+    log.write_text("ERROR [param] Parameter MAN_DEADZONE not found.\n")
+    with pytest.raises(InputError, match=r"px4: this PX4 is older than 1\.17, which is the first that is flown"):
+        check_unknown_parameters(log, told, ours.optional)
 
 
 def test_a_target_is_told_of_what_it_has(hexjet: Hexjet) -> None:
