@@ -25,7 +25,7 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from designed_and_flown import about_ends, agrees, as_measured, predict, small_doublet
+from designed_and_flown import about_ends, agrees, as_measured, predict, still_doublet
 
 from cosim.autopilots.prepare import find_program
 from cosim.campaign import open_campaign
@@ -72,7 +72,7 @@ QUADROTOR = Craft("quadrotor", "at once", OWN, options=("--engine", "motor"))
 QUADROTOR_LATE = Craft(
     "quadrotor", "0.1 s late", OWN, options=("--engine", "motor", "--set", "engine_parameters.delay_samples=40")
 )
-SMALL = ["autopilot", "vehicle", "engines", "axis", "design", "flown", "design, small", "flown, small", "agree"]
+COMPARED = ["autopilot", "vehicle", "engines", "axis", "design", "flown", "design, still", "flown, still", "agree"]
 LATE = (STOCK, VEHICLE, DESIGNED, OUTSIDE, INSIDE)
 
 
@@ -133,8 +133,8 @@ def promises(autopilot: str, craft: Craft, there: Mapping[str, Path], out: Path)
     return said
 
 
-def small_flights(autopilot: str, program: str, given: argparse.Namespace) -> list[list[str]]:
-    """Rows of doublets, designed and flown: as large as in the table, and small with sensors at rest."""
+def still_flights(autopilot: str, program: str, given: argparse.Namespace) -> list[list[str]]:
+    """Rows of doublets, designed and flown: as large as in the table, and still: longer, smaller, sensors at rest."""
     lines = []
     extra = () if autopilot == "betaflight" else ("--instance", str(given.instance))
     for craft in CRAFTS[autopilot]:
@@ -143,10 +143,10 @@ def small_flights(autopilot: str, program: str, given: argparse.Namespace) -> li
             large = given.out / autopilot / f"{craft.key}-{DESIGNED}-{flight}".replace(" ", "-")
             if not (file.is_file() and (large / "summary.json").is_file()):
                 continue
-            folder = large.with_name(f"{large.name}-small")
+            folder = large.with_name(f"{large.name}-still")
             if not (folder / "summary.json").is_file():
                 settling = tomllib.loads(file.read_text())["design"]["axes"][axis]["settling_s"]
-                changed = small_doublet(open_run(large), axis, settling)
+                changed = still_doublet(open_run(large), axis, settling, autopilot == "ardupilot")
                 flown(autopilot, program, ("--gains", str(file), *changed, *extra), craft, flight, folder)
             cells, both = [], []
             for each, measure in ((large, as_measured), (folder, about_ends)):
@@ -157,7 +157,7 @@ def small_flights(autopilot: str, program: str, given: argparse.Namespace) -> li
                 )
                 both.append(agrees(designed, flew))
                 cells += [in_words(designed), in_words(flew)]
-            said = {(True, True): "both", (False, True): "small", (True, False): "large"}.get(tuple(both), "none")
+            said = {(True, True): "both", (False, True): "still", (True, False): "large"}.get(tuple(both), "none")
             lines.append([NAMES[autopilot], craft.name, craft.engines, axis, *cells, said])
     return lines
 
@@ -385,7 +385,7 @@ def main() -> None:
         programs = {"plain": str(program or ""), "inside": getattr(given, f"{name}_inside")}
         lines, folders = rows(name, programs, given)
         parts = {f"flown: {name}": part(name, lines, folders)}
-        parts[f"{name}: designed and flown"] = table(SMALL, small_flights(name, programs["plain"], given), left=7)
+        parts[f"{name}: designed and flown"] = table(COMPARED, still_flights(name, programs["plain"], given), left=7)
         if name != "betaflight":
             parts[f"{name}: its place"] = place_held(name, programs["plain"], given.out, given.instance)
         if name == "px4" and programs["inside"]:

@@ -28,6 +28,7 @@ from cosim.simulation.controllers.controller_file import read_controller
 from cosim.spec.vehicle import load_vehicle
 
 LEVEL_S = 0.5  # at the end of a side, over which the angle that it has come to is taken
+SMALL_DEG = {"roll": 4.0, "yaw": 8.0}
 WITHIN = 0.2  # of the design's
 SMALL_POINTS, SMALL_S = 2.0, 0.1  # differences of overshoot, % of a step, and of settling, that count as none
 
@@ -74,12 +75,16 @@ def about_ends(run: Run, axis: str, angle: Array) -> tuple[float, float | None]:
     return max(size for size, _ in sides), max(times) if len(times) == len(sides) else None
 
 
-def small_doublet(run: Run, axis: str, settling_s: float) -> list[str]:
-    """Options that make of a run's doublet a small one, whose sides last until it has settled, with sensors at rest."""
+def still_doublet(run: Run, axis: str, settling_s: float, whole_microseconds: bool) -> list[str]:
+    """Options that make a run's doublet last until it has settled, with still sensors; and small, within all limits.
+
+    ``whole_microseconds``: of outputs that are so coarse, a small doublet would have but a few.
+    """
     command = run.scenario.command[0]
+    small = command.amplitude if whole_microseconds else SMALL_DEG[axis]
     width = max(command.width_s, float(ceil(1.4 * settling_s)))
     settings = [
-        f"command.0.amplitude={4.0 if axis == 'roll' else 8.0}",
+        f"command.0.amplitude={small}",
         f"command.0.width_s={width}",
         f"duration_s={command.start_s + 3.0 * width}",
         "sensor_noise=false",
