@@ -29,6 +29,7 @@ CLOSE = 0.02  # relative, by which the requirements may be missed where a search
 WRITTEN = 1500  # points of the circle while digits are changed
 NEGLIGIBLE_GAIN = 0.003  # of the objective: a search finds as much again when it is begun from its own answer
 LEAST_GAIN = 1e-6  # of the objective, for which a digit is changed
+MOST_PASSES = 1000  # over all numbers, digit by digit: so that a search ends
 SPARE = 0.004  # by which the search stays inside the requirements, for what lies between its points
 PREDICTOR = "predictor."  # before the names of a predictor's own parameters
 
@@ -203,14 +204,16 @@ def settle(
         return _cost(ClosedLoop(points, _written(start, values, channel.step, level)), need)
 
     values = {name: digits(value) for name, value in _search_values(start, predictor and not level).items()}
-    best, moved = cost(values), True
-    while moved:
+    best = cost(values)
+    for _ in range(MOST_PASSES):
         moved = False
         for name in values:
             for way in (1, -1):
                 trial = {**values, name: _next_digits(values[name], way)}
                 if (value := cost(trial)) < best - LEAST_GAIN:
                     values, best, moved = trial, value, True
+        if not moved:
+            break
     tuning = _written(start, values, channel.step, level)
     return tuning if is_acceptable(fine_loop(channel, tuning), need) else None
 
@@ -238,8 +241,8 @@ def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements
     values = {name: min(max(1, round(gain_values[name] / units[name])), firmware.max_gain) for name in names}
     ways = [{name: way} for name in names for way in (1, -1)]
     ways += [{a: x, b: y} for k, a in enumerate(names) for b in names[k + 1 :] for x in (1, -1) for y in (1, -1)]
-    best, moved = cost(values), True
-    while moved:
+    best = cost(values)
+    for _ in range(MOST_PASSES):
         moved = False
         for way in ways:
             trial = {**values, **{name: values[name] + by for name, by in way.items()}}
@@ -248,6 +251,8 @@ def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements
                 and (value := cost(trial)) < best - LEAST_GAIN
             ):
                 values, best, moved = trial, value, True
+        if not moved:
+            break
     tuning = at(values)
     return tuning if is_acceptable(fine_loop(channel, tuning), need) else None
 
