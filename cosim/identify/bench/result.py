@@ -31,6 +31,8 @@ BOUNDS = (
     "profile likelihood with two lags, and with a lag by the level where the log does not refute that; the others are "
     "1.96 standard deviations. They hold where the model explains the log."
 )
+TOLD = "delay, lags, gain and curve within its range are told"
+NOT_TOLD = "delay and lags: none explains the log, and no further step would change that; the notes say what they lack"
 
 
 def why_no_engine(result: BenchIdentification) -> str:
@@ -67,7 +69,7 @@ def page(result: BenchIdentification) -> Page:
     size, share = result.judgement.evidence
     left_over = f"{size[0].upper()}{size[1:]}, {share}; {held}."
     columns = ["with 95 % bounds", *(estimate.form.label for estimate in result.estimates)]
-    untold = result.untold or ("delay, lags, gain and curve within its range are told",)
+    untold = result.untold or (TOLD if result.is_explained else NOT_TOLD,)
     cards = [
         Card("Models", columns, rows(result), BOUNDS),
         Card("What the log does not tell, and the next test", text=left_over, lines=untold),

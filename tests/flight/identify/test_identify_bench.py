@@ -206,12 +206,17 @@ def test_a_ramp_does_not_tell_two_lags_from_delay_and_its_bounds_know(tmp_path: 
 
 @pytest.mark.parametrize("kind", ["step", "stairs of 15 s", pytest.param("chirp", marks=pytest.mark.long)])
 def test_a_limit_of_acceleration_is_not_explained_and_leaves_no_engine(tmp_path: Path, kind: str) -> None:
-    from cosim.identify.bench.result import why_no_engine
+    from cosim.identify.bench.result import NOT_TOLD, why_no_engine
 
     result = found(tmp_path, kind, 50.0, SLEWING)
     assert not result.is_explained
     assert any("an acceleration limit, or lag and gain that change" in note for note in result.notes)
     assert why_no_engine(result) == "the model does not explain the log"
+    assert not any(line.startswith("the lag: ") for line in result.untold)
+    (card,) = (
+        card for card in page(replace(result, untold=())).cards if card.title.startswith("What the log does not")
+    )
+    assert [*card.lines] == [NOT_TOLD]
 
 
 @pytest.mark.parametrize(
