@@ -252,9 +252,17 @@ def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
         return f"{key}: needs at least {first['ctx']['min_length']}{rest}"
     if kind == "too_long":
         return f"{key}: may have at most {first['ctx']['max_length']}, not {first['ctx']['actual_length']}{rest}"
-    message = first["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    message = _no_entry(kind, value) or first["msg"].removeprefix("Value error, ").removeprefix("Input ")
+    message = message.replace("should be a valid ", "must be a ").replace("a integer", "an integer")
     shown = "" if isinstance(value, (dict, list)) else f" = {value!r}"
     return f"{key}{shown}: {message}{rest}" if key else f"{message}{rest}"
+
+
+def _no_entry(kind: str, value: Any) -> str:
+    """Return that a list has no entry which a setting could write over, where that is what is wrong."""
+    if kind != "list_type" or not isinstance(value, dict) or not all(str(key).isdigit() for key in value):
+        return ""
+    return f"there is no entry {', '.join(map(str, value))} to write over; a new list is [{{...}}]"
 
 
 def _describe_others(model: type[BaseModel], errors: Sequence[ErrorDetails], first: str) -> Iterator[str]:

@@ -89,6 +89,12 @@ def test_a_classic_smith_predictor_leans_under_a_constant_moment() -> None:
             "width_ms = 2",
             r"command\.0\.width_s is missing; unknown key command\.0\.width_ms may be meant for it$",
         ),
+        ("x = 1", r"x\.toml: name is missing; missing too: duration_s; unknown: x$"),
+        ("name = 'x'\nduration_s = 1\ncommand = 3", r"x\.toml: command = 3: must be a list$"),
+        (
+            "name = 'x'\nduration_s = 1\n[command.0]\nkind = 'step'",
+            r"x\.toml: command: there is no entry 0 to write over; a new list is \[\{\.\.\.\}\]$",
+        ),
         ("name = 'x'\nduration_s = nan", r"x\.toml: duration_s = nan: .*(finite|greater)"),
         ("name = 'x'\nduration_s = -1", r"x\.toml: duration_s = -1: .*greater than 0"),
         ("name = 'x'\nduration_s = 1\ncontroler = 'smith'", r"unknown key 'controler'; did you mean 'controller'\?"),
