@@ -492,7 +492,7 @@ def test_the_verdict_is_that_of_the_tables() -> None:
     for sentence in ("keeps the requirements at {} Hz", '"None" is at the bandwidth that is asked for, {} Hz'):
         assert figures(sentence) == [design["design"]["requirements"]["min_bandwidth_hz"]]
     damping, stiffness, omega, zeta = figures(
-        "gives s² + {} s + {}, two poles at {} rad/s with damping {}. A test realises"
+        "gives s² + {} s + {}, two poles at {} rad/s with damping {}. ![Roll doublet"
     )
     assert rounded(omega, lead["natural_rad_s"], 3)
     assert rounded(zeta, lead["damping"], 2)
