@@ -26,6 +26,7 @@ from pathlib import Path
 # By its own names, as it ships.
 DEFAULTS: dict[str, float] = {
     "FRAME_CLASS": 1, "FRAME_TYPE": 1, "SCHED_LOOP_RATE": 400, "SIM_RATE_HZ": 1200, "SIM_SPEEDUP": 1, "ARMING_CHECK": 1,
+    "SIM_DRIFT_SPEED": 0.05,
     "ANGLE_MAX": 3000, "PILOT_Y_RATE": 202.5, "PILOT_Y_EXPO": 0, "INS_GYRO_FILTER": 20, "ATC_ANGLE_BOOST": 1,
     "MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_THST_EXPO": 0.65, "MOT_SPIN_MAX": 0.95, "MOT_SPIN_MIN": 0.15,
     "MOT_SPIN_ARM": 0.1, "MOT_THST_HOVER": 0.35, "MOT_SPOOL_TIME": 0.5, "CC_TYPE": 0, "CC_AXIS_MASK": 0,
@@ -299,6 +300,9 @@ class Copter:
         if self.radio.listen(now) and self.radio.heard:
             self._hear(now)
             self._choose(now, told["position"])
+        # on top of the gyro that it is told, for the first five minutes
+        drift = math.radians(self.parameters["SIM_DRIFT_SPEED"]) * now / 60.0
+        told["imu"]["gyro"] = [rate + drift for rate in told["imu"]["gyro"]]
         runs = self.armed_at is not None and now - self.armed_at > HOLDS_S
         closed = self._closed_since is not None and now - self._closed_since > 0.4
         torque = self._rates(told["imu"]["gyro"], dt)
