@@ -25,7 +25,7 @@ from cosim.results.report.flight_figures import comparison_figures, subtract_fir
 from cosim.results.report.page import TEMPLATES, Flights, render
 from cosim.results.report.plot import run_colour
 from cosim.results.report.requirements import compared_margins
-from cosim.results.report.signals_data import FlightData, read_vehicle, run_data
+from cosim.results.report.signals_data import FlightData, describe_run, run_data
 from cosim.results.run import REPORT, Run
 from cosim.results.summary import Summary
 from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, display_unit, metric, show_value
@@ -102,19 +102,8 @@ def flight_data(flight: ComparedFlight, number: int) -> tuple[dict[str, Any], di
     if flight.run is None:
         times = flight.log[TIME]
         return run_data(FlightData(flight.log, flight.label, colour, step_s=median_step(times), times=times))
-    summary = flight.run.summary
-    return run_data(
-        FlightData(
-            flight.log,
-            flight.label,
-            colour,
-            step_s=summary.step_s,
-            events=list_events(flight.run),
-            vehicle=read_vehicle(flight.run),
-            jets_m=summary.jets_m,
-            reach=summary.reach,
-        )
-    )
+    described = describe_run(flight.run, flight.label, colour, list_events(flight.run))
+    return run_data(described._replace(log=flight.log))
 
 
 # ---- words and tables

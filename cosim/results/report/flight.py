@@ -27,7 +27,7 @@ from cosim.results.report.requirements import (
     margins_over_time,
     shortened,
 )
-from cosim.results.report.signals_data import FlightData, read_vehicle, run_data
+from cosim.results.report.signals_data import describe_run, run_data
 from cosim.results.run import LOG, SCENARIO, Run
 from cosim.results.summary import DelayRow, Summary
 from cosim.results.verdict import BADGES, NOTHING_EXPECTED
@@ -59,23 +59,13 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
     phases = list_phases(run)
     flights, margins = None, margins_over_time(run.log, summary) if summary.steps else []
     if summary.steps:
-        vehicle = read_vehicle(run)
-        data = run_data(
-            FlightData(
-                run.log,
-                summary.controller_shown,
-                BLUE,
-                step_s=summary.step_s,
-                events=events,
-                vehicle=vehicle,
-                jets_m=summary.jets_m,
-                derived=make_rest_columns(run.log, summary) | margin_columns(margins, len(run.log)),
-                made=[ZERO, *(margin.column for margin in margins)],
-                upsets=Reader(run.log, summary.step_s).upsets(),
-                phases=phases,
-                reach=summary.reach,
-            )
+        flight = describe_run(run, summary.controller_shown, BLUE, events)._replace(
+            derived=make_rest_columns(run.log, summary) | margin_columns(margins, len(run.log)),
+            made=[ZERO, *(margin.column for margin in margins)],
+            upsets=Reader(run.log, summary.step_s).upsets(),
+            phases=phases,
         )
+        data = run_data(flight)
         flights = Flights(summary.scenario, [data], run_figures(run.log, summary, margins))
     strips = {} if flights is None else flights.figures
     render(

@@ -137,6 +137,14 @@ class FlightData(NamedTuple):
     reach: Reach | None = None  # by which the flight's metrics were made
 
 
+def describe_run(run: Run, label: str, colour: str, events: Sequence[Event]) -> FlightData:
+    """Return a run as a page draws it, with what happened in it."""
+    summary, vehicle = run.summary, read_vehicle(run)
+    return FlightData(
+        run.log, label, colour, summary.step_s, events, vehicle, jets_m=summary.jets_m, reach=summary.reach
+    )
+
+
 def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
     """Return what a page says of a run, as JSON has it, and its columns' data by name."""
     log = flight.log
