@@ -165,10 +165,10 @@ def describe_small_movements(
     first, unit_of_command = records[0], f" {records[0].command_unit}" if records[0].command_unit else ""
     offset = float(own[0]) - float(user[0]) / scale
     test = find_small_test(parts[0], offset + level / scale, step / scale, _quiet(parts, residual, rest), answer)
-    often = f" or sooner than {soonest:.2g} s after another" if np.isfinite(soonest) else ""
+    often = f" or sooner than {soonest:.3g} s after another" if np.isfinite(soonest) else ""
     line = (
         f"how small, quick commands are answered: no movement of {first.command_name} is smaller than "
-        f"{size:.2g}{unit_of_command} ({100.0 * size / span:.0f} % of its range){often}. "
+        f"{float(f'{size:.2g}'):g}{unit_of_command} ({100.0 * size / span:.0f} % of its range){often}. "
         f"Next: {step:g}{unit_of_command} up and down about {level:g}, or about where it hovers, "
     )
     if test is None:
