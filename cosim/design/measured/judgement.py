@@ -12,6 +12,7 @@ from math import asin, degrees, inf, isfinite, log10
 from typing import Any, NamedTuple
 
 from cosim.design.measured.axis_margins import AxisMargins
+from cosim.design.measured.estimate import Bounded
 from cosim.simulation.controllers.controller_file import Requirements
 
 ENOUGH, NARROW, TOO_LITTLE = BANDS = ("enough", "narrow", "too little")  # narrow: with a well-known engine alone
@@ -100,9 +101,7 @@ def judge_axis(measured: AxisMargins) -> list[Judged]:
     rows = []
     for name in JUDGED:
         if name in found:
-            bounded = found[name]
-            end = bounded.high if name in ("peak_sensitivity", "gain_down_db") else bounded.low
-            rows.append(_judged(measured, name, bounded.value, end if isfinite(end) else bounded.value))
+            rows.append(_judged(measured, name, found[name].value, _worse_end(name, found[name])))
     over = measured.over_engine
     return rows if over is None else [*rows, _judged(measured, UNSTABLE, over.unstable, over.unstable)]
 
@@ -123,6 +122,15 @@ def judgement_line(rows: Sequence[Judged]) -> str:
     others = sum(row.band == worst.band for row in rows) - 1
     more = "" if worst.band in (None, ENOUGH) or not others else f", and {others} more {worst.band}"
     return f"judgement: {VERDICTS[worst.band or ENOUGH]}; worst: {worst.describe()}{more}: docs/judging.md"
+
+
+def _worse_end(name: str, bounded: Bounded) -> float:
+    """Return the end of a margin's bounds that is judged, its value without bounds; one beyond 0 leaves no margin."""
+    if name == "peak_sensitivity":
+        end = bounded.high
+    else:
+        end = min(bounded.high, 0.0) if name == "gain_down_db" else max(bounded.low, 0.0)
+    return end if isfinite(bounded.low) else bounded.value
 
 
 def _judged(measured: AxisMargins, name: str, value: float, worst: float) -> Judged:

@@ -125,6 +125,11 @@ def an_axis(axis: str, uncertainty: float | None = None, lost: int = 0, **margin
         ({"gain_down_db": (-3.0, -3.1, -2.9), "phase_deg": (23.0, 22.9, 23.1)},
          "do not fly on it; worst: roll gain down -3.0 dB, by its bounds -2.9 dB, limit -6.0 dB (-4.4 dB with a well-known engine), "
          "and 1 more too little"),
+        ({"phase_deg": (34.0, -40.0, 108.0)},  # bounds that reach beyond 0 are no larger margin
+         "do not fly on it; worst: roll phase, lag 34.0 deg, by its bounds 0.0 deg, "
+         "limit 29.0 deg (23.1 deg with a well-known engine)"),
+        ({"gain_down_db": (-9.0, -25.0, 7.0)},
+         "do not fly on it; worst: roll gain down -9.0 dB, by its bounds 0.0 dB, limit -6.0 dB (-4.4 dB with a well-known engine)"),
         ({"delay_s": (0.029, 0.029, 0.029)}, "do not fly on it; worst: roll delay, more 29 ms, limit 30 ms"),
         ({"peak_sensitivity": (2.4, 2.3, 2.51)},
          "do not fly on it; worst: roll peak |S| 2.40, by its bounds 2.51, "
