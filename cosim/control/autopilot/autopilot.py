@@ -308,16 +308,24 @@ class Autopilot:
         return self._command_in_air(k)
 
     def _limit_fall(self, k: int, collective: float | None) -> float | None:
-        """Return the requested collective, or the greater one that it takes not to hit the ground."""
-        floor = self._envelope.floor
+        """Return the requested collective, or the greater one that it takes not to hit the ground.
+
+        Where height control takes over from a pilot's throttle it is the one that slows the vehicle down.
+        """
+        report, ground = self._state.report, self._landmarks.ground
+        if collective is None and self._landing.touchdown.is_off_ground and not report.lost:
+            braking = self._envelope.slow_down(ground, report.remaining)
+            if braking is not None:
+                self._course.guide.restart_height()
+                return braking
         if collective is None or self._landing.collective is not None or not self._gives_collective():
             # Nothing was allocated before the first step.
             if k > 0:
-                floor.restart_at(self._state.report.collective)
+                self._envelope.restart_at(report.collective)
             return collective
         if not self._landing.touchdown.is_off_ground:
-            return floor.limit_rate(collective)
-        return self._envelope.limit_fall(collective, self._landmarks.ground, self._state.report.remaining)
+            return self._envelope.floor.limit_rate(collective)
+        return self._envelope.limit_fall(collective, ground, report.remaining)
 
     def _command_on_ground(self, k: int) -> Command:
         """Return the command of the armed, standing vehicle; disarm it after some time."""

@@ -297,6 +297,27 @@ def test_a_full_reversal_turns_the_other_layouts_round(aircraft: str, controller
         assert max(map(lean, samples)) < OVER * most
 
 
+@pytest.mark.parametrize(("up", "speed"), [(1.0, 8.0), (-1.0, 5.0)])
+@pytest.mark.parametrize(("aircraft", "controller"), long_after(1, sorted(FLOWN, key=lambda each: each[0] != "trijet")))
+def test_height_control_takes_over_a_fast_climb_or_fall(
+    aircraft: str, controller: str, up: float, speed: float
+) -> None:
+    """Its loop alone would command all engines to an end of their range at once: four vehicles of turbines were lost."""
+    with in_the_air(aircraft, controller, 60.0, substeps=1) as flight:
+        most = flight.simulation.vehicle.control.pilot.stick_lean_rad  # type: ignore[union-attr]
+        flight.ok(rq.Sticks(0.0, 0.0, 0.0, 0.5), rq.SetMode("STABILIZED"))
+        for _ in range(40):
+            samples = with_sticks(flight, 0.1, lambda t: rq.Sticks(0.0, 0.0, 0.0, 0.5 + 0.5 * up))
+            if abs(samples[-1].state.velocity[2]) >= speed:
+                break
+        assert abs(samples[-1].state.velocity[2]) > 2.0
+        flight.ok(rq.SetMode("ALTCTL"))
+        samples = with_sticks(flight, 12.0, lambda t: rq.Sticks(0.0, 0.0, 0.0, 0.5))
+        assert flight.ending is None
+        assert max(map(lean, samples)) < most
+        assert abs(samples[-1].state.velocity[2]) < 2.0
+
+
 @pytest.mark.parametrize(("engine", "past"), [("edf", 6.0), ("edf-as-flown", 2.0)])
 def test_a_lift_fan_quicker_than_the_turbojets_behind_pitches_the_vehicle(engine: str, past: float) -> None:
     """The trijet's sticks at their stops, its throttle let go: by so much the lean passes that of the stick."""

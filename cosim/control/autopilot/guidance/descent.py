@@ -90,7 +90,8 @@ class CollectiveFloor:
         self._hover, self._idle = hover, idle
         self._least, self._most = throttle_min, throttle_max
         self._step = step
-        self._braking = _CATCH_FRACTION * thrust_margins(hover, idle, throttle_min, throttle_max)[0]
+        margins = thrust_margins(hover, idle, throttle_min, throttle_max)
+        self._braking, self._slowing = (_CATCH_FRACTION * margin for margin in margins)
         self._late = 4.0 * (answer + _SENSED_S)
         self._k = 0.5 / (near + _SENSED_S)
         self._most_change = (throttle_max - throttle_min) * step / max(answer, step)
@@ -120,14 +121,21 @@ class CollectiveFloor:
         slope = self._braking / (v + self._braking * self._late) if height > 0.0 else 0.0
         k = self._k
         up = max(0.0, sink) * slope + k * (sink - v) + self._trim
-        thrust = (self._hover + self._idle) * weight * (1.0 + up / GRAVITY) / max(upright, _LEAST_UPRIGHT)
-        least = min(max(thrust - self._idle, self._least), self._most)
+        least = self._collective(up, upright, weight)
         self.is_acting = least > collective
         if self.is_acting:
             self._trim = clamp(self._trim + 0.25 * k * k * (sink - v) * self._step, _TRIM)
         else:
             self._trim = 0.0
         return self.limit_rate(max(collective, least))
+
+    def collective_for(self, up: float, upright: float, weight: float) -> float:
+        """Return the collective for an acceleration upwards [m/s^2]; downwards half of what least thrust gives."""
+        return self._collective(max(up, -self._slowing), upright, weight)
+
+    def _collective(self, up: float, upright: float, weight: float) -> float:
+        thrust = (self._hover + self._idle) * weight * (1.0 + up / GRAVITY) / max(upright, _LEAST_UPRIGHT)
+        return min(max(thrust - self._idle, self._least), self._most)
 
     def limit_rate(self, collective: float) -> float:
         """Return the collective with its rate limited."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import radians
 
 from cosim.base.frames import upright
+from cosim.base.limits import clip
 from cosim.base.signals import AXES, Command
 from cosim.control.autopilot.estimation.estimates import Estimates
 from cosim.control.autopilot.guidance.descent import CollectiveFloor, HeightLimits, height_limits, thrust_margins
@@ -15,6 +16,9 @@ from cosim.spec.vehicle import Vehicle
 
 _SHAPING = ("HJ_ATT_", "HJ_RLIM_", "HJ_STICK_LEAN", "HJ_YAW_RATE")  # parameters that the limits of attitude follow from
 _CLIMBING = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_AUTO", "HJ_DESC_AUTO")  # and those of height
+# Chosen by us, for where height control takes over from a throttle.
+_AT_REST = 0.25  # m/s: the loop of height answers it with some 1/50 of the weight, 1/100 of the throttle
+_NEAR_HOVER = 0.1  # of the throttle: so near a pilot finds it by hand, and so little of a step tilts nothing
 
 
 class Envelope:
@@ -48,7 +52,12 @@ class Envelope:
     def reset(self, airborne: bool) -> None:
         """Start without a command."""
         self.shaper.reset()
-        self.floor.restart_at(self._hover if airborne else self._least)
+        self.restart_at(self._hover if airborne else self._least)
+
+    def restart_at(self, collective: float) -> None:
+        """Start again from this collective of the height control."""
+        self.floor.restart_at(collective)
+        self._is_by_stick = self._is_braking = False
 
     def attitude_limits(self) -> AttitudeLimits:
         """Return the attitude and rate limits that the loops can follow with the present gains."""
@@ -84,15 +93,47 @@ class Envelope:
 
         ``remaining``: fraction of the fuel; None: the vehicle has none, or it is not known.
         """
-        measured, fuel = self._estimates.now, self._vehicle.fuel
-        weight = 1.0
-        if fuel is not None and remaining is not None:
-            weight -= fuel.mass_kg * (1.0 - remaining) / self._vehicle.mass_kg
+        self._is_by_stick, self._is_braking = True, False
+        return self._limit(collective, ground, remaining)
+
+    def slow_down(self, ground: float, remaining: float | None) -> float | None:
+        """Return the collective that brings a fast climb or fall to rest before the height loop takes over.
+
+        A pilot's throttle may have led there, or stand far from that of hover.  The loop itself would answer with the
+        least or the most throttle at once: turbines that are all at idle take seconds to come back, and until then
+        nothing keeps the vehicle level; engines that are not alike pitch it on their way.  So half of the thrust's
+        margin ends a climb, and no collective moves faster than :class:`CollectiveFloor` lets it.
+
+        None: the loop has it, which it keeps until a collective has been commanded again.
+        """
+        if not (self._is_by_stick or self._is_braking):
+            return None
+        p, climb, lean = self._parameters, -self._estimates.now.velocity[2], upright(self._estimates.now.attitude)
+        weight = self._weight(remaining)
+        wanted = self.floor.collective_for(-p["HJ_CLIMB_P"] * climb, lean, weight)
+        given = self._limit(wanted, ground, remaining)
+        if self._is_by_stick:
+            is_fast = abs(climb - clip(climb, -p["HJ_SPEED_DN"], p["HJ_SPEED_UP"])) > _AT_REST
+            is_far = abs(given - self.floor.collective_for(0.0, lean, weight)) > _NEAR_HOVER
+            self._is_by_stick, self._is_braking = False, is_fast or is_far
+        else:
+            self._is_braking = abs(climb) > _AT_REST or given != wanted
+        return given if self._is_braking else None
+
+    def _limit(self, collective: float, ground: float, remaining: float | None) -> float:
+        measured = self._estimates.now
         return self.floor.apply(
             collective,
             measured.altitude - ground,
             measured.velocity[2],
             self._parameters["MPC_LAND_SPEED"],
             upright(measured.attitude),
-            weight,
+            self._weight(remaining),
         )
+
+    def _weight(self, remaining: float | None) -> float:
+        """Return the weight as a fraction of that at the start."""
+        fuel = self._vehicle.fuel
+        if fuel is None or remaining is None:
+            return 1.0
+        return 1.0 - fuel.mass_kg * (1.0 - remaining) / self._vehicle.mass_kg

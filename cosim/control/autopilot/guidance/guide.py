@@ -46,6 +46,10 @@ class Guide:
         self.altitude = self.yaw = self._climb = 0.0
         self._position.reset()
 
+    def restart_height(self) -> None:
+        """Take the set-point of height up anew in the next step, from the vehicle's height and climb rate then."""
+        self._height_step = -2
+
     def limit(self, limits: HeightLimits) -> None:
         """Set other bounds of the height; its set-point goes on from where it is."""
         self.limits = limits
