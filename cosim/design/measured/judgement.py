@@ -15,14 +15,17 @@ from cosim.design.measured.axis_margins import AxisMargins
 from cosim.design.measured.estimate import Bounded
 from cosim.simulation.controllers.controller_file import Requirements
 
-ENOUGH, NARROW, TOO_LITTLE = BANDS = ("enough", "narrow", "too little")  # narrow: with a well-known engine alone
+# narrow: with a well-known engine alone; not told: the band that was measured does not show it
+ENOUGH, NARROW, NOT_TOLD, TOO_LITTLE = BANDS = ("enough", "narrow", "not told", "too little")
 VERDICTS = {
     ENOUGH: "every margin is enough",
     NARROW: "fly it only with a well-known engine",
+    NOT_TOLD: "the margins are not told",
     TOO_LITTLE: "do not fly on it",
 }
 PEAK, KNOWN_PEAK = 2.0, 2.5  # of |S|: usual, and with a well-known engine
 DEVIATIONS = 3.0  # of an engine's delay, where its file states its uncertainty
+CROSSOVER = "crossover_hz"  # judged only where there is none
 UNSTABLE = "unstable_engines"  # of those that are drawn from its uncertainty
 JUDGED = {  # quantity: what it is called, its unit on a screen, the factor to it, digits
     "gain_db": ("gain up", "dB", 1.0, 1),
@@ -33,6 +36,7 @@ JUDGED = {  # quantity: what it is called, its unit on a screen, the factor to i
     "delay_less_s": ("delay, less", "ms", 1e3, 0),
     "peak_sensitivity": ("peak |S|", "", 1.0, 2),
     UNSTABLE: ("lost draws", "", 1.0, 0),
+    CROSSOVER: ("crossover", "Hz", 1.0, 3),
 }
 AT_MOST = ("peak_sensitivity", UNSTABLE)  # the others are to be at least their limit, in size
 COLUMNS = ("axis", "margin", "at worst", "limit (narrow)", "judgement", "from")
@@ -53,8 +57,8 @@ class Judged(NamedTuple):
 
     axis: str
     margin: str  # of JUDGED
-    value: float  # measured
-    worst: float  # the worse end of its 95 % bounds, which is judged
+    value: float | None  # measured; None: there is none in the band
+    worst: float | None  # the worse end of its 95 % bounds, which is judged
     limit: float | None  # None: nothing is known to ask for
     known_limit: float | None  # with a well-known engine; None: the same
     band: str | None  # of BANDS; None without a limit
@@ -63,8 +67,8 @@ class Judged(NamedTuple):
     @property
     def severity(self) -> tuple[int, float]:
         """What is greater is worse: the band, then the limit over the number."""
-        if self.band is None or self.limit is None:
-            return -1, 0.0
+        if self.band is None or self.limit is None or self.worst is None:
+            return -1 if self.band is None else BANDS.index(self.band), 0.0
         larger, smaller = abs(self.limit), abs(self.worst)
         if self.margin in AT_MOST:
             larger, smaller = smaller, larger
@@ -78,8 +82,10 @@ class Judged(NamedTuple):
         bound = "" if end == self.format(self.value) else f", by its bounds {end}"
         return f"{self.axis} {JUDGED[self.margin][0]} {self.format(self.value)}{bound}{limit}"
 
-    def format(self, value: float) -> str:
+    def format(self, value: float | None) -> str:
         """Return a value in the unit of a screen."""
+        if value is None:
+            return "none"
         _, unit, factor, digits = JUDGED[self.margin]
         return f"{factor * value:.{digits}f} {unit}".strip()
 
@@ -99,8 +105,10 @@ def judge_axis(measured: AxisMargins) -> list[Judged]:
     """Return the margins that an axis has beside their limits."""
     found = measured.response.margins
     rows = []
+    if CROSSOVER not in found:
+        rows.append(Judged(measured.axis, CROSSOVER, None, None, None, None, NOT_TOLD, "widen the band"))
     for name in JUDGED:
-        if name in found:
+        if name in found and name != CROSSOVER:
             rows.append(_judged(measured, name, found[name].value, _worse_end(name, found[name])))
     over = measured.over_engine
     return rows if over is None else [*rows, _judged(measured, UNSTABLE, over.unstable, over.unstable)]

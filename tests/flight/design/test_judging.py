@@ -98,7 +98,8 @@ def test_the_arithmetic_of_the_page() -> None:
 
 def an_axis(axis: str, uncertainty: float | None = None, lost: int = 0, **margins: tuple[float, float, float]) -> Any:
     """An axis with these margins, each with its bounds, a transport delay of 100 ms and steps of 4 ms."""
-    found = {"peak_sensitivity": Bounded(1.7, 1.7, 1.7)} | {name: Bounded(*each) for name, each in margins.items()}
+    found = {name: Bounded(*each) for name, each in margins.items()}
+    found = {"peak_sensitivity": Bounded(1.7, 1.7, 1.7), "crossover_hz": Bounded(1.0, 1.0, 1.0)} | found
     return SimpleNamespace(
         axis=axis,
         response=SimpleNamespace(margins=found),
@@ -168,6 +169,18 @@ def test_what_has_no_known_delay_is_not_judged_by_one() -> None:
     (late,) = [row for row in judge_axis(axis) if row.margin == "delay_s"]
     assert (late.limit, late.band, late.cells()[-2:]) == (None, None, ["not judged", "delay not known"])
     assert judgement_line(judge_axis(axis)).startswith("judgement: every margin is enough; worst: pitch peak |S| 1.70")
+
+
+def test_a_band_without_a_crossover_tells_no_margins() -> None:
+    """A low peak sensitivity is all that such a band shows, and it is no proof of the margins outside."""
+    axis = an_axis("yaw")
+    del axis.response.margins["crossover_hz"]
+    rows = judge_axis(axis)
+    assert judgement_line(rows) == ("judgement: the margins are not told; worst: yaw crossover none: docs/judging.md")
+    assert [falls_below(rows, band) for band in ("enough", "narrow")] == [True, True]
+    assert ["yaw", "crossover", "none", "-", "not told", "widen the band"] in [row.cells() for row in rows]
+    axis.response.margins["peak_sensitivity"] = Bounded(2.6, 2.6, 2.6)
+    assert judgement_line(judge_axis(axis)).startswith("judgement: do not fly on it; worst: yaw peak |S| 2.60")
 
 
 def test_what_the_text_says_of_the_tables() -> None:
