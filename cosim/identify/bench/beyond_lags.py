@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cosim.base.errors import NotIdentifiedError
+from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.identify.bench.evidence import Misfit, test_residuals
 from cosim.identify.bench.grey_box import GreyChoices, GreyIdentification, fit_engine
 from cosim.identify.engine_file import FITTED
@@ -36,7 +36,7 @@ def fit_beyond_lags(found: BenchIdentification, longest_delay: float) -> GreyIde
         choices = _choices(found, own, longest_delay)
         try:
             fitted = fit_engine(found.records, choices, is_strict=True)
-        except NotIdentifiedError:
+        except (NotIdentifiedError, InputError):  # or such an engine would not settle and cannot be loaded
             continue
         if not (fitted.misfit.failed or _misfit_of_lags(fitted).failed):
             note = (

@@ -4,6 +4,8 @@ import json
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet
@@ -15,6 +17,7 @@ from known_benches import EXCITATIONS, Truth, bench_log
 from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.engine import EngineBank, load_engine
 from cosim.identify.bench import BenchIdentification, Choices, Columns, grey_box, identify_bench, read_records
+from cosim.identify.bench.beyond_lags import fit_beyond_lags
 from cosim.identify.bench.evidence import Foretold, HeldBack, Misfit, describe_held_back, movement_rows
 from cosim.identify.bench.grey_box_result import write as write_engine
 from cosim.identify.bench.identify import ECU_RAMP, throttle_limits
@@ -64,6 +67,17 @@ def test_a_time_in_milliseconds_that_does_not_say_so_is_asked_for(tmp_path: Path
     assert not any("--time-unit" in note for note in record.notes)
     (record,) = read_records([path], Columns(time_unit="s"))
     assert not any("--time-unit" in note for note in record.notes)
+
+
+def test_a_lag_of_minutes_leaves_no_form_beyond_it_and_is_no_error(tmp_path: Path) -> None:
+    """Of a time in milliseconds, say: the library's engine would not settle with such a lag, and cannot be loaded."""
+    times, command, thrust, _ = bench_log("stairs of 5 s", 10.0, ONE)
+    records = read_records([write(tmp_path / "bench.csv", command, thrust, 1e3 * times)])
+    lags: Any = SimpleNamespace(
+        is_explained=False, limits_known=True, records=records, offset=0.0, limits=(0.0, 1.0), straight=False,
+        chosen=SimpleNamespace(gain=100.0, lags=(373.0,)), misfit=SimpleNamespace(size=0.01),
+    )  # fmt: skip
+    assert fit_beyond_lags(lags, 2.0) is None
 
 
 def test_a_load_cell_at_a_kilohertz_tells_the_delay_to_a_millisecond(tmp_path: Path) -> None:
