@@ -94,6 +94,11 @@ class Draws(LazySequence[Draw]):
             yield Draw(number, flight_seed(self._seed, number), dict(zip(self._names, values, strict=True)))
 
 
+def draws(study: Study) -> Draws:
+    """Return the draws of ``study``."""
+    return Draws(study)
+
+
 def flight_seed(seed: int, number: int) -> int:
     """Return the seed of a draw's noise and turbulence, from the study's seed and the draw's number alone.
 
