@@ -1,8 +1,10 @@
-"""Two clocks of one bench: the load cell's laid on the engine controller's, and how sure that is."""
+"""Clocks of a bench: a load cell's laid on the engine controller's, one whose stamps wander, and how sure that is."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,9 +12,10 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.identify.bench.command import make_command
-from cosim.identify.bench.robust import memory_rows, robust_factor
 from cosim.identify.engine_file import DEVIATIONS_95
-from cosim.identify.logs.flight_log import Channel
+from cosim.identify.logs.flight_log import Channel, FlightLog
+from cosim.identify.logs.table import column_names, columns_with_time, plain_name, unit_in_name
+from cosim.identify.robust import memory_rows, robust_factor
 
 GRID_S = 0.1  # of the first search
 FASTEST_DRIFT = 0.02  # of one clock against the other, that is looked for
@@ -22,9 +25,17 @@ MOST_DRIFTS = 81
 SAME = 0.002  # of a correlation: shifts that are so near to the best are as good
 DEGREE = 3  # of the static curve's polynomial
 LEAST_EXPLAINED = 0.8  # of the output's variance, by the speed: with less there is nothing to align
+LEAST_CLOCK = 20  # rows of a column of time
+GROWS = 0.9  # share of them that are later than the one before
 LEAST_S = 5.0  # of a log whose clock is to be told
 LAGS_S = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # of an output behind its command, that are tried
 ROOM_S = 0.2  # of delay, where nothing tells it
+ONE_ROW = 1.75  # rows, up to which two stamps are apart with none missing between them
+WANDERS = 10.0  # deviations of a row's length, as which stamps are farther from even rows than jitter takes them
+BLOCKS = 8  # of a log, whose rates are compared
+LEAST_RATES = 2e-3  # by which they differ: less changes no delay
+SAME_CLOCK = 0.1  # rows, to which two columns of time of one clock agree
+CLOCKS = frozenset(("time", "t", "timestamp", "clock", "zeit", "temps", "tiempo", "elapsed", "utc", "uptime"))
 
 
 class Alignment(NamedTuple):
@@ -51,6 +62,121 @@ class Alignment(NamedTuple):
             "speed, which the output is taken to follow at once.  A shift between clocks is the same thing as a delay: "
             "the delay cannot be told better than that, and what output lags behind speed is not in it"
         )
+
+
+def split_clocks(path: Path, time_unit: str | None = None) -> list[FlightLog]:
+    """Return a table with columns of time of several clocks as a log each; an empty list where there is one clock.
+
+    A signal is on the clock with a word of whose name its own begins or ends (``cell_time``, ``cell_force``), else on
+    the one in the nearest column to its left.  Raises InputError where neither tells it.
+    """
+    try:
+        names = column_names(path)
+    except InputError:  # no table, which its reader says in better words
+        return []
+    named = [name for name in names if CLOCKS & _words(name)]
+    if len(named) < 2:
+        return []
+    tables = {name: columns_with_time(path, name, time_unit) for name in named}
+    clocks = _different_clocks({name: table.times for name, table in tables.items()})
+    if len(clocks) < 2:
+        return []
+    owner = _owners(names, list(clocks))
+    if owner is None:
+        raise InputError(
+            f"{path}: {' and '.join(clocks)} are not one clock, and neither names nor order of the columns say which "
+            "signal is on which: put each before its signals, or --time NAME takes one for all"
+        )
+    logs = []
+    for clock, times in clocks.items():
+        table, use = tables[clock], np.isfinite(times)
+        units = {name: table.units.get(name, "") or unit_in_name(name) for name in names}
+        channels = {
+            name: Channel(times[use], table.columns[name][use], units[name])
+            for name in names if owner.get(name) == clock and name in table.columns and name not in tables
+        }  # fmt: skip
+        logs.append(FlightLog(path, f"table by {clock}", channels, tuple(table.remarks)))
+    return logs
+
+
+def _words(name: str) -> set[str]:
+    return set(re.split(r"[^a-z]+", plain_name(name)))
+
+
+def _different_clocks(times: dict[str, Array]) -> dict[str, Array]:
+    """Return the times that grow from row to row and are not those of one before, in another unit or counted from then.
+
+    Two clocks at the same rows may be one, but for where they count from.
+    """
+    found: dict[str, Array] = {}
+    for name, own in times.items():
+        good = own[np.isfinite(own)]
+        if len(good) < LEAST_CLOCK or np.mean(np.diff(good) > 0.0) < GROWS:
+            continue
+        if not any(_same_clock(other, own) for other in found.values()):
+            found[name] = own
+    return found
+
+
+def _same_clock(first: Array, second: Array) -> bool:
+    both = np.isfinite(first) & np.isfinite(second)
+    if not np.array_equal(np.isfinite(first), np.isfinite(second)):
+        return False
+    row = float(np.median(np.diff(first[both])))
+    return float(np.ptp(second[both] - first[both])) < SAME_CLOCK * row
+
+
+def _owners(names: Sequence[str], clocks: list[str]) -> dict[str, str] | None:
+    """Return the clock of each signal; None where neither names nor order tell it."""
+    labels = {clock: _words(clock) - CLOCKS - {""} for clock in clocks}
+    signals = [name for name in names if name and not CLOCKS & _words(name)]
+    named = {name: [clock for clock in clocks if labels[clock] & _words(name)] for name in signals}
+    if all(len(found) == 1 for found in named.values()):
+        return {name: found[0] for name, found in named.items()}
+    at = [names.index(clock) for clock in clocks]
+    between = [
+        any(name in signals for name in names[a + 1 : b]) for a, b in zip(at, [*at[1:], len(names)], strict=True)
+    ]
+    if at[0] > min(map(names.index, signals)) or not all(between):
+        return None
+    return {name: clocks[int(np.searchsorted(at, names.index(name))) - 1] for name in signals}
+
+
+class EvenRows(NamedTuple):
+    """Rows of which the time stamps wander about those of a fixed rate: what the times are by that rate."""
+
+    stamps: Array  # s
+    even: Array  # s
+    size: float  # s, from the farthest behind to the farthest ahead
+    rates: float  # relative, by which the rate of the stamps changes within the log
+
+    def on_rows(self, times: Array) -> Array:
+        """Return stamps [s] as times of rows that follow each other at a fixed rate."""
+        inside = np.clip(times, self.stamps[0], self.stamps[-1])
+        return np.asarray(np.interp(inside, self.stamps, self.even) + times - inside)
+
+
+def find_even_rows(stamps: Array) -> EvenRows | None:
+    """Return when rows would be that come at a fixed rate; None where their stamps [s] say so but for jitter.
+
+    Stamps may wander because the clock does, or because the rows do: they alone do not tell which.
+    """
+    stamps = np.unique(stamps)
+    lengths = np.diff(stamps)
+    if len(lengths) < 2 * BLOCKS:
+        return None
+    row = float(np.median(lengths))
+    rows = np.where(lengths < ONE_ROW * row, 1.0, np.round(lengths / row))
+    number = np.concatenate([[0.0], np.cumsum(rows)])
+    slope, start = np.polyfit(number, stamps, 1)
+    off = stamps - (start + slope * number)
+    rates = [
+        np.polyfit(number[some], stamps[some], 1)[0] / slope for some in np.array_split(np.arange(len(stamps)), BLOCKS)
+    ]
+    size, jitter = float(np.ptp(off)), float(np.std(lengths[rows == 1.0]))
+    if size < WANDERS * jitter or np.ptp(rates) < LEAST_RATES:
+        return None
+    return EvenRows(stamps, start + slope * number, size, float(np.ptp(rates)))
 
 
 def align(speed_times: Array, speed: Array, times: Array, output: Array, where: str) -> Alignment:

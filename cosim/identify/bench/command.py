@@ -15,6 +15,8 @@ SMOOTH = 1e-4  # of a command's range: straight through so near to its rows it i
 LARGEST_RATIO = 0.999  # of two lags: nearer to each other their two answers cancel
 SAME_LAG = 1e-6  # of a lag: two that differ by less are one
 STEEPEST = 600.0  # ratio of a lag's change to the lag, that a double's exponential takes
+NOISE_TURNS = 0.3  # share of the rows at which a command turns back, above which that is noise
+NOISE_SIZE = 0.02  # of its range, up to which it is
 SAME_SLOPE = 1e-9  # of the command's range a row: slopes that differ by less are one
 
 
@@ -197,6 +199,13 @@ def moves_on(values: Array) -> bool:
         return False
     again = moved[1:] & moved[:-1]
     return bool(again.sum() > 0.5 * moved.sum())
+
+
+def is_noisy(values: Array) -> bool:
+    """Return whether a command moves to and fro from row to row, by little: noise of an analogue set-point."""
+    moves = np.diff(values)
+    turns = np.mean(moves[1:] * moves[:-1] < 0.0) if len(moves) > 1 else 0.0
+    return bool(turns > NOISE_TURNS and np.median(np.abs(moves)) < NOISE_SIZE * np.ptp(values))
 
 
 def thin(times: Array, values: Array, every: int) -> tuple[Array, Array]:

@@ -21,6 +21,8 @@ LEAST_SIZE = 2e-3  # of the output's swing, that is worth a word
 ROW_SIZE = 0.1  # and of the command's row over delay and lags: when within its row it moved is not known
 ACTIVE = 3.0  # delay and lags, for which the output is on its way after a movement
 LEAST_QUIET = 5.0  # blocks at rest that are as good as independent, to know the noise by
+LARGE = 0.1  # of the output's swing, that noise which remembers itself as long as delay and lags take may have (rms)
+ALTERNATES = -0.5  # correlation from row to row, below which rows are not of one source
 LEAST_ROWS = 10  # behind each end of a part that is held back, and of a movement
 LEAST_MOVEMENTS = 4  # from which on every second one is held back, and not the second half of them
 REST = 2.0  # delay and lags, for which a command stands before what counts as another movement
@@ -41,6 +43,7 @@ class Misfit(NamedTuple):
     share: float  # of the residuals' power, slow parts alone
     size: float  # its root mean square over the output's swing
     least_size: float = LEAST_SIZE  # below which it is not worth a word
+    cause: str = ""  # what else than the command it follows
 
     @property
     def failed(self) -> bool:
@@ -50,6 +53,11 @@ class Misfit(NamedTuple):
     @property
     def words(self) -> str:
         """What is to be said where it failed."""
+        if self.cause:
+            return (
+                f"not explained: what is left over, {100.0 * self.size:.2g} % of the output's swing (rms), "
+                f"{self.cause}; the bounds do not cover that, and no engine is left"
+            )
         return (
             f"not explained: what is left over still follows the command, {100.0 * self.size:.2g} % of the output's "
             "swing (rms): an acceleration limit, or lag and gain that change with the level; the bounds do not cover "
@@ -62,9 +70,13 @@ def test_residuals(parts: Sequence[Part], residual: Array, delay: float, total: 
 
     ``delay`` and ``total``, the delay and all lags together, are the model's, in s.
 
-    Two tests: whether they follow its past, its square, or the way in which it moved; and whether they are larger
-    while the output is on its way than at rest.  The one that fails, or the first.
+    Four tests: whether they alternate from row to row; whether they are large and remember themselves as long as the
+    answer takes; whether they follow the command's past, its square, or the way in which it moved; and whether they are
+    larger while the output is on its way than at rest.  The one that fails, or the last.
     """
+    strange = _find_no_noise(parts, residual, total)
+    if strange is not None:
+        return strange
     blocks, signals, moving, quiet = [], [], [], []
     begin = 0
     for part in parts:
@@ -85,6 +97,20 @@ def test_residuals(parts: Sequence[Part], residual: Array, delay: float, total: 
     if grown.failed or not blocks:
         return grown
     return _regress(np.concatenate(blocks), np.concatenate(signals), swing, residual)._replace(least_size=least)
+
+
+def _find_no_noise(parts: Sequence[Part], residual: Array, total: float) -> Misfit | None:
+    """Return what is left over where it is no noise, whatever it follows; else None."""
+    size = _rms(residual) / output_swing(parts)
+    power = max(float(residual @ residual), 1e-300)
+    if size > LEAST_SIZE and float(residual[1:] @ residual[:-1]) < ALTERNATES * power:
+        return Misfit(0.0, 1.0, size, cause="alternates from row to row: rows of two engines, or of two sensors")
+    memory = Problem(parts, 0.0).memory_of(residual)
+    seconds = min(part.step for part in parts) / max(-float(np.log(max(memory, 1e-300))), 1e-12)
+    if size > LARGE and seconds > total:
+        why = "moves as slowly as the answer: a clock that wobbles, another engine, a zero that wanders"
+        return Misfit(0.0, 1.0, size, cause=why)
+    return None
 
 
 def _compare_noise(moving: Array, quiet: Array, swing: float) -> Misfit:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.identify.bench.command import LARGEST_RATIO, Command, make_command, thin
 from cosim.identify.bench.record import BenchRecord, average_rows
-from cosim.identify.bench.robust import invert, memory_rows, robust_factor
+from cosim.identify.robust import invert, memory_rows, robust_factor
 
 CHI2_95 = 3.841458820694124  # one parameter: by how much the deviance rises to the end of a 95 % bound
 # The same where no second lag is told: it cannot be below 0, and delay and it do nearly the same. So the rise is 0 in a
@@ -422,6 +422,12 @@ def _slopes(problem: Problem, form: Form, x: Array, linear: Array, which: NDArra
         change = problem.regressors(form, above) @ linear - problem.regressors(form, below) @ linear
         columns.append(change / (above[i] - below[i]))
     return np.column_stack(columns)
+
+
+def delay_slope(problem: Problem, estimate: Estimate) -> Array:
+    """Return by how much a form changes with its delay, output's unit a second, a row each."""
+    linear = problem.shares(estimate.form, estimate.x, estimate.memory)[0]
+    return np.asarray(_slopes(problem, estimate.form, estimate.x, linear, np.arange(1))[:, 0])
 
 
 def plain_factor(problem: Problem, estimate: Estimate) -> float:

@@ -25,8 +25,8 @@ from cosim.identify.bench.evidence import (
 from cosim.identify.bench.fit import Part, Problem
 from cosim.identify.bench.missing_evidence import describe_small_movements
 from cosim.identify.bench.record import BenchRecord
-from cosim.identify.bench.robust import invert, memory_rows, robust_factor
 from cosim.identify.engine_file import DEVIATIONS_95
+from cosim.identify.robust import invert, memory_rows, robust_factor
 from cosim.identify.verdict import Judgement, judge_model, shared_record
 
 STEP_S = 0.004  # of the simulation, in which a command is the mean of what it is

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, NotIdentifiedError
-from cosim.identify.bench.command import moves_on
+from cosim.identify.bench.command import is_noisy, moves_on
 from cosim.identify.bench.evidence import (
     HeldBack,
     Misfit,
@@ -20,16 +20,16 @@ from cosim.identify.bench.evidence import (
     predict_held_back,
     test_residuals,
 )
-from cosim.identify.bench.fit import Estimate, Form, Part, Problem, bound_delay, fit, make_part
+from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, make_part
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
+from cosim.identify.bench.stretches import fit_alone, follow_delays, hold_both_halves, model_delays, stretch_times
 from cosim.identify.engine_file import DEVIATIONS_95
 from cosim.identify.verdict import Judgement, judge_model, shared_record
 
 LONGEST_DELAY_S = 2.0
 LEAST_DEVIANCE_FALL = 30.0  # that the command is worth, as of a flight's log
 LEAST_LEVELS = 3  # of the command, from which on a curve can be told from a straight line
-HALVES_APART = 4.0  # standard deviations by which two halves of one log may differ: p = 6e-5
 APART = 3.29  # standard deviations by which logs of one engine may differ: p = 0.001
 LONG_RANGE = 100.5  # up to which a throttle without a unit is taken for percent
 UNIT_RANGE = 1.05  # and up to which for a share of full throttle
@@ -65,6 +65,7 @@ class BenchIdentification:
     spread: dict[str, float]  # standard deviations between several logs, of what one engine would have alike
     notes: tuple[str, ...]
     untold: tuple[str, ...]
+    unsure_rate: float = 0.0  # relative, by which the clock's rate is not known
 
     @property
     def chosen(self) -> Estimate:
@@ -147,29 +148,25 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     Raises NotIdentifiedError where the logs do not tell, and InputError for a range that cannot be.
     """
     choices = choices or Choices()
-    where = ", ".join(str(record.path) for record in records)
     for record in records:
         _check_moves(record)
     notes = list(dict.fromkeys(note for record in records for note in record.notes))
     limits, known = throttle_limits(records, choices.limits, notes)
     straight = is_straight(records, choices.between, notes)
-    parts = [make_part(record, limits, straight) for record in records]
-    problem = Problem(parts, _longest(records, choices.longest_delay))
-    base = fit(problem, Form())
-    problem, base = _average(problem, base)
-    _check_answer(problem, base, where)
-    estimates = _choose(problem, base, records)
-    drifting = Problem(problem.parts, problem.longest_delay, True)
-    other = fit(drifting, estimates[0].form, estimates[0])
-    if other.bic < estimates[0].bic - CLEAR:
-        problem, estimates = drifting, _choose(drifting, fit(drifting, Form(), base), records)
-        rates = ", ".join(f"{value:.3g}" for value in estimates[0].drifts)
-        notes.append(f"the zero drifts, {rates} a second; taken out")
+    problem, estimates = _fit_forms(records, limits, straight, choices.longest_delay)
+    records, problem, estimates, rates = _choose_clock(records, problem, estimates, limits, straight, notes)
+    if problem.drift:
+        drifts = ", ".join(f"{value:.3g}" for value in estimates[0].drifts)
+        notes.append(f"the zero drifts, {drifts} a second; taken out")
+    problem, estimates, spread_of_clock = _follow_clock(problem, estimates, records, notes)
     estimates = (replace(estimates[0], delay_bounds=_delay_bounds(problem, estimates)), *estimates[1:])
-    estimates = tuple(_widen(problem, one, max(record.clock_deviation for record in records)) for one in estimates)
+    deviation = float(np.hypot(max(record.clock_deviation for record in records), spread_of_clock))
+    if straight and choices.between == "auto" and any(is_noisy(record.command) for record in records):
+        deviation = float(np.hypot(deviation, _half_a_row(records)))  # held between its rows, for all that is known
+    estimates = tuple(_widen(problem, stretch_times(problem, one, rates), deviation) for one in estimates)
     chosen = estimates[0]
     spread, doubts = _compare_logs(problem, chosen, records)
-    chosen, changed = _hold_both_halves(problem, chosen)
+    chosen, changed = hold_both_halves(problem, chosen)
     estimates, doubts = (chosen, *estimates[1:]), [*doubts, *changed]
     left_over = problem.residual(chosen)
     misfit = test_residuals(problem.parts, left_over, chosen.delay, chosen.total[0])
@@ -178,9 +175,76 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     found = BenchIdentification(
         tuple(records), problem, limits, known, straight, estimates, misfit, held_back, spread,
         (*notes, *doubts, *_doubts(chosen, misfit, held_back, records[0], output_swing(problem.parts)), *lacks), (),
+        rates,
     )  # fmt: skip
     untold = describe_missing_evidence(chosen, records, limits, problem.longest_delay, straight, found.is_explained)
     return replace(found, untold=tuple(untold))
+
+
+def _fit_forms(
+    records: Sequence[BenchRecord], limits: tuple[float, float], straight: bool, longest_delay: float
+) -> tuple[Problem, tuple[Estimate, ...]]:
+    """Return logs, averaged and with a zero that drifts where they are so, and all forms, the likeliest first."""
+    parts = [make_part(record, limits, straight) for record in records]
+    problem = Problem(parts, _longest(records, longest_delay))
+    problem, base = _average(problem, fit(problem, Form()))
+    _check_answer(problem, base, ", ".join(str(record.path) for record in records))
+    estimates = _choose(problem, base, records)
+    drifting = Problem(problem.parts, problem.longest_delay, True)
+    other = fit(drifting, estimates[0].form, estimates[0])
+    if other.bic < estimates[0].bic - CLEAR:
+        return drifting, _choose(drifting, fit(drifting, Form(), base), records)
+    return problem, estimates
+
+
+def _choose_clock(
+    records: Sequence[BenchRecord], problem: Problem, estimates: tuple[Estimate, ...], limits: tuple[float, float],
+    straight: bool, notes: list[str],
+) -> tuple[Sequence[BenchRecord], Problem, tuple[Estimate, ...], float]:  # fmt: skip
+    """Return logs by their time stamps or, where these wander, by rows at a fixed rate: what explains them better.
+
+    And by how much the rate is unsure, relative: where it is not the stamps that are clearly better.
+    """
+    wandering = [record.even for record in records if record.even is not None]
+    if not wandering:
+        return records, problem, estimates, 0.0
+    by_rows = [record.on_even_rows() for record in records]
+    other, fitted = _fit_forms(by_rows, limits, straight, problem.longest_delay)
+    better = estimates[0].bic - fitted[0].bic
+    if better < -CLEAR:
+        return records, problem, estimates, 0.0
+    size, rates = max(one.size for one in wandering), max(one.rates for one in wandering)
+    notes.append(
+        f"the time stamps wander by {size:.3g} s about rows that follow each other at a fixed rate, their own rate by "
+        f"{100.0 * rates:.2g} %: a clock that runs slow, then quick; "
+        + ("the log is explained better by the rows, which are taken" if better > CLEAR else "both explain the log")
+        + f"; the bounds of delay and lags are wider by {100.0 * DEVIATIONS_95 * rates:.2g} % of them"
+    )
+    return (by_rows, other, fitted, rates) if better > 0.0 else (records, problem, estimates, rates)
+
+
+def _follow_clock(
+    problem: Problem, estimates: tuple[Estimate, ...], records: Sequence[BenchRecord], notes: list[str]
+) -> tuple[Problem, tuple[Estimate, ...], float]:
+    """Return logs whose stretches are answered alike, where they are not by more than noise, and their spread [s].
+
+    Where the model does not explain the logs they stay as they are, and it is said whether that would.
+    """
+    chosen = estimates[0]
+    delays, spans = model_delays(problem, chosen)
+    if delays is None or not delays.differ or hold_both_halves(problem, chosen)[1]:
+        return problem, estimates, 0.0
+    moved, found, moves, spread = follow_delays(problem, chosen, delays, spans)
+    words = f"stretches of the log are answered {1e3 * np.ptp(moves):.3g} ms apart, by more than noise"
+    if test_residuals(problem.parts, problem.residual(chosen), chosen.delay, chosen.total[0]).failed:
+        if not test_residuals(moved.parts, moved.residual(found), found.delay, found.total[0]).failed:
+            notes.append(f"{words}: an output whose clock wobbles by that against the command's would explain the log")
+        return problem, estimates, 0.0
+    notes.append(
+        f"{words}: a clock that wobbles, or an ECU that reads its command at intervals; each is fitted with its own "
+        "delay, and the bounds hold their spread"
+    )
+    return moved, _choose(moved, fit(moved, Form(), found), records), spread
 
 
 def _check_moves(record: BenchRecord) -> None:
@@ -240,12 +304,16 @@ def is_straight(records: Sequence[BenchRecord], between: str, notes: list[str]) 
         return between == "straight"
     straight = any(moves_on(record.command) for record in records)
     if straight:
-        half = 500.0 * max(float(np.median(np.diff(record.command_times))) for record in records)
+        half = 1e3 * _half_a_row(records)
         notes.append(
             f"{records[0].command_name} moves from row to row: taken for straight between rows; if it is held, the "
             f"delay is {half:.3g} ms less (--between held)"
         )
     return straight
+
+
+def _half_a_row(records: Sequence[BenchRecord]) -> float:
+    return 0.5 * max(float(np.median(np.diff(record.command_times))) for record in records)
 
 
 def _average(problem: Problem, base: Estimate) -> tuple[Problem, Estimate]:
@@ -320,16 +388,6 @@ def _widen(problem: Problem, estimate: Estimate, deviation: float) -> Estimate:
     return replace(estimate, covariance=covariance, delay_bounds=(low, high) if np.isinf(deviation) else bounds)
 
 
-def _fit_alone(problem: Problem, parts: Sequence[Part], chosen: Estimate) -> list[tuple[str, Array, Array]]:
-    """Fit a form to each part alone: of each parameter, the gain last, its name, values and standard deviations."""
-    fits = [fit(Problem([part], problem.longest_delay, problem.drift), chosen.form, chosen) for part in parts]
-    values = np.array([[*one.x, one.gain] for one in fits]).T
-    return [
-        (name, values[i], np.array([one.deviation(i) for one in fits]))
-        for i, name in enumerate((*chosen.form.names, "gain"))
-    ]
-
-
 def _compare_logs(
     problem: Problem, chosen: Estimate, records: Sequence[BenchRecord]
 ) -> tuple[dict[str, float], list[str]]:
@@ -337,7 +395,7 @@ def _compare_logs(
     if len(problem.parts) < 2:
         return {}, []
     spread, doubts = {}, []
-    for name, values, deviations in _fit_alone(problem, problem.parts, chosen):
+    for name, values, deviations in fit_alone(problem, problem.parts, chosen):
         more = float(np.var(values, ddof=1) - np.mean(deviations**2))
         spread[name] = float(np.sqrt(max(more, 0.0)))
         order = np.argsort(values)
@@ -348,39 +406,6 @@ def _compare_logs(
                 f"{records[last].path.name}, farther apart than noise: two engines, or another day; the spread is kept"
             )
     return spread, doubts
-
-
-def _hold_both_halves(problem: Problem, chosen: Estimate) -> tuple[Estimate, list[str]]:
-    """Return an estimate whose bounds hold the fits of both halves of a log, and what is to be said of that.
-
-    It is the same where the halves agree to the noise, where there are several logs, and where a half has no movement.
-    """
-    if len(problem.parts) != 1:
-        return chosen, []
-    (part,), count = problem.parts, len(chosen.form.names) + 1
-    moved = part.command_times[1:][np.diff(part.command) != 0.0]
-    middle = float(np.median(moved)) if len(moved) else part.times[0]
-    sides = [part.chosen(part.times < middle), part.chosen(part.times >= middle)]
-    if not all(len(side.times) > 10 * count and np.ptp(side.output) > 0.0 for side in sides) or len(moved) < 4:
-        return chosen, []
-    halves = _fit_alone(problem, sides, chosen)
-    apart = [
-        f"{name} {first:.4g} and {second:.4g}"
-        for name, (first, second), deviations in halves
-        if abs(second - first) > HALVES_APART * float(np.hypot(*deviations))
-    ]
-    if not apart:
-        return chosen, []
-    covariance = chosen.covariance.copy()
-    covariance[np.arange(count), np.arange(count)] += [(second - first) ** 2 for _, (first, second), _ in halves]
-    _, delays, deviations = halves[0]
-    low = min(chosen.delay_bounds[0], *(delays - DEVIATIONS_95 * deviations))
-    high = max(chosen.delay_bounds[1], *(delays + DEVIATIONS_95 * deviations))
-    bounds = max(float(low), 0.0), min(float(high), problem.longest_delay)
-    return replace(chosen, covariance=covariance, delay_bounds=bounds), [
-        f"the log's halves, before {middle:.0f} s and after, differ by more than noise: {' and '.join(apart)}; two "
-        "engines, an engine that changed, or a clock that does; the bounds hold both"
-    ]
 
 
 def _lacks(problem: Problem, left_over: Array, record: BenchRecord) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.identify.bench.clocks import align, align_by_command
+from cosim.identify.bench.clocks import EvenRows, align, align_by_command, find_even_rows, split_clocks
 from cosim.identify.bench.running import find_running, find_speed
 from cosim.identify.logs.flight_log import Channel, FlightLog, unit_of
-from cosim.identify.logs.read import read_flight_log
+from cosim.identify.logs.read import is_table, read_flight_log
 
 LEAST_ROWS = 20  # with fewer no noise is told from an answer
 MOST_ROWS = 20_000  # more are averaged
@@ -72,11 +72,19 @@ class BenchRecord:
     notes: tuple[str, ...] = ()
     width: float = 0.0  # s, over which each row of the output is a mean
     clock_deviation: float = 0.0  # s, of the output's clock on the command's; infinite where nothing tells it
+    even: EvenRows | None = None  # where the time stamps wander about rows of a fixed rate
 
     @property
     def newtons(self) -> float | None:
         """Newtons in the output's unit, or None where it is no thrust."""
         return NEWTONS.get(self.output_unit)
+
+    def on_even_rows(self) -> BenchRecord:
+        """Return it with times of rows at a fixed rate, where its stamps wander about them."""
+        if self.even is None:
+            return self
+        clock = self.even.on_rows
+        return replace(self, command_times=clock(self.command_times), times=clock(self.times))
 
 
 def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[BenchRecord]:
@@ -86,7 +94,7 @@ def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[
     InputError: one line with file, column and what is allowed.
     """
     columns = columns or Columns()
-    logs = [read_flight_log(path, columns.time, columns.time_unit) for path in paths]
+    logs = [log for path in paths for log in _read_logs(path, columns)]
     alone = [len(logs) > 1 and _has_no_command(log, columns) for log in logs]
     for n, log in enumerate(logs):
         if alone[n] and (n == 0 or alone[n - 1]):
@@ -104,6 +112,21 @@ def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[
                 "several logs of one engine need the same units"
             )
     return records
+
+
+def _read_logs(path: Path, columns: Columns) -> list[FlightLog]:
+    """Read a file: a log, or of a table of several clocks that with the command and that with the output behind it."""
+    clocks = split_clocks(path, columns.time_unit) if columns.time is None and is_table(path) else []
+    if not clocks:
+        return [read_flight_log(path, columns.time, columns.time_unit)]
+    first = next((log for log in clocks if not _has_no_command(log, columns)), None)
+    every = FlightLog(path, "table", {name: channel for log in clocks for name, channel in log.channels.items()})
+    output = columns.output or _find(every, OUTPUTS, NO_OUTPUT, "--output")
+    second = next((log for log in clocks if log.has(output)), None)
+    if first is None or second is None:
+        wrong = columns.command or _find(every, COMMANDS, "", "--command") if first is None else output
+        raise InputError(f"{path}: {wrong} is on none of its clocks alone; cut the file in one for each clock")
+    return [first] if first is second else [first, second]
 
 
 def _has_no_command(log: FlightLog, columns: Columns) -> bool:
@@ -192,7 +215,8 @@ def _check(path: Path, name: str, channel: Channel) -> None:
     if back.size:
         at = channel.times[back[0]]
         raise InputError(
-            f"{path}: the time goes back after {at:g} s; two logs in one file? --begin and --end take a part"
+            f"{path}: the time goes back after {at:g} s; two logs in one file, or a clock that was set? --begin and "
+            "--end take a part"
         )
 
 
@@ -212,6 +236,7 @@ def _clean(
     fresh = np.diff(given.times, prepend=-np.inf) > 0.0
     commands = given.times[fresh], given.values[fresh]
     times, values = measured.times, measured.values
+    even = find_even_rows(times) if clock_deviation == 0.0 else None
     use = np.diff(times, prepend=-np.inf) > 0.0
     if _is_fine(values):
         repeated = use & (np.diff(values, prepend=np.nan) == 0.0)
@@ -246,7 +271,7 @@ def _clean(
     unit = unit_of(output_name, measured.unit)
     return BenchRecord(
         path, command_name, output_name, unit_of(command_name, given.unit), unit,
-        *commands, times, values, step, lost, tuple(notes), width, clock_deviation,
+        *commands, times, values, step, lost, tuple(notes), width, clock_deviation, even,
     )  # fmt: skip
 
 

@@ -115,7 +115,10 @@ class FlightLog:
 
     def has(self, text: str) -> bool:
         """Return whether the log has all channels of a sum."""
-        return bool(text) and all(_inner(name)[1] in self.channels for _, name in self._terms(text))
+        try:
+            return bool(text) and all(_inner(name)[1] in self.channels for _, name in self._terms(text))
+        except InputError:  # neither a name that it has nor a sum
+            return False
 
     def _terms(self, text: str) -> list[tuple[float, str]]:
         """Return the factors and names of a sum, or the one channel of that name."""

@@ -66,6 +66,16 @@ def is_flight_log(path: Path) -> bool:
         return False
 
 
+def is_table(path: Path) -> bool:
+    """Return whether a file is read as a table, of text or Parquet."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(SEARCHED)
+    known = _reader(head) is not None or any(head.startswith(mark) for mark, _ in (*_EXPORTS, *_OTHERS))
+    return table.is_parquet(head) or not (known or decode(head) is None)
+
+
 def _reader(head: bytes) -> tuple[Callable[[Path], FlightLog], int] | None:
     """Return the reader of a flight controller's log by its first bytes, and how many bytes come before the log."""
     for recognises, read in _READERS:

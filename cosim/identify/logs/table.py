@@ -96,6 +96,14 @@ def columns_with_time(path: Path, name: str | None = None, unit: str | None = No
     return Table(columns.numbers, times, time, taken, columns.units, columns.left_out, remarks)
 
 
+def column_names(path: Path) -> list[str]:
+    """Return what a table's columns are called, in its order.  Raises InputError for what is no table."""
+    with path.open("rb") as file:
+        if is_parquet(file.read(len(PARQUET))):
+            return [name.strip() for name in read_numbers(path).numbers]
+    return list(read_text(path).names)
+
+
 def _of_parquet(path: Path) -> _Columns:
     read = read_numbers(path)
     numbers = {name.strip(): values for name, values in read.numbers.items()}
