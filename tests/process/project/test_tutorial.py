@@ -51,7 +51,7 @@ def test_the_tutorial_as_written(tmp_path: Path) -> None:
     ):
         assert (tmp_path / "runs" / page).stat().st_size > 1000
     assert (tmp_path / "designed.html").exists()
-    designed = read_controller(tmp_path / "designed.toml").controller
+    designed = read_controller(tmp_path / "designed.toml", "./my-vehicle", tmp_path).controller
     assert designed == "filtered-smith"
 
     def printed(command: str, pattern: str) -> list[float]:
