@@ -7,7 +7,7 @@ from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.allocation.engine_monitor import EngineMonitor
 from cosim.control.allocation.hinged_recovery import HingedRecovery
 from cosim.control.phases.law import Demand, FlightLaw, Loops
-from cosim.control.phases.wing import dynamic_pressure
+from cosim.control.phases.wing import WingFlight, dynamic_pressure
 
 
 class SurfaceHover(FlightLaw):
@@ -27,14 +27,27 @@ class HingedLean(FlightLaw):
     """Hover without an engine on hinges that carry engines: it leans against their push to the side.
 
     The allocator's pressure stays as it is: :meth:`HingedRecovery.allocate` assumes zero while an engine is lost.
+
+    ``wing``: the law that flies ahead on the wing, None without one.  It keeps the flight until the vehicle is slower
+    than the speed from which on the wing carries, and gets it back with a set-point beyond that speed.
     """
 
-    def __init__(self, loops: Loops, allocator: HingedRecovery) -> None:
+    def __init__(self, loops: Loops, allocator: HingedRecovery, wing: WingFlight | None = None) -> None:
         super().__init__(loops)
-        self._allocator = allocator
+        self._allocator, self._wing = allocator, wing
+        self._has_stopped = False
+
+    def reset(self) -> None:
+        self._has_stopped = False
 
     def applies(self, demand: Demand) -> bool:
-        return self._allocator.is_leaning and self.loops.custom_attitude is None
+        if not self._allocator.is_leaning or self.loops.custom_attitude is not None:
+            return False
+        wing = self._wing
+        if wing is None or not wing.applies(demand):
+            return True
+        self._has_stopped = wing.is_slow(demand, self._has_stopped)
+        return self._has_stopped
 
     def steer(self, demand: Demand) -> Vector3:
         """Return rates to the thrust's direction first; the heading only stops turning."""

@@ -56,6 +56,13 @@ def dynamic_pressure(measured: Measured) -> float:
     return 0.5 * DENSITY * ahead * ahead if ahead > 0.0 else 0.0
 
 
+def speeds(measured: Measured) -> tuple[float, float]:
+    """Return the speeds over the ground [m/s] along the heading and to its right."""
+    yaw = heading_of(measured.attitude)
+    north, east, _ = measured.velocity
+    return north * cos(yaw) + east * sin(yaw), east * cos(yaw) - north * sin(yaw)
+
+
 class WingTable(NamedTuple):
     """Lift, drag [m^2] and pitching moment [m^3] per Pa of dynamic pressure, surfaces at zero, over a corridor."""
 
@@ -143,6 +150,16 @@ class WingFlight(FlightLaw):
         command = demand.command
         return command.ahead is not None and command.rate is None and command.collective is None and not demand.is_idle
 
+    def is_slow(self, demand: Demand, has_stopped: bool) -> bool:
+        """Return whether less speed is asked for than that at which the corridor is open, and it is no faster by now.
+
+        ``has_stopped``: it was so a step ago, and remains so for as long as no more speed is asked for.
+        """
+        ahead = demand.command.ahead
+        if ahead is None or ahead >= self._open:
+            return False
+        return has_stopped or speeds(demand.measured)[0] < self._open
+
     def steer(self, demand: Demand) -> Vector3:
         """Return the body rates [rad/s] to the attitude that the wing needs for the speed."""
         if demand.command.ahead is not None:
@@ -172,10 +189,8 @@ class WingFlight(FlightLaw):
         """Return the command with the attitude for a speed ahead [m/s]; called once a step, before the loops."""
         step, open_speed = self._step, self._open
         speeding, braking = self._limits
-        yaw = heading_of(measured.attitude)
-        north, east, down = measured.velocity
-        speed = north * cos(yaw) + east * sin(yaw)
-        side_speed = east * cos(yaw) - north * sin(yaw)
+        speed, side_speed = speeds(measured)
+        down = measured.velocity[2]
         if not self.is_flying:
             self.is_flying, self._integral, self._setpoint, self._alpha = True, 0.0, speed, 0.0
             self._missing_ahead = 0.0

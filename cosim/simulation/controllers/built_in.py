@@ -115,10 +115,12 @@ def _effectiveness_laws(scenario: Scenario, vehicle: Vehicle, loops: Loops) -> l
     if not isinstance(allocator, EffectivenessAllocator):
         return []
     laws: list[FlightLaw] = []
-    if vehicle.control.wing is not None:
-        laws.append(_wing(scenario, vehicle, vehicle.control.wing, loops, allocator))
+    settings = vehicle.control.wing
+    wing = None if settings is None else _wing(scenario, vehicle, settings, loops, allocator)
     if isinstance(allocator, HingedRecovery):
-        laws.append(HingedLean(loops, allocator))
+        laws.append(HingedLean(loops, allocator, wing))
+    if wing is not None:
+        laws.append(wing)
     if allocator.surfaces:
         laws.append(SurfaceHover(loops, allocator))
     return laws

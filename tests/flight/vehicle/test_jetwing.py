@@ -293,9 +293,29 @@ def test_the_figures_without_an_engine_on_its_wing() -> None:
     brake = [
         {"kind": "step", "signal": "ahead_m_s", "start_s": at, "amplitude": by} for at, by in ((0, 0.0), (10, -25.0))
     ]
-    back = fly(cruise.replace(fault=[{"kind": "flame_out", "start_s": 5.0, "jet": 1}], command=brake, duration_s=45.0))
-    assert back.outcome == "completed"
-    assert f"braking without the front left one it falls {60.0 - back.log['altitude_m'].min():.0f} m" in PAGE
+    fallen, fastest = 0.0, 0.0
+    for jet in (1, 2, 3, 4):
+        lost = [{"kind": "flame_out", "start_s": 5.0, "jet": jet}]
+        back = fly(cruise.replace(fault=lost, command=brake, duration_s=45.0))
+        assert back.outcome == "completed"
+        fallen = max(fallen, 60.0 - float(back.log["altitude_m"].min()))
+        fastest = max(fastest, float(back.log["velocity_north_m_s"][-1]))
+    assert f"braking from 25 m/s without any one of them it falls by at most {fallen:.0f} m" in PAGE
+    assert f"drifts on at up to {fastest:.0f} m/s" in PAGE
+
+
+def test_without_an_engine_its_wing_hands_over_to_its_hinges() -> None:
+    """Throttles that turned it would be too late below the speed from which on the wing carries."""
+    cruise = Scenario.load("jetwing-cruise").replace(environment=STILL, expect=[], duration_s=9.0)
+    slower = [{"kind": "step", "signal": "ahead_m_s", "start_s": 0.0, "amplitude": -25.0}]
+    lost = [{"kind": "flame_out", "start_s": 0.5, "jet": 3}]
+    slow = {**cruise.model_dump()["initial"], "velocity_ned_m_s": [12.0, 0.0, 0.0]}
+    log = fly(cruise.replace(initial=slow, fault=lost, command=slower)).log
+    on_wing, ahead = log["wing_lift_N"] > 0.0, log["ahead_m_s"]
+    since = int(np.flatnonzero(~on_wing & (log["time_s"] > 1.0))[0])
+    assert ahead[since - 1] == pytest.approx(10.0, abs=0.1)
+    assert not on_wing[since:].any()
+    assert np.abs(log["roll_rad"][since:]).max() < 0.3
 
 
 @pytest.mark.long

@@ -234,7 +234,7 @@ def test_px4_is_told_the_torques_of_the_controller(name: str, tmp_path: Path) ->
 
 def test_what_cannot_be_exported_and_an_unknown_autopilot_are_refused(hexjet: Hexjet, tmp_path: Path) -> None:
     for given, said in (
-        (["--for", "inav"], "'inav' is not"),
+        (["--for", "inav"], "'inav': allowed: ardupilot, betaflight, px4"),
         (
             ["--for", "betaflight", "--scenario", "hover", "--aircraft", "trijet", "--controller", "baseline"],
             "flown by effectiveness",
