@@ -106,9 +106,6 @@ def fmu_survey(options: Survey) -> int:
     engines, page = options.engines, options.page
     if options.missing and page is None:
         raise InputError("--missing: goes with --page, which has the rows")
-    for path in engines:
-        if not path.exists():
-            raise InputError(f"{path}: no such file")
     if page:
         check_marks(page, [MARK])
     if page and options.missing:

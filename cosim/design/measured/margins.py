@@ -89,7 +89,7 @@ class MeasuredMargins:
             "not_computed": self.uncomputed or None,
             "engine_uncertainty_source": self.uncertainty_source,
             "engine_parameters": [row._asdict() for row in self.engine_ranges],
-            "worst_margin": find_worst(self.judged)._asdict(),
+            "worst_margin": find_worst(self.judged)._asdict() if self.judged else None,
             "axes": {axis: _axis_dict(measured) for axis, measured in self.axes.items()},
         }
 

@@ -23,7 +23,7 @@ LAWS = {
     "octojet-hover": [ShutOpposite, FlightLaw],
     "trijet-hover": [FlightLaw],
     "quadjet-hover": [HingedLean, FlightLaw],
-    "jetwing-hover": [WingFlight, HingedLean, SurfaceHover, FlightLaw],
+    "jetwing-hover": [HingedLean, WingFlight, SurfaceHover, FlightLaw],
 }
 
 
