@@ -60,10 +60,10 @@ _FOLDERS = (  # by files in them; the first that has all is it
 def describe_path(path: Path) -> str:
     """Return what is at a path and what it goes with, or that nothing is and the nearest names: a clause of a line."""
     if path.is_dir():
-        kind = next((kind for marks, kind in _FOLDERS if all((path / mark).exists() for mark in marks)), None)
+        kind = _folder_kind(path)
         if kind is None:
             return "it is a folder of another kind" if any(path.iterdir()) else "it is an empty folder"
-        return f"it is {kind.name}; {'see' if kind.use.startswith('its ') else 'it goes with'} {kind.use}"
+        return f"it is {_with_use(kind)}"
     if path.is_file():
         from cosim.base.storage.toml import read_toml
 
@@ -72,9 +72,22 @@ def describe_path(path: Path) -> str:
         kind = None
         with suppress(InputError):
             kind = find_kind(read_toml(path)) if path.suffix.lower() == ".toml" else None
-        return "it is a file of another kind" if kind is None else f"it is {kind.name}; it goes with {kind.use}"
+        if kind is not None:
+            return f"it is {_with_use(kind)}"
+        around = _folder_kind(path.parent)
+        return "it is a file of another kind" + (f" in {path.parent}, {_with_use(around)}" if around else "")
     close = ", ".join(repr(str(other)) for other in nearest_paths(path))
     return f"nothing is there{f'; did you mean {close}?' if close else ''}"
+
+
+def _folder_kind(folder: Path) -> FileKind | None:
+    """Return the kind of a folder by the files in it, None for another."""
+    return next((kind for marks, kind in _FOLDERS if all((folder / mark).exists() for mark in marks)), None)
+
+
+def _with_use(kind: FileKind) -> str:
+    """Return a kind's name, and what it goes with."""
+    return f"{kind.name}; {'see' if kind.use.startswith('its ') else 'it goes with'} {kind.use}"
 
 
 def nearest_paths(path: Path) -> list[Path]:

@@ -132,6 +132,8 @@ def test_a_run_shows_what_fly_printed_and_by_how_much_its_limits_were_kept(
     (number,) = [each for each in one["numbers"] if each["name"] == "position.drift_m"]
     assert number["value"] == summary.position.drift_m
     assert number["meaning"].startswith(f"limit ≤ {limit} m, margin ")
+    with pytest.raises(InputError, match=r"kind in .*run, the folder of a run; it goes with hexjet show"):
+        show.main([str(folder / "summary.json")], standalone_mode=False)
 
 
 def test_a_limit_alone_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
