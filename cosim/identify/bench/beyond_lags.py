@@ -1,7 +1,7 @@
 """What is tried of an engine that no lag explains: limits of its acceleration, or a lag that changes with the thrust.
 
 Both are the library's engine ``fitted``, simulated; the one with the least of Schwarz' criterion is taken, if it
-explains the logs.
+explains the logs.  Where lags leave so little that they explain them too, it has to be clearly the better one.
 """
 
 from __future__ import annotations
@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.identify.bench.evidence import Misfit, test_residuals
 from cosim.identify.bench.fit import Problem
 from cosim.identify.bench.grey_box import GreyChoices, GreyIdentification, fit_engine
+from cosim.identify.bench.identify import CLEAR
 from cosim.identify.bench.stretches import find_stretches, measure_delays
 from cosim.identify.engine_file import FITTED
 
@@ -30,9 +32,12 @@ BEGIN_LAG = 0.5  # of the lags together, as which the lag itself begins below li
 
 
 def fit_beyond_lags(found: BenchIdentification, longest_delay: float) -> GreyIdentification | None:
-    """Return the form that explains logs which lags do not, or None where none does or the thrust is not in N."""
+    """Return the form that explains logs better than lags, or None where none does or the thrust is not in N.
+
+    None, too, where what lags leave over is no more than chance: nothing else is tried.
+    """
     if (
-        found.is_explained
+        not found.misfit.is_significant
         or found.unsure_rate > 0.0
         or not found.limits_known
         or any(record.newtons is None for record in found.records)
@@ -46,11 +51,11 @@ def fit_beyond_lags(found: BenchIdentification, longest_delay: float) -> GreyIde
         except (NotIdentifiedError, InputError):  # or such an engine would not settle and cannot be loaded
             continue
         if not (fitted.misfit.failed or _misfit_of_lags(fitted).failed or _wobbles(fitted)):
-            note = (
-                f"no lag explains the log, {100.0 * found.misfit.size:.2g} % of the swing (rms) is left over; {words}"
-            )
+            verb = "explain the log poorly" if found.is_explained else "do not explain the log"
+            note = f"lags {verb}, {100.0 * found.misfit.size:.2g} % of the swing (rms) is left over; {words}"
             tried.append(replace(fitted, notes=(*fitted.notes, note)))
-    return min(tried, key=_schwarz, default=None)
+    best = min(tried, key=_schwarz, default=None)
+    return None if best is None or (found.is_explained and not _is_clearly_better(best, found)) else best
 
 
 def _choices(found: BenchIdentification, own: tuple[str, ...], longest_delay: float) -> GreyChoices:
@@ -89,7 +94,17 @@ def _wobbles(fitted: GreyIdentification) -> bool:
     return any(spans) and measure_delays(problem, fitted.residual, slope, memory, spans).differ
 
 
+def _is_clearly_better(fitted: GreyIdentification, found: BenchIdentification) -> bool:
+    """Return whether Schwarz' criterion, per row, is lower than that of the lags by what refutes a form."""
+    residual = found.problem.residual(found.chosen)
+    lags = _criterion(residual, found.chosen.parameters - 2)  # without those of the noise
+    return _schwarz(fitted) / len(fitted.residual) < (lags - CLEAR) / len(residual)
+
+
 def _schwarz(fitted: GreyIdentification) -> float:
-    rows = len(fitted.residual)
-    power = max(float(np.mean(fitted.residual**2)), 1e-300)
-    return rows * float(np.log(power)) + len(fitted.values) * float(np.log(rows))
+    return _criterion(fitted.residual, len(fitted.values))
+
+
+def _criterion(residual: Array, parameters: int) -> float:
+    power = max(float(np.mean(residual**2)), 1e-300)
+    return len(residual) * float(np.log(power)) + parameters * float(np.log(len(residual)))

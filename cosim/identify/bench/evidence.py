@@ -46,9 +46,14 @@ class Misfit(NamedTuple):
     cause: str = ""  # what else than the command it follows
 
     @property
+    def is_significant(self) -> bool:
+        """Whether the form leaves more than chance does of what it should have explained, however small a share."""
+        return self.p < SIGNIFICANCE and self.size > self.least_size
+
+    @property
     def failed(self) -> bool:
         """Whether the form leaves something that it should have explained."""
-        return self.p < SIGNIFICANCE and self.share > LEAST_SHARE and self.size > self.least_size
+        return self.is_significant and self.share > LEAST_SHARE
 
     @property
     def words(self) -> str:

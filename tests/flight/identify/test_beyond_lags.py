@@ -42,7 +42,10 @@ def found(folder: Path, kind: str, truth: Truth) -> BenchIdentification:
 def test_a_lag_by_the_thrust_and_limits_of_acceleration_come_out(
     tmp_path: Path, kind: str, truth: Truth, known: dict[str, float]
 ) -> None:
-    """Within three standard deviations each; the other form of the two is not taken."""
+    """Within three standard deviations each; the other form of the two is not taken.
+
+    The chirp's lags leave less than is refused, and more than chance.
+    """
     fitted = fit_beyond_lags(found(tmp_path, kind, truth), 2.0)
     assert fitted is not None
     values = dict(zip(fitted.names, zip(fitted.values, fitted.deviations, strict=True), strict=True))
