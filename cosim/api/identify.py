@@ -287,7 +287,7 @@ def identify_bench(
     time_column : str or None
         A table's column of time.
     time_unit : str or None
-        Unit of that column: s, ms, us, ns, min or h.
+        Unit of that column: s, ms, us, ns, min, h or d.
     begin : float or None
         The logs are used from here on, in their own time [s].
     end : float or None

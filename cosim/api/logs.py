@@ -107,7 +107,7 @@ def identify_log(
     time_column : str or None
         A table's column of time.
     time_unit : str or None
-        Unit of that column: s, ms, us, ns, min or h.
+        Unit of that column: s, ms, us, ns, min, h or d.
     begin : float or None
         The log is used from here on, in its own time [s].
     end : float or None
@@ -250,7 +250,7 @@ def validate(
     time_column : str or None
         A table's column of time.
     time_unit : str or None
-        Unit of that column: s, ms, us, ns, min or h.
+        Unit of that column: s, ms, us, ns, min, h or d.
     begin : float or None
         The log is used from here on, in its own time [s].
     end : float or None

@@ -119,7 +119,7 @@ def replay(
     time_column : str or None
         A table's column of time.
     time_unit : str or None
-        Unit of that column: s, ms, us, ns, min or h.
+        Unit of that column: s, ms, us, ns, min, h or d.
     begin : float or None
         The log is used from here on, in its own time [s].
     end : float or None

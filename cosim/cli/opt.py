@@ -247,7 +247,7 @@ WIND = word("--wind", "NAME|FILE.csv", "Yours over time and place, the same way,
 
 LOG_PART = (
     word("--time", "NAME", "Column of time, of a table.  [default: the one called so]"),
-    word("--time-unit", None, "Unit of that column: s, ms, us, ns, min or h.  [default: as the column says, or s]"),
+    word("--time-unit", None, "Unit of that column: s, ms, us, ns, min, h or d.  [default: as the column says, or s]"),
     renamed(number("--begin", "S", "Use the log from here on, in its own time."), "--from"),
     renamed(number("--end", "S", "Use the log up to here, in its own time."), "--to"),
 )

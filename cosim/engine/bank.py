@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
+from itertools import groupby
 
 import cosim.engine._bank as _bank
 from cosim.base.errors import EngineError
@@ -262,6 +263,19 @@ class EngineBank:
             self._advance_starts(self._moment(k))
         self._last_output = output
         return output
+
+    def follow(self, station: int, throttles: Iterable[float]) -> list[float]:
+        """Step one engine with each of these throttles, and return its thrusts [N]: as :meth:`step`, far quicker.
+
+        Raises EngineError as that does.  A bank that has been stepped so is not stepped otherwise.
+        """
+        thrusts: list[float] = []
+        try:
+            for throttle, same in groupby(throttles):
+                thrusts += self._native.hold(station, throttle, sum(1 for _ in same))
+        except _bank.FailureError as failure:
+            raise self._describe_failure(failure, self._moment(len(thrusts))) from failure
+        return thrusts
 
     def _moment(self, k: int) -> str:
         return f"at step {k} ({k * self._step:g} s)"

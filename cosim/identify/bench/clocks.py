@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,6 +35,10 @@ ONE_ROW = 1.75  # rows, up to which two stamps are apart with none missing betwe
 WANDERS = 10.0  # deviations of a row's length, as which stamps are farther from even rows than jitter takes them
 BLOCKS = 8  # of a log, whose rates are compared
 LEAST_RATES = 2e-3  # by which they differ: less changes no delay
+COARSE = 2.0  # rows a stamp, from which on rows share their stamps
+LEAST_STAMPS = 5
+LEAST_CHANGES = 0.5  # share of the rows with the stamp before's, in which one of the signals has another value
+EVEN = 0.95  # share of the stamps that have as many rows as the others, but for one
 SAME_CLOCK = 0.1  # rows, to which two columns of time of one clock agree
 CLOCKS = frozenset(("time", "t", "timestamp", "clock", "zeit", "temps", "tiempo", "elapsed", "utc", "uptime"))
 
@@ -140,6 +145,52 @@ def _owners(names: Sequence[str], clocks: list[str]) -> dict[str, str] | None:
     if at[0] > min(map(names.index, signals)) or not all(between):
         return None
     return {name: clocks[int(np.searchsorted(at, names.index(name))) - 1] for name in signals}
+
+
+def spread_stamps(log: FlightLog) -> FlightLog:
+    """Return a log whose rows share their stamps, as of whole seconds, with the rows evenly within each.
+
+    Where the stamps have different numbers of rows they stay as they are; a remark says either.
+    """
+    known: dict[int, Array] = {}
+    remarks = list(log.remarks)
+    for channel in log.channels.values():
+        if id(channel.times) not in known and _changes_within(channel):
+            known[id(channel.times)], said = _spread(channel.times)
+            remarks += [said] if said else []
+    channels = {
+        name: channel._replace(times=known.get(id(channel.times), channel.times))
+        for name, channel in log.channels.items()
+    }
+    return replace(log, channels=channels, remarks=tuple(dict.fromkeys(remarks)))
+
+
+def _changes_within(channel: Channel) -> bool:
+    """Return whether values change from row to row of one stamp: else they are the same frame, written again."""
+    same = np.diff(channel.times) == 0.0
+    return bool(same.any() and np.mean(np.diff(channel.values)[same] != 0.0) > LEAST_CHANGES)
+
+
+def _spread(times: Array) -> tuple[Array, str]:
+    """Return times [s] without equal ones where each has as many rows, and what is to be said of that."""
+    good = np.flatnonzero(np.isfinite(times))
+    stamps, place, count = np.unique(times[good], return_inverse=True, return_counts=True)
+    if len(stamps) < LEAST_STAMPS or len(good) < COARSE * len(stamps) or np.any(np.diff(times[good]) < 0.0):
+        return times, ""
+    many, long = float(np.median(count[1:-1])), float(np.median(np.diff(stamps)))
+    words = (
+        f"{len(good) - len(stamps)} of {len(good)} rows have the time of the row before, a stamp each {long:.3g} s; "
+    )
+    if np.mean(np.abs(count[1:-1] - many) <= 1.0) < EVEN:
+        return times, f"{words}left out, as no fixed number of rows has a stamp: stamps as fine as the rows tell more"
+    row = long / many
+    within = np.arange(len(good)) - np.searchsorted(times[good], stamps)[place]
+    of = np.append(np.diff(stamps), long) / np.maximum(count, 1)
+    of[[0, -1]] = row
+    late = within * of[place] + np.where(place == 0, long - count[0] * row, 0.0)
+    spread = times.copy()
+    spread[good] += late
+    return spread, f"{words}they are taken to be even within it, a row each {1e3 * row:.3g} ms"
 
 
 class EvenRows(NamedTuple):

@@ -165,8 +165,12 @@ class _Model:
         count = int(np.ceil((float(part.times[-1]) - begin) / h)) + 1
         edges: Array = np.asarray(begin + h * np.arange(count + 1), np.float64)
         means = np.clip(_means(part, throttle, edges), 0.0, 1.0)
-        outputs = [bank.reset(float(means[0]))] + [bank.step(k, (float(u),)) for k, u in enumerate(means)]
-        course = [one.spool_speed[0] * RPM if self.speed else one.thrust[0] for one in outputs]
+        first = bank.reset(float(means[0]))
+        if self.speed:
+            outputs = [first] + [bank.step(k, (float(u),)) for k, u in enumerate(means)]
+            course = np.array([one.spool_speed[0] * RPM for one in outputs])
+        else:
+            course = np.array([first.thrust[0], *bank.follow(0, means.tolist())])
         return np.asarray(np.interp(part.times - delay, edges, course))
 
     def _throttle(self, bank: Any, part: Part) -> Array:

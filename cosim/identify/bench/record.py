@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.identify.bench.clocks import EvenRows, align, align_by_command, find_even_rows, split_clocks
+from cosim.identify.bench.clocks import EvenRows, align, align_by_command, find_even_rows, split_clocks, spread_stamps
 from cosim.identify.bench.running import find_running, find_speed
 from cosim.identify.logs.flight_log import Channel, FlightLog, unit_of
 from cosim.identify.logs.read import is_table, read_flight_log
+from cosim.identify.logs.table import NO_NUMBERS
 
 LEAST_ROWS = 20  # with fewer no noise is told from an answer
 MOST_ROWS = 20_000  # more are averaged
@@ -41,6 +42,7 @@ FINE = 20.0  # smallest steps of an output in its usual change: of one that is c
 LEAST_REPEATED = 0.005  # share of the rows that repeat the one before, from which on that is no chance
 LONGEST_GAP = 4.0  # rows: what is missing longer is said
 SLOW_ROWS_S = 1.0  # from row to row, from where on a time is doubted to be in seconds
+QUICKEST_ROWS_S = 1e-5  # and less than that it is not
 
 
 class Columns(NamedTuple):
@@ -118,7 +120,7 @@ def _read_logs(path: Path, columns: Columns) -> list[FlightLog]:
     """Read a file: a log, or of a table of several clocks that with the command and that with the output behind it."""
     clocks = split_clocks(path, columns.time_unit) if columns.time is None and is_table(path) else []
     if not clocks:
-        return [read_flight_log(path, columns.time, columns.time_unit)]
+        return [spread_stamps(read_flight_log(path, columns.time, columns.time_unit))]
     first = next((log for log in clocks if not _has_no_command(log, columns)), None)
     every = FlightLog(path, "table", {name: channel for log in clocks for name, channel in log.channels.items()})
     output = columns.output or _find(every, OUTPUTS, NO_OUTPUT, "--output")
@@ -152,9 +154,7 @@ def _read_records(log: FlightLog, load: FlightLog | None, columns: Columns) -> l
         output, flagged = output._replace(times=clock(output.times)), clock(flagged)
     output = _cut(output, columns)
     _check(source.path, output_name, output)
-    row = float(np.median(np.diff(output.times)))
-    if columns.time_unit is None and row >= SLOW_ROWS_S:
-        notes.append(f"{row:.3g} s from row to row: if the time is in milliseconds, --time-unit ms")
+    _check_row(source.path, output.times, columns.time_unit is None, notes)
     spans = find_running(log, command, output, notes)
     moved = [span for span in spans if np.ptp(_between(command, *span).values) > 0.0] or spans[:1]
     return [
@@ -196,7 +196,8 @@ def _find(log: FlightLog, patterns: Sequence[str], never: str, option: str) -> s
         if found:
             return found[0]
     have = ", ".join(list(log.channels)[:12])
-    raise InputError(f"{log.path}: no column is called like what {option} needs; {option} NAME, one of: {have}")
+    lost = "".join(f"; {remark}" for remark in log.remarks if remark.startswith(NO_NUMBERS))
+    raise InputError(f"{log.path}: no column is called like what {option} needs; {option} NAME, one of: {have}{lost}")
 
 
 def _cut(channel: Channel, columns: Columns) -> Channel:
@@ -217,6 +218,19 @@ def _check(path: Path, name: str, channel: Channel) -> None:
         raise InputError(
             f"{path}: the time goes back after {at:g} s; two logs in one file, or a clock that was set? --begin and "
             "--end take a part"
+        )
+
+
+def _check_row(path: Path, times: Array, by_name: bool, notes: list[str]) -> None:
+    """Note rows so far apart that the time may be in a smaller unit; raise InputError for such as no bench has."""
+    row = float(np.ptp(times)) / max(len(np.unique(times)) - 1, 1)
+    if by_name and row >= SLOW_ROWS_S:
+        prefix, unit = ("milli", "ms") if row < 1e3 * SLOW_ROWS_S else ("micro", "us")
+        notes.append(f"{row:.3g} s from row to row: if the time is in {prefix}seconds, --time-unit {unit}")
+    if 0.0 < row < QUICKEST_ROWS_S:
+        raise InputError(
+            f"{path}: {row:.2g} s from row to row; allowed: {QUICKEST_ROWS_S:g} s or more.  If the time is in days, as "
+            "a spreadsheet's dates are, or in hours: --time-unit d, or h"
         )
 
 

@@ -12,7 +12,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import AXES, MOST_JETS
 from cosim.identify.logs.flight_log import Channel, FlightLog
 from cosim.identify.logs.read import signals_of
-from cosim.identify.logs.table import columns_with_time
+from cosim.identify.logs.table import NO_NUMBERS, columns_with_time
 from cosim.results.log.columns import COLUMNS, RATES
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.log.tables import TIME
@@ -84,7 +84,7 @@ def read_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
     remarks = [f"{time} is taken for the time in seconds"] if time != TIME and not table.remarks else []
     remarks += table.remarks
     if table.left_out:
-        remarks.append(f"left out, being no numbers: {', '.join(table.left_out)}")
+        remarks.append(f"{NO_NUMBERS}: {', '.join(table.left_out)}")
     named = {column.name: column for column in COLUMNS}
     strange = [name for name in columns if name not in named]
     if len(strange) == len(columns):

@@ -27,7 +27,8 @@ OTHER_TIMES = (  # and what else, in any case, its unit behind it; the likeliest
     "date_time", "date", "date/time", "utc", "clock", "zeit", "temps", "tiempo", "seconds", "sec", "s",
 )  # fmt: skip
 AT_THE_END = re.compile(r"thrust_\d+_N")  # logged with the step at whose end the engine has it
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+DAY_S = 86400.0
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": DAY_S}
 _SAME_UNITS = {
     "sec": "s",
     "secs": "s",
@@ -35,6 +36,7 @@ _SAME_UNITS = {
     "seconds": "s",
     "minutes": "min",
     "hours": "h",
+    "days": "d",
     "msec": "ms",
     "usec": "us",
     "µs": "us",
@@ -45,7 +47,7 @@ LEAST_RUNNING = 0.9  # share of the steps from row to row in which a time has to
 LEAST_NUMBERS = (
     0.5  # share of a column's texts that have to be numbers: the others are damaged, or say that there is none
 )
-DAY_S = 86400.0
+NO_NUMBERS = "left out, being no numbers"  # a remark begins so
 
 
 @dataclass
@@ -263,7 +265,7 @@ def read_mat(path: Path) -> FlightLog:
 def _log_of(path: Path, table: Table, has_our_stamps: bool) -> FlightLog:
     """Return a table as a log; ``has_our_stamps``: unless its time is called otherwise."""
     times, name = table.times, table.name
-    remarks = [f"left out, being no numbers: {', '.join(table.left_out)}"] if table.left_out else []
+    remarks = [f"{NO_NUMBERS}: {', '.join(table.left_out)}"] if table.left_out else []
     remarks += table.remarks
     step = float(np.median(np.diff(times))) if has_our_stamps and name == TIME and times.size > 1 else 0.0
     named = {key: unit_in_name(key) for key in table.columns}

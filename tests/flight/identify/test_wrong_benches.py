@@ -1,0 +1,79 @@
+"""Bench logs with something wrong in them: told in a line, or read as they are meant (docs/bench.md)."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from known_benches import Truth, bench_log
+
+from cosim.base.errors import InputError
+from cosim.engine import load_engine, make_bank
+from cosim.identify.bench import BenchIdentification, Columns, identify_bench, read_records
+
+TRUTH = Truth()  # 0.1 s of delay, a lag of 0.4 s
+
+
+def write(path: Path, times: np.ndarray, command: np.ndarray, thrust: np.ndarray) -> Path:
+    np.savetxt(
+        path, np.column_stack([times, command, thrust]), "%.12g", ",", header="time,throttle,thrust_N", comments=""
+    )
+    return path
+
+
+def holds(found: BenchIdentification) -> bool:
+    low, high = found.chosen.delay_bounds
+    return found.is_explained and low <= 0.1 <= high and abs(found.chosen.lags[0] - 0.4) < 4.0 * found.chosen.deviation(1)
+
+
+@pytest.mark.parametrize("stamp", [1.0, 0.5, 0.1])
+def test_rows_that_share_the_stamp_of_a_whole_second_are_even_within_it(tmp_path: Path, stamp: float) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 50.0, TRUTH)
+    coarse = stamp * np.floor((times + 0.3) / stamp + 1e-9)
+    (record,) = read_records([write(tmp_path / "bench.csv", coarse, command, thrust)])
+    assert len(record.times) == len(times)
+    assert np.ptp(record.times - times) < 1e-6 + 1.0 / 50.0
+    assert any("they are taken to be even within it, a row each 20 ms" in note for note in record.notes)
+    found = identify_bench([record])
+    assert holds(found)
+    assert np.ptp(found.chosen.delay_bounds) < 0.1
+
+
+def test_frames_that_are_written_twice_are_no_rows_within_a_stamp(tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("ramp", 20.0, TRUTH)
+    (record,) = read_records([write(tmp_path / "bench.csv", *(np.repeat(one, 2) for one in (times, command, thrust)))])
+    assert np.array_equal(record.times, np.unique(times))
+    assert not any("even within it" in note for note in record.notes)
+
+
+def test_stamps_with_rows_of_any_number_stay_and_that_is_said(tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 50.0, TRUTH)
+    kept = np.random.default_rng(1).random(len(times)) < 0.5
+    (record,) = read_records([write(tmp_path / "bench.csv", np.floor(times[kept]), command[kept], thrust[kept])])
+    assert np.array_equal(record.times, np.unique(np.floor(times[kept])))
+    assert any("no fixed number of rows has a stamp" in note for note in record.notes)
+
+
+def test_a_time_in_days_is_asked_for_and_can_be_said(tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 20.0, TRUTH)
+    log = write(tmp_path / "bench.csv", 45382.5 + times / 86400.0, command, thrust)
+    with pytest.raises(InputError, match=r"bench.csv: 5.8e-07 s from row to row; allowed: 1e-05 s or more.*time.unit d"):
+        read_records([log])
+    assert holds(identify_bench(read_records([log], Columns(time_unit="d"))))
+
+
+def test_a_column_that_is_left_out_is_named_where_it_may_be_the_one_that_is_missing(tmp_path: Path) -> None:
+    log = tmp_path / "bench.csv"
+    log.write_text("time,throttle,thrust_N\n" + "".join(f'{n},0.{n % 2},"1,{n:03d}.5"\n' for n in range(40)))
+    with pytest.raises(InputError, match="one of: throttle; left out, being no numbers: thrust_N"):
+        read_records([log])
+
+
+def test_a_bank_that_follows_throttles_answers_as_one_that_is_stepped() -> None:
+    spec = load_engine("fitted", {"gain": 200.0, "lag": 0.4, "rise": 0.5, "fall": 0.5, "delay_samples": 7.0}, 0.004)
+    throttles = [0.2] * 300 + [0.8] * 300 + np.linspace(0.8, 0.1, 500).tolist()
+    with make_bank([spec], 0.004) as bank:
+        bank.reset(0.2)
+        stepped = [bank.step(k, (throttle,)).thrust[0] for k, throttle in enumerate(throttles)]
+    with make_bank([spec], 0.004) as bank:
+        bank.reset(0.2)
+        assert bank.follow(0, throttles) == stepped
