@@ -24,6 +24,11 @@ FINE_S = 0.02  # to which a faster output is averaged
 LEAST_OVERLAP = 0.5  # of the shorter log, at any shift that is tried
 MOST_DRIFTS = 81
 SAME = 0.002  # of a correlation: shifts that are so near to the best are as good
+APART_S = 2.0  # from one shift to another that is tried
+MOST_STARTS = 6
+LEAST_ALIKE = 0.7  # correlation, from which on a shift is tried
+TRIES = 11  # of shift and of drift about each, before it is refined
+AS_GOOD = 2.0  # times what the best shift leaves unexplained, up to which another is as good
 DEGREE = 3  # of the static curve's polynomial
 LEAST_EXPLAINED = 0.8  # of the output's variance, by the speed: with less there is nothing to align
 LEAST_CLOCK = 20  # rows of a column of time
@@ -43,6 +48,15 @@ SAME_CLOCK = 0.1  # rows, to which two columns of time of one clock agree
 CLOCKS = frozenset(("time", "t", "timestamp", "clock", "zeit", "temps", "tiempo", "elapsed", "utc", "uptime"))
 
 
+class _Start(NamedTuple):
+    """A shift [s] and a drift at which a power of a signal and the output are alike, over so many seconds."""
+
+    alike: float  # correlation
+    overlap: float
+    shift: float
+    drift: float
+
+
 class Alignment(NamedTuple):
     """From the output's clock to the command's: ``time + shift + drift (time - middle)``, with deviations."""
 
@@ -52,6 +66,7 @@ class Alignment(NamedTuple):
     shift_deviation: float  # s, the row of the slower log included
     drift_deviation: float
     explained: float  # share of the output's variance
+    others: tuple[float, ...] = ()  # s, shifts that explain it as well, over a shorter part of the logs
 
     def on_the_other(self, times: Array) -> Array:
         """Return times of the output [s] on the command's clock."""
@@ -66,6 +81,9 @@ class Alignment(NamedTuple):
             f"±{1e3 * DEVIATIONS_95 * self.shift_deviation:.2g} ms (95 %), and {drift}; laid over each other by the "
             "speed, which the output is taken to follow at once.  A shift between clocks is the same thing as a delay: "
             "the delay cannot be told better than that, and what output lags behind speed is not in it"
+            + "".join(
+                f"; the movements repeat: {shift:+.1f} s explains as much, over a shorter part" for shift in self.others
+            )
         )
 
 
@@ -244,14 +262,26 @@ def align(speed_times: Array, speed: Array, times: Array, output: Array, where: 
     span = float(times[-1] - times[0])
     steps = min(MOST_DRIFTS // 2, int(FASTEST_DRIFT * span / 2.0 / GRID_S))
     drifts = np.linspace(-FASTEST_DRIFT, FASTEST_DRIFT, 2 * steps + 1) if steps else (0.0,)
-    start = _search(speed_times, share, times, output, middle, drifts)[0]
-    shift, drift, deviations, explained = _refine(speed_times, share, times, output, middle, start)
+    starts = _search(speed_times, share, times, output, middle, drifts)
+    found = [_refine(speed_times, share, times, output, middle, start) for start in starts]
+    explained = max((one[-1] for one in found), default=0.0)
     if explained < LEAST_EXPLAINED:
         raise InputError(
             f"{where}: the clocks of the two files cannot be laid over each other: at best the speed explains "
-            f"{100.0 * explained:.0f} % of the output; another engine, another run, or no movement in common"
+            f"{100.0 * explained:.0f} % of the output; another engine, another run, a load cell of the other sign, or "
+            "no movement in common"
         )
-    return Alignment(shift, drift, middle, float(np.hypot(deviations[0], row / 12.0**0.5)), deviations[1], explained)
+    near = [n for n, one in enumerate(found) if 1.0 - one[-1] <= AS_GOOD * (1.0 - explained)]
+    longest = max(near, key=lambda n: starts[n].overlap)  # of movements that repeat
+    shift, drift, deviations, explained = found[longest]
+    if abs(drift) > FASTEST_DRIFT:
+        raise InputError(
+            f"{where}: the clocks of the two files drift apart by {100.0 * abs(drift):.2g} %, and no clock does by "
+            f"more than {100.0 * FASTEST_DRIFT:g} %; a time in another unit or counted in rows, or another run"
+        )
+    others = tuple(found[n][0] for n in near if abs(found[n][0] - shift) > APART_S)
+    deviation = float(np.hypot(deviations[0], row / 12.0**0.5))
+    return Alignment(shift, drift, middle, deviation, deviations[1], explained, others)
 
 
 def align_by_command(command: Channel, times: Array, output: Array, where: str) -> tuple[float, str]:
@@ -265,9 +295,10 @@ def align_by_command(command: Channel, times: Array, output: Array, where: str) 
     best, shift = -1.0, 0.0
     for lag in LAGS_S:
         answer = make_command(command.times, command.values, False).lagged(lag, command.times)
-        found, alike = _search(command.times, answer, times, output, 0.0, (0.0,), 1)
-        if alike > best:
-            best, shift = alike, found[0]
+        starts = _search(command.times, answer, times, output, 0.0, (0.0,), 1)
+        if starts and starts[0].alike > best:
+            best = starts[0].alike
+            shift = max((one for one in starts if one.alike > best - SAME), key=lambda one: one.overlap).shift
     if best**2 < LEAST_EXPLAINED:
         raise InputError(
             f"{where}: the clocks of the two files cannot be laid over each other: at best the command explains "
@@ -290,13 +321,14 @@ def _averaged(times: Array, values: Array, seconds: float) -> tuple[Array, Array
 def _search(
     known_times: Array, known_values: Array, times: Array, output: Array, middle: float, drifts: Iterable[float],
     degree: int = DEGREE,
-) -> tuple[tuple[float, float], float]:  # fmt: skip
-    """Return the shift and drift at which a power of a signal and the output are most alike, and their correlation."""
+) -> list[_Start]:  # fmt: skip
+    """Return where a power of a signal and the output are most alike, the best first, some seconds from each other."""
+    from scipy.ndimage import maximum_filter1d
     from scipy.signal import fftconvolve
 
     at = np.arange(known_times[0], known_times[-1], GRID_S)
     known = np.interp(at, known_times, known_values) ** degree
-    best, found = -1.0, (0.0, 0.0)
+    found: list[_Start] = []
     for drift in drifts:
         own = times + drift * (times - middle)
         grid = np.arange(own[0], own[-1], GRID_S)
@@ -313,21 +345,28 @@ def _search(
         n = np.maximum(count, 1.0)
         power = np.maximum(aa - a * a / n, 1e-9 * aa.max()) * np.maximum(bb - b * b / n, 1e-9 * bb.max())
         alike = np.where(enough, (ab - a * b / n) / np.sqrt(power), -1.0)
-        near = np.flatnonzero(alike > alike.max() - SAME)  # of movements that repeat, the greatest overlap
-        k = int(near[np.argmax(count[near])])
-        if alike[k] > best:
-            best, found = float(alike[k]), (float(at[0] - grid[0] + (k - len(moved) + 1) * GRID_S), float(drift))
-    return found, best
+        peaks = np.flatnonzero(
+            enough & (alike > LEAST_ALIKE) & (alike == maximum_filter1d(alike, 2 * int(APART_S / GRID_S) + 1))
+        )
+        begin = float(at[0] - grid[0]) - (len(moved) - 1) * GRID_S
+        found += [
+            _Start(float(alike[k]), float(count[k]) * GRID_S, begin + float(k) * GRID_S, float(drift)) for k in peaks
+        ]
+    starts: list[_Start] = []
+    for one in sorted(found, reverse=True):
+        if len(starts) < MOST_STARTS and all(abs(one.shift - other.shift) > APART_S for other in starts):
+            starts.append(one)
+    return starts
 
 
 def _refine(
-    speed_times: Array, share: Array, times: Array, output: Array, middle: float, start: tuple[float, float]
+    speed_times: Array, share: Array, times: Array, output: Array, middle: float, start: _Start
 ) -> tuple[float, float, tuple[float, float], float]:
     """Return shift and drift by least squares, their deviations, and the share of the output that is explained."""
     from scipy.optimize import least_squares
 
     length = 0.5 * float(times[-1] - times[0])
-    own = times + start[0] + start[1] * (times - middle)
+    own = times + start.shift + start.drift * (times - middle)
     margin = 2.0 + FASTEST_DRIFT * length
     use = (own > speed_times[0] + margin) & (own < speed_times[-1] - margin)
     use = use if use.sum() > 0.3 * len(use) else (own > speed_times[0]) & (own < speed_times[-1])
@@ -342,7 +381,10 @@ def _refine(
         basis = np.linalg.qr(columns(x))[0]
         return np.asarray(output - basis @ (basis.T @ output))
 
-    answer = least_squares(left, [start[0], start[1] * length], x_scale=GRID_S, diff_step=1e-2)
+    ahead = GRID_S * np.linspace(-1.0, 1.0, TRIES)  # from a row of the first search to the next
+    tries = [np.array([start.shift + a, start.drift * length + b]) for a in ahead for b in ahead]
+    begun = min(tries, key=lambda x: float(np.sum(left(x) ** 2)))
+    answer = least_squares(left, begun, x_scale=GRID_S, diff_step=1e-2)
     x, h = answer.x, 0.01
     white = left(x)
     slopes = [(left(x + h * e) - left(x - h * e)) / (2.0 * h) for e in np.eye(2)]
@@ -351,4 +393,6 @@ def _refine(
     wider = robust_factor(jacobian, white, covariance, memory_rows(white))
     deviation = np.sqrt(np.diag(covariance)) * wider
     explained = 1.0 - float(np.var(white)) / max(float(np.var(output)), 1e-300)
+    if not float(np.cov(columns(x)[:, 1], output - white)[0, 1]) > 0.0:  # no thrust falls where the speed rises
+        explained = 0.0
     return float(x[0]), float(x[1]) / length, (float(deviation[0]), float(deviation[1]) / length), explained

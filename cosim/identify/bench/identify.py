@@ -33,6 +33,8 @@ LEAST_LEVELS = 3  # of the command, from which on a curve can be told from a str
 APART = 3.29  # standard deviations by which logs of one engine may differ: p = 0.001
 LONG_RANGE = 100.5  # up to which a throttle without a unit is taken for percent
 UNIT_RANGE = 1.05  # and up to which for a share of full throttle
+MOST_PERCENT = 100.0 * UNIT_RANGE  # of a throttle that is said to be in percent
+NO_UNITS = ("", "1", "-", "0..1", "0-1", "0/1")  # of a throttle
 ENOUGH_ROWS = 4000  # of all logs; more are averaged where they are fine enough
 SHORT = 0.04  # of delay and lags together: over so long rows may be averaged
 CLEAR = 10.0  # by which Schwarz' criterion has to fall for a zero that drifts, or rise for a form to be refuted
@@ -267,25 +269,23 @@ def throttle_limits(
     records: Sequence[BenchRecord], given: tuple[float, float] | None, notes: list[str]
 ) -> tuple[tuple[float, float], bool]:
     """Return what throttle 0 and 1 are, and whether that is known: as given, by the unit, or by how far it goes."""
-    if given is not None:
-        if not given[1] > given[0]:
-            raise InputError(f"--throttle-range {given[0]:g} {given[1]:g}: the second must be above the first")
-        return given, True
     low = min(float(record.command.min()) for record in records)
     high = max(float(record.command.max()) for record in records)
     record = records[0]
-    throttle = "throttle" in record.command_name.lower() or record.command_unit in ("percent", "", "1")
-    if record.command_unit == "percent" and high > UNIT_RANGE:
+    if given is not None:
+        return _check_limits(given, low, high, record), True
+    if record.command_unit == "percent" and UNIT_RANGE < high <= MOST_PERCENT:
         return (0.0, 100.0), True
-    if record.command_unit == "percent":
+    if record.command_unit == "percent" and high <= UNIT_RANGE:
         notes.append(
             f"{record.command_name} is in percent and never above {high:g}: is it a share? no engine is left; "
             "--throttle-range 0 1 or --throttle-range 0 100 says what throttle 0 and 1 are"
         )
         return (0.0, 1.0), False
-    if throttle and low >= 0.0 and high <= UNIT_RANGE:
+    is_bare = record.command_unit in NO_UNITS and low >= 0.0
+    if is_bare and high <= UNIT_RANGE:
         return (0.0, 1.0), True
-    if throttle and low >= 0.0 and high <= LONG_RANGE:
+    if is_bare and high <= LONG_RANGE:
         notes.append(
             f"{record.command_name} goes from {low:g} to {high:g} and has no unit: taken for percent; "
             "--throttle-range LOW HIGH says what throttle 0 and 1 are"
@@ -296,6 +296,19 @@ def throttle_limits(
         "that of this range, and no engine is left; --throttle-range LOW HIGH says it"
     )
     return (low, high), False
+
+
+def _check_limits(given: tuple[float, float], low: float, high: float, record: BenchRecord) -> tuple[float, float]:
+    """Return what throttle 0 and 1 are, as given.  Raises InputError where the command goes far beyond that."""
+    words, room = f"--throttle-range {given[0]:g} {given[1]:g}", (UNIT_RANGE - 1.0) * (given[1] - given[0])
+    if not given[1] > given[0]:
+        raise InputError(f"{words}: the second must be above the first")
+    if low < given[0] - room or high > given[1] + room:
+        raise InputError(
+            f"{words}: {record.command_name} goes from {low:g} to {high:g}; allowed: {100.0 * (UNIT_RANGE - 1.0):.0f} "
+            "% of the range beyond its ends"
+        )
+    return given
 
 
 def is_straight(records: Sequence[BenchRecord], between: str, notes: list[str]) -> bool:

@@ -39,7 +39,8 @@ def why_no_engine(result: BenchIdentification) -> str:
     """Return why no engine is left, or an empty string where one is."""
     record = result.records[0]
     if record.newtons is None:
-        return f"{record.output_name} is in {record.output_unit or 'no unit'}; an engine's output is a thrust in N"
+        how = "" if record.output_unit else f": {record.output_name}_N or {record.output_name} [kN] in the head says so"
+        return f"{record.output_name} is in {record.output_unit or 'no unit'}; an engine's output is a thrust in N{how}"
     if not result.limits_known:
         return "what throttle 0 and 1 are is not known: --throttle-range LOW HIGH"
     if not result.is_explained:

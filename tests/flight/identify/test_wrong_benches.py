@@ -9,6 +9,9 @@ from known_benches import Truth, bench_log
 from cosim.base.errors import InputError
 from cosim.engine import load_engine, make_bank
 from cosim.identify.bench import BenchIdentification, Columns, identify_bench, read_records
+from cosim.identify.bench.clocks import align
+from cosim.identify.bench.command import make_command
+from cosim.identify.bench.identify import throttle_limits
 
 TRUTH = Truth()  # 0.1 s of delay, a lag of 0.4 s
 
@@ -22,7 +25,9 @@ def write(path: Path, times: np.ndarray, command: np.ndarray, thrust: np.ndarray
 
 def holds(found: BenchIdentification) -> bool:
     low, high = found.chosen.delay_bounds
-    return found.is_explained and low <= 0.1 <= high and abs(found.chosen.lags[0] - 0.4) < 4.0 * found.chosen.deviation(1)
+    return (
+        found.is_explained and low <= 0.1 <= high and abs(found.chosen.lags[0] - 0.4) < 4.0 * found.chosen.deviation(1)
+    )
 
 
 @pytest.mark.parametrize("stamp", [1.0, 0.5, 0.1])
@@ -56,7 +61,9 @@ def test_stamps_with_rows_of_any_number_stay_and_that_is_said(tmp_path: Path) ->
 def test_a_time_in_days_is_asked_for_and_can_be_said(tmp_path: Path) -> None:
     times, command, thrust, _ = bench_log("stairs of 5 s", 20.0, TRUTH)
     log = write(tmp_path / "bench.csv", 45382.5 + times / 86400.0, command, thrust)
-    with pytest.raises(InputError, match=r"bench.csv: 5.8e-07 s from row to row; allowed: 1e-05 s or more.*time.unit d"):
+    with pytest.raises(
+        InputError, match=r"bench.csv: 5.8e-07 s from row to row; allowed: 1e-05 s or more.*time.unit d"
+    ):
         read_records([log])
     assert holds(identify_bench(read_records([log], Columns(time_unit="d"))))
 
@@ -66,6 +73,63 @@ def test_a_column_that_is_left_out_is_named_where_it_may_be_the_one_that_is_miss
     log.write_text("time,throttle,thrust_N\n" + "".join(f'{n},0.{n % 2},"1,{n:03d}.5"\n' for n in range(40)))
     with pytest.raises(InputError, match="one of: throttle; left out, being no numbers: thrust_N"):
         read_records([log])
+
+
+@pytest.mark.parametrize(
+    ("head", "low", "high", "words"),
+    [
+        ("throttle [%]", 1000.0, 2000.0, "goes from 1100 to 1900"),  # a servo's pulse
+        ("throttle [deg]", 0.0, 90.0, "goes from 9 to 81"),  # a lever
+        ("throttle [V]", 0.0, 1.0, "goes from 0.1 to 0.9"),
+        ("throttle", -1.0, 1.0, "goes from -0.8 to 0.8"),
+    ],
+)
+def test_a_throttle_in_a_unit_that_is_none_leaves_no_engine(
+    tmp_path: Path, head: str, low: float, high: float, words: str
+) -> None:
+    log = tmp_path / "bench.csv"
+    rows = [f"{0.1 * n:.1f},{low + (high - low) * (0.1 if n < 20 else 0.9):g},{n % 3}" for n in range(40)]
+    log.write_text(f"time,{head},thrust_N\n" + "\n".join(rows) + "\n")
+    notes: list[str] = []
+    limits, is_known = throttle_limits(read_records([log]), None, notes)
+    assert not is_known
+    assert limits == pytest.approx((low + 0.1 * (high - low), low + 0.9 * (high - low)))
+    assert f"what throttle 0 and 1 are is not known ({head} {words})" in notes[0]
+
+
+def test_a_range_in_another_unit_than_the_throttle_is_refused(tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 20.0, TRUTH)
+    records = read_records([write(tmp_path / "bench.csv", times, 1000.0 + 1000.0 * command, thrust)])
+    assert throttle_limits(records, (1000.0, 2000.0), []) == ((1000.0, 2000.0), True)
+    for wrong in ((0.0, 1.0), (0.0, 100.0), (2500.0, 3500.0)):
+        with pytest.raises(InputError, match=r"--throttle-range .*: throttle goes from 1.* to .*; allowed: 5 % of"):
+            throttle_limits(records, wrong, [])
+
+
+@pytest.mark.parametrize(("drift", "shift"), [(1e-3, 3.0), (-4e-3, -20.0), (0.05, 3.0)])
+def test_two_clocks_are_laid_over_each_other_where_movements_repeat(drift: float, shift: float) -> None:
+    """The second half of this staircase is the first again: half of the logs lie over each other as well as all."""
+    times = np.arange(0.0, 90.0, 0.02)
+    levels = np.concatenate([[0.1, 0.3, 0.5, 0.7, 0.9, 0.7, 0.5, 0.3]] * 2 + [[0.1, 0.1]])
+    speed = make_command(5.0 * np.arange(len(levels)), levels, False).lagged(0.4, times)
+    cell = (times + shift) * (1.0 + drift)
+    thrust = 200.0 * speed**2 + np.random.default_rng(0).normal(0.0, 1.0, len(times))
+    if drift > 0.02:
+        with pytest.raises(InputError, match=r"drift apart by 4\.8 %, and no clock does by more than 2 %"):
+            align(times, 4e4 + 6e4 * speed, cell, thrust, "two files")
+        return
+    found = align(times, 4e4 + 6e4 * speed, cell, thrust, "two files")
+    assert np.max(np.abs(found.on_the_other(cell) - times)) < 4.0 * found.shift_deviation < 0.05
+    assert found.drift == pytest.approx(1.0 / (1.0 + drift) - 1.0, abs=4.0 * found.drift_deviation)
+    assert found.others == ()
+
+
+def test_a_load_cell_of_the_other_sign_is_not_laid_on_the_speed_at_another_shift() -> None:
+    times = np.arange(0.0, 40.0, 0.02)
+    speed = make_command(np.array([0.0, 5.0, 10.0, 15.0]), np.array([0.1, 0.5, 0.9, 0.1]), False).lagged(0.4, times)
+    align(times, 4e4 + 6e4 * speed, times + 3.0, 200.0 * speed**2, "two files")
+    with pytest.raises(InputError, match="a load cell of the other sign"):
+        align(times, 4e4 + 6e4 * speed, times + 3.0, -200.0 * speed**2, "two files")
 
 
 def test_a_bank_that_follows_throttles_answers_as_one_that_is_stepped() -> None:
