@@ -43,13 +43,15 @@ class _Parameter:
 class EngineDraw:
     """The draws of a scenario's engine.
 
-    ``sides``: how many numbers between 0 and 1 make one.  ``keys``: what gets a value in each, in order.
+    ``names``: the key that each of the numbers between 0 and 1 stands for that make one, ``sides`` of them; of
+    correlated keys one stands for what those before it leave open.  ``keys``: what gets a value in each, in order.
     """
 
     def __init__(self, table: Uncertainty, parameters: Sequence[_Parameter]) -> None:
         self._table, self._parameters = table, parameters
         self.keys = [key for of in parameters for key in (*([of.common] if of.deviation else []), *of.stations)]
-        self.sides = len(parameters) + sum(len(of.stations) for of in parameters)
+        self.names = [of.common.path for of in parameters] + [key.path for of in parameters for key in of.stations]
+        self.sides = len(self.names)
 
     @property
     def description(self) -> str:

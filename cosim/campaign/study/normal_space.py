@@ -32,7 +32,7 @@ SEED_BITS = 53  # every reader of the results takes a whole number of so many wi
 class NormalSpace:
     """The varied keys of ``study`` as ``dimension`` independent standard normal coordinates, called ``names``.
 
-    A coordinate of a varied key has the key's name, one of an uncertain engine ``engine [uncertainty] 1`` and so on.
+    A coordinate has the name of its key; those of an uncertain engine are the keys that it is drawn by.
     Raises InputError for a grid, which states levels and no distribution.
     """
 
@@ -46,7 +46,7 @@ class NormalSpace:
         varied = [index for index, vary in enumerate(study.vary) if not vary.uncertainty]
         self.names = [study.vary[index].key for index in varied]
         if engine is not None:
-            self.names += [f"engine [uncertainty] {number}" for number in range(1, engine.sides + 1)]
+            self.names += engine.names
         self.dimension = len(self.names)
         self._keys = study.drawn
         self._lower = np.eye(self.dimension)

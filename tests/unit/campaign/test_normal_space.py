@@ -96,3 +96,14 @@ def test_seeds() -> None:
 def test_a_grid_has_no_probability() -> None:
     with pytest.raises(InputError, match="a grid states levels and no probability"):
         NormalSpace(study([f"{MASS}=5:6:3"], design="grid", runs=None))
+
+
+def test_a_coordinate_of_an_uncertain_engine_has_the_name_of_the_key_that_it_moves(tmp_path: Path) -> None:
+    file = engines.fan(tmp_path, [3.0, 0.006, 0.02], [2.0, 0.002, 0.01])
+    space = NormalSpace(study([], settings=[f"engine={file}", "controller=baseline"], nominal_engine=False))
+    assert len(set(space.names)) == space.dimension == 3 + 3 * 6
+    middle, *moved = space.values(np.vstack([np.zeros(space.dimension), np.eye(space.dimension)]))
+    for name, values in zip(space.names, moved, strict=True):
+        assert values[name] != middle[name]
+        others = {key for key in values if values[key] != middle[key] and key != name}
+        assert not (name.startswith("mismatch.stations") and others)  # a spread moves its own alone
