@@ -1,7 +1,8 @@
 /* An engine as a bench log tells it: transport delay, static curve, two lags, limits of the rate.  The first
  * lag may change with the thrust.
  *
- *     f = offset + gain u(t - delay)^exponent      lag_2 x' = f - x      lag y' = x - y, within -fall and rise times gain
+ *     f = offset + gain u(t - delay)^exponent, not below 0
+ *     lag_2 x' = f - x      lag y' = x - y, within -fall and rise times gain
  *
  * Solved exactly over a step in which f stands still. */
 #include <math.h>
@@ -18,7 +19,8 @@ const size_t engine_state_size = sizeof(State);
 
 static double curve(const Variables *v, double u)
 {
-    return v->offset + v->gain * (v->exponent == 1.0 ? u : pow(u, v->exponent));
+    const double thrust = v->offset + v->gain * (v->exponent == 1.0 ? u : pow(u, v->exponent));
+    return thrust > 0.0 ? thrust : 0.0; /* a fitted line may cross 0 above the throttle at which the engine gives none */
 }
 
 /* The lag at the thrust as it stands: in a straight line from that of no throttle to that of full throttle. */

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.identify.files import PICTURE
 
 FITTED, FITTED_STEP_S = "fitted", 0.004  # the library's engine of a fitted form, and its internal step
 LARGEST_SAMPLES = 1000  # of its delay
@@ -32,16 +33,29 @@ def uncertainty_table(
 
 
 def engine_readme(
-    origin: str, rows: Iterable[Sequence[str]], source: str, validity: str, residuals: str, untold: Sequence[str]
+    origin: str,
+    rows: Iterable[Sequence[str]],
+    source: str,
+    validity: str,
+    residuals: str,
+    untold: Sequence[str],
+    notes: Sequence[str],
+    engine: str = f"the library's `{FITTED}`",
 ) -> str:
-    """Return the page of an engine in Markdown: where it comes from, where it holds, what was left over."""
-    table = "\n".join(f"| {row[0]} | {row[1]} |" for row in rows)
+    """Return the page of an engine in Markdown: where it comes from, where it holds, what was left over.
+
+    ``rows``: quantities with what was identified of them; those without are left out.
+    """
+    table = "\n".join(f"| {row[0]} | {row[1]} |" for row in rows if row[1])
     lines = [
         f"# Engine from a {origin}",
-        f"**Source.** {source}; the engine is the library's `{FITTED}`.",
+        f"**Source.** {source}; the engine is {engine}. It is *identified*; `[uncertainty]` in `engine.toml` says how "
+        "well each parameter is known.",
         f"| with 95 % bounds | |\n| --- | --- |\n{table}",
         f"**Validity.** {validity}; nothing was seen outside, nor in other air, nor with air speed.",
-        f"**Residuals.** {residuals}",
+        f"**Residuals.** {residuals} `report.html` has all of them.",
+        f"![Measured and modelled]({PICTURE})",
         "**Not told by the log**\n\n" + "\n".join(f"- {line}" for line in untold or ("nothing that was asked",)),
+        *(["**Notes**\n\n" + "\n".join(f"- {line}" for line in notes)] if notes else []),
     ]
     return "\n\n".join(lines) + "\n"

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError
 from cosim.base.storage.files import check_results_folder, map_os_errors, write_files
+from cosim.identify.picture import draw_picture
 
 if TYPE_CHECKING:
     from cosim.identify.page import Page
 
 RECORD = "identification.json"  # every identification leaves it: a folder without it is somebody else's
-ENGINE = ("engine.toml", "engine.fmu", "README.md")
+PICTURE = "measured.svg"
+ENGINE = ("engine.toml", "engine.fmu", "README.md", PICTURE)
 FILES = ("report.html", "response.csv", "model.toml", *ENGINE)
 _NAMES = {"response": "response.csv", "model": "model.toml", "engine": "engine.toml", "readme": "README.md"}
 
@@ -29,14 +31,16 @@ def write_identification(
 ) -> dict[str, Path]:
     """Write the ``record`` as JSON, ``texts`` by their kind, and the page; return the paths by kind.
 
-    ``archive`` is copied as that of the engine.  What an earlier identification left there of the files ``removed``
-    goes, also where none is left now.  Raises InputError for a folder with files of these names and without RECORD,
-    FlightError if a file cannot be read or written.
+    ``archive`` is copied as that of the engine, and its README gets the figure ``signals`` as PICTURE.  What an earlier
+    identification left there of the files ``removed`` goes, also where none is left now.  Raises InputError for a
+    folder with files of these names and without RECORD, FlightError if a file cannot be read or written.
     """
     check_results_folder(folder, RECORD, *FILES)
     paths = {"json": folder / RECORD, **{kind: folder / _NAMES[kind] for kind in texts}}
     files: dict[Path, str | bytes] = {paths["json"]: json.dumps(record, indent=2, allow_nan=False) + "\n"}
     files |= {paths[kind]: text for kind, text in texts.items()}
+    if "readme" in texts:
+        files[folder / PICTURE] = draw_picture(f"{page.heading}: measured and modelled", page.figures["signals"])
     if archive is not None:
         with map_os_errors(FlightError, archive):
             files[folder / f"engine{archive.suffix}"] = archive.read_bytes()  # it may be the one that goes

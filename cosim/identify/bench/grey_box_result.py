@@ -9,23 +9,24 @@ import numpy as np
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.identify.bench.evidence import describe_held_back
 from cosim.identify.bench.grey_box import STEP_S, GreyIdentification, output_unit
-from cosim.identify.bench.result import lay_behind, movement_cards
-from cosim.identify.engine_file import DEVIATIONS_95, uncertainty_table
+from cosim.identify.bench.result import NO_LONGER, lay_behind, movement_cards
+from cosim.identify.engine_file import DEVIATIONS_95, engine_readme, uncertainty_table
 from cosim.identify.files import write_identification
 from cosim.identify.page import Card, Page, draw_signals
 
 BOUNDS = (
     "The bounds are 1.96 standard deviations of the linearised problem. They hold where the engine explains the log."
 )
+FOLLOWS = "they still follow the command: the engine does not explain the log"
 DELAY = "delay_samples"  # the parameter of an engine's delay, in its internal steps
 
 
 def write(result: GreyIdentification, folder: Path) -> dict[str, Path]:
-    """Write ``identification.json``, ``report.html`` and, where the engine explains the log, ``engine.toml``, FMU.
+    """Write ``identification.json``, ``report.html`` and, where the engine explains the log, its folder's files.
 
     Raises FlightError if a file cannot be written.
     """
-    texts = {"engine": toml_text(engine_table(result))} if result.leaves_engine else {}
+    texts = {"engine": toml_text(engine_table(result)), "readme": readme(result)} if result.leaves_engine else {}
     archive = result.spec.archive.path if result.leaves_engine else None
     return write_identification(folder, result.to_dict(), page(result), texts, archive)
 
@@ -57,6 +58,8 @@ def engine_table(result: GreyIdentification) -> dict[str, object]:
     table: dict[str, object] = dict(read_toml(spec.mapping)) if spec.mapping else {}
     known = table.get("parameters")
     parameters: dict[str, object] = dict(known) if isinstance(known, dict) else {}
+    if table.pop("parameter_set", None):  # a file beside the mapping, which stays there
+        parameters = {variable.name: value for variable, value in spec.settings}
     parameters |= dict(result.choices.settings)
     parameters |= dict(zip(result.choices.fitted, map(float, result.values[1:]), strict=True))
     names, deviations = list(result.choices.fitted), list(result.deviations[1:])
@@ -74,6 +77,23 @@ def engine_table(result: GreyIdentification) -> dict[str, object]:
             f"{logs}: {', '.join(result.names)} of {result.choices.engine}", names, covariance, np.array(deviations)
         ),
     }
+
+
+def readme(result: GreyIdentification) -> str:
+    """Return the page of the engine in Markdown: where it comes from, where it holds, what was left over."""
+    first, engine = result.records[0], f"`{result.choices.engine}`, its other parameters as they were"
+    commands = [record.command for record in result.records]
+    low, high = min(float(each.min()) for each in commands), max(float(each.max()) for each in commands)
+    return engine_readme(
+        "bench log",
+        rows(result),
+        f"{summary(result)} `hexjet identify bench`",
+        f"{first.command_name} from {low:.4g} to {high:.4g}",
+        f"{result.residual_rms:.3g} {output_unit(first)} (rms); {FOLLOWS if result.misfit.failed else NO_LONGER}.",
+        result.untold,
+        result.notes,
+        engine,
+    )
 
 
 def summary(result: GreyIdentification) -> str:

@@ -174,6 +174,7 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     misfit = test_residuals(problem.parts, left_over, chosen.delay, chosen.total[0])
     lacks = _lacks(problem, left_over, records[0]) if misfit.failed else []
     held_back = predict_held_back(problem, chosen)
+    doubts += _doubt_zero(chosen, records[0], limits)
     found = BenchIdentification(
         tuple(records), problem, limits, known, straight, estimates, misfit, held_back, spread,
         (*notes, *doubts, *_doubts(chosen, misfit, held_back, records[0], output_swing(problem.parts)), *lacks), (),
@@ -419,6 +420,20 @@ def _compare_logs(
                 f"{records[last].path.name}, farther apart than noise: two engines, or another day; the spread is kept"
             )
     return spread, doubts
+
+
+def _doubt_zero(chosen: Estimate, record: BenchRecord, limits: tuple[float, float]) -> list[str]:
+    """Return what is to be said where the static curve is below no thrust at no throttle, by more than noise."""
+    offset, rows = float(np.mean(chosen.offsets)), slice(len(chosen.x) + 1, len(chosen.x) + 1 + len(chosen.offsets))
+    deviation = float(np.sqrt(np.mean(chosen.covariance[rows, rows])))
+    if record.newtons is None or chosen.gain < 0.0 or not offset < -APART * deviation:
+        return []
+    crossing = min(-offset / chosen.gain, 1.0) ** (1.0 / chosen.form.split(chosen.x)[3])
+    return [
+        f"the static curve is below 0 up to {record.command_name} {limits[0] + (limits[1] - limits[0]) * crossing:.2g} "
+        f"({offset:.3g} {record.output_unit} at {limits[0]:g}), where an engine that is left gives no thrust: is it "
+        "the load cell's zero? then take it out of the column first"
+    ]
 
 
 def _lacks(problem: Problem, left_over: Array, record: BenchRecord) -> list[str]:

@@ -32,6 +32,7 @@ BOUNDS = (
     "1.96 standard deviations. They hold where the model explains the log."
 )
 TOLD = "delay, lags, gain and curve within its range are told"
+NO_LONGER = "they no longer follow the command"
 NOT_TOLD = "delay and lags: none explains the log, and no further step would change that; the notes say what they lack"
 
 
@@ -210,8 +211,9 @@ def readme(result: BenchIdentification) -> str:
         f"{summary(result)} `hexjet identify bench`",
         f"{first.command_name} from {low:.4g} to {high:.4g}, with throttle 0 at {result.limits[0]:g} and "
         f"1 at {result.limits[1]:g}",
-        f"{result.residual_rms:.3g} {first.output_unit} (rms); they no longer follow the command.",
+        f"{result.residual_rms:.3g} {first.output_unit} (rms); {NO_LONGER}.",
         result.untold,
+        result.notes,
     )
 
 

@@ -106,10 +106,16 @@ def engine_table(result: LogIdentification) -> dict[str, object]:
     slopes = [by_parameter[0] * -(lags[0] ** 2), *by_parameter[1 : len(lags)]]
     order = np.argsort(lags)[::-1]
     delay = float(x[-1]) + sum(lags[n] for n in order[2:])
+    # of each stretch the output at no throttle, which weighs as its rows do; behind each stands a free decay
+    rows_of = np.array([float(stretch.present.sum()) for stretch in result.problem.stretches])
+    level = np.zeros(size)
+    level[len(x) + 1 : len(x) + 1 + 2 * len(rows_of) : 2] = rows_of / rows_of.sum()
+    offset = float(level[len(x) : len(x) + len(result.chosen.linear)] @ result.chosen.linear)
     values = {
         "delay_samples": (delay, sum((slopes[n] for n in order[2:]), by_parameter[len(x) - 1])),
         **{name: (lags[n], slopes[n]) for name, n in zip(("lag", "lag_2"), order, strict=False)},
         "gain": (result.chosen.gain, by_parameter[len(x)]),
+        "offset": (offset, level),
     }
     matrix = np.array([slope for _, slope in values.values()])
     matrix[0] /= FITTED_STEP_S
@@ -138,6 +144,7 @@ def readme(result: LogIdentification) -> str:
         f"{summary(result)}. `hexjet identify log`",
         f"{result.signals.command} from {low:.4g} to {high:.4g}",
         f"{float(np.sqrt(np.mean(white[use] ** 2))):.3g} {result.signals.output_unit} (rms, made white).",
+        (),
         result.notes,
     )
 

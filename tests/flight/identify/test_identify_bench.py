@@ -281,7 +281,7 @@ def test_the_command_leaves_an_engine_that_answers_as_the_log(hexjet: Hexjet, tm
     done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
     assert done.status == 0
     assert {path.name for path in (tmp_path / "mine").iterdir()} == {
-        "engine.fmu", "engine.toml", "README.md", "identification.json", "report.html",
+        "engine.fmu", "engine.toml", "README.md", "measured.svg", "identification.json", "report.html",
     }  # fmt: skip
     table = tomllib.loads((tmp_path / "mine" / "engine.toml").read_text(encoding="utf-8"))
     assert table["parameters"]["delay_samples"] == 25
@@ -310,7 +310,7 @@ def test_channels_that_are_given_leave_an_engine_where_the_output_is_a_thrust(he
     table = tomllib.loads((tmp_path / "mine" / "engine.toml").read_text(encoding="utf-8"))
     assert table["parameters"]["lag"] == pytest.approx(0.4, rel=0.02)
     known = dict(zip(table["uncertainty"]["parameters"], table["uncertainty"]["deviation"], strict=True))
-    assert list(known) == ["delay_samples", "lag", "gain"]
+    assert list(known) == ["delay_samples", "lag", "gain", "offset"]
     told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
     assert told.keys() >= SHARED
     best, (low, high) = told["estimates"][0], told["delay_bounds_95_s"]

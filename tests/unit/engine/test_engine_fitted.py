@@ -38,6 +38,17 @@ def test_it_answers_as_its_page_says(lag_2: float) -> None:
         assert thrust == pytest.approx(high - (high - low) * left, abs=1e-9)
 
 
+@pytest.mark.parametrize("exponent", [1.0, EXPONENT])
+def test_a_static_curve_that_crosses_zero_ends_there(exponent: float) -> None:
+    """Half of all lines that are fitted to an engine without idle thrust cross 0 above throttle 0."""
+    thrusts = course(0.0, 200, offset=-9.0, exponent=exponent)
+    high = -9.0 + GAIN * 0.25**exponent
+    assert thrusts[0] == pytest.approx(high, abs=1e-9)
+    assert thrusts[-1] == pytest.approx(high * exp(-(200 - DELAY) * STEP / LAG), abs=1e-9)
+    closed = load_engine("fitted", {"gain": 20.0, "offset": -0.06}, STEP).curve.thrust[0]
+    assert closed == pytest.approx(0.0, abs=1e-9)  # within what counts as settled
+
+
 def test_it_rises_and_falls_no_quicker_than_stated() -> None:
     up, down = course(0.8, 150, rise=0.3), course(0.0, 150, fall=0.2)
     steps = [later - before for before, later in pairwise(up)]
