@@ -255,6 +255,7 @@ def find_source(name_or_path: str) -> EngineSource:
     """
     path = Path(name_or_path)
     if is_mapping(path):
+        _refuse_engine_not_left(path)
         mapping, fmu, ports = read_mapping(path)
         try:
             archive = _read(fmu, ports)
@@ -282,6 +283,12 @@ def find_source(name_or_path: str) -> EngineSource:
         raise InputError(f"engine {name_or_path}: {path} has not been built; run: hexjet fmu build")
     known = PortMap(ports=engine.ports, search=False)
     return EngineSource(path, read_archive(path, known), engine, _without_mapping(path.name))
+
+
+def _refuse_engine_not_left(path: Path) -> None:
+    """Refuse the engine of an identification that left none."""
+    if not path.exists() and (path.parent / "identification.json").is_file():
+        raise InputError(f"{path}: the identification left no engine; {path.parent / 'report.html'} says why")
 
 
 @lru_cache(64)

@@ -70,3 +70,14 @@ def test_a_load_cell_whose_zero_is_wrong_is_named(tmp_path: Path) -> None:
     engine = load_engine(str(write(result, tmp_path / "mine")["engine"]), {}, 0.004)
     assert find_curve_problems(engine.curve) == []
     assert engine.thrust_at(0.6) == pytest.approx(10.0, abs=0.3)
+
+
+def test_where_none_is_left_that_is_the_last_word(hexjet: Hexjet, tmp_path: Path) -> None:
+    log_of(tmp_path, Truth(gain=-20.0, offset=0.0), "stairs of 5 s")
+    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
+    assert done.status == 0  # a model is told
+    assert "no engine: the thrust falls where the throttle rises" in " ".join(done.out.split())
+    done = hexjet("fly", "hover", "--engine", "mine/engine.toml")
+    assert done.status == 2
+    line = f"{Path('mine', 'engine.toml')}: the identification left no engine; {Path('mine', 'report.html')} says why"
+    assert line in done.err.replace(f"{tmp_path}/", "")
