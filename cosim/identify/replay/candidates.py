@@ -15,6 +15,9 @@ from cosim.base.signals import AXES
 from cosim.identify.replay.flown import Change, Model
 
 ONE_AXIS, ALL_AXES = "moment of inertia about", "all moments of inertia"
+ALL_LATER, ENGINES_LATER = "all engines and servos later by", "engines alone later by"
+LARGER: Final = ((ONE_AXIS, ALL_AXES), (ENGINES_LATER, ALL_LATER))  # the second is the first and what did not move
+INERTIA, MASS, THRUST = "of inertia", "mass", "thrust of all engines"
 MOST_SWAPS_OF: Final = 10  # engines: of more no pairs are tried
 Sense = tuple[int, int, int]
 AS_STATED: Final[Sense] = (1, 1, 1)
@@ -31,6 +34,14 @@ class Cause:
     high: float
     probe: float  # by how much it is changed to see what it does
     change: Callable[[float], Change]
+    divides: bool = False  # what turns or lifts the vehicle: its inverse is what the motion is straight in
+
+    def moved(self, value: float, by: float) -> float:
+        """Return the number after a step of Gauss and Newton, within its bounds."""
+        if self.divides:
+            left = value - by
+            by = value * value / left - value if left > 0.0 else self.high
+        return min(max(value + by, self.low), self.high)
 
 
 @dataclass(frozen=True)
@@ -78,9 +89,11 @@ def combine(changes: Sequence[Change]) -> Change:
         prod(change.thrust for change in changes),
         jets,
         sum(change.delay_s for change in changes),
-        next((change.order for change in reversed(changes) if change.order), ()),
-        {name: value for change in changes for name, value in change.parameters.items()},
-        sum(change.damping for change in changes),
+        order=next((change.order for change in reversed(changes) if change.order), ()),
+        parameters={name: value for change in changes for name, value in change.parameters.items()},
+        damping=sum(change.damping for change in changes),
+        engines_s=sum(change.engines_s for change in changes),
+        servo_lag_s=sum(change.servo_lag_s for change in changes),
     )
 
 
@@ -103,15 +116,17 @@ def list_exchanges(model: Model, throttle: Array) -> Iterator[Exchange]:
 def list_numbers(model: Model) -> Iterator[Cause]:
     """Yield the causes that are one number."""
     for axis, letter in enumerate("xyz"):
-        yield _factor(f"{ONE_AXIS} {letter}", _inertia_change(axis))
-    yield _factor(ALL_AXES, lambda v: Change(inertia=(v, v, v)))
-    yield _factor("mass", lambda v: Change(mass=v))
-    yield _factor("thrust of all engines", lambda v: Change(thrust=v))
+        yield _factor(f"{ONE_AXIS} {letter}", _inertia_change(axis), divides=True)
+    yield _factor(ALL_AXES, lambda v: Change(inertia=(v, v, v)), divides=True)
+    yield _factor(MASS, lambda v: Change(mass=v), divides=True)
+    yield _factor(THRUST, lambda v: Change(thrust=v))
     for jet in range(min(len(model.vehicle.jets), 6)):
         yield _factor(f"thrust of engine {jet + 1}", _jet_change(jet))
-    yield Cause(
-        "all engines and servos later by", "s", 0.0, -0.2, 0.5, model.scenario.step_s, lambda v: Change(delay_s=v)
-    )
+    probe = model.scenario.step_s
+    yield Cause(ALL_LATER, "s", 0.0, -0.2, 0.5, probe, lambda v: Change(delay_s=v))
+    if model.vehicle.ranges:
+        yield Cause(ENGINES_LATER, "s", 0.0, -0.2, 0.5, probe, lambda v: Change(engines_s=v))
+        yield Cause("lag of the servos more by", "s", 0.0, -0.1, 0.5, probe, lambda v: Change(servo_lag_s=v))
     if model.vehicle.model is None:
         yield Cause("further damping of roll and pitch", "1/s", 0.0, 0.0, 50.0, 0.5, lambda v: Change(damping=v))
     yield from _lags(model)
@@ -141,8 +156,8 @@ def _lag(name: str, value: float, change: Callable[[float], Change]) -> Cause:
     return Cause(name, "s", value, 0.1 * value, 10.0 * value, 0.1 * value, change)
 
 
-def _factor(name: str, change: Callable[[float], Change]) -> Cause:
-    return Cause(name, "", 1.0, 0.2, 5.0, 0.05, change)
+def _factor(name: str, change: Callable[[float], Change], divides: bool = False) -> Cause:
+    return Cause(name, "", 1.0, 0.2, 5.0, 0.05, change, divides)
 
 
 def _inertia_change(axis: int) -> Callable[[float], Change]:

@@ -20,12 +20,12 @@ from cosim.base.arrays import Array, Flags
 from cosim.base.signals import Vector3
 from cosim.identify.replay.candidates import Cause, Exchange, Hypothesis, list_exchanges, list_numbers
 from cosim.identify.replay.flown import Model
-from cosim.identify.replay.misfit import MISFIT, Fitted, Judge, Part, Residuals
+from cosim.identify.replay.misfit import MISFIT, MOST, Fitted, Judge, Part, Residuals
 from cosim.identify.replay.windows import Flying
 
 REFINED: Final = 6  # causes that are fitted; the others would remove less
 REFINED_PAIRS: Final = 3  # of two numbers, and of an exchange with a number
-PROMISING: Final = 0.1  # of the misfit that is removed after a round, at least, by what is fitted further
+PROMISING: Final = 0.1  # of the misfit that is removed after two rounds, at least, by what is fitted further
 ROUNDS: Final = 4  # of Gauss and Newton
 SAME: Final = 0.95  # correlation of two slopes from where on two numbers are one
 KNOWN: Final = 1e-3  # of a number's curvature that windows have together, without which the others do not tell it
@@ -65,11 +65,10 @@ def find_causes(model: Model, flying: Flying, wind: Vector3) -> Causes:
     residuals = Residuals(model, flying, wind)
     nominal = residuals.of(Hypothesis())
     misfit = float(np.mean(nominal**2))
-    if misfit < MISFIT:
-        return Causes(misfit, (), (), "what is left is as large as the noise: there is nothing to explain")
     nominal, told = residuals.balance(nominal)
     if not told.any():
-        return Causes(misfit, (), (), "no channel that moves is off")
+        left = "what is left is as large as the noise" if misfit < MISFIT else "no channel that moves is off"
+        return Causes(misfit, (), (), f"{left}: there is nothing to explain")
     exchanges = tuple(list_exchanges(model, flying.flight.throttle))
     return search_causes(residuals, nominal, told, tuple(list_numbers(model)), exchanges, misfit)
 
@@ -93,11 +92,13 @@ def search_causes(
     singles = [(one, fitted) for one, fitted in singles if isfinite(fitted.removed)]
     singles.sort(key=lambda pair: -pair[1].removed)
     tried = tuple(fitted for _, fitted in singles)
-    pairs: tuple[Fitted, ...] = ()
+    exchanged = next((pair for pair in singles if pair[0].exchange), None)
+    found: list[Fitted] = []
     if tried and tried[0].over_noise > MISFIT:
-        exchanged = next((one for one, _ in singles if one.exchange), None)
-        found = [search.fit(pair) for pair in search.list_pairs(slopes, nominal, exchanged)]
-        pairs = tuple(sorted((one for one in found if isfinite(one.removed)), key=lambda one: -one.removed))
+        found = [search.fit(pair) for pair in search.list_pairs(slopes, nominal)]
+    if exchanged and exchanged[1].over_noise > MISFIT and exchanged[1].removed > (PROMISING if found else MOST):
+        found += [search.fit(pair) for pair in search.list_beside(exchanged[0])]
+    pairs = tuple(sorted((one for one in found if isfinite(one.removed)), key=lambda one: -one.removed))
     named, reason = search.judge.name(tried, pairs)
     return Causes(misfit, named, tried[:8], reason, pairs)
 
@@ -119,10 +120,8 @@ class _Search:
                 found.append(_Slope(cause, slope, float(np.sum(slope * left)) ** 2 / power))
         return sorted(found, key=lambda slope: -slope.promise)
 
-    def list_pairs(
-        self, slopes: Sequence[_Slope], nominal: Array, exchanged: Hypothesis | None
-    ) -> Iterator[Hypothesis]:
-        """Yield the pairs of numbers that promise most, and an exchange with those numbers that do so behind it."""
+    def list_pairs(self, slopes: Sequence[_Slope], nominal: Array) -> Iterator[Hypothesis]:
+        """Yield the pairs of numbers that promise most."""
         promises = []
         for one, other in combinations(slopes, 2):
             if abs(_correlation(one.values, other.values)) < SAME:
@@ -131,17 +130,18 @@ class _Search:
                 promises.append((float(nominal.ravel() @ (stack @ solution)), (one.cause, other.cause)))
         promises.sort(key=lambda promise: -promise[0])
         yield from (Hypothesis(causes) for _, causes in promises[:REFINED_PAIRS])
-        left = self._residuals.of(exchanged) if exchanged else nominal
-        if exchanged and self.judge.removed(left) > PROMISING:
-            for slope in self.slopes(exchanged, left)[:REFINED_PAIRS]:
-                yield replace(exchanged, numbers=(slope.cause,))
+
+    def list_beside(self, exchanged: Hypothesis) -> Iterator[Hypothesis]:
+        """Yield an exchange with the numbers that promise most behind it."""
+        for slope in self.slopes(exchanged, self._residuals.of(exchanged))[:REFINED_PAIRS]:
+            yield replace(exchanged, numbers=(slope.cause,))
 
     def fit(self, hypothesis: Hypothesis, left: Array | None = None) -> Fitted:
         """Fit the numbers of a hypothesis, from the stated ones on; ``left`` is what these leave, if known."""
         values = np.array(hypothesis.begin)
         left = self._residuals.of(hypothesis, values.tolist()) if left is None else left
         slopes: Array = np.zeros((*left.shape, len(values)))
-        for _ in range(ROUNDS if hypothesis.numbers else 0):
+        for done in range(ROUNDS if hypothesis.numbers else 0):
             slopes = self._slopes_at(hypothesis, values, left)
             normal = np.einsum("wnci,wncj->ij", slopes, slopes)
             if not np.isfinite(normal).all() or np.linalg.matrix_rank(normal) != len(values):
@@ -151,7 +151,7 @@ class _Search:
                 break
             moved, (values, left) = np.abs(better[0] - values), better
             probes = np.array([cause.probe for cause in hypothesis.numbers])
-            if np.all(moved < 0.05 * probes) or self.judge.removed(left) < PROMISING:
+            if np.all(moved < 0.05 * probes) or (done and self.judge.removed(left) < PROMISING):
                 break
         return self._fitted(hypothesis, values, left, slopes)
 
@@ -166,16 +166,16 @@ class _Search:
 
     def _step(self, hypothesis: Hypothesis, values: Array, left: Array, move: Array) -> tuple[Array, Array] | None:
         """Return better numbers and what they leave, by the whole move or a part of it; None where no part is."""
-        low, high = (np.array([getattr(cause, end) for cause in hypothesis.numbers]) for end in ("low", "high"))
         for part in (1.0, 0.5, 0.25):
-            candidate = np.clip(values + part * move, low, high)
+            steps = zip(hypothesis.numbers, values.tolist(), (part * move).tolist(), strict=True)
+            candidate: Array = np.array([cause.moved(value, by) for cause, value, by in steps])
             after = self._residuals.of(hypothesis, candidate.tolist())
             if float(np.sum(after**2)) < float(np.sum(left**2)):
                 return candidate, after
         return None
 
     def _fitted(self, hypothesis: Hypothesis, values: Array, left: Array, slopes: Array) -> Fitted:
-        halves, held_back = _bounds(slopes, left), _foretold(slopes, left)
+        halves, held_back = bounds(slopes, left), _foretold(slopes, left)
         parts = [Part(hypothesis.exchange.name, "")] if hypothesis.exchange else []
         at_limit = False
         for cause, value, half in zip(hypothesis.numbers, values.tolist(), halves, strict=True):
@@ -189,7 +189,7 @@ def _scores(slopes: Array, left: Array) -> Array:
     return np.asarray(np.einsum("wnci,wnc->wi", slopes, left))
 
 
-def _bounds(slopes: Array, left: Array) -> list[float | None]:
+def bounds(slopes: Array, left: Array) -> list[float | None]:
     """Return half of the 95 % interval of each number, each window taken for one observation."""
     from scipy.stats import t
 

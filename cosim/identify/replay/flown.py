@@ -46,6 +46,8 @@ class Change:
     thrust: float = 1.0  # of all engines
     jets: Mapping[int, float] = field(default_factory=dict)  # factor of a jet's thrust, from 0
     delay_s: float = 0.0  # by which all that engines and servos do comes later
+    engines_s: float = 0.0  # by which the engines alone do
+    servo_lag_s: float = 0.0  # by which the lag of every servo and hinge is larger
     order: tuple[int, ...] = ()  # the jet, from 0, whose command each jet has
     parameters: Mapping[str, float] = field(default_factory=dict)  # of the engines
     damping: float = 0.0  # 1/s, of roll and pitch, beside that of the vehicle's [aero]
@@ -99,7 +101,7 @@ class Model:
 
     def loads(self, flight: RecordedFlight, change: Change) -> Loads:
         """Return what the engines, servos and effects do with the commands of a flight."""
-        reordered = bool(change.order) or bool(change.jets)
+        reordered = bool(change.order or change.jets or change.engines_s or change.servo_lag_s)
         key = tuple(sorted(change.parameters.items()))
         if reordered or key not in self._loads:
             loads = self._run_engines(flight, change)
@@ -115,9 +117,13 @@ class Model:
         if change.parameters or factors:
             mismatch = {"engine_parameters": dict(change.parameters), **factors}
             scenario = scenario.replace(mismatch={key: value for key, value in mismatch.items() if value})
+        if change.servo_lag_s:
+            scenario = scenario.replace(vehicle=_slower_servos(self.vehicle, change.servo_lag_s))
         with build(scenario) as simulation:
             self.engine = self.engine or simulation.engine
-            propulsion, throttle = simulation.propulsion, flight.throttle
+            propulsion = simulation.propulsion
+            rows: Array = np.arange(float(len(flight.throttle))) - change.engines_s / flight.step
+            throttle = _shifted(flight.throttle, rows) if change.engines_s else flight.throttle
             if change.order:
                 throttle = throttle[:, list(change.order)]
             commands: list[PerJet] = [tuple(row) for row in throttle.tolist()]
@@ -181,6 +187,16 @@ def changed_vehicle(vehicle: Vehicle, change: Change) -> Vehicle:
         damping = (roll + change.damping * jx, pitch + change.damping * jy, yaw)
         update["aero"] = vehicle.aero.model_copy(update={"damping_n_m_s": damping})
     return vehicle.model_copy(update=update)
+
+
+def _slower_servos(vehicle: Vehicle, more: float) -> dict[str, Any]:
+    """Return what a vehicle states otherwise whose servos and hinges have a longer lag [s]."""
+    if vehicle.servo is not None:
+        return {"servo": {"lag_s": max(vehicle.servo.lag_s + more, 0.0)}}
+    hinges = [
+        hinge.model_dump(exclude_unset=True) | {"lag_s": max(hinge.lag_s + more, 0.0)} for hinge in vehicle.hinges
+    ]
+    return {"hinges": hinges}
 
 
 def recorded_states(flight: RecordedFlight, vehicle: Vehicle) -> list[State]:

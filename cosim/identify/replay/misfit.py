@@ -11,7 +11,7 @@ import numpy as np
 from cosim.base.arrays import Array, Flags
 from cosim.base.errors import EngineError, FlightError, InputError
 from cosim.base.signals import Vector3
-from cosim.identify.replay.candidates import ALL_AXES, AS_STATED, ONE_AXIS, Hypothesis, Sense
+from cosim.identify.replay.candidates import AS_STATED, LARGER, Hypothesis, Sense
 from cosim.identify.replay.flown import Change, Flown, Model
 from cosim.identify.replay.measures import EXCITED
 from cosim.identify.replay.windows import Flying, accelerometer_zero, without_start
@@ -26,6 +26,7 @@ NEAR: Final = 0.05  # and share of the misfit
 PAIR_REST: Final = 0.5  # of what the best single cause leaves of windows held back, that a pair leaves at most
 TELLING: Final = 0.2  # of the mean misfit of a window, from where on it says something
 LEAST_TELLING: Final = 2  # windows with a misfit, for a name
+AIR_M_S: Final = 5.0  # by which a wind may be off, and not cost anything to speak of
 MOST_WINDOWS: Final = 20  # that move most: with so many a cause is looked for
 
 
@@ -93,6 +94,16 @@ class Fitted:
         """Whether it removes most of the misfit, and what is left is not most of what moved."""
         return self.removed >= MOST and self.rest <= MOST_REST and not self.at_limit
 
+    @property
+    def has_exchange(self) -> bool:
+        """Whether engines or an axis are exchanged."""
+        return any(part.value is None for part in self.parts)
+
+    @property
+    def are_apart(self) -> bool:
+        """Whether each number differs from the stated one."""
+        return all(part.is_apart for part in self.parts)
+
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the windows, for JSON."""
         return {
@@ -113,7 +124,10 @@ class Fitted:
 
 
 class Residuals:
-    """What a replay leaves, in units of the noise: (w, n, c), by the channels that the log has."""
+    """What a replay leaves, in units of the noise: (w, n, c), by the channels that the log has.
+
+    What another constant wind would make of it is taken out, for the estimated one is wrong where the model is.
+    """
 
     def __init__(self, model: Model, flying: Flying, wind: Vector3) -> None:
         self._model, self._wind = model, wind
@@ -122,15 +136,35 @@ class Residuals:
         self.flying = flying.only(chosen.tolist())
         self.has_force = flying.flight.has_force
         self._weights = np.ones(6 if self.has_force else 3)
+        self._winds: Array = np.zeros(
+            (0, 1, 1, 1)
+        )  # what a wind of AIR_M_S more, north and east, makes of the residuals
+        still = self.of(Hypothesis())
+        self._winds = np.stack([self._in_wind(AIR_M_S * axis) - still for axis in np.eye(2)])
+
+    def _in_wind(self, more: Array) -> Array:
+        north, east, down = self._wind
+        wind = (north + float(more[0]), east + float(more[1]), down)
+        flown = self._model.fly(self.flying.flight, self.flying.windows, self.flying.starts, None, wind)
+        return self._weigh(self.flying.measured(), flown)
+
+    def _without_wind(self, left: Array) -> Array:
+        """Return residuals without the winds that fit them best; one of AIR_M_S costs as much as the noise of a row."""
+        if not len(self._winds):
+            return left
+        shapes = (self._weights * self._winds).reshape(len(self._winds), -1)
+        fitted = np.linalg.solve(shapes @ shapes.T + np.eye(len(shapes)), shapes @ left.ravel())
+        return left - np.asarray(fitted @ shapes).reshape(left.shape)
 
     def balance(self, nominal: Array) -> tuple[Array, Flags]:
-        """Let channels with a misfit count alike from here on, others little.
+        """Let each channel count by the root of its misfit from here on, those that are not off little.
 
-        Return the model's own residuals so, and which channels are to be explained, (c,): those that move and are off.
+        So the largest does not hide the others, and one that is hardly off has little to say.  Return the model's own
+        residuals so, and which channels are to be explained, (c,): those that move and are off.
         """
         off, moves = np.mean(nominal**2, axis=(0, 1)), np.mean(self.movement() ** 2, axis=(0, 1))
         told = (off > MISFIT) & (moves > EXCITED**2)
-        self._weights = np.where(told, 1.0, LITTLE) / np.maximum(1.0, np.sqrt(off))
+        self._weights = np.where(told, 1.0, LITTLE) / np.maximum(1.0, off) ** 0.25
         return np.asarray(nominal * self._weights), told
 
     @property
@@ -167,14 +201,11 @@ class Residuals:
     def _weigh(self, measured: Array, flown: Flown) -> Array:
         flying = self.flying
         error = measured[:, :, :6] - flying.modelled(flown)[:, :, :6]
-        rates = without_start(error[:, :, :3], flying.flight.step)
-        if not self.has_force:
-            return np.asarray(self._weights * rates / flying.noise.rate)
-        force = error[:, :, 3:].copy()
-        force -= accelerometer_zero(force, self._model.vehicle)
-        return np.asarray(
-            self._weights * np.concatenate([rates / flying.noise.rate, force / flying.noise.force], axis=2)
-        )
+        left = without_start(error[:, :, :3], flying.flight.step) / flying.noise.rate
+        if self.has_force:
+            force = error[:, :, 3:] - accelerometer_zero(error[:, :, 3:], self._model.vehicle)
+            left = np.concatenate([left, force / flying.noise.force], axis=2)
+        return self._without_wind(self._weights * left)
 
 
 class Judge:
@@ -218,13 +249,16 @@ class Judge:
         if not likely:
             return (), _why_unlikely(tried[0])
         best, *others = likely
+        if not both:  # an exchange may hide in a number: two of six engines swapped look like an inertia of three times
+            others += [one for one in pairs if one.has_exchange and one.is_likely and one.are_apart]
         if best.sure < SURE:
             return (), (
                 f"{best.text} would remove most of it, but the windows do not agree ({best.sure:.1f} standard errors)"
             )
         together = [best, *(one for one in others if not self._is_apart(one, best))]
-        if any(ONE_AXIS in one.name for one in together):  # all axes are that one and others that did not turn
-            together = [one for one in together if ALL_AXES not in one.name]
+        for part, whole in LARGER:
+            if any(part in one.name for one in together):
+                together = [one for one in together if whole not in one.name]
         return tuple(together), ""
 
     def _is_needed(self, pair: Fitted, single: Fitted) -> bool:
@@ -233,7 +267,7 @@ class Judge:
         Each window is foretold by the numbers that the others give, so that a second number that only fits does not
         count.
         """
-        if not pair.is_likely or not all(part.is_apart for part in pair.parts):
+        if not pair.is_likely or not pair.are_apart:
             return False
         enough = float(np.mean(pair.held_back)) <= PAIR_REST * float(np.mean(single.held_back))
         return enough and self._gain(single.held_back, pair.held_back) >= APART

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -13,9 +13,11 @@ from cosim.base.signals import ZERO3, Vector3
 from cosim.engine import EngineSpec
 from cosim.engine.fmu.uncertainty import CUT, cut_normal
 from cosim.engine.fmu.variables import INTEGERS
+from cosim.identify.replay.candidates import INERTIA, MASS, THRUST
 from cosim.identify.replay.causes import Causes, find_causes, without_windows
 from cosim.identify.replay.closed_loop import cut_whole, fly_setpoints
 from cosim.identify.replay.flown import Change, Flown, Model, Starts
+from cosim.identify.replay.gyro import without_gyro_offset
 from cosim.identify.replay.measures import (
     LEVEL,
     Band,
@@ -25,6 +27,8 @@ from cosim.identify.replay.measures import (
     measure_channels,
     measure_ratio,
 )
+from cosim.identify.replay.misfit import Part
+from cosim.identify.replay.reach import Reach, find_reach
 from cosim.identify.replay.recorded import RecordedFlight
 from cosim.identify.replay.wind import Wind, estimate_wind
 from cosim.identify.replay.windows import CHANNELS, Flying, accelerometer_zero, cut, slopes
@@ -74,8 +78,10 @@ class Replay:
     ratios: dict[str, Ratio]
     wind: Wind
     causes: Causes
+    draws_engine: bool  # by an [uncertainty] of the engine
     tolerances: tuple[str, ...]
     notes: tuple[str, ...]
+    reach: Reach | None = None  # of a log that finds nothing wrong, in open loop
 
     @property
     def window_s(self) -> float:
@@ -102,12 +108,14 @@ class Replay:
     def verdict(self) -> str:
         """Whether the model explains what the log excites: every such channel is inside the envelope.
 
-        Where nothing turns it is not told, unless thrust over mass is off.
+        Not, where a cause is named that is beyond the tolerances.  Where no moment of inertia would show it is not
+        told, unless thrust over mass is off.
         """
         moved = [channel for channel in self.channels if channel.excited]
-        if not all(channel.within >= NEEDED for channel in moved):
+        if not are_explained(moved) or are_beyond(self.causes, self.choices, self.draws_engine):
             return NOT_EXPLAINED
-        return EXPLAINED if any(channel.name != LEVEL for channel in moved) else NOT_TOLD
+        told = any(channel.name != LEVEL for channel in moved) and (self.reach is None or self.reach.tells_inertia)
+        return EXPLAINED if told else NOT_TOLD
 
     @property
     def evidence(self) -> tuple[str, ...]:
@@ -120,14 +128,15 @@ class Replay:
         lines = [f"{flying.seconds:.1f} s in {count} windows of {window:g} s, {how}"]
         outside = [c for c in self.channels if c.excited and c.within < NEEDED]
         lines += [f"{c.name}: {100.0 * c.within:.0f} % of the time within, Theil's U {c.theil.u:.2f}" for c in outside]
+        moved = [c for c in self.channels if c.excited]
         coherent = [
-            f"{c.name} {b.low_hz:.2g} to {b.high_hz:.2g} Hz"
-            for c in self.channels
-            for b in c.bands
-            if b.gain_db is not None
+            f"{c.name} {b.low_hz:.2g} to {b.high_hz:.2g} Hz" for c in moved for b in c.bands if b.gain_db is not None
         ]
         lines.append(f"coherent: {', '.join(coherent)}" if coherent else "no band in which both are coherent")
-        lines += [text for c in self.channels for b in c.bands if (text := _describe_band(c.name, b))]
+        lines += [text for c in moved for b in c.bands if (text := _describe_band(c.name, b))]
+        if self.causes.named and self.verdict != NOT_EXPLAINED:
+            lines.append(f"nearer still, within the tolerances: {' or '.join(one.text for one in self.causes.named)}")
+        lines += self.reach.lines if self.reach else ()
         still = [c.name for c in self.channels if not c.excited]
         if still:
             lines.append(f"not told, for it moves no more than its noise: {', '.join(still)}")
@@ -179,6 +188,7 @@ class Replay:
             "moment_rms_n_m": list(self.moment_rms),
             "wind": self.wind.to_dict(),
             "causes": self.causes.to_dict(),
+            "reach": self.reach.to_dict() if self.reach else None,
         }
 
 
@@ -213,7 +223,7 @@ def replay(
     length = choices.window_s or usual_window(model.vehicle)
     tell("start", 0, count)
     if flight.setpoints is None:
-        as_recorded = flying = cut(model, flight, length)
+        as_recorded = flying = without_gyro_offset(cut(model, flight, length))
         wind = estimate_wind(model, flying)
         for _ in range(CORRECTIONS):
             flying = _correct(model, flying, wind.velocity)
@@ -244,10 +254,36 @@ def replay(
         causes = without_windows(find_causes(model, as_recorded, wind.velocity))
     engine = model.engine
     assert engine is not None
+    uncertain, reach = engine.uncertainty is not None, None
+    if flight.setpoints is None and are_explained(channels) and not are_beyond(causes, choices, uncertain):
+        reach = find_reach(model, as_recorded, wind.velocity)
     return Replay(
         log, model.vehicle, engine.name, choices, flying, modelled, *envelope.ends, flown, channels,
-        _ratios(flying, modelled, channels), wind, causes, _tolerances(engine, choices), _notes(flight),
+        _ratios(flying, modelled, channels), wind, causes, uncertain, _tolerances(engine, choices), _notes(flight),
+        reach,
     )  # fmt: skip
+
+
+def are_explained(channels: Sequence[ChannelMeasures]) -> bool:
+    """Return whether every channel that moves is inside the envelope."""
+    return all(channel.within >= NEEDED for channel in channels if channel.excited)
+
+
+def are_beyond(causes: Causes, choices: Choices, draws_engine: bool) -> bool:
+    """Return whether causes are named, and each of them is further off than the draws are: two standard deviations."""
+    return bool(causes.named) and not any(
+        all(_is_drawn(part, choices, draws_engine) for part in one.parts) for one in causes.named
+    )
+
+
+def _is_drawn(part: Part, choices: Choices, draws_engine: bool) -> bool:
+    if part.value is None or part.begin is None:
+        return False
+    if draws_engine and (part.unit == "s" or part.name == THRUST):
+        return True
+    deviations = {MASS: choices.mass, THRUST: choices.thrust}
+    deviation = deviations.get(part.name, choices.inertia if INERTIA in part.name else 0.0)
+    return abs(part.value - part.begin) <= 2.0 * deviation
 
 
 def _ratios(flying: Flying, modelled: Array, channels: tuple[ChannelMeasures, ...]) -> dict[str, Ratio]:

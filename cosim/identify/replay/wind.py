@@ -16,7 +16,7 @@ STEP_M_S: Final = 8.0  # in one of them: in still air the slope tells little
 CLOSE_M_S: Final = 0.1
 MOST_WINDOWS: Final = 10  # that are looked at
 PROBE_M_S: Final = 1.0
-SURE: Final = 2.0  # times its standard deviation; a smaller wind is not told from none
+SURE: Final = 0.9772  # quantile: twice its standard deviation, were that known; a smaller wind is not told from none
 MOST_M_S: Final = 30.0
 
 
@@ -24,7 +24,7 @@ class Wind(NamedTuple):
     """The wind that the windows are flown in: m/s NED, where the air moves to; and how well it is known."""
 
     velocity: Vector3
-    deviation: float | None  # m/s, of each component; None: not estimated
+    deviation: float | None  # m/s, of the component that is told less well; None: not estimated
     reason: str  # of a wind that is zero
 
     def to_dict(self) -> dict[str, Any]:
@@ -33,7 +33,13 @@ class Wind(NamedTuple):
 
 
 def estimate_wind(model: Model, flying: Flying) -> Wind:
-    """Estimate a wind from the changes of velocity within the windows; none where the log has none."""
+    """Estimate a wind from the changes of velocity within the windows; none where the log has none.
+
+    Where the log has an attitude the model's forces act along the measured one: what turns the vehicle otherwise than
+    the model, such as a wrong moment of inertia, is no wind.
+    """
+    from scipy.stats import t
+
     if not flying.flight.has_velocity:
         return Wind(ZERO3, None, "no velocity in the log: taken for still air")
     flying = flying.only(
@@ -50,21 +56,36 @@ def estimate_wind(model: Model, flying: Flying) -> Wind:
         inverse = np.linalg.inv(normal)
         move = -inverse @ np.einsum("wci,wc->i", slopes, base)
         scores = np.einsum("wci,wc->wi", slopes, base + np.einsum("wci,i->wc", slopes, move))
-        deviation = float(np.sqrt(max(np.trace(inverse @ (scores.T @ scores) @ inverse), 0.0) / 2.0))
+        few = len(scores) / (len(scores) - 1.0)
+        deviation = float(np.sqrt(few * np.diag(inverse @ (scores.T @ scores) @ inverse).max(initial=0.0)))
         size = float(np.linalg.norm(move))
         wind = wind + move * min(1.0, STEP_M_S / max(size, 1e-9))
         if not np.linalg.norm(wind) < MOST_M_S:
             return Wind(ZERO3, None, f"beyond {MOST_M_S:g} m/s: drag tells too little; taken for still air")
         if size < CLOSE_M_S:
             break
-    if float(np.linalg.norm(wind)) < SURE * deviation:
-        return Wind(ZERO3, deviation, "less than twice its standard deviation: taken for still air")
+    if float(np.linalg.norm(wind)) < float(t.ppf(SURE, len(flying.windows) - 1)) * deviation:
+        return Wind(ZERO3, deviation, "too small for its standard deviation: taken for still air")
     return Wind((float(wind[0]), float(wind[1]), 0.0), deviation, "")
 
 
 def _drift(model: Model, flying: Flying, wind: Array) -> Array:
     """Return by how much velocities north and east are off at the end of each window, (w, 2) m/s."""
     moved = (float(wind[0]), float(wind[1]), 0.0)
-    flown = model.fly(flying.flight, flying.windows, flying.starts, None, moved)
-    last = flying.rows[:, -1]
-    return np.nan_to_num((flying.flight.velocity - flown.velocity)[last, :2])
+    flight = flying.flight
+    flown = model.fly(flight, flying.windows, flying.starts, None, moved)
+    rows = flying.rows
+    drift = (flight.velocity - flown.velocity)[rows[:, -1], :2]
+    if flight.has_angles:
+        turned = level_part(flown.force[rows], flight.angles[rows]) - level_part(flown.force[rows], flown.angles[rows])
+        drift = drift - flight.step * turned.sum(axis=1)
+    return np.nan_to_num(drift)
+
+
+def level_part(force: Array, angles: Array) -> Array:
+    """Return what forces (..., 3) of the body have north and east, (..., 2), at roll, pitch and yaw (..., 3) [rad]."""
+    (x, y, z), (roll, pitch, yaw) = np.moveaxis(force, -1, 0), np.moveaxis(angles, -1, 0)
+    ahead = np.cos(pitch) * x + np.sin(pitch) * (np.sin(roll) * y + np.cos(roll) * z)
+    right = np.cos(roll) * y - np.sin(roll) * z
+    north, east = np.cos(yaw) * ahead - np.sin(yaw) * right, np.sin(yaw) * ahead + np.cos(yaw) * right
+    return np.stack([north, east], axis=-1)

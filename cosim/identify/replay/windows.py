@@ -127,12 +127,19 @@ def _hit(flight: RecordedFlight) -> Flags:
 def _smoothed(values: Array, step: float) -> Array:
     from scipy.signal import savgol_filter
 
-    rows = max(5, 2 * round(0.5 * SMOOTH_S / step) + 1)
-    return np.asarray(savgol_filter(np.nan_to_num(values), rows, 2, axis=0))
+    return np.asarray(savgol_filter(np.nan_to_num(values), _smoothing_rows(step), 2, axis=0))
+
+
+def _smoothing_rows(step: float) -> int:
+    return max(5, 2 * round(0.5 * SMOOTH_S / step) + 1)
 
 
 def measure_noise(model: Model, flight: RecordedFlight, flies: Flags) -> Noise:
-    """Return each channel's noise: what a parabola leaves of it, or what the vehicle states if that is more."""
+    """Return each channel's noise, by what a parabola leaves of it, or what the vehicle states if that is more."""
+    from scipy.signal import savgol_coeffs
+
+    rows = _smoothing_rows(flight.step)
+    left = float(np.sqrt(1.0 - savgol_coeffs(rows, 2)[rows // 2]))  # of white noise
     sensors = model.vehicle.sensors
     stated = (sensors.gyro.noise_rad_s, sensors.accelerometer.noise_m_s2, sensors.attitude.noise_rad)
     gain = 1.0 - np.exp(-flight.step / sensors.gyro.filter_s) if sensors.gyro.filter_s > 0.0 else 1.0
@@ -140,7 +147,7 @@ def measure_noise(model: Model, flight: RecordedFlight, flies: Flags) -> Noise:
     levels = []
     for values, least, share in zip((flight.rate, flight.force, flight.angles), stated, passed, strict=True):
         rest = (values - _smoothed(values, flight.step))[flies]
-        spread = np.nanstd(rest, axis=0) if np.isfinite(rest).any() else np.zeros(3)
+        spread = np.nanstd(rest, axis=0) / left if np.isfinite(rest).any() else np.zeros(3)
         levels.append(np.maximum(np.nan_to_num(spread), max(least * share, 1e-6)))
     return Noise(*levels)
 

@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from cosim.base.frames import from_euler, multiply, rotate, to_euler
+from cosim.identify.replay import Choices
 from cosim.identify.replay.candidates import Cause, Exchange, Hypothesis, combine
 from cosim.identify.replay.causes import Causes, search_causes
 from cosim.identify.replay.flown import Change
+from cosim.identify.replay.gyro import euler_rates
 from cosim.identify.replay.measures import Envelope
+from cosim.identify.replay.misfit import Fitted, Part
+from cosim.identify.replay.replay import are_beyond
+from cosim.identify.replay.wind import level_part
 
 WINDOWS, ROWS, CHANNELS = 8, 60, 2
 NAMES = ("first", "second", "third", "fourth")
@@ -80,6 +86,51 @@ def test_what_no_cause_makes_is_laid_on_none() -> None:
         result = searched(Straight(seed, {}, other=5.0))
         assert not result.named
         assert result.reason
+
+
+def test_a_number_that_divides_is_found_in_one_step() -> None:
+    """A step of Gauss and Newton in the inverse is exact where the motion goes with it; a large one ends at a bound."""
+    inertia = Cause("inertia", "", 1.0, 0.2, 5.0, 0.05, lambda value: Change(), divides=True)
+    for begin, truth in ((1.0, 0.7), (1.0, 1.3), (0.6, 2.0)):
+        left, slope = 1.0 / truth - 1.0 / begin, 1.0 / begin**2  # of the residual: true less modelled
+        assert inertia.moved(begin, -left / slope) == pytest.approx(truth)
+    assert inertia.moved(1.0, 1.5) == inertia.high
+    assert inertia.moved(1.0, -30.0) == inertia.low
+
+
+def test_a_named_cause_beyond_the_tolerances_is_not_explained() -> None:
+    """Though every channel is inside the envelope, which engines that are hardly known make wide."""
+
+    def named(*parts: Part) -> Causes:
+        return Causes(7.0, tuple(Fitted((part,), 1.0, np.zeros(3), np.zeros(3), 9.0, 0.0) for part in parts), (), "")
+
+    usual = Choices()
+    inertia = Part("moment of inertia about z", "", 0.7, 0.01, 1.0)
+    little = Part("moment of inertia about z", "", 0.95, 0.01, 1.0)
+    lag = Part("lag of the engines", "s", 0.12, 0.01, 0.1)
+    assert are_beyond(named(inertia), usual, True)
+    assert are_beyond(named(inertia), usual, False)
+    assert not are_beyond(named(little), usual, False)
+    assert are_beyond(named(lag), usual, False)
+    assert not are_beyond(named(lag), usual, True)
+    assert not are_beyond(named(inertia, lag), usual, True)
+    assert are_beyond(named(Part("engines 1 and 2 swapped", "")), usual, True)
+    assert not are_beyond(named(), usual, True)
+
+
+def test_forces_are_turned_as_an_attitude_turns_them() -> None:
+    rng = np.random.default_rng(1)
+    for angles, force in zip(rng.uniform(-1.0, 1.0, (5, 3)), rng.standard_normal((5, 3)), strict=True):
+        assert level_part(force, angles) == pytest.approx(rotate(from_euler(*angles), tuple(force))[:2])
+
+
+def test_a_turn_is_the_sum_of_its_euler_rates() -> None:
+    """The change of an attitude by a small turn about each body axis."""
+    angles, small = np.array([0.3, -0.4, 0.9]), 1e-6
+    for axis in np.eye(3):
+        turned = multiply(from_euler(*angles), (1.0, *(0.5 * small * axis)))
+        change = (np.array(to_euler(turned)) - angles) / small
+        np.testing.assert_allclose(euler_rates(angles) @ axis, change, atol=1e-5)
 
 
 def test_the_numbers_of_two_causes_multiply_and_add() -> None:
