@@ -112,18 +112,33 @@ def engine_draw(scenario: Scenario) -> EngineDraw:
 def default_draw(scenario: Scenario, nominal: bool, varied: Collection[str] = ()) -> tuple[EngineDraw | None, str]:
     """Return the draws of a scenario's engine that flights have unless told otherwise, and a line on it.
 
-    None, and no line, for an engine that states no uncertainty; None where ``nominal`` says so, and where a key of
-    ``varied`` is drawn with it or brings another engine.  Raises InputError.
+    None for an engine that states no uncertainty, with a line on single stations' engines that do; None where
+    ``nominal`` says so, and where a key of ``varied`` is drawn with it or brings another engine.  Raises InputError.
     """
+    others = _describe_stations_not_drawn(scenario)
     if engine_source(scenario, scenario.engine).uncertainty is None:
-        return None, ""
+        return None, others
     draw = engine_draw(scenario)
     drawn = {key.path for key in draw.keys}
     other = next((key for key in varied if key in drawn or brings_engine(key)), None)
     if nominal or other is not None:
         why = "" if other is None else f": {other} is varied"
         return None, f"the engine flies as it is stated and is not {draw.description}{why}"
-    return draw, f"the engine of each flight is {draw.description}; --nominal-engine flies it as it is stated"
+    more = f"; {others}" if others else ""
+    return draw, f"the engine of each flight is {draw.description}; --nominal-engine flies it as it is stated{more}"
+
+
+def _describe_stations_not_drawn(scenario: Scenario) -> str:
+    """Describe stations with an engine of their own that states an uncertainty; an empty string without any."""
+    vehicle, _ = scenario.resolved_vehicle()
+    found: dict[str, list[str]] = {}
+    for number, jet in enumerate(vehicle.jets, 1):
+        station = scenario.stations.get(str(number))
+        engine = jet.engine if station is None else station.engine
+        if engine is not None and engine_source(scenario, engine).uncertainty is not None:
+            found.setdefault(engine, []).append(str(number))
+    stations = "; ".join(f"{', '.join(numbers)}: {engine}" for engine, numbers in found.items())
+    return f"[uncertainty] of engines at single stations is not drawn ({stations})" if found else ""
 
 
 def brings_engine(key: str) -> bool:

@@ -189,6 +189,17 @@ def test_what_is_stated_is_not_drawn_over(tmp_path: Path) -> None:
     assert not library.notes()
 
 
+def test_an_uncertain_engine_of_a_single_station_is_not_drawn_and_that_is_said(tmp_path: Path) -> None:
+    file = fan(tmp_path, DEVIATION, SPREAD)
+    station, mass = f"stations.3.engine={file}", ["vehicle.mass_kg=5:6"]
+    said = f"[uncertainty] of engines at single stations is not drawn (3: {file})"
+    alone = open_study("roll-doublet", vary=mass, settings=[station, "controller=baseline"], runs=2)
+    assert (keys(alone), alone.notes()[-1]) == (["vehicle.mass_kg"], said)
+    beside = study(file, 2, settings=[station])
+    assert beside.notes()[-1].endswith(f"as it is stated; {said}")
+    assert not [name for name in beside.drawn if name.startswith(f"{STATION}3.")]
+
+
 def test_each_point_of_a_grid_has_an_engine_of_its_own(tmp_path: Path) -> None:
     file = fan(tmp_path, DEVIATION, SPREAD)
     grid = study(file, None, vary=["vehicle.mass_kg=5,6"], repeats=3)
