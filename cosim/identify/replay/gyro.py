@@ -17,7 +17,7 @@ OTHER_UNIT: Final = 5.0  # times as far as the rates say the attitude turns, or 
 ALIKE: Final = 0.9  # correlation of both turns from where on their ratio says something
 
 
-def without_gyro_offset(flying: Flying) -> Flying:
+def without_gyro_offset(flying: Flying, log: str) -> Flying:
     """Return the flight with the offset of its gyro taken off and noted, where its attitude tells one.
 
     Raises InputError where the attitude turns by another unit than the rates.
@@ -28,7 +28,7 @@ def without_gyro_offset(flying: Flying) -> Flying:
     matrices = euler_rates(angles)
     rates = np.nan_to_num(flight.rate[flying.rows])
     turned = flight.step * np.cumsum(np.einsum("wnij,wnj->wni", matrices, rates), axis=1)
-    _check_units(angles - angles[:, :1], turned - turned[:, :1])
+    _check_units(log, angles - angles[:, :1], turned - turned[:, :1])
     drift = slopes(angles - turned, flight.step)
     offsets = -np.linalg.solve(matrices.mean(axis=1), drift[:, :, None])[:, :, 0]
     offset = offsets.mean(axis=0)
@@ -64,7 +64,7 @@ def _bound(offsets: Array) -> Array:
     return np.asarray(float(t.ppf(SURE, count - 1)) * spread)
 
 
-def _check_units(measured: Array, turned: Array) -> None:
+def _check_units(log: str, measured: Array, turned: Array) -> None:
     """Raise InputError where the attitude turns many times as far as the rates say, or hardly."""
     one, other = (values - values.mean(axis=1, keepdims=True) for values in (measured, turned))
     power = float(np.sum(other**2))
@@ -72,6 +72,6 @@ def _check_units(measured: Array, turned: Array) -> None:
     alike = abs(ratio) * np.sqrt(power / max(float(np.sum(one**2)), 1e-300))
     if alike > ALIKE and not 1.0 / OTHER_UNIT < abs(ratio) < OTHER_UNIT:
         raise InputError(
-            f"the attitude turns {abs(ratio):.3g} times as far as the rates say: both must be in radians, "
+            f"{log}: the attitude turns {abs(ratio):.3g} times as far as the rates say: both must be in radians, "
             f"{'the attitude' if abs(ratio) > 1.0 else 'the rates'} may be in degrees"
         )

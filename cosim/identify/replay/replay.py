@@ -223,7 +223,7 @@ def replay(
     length = choices.window_s or usual_window(model.vehicle)
     tell("start", 0, count)
     if flight.setpoints is None:
-        as_recorded = flying = without_gyro_offset(cut(model, flight, length))
+        as_recorded = flying = without_gyro_offset(cut(model, flight, length), log)
         wind = estimate_wind(model, flying)
         for _ in range(CORRECTIONS):
             flying = _correct(model, flying, wind.velocity)

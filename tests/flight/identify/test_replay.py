@@ -229,7 +229,7 @@ def test_a_gyro_that_is_off_is_told_by_the_attitude(doublet: Path) -> None:
 def test_degrees_beside_radians_are_refused(doublet: Path, signal: str, said: str) -> None:
     flight = recorded(doublet)
     wrong = replace(flight, **{signal: np.degrees(getattr(flight, signal))})
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=f"^flight: the attitude turns .*{said}"):
         replayed(wrong)
 
 
