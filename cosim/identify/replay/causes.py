@@ -41,6 +41,11 @@ class Causes:
     reason: str
     pairs: tuple[Fitted, ...] = ()  # two at once, where one leaves more than noise
 
+    @property
+    def finds_nothing(self) -> bool:
+        """Whether no rate or force that moves is off by more than noise."""
+        return isfinite(self.misfit) and not self.tried
+
     def to_dict(self) -> dict[str, Any]:
         """Return everything, for JSON."""
         return {

@@ -112,7 +112,7 @@ class Replay:
         told, unless thrust over mass is off.
         """
         moved = [channel for channel in self.channels if channel.excited]
-        if not are_explained(moved) or are_beyond(self.causes, self.choices, self.draws_engine):
+        if not are_explained(moved, self.causes) or are_beyond(self.causes, self.choices, self.draws_engine):
             return NOT_EXPLAINED
         told = any(channel.name != LEVEL for channel in moved) and (self.reach is None or self.reach.tells_inertia)
         return EXPLAINED if told else NOT_TOLD
@@ -129,6 +129,9 @@ class Replay:
         outside = [c for c in self.channels if c.excited and c.within < NEEDED]
         lines += [f"{c.name}: {100.0 * c.within:.0f} % of the time within, Theil's U {c.theil.u:.2f}" for c in outside]
         moved = [c for c in self.channels if c.excited]
+        estimates = ", ".join(c.name for c in outside if is_estimate(c, self.causes))
+        if estimates:
+            lines.append(f"{estimates}: no rate is off, so the attitude of the log is late or drifts, not the vehicle")
         coherent = [
             f"{c.name} {b.low_hz:.2g} to {b.high_hz:.2g} Hz" for c in moved for b in c.bands if b.gain_db is not None
         ]
@@ -255,7 +258,7 @@ def replay(
     engine = model.engine
     assert engine is not None
     uncertain, reach = engine.uncertainty is not None, None
-    if flight.setpoints is None and are_explained(channels) and not are_beyond(causes, choices, uncertain):
+    if flight.setpoints is None and are_explained(channels, causes) and not are_beyond(causes, choices, uncertain):
         reach = find_reach(model, as_recorded, wind.velocity)
     return Replay(
         log, model.vehicle, engine.name, choices, flying, modelled, *envelope.ends, flown, channels,
@@ -264,9 +267,14 @@ def replay(
     )  # fmt: skip
 
 
-def are_explained(channels: Sequence[ChannelMeasures]) -> bool:
-    """Return whether every channel that moves is inside the envelope."""
-    return all(channel.within >= NEEDED for channel in channels if channel.excited)
+def are_explained(channels: Sequence[ChannelMeasures], causes: Causes) -> bool:
+    """Return whether every channel that moves is inside the envelope; an angle whose rates are as modelled need not."""
+    return all(c.within >= NEEDED or is_estimate(c, causes) for c in channels if c.excited)
+
+
+def is_estimate(channel: ChannelMeasures, causes: Causes) -> bool:
+    """Return whether a channel that is off is the attitude's own error: an angle, where no rate or force is off."""
+    return channel.unit == "rad" and causes.finds_nothing
 
 
 def are_beyond(causes: Causes, choices: Choices, draws_engine: bool) -> bool:

@@ -225,6 +225,14 @@ def test_a_gyro_that_is_off_is_told_by_the_attitude(doublet: Path) -> None:
     assert "q by" not in note
 
 
+def test_an_attitude_that_is_late_is_not_the_vehicles_fault(doublet: Path) -> None:
+    flight = recorded(doublet)
+    result = replayed(replace(flight, angles=np.roll(flight.angles, 8, axis=0)))
+    assert next(channel.within for channel in result.channels if channel.name == "roll") < NEEDED
+    assert result.verdict == EXPLAINED
+    assert any(line.startswith("roll: no rate is off") for line in result.evidence)
+
+
 @pytest.mark.parametrize(("signal", "said"), [("rate", "the rates may be"), ("angles", "the attitude may be")])
 def test_degrees_beside_radians_are_refused(doublet: Path, signal: str, said: str) -> None:
     flight = recorded(doublet)
