@@ -1,9 +1,9 @@
-"""Write real-engine.md's tables and figure: recorded steps of a JetCat P300-PRO beside our turbines.
+"""Write real-engine.md's tables and figure: recorded steps and ramps of a JetCat P300-PRO beside our turbines.
 
 python docs/real_engine.py RECORDINGS [--fit] [--pages docs]
 
-With --fit the parameters of jetcat-p300 are fitted anew, from all steps and from each half, and the page's table of
-these is written instead.
+With --fit the parameters of jetcat-p300 are fitted anew, from all steps, each half and each day, and their table is
+written instead.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ FIT_STEP_S = 0.02  # a fit asks the bank every fifth step of the engine: five ti
 RPM = 60.0 / (2.0 * np.pi)
 SWING_KRPM = 67.0  # from idle, 33, to 100 krpm: what a share of the range is taken of
 BEFORE_S = 3.0
-A, B = "run-2023-01-09-a", "run-2023-02-22-b"
+A, B, C = "run-2023-01-09-a", "run-2023-02-22-b", "run-2022-12-14"
 STEPS = [  # recording, begin [s], seconds that are compared; the even ones were fitted, the odd foretold, and reverse
     (A, 88.9, 29.0), (A, 118.9, 29.0), (A, 178.9, 29.0), (A, 208.9, 29.0), (A, 238.9, 19.0), (A, 258.9, 15.0),
     (B, 88.9, 8.5), (B, 268.5, 29.0), (B, 567.9, 29.0), (B, 1067.5, 29.0),
 ]  # fmt: skip
+RAMPS = [(C, 80.0, 50.7)]  # set-point by hand, 10 krpm/s, six ramps up and one down: nothing is fitted to them
 ENGINES = ("jetcat-p300", "turbine-220", "turbine-100", "turbine-20")
 SHARES = (0.1, 0.5, 0.9)
 FROM = {  # about where every fit begins, far from what it finds; delay_samples is fitted as a real number
@@ -41,7 +42,10 @@ FROM = {  # about where every fit begins, far from what it finds; delay_samples 
     "delay_samples": 50.0,
 }  # fmt: skip
 PUMP_STEP_S, PUMP_FROM = 0.02, np.array([0.02, 0.015, 0.5, 0.2])
-HALVES = {"all ten": range(10), "1st, 3rd, ...": range(0, 10, 2), "2nd, 4th, ...": range(1, 10, 2)}
+HALVES = {
+    "all ten": range(10), "1st, 3rd, ...": range(0, 10, 2), "2nd, 4th, ...": range(1, 10, 2),
+    "2023-01-09": range(6), "2023-02-22": range(6, 10), "without two steps to 100": (0, 1, 2, 4, 5, 7, 8, 9),
+}  # fmt: skip
 
 
 class Recorded(NamedTuple):
@@ -53,11 +57,12 @@ class Recorded(NamedTuple):
     volts: Array
 
 
-def read_steps(folder: Path) -> list[Recorded]:
-    """Return the ten clean steps."""
-    files = {name: np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True) for name in (A, B)}
+def read_steps(folder: Path, chosen: Sequence[tuple[str, float, float]] = tuple(STEPS)) -> list[Recorded]:
+    """Return the ten clean steps, or other stretches: recording, begin [s], seconds."""
+    names = {name for name, *_ in chosen}
+    files = {name: np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True) for name in names}
     steps = []
-    for name, begin, seconds in STEPS:
+    for name, begin, seconds in chosen:
         rows = files[name][
             np.abs(files[name]["time_s"] - begin - 0.5 * (seconds - BEFORE_S)) <= 0.5 * (seconds + BEFORE_S)
         ]
@@ -125,8 +130,8 @@ def fit(steps: Sequence[Recorded]) -> tuple[dict[str, float], Array]:
     best = least_squares(
         lambda x: off([x])[0], np.ones(len(begin)), slopes, (0.06, 50.0), max_nfev=60, xtol=1e-4, ftol=1e-5
     )
-    spread = np.linalg.inv(best.jac.T @ best.jac)
-    correlation = spread / np.sqrt(np.outer(np.diag(spread), np.diag(spread)))
+    spread = np.linalg.pinv(best.jac.T @ best.jac)  # steps that never come to a limit do not tell it
+    correlation = spread / np.sqrt(np.maximum(np.outer(np.diag(spread), np.diag(spread)), 1e-300))
     return dict(zip(FROM, (begin * best.x).tolist(), strict=True)), correlation
 
 
@@ -145,24 +150,31 @@ def pump(step: Recorded, gain: float, response: float, rise: float, fall: float,
     return np.interp(step.times, times, volts)
 
 
-def pump_table(steps: Sequence[Recorded]) -> list[str]:
-    """Return the page's rows: the ECU's law fitted to the pump's volts, in its two forms."""
-    lines = ["| what changes the volts | gain | response | rise | fall | off, rms |", "| --- |" + " ---: |" * 5]
-    for what, by_error in (("error and its change", True), ("error and the change of the speed", False)):
+def pump_table(steps: Sequence[Recorded], ramps: Sequence[Recorded]) -> list[str]:
+    """Return the page's rows: the ECU's law fitted to the pump's volts, in its two forms, and again to the ramps."""
+    lines = [
+        "| what changes the volts | gain, V/s per krpm | response, V per krpm | rise, V/s | fall, 1/s | steps, rms | "
+        "ramps, rms |",
+        "| --- |" + " ---: |" * 6,
+    ]
 
-        def off(x: Array, by_error: bool = by_error) -> Array:
-            return np.concatenate([pump(step, *(x * PUMP_FROM), by_error) - step.volts for step in steps])
+    def off(x: Array, by_error: bool, on: Sequence[Recorded]) -> Array:
+        return np.concatenate([pump(step, *(x * PUMP_FROM), by_error) - step.volts for step in on])
 
-        best = least_squares(off, np.ones(4), diff_step=1e-3)
-        gain, response, rise, fall = best.x * PUMP_FROM
-        far = np.sqrt(np.mean(best.fun**2))
-        units = f"{gain:.4f} V/s per krpm | {response:.4f} V per krpm | {rise:.3f} V/s | {fall:.3f} 1/s"
-        lines.append(f"| {what} | {units} | {far:.3f} V |")
+    for what, by_error, on in (
+        ("error and its change", True, steps),
+        ("error and the change of the speed", False, steps),
+        ("error and its change, fitted to the ramps", True, ramps),
+    ):
+        best = least_squares(off, np.ones(4), diff_step=1e-3, args=(by_error, on)).x
+        gain, response, rise, fall = best * PUMP_FROM
+        far = [f"{np.sqrt(np.mean(off(best, by_error, one) ** 2)):.3f} V" for one in (steps, ramps)]
+        lines.append(f"| {what} | {gain:.4f} | {response:.4f} | {rise:.3f} | {fall:.3f} | {' | '.join(far)} |")
     return lines
 
 
 def fit_table(steps: Sequence[Recorded]) -> list[str]:
-    """Return the rows of the three fits beside what the engine states, and say what the two differ in."""
+    """Return the rows of the fits beside what the engine states, and say what the two differ in."""
     spec = load_engine("jetcat-p300", {}, STEP_S)
     if spec.uncertainty is None:
         raise SystemExit("engines/jetcat-p300/engine.toml: no [uncertainty] to compare with")
@@ -235,12 +247,13 @@ def table(steps: Sequence[Recorded], answers: dict[str, list[Array]]) -> list[st
     return lines
 
 
-def engine_table(steps: Sequence[Recorded], answers: dict[str, list[Array]]) -> list[str]:
-    """Return the page's rows: an engine each, over all steps."""
+def engine_table(steps: Sequence[Recorded], answers: dict[str, list[Array]], ramps: Sequence[Recorded]) -> list[str]:
+    """Return the page's rows: an engine each, over all steps and over the ramps."""
     real = np.array([crossings(step.times, step.speed, ends_of(step, step.speed)) for step in steps])
     lines = [
-        "| engine | off over all ten steps, rms, % of range | in its worst step | times within 10 % | farthest time |",
-        "| --- | ---: | ---: | ---: | ---: |",
+        "| engine | off over all ten steps, rms, % of range | in its worst step | times within 10 % | farthest time | "
+        "off over the ramps, rms | at most |",
+        "| --- |" + " ---: |" * 6,
     ]
     for name, courses in answers.items():
         left = [got - step.speed for got, step in zip(courses, steps, strict=True)]
@@ -249,7 +262,11 @@ def engine_table(steps: Sequence[Recorded], answers: dict[str, list[Array]]) -> 
         got = [crossings(step.times, one, ends_of(step, one)) for step, one in zip(steps, courses, strict=True)]
         far = 100.0 * (np.array(got) / real - 1.0)
         within, worst = np.count_nonzero(np.abs(far) <= 10.0), far.flat[np.abs(far).argmax()]
-        lines.append(f"| `{name}` | {whole:.2f} | {max(each):.1f} | {within} of {far.size} | {worst:+.0f} % |")
+        off = 100.0 * np.concatenate([model(name, ramp) - ramp.speed for ramp in ramps]) / SWING_KRPM
+        lines.append(
+            f"| `{name}` | {whole:.2f} | {max(each):.1f} | {within} of {far.size} | {worst:+.0f} % | "
+            f"{np.sqrt(np.mean(off**2)):.2f} | {np.abs(off).max():.0f} |"
+        )
     return lines
 
 
@@ -275,18 +292,20 @@ def main() -> None:
     parser.add_argument("--fit", action="store_true", help="fit jetcat-p300 anew and write that table")
     chosen = parser.parse_args()
     page, data = chosen.pages / "real-engine.md", chosen.pages / "tables" / "real-engine.md"
-    check_marks(page, ["fit"] if chosen.fit else ["engines", "volts"])
-    check_marks(data, ["steps"])
+    check_marks(page, ["engines", "volts"])
+    check_marks(data, ["steps", "fit"])
     steps = read_steps(chosen.recordings)
     if chosen.fit:
-        parts = {"fit": fit_table(steps)}
-        print("\n".join(parts["fit"]))
+        rows = fit_table(steps)
+        print("\n".join(rows))
+        write_marks(data, {"fit": "\n".join(rows) + "\n"})
     else:
         answers = {name: [model(name, step) for step in steps] for name in ENGINES}
         draw(steps, answers, chosen.pages / "pictures" / "real-engine.png")
-        parts = {"engines": engine_table(steps, answers), "volts": pump_table(steps)}
+        ramps = read_steps(chosen.recordings, RAMPS)
+        parts = {"engines": engine_table(steps, answers, ramps), "volts": pump_table(steps, ramps)}
         write_marks(data, {"steps": "\n".join(table(steps, answers)) + "\n"})
-    write_marks(page, {mark: "\n".join(rows) + "\n" for mark, rows in parts.items()})
+        write_marks(page, {mark: "\n".join(rows) + "\n" for mark, rows in parts.items()})
 
 
 if __name__ == "__main__":

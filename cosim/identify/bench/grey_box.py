@@ -39,6 +39,8 @@ ROUNDS = 2  # of fit and memory of the noise in turn
 POOR_PREDICTION = 1.5
 CLOSE = 0.015  # of the output's range (rms), to which movements have to be foretold that are not explained to the noise
 LEAST_PART = 0.05  # of a value, that is left of it at an end of its bounds
+BEGINNING_S = 0.5  # of a log, in which an engine that rests does not move
+NOT_AT_REST = 0.05  # of the output's range, by which an engine at rest may be off there
 HORIZON_S = 3.0  # for which the output counts as on its way after a movement
 
 
@@ -219,6 +221,7 @@ def fit_engine(records: Sequence[BenchRecord], choices: GreyChoices, is_strict: 
     swing = output_swing(parts)
     notes = [*dict.fromkeys(note for record in records for note in record.notes)]
     notes += _at_the_ends(model, values)
+    notes += describe_beginning(records, parts, residual, swing)
     if model.speed:
         notes.append(f"the log has no thrust: thrust, fuel and temperature are those of {choices.engine} as it is set")
     if misfit.failed:
@@ -388,6 +391,25 @@ def _hold_halves(covariance: Array, values: Array, halves: Sequence[Array]) -> A
     far = np.max(np.abs(np.array(halves) - values), axis=0)
     wider = np.maximum(far / own, 1.0)
     return covariance * np.outer(wider, wider)
+
+
+def describe_beginning(
+    records: Sequence[BenchRecord], parts: Sequence[Part], residual: Array, swing: float
+) -> list[str]:
+    """Return a line for each log that does not begin as the engine does, which is at rest with its first command.
+
+    ``residual`` is of all parts, ``swing`` the output's range, in one unit.
+    """
+    notes = []
+    rows = np.split(residual, np.cumsum([len(part.times) for part in parts])[:-1])
+    for record, part, left in zip(records, parts, rows, strict=True):
+        off = abs(float(np.mean(left[part.times - part.times[0] <= BEGINNING_S])))
+        if off > NOT_AT_REST * swing:
+            notes.append(
+                f"{record.path.name} begins {100.0 * off / swing:.2g} % of the output's range from where the engine "
+                f"rests: each log has to begin at rest; --begin after {part.times[0]:.4g} s"
+            )
+    return notes
 
 
 def _at_the_ends(model: _Model, values: Array) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +24,7 @@ STEP = 0.2  # of the throttle's range, that a next test steps
 # of small movements
 SMALL = 0.03  # of the command's range, by which a next test steps to either side
 LARGE = 0.15  # of it: movements above that do not tell what small ones do
+STANDING_ROWS = 2  # from one row that moves to the next, above which the command stood between them
 HOLDS_S = (0.25, 0.5, 1.0, 2.0, 4.0)  # of a next test's steps
 FEWEST_ROWS = 5  # in each of them
 STEPS = 40  # of a next test, at least
@@ -55,19 +55,24 @@ def describe_missing_evidence(
     high = max(float(record.command.max()) for record in records)
     step = f"a step from {low:.4g} to {high:.4g} and back, each held {hold:.2g} s"
     return [
-        *_delay(chosen, records, longest, straight, step),
+        *_delay(chosen, records, longest, (straight, is_explained), step),
         *_lags(chosen, records, step, is_explained),
         *_levels(records, limits, (low, high), hold, total),
     ]
 
 
-def _delay(chosen: Estimate, records: Sequence[BenchRecord], longest: float, straight: bool, step: str) -> list[str]:
+def _delay(
+    chosen: Estimate, records: Sequence[BenchRecord], longest: float, is_so: tuple[bool, bool], step: str
+) -> list[str]:
+    straight, is_explained = is_so
     row = max(record.step for record in records)
     command_row = max(float(np.median(np.diff(record.command_times))) for record in records)
     low, high = chosen.delay_bounds
     lines = []
     if high - low > max(row, WIDE * chosen.total[0]):
         why = "a command that moves this slowly does not tell delay from lag" if straight else "the noise hides it"
+        if not is_explained:
+            why = "lags do not explain the log"
         if max(record.clock_deviation for record in records) > 0.5 * row:
             why, step = "two clocks tell it no better", "command and output on one clock"
         lines.append(
@@ -152,11 +157,11 @@ def describe_small_movements(
     spans = [find_movements(part, REST * rest) for part in parts]
     user, own = (np.concatenate([one.command for one in many]) for many in (records, parts))
     scale = float(np.ptp(user) / max(np.ptp(own), 1e-300))
-    sizes = [scale * _size(part, *span) for part, each in zip(parts, spans, strict=True) for span in each]
-    size, span = min((one for one in sizes if one > 0.0), default=0.0), float(np.ptp(user))
+    begins, sizes = zip(*(_runs(part) for part in parts), strict=True)
+    size, span = scale * min((each.min() for each in sizes if each.size), default=0.0), float(np.ptp(user))
     if not all(spans) or not size > LARGE * span:
         return []
-    soonest = min((later - sooner for each in spans for (sooner, _), (later, _) in pairwise(each)), default=np.inf)
+    soonest = min((float(np.diff(each).min()) for each in begins if each.size > 1), default=np.inf)
     middle = 0.5 * float(user.min() + user.max())
     held = {one: seconds for record in records for one, seconds in find_levels(record).items()}
     stood = [one for one, seconds in held.items() if seconds > REST * rest] or list(held)
@@ -209,9 +214,17 @@ def find_small_test(
     return max(tests, key=lambda test: test.deviations**2 / test.seconds, default=None)
 
 
-def _size(part: Part, begin: float, end: float) -> float:
-    before, after = np.interp([begin, np.nextafter(end, begin)], part.command_times, part.command)
-    return abs(float(after - before))
+def _runs(part: Part) -> tuple[Array, Array]:
+    """Return when each movement of a log's command begins, s, and its size: rows that move on the same way.
+
+    A single row at which it stands, as where a frame came twice, does not end a movement.
+    """
+    steps = np.diff(part.command)
+    moved = np.flatnonzero(steps)
+    signs = np.sign(steps[moved])
+    first = moved[(np.diff(moved, prepend=-len(steps)) > STANDING_ROWS) | (np.diff(signs, prepend=0.0) != 0.0)]
+    sizes = np.abs(np.add.reduceat(steps, first)) if first.size else np.empty(0)
+    return part.command_times[first], sizes
 
 
 def _quiet(parts: Sequence[Part], residual: Array, rest: float) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.identify.bench.clocks import EvenRows, align, align_by_command, find_even_rows, split_clocks, spread_stamps
-from cosim.identify.bench.running import find_running, find_speed
+from cosim.identify.bench.running import describe_adrift, find_running, find_speed
 from cosim.identify.logs.flight_log import Channel, FlightLog, unit_of
 from cosim.identify.logs.read import is_table, read_flight_log
 from cosim.identify.logs.table import NO_NUMBERS
@@ -157,11 +157,12 @@ def _read_records(log: FlightLog, load: FlightLog | None, columns: Columns) -> l
     _check_row(source.path, output.times, columns.time_unit is None, notes)
     spans = find_running(log, command, output, notes)
     moved = [span for span in spans if np.ptp(_between(command, *span).values) > 0.0] or spans[:1]
-    return [
-        _clean(source.path, (command_name, _between(command, *span)), (output_name, _between(output, *span)), flagged,
-               [*notes], deviation)
-        for span in moved
-    ]  # fmt: skip
+    records = []
+    for span in moved:
+        asked, answered = (command_name, _between(command, *span)), (output_name, _between(output, *span))
+        adrift = describe_adrift(asked, answered)
+        records.append(_clean(source.path, asked, answered, flagged, [*notes, *adrift], deviation))
+    return records
 
 
 def _between(channel: Channel, begin: float, end: float) -> Channel:

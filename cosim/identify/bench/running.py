@@ -19,6 +19,12 @@ STANDING = 0.015  # of the greatest speed, by which it may change while it stand
 STANDING_S = 3.0  # for which it has to stand, to be started
 SLOWEST_FAN_S = 8.0  # that an electric engine needs from standstill until its speed stands; a jet's start takes longer
 SHORTEST_S = 5.0  # of a stretch that is worth keeping
+ADRIFT = 0.05  # of the greatest set-point, by which a speed may be off it
+SETTLED_S = 15.0  # after which it should be there
+LEAST_ADRIFT_S = 1.0  # for which it is not: less is a frame that is wrong
+SLOWEST_ROW_S = 1.0  # from where on a time is doubted to be in seconds
+MOST_SPANS = 6  # that are said
+SAME = {"rpm": 1.0, "krpm": 1e3}  # units of speed
 
 
 def find_running(log: FlightLog, command: Channel, output: Channel, notes: list[str]) -> list[tuple[float, float]]:
@@ -53,6 +59,43 @@ def find_running(log: FlightLog, command: Channel, output: Channel, notes: list[
     if words:
         notes.append(f"off, start or stop of the engine: {words}; left out")
     return kept
+
+
+def describe_adrift(command: tuple[str, Channel], output: tuple[str, Channel]) -> list[str]:
+    """Return a line where a speed stays away from its set-point, with the seconds in which it does.
+
+    No engine under a governor does that long after the set-point has moved: its fuel does not let it.
+    """
+    (command_name, asked), (output_name, speed) = command, output
+    units = unit_of(command_name, asked.unit), unit_of(output_name, speed.unit)
+    if not set(units) <= set(SAME) or min(len(asked.times), len(speed.times)) < 2:
+        return []
+    if float(np.median(np.diff(speed.times))) >= SLOWEST_ROW_S:
+        return []
+    wanted, measured = SAME[units[0]] * asked.values, SAME[units[1]] * speed.values
+    begins = np.append(asked.times[0], asked.times[:-1][np.diff(wanted) != 0.0])  # of what the set-point did last
+    last = begins[np.maximum(np.searchsorted(begins, speed.times, side="left") - 1, 0)]
+    row = np.maximum(np.searchsorted(asked.times, speed.times, side="right") - 1, 0)
+    off = np.abs(measured - wanted[row])
+    away = off > ADRIFT * float(np.abs(wanted).max())
+    spans: list[tuple[float, float]] = []
+    for low, high in _spans(speed.times, away & (speed.times - last > SETTLED_S)):
+        if high - low < LEAST_ADRIFT_S:
+            continue
+        there = speed.times[~away & (speed.times < low)]
+        begin = max(float(last[speed.times == low][0]), float(there[-1]) if there.size else -np.inf)
+        if spans and begin - spans[-1][1] < SHORTEST_S:
+            begin = spans.pop()[0]
+        spans.append((begin, high))
+    if not spans:
+        return []
+    far = max(float(off[(speed.times >= low) & (speed.times <= high)][-1]) for low, high in spans)
+    words = ", ".join(f"{low:.1f} to {high:.1f} s" for low, high in spans[:MOST_SPANS])
+    more = ", and more" if len(spans) > MOST_SPANS else ""
+    return [
+        f"{output_name} does not come to {command_name}, which has long stood: {words}{more}, at its end {far:.0f} rpm "
+        "off; an engine that its fuel does not let follow? no governor is seen there; --begin and --end leave that out"
+    ]
 
 
 def find_speed(log: FlightLog) -> Channel | None:

@@ -17,6 +17,12 @@ _QUOTED = r"""'[^']*'|"[^"]*\""""
 _NAME = rf"(?:deg|square)\(\s*(?:{_QUOTED})\s*\)|{_QUOTED}|[A-Za-z_][^\s+*'\"]*"
 _TERM = re.compile(rf"\s*([+-])?\s*(?:([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*\*\s*)?({_NAME})")
 UNIT_AT_END = re.compile(r"(?:.*_)?(N|kN|mN|kgf|gf|lbf|rpm|krpm|V|percent|pct|us)")
+SPEED_AT_END = re.compile(r"(?:.*[_ ])?(k?rpm)", re.IGNORECASE)
+SAME_UNITS = {"%": "percent", "pct": "percent"} | dict.fromkeys(
+    ("rpm", "1/min", "u/min", "r/min", "rev/min", "min-1", "min^-1"), "rpm"
+)  # in small letters
+SAME_UNITS["krpm"] = "krpm"
+LONGEST_WORDLESS = 3  # letters of a unit: what is longer and no unit that is known, as (actual), says which one it is
 DEGREE = np.pi / 180.0
 SEARCHED = 2**16  # bytes of a file in which the head of a log is looked for, behind what does not belong to it
 MOST_INSTANCES = 256  # that one message may have: more values are no instances
@@ -197,8 +203,13 @@ def terms(text: str) -> list[tuple[float, str]]:
 
 
 def unit_of(name: str, unit: str) -> str:
-    """Return a channel's unit, by its log or by the end of its name; "" where neither says one."""
-    if unit:
-        return {"%": "percent", "pct": "percent"}.get(unit, unit)
-    match = UNIT_AT_END.fullmatch(name)
-    return {"pct": "percent"}.get(match.group(1), match.group(1)) if match else ""
+    """Return a channel's unit, by its log or by the end of its name; "" where neither says one.
+
+    A word in brackets that is no unit, as of ``RPM (actual)``, leaves the unit to what stands before it.
+    """
+    unit = "percent" if unit.endswith("%") else SAME_UNITS.get(unit.lower(), unit)
+    if unit and not (len(unit) > LONGEST_WORDLESS and unit.isalpha() and unit not in SAME_UNITS.values()):
+        return unit
+    bare = name.partition("(")[0].partition("[")[0].strip() or name
+    match = UNIT_AT_END.fullmatch(bare) or SPEED_AT_END.fullmatch(bare)
+    return SAME_UNITS.get(match.group(1).lower(), match.group(1)) if match else unit

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -67,3 +68,14 @@ def test_large_movements_alone_do_not_tell_small_ones_and_the_line_says_which_ne
     record, part, residual = stairs([0.1, 0.5, 0.9, 0.3], 900.0)
     (line,) = describe_small_movements([record], [part], residual, 0.5, two_engines, "N")
     assert line.endswith("engines at the ends of these bounds differ little")
+
+
+def test_small_steps_between_large_ones_are_seen_though_none_of_them_is_waited_out() -> None:
+    """Three steps of 0.02 in a second, on the way from 0.5 to 0.9: the log has small, quick commands."""
+    record, part, residual = stairs([0.1, 0.5, 0.9, 0.3], 0.1)
+    command = part.command.copy()
+    for late in (19.2, 19.5, 19.8):
+        command[part.times >= late] += np.where(part.times[part.times >= late] < 20.0, 0.02, 0.0)
+    small = replace(part, command_times=part.times, command=command)
+    said = describe_small_movements([replace(record, command=command)], [small], residual, 0.5, two_engines, "N")
+    assert said == []
