@@ -335,7 +335,8 @@ def _fit_engine(
 ) -> GreyIdentification:
     """Return the parameters of an engine as fitted.  Raises InputError where no throttle range is known."""
     from cosim.base.storage.toml import parse_numbers
-    from cosim.identify.bench.grey_box import GreyChoices, fit_engine
+    from cosim.identify.bench.grey_box import fit_engine
+    from cosim.identify.bench.grey_model import GreyChoices
     from cosim.identify.bench.identify import is_straight, throttle_limits
 
     notes: list[str] = []

@@ -82,7 +82,7 @@ def print_bench(result: BenchIdentifyResult) -> None:
     """Print the forms, or what was fitted of an engine, what is to be said of them, and the files."""
     from cosim.identify.bench import BenchIdentification
     from cosim.identify.bench.evidence import output_swing
-    from cosim.identify.bench.grey_box import output_unit
+    from cosim.identify.bench.grey_model import output_unit
     from cosim.identify.bench.result import describe_held
 
     found, held = result.identification, ""

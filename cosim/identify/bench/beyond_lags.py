@@ -14,10 +14,9 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.identify.bench.evidence import Misfit, test_residuals
-from cosim.identify.bench.fit import Problem
-from cosim.identify.bench.grey_box import GreyChoices, GreyIdentification, fit_engine
-from cosim.identify.bench.identify import CLEAR
-from cosim.identify.bench.stretches import find_stretches, measure_delays
+from cosim.identify.bench.grey_box import GreyIdentification, fit_engine
+from cosim.identify.bench.grey_model import GreyChoices
+from cosim.identify.bench.timing.readings import CLEAR
 from cosim.identify.engine_file import FITTED
 
 if TYPE_CHECKING:
@@ -38,7 +37,6 @@ def fit_beyond_lags(found: BenchIdentification, longest_delay: float) -> GreyIde
     """
     if (
         not found.misfit.is_significant
-        or found.unsure_rate > 0.0
         or not found.limits_known
         or any(record.newtons is None for record in found.records)
     ):
@@ -48,9 +46,9 @@ def fit_beyond_lags(found: BenchIdentification, longest_delay: float) -> GreyIde
         choices = _choices(found, own, longest_delay)
         try:
             fitted = fit_engine(found.records, choices, is_strict=True)
-        except (NotIdentifiedError, InputError):  # or such an engine would not settle and cannot be loaded
+        except (NotIdentifiedError, InputError):  # a clock that wobbles, or such an engine cannot be loaded
             continue
-        if not (fitted.misfit.failed or _misfit_of_lags(fitted).failed or _wobbles(fitted)):
+        if not (fitted.misfit.failed or _misfit_of_lags(fitted).failed):
             verb = "explain the log poorly" if found.is_explained else "do not explain the log"
             note = f"lags {verb}, {100.0 * found.misfit.size:.2g} % of the swing (rms) is left over; {words}"
             tried.append(replace(fitted, notes=(*fitted.notes, note)))
@@ -72,26 +70,9 @@ def _choices(found: BenchIdentification, own: tuple[str, ...], longest_delay: fl
 
 def _misfit_of_lags(fitted: GreyIdentification) -> Misfit:
     """Return what is left over in blocks as short as those of a form of lags: a dead band does not pass here."""
-    delay, total = _times(fitted)
-    return test_residuals(fitted.parts, fitted.residual, delay, total)
-
-
-def _times(fitted: GreyIdentification) -> tuple[float, float]:
-    """Return the delay, and delay and lag together, s."""
     named = dict(zip(fitted.names, map(float, fitted.values), strict=True))
-    return named["delay_s"], named["delay_s"] + max(named["lag"], named.get("lag_full", 0.0))
-
-
-def _wobbles(fitted: GreyIdentification) -> bool:
-    """Return whether stretches of the logs are answered at different times, by more than noise."""
-    problem = Problem(fitted.parts, 0.0)
-    output = np.concatenate([part.output for part in fitted.parts])
-    ends = np.cumsum([len(part.times) for part in fitted.parts])[:-1]
-    models = np.split(output - fitted.residual, ends)
-    slope = np.concatenate([-np.gradient(model, part.times) for model, part in zip(models, fitted.parts, strict=True)])
-    memory = problem.memory_of(fitted.residual)
-    spans = find_stretches(problem, slope, memory, _times(fitted)[1])
-    return any(spans) and measure_delays(problem, fitted.residual, slope, memory, spans).differ
+    total = named["delay_s"] + max(named["lag"], named.get("lag_full", 0.0))
+    return test_residuals(fitted.parts, fitted.residual, named["delay_s"], total)
 
 
 def _is_clearly_better(fitted: GreyIdentification, found: BenchIdentification) -> bool:

@@ -126,6 +126,7 @@ class Part:
     step: float
     straight: bool
     width: float = 0.0  # s, over which each row is a mean
+    loose: Array = field(default_factory=lambda: np.zeros(0))  # s, by which each row of the command may be off, if any
 
     def answer(self, exponent: float, lag: float, ratio: float, delay: float) -> Array:
         """Return the delayed command behind the static curve and the lags, averaged as the rows are."""
@@ -178,16 +179,20 @@ def make_part(record: BenchRecord, limits: tuple[float, float], straight: bool) 
     """Return a log with its command as a share of a range."""
     low, high = limits
     command = (record.command - low) / (high - low)
-    times = record.command_times if straight else _between_lost_rows(record.command_times, command)
-    return Part(times, command, record.times, record.output, record.step, straight, record.width)
+    loose = np.zeros(0) if straight else _lost_before(record.command_times, command)
+    times = record.command_times - loose if loose.any() else record.command_times
+    return Part(times, command, record.times, record.output, record.step, straight, record.width, loose)
 
 
-def _between_lost_rows(times: Array, command: Array) -> Array:
-    """Return a held command's times, a movement behind lost rows in the middle of where it may have been."""
+def _lost_before(times: Array, command: Array) -> Array:
+    """Return half of how long the rows that are lost before each movement of a held command took, s, else 0.
+
+    So much before its row is the middle of where the movement may have been.
+    """
     gap = np.diff(times, prepend=times[0])
     row = float(np.median(gap[1:]))
     unknown = (gap > 1.5 * row) & (np.diff(command, prepend=command[0]) != 0.0)
-    return np.asarray(times - np.where(unknown, 0.5 * (gap - row), 0.0))
+    return np.asarray(np.where(unknown, 0.5 * (gap - row), 0.0))
 
 
 @dataclass(frozen=True)
@@ -424,18 +429,16 @@ def _slopes(problem: Problem, form: Form, x: Array, linear: Array, which: NDArra
     return np.column_stack(columns)
 
 
-def delay_slope(problem: Problem, estimate: Estimate) -> Array:
-    """Return by how much a form changes with its delay, output's unit a second, a row each."""
+def slopes(problem: Problem, estimate: Estimate) -> Array:
+    """Return by how much a form changes with what is fitted, the delay [s] first: rows as the output, a column each."""
     linear = problem.shares(estimate.form, estimate.x, estimate.memory)[0]
-    return np.asarray(_slopes(problem, estimate.form, estimate.x, linear, np.arange(1))[:, 0])
+    searched = _slopes(problem, estimate.form, estimate.x, linear, np.arange(len(estimate.x)))
+    return np.column_stack([searched, problem.regressors(estimate.form, estimate.x)])
 
 
 def plain_factor(problem: Problem, estimate: Estimate) -> float:
     """Return by how much wider the delay's deviation was made than white residuals would have it."""
-    linear = problem.shares(estimate.form, estimate.x, estimate.memory)[0]
-    matrix = problem.whiten(problem.regressors(estimate.form, estimate.x), estimate.memory)
-    slopes = _slopes(problem, estimate.form, estimate.x, linear, np.arange(len(estimate.x)))
-    jacobian = np.column_stack([problem.whiten(slopes, estimate.memory), matrix])
+    jacobian = problem.whiten(slopes(problem, estimate), estimate.memory)
     plain = estimate.loss / estimate.rows * invert(jacobian.T @ jacobian)[0, 0]
     return float(max(estimate.deviation(0) / np.sqrt(max(plain, 1e-300)), 1.0))
 

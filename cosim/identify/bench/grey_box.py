@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
-from cosim.base.errors import EngineError, InputError, NotIdentifiedError, nearest
-from cosim.engine import EngineSpec, load_engine, make_bank
-from cosim.engine.fmu.variables import Variable
+from cosim.base.errors import EngineError, NotIdentifiedError
+from cosim.engine import EngineSpec
 from cosim.identify.bench.evidence import (
     HeldBack,
     Misfit,
@@ -23,17 +22,16 @@ from cosim.identify.bench.evidence import (
     test_residuals,
 )
 from cosim.identify.bench.fit import Part, Problem
+from cosim.identify.bench.grey_model import EngineModel, GreyChoices, make_model, make_parts, output_unit
 from cosim.identify.bench.missing_evidence import describe_small_movements
 from cosim.identify.bench.record import BenchRecord
+from cosim.identify.bench.timing import lost_rows
+from cosim.identify.bench.timing.readings import Followed, Model, Reading, choose_clock, follow_clock
+from cosim.identify.bench.timing.stretches import Answered, model_delays
 from cosim.identify.engine_file import DEVIATIONS_95
 from cosim.identify.robust import invert, memory_rows, robust_factor
 from cosim.identify.verdict import Judgement, judge_model, shared_record
 
-STEP_S = 0.004  # of the simulation, in which a command is the mean of what it is
-UNIT_DELAY_S = 0.1  # of the delay among parameters that are all near 1
-WIDEST = 1e3  # times a parameter's nominal value, up and down, that it is looked for
-RPM = 60.0 / (2.0 * np.pi)
-LEVELS = 41  # at which the engine's speed at rest is taken
 FINE = 1e-4  # of a parameter, to see what it does
 ROUNDS = 2  # of fit and memory of the noise in turn
 POOR_PREDICTION = 1.5
@@ -41,18 +39,9 @@ CLOSE = 0.015  # of the output's range (rms), to which movements have to be fore
 LEAST_PART = 0.05  # of a value, that is left of it at an end of its bounds
 BEGINNING_S = 0.5  # of a log, in which an engine that rests does not move
 NOT_AT_REST = 0.05  # of the output's range, by which an engine at rest may be off there
+STRETCHED = 1.01  # times as long, to see what a clock's rate does
+SMALL_DELAY_S = 1e-3  # to see what a delay does
 HORIZON_S = 3.0  # for which the output counts as on its way after a movement
-
-
-class GreyChoices(NamedTuple):
-    """What is fitted: parameters of an engine beside the delay, others that are set, and what throttle 0 and 1 are."""
-
-    engine: str
-    fitted: tuple[str, ...]
-    settings: Mapping[str, float]
-    limits: tuple[float, float] = (0.0, 1.0)
-    straight: bool = False
-    longest_delay: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -136,64 +125,6 @@ class GreyIdentification:
         }
 
 
-@dataclass(frozen=True)
-class _Model:
-    """An engine whose parameters change, and the logs that it answers."""
-
-    spec: EngineSpec
-    variables: Mapping[str, Variable]
-    start: Array  # of delay and parameters
-    choices: GreyChoices
-    speed: bool  # the output is its speed [rpm], not its thrust
-    speed_command: bool  # and the command is a speed, which the throttle is taken from
-    step: float
-
-    def answer(self, values: Array, parts: Sequence[Part]) -> Array:
-        """Return the output of all logs with these parameters, from rest at each log's first command."""
-        with make_bank([self.with_values(values[1:])], self.step) as bank:
-            return np.concatenate([self._run(bank, part, float(values[0])) for part in parts])
-
-    def with_values(self, values: Array) -> EngineSpec:
-        """Return the engine with these values of what is fitted."""
-        chosen = dict(zip(self.choices.fitted, map(float, values), strict=True))
-        kept = [(variable, value) for variable, value in self.spec.settings if variable.name not in chosen]
-        settings = (*kept, *((self.variables[name], value) for name, value in chosen.items()))
-        return replace(self.spec, parameters={**self.spec.parameters, **chosen}, settings=settings)
-
-    def _run(self, bank: Any, part: Part, delay: float) -> Array:
-        """Return the answer to the command as it is, at times that are earlier by the delay: both come to the same."""
-        throttle = self._throttle(bank, part)
-        begin, h = float(part.times[0]) - self.choices.longest_delay, self.step
-        count = int(np.ceil((float(part.times[-1]) - begin) / h)) + 1
-        edges: Array = np.asarray(begin + h * np.arange(count + 1), np.float64)
-        means = np.clip(_means(part, throttle, edges), 0.0, 1.0)
-        first = bank.reset(float(means[0]))
-        if self.speed:
-            outputs = [first] + [bank.step(k, (float(u),)) for k, u in enumerate(means)]
-            course = np.array([one.spool_speed[0] * RPM for one in outputs])
-        else:
-            course = np.array([first.thrust[0], *bank.follow(0, means.tolist())])
-        return np.asarray(np.interp(part.times - delay, edges, course))
-
-    def _throttle(self, bank: Any, part: Part) -> Array:
-        if not self.speed_command:
-            return part.command
-        levels = np.linspace(0.0, 1.0, LEVELS)
-        speeds = [bank.reset(float(level)).spool_speed[0] * RPM for level in levels]
-        return np.asarray(np.interp(part.command, speeds, levels))
-
-
-def _means(part: Part, throttle: Array, edges: Array) -> Array:
-    """Return the mean throttle between each two of these times."""
-    if part.straight:
-        return np.asarray(np.interp(0.5 * (edges[1:] + edges[:-1]), part.command_times, throttle))
-    times = part.command_times
-    total = np.concatenate([[0.0], np.cumsum(throttle[:-1] * np.diff(times))])
-    sums = np.interp(edges, times, total)
-    sums += np.minimum(edges - times[0], 0.0) * throttle[0] + np.maximum(edges - times[-1], 0.0) * throttle[-1]
-    return np.asarray(np.diff(sums) / np.diff(edges))
-
-
 def fit_engine(records: Sequence[BenchRecord], choices: GreyChoices, is_strict: bool = False) -> GreyIdentification:
     """Fit parameters of an engine, and the delay before it, to bench logs; each log begins at rest.
 
@@ -201,25 +132,20 @@ def fit_engine(records: Sequence[BenchRecord], choices: GreyChoices, is_strict: 
     Raises InputError for an engine, a parameter or an output that does not serve, NotIdentifiedError where the logs
     do not tell what is asked.
     """
-    model, parts = _model(records, choices)
-    values, residual, covariance = _fit(model, parts)
+    model = make_model(records, choices)
+    clock: list[str] = []
+    reading = choose_clock(
+        records, _fit_settled(model, records), lambda fit: fit.bic, lambda rows: _fit_settled(model, rows), clock
+    )
+    followed = _follow(model, reading.fitted, clock, is_strict)
+    parts, (values, residual) = followed.problem.parts, followed.fitted[:2]
+    covariance = _widen(model, reading, followed)
     covariance[0, 0] += min(max(record.clock_deviation for record in records), choices.longest_delay) ** 2
-    deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    unknown = [
-        name
-        for name, value, one in zip(choices.fitted, values[1:], deviations[1:], strict=True)
-        if not DEVIATIONS_95 * one <= abs(value)
-    ]
-    if unknown:
-        names = " and ".join(unknown)
-        raise NotIdentifiedError(
-            f"{records[0].path}: the log does not tell {names} of {choices.engine}: the 95 % bounds exceed the value; "
-            f"leave out --fit {unknown[0]}, or log steps over the whole range, up and down"
-        )
+    _check_told(records[0], choices, values, covariance, clock)
     misfit = test_residuals(parts, residual, float(values[0]), HORIZON_S)
     held_back, halves = (None, []) if is_strict and misfit.failed else _predict(model, parts, values)
     swing = output_swing(parts)
-    notes = [*dict.fromkeys(note for record in records for note in record.notes)]
+    notes = [*dict.fromkeys(note for record in records for note in record.notes), *clock]
     notes += _at_the_ends(model, values)
     notes += describe_beginning(records, parts, residual, swing)
     if model.speed:
@@ -236,25 +162,97 @@ def fit_engine(records: Sequence[BenchRecord], choices: GreyChoices, is_strict: 
         notes.append(describe_lack(parts, residual))
     if held_back is not None and held_back.others > POOR_PREDICTION * held_back.fitted:
         notes.append(describe_held_back(held_back, output_unit(records[0]), swing))
-    untold = [] if is_strict else _untold(model, records, parts, residual, _ends_of_bounds(model, values, covariance))
+    untold = (
+        []
+        if is_strict
+        else _untold(model, reading.records, parts, residual, _ends_of_bounds(model, values, covariance))
+    )
     return GreyIdentification(
         tuple(records), choices, model.with_values(values[1:]), values, covariance, residual, tuple(parts),
         misfit, held_back, tuple(notes), tuple(untold),
     )  # fmt: skip
 
 
-def _ends_of_bounds(model: _Model, values: Array, covariance: Array) -> tuple[Array, Array]:
+def _follow(model: EngineModel, fitted: _Fit, clock: list[str], is_strict: bool) -> Followed[_Fit]:
+    """Return logs whose stretches are answered alike.  Raises NotIdentifiedError for such, where ``is_strict``."""
+
+    def answer(problem: Problem, fit: _Fit) -> Answered:
+        step = SMALL_DELAY_S * np.eye(1, len(fit.values))[0]
+        early, late = (model.answer(fit.values + sign * step, problem.parts) for sign in (-1.0, 1.0))
+        slope = (late - early) / (2.0 * SMALL_DELAY_S)
+        return Answered(fit.residual, slope, fit.memory, model.lateness(fit.values, problem.parts))
+
+    def judge(problem: Problem, fit: _Fit) -> Misfit:
+        return test_residuals(problem.parts, fit.residual, float(fit.values[0]), HORIZON_S)
+
+    problem = Problem(fitted.parts, model.choices.longest_delay)
+    if not is_strict:
+        return follow_clock(
+            problem, fitted, Model(answer, lambda moved, fit: _refit(model, moved, fit), judge), clock, False
+        )
+    delays, _ = model_delays(problem, answer(problem, fitted))
+    if delays is not None and delays.differ:
+        raise NotIdentifiedError("stretches of the log are answered at different times")
+    return Followed(problem, fitted)
+
+
+def _widen(model: EngineModel, reading: Reading[_Fit], followed: Followed[_Fit]) -> Array:
+    """Return the covariance with what a clock leaves in doubt: its rate, which of its readings is true, its wobble.
+
+    A rate stretches all times: parameters move as far as the fit follows that.
+    """
+    fitted, covariance = followed.fitted, followed.fitted.covariance.copy()
+    covariance[0, 0] += followed.spread**2
+    moves = [fitted.values - one.values for one in (reading.fitted, reading.other) if one is not None]
+    if reading.rates > 0.0:
+        longer = [
+            replace(part, times=STRETCHED * part.times, command_times=STRETCHED * part.command_times)
+            for part in fitted.parts
+        ]
+        change = model.answer(fitted.values, longer) - model.answer(fitted.values, fitted.parts)
+        white = Problem(fitted.parts, 0.0).whiten(change, fitted.memory)
+        moves.append(
+            reading.rates
+            / (STRETCHED - 1.0)
+            * (invert(fitted.jacobian.T @ fitted.jacobian) @ (fitted.jacobian.T @ white))
+        )
+    return covariance + sum(np.outer(one, one) for one in moves)
+
+
+def _check_told(
+    record: BenchRecord, choices: GreyChoices, values: Array, covariance: Array, clock: Sequence[str]
+) -> None:
+    """Raise NotIdentifiedError for parameters whose bounds exceed their value."""
+    deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    unknown = [
+        name
+        for name, value, one in zip(choices.fitted, values[1:], deviations[1:], strict=True)
+        if not DEVIATIONS_95 * one <= abs(value)
+    ]
+    if unknown:
+        why = "".join(f"; {note}" for note in clock)
+        raise NotIdentifiedError(
+            f"{record.path}: the log does not tell {' and '.join(unknown)} of {choices.engine}: the 95 % bounds exceed "
+            f"the value; leave out --fit {unknown[0]}, or log steps over the whole range, up and down{why}"
+        )
+
+
+def _ends_of_bounds(model: EngineModel, values: Array, covariance: Array) -> tuple[Array, Array]:
     """Return two sets of values at the ends of the 95 % bounds, in the direction that the logs tell least."""
-    scale = _scale(model)
+    scale = model.scale
     sizes, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
     way = DEVIATIONS_95 * np.sqrt(max(float(sizes[-1]), 0.0)) * directions[:, -1] * scale
-    low, high = _ends(model)
+    low, high = model.ends()
     least = np.maximum(low, LEAST_PART * values)
     return np.clip(values - way, least, high), np.clip(values + way, least, high)
 
 
 def _untold(
-    model: _Model, records: Sequence[BenchRecord], parts: Sequence[Part], residual: Array, ends: tuple[Array, Array]
+    model: EngineModel,
+    records: Sequence[BenchRecord],
+    parts: Sequence[Part],
+    residual: Array,
+    ends: tuple[Array, Array],
 ) -> list[str]:
     def answer(part: Part) -> tuple[Array, Array]:
         one, other = (model.answer(values, [part]) for values in ends)
@@ -263,71 +261,24 @@ def _untold(
     return describe_small_movements(records, parts, residual, HORIZON_S, answer, output_unit(records[0]))
 
 
-def output_unit(record: BenchRecord) -> str:
-    """Return the unit in which an engine's own output is compared: rpm of a speed, N of a thrust."""
-    return "rpm" if record.output_unit in ("rpm", "krpm") else "N"
+class _Fit(NamedTuple):
+    """Delay and parameters as fitted; ``jacobian``: how what is left over, made white, changes with them."""
+
+    values: Array
+    residual: Array
+    covariance: Array
+    parts: Sequence[Part]
+    memory: float
+    jacobian: Array
+    bic: float
 
 
-def _model(records: Sequence[BenchRecord], choices: GreyChoices) -> tuple[_Model, list[Part]]:
-    first = records[0]
-    speed = first.output_unit in ("rpm", "krpm")
-    if not speed and first.newtons is None:
-        raise InputError(
-            f"{first.path}: {first.output_name} is in {first.output_unit or 'no unit'}; an engine has thrust or rpm"
-        )
-    unit = {"rpm": 1.0, "krpm": 1e3}.get(first.output_unit, first.newtons or 1.0)
-    by_speed = first.command_unit in ("rpm", "krpm")
-    low, high = (0.0, {"krpm": 1e-3}.get(first.command_unit, 1.0)) if by_speed else choices.limits
-    parts = [
-        Part(record.command_times, (record.command - low) / (high - low), record.times, unit * record.output,
-             record.step, choices.straight, record.width)
-        for record in records
-    ]  # fmt: skip
-    spec = load_engine(choices.engine, dict(choices.settings), STEP_S)
-    variables = {variable.name: variable for variable in spec.archive.parameters}
-    for name in choices.fitted:
-        if name not in spec.parameters:
-            raise InputError(f"--fit {name}: {choices.engine} has no such parameter; {nearest(name, spec.parameters)}")
-        if variables[name].type.startswith(("Int", "UInt", "Bool", "Enum")):
-            raise InputError(f"--fit {name}: is no continuous number; the delay is fitted anyway")
-        if not spec.parameters[name] > 0.0:
-            raise InputError(f"--fit {name}: is {spec.parameters[name]:g}; set where to begin: --set {name}=...")
-    late = spec.delay_samples
-    if late is not None:  # the delay is fitted before the engine, to any fraction of a step
-        spec = load_engine(choices.engine, {**choices.settings, "delay_samples": 0.0}, STEP_S)
-    if speed and not np.isfinite(_at_rest(spec).spool_speed[0]):
-        raise InputError(f"{choices.engine} reports no speed, and {first.output_name} is one")
-    begin = UNIT_DELAY_S if late is None else late * (spec.internal_step or STEP_S)
-    start = np.array([begin, *(spec.parameters[name] for name in choices.fitted)])
-    return _Model(spec, variables, start, choices, speed, by_speed, STEP_S), parts
-
-
-def _at_rest(spec: EngineSpec) -> Any:
-    with make_bank([spec], STEP_S) as bank:
-        return bank.reset(0.5)
-
-
-def _scale(model: _Model) -> Array:
-    return np.array([UNIT_DELAY_S, *model.start[1:]])
-
-
-def _ends(model: _Model) -> tuple[Array, Array]:
-    """Return the least and the greatest of delay and parameters, by the FMU's own limits."""
-    low, high = [0.0], [model.choices.longest_delay]
-    for name, begin in zip(model.choices.fitted, model.start[1:], strict=True):
-        variable = model.variables[name]
-        low.append(max(-np.inf if variable.min is None else variable.min, begin / WIDEST))
-        high.append(min(np.inf if variable.max is None else variable.max, begin * WIDEST))
-    return np.array(low), np.array(high)
-
-
-def _fit(model: _Model, parts: Sequence[Part]) -> tuple[Array, Array, Array]:
-    """Return delay and parameters, what is left over, and their covariance."""
+def _fit(model: EngineModel, parts: Sequence[Part]) -> _Fit:
     from scipy.optimize import least_squares
 
     problem = Problem(parts, model.choices.longest_delay)
-    low, high = _ends(model)
-    scale, values, memory = _scale(model), np.clip(model.start, low, high), 0.0
+    low, high = model.ends()
+    scale, values, memory = model.scale, np.clip(model.start, low, high), 0.0
     worst = float(np.ptp(problem.output))
 
     def left(x: Array) -> Array:
@@ -350,14 +301,35 @@ def _fit(model: _Model, parts: Sequence[Part]) -> tuple[Array, Array, Array]:
         residual = left(answer.x)
         memory = problem.memory_of(residual)
     white = problem.whiten(residual, memory)
-    jacobian = _slopes(problem, left, values / scale, memory)
+    jacobian = _slopes(problem, left, values / scale, memory) / scale
     loss = max(float(white @ white), problem.floor)
     covariance = loss / max(len(white) - len(values), 1) * invert(jacobian.T @ jacobian)
-    wider = robust_factor(jacobian, white, covariance, memory_rows(white)) * scale
+    wider = robust_factor(jacobian, white, covariance, memory_rows(white))
     covariance = covariance * np.outer(wider, wider)
     silent = np.flatnonzero(~np.any(jacobian != 0.0, axis=0))  # parameters that change nothing
     covariance[silent, silent] = np.inf
-    return values, residual, covariance
+    rows = len(white)
+    bic = rows * float(np.log(loss / rows)) + problem.scales(memory) + len(values) * float(np.log(rows))
+    return _Fit(values, residual, covariance, parts, memory, jacobian, bic)
+
+
+def _refit(model: EngineModel, moved: Problem, fit: _Fit) -> _Fit:
+    return _fit(replace(model, start=fit.values), moved.parts)
+
+
+def _fit_settled(model: EngineModel, records: Sequence[BenchRecord]) -> _Fit:
+    """Fit logs whose commands move behind lost rows when the engine says."""
+    parts = make_parts(records, model.choices)
+    lost: lost_rows.Model[_Fit] = lost_rows.Model(
+        lambda moved, fit: moved.output - model.answer(fit.values, moved.parts),
+        lambda fit: fit.memory,
+        lambda _, fit: fit.jacobian,
+        lambda moved, fit: _refit(model, moved, fit),
+    )
+    problem = Problem(parts, model.choices.longest_delay)
+    _, fit, unsure = lost_rows.settle_moves(problem, _fit(model, parts), lost)
+    fit.covariance[0, 0] += unsure**2
+    return fit
 
 
 def _slopes(problem: Problem, left: Any, x: Array, memory: float) -> Array:
@@ -370,12 +342,12 @@ def _slopes(problem: Problem, left: Any, x: Array, memory: float) -> Array:
     return np.column_stack(columns)
 
 
-def _predict(model: _Model, parts: Sequence[Part], values: Array) -> tuple[HeldBack | None, list[Array]]:
+def _predict(model: EngineModel, parts: Sequence[Part], values: Array) -> tuple[HeldBack | None, list[Array]]:
     """Return how far the engine is off, fitted to a part of the movements, there and in the others; and these fits."""
     begun, halves = replace(model, start=values), []
 
     def foretell(use: list[NDArray[np.bool_]]) -> Array:
-        halves.append(_fit(begun, [part.chosen(rows) for part, rows in zip(parts, use, strict=True)])[0])
+        halves.append(_fit(begun, [part.chosen(rows) for part, rows in zip(parts, use, strict=True)]).values)
         return model.answer(halves[-1], parts)
 
     return hold_back(parts, HORIZON_S, foretell), halves
@@ -412,8 +384,8 @@ def describe_beginning(
     return notes
 
 
-def _at_the_ends(model: _Model, values: Array) -> list[str]:
-    low, high = _ends(model)
+def _at_the_ends(model: EngineModel, values: Array) -> list[str]:
+    low, high = model.ends()
     notes = []
     for name, value, least, most in zip(("delay", *model.choices.fitted), values, low, high, strict=True):
         if name != "delay" and (value <= 1.001 * least or value >= 0.999 * most):

@@ -8,7 +8,8 @@ import numpy as np
 
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.identify.bench.evidence import describe_held_back
-from cosim.identify.bench.grey_box import STEP_S, GreyIdentification, output_unit
+from cosim.identify.bench.grey_box import GreyIdentification
+from cosim.identify.bench.grey_model import STEP_S, output_unit
 from cosim.identify.bench.result import NO_LONGER, lay_behind, movement_cards
 from cosim.identify.engine_file import DEVIATIONS_95, engine_readme, uncertainty_table
 from cosim.identify.files import write_identification

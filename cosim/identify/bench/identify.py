@@ -23,8 +23,9 @@ from cosim.identify.bench.evidence import (
 from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, make_part
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
-from cosim.identify.bench.stretches import fit_alone, follow_delays, hold_both_halves, model_delays, stretch_times
-from cosim.identify.engine_file import DEVIATIONS_95
+from cosim.identify.bench.timing.lost_rows import LAGS, settle_moves
+from cosim.identify.bench.timing.readings import CLEAR, Model, choose_clock, follow_clock
+from cosim.identify.bench.timing.stretches import answer_lags, clock_moves, fit_alone, hold_both_halves, widen
 from cosim.identify.verdict import Judgement, judge_model, shared_record
 
 LONGEST_DELAY_S = 2.0
@@ -37,7 +38,6 @@ MOST_PERCENT = 100.0 * UNIT_RANGE  # of a throttle that is said to be in percent
 NO_UNITS = ("", "1", "-", "0..1", "0-1", "0/1")  # of a throttle
 ENOUGH_ROWS = 4000  # of all logs; more are averaged where they are fine enough
 SHORT = 0.04  # of delay and lags together: over so long rows may be averaged
-CLEAR = 10.0  # by which Schwarz' criterion has to fall for a zero that drifts, or rise for a form to be refuted
 BY_LEVEL = Form(by_level=True)
 SPEEDS = ("rpm", "krpm")
 ECU_RAMP = ("fuel_integral", "fuel_fall")  # of an ECU's fuel by error
@@ -67,7 +67,6 @@ class BenchIdentification:
     spread: dict[str, float]  # standard deviations between several logs, of what one engine would have alike
     notes: tuple[str, ...]
     untold: tuple[str, ...]
-    unsure_rate: float = 0.0  # relative, by which the clock's rate is not known
 
     @property
     def chosen(self) -> Estimate:
@@ -155,30 +154,39 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     notes = list(dict.fromkeys(note for record in records for note in record.notes))
     limits, known = throttle_limits(records, choices.limits, notes)
     straight = is_straight(records, choices.between, notes)
-    problem, estimates = _fit_forms(records, limits, straight, choices.longest_delay)
-    records, problem, estimates, rates = _choose_clock(records, problem, estimates, limits, straight, notes)
+
+    def fit_forms(records: Sequence[BenchRecord]) -> tuple[Problem, tuple[Estimate, ...], float]:
+        return _fit_forms(records, limits, straight, choices.longest_delay)
+
+    given = records
+    records, (problem, estimates, unsure), rates, other = choose_clock(
+        records, fit_forms(records), lambda fitted: fitted[1][0].bic, fit_forms, notes
+    )
+    others = () if other is None else other[1]
     if problem.drift:
         drifts = ", ".join(f"{value:.3g}" for value in estimates[0].drifts)
         notes.append(f"the zero drifts, {drifts} a second; taken out")
-    problem, estimates, spread_of_clock = _follow_clock(problem, estimates, records, notes)
+    before = estimates
+    problem, estimates, wobble = _follow(problem, estimates, records, notes)
+    others = (*others, *(() if estimates is before else before))
     estimates = (replace(estimates[0], delay_bounds=_delay_bounds(problem, estimates)), *estimates[1:])
-    deviation = float(np.hypot(max(record.clock_deviation for record in records), spread_of_clock))
+    clock = max(record.clock_deviation for record in records)
+    deviation = float(np.linalg.norm([clock, wobble, unsure]))
     if straight and choices.between == "auto" and any(is_noisy(record.command) for record in records):
         deviation = float(np.hypot(deviation, _half_a_row(records)))  # held between its rows, for all that is known
-    estimates = tuple(_widen(problem, stretch_times(problem, one, rates), deviation) for one in estimates)
+    estimates = tuple(widen(problem, one, clock_moves(one, rates, wobble, others), deviation) for one in estimates)
     chosen = estimates[0]
     spread, doubts = _compare_logs(problem, chosen, records)
     chosen, changed = hold_both_halves(problem, chosen)
     estimates, doubts = (chosen, *estimates[1:]), [*doubts, *changed]
     left_over = problem.residual(chosen)
-    misfit = test_residuals(problem.parts, left_over, chosen.delay, chosen.total[0])
+    misfit = _judge(problem, chosen)
     lacks = _lacks(problem, left_over, records[0]) if misfit.failed else []
     held_back = predict_held_back(problem, chosen)
     doubts += _doubt_zero(chosen, records[0], limits)
     found = BenchIdentification(
-        tuple(records), problem, limits, known, straight, estimates, misfit, held_back, spread,
+        tuple(given), problem, limits, known, straight, estimates, misfit, held_back, spread,
         (*notes, *doubts, *_doubts(chosen, misfit, held_back, records[0], output_swing(problem.parts)), *lacks), (),
-        rates,
     )  # fmt: skip
     untold = describe_missing_evidence(chosen, records, limits, problem.longest_delay, straight, found.is_explained)
     return replace(found, untold=tuple(untold))
@@ -186,68 +194,41 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
 
 def _fit_forms(
     records: Sequence[BenchRecord], limits: tuple[float, float], straight: bool, longest_delay: float
-) -> tuple[Problem, tuple[Estimate, ...]]:
-    """Return logs, averaged and with a zero that drifts where they are so, and all forms, the likeliest first."""
+) -> tuple[Problem, tuple[Estimate, ...], float]:
+    """Return logs, averaged and with a zero that drifts where they are so, and all forms, the likeliest first.
+
+    And how unsure lost rows make the delay, s.
+    """
     parts = [make_part(record, limits, straight) for record in records]
     problem = Problem(parts, _longest(records, longest_delay))
-    problem, base = _average(problem, fit(problem, Form()))
+    problem, base, unsure = settle_moves(problem, fit(problem, Form()), LAGS)
+    problem, base = _average(problem, base)
     _check_answer(problem, base, ", ".join(str(record.path) for record in records))
     estimates = _choose(problem, base, records)
     drifting = Problem(problem.parts, problem.longest_delay, True)
     other = fit(drifting, estimates[0].form, estimates[0])
     if other.bic < estimates[0].bic - CLEAR:
-        return drifting, _choose(drifting, fit(drifting, Form(), base), records)
-    return problem, estimates
+        return drifting, _choose(drifting, fit(drifting, Form(), base), records), unsure
+    return problem, estimates, unsure
 
 
-def _choose_clock(
-    records: Sequence[BenchRecord], problem: Problem, estimates: tuple[Estimate, ...], limits: tuple[float, float],
-    straight: bool, notes: list[str],
-) -> tuple[Sequence[BenchRecord], Problem, tuple[Estimate, ...], float]:  # fmt: skip
-    """Return logs by their time stamps or, where these wander, by rows at a fixed rate: what explains them better.
-
-    And by how much the rate is unsure, relative: where it is not the stamps that are clearly better.
-    """
-    wandering = [record.even for record in records if record.even is not None]
-    if not wandering:
-        return records, problem, estimates, 0.0
-    by_rows = [record.on_even_rows() for record in records]
-    other, fitted = _fit_forms(by_rows, limits, straight, problem.longest_delay)
-    better = estimates[0].bic - fitted[0].bic
-    if better < -CLEAR:
-        return records, problem, estimates, 0.0
-    size, rates = max(one.size for one in wandering), max(one.rates for one in wandering)
-    notes.append(
-        f"the time stamps wander by {size:.3g} s about rows that follow each other at a fixed rate, their own rate by "
-        f"{100.0 * rates:.2g} %: a clock that runs slow, then quick; "
-        + ("the log is explained better by the rows, which are taken" if better > CLEAR else "both explain the log")
-        + f"; the bounds of delay and lags are wider by {100.0 * DEVIATIONS_95 * rates:.2g} % of them"
-    )
-    return (by_rows, other, fitted, rates) if better > 0.0 else (records, problem, estimates, rates)
-
-
-def _follow_clock(
+def _follow(
     problem: Problem, estimates: tuple[Estimate, ...], records: Sequence[BenchRecord], notes: list[str]
 ) -> tuple[Problem, tuple[Estimate, ...], float]:
-    """Return logs whose stretches are answered alike, where they are not by more than noise, and their spread [s].
-
-    Where the model does not explain the logs they stay as they are, and it is said whether that would.
-    """
+    """Return logs whose stretches are answered alike, all forms, and the spread [s]; not where halves differ."""
     chosen = estimates[0]
-    delays, spans = model_delays(problem, chosen)
-    if delays is None or not delays.differ or hold_both_halves(problem, chosen)[1]:
+    if hold_both_halves(problem, chosen)[1]:
         return problem, estimates, 0.0
-    moved, found, moves, spread = follow_delays(problem, chosen, delays, spans)
-    words = f"stretches of the log are answered {1e3 * np.ptp(moves):.3g} ms apart, by more than noise"
-    if test_residuals(problem.parts, problem.residual(chosen), chosen.delay, chosen.total[0]).failed:
-        if not test_residuals(moved.parts, moved.residual(found), found.delay, found.total[0]).failed:
-            notes.append(f"{words}: an output whose clock wobbles by that against the command's would explain the log")
-        return problem, estimates, 0.0
-    notes.append(
-        f"{words}: a clock that wobbles, or an ECU that reads its command at intervals; each is fitted with its own "
-        "delay, and the bounds hold their spread"
-    )
-    return moved, _choose(moved, fit(moved, Form(), found), records), spread
+    model = Model(answer_lags, lambda moved, one: fit(moved, one.form, one), _judge)
+    followed = follow_clock(problem, chosen, model, notes)
+    if not followed.is_moved:
+        return problem, estimates, followed.spread
+    moved = followed.problem
+    return moved, _choose(moved, fit(moved, Form(), followed.fitted), records), followed.spread
+
+
+def _judge(problem: Problem, chosen: Estimate) -> Misfit:
+    return test_residuals(problem.parts, problem.residual(chosen), chosen.delay, chosen.total[0])
 
 
 def _check_moves(record: BenchRecord) -> None:
@@ -386,20 +367,6 @@ def _delay_bounds(problem: Problem, estimates: Sequence[Estimate]) -> tuple[floa
     if level is not None and level.bic <= least:
         bounds.append(bound_delay(problem, level, True))
     return min(low for low, _ in bounds), max(high for _, high in bounds)
-
-
-def _widen(problem: Problem, estimate: Estimate, deviation: float) -> Estimate:
-    """Return an estimate whose delay is as uncertain as the alignment [s] of two clocks makes it."""
-    if deviation == 0.0:
-        return estimate
-    low, high = float(problem.limits(estimate.form)[0][0]), problem.longest_delay
-    wide = min(deviation, high - low)
-    covariance = estimate.covariance.copy()
-    covariance[0, 0] += wide**2
-    half = DEVIATIONS_95 * wide
-    below, above = (float(np.hypot(estimate.delay - end, half)) for end in estimate.delay_bounds)
-    bounds = max(estimate.delay - below, low), min(estimate.delay + above, high)
-    return replace(estimate, covariance=covariance, delay_bounds=(low, high) if np.isinf(deviation) else bounds)
 
 
 def _compare_logs(

@@ -20,6 +20,7 @@ from cosim.identify.bench import BenchIdentification, Choices, Columns, grey_box
 from cosim.identify.bench.beyond_lags import fit_beyond_lags
 from cosim.identify.bench.evidence import Foretold, HeldBack, Misfit, describe_held_back, movement_rows
 from cosim.identify.bench.grey_box_result import write as write_engine
+from cosim.identify.bench.grey_model import GreyChoices
 from cosim.identify.bench.identify import ECU_RAMP, throttle_limits
 from cosim.identify.bench.result import page
 
@@ -74,7 +75,7 @@ def test_a_lag_of_minutes_leaves_no_form_beyond_it_and_is_no_error(tmp_path: Pat
     times, command, thrust, _ = bench_log("stairs of 5 s", 10.0, ONE)
     records = read_records([write(tmp_path / "bench.csv", command, thrust, 1e3 * times)])
     lags: Any = SimpleNamespace(
-        is_explained=False, limits_known=True, records=records, offset=0.0, limits=(0.0, 1.0), straight=False, unsure_rate=0.0,
+        is_explained=False, limits_known=True, records=records, offset=0.0, limits=(0.0, 1.0), straight=False,
         chosen=SimpleNamespace(gain=100.0, lags=(373.0,)), misfit=SimpleNamespace(size=0.01, is_significant=True),
     )  # fmt: skip
     assert fit_beyond_lags(lags, 2.0) is None
@@ -572,7 +573,7 @@ def test_an_engine_that_foretells_what_was_held_back_is_left_though_more_than_no
     monkeypatch.setattr(grey_box, "test_residuals", lambda *_: Misfit(0.0, 1.0, 0.01))
     times, command, thrust, _ = bench_log("stairs of 15 s", 10.0, noise=0.2, seconds=75.0)
     records = read_records([write(tmp_path / "bench.csv", command, thrust, times)])
-    choices = grey_box.GreyChoices("fitted", ("lag",), {"gain": 100.0, "offset": 5.0, "lag": 0.3})
+    choices = GreyChoices("fitted", ("lag",), {"gain": 100.0, "offset": 5.0, "lag": 0.3})
     result = grey_box.fit_engine(records, choices)
     assert result.held_back is not None
     assert len(result.held_back.movements) == 4

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.identify.bench.fit import Estimate, Part, Problem, delay_slope, fit
+from cosim.identify.bench.fit import Estimate, Part, Problem, fit, slopes
 from cosim.identify.engine_file import DEVIATIONS_95
 
 HALVES_APART = 4.0  # standard deviations by which two halves of one log may differ: p = 6e-5
@@ -23,13 +23,23 @@ LEAST_MOVE = 0.2  # of its deviation: by less no stretch is moved again
 LEAST_ROW = 0.05  # of a row, that two rows are apart behind a move
 
 Spans = list[tuple[int, int]]  # first row and the one behind the last, of one log
+Fitted = TypeVar("Fitted")
+
+
+class Answered(NamedTuple):
+    """What a model leaves over of logs, and by how much that changes with the delay; rows as ``Problem.output``."""
+
+    residual: Array  # output's unit
+    slope: Array  # of the model over the delay, output's unit a second
+    memory: float  # of the noise, from one row to the next
+    total: float  # s, delay and lags together
 
 
 class Delays(NamedTuple):
     """How much later than its log's mean each stretch is answered."""
 
     late: Array  # s, of one log behind the other
-    deviations: Array  # s
+    deviations: Array  # s, by noise
     p: float  # with which noise alone spreads them so
 
     @property
@@ -37,16 +47,22 @@ class Delays(NamedTuple):
         """Whether they differ by more than noise."""
         return self.p < SIGNIFICANCE
 
+    def spread(self, moves: Array | None = None) -> float:
+        """Return the standard deviation of the delays, or of ``moves`` by them, without what noise adds, s."""
+        late = self.late if moves is None else moves
+        return float(np.sqrt(max(float(np.mean(late**2) - np.mean(self.deviations**2)), 0.0)))
 
-def measure_delays(problem: Problem, residual: Array, slope: Array, memory: float, spans: Sequence[Spans]) -> Delays:
-    """Return how late the stretches between these rows of each log are answered.
+    @property
+    def mean_deviation(self) -> float:
+        """Standard deviation of the mean delay, s, by what the delays are apart beyond noise."""
+        return self.spread() / float(np.sqrt(len(self.late)))
 
-    ``residual`` is what a model leaves over, ``slope`` [1/s] by how much it changes with the delay; ``memory`` is the
-    noise's, from one row to the next.
-    """
+
+def measure_delays(problem: Problem, answered: Answered, spans: Sequence[Spans]) -> Delays:
+    """Return how late the stretches between these rows of each log are answered."""
     from scipy.special import fdtrc
 
-    columns, white = problem.whiten(slope, memory), problem.whiten(residual, memory)
+    columns, white = (problem.whiten(rows, answered.memory) for rows in (answered.slope, answered.residual))
     late, power, begin = [], [], 0
     for part, own in zip(problem.parts, spans, strict=True):
         column, left = columns[begin : begin + len(part.times)], white[begin : begin + len(part.times)]
@@ -63,17 +79,17 @@ def measure_delays(problem: Problem, residual: Array, slope: Array, memory: floa
     return Delays(delays, np.sqrt(variance / weights), p)
 
 
-def find_stretches(problem: Problem, slope: Array, memory: float, total: float) -> list[Spans]:
+def find_stretches(problem: Problem, answered: Answered) -> list[Spans]:
     """Return the stretches of each log whose answers' delays are compared; none of one that has too few movements.
 
-    A command that is held is cut where it moves, another anywhere; each is longer than two times ``total``, delay and
-    lags together [s], and has a twelfth of what the log tells of the delay.
+    A command that is held is cut where it moves, another anywhere; each is longer than two times delay and lags
+    together, and has a twelfth of what the log tells of the delay.
     """
-    columns, spans, begin = problem.whiten(slope, memory), [], 0
+    columns, spans, begin = problem.whiten(answered.slope, answered.memory), [], 0
     for part in problem.parts:
         column = columns[begin : begin + len(part.times)]
         begin += len(part.times)
-        spans.append(_stretches(part, np.concatenate([[0.0], np.cumsum(column**2)]), LONG * total))
+        spans.append(_stretches(part, np.concatenate([[0.0], np.cumsum(column**2)]), LONG * answered.total))
     return spans
 
 
@@ -91,36 +107,38 @@ def _stretches(part: Part, power: Array, shortest: float) -> Spans:
     return list(pairwise([*cuts, len(part.times)])) if len(cuts) >= LEAST_STRETCHES else []
 
 
+def answer_lags(problem: Problem, estimate: Estimate) -> Answered:
+    """Return how a form as fitted answers logs."""
+    slope = slopes(problem, estimate)[:, 0]
+    return Answered(problem.residual(estimate), slope, estimate.memory, estimate.total[0])
+
+
 def model_delays(
-    problem: Problem, estimate: Estimate, spans: Sequence[Spans] = ()
+    problem: Problem, answered: Answered, spans: Sequence[Spans] = ()
 ) -> tuple[Delays | None, list[Spans]]:
-    """Return how late the stretches of logs are answered, beside a form as fitted; None where there are none."""
-    slope = delay_slope(problem, estimate)
-    spans = spans or find_stretches(problem, slope, estimate.memory, estimate.total[0])
-    if not any(spans):
-        return None, list(spans)
-    return measure_delays(problem, problem.residual(estimate), slope, estimate.memory, spans), list(spans)
+    """Return how late the stretches of logs are answered, beside a model as fitted; None where there are none."""
+    spans = spans or find_stretches(problem, answered)
+    return (measure_delays(problem, answered, spans) if any(spans) else None), list(spans)
 
 
 def follow_delays(
-    problem: Problem, estimate: Estimate, delays: Delays, spans: Sequence[Spans]
-) -> tuple[Problem, Estimate, Array, float]:
+    problem: Problem, fitted: Fitted, answer: Callable[[Problem, Fitted], Answered],
+    refit: Callable[[Problem, Fitted], Fitted], delays: Delays, spans: Sequence[Spans],
+) -> tuple[Problem, Fitted, Array, float]:  # fmt: skip
     """Return logs whose rows are moved so that all stretches are answered alike, the fit, the moves and their spread.
 
     Moves are in s; between the middles of two stretches they go straight.
     """
-    moves, moved, found = np.zeros(len(delays.late)), problem, estimate
+    moves, moved, total = np.zeros(len(delays.late)), problem, answer(problem, fitted).total
     for _ in range(ROUNDS):
-        moves = moves + np.clip(delays.late, -found.total[0], found.total[0])
+        moves = moves + np.clip(delays.late, -total, total)
         moved = _moved(problem, spans, moves)
-        found = fit(moved, found.form, found)
-        again, _ = model_delays(moved, found, spans)
-        assert again is not None
-        delays = again
+        fitted = refit(moved, fitted)
+        answered = answer(moved, fitted)
+        delays, total = measure_delays(moved, answered, spans), answered.total
         if np.all(np.abs(delays.late) < LEAST_MOVE * delays.deviations):
             break
-    variance = float(np.mean(moves**2) - np.mean(delays.deviations**2))
-    return moved, found, moves, max(variance, 0.0) ** 0.5
+    return moved, fitted, moves, delays.spread(moves)
 
 
 def _moved(problem: Problem, spans: Sequence[Spans], moves: Array) -> Problem:
@@ -178,16 +196,30 @@ def hold_both_halves(problem: Problem, chosen: Estimate) -> tuple[Estimate, list
     ]
 
 
-def stretch_times(problem: Problem, estimate: Estimate, rates: float) -> Estimate:
-    """Return an estimate whose delay and lags are as uncertain as a clock's rate is, relative."""
-    if rates == 0.0:
-        return estimate
-    scaled = np.zeros(len(estimate.covariance))
-    for i, name in enumerate(estimate.form.names):
-        scaled[i] = rates * estimate.x[i] if name.endswith("_s") else 0.0
-    low, high = (
-        (1.0 + sign * DEVIATIONS_95 * rates) * end for sign, end in zip((-1.0, 1.0), estimate.delay_bounds, strict=True)
-    )
-    bounds = max(low, 0.0), min(high, problem.longest_delay)
-    covariance = estimate.covariance + np.outer(scaled, scaled)
-    return replace(estimate, covariance=covariance, delay_bounds=bounds if np.isfinite(low) else estimate.delay_bounds)
+def widen(problem: Problem, estimate: Estimate, moves: Sequence[Array], deviation: float) -> Estimate:
+    """Return an estimate as uncertain as its parameters, those in front, may each have moved by ``moves``.
+
+    ``deviation``: of the delay by a clock beside another, s; infinite where nothing tells it.
+    """
+    low, high = float(problem.limits(estimate.form)[0][0]), problem.longest_delay
+    moves = [*moves, np.array([min(deviation, high - low)])]
+    covariance = estimate.covariance.copy()
+    for move in moves:
+        covariance[: len(move), : len(move)] += np.outer(move, move)
+    half = DEVIATIONS_95 * float(np.sqrt(sum(float(move[0]) ** 2 for move in moves)))
+    below, above = (float(np.hypot(estimate.delay - end, half)) for end in estimate.delay_bounds)
+    bounds = max(estimate.delay - below, low), min(estimate.delay + above, high)
+    return replace(estimate, covariance=covariance, delay_bounds=(low, high) if np.isinf(deviation) else bounds)
+
+
+def clock_moves(estimate: Estimate, rates: float, spread: float, others: Sequence[Estimate]) -> list[Array]:
+    """Return by how much a clock may have moved parameters of ``x``, and the gain behind them.
+
+    Its rate, unsure by ``rates``, relative, moves all times; stretches' delays, ``spread`` s, are also had as lag; and
+    another reading of the clock has other values, where one of ``others`` is of the same form.
+    """
+    times = np.array([name.endswith("_s") for name in estimate.form.names], float)
+    lags = times * (np.arange(len(times)) > 0)
+    moves = [rates * times * estimate.x, spread * lags]
+    same = [one for one in others if one.form == estimate.form]
+    return [*moves, *(np.array([*(estimate.x - one.x), estimate.gain - one.gain]) for one in same)]
