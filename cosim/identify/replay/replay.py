@@ -40,6 +40,7 @@ NEEDED: Final = 0.9  # share of the time within the envelope with which a channe
 FORCES: Final = slice(3, 6)  # where the specific force stands among the channels
 SPAN_M: Final = 0.4  # of the Hex-Jet, whose windows are a second
 ALIKE: Final = (1.0, 10.0)  # dB and deg of measured over modelled that are not worth a word
+USELESS: Final = 0.9  # Theil's U of a model that does not do what was measured
 FAR_DB: Final = 10.0  # beyond which the one is no answer to the other
 CORRECTIONS: Final = 2  # of the starts
 
@@ -109,13 +110,20 @@ class Replay:
         """Whether the model explains what the log excites: every such channel is inside the envelope.
 
         Not, where a cause is named that is beyond the tolerances.  Where no moment of inertia would show it is not
-        told, unless thrust over mass is off.
+        told, unless thrust over mass is off; nor where all that is off was moved by something else than the commands.
         """
         moved = [channel for channel in self.channels if channel.excited]
-        if not are_explained(moved, self.causes) or are_beyond(self.causes, self.choices, self.draws_engine):
+        if are_beyond(self.causes, self.choices, self.draws_engine):
             return NOT_EXPLAINED
+        if not are_explained(moved, self.causes):
+            return NOT_TOLD if all(is_foreign(c) for c in self._off) else NOT_EXPLAINED
         told = any(channel.name != LEVEL for channel in moved) and (self.reach is None or self.reach.tells_inertia)
         return EXPLAINED if told else NOT_TOLD
+
+    @property
+    def _off(self) -> list[ChannelMeasures]:
+        """The channels that move and are outside the envelope, but for an attitude's own error."""
+        return [c for c in self.channels if c.excited and c.within < NEEDED and not is_estimate(c, self.causes)]
 
     @property
     def evidence(self) -> tuple[str, ...]:
@@ -132,6 +140,8 @@ class Replay:
         estimates = ", ".join(c.name for c in outside if is_estimate(c, self.causes))
         if estimates:
             lines.append(f"{estimates}: no rate is off, so the attitude of the log is late or drifts, not the vehicle")
+        if foreign := ", ".join(c.name for c in self._off if is_foreign(c)):
+            lines.append(f"{foreign}: moved by what no command makes, the air or another cause, so not told")
         coherent = [
             f"{c.name} {b.low_hz:.2g} to {b.high_hz:.2g} Hz" for c in moved for b in c.bands if b.gain_db is not None
         ]
@@ -275,6 +285,13 @@ def are_explained(channels: Sequence[ChannelMeasures], causes: Causes) -> bool:
 def is_estimate(channel: ChannelMeasures, causes: Causes) -> bool:
     """Return whether a channel that is off is the attitude's own error: an angle, where no rate or force is off."""
     return channel.unit == "rad" and causes.finds_nothing
+
+
+def is_foreign(channel: ChannelMeasures) -> bool:
+    """Return whether a channel moves, and the commands neither make the model do so nor anything alike."""
+    alike = any(band.gain_db is not None for band in channel.bands)
+    is_level = channel.name == LEVEL and channel.theil.bias > 0.5  # thrust over mass
+    return channel.theil.u > USELESS and not is_level and not alike
 
 
 def are_beyond(causes: Causes, choices: Choices, draws_engine: bool) -> bool:

@@ -17,6 +17,7 @@ CLOSE_M_S: Final = 0.1
 MOST_WINDOWS: Final = 10  # that are looked at
 PROBE_M_S: Final = 1.0
 SURE: Final = 0.9772  # quantile: twice its standard deviation, were that known; a smaller wind is not told from none
+WORSE: Final = 1.2  # times the squares of what rates are off by in still air
 MOST_M_S: Final = 30.0
 
 
@@ -66,7 +67,16 @@ def estimate_wind(model: Model, flying: Flying) -> Wind:
             break
     if float(np.linalg.norm(wind)) < float(t.ppf(SURE, len(flying.windows) - 1)) * deviation:
         return Wind(ZERO3, deviation, "too small for its standard deviation: taken for still air")
-    return Wind((float(wind[0]), float(wind[1]), 0.0), deviation, "")
+    found = (float(wind[0]), float(wind[1]), 0.0)
+    if _rates_off(model, flying, found) > WORSE * _rates_off(model, flying, ZERO3):
+        return Wind(ZERO3, deviation, "in it the rates are further off than in still air, which is taken")
+    return Wind(found, deviation, "")
+
+
+def _rates_off(model: Model, flying: Flying, wind: Vector3) -> float:
+    """Return the squares of what the rates are off by, (rad/s)^2: a wind turns a vehicle with a wing too."""
+    flown = model.fly(flying.flight, flying.windows, flying.starts, None, wind)
+    return float(np.nansum((flying.flight.rate - flown.rate)[flying.rows] ** 2))
 
 
 def _drift(model: Model, flying: Flying, wind: Array) -> Array:

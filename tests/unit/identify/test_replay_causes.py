@@ -12,9 +12,9 @@ from cosim.identify.replay.candidates import Cause, Exchange, Hypothesis, combin
 from cosim.identify.replay.causes import Causes, search_causes
 from cosim.identify.replay.flown import Change
 from cosim.identify.replay.gyro import euler_rates
-from cosim.identify.replay.measures import Envelope
+from cosim.identify.replay.measures import LEVEL, ChannelMeasures, Envelope, measure_bands, theil
 from cosim.identify.replay.misfit import Fitted, Part
-from cosim.identify.replay.replay import are_beyond
+from cosim.identify.replay.replay import are_beyond, is_foreign
 from cosim.identify.replay.wind import level_part
 
 WINDOWS, ROWS, CHANNELS = 8, 60, 2
@@ -116,6 +116,21 @@ def test_a_named_cause_beyond_the_tolerances_is_not_explained() -> None:
     assert not are_beyond(named(inertia, lag), usual, True)
     assert are_beyond(named(Part("engines 1 and 2 swapped", "")), usual, True)
     assert not are_beyond(named(), usual, True)
+
+
+def test_what_no_command_moves_is_foreign() -> None:
+    """Not a model that is too small but alike, nor a thrust over mass that is off."""
+    rng = np.random.default_rng(1)
+    blown, flown = (x - x.mean(axis=1, keepdims=True) for x in rng.standard_normal((2, 20, 100)).cumsum(axis=2))
+
+    def channel(measured: np.ndarray, modelled: np.ndarray, name: str = "rate_p") -> ChannelMeasures:
+        bands = measure_bands(measured, modelled, 0.004, 0.01, np.zeros(3))
+        return ChannelMeasures(name, "rad/s", 0.1, 1.0, 1.0, 0.01, theil(measured, modelled), bands, True)
+
+    assert is_foreign(channel(blown, 0.01 * flown))
+    assert not is_foreign(channel(blown, 0.01 * blown))
+    assert not is_foreign(channel(blown, -blown))
+    assert not is_foreign(channel(blown, 0.01 * flown + 100.0, LEVEL))
 
 
 def test_forces_are_turned_as_an_attitude_turns_them() -> None:
