@@ -14,6 +14,12 @@ LARGEST_SAMPLES = 1000  # of its delay
 DEVIATIONS_95 = 1.96  # standard deviations of a 95 % bound
 
 
+def whole_delay(samples: float, deviation: float) -> tuple[int, float]:
+    """Return a delay in the whole steps that an engine has, and its deviation with the part of a step that is off."""
+    whole = min(round(samples), LARGEST_SAMPLES)
+    return whole, float(np.hypot(deviation, samples - whole))
+
+
 def uncertainty_table(
     source: str, names: Sequence[str], covariance: Array, deviation: Array | None = None
 ) -> dict[str, object]:

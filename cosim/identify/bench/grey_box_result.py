@@ -11,7 +11,7 @@ from cosim.identify.bench.evidence import describe_held_back
 from cosim.identify.bench.grey_box import GreyIdentification
 from cosim.identify.bench.grey_model import STEP_S, output_unit
 from cosim.identify.bench.result import NO_LONGER, lay_behind, movement_cards
-from cosim.identify.engine_file import DEVIATIONS_95, engine_readme, uncertainty_table
+from cosim.identify.engine_file import DEVIATIONS_95, engine_readme, uncertainty_table, whole_delay
 from cosim.identify.files import write_identification
 from cosim.identify.page import Card, Page, draw_signals
 
@@ -66,8 +66,8 @@ def engine_table(result: GreyIdentification) -> dict[str, object]:
     names, deviations = list(result.choices.fitted), list(result.deviations[1:])
     keep = list(range(1, len(result.values)))
     if DELAY in spec.parameters:
-        parameters[DELAY] = round(float(result.values[0]) / step)
-        names, deviations, keep = [DELAY, *names], [result.deviations[0] / step, *deviations], [0, *keep]
+        parameters[DELAY], off = whole_delay(float(result.values[0]) / step, result.deviations[0] / step)
+        names, deviations, keep = [DELAY, *names], [off, *deviations], [0, *keep]
     covariance = result.covariance[np.ix_(keep, keep)]
     logs = ", ".join(record.path.name for record in result.records)
     return table | {

@@ -21,6 +21,7 @@ from cosim.identify.engine_file import (
     LARGEST_SAMPLES,
     engine_readme,
     uncertainty_table,
+    whole_delay,
 )
 from cosim.identify.files import write_identification
 from cosim.identify.page import Card, Page, Signals, draw_signals
@@ -124,7 +125,7 @@ def engine_table(result: BenchIdentification) -> dict[str, object]:
         "gain": unit * chosen.gain,
         "offset": unit * result.offset,
         "lag": lag,
-        "delay_samples": round(chosen.delay / FITTED_STEP_S),
+        "delay_samples": whole_delay(chosen.delay / FITTED_STEP_S, 0.0)[0],
     }
     parameters |= {"lag_2": ratio * lag} if chosen.form.lags == 2 else {}
     parameters |= {"exponent": exponent} if chosen.form.curve else {}
@@ -140,7 +141,7 @@ def engine_table(result: BenchIdentification) -> dict[str, object]:
 def uncertainty(result: BenchIdentification) -> dict[str, object]:
     """Return the parameters' standard deviations and correlation, and their spread between several logs.
 
-    The delay's deviation is that of its bounds, and of the row within which a held command moved.
+    The delay's deviation is that of its bounds, of the row within which a held command moved, and of whole steps.
     """
     chosen, unit = result.chosen, result.records[0].newtons or 1.0
     names, slope = ["delay_samples", "lag"], [np.eye(1, len(chosen.covariance), 0)[0] / FITTED_STEP_S]
@@ -163,7 +164,7 @@ def uncertainty(result: BenchIdentification) -> dict[str, object]:
     matrix = np.array(slope)
     covariance = matrix @ chosen.covariance @ matrix.T
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    deviation[0] = max(deviation[0], _delay_deviation(result))
+    deviation[0] = whole_delay(chosen.delay / FITTED_STEP_S, max(deviation[0], _delay_deviation(result)))[1]
     table = uncertainty_table(_describe_logs(result), names, covariance, deviation)
     if result.spread:
         table["spread"] = [_spread_of(result, name) for name in names]

@@ -14,9 +14,9 @@ from cosim.identify.engine_file import (
     DEVIATIONS_95,
     FITTED,
     FITTED_STEP_S,
-    LARGEST_SAMPLES,
     engine_readme,
     uncertainty_table,
+    whole_delay,
 )
 from cosim.identify.files import write_identification
 from cosim.identify.page import Card, Page, Signals, draw_signals
@@ -98,7 +98,7 @@ def engine_table(result: LogIdentification) -> dict[str, object]:
     """Return a mapping file's table: the library's engine ``fitted`` as identified, with ``[uncertainty]``.
 
     Its internal step is 4 ms, which the delay is rounded to; lags beyond the two slowest are added to the delay, which
-    is what low frequencies see of them.  The delay's deviation is that of its bounds.
+    is what low frequencies see of them.  The delay's deviation is that of its bounds and of whole steps.
     """
     x, size = result.chosen.x, len(result.chosen.covariance)
     lags = [1.0 / float(x[0]), *map(float, x[1:-1])]
@@ -124,7 +124,7 @@ def engine_table(result: LogIdentification) -> dict[str, object]:
     low, high = result.delay_bounds
     if np.isfinite(low):
         deviation[0] = max(deviation[0], (high - low) / (2.0 * DEVIATIONS_95) / FITTED_STEP_S)
-    samples = min(round(delay / FITTED_STEP_S), LARGEST_SAMPLES)
+    samples, deviation[0] = whole_delay(delay / FITTED_STEP_S, deviation[0])
     known = uncertainty_table(summary(result), list(values), covariance, deviation)
     return {
         "fmu": "engine.fmu",

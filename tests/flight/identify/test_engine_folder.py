@@ -24,8 +24,10 @@ COMMANDS = {
 }  # fmt: skip
 
 
-def log_of(folder: Path, truth: Truth, kind: str = "chirp", noise: float = 0.5, seed: int = 1) -> Path:
-    times, command, thrust, _ = bench_log(kind, 50.0, truth, noise=noise, seconds=40.0, seed=seed)
+def log_of(
+    folder: Path, truth: Truth, kind: str = "chirp", noise: float = 0.5, seed: int = 1, rate: float = 50.0
+) -> Path:
+    times, command, thrust, _ = bench_log(kind, rate, truth, noise=noise, seconds=40.0, seed=seed)
     rows = np.column_stack([times, command, thrust])
     np.savetxt(folder / "bench.csv", rows, "%.9g", ",", header="t_s,throttle,thrust_N", comments="")
     return folder / "bench.csv"
@@ -51,6 +53,17 @@ def test_it_has_an_engine_a_page_and_a_picture(hexjet: Hexjet, tmp_path: Path, c
     assert texts >= {"measured", "model, of the command alone", "command", "time [s]"}
     curves = [each.get("points", "") for each in drawing.iter(f"{SVG}polyline")]
     assert all(len(curve.split()) > 100 for curve in curves[:3])
+
+
+def test_a_delay_between_two_steps_is_as_unsure_as_the_step_that_it_is_rounded_to(tmp_path: Path) -> None:
+    """66 ms are 16.5 steps of 4 ms: however well they are known, the engine has 16 or 17, and its bounds the truth."""
+    result = identify_bench(read_records([log_of(tmp_path, Truth(delay=0.066), "stairs of 2 s", 0.02, rate=500.0)]))
+    assert np.ptp(result.chosen.delay_bounds) < 0.25 * 0.004 * 3.92
+    engine = load_engine(str(write(result, tmp_path / "mine")["engine"]), {}, 0.004)
+    assert engine.uncertainty is not None
+    (deviation,) = engine.uncertainty.deviation[:1]
+    assert deviation >= abs(result.chosen.delay / 0.004 - engine.parameters["delay_samples"]) > 0.3
+    assert abs(16.5 - engine.parameters["delay_samples"]) < 1.96 * deviation
 
 
 @pytest.mark.parametrize("seed", range(4))
