@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from cosim.base.arrays import Array
 from cosim.base.storage.toml import read_toml, toml_text
+from cosim.engine.fmu.uncertainty import Uncertainty
 from cosim.identify.bench.evidence import describe_held_back
 from cosim.identify.bench.grey_box import GreyIdentification
 from cosim.identify.bench.grey_model import STEP_S, output_unit
@@ -34,12 +36,10 @@ def write(result: GreyIdentification, folder: Path) -> dict[str, Path]:
 
 def page(result: GreyIdentification) -> Page:
     """Return the page of a fit."""
-    first = result.records[0]
-    units = first.command_unit or first.command_name, output_unit(first)
     cards = [
         Card("Models", ["with 95 % bounds", result.choices.engine], rows(result), BOUNDS),
         *([Card("What the log does not tell, and the next test", lines=result.untold)] if result.untold else []),
-        *movement_cards(result.held_back, units[1], result.swing),
+        *movement_cards(result.held_back, output_unit(result.records[0]), result.swing),
         Card("Measured and modelled", figure="signals"),
     ]
     return Page(
@@ -49,7 +49,7 @@ def page(result: GreyIdentification) -> Page:
         " ".join(str(record.path) for record in result.records),
         result.judgement,
         cards,
-        {"signals": draw_signals(lay_behind(result.parts, result.residual), units)},
+        {"signals": draw_signals(lay_behind(result.parts, result.residual), ("command", "output"))},
         result.notes,
         [] if result.leaves_engine else ["no engine: with these parameters it does not explain the log"],
     )
@@ -57,6 +57,8 @@ def page(result: GreyIdentification) -> Page:
 
 def engine_table(result: GreyIdentification) -> dict[str, object]:
     """Return the mapping file's table: the engine's own, with what was set and fitted, and ``[uncertainty]``."""
+    from scipy.linalg import block_diag
+
     spec, step = result.spec, result.spec.internal_step or STEP_S
     table: dict[str, object] = dict(read_toml(spec.mapping)) if spec.mapping else {}
     known = table.get("parameters")
@@ -70,16 +72,27 @@ def engine_table(result: GreyIdentification) -> dict[str, object]:
     if DELAY in spec.parameters:
         parameters[DELAY], off = whole_delay(float(result.values[0]) / step, result.deviations[0] / step)
         names, deviations, keep = [DELAY, *names], [off, *deviations], [0, *keep]
-    covariance = result.covariance[np.ix_(keep, keep)]
+    kept, covariance = _keep_unfitted(spec.uncertainty, {*names, *result.choices.settings})
+    covariance = block_diag(result.covariance[np.ix_(keep, keep)], covariance)
+    deviations += np.sqrt(np.diag(covariance))[len(names) :].tolist()
+    source = f"{', '.join(result.names)} of {result.choices.engine}"
+    source += f"; not fitted, as that states them: {', '.join(kept)}" if kept else ""
     logs = ", ".join(record.path.name for record in result.records)
     return table | {
         "fmu": f"engine{spec.archive.path.suffix}",
         "title": f"{spec.title}, fitted to {logs}",
         "parameters": parameters,
-        "uncertainty": uncertainty_table(
-            f"{logs}: {', '.join(result.names)} of {result.choices.engine}", names, covariance, np.array(deviations)
-        ),
+        "uncertainty": uncertainty_table(f"{logs}: {source}", [*names, *kept], covariance, np.array(deviations)),
     }
+
+
+def _keep_unfitted(stated: Uncertainty | None, taken: set[str]) -> tuple[list[str], Array]:
+    """Return the parameters that an engine states to be uncertain and that are not ``taken``, and their covariance."""
+    if stated is None:
+        return [], np.empty((0, 0))
+    rows = [row for row, name in enumerate(stated.parameters) if name not in taken]
+    deviations, correlation = np.array(stated.deviation)[rows], np.array(stated.correlations)[np.ix_(rows, rows)]
+    return [stated.parameters[row] for row in rows], np.outer(deviations, deviations) * correlation
 
 
 def readme(result: GreyIdentification) -> str:

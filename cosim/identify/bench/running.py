@@ -94,7 +94,8 @@ def describe_adrift(command: tuple[str, Channel], output: tuple[str, Channel]) -
     more = ", and more" if len(spans) > MOST_SPANS else ""
     return [
         f"{output_name} does not come to {command_name}, which has long stood: {words}{more}, at its end {far:.0f} rpm "
-        "off; an engine that its fuel does not let follow? no governor is seen there; --begin and --end leave that out"
+        "off; an engine that its fuel does not let follow, or a command that it ignores? no governor is seen there; "
+        "--begin and --end leave that out"
     ]
 
 

@@ -8,8 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim.engine import load_engine
+from cosim.engine.fmu.uncertainty import Uncertainty
+from cosim.identify.bench.evidence import Misfit
 from cosim.identify.bench.fit import Part
-from cosim.identify.bench.grey_box import NOT_AT_REST, describe_beginning
+from cosim.identify.bench.grey_box import NOT_AT_REST, GreyChoices, GreyIdentification, describe_beginning
+from cosim.identify.bench.grey_box_result import engine_table
 from cosim.identify.bench.record import BenchRecord, Columns, read_records
 from cosim.identify.logs.flight_log import unit_of
 
@@ -90,3 +94,34 @@ def test_a_log_that_begins_on_its_way_is_named() -> None:
     (line,) = describe_beginning([rest, record], [part, part], np.concatenate([0.0 * off, off]), 100.0)
     assert line.startswith("cut.csv begins 27 % of the output's range from where the engine rests")
     assert not describe_beginning([record], [part], NOT_AT_REST * off, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("fitted", "kept"),
+    [
+        (("fuel_integral", "fuel_fall"), ["fuel_response", "fuel_ramp", "pump_time_constant"]),
+        (("rotor_inertia",), ["fuel_integral", "fuel_ramp", "fuel_fall", "pump_time_constant"]),
+    ],
+)
+def test_what_is_not_fitted_stays_as_uncertain_as_the_engine_states_it(
+    fitted: tuple[str, ...], kept: list[str]
+) -> None:
+    """Its deviations and the correlation between them; a parameter that is set is known."""
+    spec = load_engine("jetcat-p300", {}, 0.004)
+    settings = {} if "fuel_integral" in fitted else {"fuel_response": 0.0007}
+    count = 1 + len(fitted)
+    result = GreyIdentification(
+        (BenchRecord(Path("b.csv"), "a", "b", "rpm", "rpm", *np.zeros((4, 2)), ROW_S, 0.0),),
+        GreyChoices("jetcat-p300", fitted, settings), spec, np.full(count, 0.1), 1e-4 * np.eye(count), np.zeros(2), (),
+        Misfit(False, 1.0, 0.0, 0.0), None, (),
+    )  # fmt: skip
+    told = Uncertainty.model_validate(engine_table(result)["uncertainty"])
+    assert told.parameters == ["delay_samples", *fitted, *kept]
+    stated = spec.uncertainty
+    assert stated is not None
+    rows = [stated.parameters.index(name) for name in kept]
+    assert told.deviation[count:] == pytest.approx([stated.deviation[row] for row in rows])
+    np.testing.assert_allclose(
+        np.array(told.correlations)[count:, count:], np.array(stated.correlations)[np.ix_(rows, rows)], atol=1e-4
+    )
+    assert not np.any(np.array(told.correlations)[:count, count:])
