@@ -37,6 +37,7 @@ def fit_beyond_lags(found: BenchIdentification, longest_delay: float) -> GreyIde
     """
     if (
         not found.misfit.is_significant
+        or found.misfit.cause  # what is left over is no answer to the command at all
         or not found.limits_known
         or any(record.newtons is None for record in found.records)
     ):

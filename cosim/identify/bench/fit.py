@@ -303,16 +303,16 @@ def fit(problem: Problem, form: Form, near: Estimate | None = None) -> Estimate:
     """Fit one form; from ``near``, a simpler one, or from a search over all delays and lags."""
     start = _start(problem) if near is None else near.x[:2]
     memory = 0.0 if near is None else near.memory
-    best, loss = _solve(problem, form, _complete(form, start), memory)
+    best, loss = solve(problem, form, _complete(form, start), memory)
     for other in _other_starts(form, best):
-        found = _solve(problem, form, other, memory)
+        found = solve(problem, form, other, memory)
         best, loss = found if found[1] < loss else (best, loss)
     for _ in range(ROUNDS):
         linear = problem.shares(form, best, memory)[0]
         before, memory = memory, problem.memory_of(problem.output - problem.regressors(form, best) @ linear)
         if abs(memory - before) < SAME_MEMORY:
             break
-        best = _solve(problem, form, best, memory)[0]
+        best = solve(problem, form, best, memory)[0]
     return _estimate(problem, form, best, memory)
 
 
@@ -345,20 +345,16 @@ def _start(problem: Problem) -> Array:
         best = int(np.argmin(losses))
         found.append((losses[best], np.array([delays[best], lag])))
     likeliest = sorted(found, key=lambda one: one[0])[:STARTS]
-    return min((_solve(coarse, Form(), x, 0.0) for _, x in likeliest), key=lambda one: one[1])[0]
+    return min((solve(coarse, Form(), x, 0.0) for _, x in likeliest), key=lambda one: one[1])[0]
 
 
-def _solve(
-    problem: Problem, form: Form, start: Array, memory: float, delay: float | None = None
-) -> tuple[Array, float]:
-    """Return the parameters nearest ``start`` that leave least, and what they leave; ``delay`` [s] is kept."""
+def solve(problem: Problem, form: Form, start: Array, memory: float, held: int | None = None) -> tuple[Array, float]:
+    """Return the parameters nearest ``start`` that leave least, and what they leave; that numbered ``held`` is kept."""
     from scipy.optimize import least_squares
 
     low, high = problem.limits(form)
-    free = np.flatnonzero(np.arange(len(start)) >= (0 if delay is None else 1))
+    free = np.flatnonzero(np.arange(len(start)) != (-1 if held is None else held))
     x = start.copy()
-    if delay is not None:
-        x[0] = delay
     size = np.sqrt(max(problem.floor / len(problem.output), 1e-300))
     output = problem.whiten(problem.output, memory)
     base, basis = np.empty(0), np.empty(0)
@@ -467,7 +463,7 @@ def bound_delay(problem: Problem, estimate: Estimate, has_second: bool) -> tuple
 
     def risen(delay: float, start: Array) -> tuple[float, Array]:
         """Return the root of the deviance's rise, which goes straight with the delay where the problem is linear."""
-        x, loss = _solve(problem, estimate.form, _delayed(estimate.form, start, delay), estimate.memory, delay)
+        x, loss = solve(problem, estimate.form, _delayed(estimate.form, start, delay), estimate.memory, 0)
         return float(np.sqrt(max(estimate.rows * float(np.log(loss / estimate.loss)), 0.0))), x
 
     width = max(1.96 * estimate.deviation(0), 1e-3 * min(part.step for part in problem.parts))

@@ -36,10 +36,12 @@ def write(result: GreyIdentification, folder: Path) -> dict[str, Path]:
 
 def page(result: GreyIdentification) -> Page:
     """Return the page of a fit."""
+    first = result.records[0]
+    units = first.command_unit or first.command_name, output_unit(first)
     cards = [
         Card("Models", ["with 95 % bounds", result.choices.engine], rows(result), BOUNDS),
         *([Card("What the log does not tell, and the next test", lines=result.untold)] if result.untold else []),
-        *movement_cards(result.held_back, output_unit(result.records[0]), result.swing),
+        *movement_cards(result.held_back, units[1], result.swing),
         Card("Measured and modelled", figure="signals"),
     ]
     return Page(
@@ -49,7 +51,7 @@ def page(result: GreyIdentification) -> Page:
         " ".join(str(record.path) for record in result.records),
         result.judgement,
         cards,
-        {"signals": draw_signals(lay_behind(result.parts, result.residual), ("command", "output"))},
+        {"signals": draw_signals(lay_behind(result.parts, result.residual), units)},
         result.notes,
         [] if result.leaves_engine else ["no engine: with these parameters it does not explain the log"],
     )

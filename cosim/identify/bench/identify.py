@@ -10,6 +10,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, NotIdentifiedError
+from cosim.identify.bench.bounds import bound_short_lag
 from cosim.identify.bench.command import is_noisy, moves_on
 from cosim.identify.bench.evidence import (
     HeldBack,
@@ -21,6 +22,7 @@ from cosim.identify.bench.evidence import (
     test_residuals,
 )
 from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, make_part
+from cosim.identify.bench.lead import BOTH_WAYS, find_lead
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
 from cosim.identify.bench.timing.lost_rows import LAGS, settle_moves
@@ -169,7 +171,8 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     before = estimates
     problem, estimates, wobble = _follow(problem, estimates, records, notes)
     others = (*others, *(() if estimates is before else before))
-    estimates = (replace(estimates[0], delay_bounds=_delay_bounds(problem, estimates)), *estimates[1:])
+    bounded = replace(estimates[0], delay_bounds=_delay_bounds(problem, estimates))
+    estimates = (bound_short_lag(problem, bounded), *estimates[1:])
     clock = max(record.clock_deviation for record in records)
     deviation = float(np.linalg.norm([clock, wobble, unsure]))
     if straight and choices.between == "auto" and any(is_noisy(record.command) for record in records):
@@ -180,7 +183,7 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     chosen, changed = hold_both_halves(problem, chosen)
     estimates, doubts = (chosen, *estimates[1:]), [*doubts, *changed]
     left_over = problem.residual(chosen)
-    misfit = _judge(problem, chosen)
+    misfit = _test_lead(problem, chosen, _judge(problem, chosen), left_over)
     lacks = _lacks(problem, left_over, records[0]) if misfit.failed else []
     held_back = predict_held_back(problem, chosen)
     doubts += _doubt_zero(chosen, records[0], limits)
@@ -190,6 +193,17 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     )  # fmt: skip
     untold = describe_missing_evidence(chosen, records, limits, problem.longest_delay, straight, found.is_explained)
     return replace(found, untold=tuple(untold))
+
+
+def _test_lead(problem: Problem, chosen: Estimate, misfit: Misfit, left_over: Array) -> Misfit:
+    """Return that an output leads its command, where no delay is told or nothing explains the logs, else as it is."""
+    if not misfit.failed and chosen.delay_bounds[0] > 0.0:
+        return misfit
+    lead = find_lead(problem, chosen.deviance, left_over, chosen.form.curve)
+    if lead == 0.0:
+        return misfit
+    size = float(np.sqrt(np.mean(left_over**2))) / output_swing(problem.parts)
+    return Misfit(0.0, 1.0, size, 0.0, f"is less where the output leads the command, by {lead:.2g} s: {BOTH_WAYS}")
 
 
 def _fit_forms(
@@ -333,6 +347,8 @@ def _check_answer(problem: Problem, base: Estimate, where: str) -> None:
     without = len(white) * float(np.log(max(float(white @ white), problem.floor) / len(white)))
     fall = without + problem.scales(memory) - base.deviance
     if not fall >= LEAST_DEVIANCE_FALL:
+        if lead := find_lead(problem, without + problem.scales(memory), left):
+            raise NotIdentifiedError(f"{where}: the output leads the command, by {lead:.2g} s: {BOTH_WAYS}")
         raise NotIdentifiedError(
             f"{where}: the output does not show the command (it lowers the deviance by {fall:.1f}, "
             f"{LEAST_DEVIANCE_FALL:g} are needed); step it farther, or look at other columns"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.identify.bench.clocks import EvenRows, align, align_by_command, find_even_rows, split_clocks, spread_stamps
+from cosim.identify.bench.command import moves_on
 from cosim.identify.bench.running import describe_adrift, find_running, find_speed
 from cosim.identify.logs.flight_log import Channel, FlightLog, unit_of
 from cosim.identify.logs.read import is_table, read_flight_log
@@ -40,6 +41,12 @@ LEAST_CLIPPED = 5  # equal values in a row at the end of an output's range, wher
 NOISY = 0.5  # share of an output's values that differ from all others, from which on it is no row of a few levels
 FINE = 20.0  # smallest steps of an output in its usual change: of one that is coarser, values repeat by themselves
 LEAST_REPEATED = 0.005  # share of the rows that repeat the one before, from which on that is no chance
+STRAY = 12.0  # times the usual size of a turn from row to row to row, above which that is no noise
+STRAY_RANGE = 0.05  # of the output's range, and above that
+MOST_STRAYS = 0.03  # share of the rows: of more no one stands alone
+QUICK_ROWS = 4.0  # from one movement of a held command to the next, within which an output may turn back too
+COARSE_S = 0.05  # from row to row
+OVERSHOOT_S = 3.0  # behind a movement, for which rows so coarse are left alone
 LONGEST_GAP = 4.0  # rows: what is missing longer is said
 SLOW_ROWS_S = 1.0  # from row to row, from where on a time is doubted to be in seconds
 QUICKEST_ROWS_S = 1e-5  # and less than that it is not
@@ -253,6 +260,10 @@ def _clean(
     times, values = measured.times, measured.values
     even = find_even_rows(times) if clock_deviation == 0.0 else None
     use = np.diff(times, prepend=-np.inf) > 0.0
+    strays = find_strays(times, values, *commands)
+    if strays.any():
+        notes.append(f"{output_name}: {int(strays.sum())} rows are far from both of those beside them; left out")
+        use &= ~strays
     if _is_fine(values):
         repeated = use & (np.diff(values, prepend=np.nan) == 0.0)
         clipped = _at_the_stop(values)
@@ -288,6 +299,31 @@ def _clean(
         path, command_name, output_name, unit_of(command_name, given.unit), unit,
         *commands, times, values, step, lost, tuple(notes), width, clock_deviation, even,
     )  # fmt: skip
+
+
+def find_strays(times: Array, values: Array, command_times: Array, command: Array) -> NDArray[np.bool_]:
+    """Return which rows stand alone, far from both neighbours, as spikes and codes of an error do.
+
+    None of a held command that moves twice within a few rows, which an output may follow, nor where they are many.
+    """
+    strays = np.zeros(len(values), bool)
+    moved = command_times[1:][np.diff(command) != 0.0]
+    row, is_held = float(np.median(np.diff(times))), not moves_on(command)
+    if is_held and np.min(np.diff(moved), initial=np.inf) < QUICK_ROWS * row:
+        return strays
+    steps = np.diff(values)
+    jump = np.where(steps[:-1] * steps[1:] < 0.0, np.minimum(np.abs(steps[:-1]), np.abs(steps[1:])), 0.0)
+    if not jump.any():
+        return strays
+    swing, usual = float(np.ptp(np.percentile(values, (1.0, 99.0)))), float(np.percentile(np.abs(steps), 95.0))
+    strays[1:-1] = jump > max(STRAY * float(np.median(jump[jump > 0.0])), STRAY_RANGE * swing, 2.0 * usual)
+    if is_held and row > COARSE_S:  # where an overshoot may be one row long
+        last = np.append(-np.inf, moved)[np.searchsorted(moved, times, side="right")]
+        strays &= times - last > OVERSHOOT_S
+    codes, count = np.unique(values[strays], return_counts=True)
+    ends = codes[(count > 1) & np.isin(codes, (values.min(), values.max()))]
+    strays |= np.isin(values, ends)
+    return strays if strays.mean() < MOST_STRAYS else np.zeros(len(values), bool)
 
 
 def _is_fine(values: Array) -> bool:

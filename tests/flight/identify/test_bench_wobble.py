@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 from wobbling_benches import TRUTH, wobble_log, write_log
 
 from cosim.identify.bench import BenchIdentification, identify_bench, read_records
@@ -11,6 +12,10 @@ from cosim.identify.bench.grey_box import GreyIdentification, fit_engine
 from cosim.identify.bench.grey_model import GreyChoices
 
 GOOD = ("regular", "jitter", "missing")
+WOBBLES = (
+    ("stamps", 0.03, 10.0), ("stamps", 0.3, 10.0), ("stamps", 1.0, 60.0),
+    ("hidden", 0.03, 10.0), ("hidden", 0.03, 60.0), ("hidden", 0.1, 60.0), ("hidden", 0.3, 10.0),
+)  # fmt: skip
 NOTES = ("the time stamps wander by", "stretches of the log are answered", "the log's halves")
 TRUE = np.array([TRUTH.delay, TRUTH.lags[0], TRUTH.gain])
 
@@ -36,6 +41,13 @@ def judge(result: BenchIdentification) -> dict[str, bool]:
 def is_noted(notes: tuple[str, ...]) -> bool:
     """Whether a clock is doubted."""
     return any(note.startswith(NOTES) for note in notes)
+
+
+def check_counts(held: list[dict[str, bool]]) -> None:
+    """95 of a hundred or more, but for chance of one in a hundred."""
+    least = binom.ppf(0.01, len(held), 0.95)
+    for what in held[0]:
+        assert sum(one[what] for one in held) >= least, what
 
 
 def found(path: Path, kind: str, seed: int, wobble: tuple[float, float] = (0.0, 1.0)) -> BenchIdentification:
@@ -100,3 +112,20 @@ def test_an_engine_that_is_simulated_is_fitted_to_the_same_reading_of_the_clock(
     assert delay[1] == pytest.approx(closed.chosen.deviation(0), rel=0.5)
     if kind != "hidden":  # where the closed form may have two lags, and doubts them by the stretches' spread
         assert lag[1] == pytest.approx(closed.chosen.deviation(1), rel=0.5)
+
+
+@pytest.mark.long
+def test_bounds_hold_the_truth_in_95_of_a_hundred_and_good_logs_are_not_noted(tmp_path: Path) -> None:
+    """Six seeds of each kind, that differ in noise, phase and excitation; what is refused says nothing."""
+    good = {(kind, seed): found(tmp_path / "good.csv", kind, seed) for kind in GOOD for seed in range(6)}
+    wrong = [key for key, one in good.items() if is_noted(one.notes) or not one.is_explained]
+    assert len(wrong) <= binom.ppf(0.99, len(good), 0.02), wrong
+    wobbly = [
+        found(tmp_path / "wobbly.csv", kind, seed, (size, period))
+        for kind, size, period in WOBBLES
+        for seed in range(6)
+    ]
+    told = [one for one in (*good.values(), *wobbly) if one.is_explained]
+    check_counts([judge(one) for one in told])
+    check_counts([judge(one) for one in told if not is_noted(one.notes)])
+    assert len(told) > 0.6 * (len(good) + len(wobbly))

@@ -52,7 +52,7 @@ def test_it_has_an_engine_a_page_and_a_picture(hexjet: Hexjet, tmp_path: Path, c
     (picture,) = re.findall(r"!\[Measured and modelled\]\((\S+)\)", page)
     drawing = ET.parse(tmp_path / "mine" / picture).getroot()
     texts = {each.text for each in drawing.iter(f"{SVG}text")}
-    assert texts >= {"measured", "model, of the command alone", "command", "time [s]"}
+    assert texts >= {"measured", "model, of the command alone", "command", "time [s]", "N"}
     curves = [each.get("points", "") for each in drawing.iter(f"{SVG}polyline")]
     assert all(len(curve.split()) > 100 for curve in curves[:3])
 

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from known_benches import Truth, bench_log
 
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.engine import load_engine, make_bank
 from cosim.identify.bench import BenchIdentification, Columns, identify_bench, read_records
 from cosim.identify.bench.clocks import align
 from cosim.identify.bench.command import make_command
 from cosim.identify.bench.identify import throttle_limits
+from cosim.identify.bench.record import find_strays
 
 TRUTH = Truth()  # 0.1 s of delay, a lag of 0.4 s
 
@@ -141,3 +142,70 @@ def test_a_bank_that_follows_throttles_answers_as_one_that_is_stepped() -> None:
     with make_bank([spec], 0.004) as bank:
         bank.reset(0.2)
         assert bank.follow(0, throttles) == stepped
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_lag_shorter_than_a_row_has_bounds_that_hold_it_and_that_can_be_drawn_from(tmp_path: Path, seed: int) -> None:
+    """Linearised, a lag that changes no row has bounds of a million seconds, or of nothing."""
+    lag = (0.03, 0.06, 0.1, 0.15)[seed]
+    times = np.arange(0.0, 30.0, 0.2)
+    command = np.array([0.2, 0.8, 0.2])
+    answer = make_command(np.array([0.0, 10.0, 20.0]), command, False).lagged(lag, times - 0.1)
+    thrust = 100.0 * answer + np.random.default_rng(seed).normal(0.0, 0.5, len(times))
+    held = np.where((times > 9.9) & (times < 19.9), 0.8, 0.2)
+    chosen = identify_bench(read_records([write(tmp_path / "bench.csv", times, held, thrust)])).chosen
+    assert abs(chosen.x[1] - lag) < 1.96 * chosen.deviation(1) < 0.4
+    assert abs(chosen.total[0] - 0.1 - lag) < 1.96 * chosen.total[1] < 0.4
+
+
+@pytest.mark.parametrize("kind", ["step", "stairs of 5 s", "prbs"])
+def test_an_output_that_moves_before_its_command_is_refused_by_how_much(tmp_path: Path, kind: str) -> None:
+    times, command, thrust, _ = bench_log(kind, 20.0, TRUTH)
+    ahead = np.interp(times + 0.5, times, thrust)  # 0.4 s before the command: the delay is 0.1 s
+    found = identify_bench(read_records([write(tmp_path / "bench.csv", times, command, ahead)]))
+    assert found.misfit.failed
+    assert "is less where the output leads the command, by 0.4 s" in found.misfit.words
+
+
+def test_columns_that_are_swapped_are_told_as_such(tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 20.0, TRUTH)
+    noise = np.random.default_rng(0).normal(0.0, 1.0, len(times))
+    swapped = write(tmp_path / "bench.csv", times, thrust / 200.0, 200.0 * command + noise)
+    with pytest.raises(NotIdentifiedError, match=r"the output leads the command, by 0.* s: columns that are swapped"):
+        identify_bench(read_records([swapped]))
+
+
+@pytest.mark.parametrize("kind", ["step", "stairs of 5 s"])
+def test_an_engine_without_a_delay_leads_nothing(tmp_path: Path, kind: str) -> None:
+    times, command, thrust, _ = bench_log(kind, 20.0, Truth(delay=0.0))
+    found = identify_bench(read_records([write(tmp_path / "bench.csv", times, command, thrust)]))
+    assert found.chosen.delay_bounds[0] == 0.0
+    assert found.is_explained
+
+
+@pytest.mark.parametrize("kind", ["stairs of 5 s", "chirp"])
+@pytest.mark.parametrize("code", [-9999.0, 0.0])
+def test_spikes_and_codes_of_an_error_are_left_out_and_said(tmp_path: Path, kind: str, code: float) -> None:
+    times, command, thrust, _ = bench_log(kind, 50.0, TRUTH)
+    rng = np.random.default_rng(3)
+    rows = np.flatnonzero(rng.random(len(times) - 2) < 0.004) + 1
+    odd = thrust.copy()
+    odd[rows] = code if code else odd[rows] + rng.choice([-60.0, 60.0], len(rows))
+    (record,) = read_records([write(tmp_path / "bench.csv", times, command, odd)])
+    assert np.count_nonzero(np.isin(times[rows], record.times)) == 0
+    assert len(record.times) >= len(times) - len(rows) - 1
+    assert any("rows are far from both of those beside them; left out" in note for note in record.notes)
+    assert holds(identify_bench([record]))
+
+
+def test_an_answer_of_one_row_to_a_command_of_one_row_is_no_spike() -> None:
+    times = np.arange(0.0, 60.0, 0.2)
+    command = np.where((times > 29.9) & (times < 30.1), 1.0, 0.2)
+    thrust = 100.0 * np.roll(command, 1) + np.random.default_rng(0).normal(0.0, 0.5, len(times))
+    assert not find_strays(times, thrust, times, command).any()
+    assert np.flatnonzero(find_strays(times, thrust, times, np.where(times < 20.0, 0.2, 0.3))).tolist() == [151]
+    overshoot = np.where(times < 29.9, 0.2, 0.3)
+    assert not find_strays(times, thrust, times, overshoot).any()
+    quick = 0.5 + 0.4 * np.sin(2.0 * np.pi * times * np.linspace(0.02, 0.6, len(times)))  # to 2 rows a half turn
+    assert not find_strays(times, 100.0 * quick + thrust, times, quick).any()
+    assert not find_strays(times, np.random.default_rng(0).normal(0.0, 1.0, len(times)), times, command).any()
