@@ -40,7 +40,7 @@ NEEDED: Final = 0.9  # share of the time within the envelope with which a channe
 FORCES: Final = slice(3, 6)  # where the specific force stands among the channels
 SPAN_M: Final = 0.4  # of the Hex-Jet, whose windows are a second
 ALIKE: Final = (1.0, 10.0)  # dB and deg of measured over modelled that are not worth a word
-USELESS: Final = 0.9  # Theil's U of a model that does not do what was measured
+USELESS: Final = 0.5  # Theil's U from where on a model that is coherent in no band does not do what was measured
 FAR_DB: Final = 10.0  # beyond which the one is no answer to the other
 CORRECTIONS: Final = 2  # of the starts
 
@@ -289,7 +289,7 @@ def is_estimate(channel: ChannelMeasures, causes: Causes) -> bool:
 
 def is_foreign(channel: ChannelMeasures) -> bool:
     """Return whether a channel moves, and the commands neither make the model do so nor anything alike."""
-    alike = any(band.gain_db is not None for band in channel.bands)
+    alike = any(band.gain_db is not None and abs(band.gain_db) <= FAR_DB for band in channel.bands)
     is_level = channel.name == LEVEL and channel.theil.bias > 0.5  # thrust over mass
     return channel.theil.u > USELESS and not is_level and not alike
 
