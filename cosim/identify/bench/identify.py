@@ -22,9 +22,9 @@ from cosim.identify.bench.evidence import (
     test_residuals,
 )
 from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, make_part
-from cosim.identify.bench.lead import BOTH_WAYS, find_lead
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
+from cosim.identify.bench.timing.lead import BOTH_WAYS, find_lead
 from cosim.identify.bench.timing.lost_rows import LAGS, settle_moves
 from cosim.identify.bench.timing.readings import CLEAR, Model, choose_clock, follow_clock
 from cosim.identify.bench.timing.stretches import answer_lags, clock_moves, fit_alone, hold_both_halves, widen
