@@ -188,8 +188,9 @@ def _follow(model: EngineModel, fitted: _Fit, clock: list[str], is_strict: bool)
     problem = Problem(fitted.parts, model.choices.longest_delay)
     if not is_strict:
         return follow_clock(
-            problem, fitted, Model(answer, lambda moved, fit: _refit(model, moved, fit), judge), clock, False
-        )
+            problem, fitted, Model(answer, lambda moved, fit: _refit(model, moved, fit), judge), clock,
+            lambda fit: fit.bic,
+        )  # fmt: skip
     delays, _ = model_delays(problem, answer(problem, fitted))
     if delays is not None and delays.differ:
         raise NotIdentifiedError("stretches of the log are answered at different times")

@@ -97,7 +97,10 @@ def grey(path: Path, kind: str, seed: int, wobble: tuple[float, float] = (0.0, 1
 def test_an_engine_that_is_simulated_is_fitted_to_the_same_reading_of_the_clock(
     tmp_path: Path, kind: str, wobble: tuple[float, float]
 ) -> None:
-    """Same note of stamps, bounds as wide as the closed form's, to a half, and the truth within."""
+    """Same note of stamps, bounds as wide as the closed form's, to a half, and the truth within.
+
+    A hidden wobble is in the bounds as it is; the closed form may hold the log's halves instead, which are farther apart.
+    """
     path = tmp_path / "bench.csv"
     simulated, closed = grey(path, kind, 1, wobble), found(path, kind, 1, wobble)
     own, known = (
@@ -109,7 +112,10 @@ def test_an_engine_that_is_simulated_is_fitted_to_the_same_reading_of_the_clock(
     delay, gain, lag = zip(simulated.values, simulated.deviations, strict=True)
     for (value, deviation), true in zip((delay, lag, gain), TRUE, strict=True):
         assert abs(value - true) <= 1.96 * deviation
-    assert delay[1] == pytest.approx(closed.chosen.deviation(0), rel=0.5)
+    if kind == "hidden":
+        assert 0.8 * wobble[0] / np.sqrt(2.0) <= delay[1] <= 1.5 * closed.chosen.deviation(0)
+    else:
+        assert delay[1] == pytest.approx(closed.chosen.deviation(0), rel=0.5)
     if kind != "hidden":  # where the closed form may have two lags, and doubts them by the stretches' spread
         assert lag[1] == pytest.approx(closed.chosen.deviation(1), rel=0.5)
 

@@ -74,24 +74,31 @@ class Followed(NamedTuple, Generic[Fitted]):
 
 
 def follow_clock(
-    problem: Problem, fitted: Fitted, model: Model[Fitted], notes: list[str], is_tried: bool = True
-) -> Followed[Fitted]:
+    problem: Problem, fitted: Fitted, model: Model[Fitted], notes: list[str],
+    criterion: Callable[[Fitted], float] | None = None,
+) -> Followed[Fitted]:  # fmt: skip
     """Return logs whose stretches are answered alike, where they are not by more than noise, and their spread.
 
     Where they are, the spread is what the mean delay owes to it.
-    Where the model does not explain the logs they stay as they are, and where ``is_tried`` it is said whether that
-    would.
+    Where the model does not explain the logs they stay as they are, and without a ``criterion`` it is said whether
+    that would.  With one, Schwarz' of a fit, they stay so too unless it is clearly for a delay of each stretch: what an
+    engine lacks moves them as well.
     """
     delays, spans = model_delays(problem, model.answer(problem, fitted))
     if delays is None or not delays.differ:
         return Followed(problem, fitted, 0.0 if delays is None else delays.mean_deviation)
     failed = model.judge(problem, fitted).failed
-    if failed and not is_tried:
+    lacks = failed and criterion is not None
+    if not lacks:
+        moved, found, moves, spread = follow_delays(problem, fitted, model.answer, model.refit, delays, spans)
+    if criterion is not None and not lacks:
+        delays_cost = (len(delays.late) - sum(map(bool, spans))) * float(np.log(len(problem.output)))
+        lacks = criterion(found) + delays_cost > criterion(fitted) - CLEAR
+    if lacks:
         notes.append(
             f"{_apart(delays.late)}: a clock that wobbles, or what the engine lacks; the delay's bounds hold it"
         )
         return Followed(problem, fitted, delays.spread())
-    moved, found, moves, spread = follow_delays(problem, fitted, model.answer, model.refit, delays, spans)
     if failed:
         if not model.judge(moved, found).failed:
             notes.append(

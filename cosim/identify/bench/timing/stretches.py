@@ -127,12 +127,14 @@ def follow_delays(
 ) -> tuple[Problem, Fitted, Array, float]:  # fmt: skip
     """Return logs whose rows are moved so that all stretches are answered alike, the fit, the moves and their spread.
 
-    Moves are in s; between the middles of two stretches they go straight.
+    Moves are in s; they are those of the stretches where these tell the delay, and go straight between.
     """
-    moves, moved, total = np.zeros(len(delays.late)), problem, answer(problem, fitted).total
+    answered = answer(problem, fitted)
+    moves, moved, total = np.zeros(len(delays.late)), problem, answered.total
+    middles = _middles(problem, answered, spans)
     for _ in range(ROUNDS):
         moves = moves + np.clip(delays.late, -total, total)
-        moved = _moved(problem, spans, moves)
+        moved = _moved(problem, middles, moves)
         fitted = refit(moved, fitted)
         answered = answer(moved, fitted)
         delays, total = measure_delays(moved, answered, spans), answered.total
@@ -141,11 +143,20 @@ def follow_delays(
     return moved, fitted, moves, delays.spread(moves)
 
 
-def _moved(problem: Problem, spans: Sequence[Spans], moves: Array) -> Problem:
-    parts, begin = [], 0
+def _middles(problem: Problem, answered: Answered, spans: Sequence[Spans]) -> list[Array]:
+    """Return the times of each log about which its stretches tell the delay: behind a step, not amid a long hold."""
+    weights, middles, begin = problem.whiten(answered.slope, answered.memory) ** 2, [], 0
     for part, own in zip(problem.parts, spans, strict=True):
-        middles = [float(part.times[a:b].mean()) for a, b in own]
-        late = np.interp(part.times, middles, moves[begin : begin + len(own)]) if own else 0.0
+        weight = weights[begin : begin + len(part.times)] + 1e-300
+        begin += len(part.times)
+        middles.append(np.array([np.average(part.times[a:b], weights=weight[a:b]) for a, b in own]))
+    return middles
+
+
+def _moved(problem: Problem, middles: Sequence[Array], moves: Array) -> Problem:
+    parts, begin = [], 0
+    for part, own in zip(problem.parts, middles, strict=True):
+        late = np.interp(part.times, own, moves[begin : begin + len(own)]) if len(own) else 0.0
         begin += len(own)
         times = part.times - late
         rows = np.maximum(np.diff(times), LEAST_ROW * np.diff(part.times))
