@@ -76,7 +76,7 @@ def test_a_lag_of_minutes_leaves_no_form_beyond_it_and_is_no_error(tmp_path: Pat
     records = read_records([write(tmp_path / "bench.csv", command, thrust, 1e3 * times)])
     lags: Any = SimpleNamespace(
         is_explained=False, limits_known=True, records=records, offset=0.0, limits=(0.0, 1.0), straight=False,
-        chosen=SimpleNamespace(gain=100.0, lags=(373.0,)), misfit=SimpleNamespace(size=0.01, is_significant=True),
+        chosen=SimpleNamespace(gain=100.0, lags=(373.0,)), misfit=Misfit(0.0, 1.0, 0.01),
     )  # fmt: skip
     assert fit_beyond_lags(lags, 2.0) is None
 
