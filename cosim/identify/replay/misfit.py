@@ -189,14 +189,17 @@ class Residuals:
 
     def _of(self, change: Change, sense: Sense) -> Array:
         flying = self.flying
-        measured = flying.measured()
-        starts = flying.starts
+        measured, starts, winds = flying.measured(), flying.starts, [self._wind]
         if sense != AS_STATED:
             turned = np.array(sense, float)
             measured = measured * np.concatenate([turned, np.ones(3), turned])
             starts = starts._replace(rate=starts.rate * turned, moment=starts.moment * turned)
-        flown = self._model.fly(flying.flight, flying.windows, starts, change, self._wind)
-        return self._weigh(measured, flown)
+            winds.append((0.0, 0.0, 0.0))  # the estimated one rests on the attitude that may be reversed
+        left = [
+            self._weigh(measured, self._model.fly(flying.flight, flying.windows, starts, change, wind))
+            for wind in winds
+        ]
+        return min(left, key=lambda one: float(np.sum(one**2)))
 
     def _weigh(self, measured: Array, flown: Flown) -> Array:
         flying = self.flying
