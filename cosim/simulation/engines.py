@@ -31,7 +31,7 @@ def load_engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
     engine = loader.load(scenario.engine, scenario.engine_parameters)
     stated = [
         engine if station is None else loader.load(*loader.parameters_of(station))
-        for station in _stations(scenario, vehicle)
+        for station in list_stations(scenario, vehicle)
     ]
     for spec in stated:
         count = len(spec.archive.engines)
@@ -52,7 +52,7 @@ def flown_engines(scenario: Scenario, vehicle: Vehicle, stated: Sequence[EngineS
     if not common and not single:
         return stated
     loader, flown = _Loader(scenario, vehicle), []
-    for index, station in enumerate(_stations(scenario, vehicle)):
+    for index, station in enumerate(list_stations(scenario, vehicle)):
         engine, parameters = loader.parameters_of(station or Station.model_construct())
         unknown = {} if station is not None and station.engine is not None else common
         unknown = {**unknown, **single.get(str(index + 1), {})}
@@ -63,7 +63,7 @@ def flown_engines(scenario: Scenario, vehicle: Vehicle, stated: Sequence[EngineS
     return flown
 
 
-def _stations(scenario: Scenario, vehicle: Vehicle) -> list[Station | None]:
+def list_stations(scenario: Scenario, vehicle: Vehicle) -> list[Station | None]:
     """Return what is stated of each station, by the scenario or else by the vehicle; None: the scenario's engine."""
     _, folder = scenario.resolved_vehicle()
     own = [None if jet.engine is None else Station(engine=file_seen_from(jet.engine, folder)) for jet in vehicle.jets]

@@ -19,6 +19,7 @@ from cosim.base.errors import InputError
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.keys import FLOWN_PARAMETERS, FLOWN_STATIONS, engine_source, flown_engine_keys
 from cosim.engine.fmu.uncertainty import Uncertainty, cut_normal
+from cosim.simulation.engines import list_stations
 from cosim.spec.scenario import Scenario
 
 ENGINE = "engine"  # the key that is varied so
@@ -132,9 +133,8 @@ def _describe_stations_not_drawn(scenario: Scenario) -> str:
     """Describe stations with an engine of their own that states an uncertainty; an empty string without any."""
     vehicle, _ = scenario.resolved_vehicle()
     found: dict[str, list[str]] = {}
-    for number, jet in enumerate(vehicle.jets, 1):
-        station = scenario.stations.get(str(number))
-        engine = jet.engine if station is None else station.engine
+    for number, station in enumerate(list_stations(scenario, vehicle), 1):
+        engine = station.engine if station else None
         if engine is not None and engine_source(scenario, engine).uncertainty is not None:
             found.setdefault(engine, []).append(str(number))
     stations = "; ".join(f"{', '.join(numbers)}: {engine}" for engine, numbers in found.items())

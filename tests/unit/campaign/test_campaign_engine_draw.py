@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import ROOT
 from scipy import stats
 from uncertain_engines import CORRELATION, NOMINAL, fan
 
@@ -198,6 +199,16 @@ def test_an_uncertain_engine_of_a_single_station_is_not_drawn_and_that_is_said(t
     beside = study(file, 2, settings=[station])
     assert beside.notes()[-1].endswith(f"as it is stated; {said}")
     assert not [name for name in beside.drawn if name.startswith(f"{STATION}3.")]
+
+
+def test_the_file_of_a_vehicles_own_station_is_relative_to_the_vehicle(tmp_path: Path) -> None:
+    file = fan(tmp_path, DEVIATION)
+    text = (ROOT / "aircraft" / "trijet" / "vehicle.toml").read_text(encoding="utf-8")
+    text = text.replace('"edf-as-flown"', f'"{file.name}"').replace('name = "trijet"', 'name = "mine"')
+    (tmp_path / "vehicle.toml").write_text(text, encoding="utf-8")
+    own = [f"aircraft={tmp_path}", "controller=baseline"]
+    found = open_study("trijet-hover", vary=["vehicle.mass_kg=5:6"], settings=own, runs=2)
+    assert found.notes()[-1] == f"[uncertainty] of engines at single stations is not drawn (3: {file})"
 
 
 def test_each_point_of_a_grid_has_an_engine_of_its_own(tmp_path: Path) -> None:
