@@ -68,7 +68,7 @@ class _Slope(NamedTuple):
 def find_causes(model: Model, flying: Flying, wind: Vector3) -> Causes:
     """Fit causes to what a replay leaves, and name the one, or the two, that remove most of it, where the log tells."""
     residuals = Residuals(model, flying, wind)
-    nominal = residuals.of(Hypothesis())
+    nominal = residuals.nominal
     misfit = float(np.mean(nominal**2))
     nominal, told = residuals.balance(nominal)
     if not told.any():

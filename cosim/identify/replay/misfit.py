@@ -136,11 +136,10 @@ class Residuals:
         self.flying = flying.only(chosen.tolist())
         self.has_force = flying.flight.has_force
         self._weights = np.ones(6 if self.has_force else 3)
-        self._winds: Array = np.zeros(
-            (0, 1, 1, 1)
-        )  # what a wind of AIR_M_S more, north and east, makes of the residuals
+        self._winds: Array = np.zeros((0, 1, 1, 1))  # what AIR_M_S more, north and east, makes of the residuals
         still = self.of(Hypothesis())
         self._winds = np.stack([self._in_wind(AIR_M_S * axis) - still for axis in np.eye(2)])
+        self.nominal = self._without_wind(still)  # of the model as it is
 
     def _in_wind(self, more: Array) -> Array:
         north, east, down = self._wind

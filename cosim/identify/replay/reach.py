@@ -60,7 +60,7 @@ def _joined(names: Sequence[str]) -> str:
 def find_reach(model: Model, flying: Flying, wind: Vector3) -> Reach:
     """Change each number and exchange engines in pairs, and see what stands out of the noise."""
     residuals = Residuals(model, flying, wind)
-    nominal = residuals.of(Hypothesis())
+    nominal = residuals.nominal
     moves = np.mean(residuals.movement() ** 2, axis=(0, 1)) > EXCITED**2
 
     def shows(change: Array) -> bool:  # as much as a search needs to begin
