@@ -11,7 +11,7 @@ from cosim.base.arrays import Array
 from cosim.identify.bench.evidence import Misfit
 from cosim.identify.bench.fit import Problem
 from cosim.identify.bench.record import BenchRecord
-from cosim.identify.bench.timing.stretches import Answered, follow_delays, model_delays
+from cosim.identify.bench.timing.stretches import Answered, Delays, follow_delays, model_delays
 from cosim.identify.engine_file import DEVIATIONS_95
 
 CLEAR = 10.0  # by which Schwarz' criterion has to fall for a zero that drifts, or rise for a form to be refuted
@@ -88,17 +88,13 @@ def follow_clock(
     if delays is None or not delays.differ:
         return Followed(problem, fitted, 0.0 if delays is None else delays.mean_deviation)
     failed = model.judge(problem, fitted).failed
-    lacks = failed and criterion is not None
-    if not lacks:
-        moved, found, moves, spread = follow_delays(problem, fitted, model.answer, model.refit, delays, spans)
-    if criterion is not None and not lacks:
-        delays_cost = (len(delays.late) - sum(map(bool, spans))) * float(np.log(len(problem.output)))
-        lacks = criterion(found) + delays_cost > criterion(fitted) - CLEAR
-    if lacks:
-        notes.append(
-            f"{_apart(delays.late)}: a clock that wobbles, or what the engine lacks; the delay's bounds hold it"
-        )
-        return Followed(problem, fitted, delays.spread())
+    if failed and criterion is not None:
+        return _hold_spread(problem, fitted, delays, notes)
+    moved, found, moves, spread = follow_delays(problem, fitted, model.answer, model.refit, delays, spans)
+    if criterion is not None:
+        added = (len(delays.late) - sum(map(bool, spans))) * float(np.log(len(problem.output)))
+        if criterion(found) + added > criterion(fitted) - CLEAR:
+            return _hold_spread(problem, fitted, delays, notes)
     if failed:
         if not model.judge(moved, found).failed:
             notes.append(
@@ -110,6 +106,12 @@ def follow_clock(
         "its own delay, and the bounds hold their spread"
     )
     return Followed(moved, found, spread, True)
+
+
+def _hold_spread(problem: Problem, fitted: Fitted, delays: Delays, notes: list[str]) -> Followed[Fitted]:
+    """Return logs as they are, with the spread of the stretches' delays, and note it."""
+    notes.append(f"{_apart(delays.late)}: a clock that wobbles, or what the engine lacks; the delay's bounds hold it")
+    return Followed(problem, fitted, delays.spread())
 
 
 def _apart(late: Array) -> str:
