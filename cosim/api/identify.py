@@ -338,10 +338,11 @@ def _fit_engine(
     from cosim.identify.bench.grey_box import fit_engine
     from cosim.identify.bench.grey_model import GreyChoices
     from cosim.identify.bench.identify import is_straight, throttle_limits
+    from cosim.identify.bench.running import SPEED_UNITS
 
     notes: list[str] = []
     limits = (0.0, 1.0)
-    if records[0].command_unit not in ("rpm", "krpm"):
+    if records[0].command_unit not in SPEED_UNITS:
         limits, known = throttle_limits(records, choices.limits, notes)
         if not known:
             raise InputError(f"{records[0].path}: what throttle 0 and 1 are is not known: --throttle-range LOW HIGH")

@@ -14,6 +14,7 @@ from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.engine.fmu.variables import Variable
 from cosim.identify.bench.fit import Part, make_part
 from cosim.identify.bench.record import BenchRecord
+from cosim.identify.bench.running import SPEED_UNITS
 
 STEP_S = 0.004  # of the simulation, in which a command is the mean of what it is
 UNIT_DELAY_S = 0.1  # of the delay among parameters that are all near 1
@@ -121,21 +122,23 @@ def _means(part: Part, throttle: Array, edges: Array) -> Array:
 
 def output_unit(record: BenchRecord) -> str:
     """Return the unit in which an engine's own output is compared: rpm of a speed, N of a thrust."""
-    return "rpm" if record.output_unit in ("rpm", "krpm") else "N"
+    return "rpm" if record.output_unit in SPEED_UNITS else "N"
 
 
 def make_parts(records: Sequence[BenchRecord], choices: GreyChoices) -> list[Part]:
+    """Return logs with the output in rpm or N, and the command as a share of its range; a set-point in rpm."""
     first = records[0]
-    unit = {"rpm": 1.0, "krpm": 1e3}.get(first.output_unit, first.newtons or 1.0)
-    by_speed = first.command_unit in ("rpm", "krpm")
-    limits = (0.0, {"krpm": 1e-3}.get(first.command_unit, 1.0)) if by_speed else choices.limits
+    unit = SPEED_UNITS.get(first.output_unit, first.newtons or 1.0)
+    by_speed = first.command_unit in SPEED_UNITS
+    limits = (0.0, 1.0 / SPEED_UNITS[first.command_unit]) if by_speed else choices.limits
     parts = [make_part(record, limits, choices.straight) for record in records]
     return [replace(part, output=unit * part.output) for part in parts]
 
 
 def make_model(records: Sequence[BenchRecord], choices: GreyChoices) -> EngineModel:
+    """Return the engine that is fitted to logs.  Raises InputError for what cannot be fitted."""
     first = records[0]
-    speed = first.output_unit in ("rpm", "krpm")
+    speed = first.output_unit in SPEED_UNITS
     if not speed and first.newtons is None:
         raise InputError(
             f"{first.path}: {first.output_name} is in {first.output_unit or 'no unit'}; an engine has thrust or rpm"
@@ -156,7 +159,7 @@ def make_model(records: Sequence[BenchRecord], choices: GreyChoices) -> EngineMo
         raise InputError(f"{choices.engine} reports no speed, and {first.output_name} is one")
     begin = UNIT_DELAY_S if late is None else late * (spec.internal_step or STEP_S)
     start = np.array([begin, *(spec.parameters[name] for name in choices.fitted)])
-    return EngineModel(spec, variables, start, choices, speed, first.command_unit in ("rpm", "krpm"), STEP_S)
+    return EngineModel(spec, variables, start, choices, speed, first.command_unit in SPEED_UNITS, STEP_S)
 
 
 def _at_rest(spec: EngineSpec) -> Any:

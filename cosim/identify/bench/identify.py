@@ -24,6 +24,7 @@ from cosim.identify.bench.evidence import (
 from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, make_part
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
+from cosim.identify.bench.running import SPEED_UNITS
 from cosim.identify.bench.timing.lead import BOTH_WAYS, find_lead
 from cosim.identify.bench.timing.lost_rows import LAGS, settle_moves
 from cosim.identify.bench.timing.readings import CLEAR, Model, choose_clock, follow_clock
@@ -41,7 +42,6 @@ NO_UNITS = ("", "1", "-", "0..1", "0-1", "0/1")  # of a throttle
 ENOUGH_ROWS = 4000  # of all logs; more are averaged where they are fine enough
 SHORT = 0.04  # of delay and lags together: over so long rows may be averaged
 BY_LEVEL = Form(by_level=True)
-SPEEDS = ("rpm", "krpm")
 ECU_RAMP = ("fuel_integral", "fuel_fall")  # of an ECU's fuel by error
 POOR_PREDICTION = 1.5  # times the residual of what was fitted, above which the part held back is ill explained
 
@@ -421,7 +421,7 @@ def _doubt_zero(chosen: Estimate, record: BenchRecord, limits: tuple[float, floa
 
 def _lacks(problem: Problem, left_over: Array, record: BenchRecord) -> list[str]:
     lacks = [describe_lack(problem.parts, left_over)]
-    if record.command_unit in SPEEDS and record.output_unit in SPEEDS:
+    if record.command_unit in SPEED_UNITS and record.output_unit in SPEED_UNITS:
         options = " ".join(f"--fit {name}" for name in ECU_RAMP)
         lacks.append(
             f"a speed that follows its set-point is a turbine's under an ECU: try --engine jetcat-p300 {options}"

@@ -15,7 +15,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.identify.bench.clocks import EvenRows, align, align_by_command, find_even_rows, split_clocks, spread_stamps
 from cosim.identify.bench.command import moves_on
-from cosim.identify.bench.running import describe_adrift, find_running, find_speed
+from cosim.identify.bench.running import SLOW_ROWS_S, describe_adrift, find_running, find_speed
 from cosim.identify.logs.flight_log import Channel, FlightLog, unit_of
 from cosim.identify.logs.read import is_table, read_flight_log
 from cosim.identify.logs.table import NO_NUMBERS
@@ -48,7 +48,6 @@ QUICK_ROWS = 4.0  # from one movement of a held command to the next, within whic
 COARSE_S = 0.05  # from row to row
 OVERSHOOT_S = 3.0  # behind a movement, for which rows so coarse are left alone
 LONGEST_GAP = 4.0  # rows: what is missing longer is said
-SLOW_ROWS_S = 1.0  # from row to row, from where on a time is doubted to be in seconds
 QUICKEST_ROWS_S = 1e-5  # and less than that it is not
 
 

@@ -22,9 +22,9 @@ SHORTEST_S = 5.0  # of a stretch that is worth keeping
 ADRIFT = 0.05  # of the greatest set-point, by which a speed may be off it
 SETTLED_S = 15.0  # after which it should be there
 LEAST_ADRIFT_S = 1.0  # for which it is not: less is a frame that is wrong
-SLOWEST_ROW_S = 1.0  # from where on a time is doubted to be in seconds
+SLOW_ROWS_S = 1.0  # from row to row, from where on a time is doubted to be in seconds
 MOST_SPANS = 6  # that are said
-SAME = {"rpm": 1.0, "krpm": 1e3}  # units of speed
+SPEED_UNITS = {"rpm": 1.0, "krpm": 1e3}  # in rpm
 
 
 def find_running(log: FlightLog, command: Channel, output: Channel, notes: list[str]) -> list[tuple[float, float]]:
@@ -68,11 +68,11 @@ def describe_adrift(command: tuple[str, Channel], output: tuple[str, Channel]) -
     """
     (command_name, asked), (output_name, speed) = command, output
     units = unit_of(command_name, asked.unit), unit_of(output_name, speed.unit)
-    if not set(units) <= set(SAME) or min(len(asked.times), len(speed.times)) < 2:
+    if not set(units) <= set(SPEED_UNITS) or min(len(asked.times), len(speed.times)) < 2:
         return []
-    if float(np.median(np.diff(speed.times))) >= SLOWEST_ROW_S:
+    if float(np.median(np.diff(speed.times))) >= SLOW_ROWS_S:
         return []
-    wanted, measured = SAME[units[0]] * asked.values, SAME[units[1]] * speed.values
+    wanted, measured = SPEED_UNITS[units[0]] * asked.values, SPEED_UNITS[units[1]] * speed.values
     begins = np.append(asked.times[0], asked.times[:-1][np.diff(wanted) != 0.0])  # of what the set-point did last
     last = begins[np.maximum(np.searchsorted(begins, speed.times, side="left") - 1, 0)]
     row = np.maximum(np.searchsorted(asked.times, speed.times, side="right") - 1, 0)
@@ -105,7 +105,7 @@ def find_speed(log: FlightLog) -> Channel | None:
         channel
         for name, channel in log.channels.items()
         if re.search(SPEEDS, name.replace("_", " "), re.IGNORECASE) and not re.search(NO_SPEED, name, re.IGNORECASE)
-        and unit_of(name, channel.unit) in ("rpm", "krpm", "")
+        and unit_of(name, channel.unit) in ("", *SPEED_UNITS)
     ]  # fmt: skip
     if len(found) != 1:
         return None
