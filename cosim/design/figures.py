@@ -43,7 +43,8 @@ def _loops(axis_design: AxisDesign) -> list[tuple[str, str, ClosedLoop, bool]]:
     if axis_design.after is not None:
         states.append(("designed", BLUE, axis_design.after.tuning, axis_design.after.stable))
     for label, colour, tuning, stable in states:
-        loops.append((f"{label}, {tuning.controller}", colour, ClosedLoop(points, tuning), stable))
+        name = f"{label}, {tuning.controller}" if stable else f"{label}, {tuning.controller}, unstable"
+        loops.append((name, colour, ClosedLoop(points, tuning), stable))
     return loops
 
 
@@ -68,7 +69,8 @@ def _bode(loops: list[tuple[str, str, ClosedLoop, bool]]) -> Figure:
 def bode(curves: Sequence[Curve], height: int = 460, more: Sequence[str] = ()) -> Figure:
     """Draw gain and phase over two decades about the crossover, with the least margins marked and in the names.
 
-    The phase is between -360 and 0 deg.  ``more``: the titles of further panels below these, which stay empty.
+    The margins keep their signs: a gain margin is the change of gain to instability, a phase margin the lag to it.  The
+    phase is between -360 and 0 deg.  ``more``: the titles of further panels below these, which stay empty.
     """
     low, high = _about_crossover(curves)
     data: list[Figure] = []
@@ -76,8 +78,8 @@ def bode(curves: Sequence[Curve], height: int = 460, more: Sequence[str] = ()) -
         seen = (curve.hertz >= low) & (curve.hertz <= high)
         hertz, loop = curve.hertz[seen], curve.loop[seen]
         gain, phase = margin_points(curve.loop, curve.hertz)
-        parts = [f"{abs(gain.value):.1f} dB"] if gain else []
-        parts += [f"{abs(phase.value + 180.0):.1f} deg"] if phase else []
+        parts = [f"{-gain.value:.1f} dB"] if gain else []
+        parts += [f"{phase.value + 180.0:.1f} deg"] if phase else []
         name = f"{curve.label}: {', '.join(parts)}" if parts else curve.label
         degrees = wrap_phase(np.degrees(np.angle(loop)))
         jumps = np.flatnonzero(np.abs(np.diff(degrees)) > 180.0) + 1

@@ -80,7 +80,7 @@ def test_a_bode_plot_has_two_decades_about_the_crossover_and_marks_the_margins()
     assert phase.value + 180.0 == pytest.approx(of.phase_deg)
     figure = bode([Curve("one", "#000", hertz, loop)])
     gains, phases, gain_mark, phase_mark = figure["data"]
-    assert gains["name"] == f"one: {abs(gain.value):.1f} dB, {of.phase_deg:.1f} deg"
+    assert gains["name"] == f"one: {nearest:.1f} dB, {of.phase_deg:.1f} deg"
     assert gains["x"][[0, -1]] == pytest.approx([0.1 * phase.hertz, 10.0 * phase.hertz], rel=1e-3)
     assert figure["layout"]["xaxis"]["range"] == pytest.approx([log10(0.1 * phase.hertz), log10(10.0 * phase.hertz)])
     shown = phases["y"][np.isfinite(phases["y"])]
@@ -89,6 +89,15 @@ def test_a_bode_plot_has_two_decades_about_the_crossover_and_marks_the_margins()
     assert np.isnan(phases["y"]).any()  # no line from one turn to the next
     assert list(gain_mark["y"]) == [0.0, gain.value]
     assert list(phase_mark["y"]) == [-180.0, phase.value]
+
+
+def test_a_bode_plot_names_the_margins_of_an_unstable_loop_with_their_signs() -> None:
+    k, tau = 20.0, 0.1  # of an integrator with a delay, which is unstable from pi / (2 tau) on
+    hertz = np.geomspace(0.05, 20.0, 4000)
+    s = 2j * pi * hertz
+    figure = bode([Curve("one", "#000", hertz, k / s * np.exp(-s * tau))])
+    gain_db, phase_deg = 20.0 * log10(pi / (2.0 * k * tau)), 90.0 - degrees(k * tau)
+    assert figure["data"][0]["name"] == f"one: {gain_db:.1f} dB, {phase_deg:.1f} deg" == "one: -2.1 dB, -24.6 deg"
 
 
 def test_a_conditionally_stable_loop_has_margins_both_ways() -> None:
