@@ -23,6 +23,8 @@ from math import cos, pi, radians, sin
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError
 from cosim.base.frames import cross, from_euler, rotate
@@ -73,6 +75,8 @@ _NED = ("north", "east", "down")
 _NONE: Final[Any] = ZERO3  # one shared object
 _STATE: Final = State  # compiled code finds this without looking in a dictionary
 _number = itertools.count()  # numbers the airframes of this process
+# Key of the random numbers of a JSBSim file's own; 0 to 6 are those of sensors, plug-ins and stand.
+_MODEL_KEY: Final = 7
 
 Node = Callable[[str], Property]  # a property by its name
 Payload = tuple[float, float, float, float]  # kg, then its place, m from the centre of gravity as built, body
@@ -144,7 +148,14 @@ class Airframe:
         self._file = scratch() / f"{vehicle.name}-{next(_number)}.xml"
         self._source = None if vehicle.model is None else folder / vehicle.model
         self._dt = step / substeps
-        self._seed = float(seed % 2**31)  # JSBSim keeps it in a C int
+        # JSBSim has two generators, each with its seed in a C int: turbulence, and the model's sensors and <random/>.
+        # Equal seeds would draw equal numbers in both, and seeds that differ by little begin alike, so the second one
+        # is drawn.  The generator takes its seed modulo 2^31 - 1, and 0 as 1.
+        drawn = np.random.SeedSequence(seed, spawn_key=(_MODEL_KEY,)).generate_state(1)[0]
+        self._seeds = {
+            "atmosphere/randomseed": float(seed % 2**31),
+            "simulation/randomseed": float(1 + drawn % (2**31 - 2)),
+        }
         try:
             xml = render(vehicle, self._source, rotors)
             self.sha256 = hashlib.sha256(xml).hexdigest()  # of the model with the vehicle's numbers in it
@@ -164,7 +175,8 @@ class Airframe:
         self._run: Callable[[], bool] = self._jsbsim.run if self.moving else _stand_still
         self._fresh = True
         self._bind()
-        self._set("atmosphere/randomseed", self._seed)
+        for name, seed in self._seeds.items():
+            self._set(name, seed)
         for kind, position_method in POSITIONS.items():
             self._set(f"simulation/integrator/position/{kind}", position_method)
         self._use(IN_THE_AIR)

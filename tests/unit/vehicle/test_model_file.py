@@ -10,6 +10,7 @@ import xml.etree.ElementTree as ET
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 
@@ -290,6 +291,44 @@ def test_jsbsims_own_aircraft_fly_or_are_refused_in_a_line(name: str, expected: 
             fly(model)
     assert str(caught.value).startswith(str(model.parent)) or caught.type is FlightError
     assert "\n" not in str(caught.value)
+
+
+NUMBERS = (
+    '<system name="s"><property value="0">my/zero</property><channel name="c"><sensor name="my/noise"><input>my/zero</input>'
+    '<noise variation="ABSOLUTE" distribution="GAUSSIAN">1</noise></sensor><fcs_function name="my/random"><function><random/>'
+    "</function></fcs_function></channel></system>"
+)
+TURBULENCE = "atmosphere/p-turb-rad_sec"
+
+
+def drawn(model: Path, seed: int, *properties: str) -> np.ndarray:
+    """Fly 4 s in turbulence, and return these properties of JSBSim, a column of steps each."""
+    vehicle, _ = load_vehicle("hexjet")
+    own = vehicle.model_copy(update={"model": model.name})
+    frame = Airframe(own, model.parent, Environment(turbulence_severity=3, turbulence_wind_m_s=6.0), 0.004, 1, seed)
+    rows = []
+    try:
+        frame.reset(Initial(altitude_m=50.0), [ZERO3] * 6, ZERO3)
+        for _ in range(1000):
+            frame.step([(0.0, 0.0, -9.0)] * 6, Disturbance())
+            rows.append([frame._fdm.get_property_value(name) for name in properties])
+    finally:
+        frame.close()
+    return np.array(rows).T
+
+
+def test_the_seed_reaches_the_random_numbers_of_a_file(tmp_path: Path) -> None:
+    """JSBSim draws them apart from its turbulence, which is the same with them and without, at the same seed."""
+    model = brought(tmp_path, NUMBERS)
+    # 1000 independent numbers correlate by 0.03, one deviation; equal ones by 1
+    flown = [drawn(model, seed, TURBULENCE, "my/noise", "my/random") for seed in (0, 1, 2, 2 + 2**40)]
+    numbers = np.concatenate([columns[1:] for columns in flown])
+    correlation = np.corrcoef(numbers)
+    assert np.abs(correlation[~np.eye(len(numbers), dtype=bool)]).max() < 0.15
+    assert (drawn(model, 2, TURBULENCE, "my/noise", "my/random") == flown[2]).all()
+    (tmp_path / "plain").mkdir()
+    plain = brought(tmp_path / "plain", '<system name="s"/>')
+    assert (drawn(plain, 2, TURBULENCE) == flown[2][0]).all()
 
 
 def test_a_file_is_tried_once_for_what_it_says(
