@@ -10,7 +10,7 @@ from math import isfinite
 
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row
-from cosim.results.requirements import LOST, Lost
+from cosim.results.requirements import LOST, Lost, range_requirements
 from cosim.spec.scenario import Range
 
 MARGIN = "margin"  # the column of a row that states its margin
@@ -20,9 +20,9 @@ SMALLEST = 1e-9  # size of the margin of a failure of which no more is known, ch
 def row_margin(row: Row, study: Study) -> float:
     """Return the margin of a flown row: its column ``margin`` or, without one, that of the study's ``[success]``.
 
-    The second is the smallest over all conditions of (max - value) or (value - min), each divided by the limit's size
-    (by 1 where the limit is 0); 1.0 where nothing is asked but that the flight completes within its limits.  A flight
-    that was lost has -1 at its planned end and -2 at its start, linearly between.  A success has 0 at least, and
+    The second is the smallest over all conditions of (max - value) or (value - min), each divided by the scale of the
+    requirement that the condition is; 1.0 where nothing is asked but that the flight completes within its limits.  A
+    flight that was lost has -1 at its planned end and -2 at its start, linearly between.  A success has 0 at least, and
     everything else less than 0.
     """
     if not row["success"] and row["outcome"] != "completed":
@@ -42,10 +42,11 @@ def success_margin(values: Mapping[str, object], success: Mapping[str, Range]) -
             margins.append(-1.0)
             continue
         number = _number(value)
+        (requirement,) = range_requirements({name: allowed}, "success")
         if allowed.max is not None:
-            margins.append((allowed.max - number) / (abs(allowed.max) or 1.0))
+            margins.append((allowed.max - number) / requirement.divisor)
         if allowed.min is not None:
-            margins.append((number - allowed.min) / (abs(allowed.min) or 1.0))
+            margins.append((number - allowed.min) / requirement.divisor)
     return min(margins[1:], default=margins[0])
 
 

@@ -69,9 +69,9 @@ class Quantity:
             yield from part.names
 
     @property
-    def limit(self) -> float | None:
-        """The largest number in it; None where there is none."""
-        return max((part.limit for part in self.parts if part.limit is not None), default=None)
+    def constant(self) -> float:
+        """The number that is added to its signals: 0 of a signal, all of it where it has none."""
+        return 0.0
 
     def values(self, signals: Signals) -> Array:
         """Return its number in every row."""
@@ -86,8 +86,8 @@ class Number(Quantity):
     unit: str | None
 
     @property
-    def limit(self) -> float | None:
-        return abs(self.value)
+    def constant(self) -> float:
+        return self.value
 
     def values(self, signals: Signals) -> Array:
         return np.full(signals.rows, self.value)
@@ -127,6 +127,10 @@ class Size(Quantity):
     def parts(self) -> tuple[Quantity, ...]:  # type: ignore[override]
         return (self.of,)
 
+    @property
+    def constant(self) -> float:
+        return 0.0 if any(self.names) else abs(self.of.constant)
+
     def values(self, signals: Signals) -> Array:
         return np.abs(self.of.values(signals))
 
@@ -143,9 +147,8 @@ class Sum(Quantity):
         return tuple([term for _, term in self.terms])
 
     @property
-    def limit(self) -> float | None:
-        sizes = [abs(factor) * term.limit for factor, term in self.terms if term.limit is not None]
-        return max(sizes, default=None)
+    def constant(self) -> float:
+        return sum(factor * term.constant for factor, term in self.terms)
 
     def values(self, signals: Signals) -> Array:
         total: Array | None = None
@@ -218,9 +221,19 @@ class Comparison(Formula):
         return (*self.less.names, *self.greater.names)
 
     @property
+    def bound(self) -> tuple[Quantity, float, bool] | None:
+        """What is compared with a number, the number, and whether it is an upper limit; None where signals are."""
+        if not any(self.greater.names):
+            return self.less, self.greater.constant, True
+        return None if any(self.less.names) else (self.greater, self.less.constant, False)
+
+    @property
     def limit(self) -> float:
-        """The size of the largest number that it compares with; 0 where there is none."""
-        return max(self.less.limit or 0.0, self.greater.limit or 0.0)
+        """The size of the number that it compares with, without constants that are added to signals beside it.
+
+        Of two quantities with signals it is the number between them; 0 where there is none.
+        """
+        return abs(self.greater.constant - self.less.constant if self.bound is None else self.bound[1])
 
     def _evaluate(self, signals: Signals) -> Array:
         difference = self.greater.values(signals) - self.less.values(signals)

@@ -20,7 +20,7 @@ A number may have a unit, ``30 deg`` or ``2 m/s``; without one it has that of wh
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from math import isfinite
@@ -62,11 +62,11 @@ _UNIT = re.compile(
 
 
 class ParsedFormula(NamedTuple):
-    """A formula, the ``unit`` of its margin (1: of shares of each limit), and the least of its limits, 0 without."""
+    """A formula, the ``unit`` of its margin (1: of shares of each tolerance), and its least tolerance, 0 without."""
 
     formula: Formula
     unit: str
-    limit: float
+    tolerance: float
 
 
 class _Token(NamedTuple):
@@ -83,26 +83,41 @@ def parse_formula(text: str) -> ParsedFormula:
     comparisons = list(formula.comparisons)
     if not comparisons:
         raise InputError("compares nothing: it needs a signal and a limit, such as abs(roll_deg) < 30")
-    limits = [comparison.limit for comparison in comparisons]
+    tolerances = _tolerances(comparisons)
     units = {comparison.unit for comparison in comparisons}
     if len(units) == 1:
-        return ParsedFormula(formula, units.pop(), min([limit for limit in limits if limit], default=0.0))
+        return ParsedFormula(formula, units.pop(), min(filter(None, tolerances.values()), default=0.0))
     for comparison in comparisons:
-        if not comparison.limit:
+        if not tolerances[comparison]:
             raise InputError(
                 f"{comparison.text!r} has another unit than the rest and compares with no number but 0, so that "
                 "nothing says how the two weigh: make two requirements of it"
             )
-    return ParsedFormula(_divided(formula), "1", 1.0)
+    return ParsedFormula(_divided(formula, tolerances), "1", 1.0)
 
 
-def _divided(formula: Formula) -> Formula:
-    """Return a formula with each comparison divided by its limit."""
+def _tolerances(comparisons: Sequence[Comparison]) -> dict[Comparison, float]:
+    """Return how much each comparison allows: half of a band between two limits, or else its limit's size."""
+    bounds = {comparison: comparison.bound for comparison in comparisons}
+
+    def tolerance(comparison: Comparison) -> float:
+        if (bound := bounds[comparison]) is None:
+            return comparison.limit
+        of, limit, is_upper = bound
+        others = [other[1] for other in bounds.values() if other and other[0] == of and other[2] != is_upper]
+        widths = [limit - other if is_upper else other - limit for other in others]
+        return min((width / 2.0 for width in widths if width > 0.0), default=comparison.limit)
+
+    return {comparison: tolerance(comparison) for comparison in comparisons}
+
+
+def _divided(formula: Formula, tolerances: dict[Comparison, float]) -> Formula:
+    """Return a formula with each comparison divided by its tolerance."""
     if isinstance(formula, Comparison):
-        return replace(formula, scale=formula.limit)
+        return replace(formula, scale=tolerances[formula])
     if isinstance(formula, Both):
-        return replace(formula, of=tuple(map(_divided, formula.of)))
-    divided = {name: _divided(part) for name, part in vars(formula).items() if isinstance(part, Formula)}
+        return replace(formula, of=tuple(_divided(part, tolerances) for part in formula.of))
+    divided = {name: _divided(part, tolerances) for name, part in vars(formula).items() if isinstance(part, Formula)}
     return replace(formula, **divided)  # type: ignore[type-var]  # every formula is a dataclass
 
 

@@ -78,7 +78,7 @@ class Requirement(Record):
     name: str
     formula: str
     source: Source = "require"  # the table that states it
-    scale: float | None = None  # its margin is divided by it to be compared; None: the smallest of its limits
+    scale: float | None = None  # its margin is divided by it to be compared; None: its least tolerance
     reason: str = ""
     need: bool = True  # False: not broken by a flight that has nothing of what it speaks of
 
@@ -94,13 +94,13 @@ class Requirement(Record):
 
     @property
     def unit(self) -> str:
-        """The unit of its margin; 1 where the formula mixes several, each comparison divided by its limit."""
+        """The unit of its margin; 1 where the formula mixes several, each comparison divided by its tolerance."""
         return self.parsed.unit
 
     @property
     def divisor(self) -> float:
         """The scale of its margin, in its unit."""
-        return self.scale or self.parsed.limit or 1.0
+        return self.scale or self.parsed.tolerance or 1.0
 
     def assess(self, flight: FlightSignals, lost: Lost | None = None) -> Assessment:
         """Return what a flight comes to; of a flight that was ``lost`` nothing that the user requires is kept."""
@@ -154,10 +154,7 @@ def limit_requirements(limits: Mapping[str, float], needed: Iterable[str] = ()) 
 
 def range_requirements(ranges: Mapping[str, Range], source: Source) -> list[Requirement]:
     """Return the requirements that ranges of metrics are: those of ``[[expect]]`` or of ``[success]``."""
-    return [
-        Requirement(name=name, formula=_within(name, allowed), source=source, scale=_scale(allowed))
-        for name, allowed in ranges.items()
-    ]
+    return [Requirement(name=name, formula=_within(name, allowed), source=source) for name, allowed in ranges.items()]
 
 
 def _within(name: str, allowed: Range) -> str:
@@ -170,11 +167,6 @@ def _within(name: str, allowed: Range) -> str:
 
 def _at_most(name: str, most: float) -> str:
     return f"always({_SIGNALS[name]} <= {most!r})" if name in _SIGNALS else f"{name} <= {most!r}"
-
-
-def _scale(allowed: Range) -> float | None:
-    """Return 1 for a range of nothing but 0, which gives no scale."""
-    return None if allowed.min or allowed.max else 1.0
 
 
 class RequirementResult(Record):

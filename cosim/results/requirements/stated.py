@@ -41,7 +41,7 @@ def check_requirements(scenario: Scenario, whole: bool = True) -> None:
 
 def _check(requirement: Requirement, times: dict[str, list[float]], end_s: float) -> None:
     parsed = requirement.parsed
-    if requirement.scale is None and not parsed.limit:
+    if requirement.scale is None and not parsed.tolerance:
         raise InputError(f"compares with no number but 0: state its scale, in {parsed.unit}")
     known = [*times, *CONTACTS]
     for name in parsed.formula.events:

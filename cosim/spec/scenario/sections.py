@@ -86,7 +86,7 @@ class RequireEntry(Model):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
     formula: str  # always(abs(roll_deg) < 30)
-    scale: Positive | None = None  # its margin divided by this is compared with others; None: its smallest limit
+    scale: Positive | None = None  # its margin divided by this is compared with others; None: its tolerance
     reason: str = ""  # where the limit is from
 
 

@@ -29,6 +29,7 @@ def test_the_nearest_condition_counts_in_parts_of_its_limit() -> None:
     assert row_margin(row(success=False, **{ROLL: 75.0}), asked) == pytest.approx(-0.5)
     assert row_margin(row(success=False, **{ROLL: None}), asked) == -1.0
     assert row_margin(row(**{ROLL: -0.25}), study([f"{ROLL}<=0"])) == pytest.approx(0.25)
+    assert row_margin(row(), study([f"{ROLL}<=50", f"{ROLL}>=10"])) == pytest.approx(0.5)  # of half the band
 
 
 def test_a_lost_flight_is_the_worse_the_sooner_it_was_lost() -> None:

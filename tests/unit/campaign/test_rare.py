@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from places import DOCS, script
-from scipy.stats import binom
+from scipy.stats import binom, norm
 from stated_figures import stated
 
 from cosim.base.errors import InputError
@@ -30,6 +30,7 @@ from cosim.campaign.rare.estimate import (
 from cosim.campaign.rare.subset import Candidates, Level, Repeat, subset_simulation
 from cosim.campaign.search.line_search import run_together
 from cosim.results.report.marks import parts_of
+from cosim.results.requirements import parse_formula
 
 measured = script("rare")
 TRUTHS, simulated = measured.TRUTHS, measured.simulated
@@ -56,6 +57,23 @@ def test_the_interval_holds_a_known_truth_as_often_as_it_says(name: str, probabi
     held = [each.low <= probability <= each.high for each, _ in found]
     assert sum(held) >= binom.ppf(1e-4, STUDIES, LEAST_HELD)
     assert all(sum(repeat.flights for repeat in repeats) <= 5000 for _, repeats in found)
+
+
+@pytest.mark.long
+def test_a_height_band_beside_a_roll_limit_holds_its_truth() -> None:
+    """Each requirement in its own scale: a height of N(10, 0.1) m and a roll of N(0, 1) deg; most failures are roll's."""
+    roll, height = (parse_formula(f"always({text})") for text in ("abs(roll_deg) < 4", "abs(altitude_m - 10) < 0.442"))
+    truth = measured.Truth(
+        "height and roll",
+        2,
+        lambda points, seeds, level: np.minimum(
+            (4.0 - np.abs(points[:, 0])) / roll.tolerance, (0.442 - 0.1 * np.abs(points[:, 1])) / height.tolerance
+        ),
+        lambda probability: 0.0,
+    )
+    probability = float(2.0 * norm.sf(4.0) + 2.0 * norm.sf(4.42) - 4.0 * norm.sf(4.0) * norm.sf(4.42))
+    found = [simulated(truth, probability, Budget(1e-6, 5000), seed)[0] for seed in range(60)]
+    assert sum(each.low <= probability <= each.high for each in found) >= 54
 
 
 def test_one_in_a_hundred_thousand_is_within_a_factor_of_two() -> None:

@@ -140,6 +140,33 @@ def test_parts_in_several_units_are_shares_of_their_limits() -> None:
         parse_formula("roll_deg < 3 and altitude_m > 0")
 
 
+@pytest.mark.parametrize(
+    ("text", "tolerance"),
+    [
+        ("abs(altitude_m - 10) < 0.442", 0.442),
+        ("always(-abs(altitude_m - 10 m) > -44.2 cm)", 0.442),
+        ("yaw_deg - 90 < 2", 2.0),
+        ("2 * (altitude_m - 10) < 1", 1.0),
+        ("99.5 < altitude_m < 100.5", 0.5),
+        ("always(altitude_m > 99.5) and always(altitude_m < 100.5)", 0.5),
+        ("always(0 < altitude_m < 1) and after(2 s, 99 < altitude_m < 101)", 0.5),
+        ("-30 < roll_deg < 20", 25.0),
+        ("altitude_m < altitude_setpoint_m + 0.5", 0.5),
+        ("altitude_m > 99.5", 99.5),
+        ("altitude_m - 10 > 0", 0.0),
+        ("roll_deg < pitch_deg", 0.0),
+    ],
+)
+def test_the_tolerance_is_what_the_limit_allows_and_no_offset(text: str, tolerance: float) -> None:
+    assert parse_formula(text).tolerance == pytest.approx(tolerance, abs=1e-12)
+
+
+def test_a_band_beside_another_unit_is_a_share_of_its_half() -> None:
+    parsed = parse_formula("99.5 < altitude_m < 100.5 and abs(roll_deg) < 30")
+    rows = Rows({"roll_rad": [0.0], "altitude_m": [100.4]})
+    assert parsed.formula.margins(rows)[0] == pytest.approx(0.2)
+
+
 # ---- what is wrong, and where
 
 
