@@ -555,7 +555,6 @@ ENVIRONMENT = {
     "HEXJET_PURE": "set at run time: everything runs from source, nothing compiled; set at the build: nothing is compiled",
     "HEXJET_OPTIMISATION": "at the build: the C compiler's level for the compiled modules, `-O2` without it; the bits are the same",
     "HEXJET_PORT": "set by `hexjet sitl` for Betaflight: where its ports begin",
-    "HEXJET_PAGE": "set by `hexjet` for the processes that it exchanges numbers with: the memory that both share, and the pipes it belongs to",
     "HEXJET_PROCESS": "set by `hexjet` for the processes that it starts, which are found by it and ended with all that they started",
     "ARDUPILOT_SITL": "the ArduPilot program that `hexjet sitl` runs",
     "BETAFLIGHT_SITL": "the Betaflight program that `hexjet sitl` runs",

@@ -22,9 +22,8 @@ from cosim.control.belief import Belief
 SUBSTEPS = 1  # what they cost is the same with more
 BASELINE = "ours: no predictor, engines in this process"
 PREDICTOR, RATE, CONTROLLER = "a predictor, as a class", "a rate loop, as a class", "a whole controller, as a class"
-PROCESS, SLEEPING, FMU, ISOLATED = (
+PROCESS, FMU, ISOLATED = (
     "a rate loop, as a process",
-    "a rate loop, as a process that sleeps between frames",
     "a whole controller, as an FMU",
     "engines in a process of their own",
 )
@@ -34,26 +33,6 @@ _HERE = "benchmarks.measures.own_blocks"
 
 # the proportional part of the vehicle's rate loop: what a program in Python needs at least
 _PROGRAM = """import json
-import struct
-
-from cosim.base.runtime.pipes import Pipes
-
-pipes = Pipes(0, 1)
-pipes.send(json.dumps({"level": "rate"}).encode() + b"\\n")
-try:
-    told = json.loads(pipes.receive_line(2**26))
-    asked = struct.Struct(f"<{1 + len(told['inputs'])}d")
-    answer = struct.Struct(f"<{1 + len(told['outputs'])}d")
-    gains = told["vehicle"]["control"]["rate"]
-    a, b, c = (gains[axis]["p"] for axis in ("roll", "pitch", "yaw"))
-    while True:
-        k, p, q, r, x, y, z, *_ = asked.unpack(pipes.receive(asked.size))
-        pipes.send(answer.pack(k, a * (p - x), b * (q - y), c * (r - z)))
-except EOFError:
-    pass
-"""
-# the same, asleep until its next frame is there
-_SLEEPING_PROGRAM = """import json
 import struct
 import sys
 
@@ -141,9 +120,8 @@ def flights(seconds: float, substeps: int, folder: Path, fmu: bool = True) -> di
     hover = Scenario.load("hover").replace(
         controller="baseline", substeps=substeps, duration_s=seconds, expect=[], controller_limit_s=60.0
     )
-    program, sleeping = folder / "rate_loop.py", folder / "sleeping.py"
+    program = folder / "rate_loop.py"
     program.write_text(_PROGRAM, encoding="utf-8")
-    sleeping.write_text(_SLEEPING_PROGRAM, encoding="utf-8")
     trust(folder)
     scenarios = {
         BASELINE: hover,
@@ -151,7 +129,6 @@ def flights(seconds: float, substeps: int, folder: Path, fmu: bool = True) -> di
         RATE: hover.replace(controller=f"{_HERE}:Rate"),
         CONTROLLER: hover.replace(controller=f"{_HERE}:WholeController"),
         PROCESS: hover.replace(controller=f"process:{program}"),
-        SLEEPING: hover.replace(controller=f"process:{sleeping}"),
         ISOLATED: hover.replace(engine_isolated=True),
     }
     if not fmu:

@@ -26,7 +26,6 @@ MODULES = (
     "vehicle/effects/banks.py",
     "vehicle/effects/hinges.py",
     "simulation/script/command_script.py",
-    "simulation/controllers/deadline.py",
     "simulation/controllers/guard.py",
     "control/allocation/allocation.py",
     "control/allocation/effectiveness.py",

@@ -1,10 +1,8 @@
 """Two pipes to another process: what is asked on one is answered on the other, within a time limit.
 
 A pipe with bare ``read`` and ``write`` is the quickest way between two processes that wait for each other: a third of
-a ``multiprocessing.Connection``'s round trip, whose ``poll`` makes a selector each time.  Whoever waits looks for bytes
-for a moment before it sleeps, because a processor that went idle takes several times a round trip to wake up.  While it
-looks the other writes to a page of shared memory, where there is one (:mod:`cosim.base.runtime.page`), which takes a
-third of the pipes' round trip.  Nothing is left over of a process that was killed, and its end is the end of the pipe.
+a ``multiprocessing.Connection``'s round trip, whose ``poll`` makes a selector each time.  Nothing is left over of a
+process that was killed, and its end is the end of the pipe.
 """
 
 from __future__ import annotations
@@ -16,17 +14,9 @@ from time import monotonic
 from typing import Final
 
 from cosim.base.errors import InputError
-from cosim.base.runtime.page import Page, take_page
 
 _LENGTH: Final = struct.Struct("<I")  # before a message
 _CHUNK: Final = 65536  # bytes, read at once
-# For how long bytes are looked for before sleeping [s]; chosen by us.
-QUESTION_S: Final = 2e-4  # until the next request: some control steps
-ANSWER_S: Final = 5e-5  # until the answer to one: some exchanges, of the processor time of the thread that flies
-_LOOK_WAITS: Final = 256  # a look in vain for so many waits, in the long run: at most 0.8 us of a processor a wait
-_MOST_CREDIT: Final = 4 * _LOOK_WAITS
-_EARNED: Final = 8  # by a look in time, which saves a sleep of some 30 us
-_LONGEST_PAUSE_MS: Final = 64.0  # between looks at the page of who sleeps
 
 
 class Pipes:
@@ -35,20 +25,12 @@ class Pipes:
     Where a call has a ``limit`` in s, it raises TimeoutError beyond it; None waits for ever.  EOFError says that the
     other process has closed its end, and OSError of a write that it has closed the other.
 
-    Bytes are looked for during ``look_s`` s before the process sleeps.
-
-    The end that is written to no longer blocks, as a full pipe would have no limit otherwise.  Where the process may
-    run on one processor alone it never looks before it sleeps.  Where all are busy with something else, looks are in
-    vain, or last as long as somebody else has the processor: each wait earns a credit, one with a look in time eight
-    more, a look in vain costs 256 of them, one that lasts longer up to four times as many, and without 256 a wait
-    sleeps at once.
-
-    ``page`` is the one that the process at the other end has too; where these pipes came with one, it is found.
+    The end that is written to no longer blocks, as a full pipe would have no limit otherwise.
 
     Raises InputError where the system cannot wait for a pipe with a limit, as Windows.
     """
 
-    def __init__(self, reader: int, writer: int, look_s: float = QUESTION_S, page: Page | None = None) -> None:
+    def __init__(self, reader: int, writer: int) -> None:
         require_poll()
         self._reader, self._writer = reader, writer
         self._open: tuple[int, ...] = (reader, writer)
@@ -57,11 +39,6 @@ class Pipes:
         self._writable.register(writer, select.POLLOUT)
         os.set_blocking(writer, False)
         self._rest = b""
-        self._look_s = look_s
-        self._spins = count_processors() > 1
-        self._page = (page or take_page(reader, writer)) if self._spins else None  # who never looks needs none
-        self._credit = _MOST_CREDIT
-        self._is_announced = False  # to the other that the page is looked at, and nothing has come since
 
     def send(self, data: bytes, limit: float | None = None) -> None:
         """Write all of ``data``."""
@@ -69,7 +46,7 @@ class Pipes:
 
     def close(self) -> None:
         """Close both ends; may be called twice.  Only for who opened them by their numbers."""
-        numbers, self._open, self._page = self._open, (), None
+        numbers, self._open = self._open, ()
         for number in numbers:
             os.close(number)
 
@@ -136,67 +113,15 @@ class Pipes:
         return data[:count]
 
     def _read(self, end: float | None) -> bytes:
-        found, page = self._spins and self._look(end), self._page
-        if page is not None and (found or self._is_announced):
-            if record := page.take() or (b"" if found else self._sleep_beside(page, end)):
-                self._is_announced = False
-                return record
-        elif not found and end is not None:
+        """Return what comes next, as soon as something has come."""
+        if end is not None:
             _sleep(self._poll, end)
         data = os.read(self._reader, _CHUNK)
-        if page is not None:
-            record = page.take()  # was written before all that came by the pipe now
-            page.count_taken(len(data))
-            self._is_announced, data = False, record + data
         if not data:
             raise EOFError
         return data
 
-    def _sleep_beside(self, page: Page, end: float | None) -> bytes:
-        """Wait until something has come by the pipe, or return what the page has.  Raises TimeoutError.
-
-        Nobody writes to the page any more, but the other may have begun to when it was still looked at.
-        """
-        pause_ms = 1.0
-        while True:
-            left_ms = pause_ms if end is None else min(pause_ms, max(0.0, end - monotonic()) * 1e3)
-            if self._poll.poll(left_ms):
-                return b""
-            if record := page.take():
-                return record
-            if end is not None and monotonic() >= end:
-                raise TimeoutError
-            pause_ms = min(2.0 * pause_ms, _LONGEST_PAUSE_MS)
-
-    def _look(self, end: float | None) -> bool:
-        """Return whether bytes, or the end of them, have come within a moment; False at once where that is no use."""
-        if self._credit < _MOST_CREDIT:
-            self._credit += 1
-        if self._credit < _LOOK_WAITS:
-            return False
-        begun = monotonic()
-        stop = begun + self._look_s
-        if end is not None and end < stop:
-            stop = end
-        poll, page = self._poll.poll, self._page
-        if page is None:
-            while not (found := bool(poll(0))) and monotonic() <= stop:
-                pass
-        else:
-            self._is_announced = True
-            while not (found := page.look() or bool(poll(0))) and monotonic() <= stop:
-                pass
-            page.rest()
-        now = monotonic()
-        if now > stop:  # in vain, or others had the processor meanwhile
-            self._credit -= min(int(_LOOK_WAITS * (now - begun) / self._look_s), _MOST_CREDIT)
-        else:
-            self._credit = min(self._credit + _EARNED, _MOST_CREDIT)
-        return found
-
     def _send(self, data: bytes, end: float | None) -> None:
-        if self._page is not None and self._page.put(data):
-            return
         rest: bytes | memoryview = data
         while True:
             try:
@@ -213,13 +138,6 @@ def require_poll() -> None:
     """Raise InputError where the system cannot wait for a pipe with a time limit."""
     if not hasattr(select, "poll"):
         raise InputError("an exchange with another process needs pipes with poll(), which this system does not have")
-
-
-def count_processors() -> int:
-    """Return the number of processors that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _sleep(poll: select.poll, end: float | None) -> None:

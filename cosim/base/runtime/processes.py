@@ -18,14 +18,13 @@ from secrets import token_hex
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.compiled import PACKAGE, child_environment
-from cosim.base.runtime.page import Page, describe_page, open_page
-from cosim.base.runtime.pipes import ANSWER_S, Pipes, require_poll
+from cosim.base.runtime.pipes import Pipes, require_poll
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
 _MARK = "HEXJET_PROCESS"  # environment variable: which of our processes a process comes from, each behind its parent
-_SILENT = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+_SILENT: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 _PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 # A lower limit may be there, or the system has none.
 _LIMIT = """
@@ -99,10 +98,11 @@ class Child(subprocess.Popen[bytes]):
         where it cannot be started, InputError where the system has no such pipes, as Windows.
         """
 
-        def start(environ: Mapping[str, str], numbers: tuple[int, ...]) -> Child:
-            return cls(python_command(code, *map(str, numbers[:2])), environ, pass_fds=numbers, **_SILENT)
-
-        return _start_with_pipes(start)
+        return _start_with_pipes(
+            lambda reader, writer: cls(
+                python_command(code, str(reader), str(writer)), pass_fds=(reader, writer), **_SILENT
+            )
+        )
 
     @classmethod
     def open_program(cls, command: Sequence[str], **how: Any) -> tuple[Child, Pipes]:
@@ -111,10 +111,7 @@ class Child(subprocess.Popen[bytes]):
         Raises as :meth:`open_pipes`.
         """
 
-        def start(environ: Mapping[str, str], numbers: tuple[int, ...]) -> Child:
-            return cls(command, environ, stdin=numbers[0], stdout=numbers[1], pass_fds=numbers[2:], **how)
-
-        return _start_with_pipes(start)
+        return _start_with_pipes(lambda reader, writer: cls(command, stdin=reader, stdout=writer, **how))
 
     def finish(self, limit: float) -> tuple[bytes, bytes]:
         """Return what it prints until its end, and leave nothing of it behind.
@@ -152,28 +149,19 @@ class Child(subprocess.Popen[bytes]):
             _kill_marked(f"{_MARK}={self._mark}".encode())
 
 
-def _start_with_pipes(start: Callable[[Mapping[str, str], tuple[int, ...]], Child]) -> tuple[Child, Pipes]:
-    """Return a process and the pipes to it.
-
-    ``start`` is called with its environment and the file descriptors that are its: the ends of the pipes, that to read
-    from first, and a page of memory where there can be one.
-    """
+def _start_with_pipes(start: Callable[[int, int], Child]) -> tuple[Child, Pipes]:
+    """Return a process and the pipes to it; ``start`` gets the ends that are its, that to read from first."""
     require_poll()
     down, up = os.pipe(), os.pipe()
-    number, environ = open_page(), child_environment()
-    numbers: tuple[int, ...] = (down[0], up[1])
-    if number is not None:
-        environ |= describe_page(number, *numbers)
-        numbers = (*numbers, number)
-    pipes = Pipes(up[0], down[1], ANSWER_S, None if number is None else Page(number, 0))
+    pipes = Pipes(up[0], down[1])
     try:
-        return start(environ, numbers), pipes
+        return start(down[0], up[1]), pipes
     except BaseException:
         pipes.close()
         raise
     finally:
-        for end in numbers:
-            os.close(end)
+        os.close(down[0])
+        os.close(up[1])
 
 
 def run_child(command: Sequence[str], limit: float, **how: Any) -> subprocess.CompletedProcess[str]:

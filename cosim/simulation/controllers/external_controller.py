@@ -11,7 +11,6 @@ from cosim.base.signals import AXES
 from cosim.control.belief import Belief
 from cosim.control.predictors.smith import NoPredictor
 from cosim.engine import EngineSpec
-from cosim.simulation.controllers.deadline import Deadline
 from cosim.simulation.controllers.guard import (
     CallGuard,
     GuardedAttitude,
@@ -59,8 +58,7 @@ class ExternalController:
         stations: Sequence[EngineSpec],
     ) -> None:
         self._source, self._scenario = source, scenario
-        self._deadline = Deadline(scenario.controller_limit_s * (1.0 if source.is_in_process else 2.0))
-        self._guard = CallGuard(source.label, self._deadline)
+        self._guard = CallGuard(source.label)
         self._blocks: list[Any] = []
         self.whole: GuardedController | None = None
         self.attitude: GuardedAttitude | None = None
@@ -129,4 +127,3 @@ class ExternalController:
         for block in self._blocks:
             if hasattr(block, "close"):
                 block.close()
-        self._deadline.close()

@@ -1,7 +1,7 @@
 """Blocks of the user's as the flight sees them: every answer is looked at, and what is wrong names the controller.
 
-Numpy arrays and lists are taken for tuples.  Whatever a block raises, gives back wrongly or takes too long for ends the
-flight as a :class:`FlightError`.
+Numpy arrays and lists are taken for tuples.  Whatever a block raises or gives back wrongly ends the flight as a
+:class:`FlightError`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ from cosim.base.signals import (
     Vector3,
 )
 from cosim.control.belief import Belief
-from cosim.simulation.controllers.deadline import Deadline, LateError
 
 _MAX_FLOAT: Final = sys.float_info.max
 _ROUNDING: Final = 1e-9  # of a throttle: this far outside 0 to 1 is the rounding of somebody's arithmetic
@@ -46,37 +45,27 @@ _FLY: Final = EngineState.FLY
 
 @dataclass(frozen=True)
 class CallGuard:
-    """A block's name in messages, and the time that each of its calls may take; None: any."""
+    """A block's name in messages."""
 
     label: str
-    deadline: Deadline | None = None
     kind: str = "controller"
 
     def make_error(self, text: str) -> FlightError:
         return FlightError(f"{self.kind} {self.label}: {text}")
 
     def call(self, what: str, method: Callable[..., Any], *arguments: Any) -> Any:
-        """Call a method of the user's.  Raises FlightError for what it raises, and if it takes too long.
+        """Call a method of the user's.  Raises FlightError for what it raises.
 
         An InputError that a controller raises is passed on as it is.
         """
-        deadline = self.deadline
-        begun = 0.0 if deadline is None else deadline.begin()
         try:
-            answer = method(*arguments)
-            if deadline is not None:
-                deadline.end(begun)
-        except BaseException as error:  # also on Ctrl-C: no call is running that could be late
-            if deadline is not None:
-                deadline.cancel()
-                if isinstance(error, LateError):
-                    raise self.make_error(f"{what} took longer than {deadline.limit:g} s") from None
-            if isinstance(error, FlightError):
-                raise self.make_error(str(error)) from error
-            if not isinstance(error, Exception) or (self.kind == "controller" and isinstance(error, InputError)):
+            return method(*arguments)
+        except FlightError as error:
+            raise self.make_error(str(error)) from error
+        except Exception as error:
+            if self.kind == "controller" and isinstance(error, InputError):
                 raise
             raise self.make_error(f"{what} raised {describe_error(error)}") from error
-        return answer
 
     def check_numbers(self, answer: Any, names: Sequence[str], what: str = "update") -> tuple[float, ...]:
         """Return an answer as so many finite numbers.  Raises FlightError."""

@@ -49,9 +49,8 @@ class Scenario(Model):
     controller: str = "smith"
     controller_parameters: dict[str, float] = {}  # of a controller of one's own
     controller_sha256: str | None = None  # it flies only if it is this one still
-    controller_limit_s: Annotated[float, Field(gt=0.0, le=3600.0)] = (
-        10.0  # of the clock, that each of its calls may take
-    )
+    # Time of the clock that each answer of a process or an FMU may take.
+    controller_limit_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 10.0
     duration_s: Duration
     step_s: Step = STEP_S  # not stated: the aircraft's control_step
     substeps: Annotated[int, Field(ge=1, le=100)] = SUBSTEPS  # JSBSim runs in it; or an error: "0.01 deg", "campaign"

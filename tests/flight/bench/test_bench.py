@@ -456,7 +456,7 @@ def test_a_block_of_ones_own_costs_what_its_flight_costs_more() -> None:
 def test_blocks_of_ones_own(result: dict[str, Any]) -> None:
     """Every way in flew to its end; what a class costs more is judged."""
     found = result["own"]
-    ways = {*own_blocks.CLASSES, own_blocks.PROCESS, own_blocks.SLEEPING, own_blocks.ISOLATED}
+    ways = {*own_blocks.CLASSES, own_blocks.PROCESS, own_blocks.ISOLATED}
     assert set(found["more"]) == (ways | {own_blocks.FMU} if found["missing"] is None else ways)
     judged = {row["name"]: row["measured"] for row in result["asked"]}
     for name in own_blocks.CLASSES:

@@ -105,8 +105,6 @@ def test_the_program_of_the_page_in_c_flies_as_the_class(loop_c: Path, reference
 def test_so_does_that_in_python_and_a_study_of_it_says_that_it_repeats(reference: Run, tmp_path: Path) -> None:
     script = of_page("script", tmp_path / "loop.py")
     assert same(reference, fly(ROLL.replace(controller=f"process:{script}")))
-    quick = of_page("quick", tmp_path / "quick.py")
-    assert same(reference, fly(ROLL.replace(controller=f"process:{quick}")))
     name = f"process:{script}"
     vary = ["controller_parameters.share=0.5,1"]
     study = open_study("hover", vary=vary, controllers=[name], settings=["duration_s=0.1"])

@@ -13,22 +13,15 @@ from patience import PATIENCE
 
 from cosim.base.errors import InputError
 from cosim.base.runtime import pipes
-from cosim.base.runtime.page import Page, open_page
 from cosim.base.runtime.pipes import Pipes
 
 SHORT = 0.01  # s, waited for what does not come
 
 
-@pytest.fixture(params=["pipes", "pipes and a page"])
-def ends(request: pytest.FixtureRequest) -> Iterator[tuple[Pipes, Pipes]]:
+@pytest.fixture
+def ends() -> Iterator[tuple[Pipes, Pipes]]:
     down, up = os.pipe(), os.pipe()
-    number = open_page() if "page" in request.param else None
-    if "page" in request.param and number is None:
-        pytest.skip("no page here")
-    pages = (None, None) if number is None else (Page(number, 0), Page(number, 1))
-    yield Pipes(up[0], down[1], page=pages[0]), Pipes(down[0], up[1], page=pages[1])
-    if number is not None:
-        os.close(number)
+    yield Pipes(up[0], down[1]), Pipes(down[0], up[1])
     for number in (*down, *up):
         try:
             os.close(number)
@@ -96,12 +89,11 @@ def test_the_limit_is_of_the_whole_answer(
     limit: float, ends: tuple[Pipes, Pipes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And not of each piece that comes of it: here the clock goes on by 1 s whenever it is looked at."""
-    other = Pipes(ends[1]._reader, ends[1]._writer)  # without a page: the clock is looked at once a piece
+    other = ends[1]
     clock, pieces = count(), iter((b"\3\0\0", b"\0a", b"b", b"c"))
     monkeypatch.setattr(pipes, "monotonic", lambda: float(next(clock)))
     monkeypatch.setattr(pipes, "os", SimpleNamespace(read=lambda *_: next(pieces)))  # for this module alone
     monkeypatch.setattr(other, "_poll", Waiting())
-    monkeypatch.setattr(other, "_spins", False)
     if limit > 5.0:
         assert other.receive_message(10, limit) == b"abc"
     else:
@@ -138,72 +130,6 @@ def test_what_is_asked_is_answered(ends: tuple[Pipes, Pipes]) -> None:
     assert one.exchange(b"abc", 3, PATIENCE) == b"cba"
     assert one.receive(4, PATIENCE) == b"more"
     server.join()
-
-
-class Polled:
-    """A poll that finds something at its ``at``-th call, or where it may wait, and counts its calls."""
-
-    def __init__(self, at: int) -> None:
-        self.at, self.looks, self.sleeps = at, 0, 0
-
-    def poll(self, milliseconds: float) -> bool:
-        self.looks += milliseconds == 0.0
-        self.sleeps += milliseconds != 0.0
-        return milliseconds != 0.0 or self.looks == self.at
-
-
-def test_who_waits_looks_before_it_sleeps(ends: tuple[Pipes, Pipes], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bytes that come soon need no sleep; on one processor nothing can come while we look."""
-    one, other = ends
-    monkeypatch.setattr(pipes, "monotonic", lambda: 0.0)
-    for spins, looks, sleeps in ((True, 5, 0), (False, 0, 1)):
-        polled = Polled(5)
-        monkeypatch.setattr(one, "_poll", polled)
-        monkeypatch.setattr(one, "_spins", spins)
-        other.send(b"x")
-        assert one.receive(1, PATIENCE) == b"x"
-        assert (polled.looks, polled.sleeps) == (looks, sleeps)
-    monkeypatch.setattr(pipes, "count_processors", lambda: 1)
-    assert not Pipes(one._reader, one._writer)._spins
-
-
-@pytest.mark.parametrize(("look_s", "least", "most"), [(100.0, 9, 12), (0.1, 2, 3)])
-def test_looks_in_vain_become_rare(
-    look_s: float, least: int, most: int, ends: tuple[Pipes, Pipes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By the clock, which goes on by 1 s whenever it is looked at: of 100 s, and of a moment that lasts much longer.
-
-    The latter is as where somebody else has the processor, and costs as much as four.
-    """
-    one, other = ends
-    polled, clock = Polled(0), count()
-    monkeypatch.setattr(pipes, "monotonic", lambda: float(next(clock)))
-    monkeypatch.setattr(one, "_poll", polled)
-    monkeypatch.setattr(one, "_spins", True)
-    one._look_s, looks = look_s, 0
-    for _ in range(2000):
-        before = polled.looks
-        other.send(b"x")
-        assert one.receive(1, 1e9) == b"x"
-        looks += polled.looks > before
-    assert polled.sleeps == 2000
-    assert least <= looks <= most
-
-
-def test_looks_in_time_pay_for_those_in_vain(ends: tuple[Pipes, Pipes], monkeypatch: pytest.MonkeyPatch) -> None:
-    """A look in vain before every hundred in time, as between two flights, puts nobody to sleep for long."""
-    one, other = ends
-    clock = count()
-    monkeypatch.setattr(pipes, "monotonic", lambda: float(next(clock)))
-    monkeypatch.setattr(one, "_spins", True)
-    one._look_s = 10.0
-    for number in range(5000):
-        polled = Polled(1 if number % 100 else 0)  # there at once, or never
-        monkeypatch.setattr(one, "_poll", polled)
-        other.send(b"x")
-        assert one.receive(1, 1e9) == b"x"
-        assert polled.looks, number
-        assert bool(polled.sleeps) == (number % 100 == 0)
 
 
 def test_a_system_without_poll_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
