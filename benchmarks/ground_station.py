@@ -3,9 +3,6 @@
     python -m benchmarks.ground_station                  real time, two stations: deadlines, state to packet
     python -m benchmarks.ground_station --flood          with a third that floods and a fourth that never reads
     python -m benchmarks.ground_station --soak 3600      an hour of flight as fast as it goes: memory and queues
-    python -m benchmarks.ground_station --lines          what serial lines of several speeds carry of the telemetry
-    python -m benchmarks.ground_station --stalled 60     a serial port that stops reading, beside UDP and TCP
-    ... --write docs/ground-station.md                   the last two: puts their tables between the page's marks
 
 Stations are processes of their own; clocks are comparable because all use the system's monotonic one.
 """
@@ -21,8 +18,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -31,19 +26,11 @@ from typing import Any
 from benchmarks.measures.long_flight import resident_of
 from cosim import Scenario
 from cosim.control.autopilot import requests as rq
-from cosim.control.autopilot.parameters import Parameters
 from cosim.files import scratch
-from cosim.groundstation.exchange import Exchange, Port
-from cosim.groundstation.links import Links, make_vehicle_constants
-from cosim.groundstation.mavlink.vehicle import MavlinkVehicle
-from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
-from cosim.groundstation.mavlink.wire.link import Link
-from cosim.groundstation.read_only import scripted_status
+from cosim.groundstation.exchange import Exchange
+from cosim.groundstation.links import Links
+from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.session import RecordOptions, Session
-from cosim.groundstation.session_flight import make_flight_info, make_snapshot
-from cosim.pages import table, write_marks
-from cosim.simulation.build import build
-from cosim.simulation.pacing import PaceReport
 
 ATTITUDE = 30
 HEARTBEAT_EVERY = 1.0
@@ -240,217 +227,6 @@ def _to_and_fro(exchange: Exchange) -> None:
         time.sleep(0.5)
 
 
-# --- lines ---------------------------------------------------------------------------------------------------------
-
-BAUD = (9600, 19200, 38400, 57600, 115200, 230400, 921600)
-COUNTED = ("HEARTBEAT", "ATTITUDE", "GLOBAL_POSITION_INT", "VFR_HUD", "SYS_STATUS")
-SETTLE, COUNT = 5.0, 40.0  # s of the link's clock: until the rates are found, and while they are counted
-LOOK = 0.01  # s between two looks of the link's loop
-NO_PARAMETERS = [float("nan")] * 6
-
-
-class _Wire:
-    """A serial line as the link sees it: it takes everything, and sends it at its speed; nothing of it is real."""
-
-    def __init__(self, clock: Callable[[], float], link: Link, baud: int) -> None:
-        self._clock, self._rate, self._free = clock, baud / 10.0, 0.0
-        self.arrived: list[tuple[float, bytes]] = []
-        self.peer = link.new_peer(f"{baud}", self._take, is_datagram=False, line=self._rate)
-        self.peers = [self.peer]
-
-    def _take(self, data: bytes) -> int:
-        self._free = max(self._clock(), self._free) + len(data) / self._rate
-        self.arrived.append((self._free, data))
-        return len(data)
-
-    def poll(self, now: float) -> None:
-        self.peer.flush()
-
-    def close(self) -> None:
-        pass
-
-
-def line(baud: int) -> tuple[dict[str, float], float, list[float]]:
-    """Messages a second by name, bytes a second, and the delays of acknowledgements, on a clock that is counted.
-
-    The Hex-Jet hovers, with the telemetry of every default stream; a command comes every 0.7 s.
-    """
-    now = [0.0]
-    with build(Scenario.load("hover").replace(duration_s=SETTLE + COUNT + 1.0)) as simulation:
-        link = Link([], clock=lambda: now[0])
-        exchange = Exchange(lambda: now[0])
-        info = make_flight_info(simulation, 1, Parameters([]), None, 1.0)
-        link.handler = vehicle = MavlinkVehicle(make_vehicle_constants(info, "px4"), Port(exchange, "mavlink"), link)
-        wire = _Wire(lambda: now[0], link, baud)
-        link._channels.append(wire)
-        latencies: list[float] = []
-        number = mav.MAVLink_command_long_message(1, 1, 401, 0, *NO_PARAMETERS, 0.0)
-        sender = mav.MAVLink(None, srcSystem=255, srcComponent=190)
-        begun = 0
-        while now[0] < SETTLE + COUNT:
-            while simulation.k * simulation.dt < now[0]:
-                sample = simulation.step()
-            if simulation.k:
-                status = scripted_status(simulation, sample)
-                fix = status.fix._replace(disturbance=(0.1, 0.0))  # as where an autopilot estimates what pushes it
-                status = status._replace(fix=fix)
-                exchange.publish(make_snapshot(simulation, info, sample, status, PaceReport(load=0.1), now[0]))
-            if now[0] >= SETTLE:
-                begun = begun or len(wire.arrived)
-                if len(latencies) <= (now[0] - SETTLE) / 0.7:
-                    latencies.append(now[0])
-                    link.dispatch_frames(wire.peer.feed(number.pack(sender), now[0]), wire.peer, now[0])
-            link.poll(now[0])
-            now[0] += LOOK
-        names = {message.id: name for name, message in BY_NAME.items()}
-        counts: Counter[str] = Counter()
-        acknowledged = []
-        for at, data in wire.arrived[begun:]:
-            name = names[data[7] | data[8] << 8 | data[9] << 16]
-            counts[name] += 1
-            if name == "COMMAND_ACK":
-                acknowledged.append(at)
-        carried = sum(len(data) for _, data in wire.arrived[begun:]) / COUNT
-        assert vehicle.acknowledged == len(latencies)
-        assert not link.failures, link.failures
-        link.close()
-        return (
-            {name: counts[name] / COUNT for name in COUNTED},
-            carried,
-            [came - at for came, at in zip(acknowledged, latencies, strict=False)],
-        )
-
-
-def lines() -> str:
-    """Return the page's table of serial lines by baud rate."""
-    columns = ("baud", "bytes/s", "of them used", *(f"{name}, Hz" for name in COUNTED), "latest acknowledgement, s")
-    rows = []
-    for baud in BAUD:
-        rates, carried, late = line(baud)
-        rates_shown = (f"{rates[name]:.2g}" if rates[name] < 10 else f"{rates[name]:.0f}" for name in COUNTED)
-        rows.append((f"{baud}", f"{baud // 10}", f"{carried:.0f}", *rates_shown, f"{max(late):.2f}"))
-    return table(columns, rows)
-
-
-# --- a port that stalls --------------------------------------------------------------------------------------------
-
-
-class _Asker:
-    """A station that asks something 20 times a second and notes how long the acknowledgement takes."""
-
-    def __init__(self, kind: str, port: int) -> None:
-        self.kind = kind
-        if kind == "UDP":
-            self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            self.socket.connect(("127.0.0.1", port))
-        else:
-            self.socket = socket.create_connection(("127.0.0.1", port))
-        self.socket.settimeout(5.0)
-        self.mav = mav.MAVLink(None, srcSystem=254 if kind == "UDP" else 253, srcComponent=190)
-        self.mav.robust_parsing = True
-        self.late: list[float] = []
-        self.lost = 0
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        beat = mav.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
-        ask = mav.MAVLink_command_long_message(1, 1, 512, 0, 148.0, *NO_PARAMETERS)
-        due = 0.0
-        while not self._over.is_set():
-            now = time.monotonic()
-            if now >= due:
-                due = now + HEARTBEAT_EVERY
-                self.socket.send(beat.pack(self.mav))
-            self.socket.send(ask.pack(self.mav))
-            began = time.monotonic()
-            if self._acknowledged():
-                self.late.append(time.monotonic() - began)
-            else:
-                self.lost += 1
-            time.sleep(0.05)
-
-    def _acknowledged(self) -> bool:
-        try:
-            while True:
-                for message in self.mav.parse_buffer(self.socket.recv(4096)) or []:
-                    if message.get_type() == "COMMAND_ACK" and message.command == 512:
-                        return True
-        except TimeoutError:
-            return False
-
-    def stop(self) -> None:
-        self._over.set()
-        self._thread.join()
-        self.socket.close()
-
-
-def stall_table(seconds: float) -> str:
-    """Fly at real time with a pseudo-terminal read for 3 s, not for ``seconds``, then again; return a table."""
-    import tty
-
-    pilot_side, vehicle_side = os.openpty()
-    tty.setraw(pilot_side)
-    os.set_blocking(pilot_side, False)
-    urls = [f"serial:{os.ttyname(vehicle_side)}:57600", "udpin:127.0.0.1:0", "tcpin:127.0.0.1:0"]
-    rows: list[tuple[str, ...]] = []
-    with Links(urls) as links, TemporaryDirectory(dir=scratch()) as folder:
-        session = _session(links, Path(folder) / "run", 1.0)
-        serial = links.link._channels[0]
-        events: list[tuple[float, str]] = []
-        tell = links.link.on_event
-
-        def note(text: str) -> None:
-            events.append((time.monotonic(), text))
-            tell(text)
-
-        links.link.on_event = note
-
-        def read(until: Callable[[], bool]) -> None:
-            while not until():
-                try:
-                    os.read(pilot_side, 65536)
-                except BlockingIOError:
-                    time.sleep(0.01)
-
-        def measure() -> None:
-            read(lambda: bool(serial.peers) and links.exchange.snapshot is not None)
-            end = time.monotonic() + 3.0
-            read(lambda: time.monotonic() > end)
-            stations = [_Asker("UDP", links.link.ports[1]), _Asker("TCP", links.link.ports[2])]
-            begun = time.monotonic()
-            time.sleep(seconds)
-            for station in stations:
-                station.stop()
-            again = time.monotonic()
-            read(lambda: any("carries again" in text for _, text in events) or time.monotonic() - again > 60.0)
-            back = next((at - again for at, text in events if "carries again" in text), float("nan"))
-            dropped = next((at - begun for at, text in events if "is dropped" in text), float("nan"))
-            for station in stations:
-                late = sorted(station.late)
-                row = (station.kind, len(late) + station.lost, station.lost, 1e3 * median(late), 1e3 * late[-1])
-                rows.append((row[0], f"{row[1]}", f"{row[2]}", f"{row[3]:.1f}", f"{row[4]:.1f}"))
-            rows.append(("serial, dropped after", f"{dropped:.0f} s", "", "", ""))
-            rows.append(("serial, said to carry again after", f"{back:.0f} s", "", "", ""))
-            session.stop("over")
-
-        threading.Thread(target=measure, daemon=True).start()
-        (run,) = session.run()
-    os.close(pilot_side)
-    os.close(vehicle_side)
-    summary = run.summary
-    assert summary.pacing is not None
-    columns = ("link", "commands", "without an answer", "answer, median, ms", "latest answer, ms")
-    steps = round(summary.duration_s / summary.step_s)
-    return (
-        table(columns, rows)
-        + f"\n{summary.pacing.missed_deadlines} of {steps} steps of the flight were late, "
-        + f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors; the port was not read for "
-        + f"{seconds:g} s.\n"
-    )
-
-
 def _session(links: Links, folder: Path, factor: float | None, duration: float | None = None) -> Session:
     return Session(
         Scenario.load("hover").replace(name="gcs"), links.exchange, factor=factor, duration=duration,
@@ -476,20 +252,11 @@ def main() -> None:
     parser.add_argument("--rtf", type=float, default=1.0)
     parser.add_argument("--flood", action="store_true")
     parser.add_argument("--soak", type=float, help="seconds of flight")
-    parser.add_argument("--lines", action="store_true")
-    parser.add_argument("--stalled", type=float, help="seconds without reading")
-    parser.add_argument("--write", type=Path, metavar="PAGE.md")
     parser.add_argument("--station", choices=["listen", "flood", "silent"], help=argparse.SUPPRESS)
     parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.station:
         {"listen": listen, "flood": flood, "silent": silent}[options.station](options.port)
-    elif options.lines or options.stalled:
-        results = {"lines": lines()} if options.lines else {}
-        results |= {"stalled": stall_table(options.stalled)} if options.stalled else {}
-        print("\n".join(results.values()))
-        if options.write:
-            write_marks(options.write, results)
     elif options.soak:
         print(json.dumps(soak(options.soak), indent=2))
     else:

@@ -1,11 +1,11 @@
-"""The connections of a session: MAVLink links with all their services, the local page, and Foxglove."""
+"""The connections of a session: MAVLink links with all their services and the local page."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.control.autopilot.modes import Severity
@@ -25,17 +25,14 @@ from cosim.groundstation.read_only import ReadOnlyObserver
 from cosim.results.run import REQUESTS, TELEMETRY
 from cosim.results.summary import versions
 
-if TYPE_CHECKING:
-    from cosim.groundstation.foxglove_feed import FoxgloveFeed
-
 
 class Links:
     """Links to ``urls`` (without any: to the two that ground stations listen to), and the page.
 
     They are silent before the first flight begins.  ``public``: servers may listen to the network.
     ``sign_key``: a file with the key.  ``web``: the page's port, None for no page.  ``system``: the vehicle's MAVLink
-    id, by which stations tell several apart.  ``foxglove``: ``[HOST:]PORT`` of a server for Foxglove.  Raises
-    InputError for a URL, key, port or id that cannot be used.
+    id, by which stations tell several apart.  Raises InputError for
+    a URL, key, port or id that cannot be used.
     """
 
     def __init__(
@@ -46,7 +43,6 @@ class Links:
         personality: Personality = "px4",
         web: int | None = None,
         system: int = 1,
-        foxglove: str | None = None,
     ) -> None:
         if system not in endpoint.SYSTEMS:
             most = endpoint.SYSTEMS[-1]
@@ -60,7 +56,6 @@ class Links:
         self.link = Link(self.endpoints, system, signing=signing)
         self.link.on_event = lambda text: self.exchange.say(Severity.WARNING, text)
         self._page = None
-        self._foxglove: FoxgloveFeed | None = None
         self._vehicle: MavlinkVehicle | None = None
         self._parameters: ParameterService | None = None
         self._log_store: LogStore | None = None
@@ -71,11 +66,6 @@ class Links:
 
                 self._page = WebServer(self.exchange, web)
                 self._page.start()
-            if foxglove is not None:
-                from cosim.groundstation.foxglove_feed import FoxgloveFeed, parse_address
-
-                self._foxglove = FoxgloveFeed(self.exchange, *parse_address(foxglove, public))
-                self._foxglove.start()
         except BaseException:
             self.close()
             raise
@@ -92,11 +82,6 @@ class Links:
     def page_url(self) -> str | None:
         """URL of the page; None without one."""
         return self._page.url if self._page is not None else None
-
-    @property
-    def foxglove_url(self) -> str | None:
-        """URL of the server for Foxglove; None without one."""
-        return self._foxglove.url if self._foxglove is not None else None
 
     @property
     def stations_heard(self) -> int:
@@ -139,9 +124,6 @@ class Links:
         if self._page is not None:
             self._page.stop()
             self._page = None
-        if self._foxglove is not None:
-            self._foxglove.stop()
-            self._foxglove = None
         self._exchange_port.unsubscribe()
         self.link.close()
         if self._log_store is not None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from cosim.base.errors import InputError, nearest
+from cosim.base.removed import describe_removed
 from cosim.base.storage.cache import RecentCache
 
 if TYPE_CHECKING:
@@ -236,6 +237,8 @@ def _describe_error(model: type[BaseModel], error: ValidationError) -> str:
     rest = "".join(_describe_others(model, errors, key))
     if kind == "extra_forbidden":
         name = str(first["loc"][-1])
+        if (removed := describe_removed(name)) is not None:
+            return f"{key}: {removed}"
         return f"unknown key {key!r}; {nearest(name, _allowed_keys(model, first['loc']))}{rest}"
     if kind == "missing":
         unknown = [".".join(_path(model, item["loc"])) for item in errors if item["type"] == "extra_forbidden"]

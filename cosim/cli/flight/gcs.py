@@ -41,8 +41,8 @@ class Gcs(Flight, opt.Output):
     links = opt.words(
         "--mavlink",
         "URL",
-        "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or serial:DEVICE[:BAUD].  [default: "
-        "udpout to 127.0.0.1, ports 14550 and 14540]",
+        "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT or tcpin:[HOST:]PORT.  [default: udpout "
+        "to 127.0.0.1, ports 14550 and 14540]",
     )
     system = opt.option(
         "--system",
@@ -73,13 +73,6 @@ class Gcs(Flight, opt.Output):
         "--web", type=click.IntRange(0, 65535), is_flag=False, flag_value=8765, metavar="[PORT]",
         help="Serve a page too.",
     )  # fmt: skip
-    foxglove: str | None = opt.option(
-        "--foxglove",
-        is_flag=False,
-        flag_value="8766",
-        metavar="[[HOST:]PORT]",
-        help="Show the flight to Foxglove too, on a WebSocket.  [default: 127.0.0.1:8766]",
-    )
     out = opt.OUT
     log_limit = opt.number(
         "--log-limit",
@@ -116,10 +109,9 @@ def gcs(options: Gcs) -> int:
     with (
         output_to_stderr(as_json),
         Links(
-            options.links, options.public, options.sign_key, options.personality, options.web, options.system,
-            options.foxglove,
+            options.links, options.public, options.sign_key, options.personality, options.web, options.system
         ) as opened,
-    ):  # fmt: skip
+    ):
         session = Session(
             loaded,
             opened.exchange,
@@ -157,7 +149,6 @@ def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) ->
         ("system", str(links.system)),
         *[("MAVLink", _describe_link(url)) for url in links.urls],
         *([("page", links.page_url)] if links.page_url else []),
-        *([("Foxglove", links.foxglove_url)] if links.foxglove_url else []),
         ("parameters", f"{session.parameter_file or 'not kept'}"),
         *[("", line) for line in session.describe_saved()],
         ("run", str(session.info.folder)),

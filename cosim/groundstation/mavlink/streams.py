@@ -6,13 +6,13 @@ same time, which is built once; a slot that was missed is left out and not made 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from math import ceil, floor, inf, log, sqrt
+from math import floor, inf, sqrt
 
 from cosim.groundstation.mavlink import engine_telemetry, telemetry
 from cosim.groundstation.mavlink.telemetry_state import TelemetryState
-from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message, frame_size
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, Message
 from cosim.groundstation.mavlink.wire.peer import Peer
 
 Build = Callable[[TelemetryState], list[Message]]
@@ -76,20 +76,13 @@ BY_ID: dict[int, Stream] = {BY_NAME[stream.name].id: stream for stream in STREAM
 DEFAULT: dict[int, float] = {number: 1.0 / stream.rate if stream.rate else 0.0 for number, stream in BY_ID.items()}
 
 HEARTBEAT = BY_NAME["HEARTBEAT"].id
-_STRETCH = 1.1  # margin in lengthened intervals, so that they do not change all the time; chosen by us
-_MOST_STRETCH = 256.0  # chosen by us: a message that is rarer than this is of no use as telemetry
-_FIT_INTERVAL = 1.0  # s between two computations of the intervals that fit the line
 # The phase of each message in its interval: multiples of the golden ratio spread evenly, so no two are close together.
 _PHASE = {number: index * (sqrt(5.0) - 1.0) / 2.0 % 1.0 for index, number in enumerate(BY_ID)}
 
 
 def stream_interval(peer: Peer, number: int) -> float:
-    """Return the seconds between two messages of a kind to a station; 0: it gets none unasked.
-
-    On a line that does not carry them all, every interval but the heartbeat's is longer by the same factor.
-    """
-    every = peer.intervals.get(number, DEFAULT[number])
-    return every if number == HEARTBEAT else every * peer.stretch
+    """Return the seconds between two messages of a kind to a station; 0: it gets none unasked."""
+    return peer.intervals.get(number, DEFAULT[number])
 
 
 class Streams:
@@ -99,37 +92,6 @@ class Streams:
         self._start = start
         self._next: dict[tuple[int, float], float] = {}
         self._next_due = start
-        self._sizes: dict[int, tuple[int, int]] = {}  # by message, the bytes and frames of its last transmission
-
-    def note_size(self, stream: Stream, packets: Sequence[Message]) -> None:
-        """Note the size of a message as it was last sent, in bytes and frames."""
-        number = BY_NAME[stream.name].id
-        self._sizes[number] = sum(map(frame_size, packets)), len(packets)
-
-    def compute_demand(self, peer: Peer, numbers: Iterable[int] = BY_ID) -> float:
-        """Return the bytes a second that a station has requested, of messages whose size is known already."""
-        total = 0.0
-        for number in numbers:
-            every = peer.intervals.get(number, DEFAULT[number])
-            size, frames = self._sizes.get(number, (0, 0))
-            total += (size + frames * peer.signature) / every if every else 0.0
-        return total
-
-    def _fit(self, peer: Peer, now: float) -> None:
-        """Stretch a station's intervals so that its telemetry fits its line."""
-        if peer.line is None or not self._sizes or now - peer.stretched_at < _FIT_INTERVAL:
-            return
-        peer.stretched_at = now
-        fixed = self.compute_demand(peer, (HEARTBEAT,))
-        room = peer.telemetry_rate - fixed
-        need = (self.compute_demand(peer) - fixed) / room if room > 0.0 else _MOST_STRETCH
-        steps = ceil(log(max(need, 1.0), _STRETCH) - 1e-9)
-        stretch = min(_MOST_STRETCH, _STRETCH**steps)
-        if stretch > peer.stretch or stretch * _STRETCH < peer.stretch or (steps == 0 and peer.stretch > 1.0):
-            peer.stretch = stretch
-            for number in BY_ID:  # a longer interval must not make a message due that was sent just now
-                if every := stream_interval(peer, number):
-                    self._next.setdefault((number, every), self._slot(now, number, every))
 
     def _slot(self, now: float, number: int, every: float) -> float:
         """Return the time of a message's next slot; messages take turns in an interval, so that none fills a line."""
@@ -143,8 +105,6 @@ class Streams:
 
     def iterate_due(self, now: float, peers: Sequence[Peer]) -> Iterator[tuple[Stream, list[Peer]]]:
         """Iterate over the messages that are due with the stations that get them; none where it is only for the log."""
-        for peer in peers:
-            self._fit(peer, now)
         earliest = inf
         slots = self._next
         next_slots: dict[tuple[int, float], float] = {}

@@ -158,10 +158,9 @@ class MavlinkVehicle:
                 if packed is not None:
                     packets.append(packed)
                     self.link.log_sent(packed)
-            self._streams.note_size(stream, packets)
             for peer in peers:
                 for index, packed in enumerate(packets):
-                    # The heartbeat is sent however slow the line is, because it shows that the vehicle is connected.
+                    # The heartbeat is never replaced by a newer one, because it shows that the vehicle is connected.
                     if stream.name == "HEARTBEAT":
                         peer.send(packed)
                     else:
@@ -243,10 +242,6 @@ class MavlinkVehicle:
         if len(self.stations) >= _MOST_STATIONS:
             del self.stations[next(iter(self.stations))]
         self.stations[ids] = self._now
-
-    def _radio(self, message: Message, client: Client) -> None:
-        """Slow a line down if its radio reports that its buffer is full."""
-        client.peer.update_radio(message.txbuf)
 
     def _command(self, message: Message, client: Client) -> None:
         command = parse_command(message)
@@ -378,6 +373,5 @@ _HANDLERS: dict[str, Callable[[MavlinkVehicle, Message, Client], None]] = {
     "SET_GPS_GLOBAL_ORIGIN": MavlinkVehicle._origin,
     "FOLLOW_TARGET": MavlinkVehicle._follow,
     "REQUEST_DATA_STREAM": MavlinkVehicle._ignore,
-    "RADIO_STATUS": MavlinkVehicle._radio,
 }
 assert set(_HANDLERS) <= set(BY_NAME)

@@ -1,6 +1,4 @@
-"""A vehicle that flies while its links go wrong: a port that is not read any more, a table of stations that is full.
-
-Real sockets and a pseudo-terminal, and a clock that is counted.
+"""A vehicle that flies while a table of stations is full: real sockets, and a clock that is counted.
 
 The link's loop runs in the test's own thread, every 20 ms of flight, so that nothing here depends on how busy the
 machine is: "0.2 s" are fifty steps.
@@ -8,17 +6,12 @@ machine is: "0.2 s" are fifty steps.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from failsafe_flights import Flight
-from link_tools import Tcp
 from mavlink_tools import Udp, command
-from terminal import Terminal
 
-from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Mode
 from cosim.control.autopilot.parameters import Parameters
 from cosim.groundstation.exchange import Exchange, Port
@@ -26,7 +19,6 @@ from cosim.groundstation.links import make_vehicle_constants
 from cosim.groundstation.mavlink.vehicle import LINK_LOST, MavlinkVehicle
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.link import Link
-from cosim.groundstation.mavlink.wire.transports.channel import RETRY, STALL
 from cosim.groundstation.mavlink.wire.transports.endpoint import parse_endpoint
 from cosim.groundstation.session_flight import forward_messages, make_flight_info, make_snapshot
 from cosim.simulation.pacing import PaceReport
@@ -119,89 +111,6 @@ class Airborne:
     def close(self) -> None:
         self.link.close()
         self.flight.simulation.close()
-
-
-@pytest.fixture
-def terminal() -> Iterator[Terminal]:
-    pytest.importorskip("serial")
-    made = Terminal()
-    yield made
-    made.close()
-
-
-def test_a_port_that_is_not_read_holds_up_neither_commands_nor_failsafes_in_flight(terminal: Terminal) -> None:
-    """It is dropped after the stated time, the others are answered, their loss is acted upon, and it is taken up again."""
-    air = Airborne(terminal.url, "udpin:127.0.0.1:0", "tcpin:127.0.0.1:0")
-    pilot, link = air.flight.pilot, air.link
-    air.askers = [Asker(Udp(link.ports[1])), Asker(Tcp(link.ports[2]))]
-    onboard = mav.MAVLink(None, srcSystem=253, srcComponent=190)
-    heard: list[Any] = []
-    parser = mav.MAVLink(None)
-    parser.robust_parsing = True
-
-    def read() -> bool:
-        heard.extend(parser.parse_buffer(terminal.read()) or [])
-        return False
-
-    def named(name: str) -> list[Any]:
-        return [message for message in heard if message.get_type() == name]
-
-    try:
-        # a station on the port, which reads: it has telemetry, and its heartbeats count
-        os.write(terminal.file, mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(onboard))
-        air.fly(2.0, read)
-        assert (253, 190) in air.vehicle.stations
-        assert named("ATTITUDE")
-        # it reads no more
-        begun, before = air.now, [asker.attitudes for asker in air.askers]
-        assert air.fly(30.0, lambda: bool(link.events))
-        assert link.events[0].endswith(f"is dropped: it has taken nothing for {STALL:g} s")
-        rate = 57600 / 10.0
-        assert STALL <= air.now - begun <= STALL + HELD_BYTES / (rate / 2.0)  # telemetry takes half of the line
-        air.fly(begun + UNREAD_S - air.now)
-        assert pilot.mode is Mode.HOLD
-        # 25 Hz all the time
-        assert all(
-            asker.attitudes - seen > 24 * (air.now - begun) for asker, seen in zip(air.askers, before, strict=True)
-        )
-        # who is left is lost; the station behind the port counts while it beats, though it reads nothing, and no longer
-        for asker in air.askers:
-            asker.silent = True
-        for _ in range(6):
-            os.write(terminal.file, mav.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(onboard))
-            air.fly(1.0)
-        assert pilot.mode is Mode.HOLD
-        silent = air.now - BEAT_S
-        assert air.fly(10.0, lambda: pilot.mode is not Mode.HOLD)
-        assert pilot.failsafe == "no ground station"
-        assert air.now - silent == pytest.approx(
-            LINK_LOST + pilot.parameters["HJ_LINK_DELAY"], abs=BEAT_S + 2 * LOOK_STEPS * air.flight.simulation.dt
-        )
-        # they come back, and are obeyed
-        for asker in air.askers:
-            asker.silent = False
-        air.fly(1.0)
-        assert pilot.handle(rq.Hold(), air.flight.simulation.k).accepted
-        # the port is read again: it is taken up, and what comes is new
-        heard.clear()
-        again = air.now
-        assert air.fly(STALL + 5.0 * RETRY, lambda: read() or "carries again" in link.events[-1])
-        assert air.now - again <= STALL + 3.0 * RETRY
-        # what lay in the terminal comes first; a line that took nothing has its telemetry back little by little
-        air.fly(5.0, read)
-        assert named("ATTITUDE")[-1].time_boot_ms > 1000.0 * (air.now - 2.0)
-        assert len([line for line in link.events if "dropped" in line]) == 1
-        # every command but the last was answered, and in time
-        for asker in air.askers:
-            assert len(asker.asked) > UNREAD_S / ASK_S
-            assert len(asker.answered) >= len(asker.asked) - 1
-            late = [came - went for went, came in zip(asker.asked, asker.answered, strict=False)]
-            assert max(late) <= ANSWERED_S
-    finally:
-        for asker in air.askers:
-            asker.wire.close()
-        air.close()
-    assert not link.failures
 
 
 def test_a_live_station_is_heard_beside_a_full_table_of_ids_in_flight() -> None:

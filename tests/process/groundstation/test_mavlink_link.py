@@ -60,8 +60,6 @@ def test_urls() -> None:
     assert parse_endpoint("tcp:localhost:5760")[:3] == ("tcp", "127.0.0.1", 5760)
     assert parse_endpoint("tcp:[::1]:5760").url == "tcp:[::1]:5760"
     assert parse_endpoint("udpin:0.0.0.0:14560", public=True)[:3] == ("udpin", "0.0.0.0", 14560)
-    assert parse_endpoint("serial:/dev/ttyUSB0:115200")[:3] == ("serial", "/dev/ttyUSB0", 115200)
-    assert parse_endpoint("serial:/dev/ttyUSB0")[:3] == ("serial", "/dev/ttyUSB0", 57600)
     assert [parse_endpoint(url).port for url in default_urls()] == [14550, 14540]
     # one port of MAVSDK's a vehicle, as far as they go
     assert [[parse_endpoint(url).port for url in default_urls(n)] for n in (2, 10, 11, 250)] == [
@@ -91,8 +89,7 @@ def test_urls() -> None:
         ("udpin:[::]:14550", "--public"),
         ("tcpin:192.0.2.1:5760", "--public"),
         ("udpout:no.such.host.invalid:14550", "not known"),
-        ("serial:/dev/ttyUSB0:fast", "baud"),
-        ("serial:/dev/ttyUSB0:0", "baud"),
+        ("serial:/dev/ttyUSB0:57600", "serial links left in version 0.3.0; use socat"),
     ],
 )
 def test_a_wrong_url_is_one_line(url: str, why: str) -> None:
@@ -111,11 +108,6 @@ def test_a_port_that_is_taken_is_one_line() -> None:
             port = taken.getsockname()[1]
             with pytest.raises(InputError, match=f"link {kind}:127.0.0.1:{port}: "):
                 Link([parse_endpoint(f"{kind}:127.0.0.1:{port}")])
-
-
-def test_a_device_that_is_not_there_is_one_line() -> None:
-    with pytest.raises(InputError, match="link serial:/dev/no-such-device"):
-        Link([parse_endpoint("serial:/dev/no-such-device")])
 
 
 # --- UDP and TCP -----------------------------------------------------------------------------------------------
@@ -353,26 +345,6 @@ def test_a_station_that_never_reads_costs_nothing_but_its_own(flights: list[Flig
     reader.send(command(512, 148.0))
     assert reader.name("AUTOPILOT_VERSION", 1.0)
     silent.close()
-
-
-def test_serial_over_a_pseudo_terminal(flights: list[Flight]) -> None:
-    pytest.importorskip("serial")
-    import os
-    import tty
-
-    ours, theirs = os.openpty()
-    tty.setraw(ours)
-    flights.append(Flight(f"serial:{os.ttyname(theirs)}:57600"))
-    other = mav.MAVLink(None, srcSystem=255, srcComponent=190)
-    other.robust_parsing = True
-    found: set[str] = set()
-    os.write(ours, bytes(command(20).pack(other)))
-    end = time.monotonic() + PATIENCE
-    while not {"COMMAND_ACK", "HEARTBEAT"} <= found and time.monotonic() < end:
-        found |= {m.get_type() for m in other.parse_buffer(os.read(ours, 4096)) or []}
-    assert {"COMMAND_ACK", "HEARTBEAT"} <= found
-    os.close(ours)
-    os.close(theirs)
 
 
 # --- signing and the log ---------------------------------------------------------------------------------------

@@ -65,13 +65,11 @@ class Hub:
     def new_parser(self, is_datagram: bool) -> Parser:
         return Parser(self.refused, self._signing, is_datagram)
 
-    def new_peer(
-        self, name: str, transmit: Callable[[bytes], int], is_datagram: bool, line: float | None = None
-    ) -> Peer:
+    def new_peer(self, name: str, transmit: Callable[[bytes], int], is_datagram: bool) -> Peer:
         """Return a new station with its own sequence and, for signatures, its own link id; see :class:`.Peer`."""
         packer = FramePacker(self._system, self._peer_count & 0xFF, self._signing)
         self._peer_count += 1
-        return Peer(name, transmit, self.new_parser(is_datagram), packer, is_datagram, self.now, self.refused, line)
+        return Peer(name, transmit, self.new_parser(is_datagram), packer, is_datagram, self.now, self.refused)
 
     def watch(self, item: Any, ready: Callable[[int], None], events: int = selectors.EVENT_READ) -> None:
         """Call ``ready`` whenever ``item``, a socket or a descriptor, is ready."""

@@ -17,7 +17,6 @@ from cosim.groundstation.mavlink.wire.signing import Signing
 from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
 from cosim.groundstation.mavlink.wire.transports.channel import Channel
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
-from cosim.groundstation.mavlink.wire.transports.serial_port import Serial
 from cosim.groundstation.mavlink.wire.transports.tcp import TcpClient, TcpServer
 from cosim.groundstation.mavlink.wire.transports.udp import UdpClient, UdpServer
 
@@ -139,7 +138,7 @@ class Link(Hub):
         until = now + _IDLE
         if self.handler is not None:
             until = self._run_isolated(self.handler.poll, now) or until
-        return min([until, *(peer.flush_due for peer in self.peers)])
+        return until
 
     def _run_isolated(self, callback: Callable[[Any], Any], argument: Any) -> Any:
         """Run a link's callback; count an exception instead of letting it stop the other links."""
@@ -167,5 +166,4 @@ _OPEN: dict[str, Callable[[Link, Endpoint], Channel]] = {
     "udpin": UdpServer,
     "tcp": TcpClient,
     "tcpin": TcpServer,
-    "serial": Serial,
 }

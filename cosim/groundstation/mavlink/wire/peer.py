@@ -10,26 +10,15 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable
 from enum import Enum
-from math import inf
 
 from cosim.groundstation.mavlink.wire.dialect import Message, frame_size
 from cosim.groundstation.mavlink.wire.frames import Frame, FramePacker, Parser
 
 # Chosen by us.
 LIMIT = 512_000  # bytes of answers and lists that may wait
-_LIMIT_S = 10.0  # s: on a serial line the limit is what it carries in this time, if that is less
 BULK = 2000  # bytes of answers and lists that wait before a list or a file pauses
-_BULK_S = 0.1  # s: on a serial line the limit is what it carries in this time, if that is less
 FRAMES_A_SECOND = 1000  # frames that are read from one station; more are discarded unread
 _BURST = 1000
-# Seconds of a serial line's bytes that may wait in its driver: the delay of an answer behind what was sent before.
-_AHEAD = 0.02
-# Fraction of a line's rate; PX4 uses half of it too where MAV_0_RATE is 0 (baud / 20 bytes per second).
-TELEMETRY_FRACTION = 0.5
-# By how much the rate of a line that carries too little is reduced, by how much it recovers (both once a second), and
-# the least rate.
-_SLOWER, _FASTER, _SLOWEST = 0.75, 0.05, 0.05
-_RADIO_LOW = 25  # % free in a radio's buffer, below which it is slowed down
 
 
 class Priority(Enum):
@@ -39,58 +28,11 @@ class Priority(Enum):
     BULK = 2
 
 
-class LinePacer:
-    """Pacing of bytes for a line that takes ``rate`` bytes a second.
-
-    The driver of a serial port would take seconds of bytes at once, and everything after them would wait for them.
-    """
-
-    def __init__(self, rate: float, now: float) -> None:
-        self.full_rate = rate
-        self.health = 1.0  # fraction of its rate that the line carries
-        self._tokens = self._capacity
-        self._last = self._last_check = now
-        self._has_stalled = False
-
-    @property
-    def rate(self) -> float:
-        """Present rate [bytes/s], which is the full one reduced by the line's health."""
-        return self.full_rate * self.health
-
-    @property
-    def _capacity(self) -> float:
-        return _AHEAD * self.rate
-
-    def is_free(self, now: float) -> bool:
-        """Return whether a frame may be handed over.  One may overdraw, and the next waits for that."""
-        self._tokens = min(self._capacity, self._tokens + (now - self._last) * self.rate)
-        self._last = now
-        if now - self._last_check >= 1.0:
-            self._last_check = now
-            self.health = max(_SLOWEST, self.health * _SLOWER) if self._has_stalled else min(1.0, self.health + _FASTER)
-            self._has_stalled = False
-        return self._tokens > 0.0
-
-    def count_bytes(self, count: int) -> None:
-        """Count bytes that were handed over."""
-        self._tokens -= count
-
-    def note_stall(self) -> None:
-        """Note that it did not take what it should have had room for."""
-        self._has_stalled = True
-
-    @property
-    def free_at(self) -> float:
-        """Time at which it is free again [s of the clock]."""
-        return self._last + max(0.0, -self._tokens) / self.rate + 1e-4
-
-
 class Peer:
     """A ground station on a link.
 
     ``transmit``: hands bytes to the operating system and returns how many it took, without ever waiting.
-    ``is_datagram``: a frame is taken whole or not at all.  ``line``: bytes a second that it carries; None: unknown, and
-    telemetry goes at the requested rates.
+    ``is_datagram``: a frame is taken whole or not at all.
     """
 
     def __init__(
@@ -102,7 +44,6 @@ class Peer:
         is_datagram: bool,
         clock: Callable[[], float],
         refused: Counter[str],
-        line: float | None = None,
     ) -> None:
         self.name = name
         self.is_datagram = is_datagram
@@ -110,9 +51,6 @@ class Peer:
         self.created = now = clock()
         self.last_heard = -1.0  # time of the last frame; -1: none yet
         self.intervals: dict[int, float] = {}  # s, by message; 0: not sent
-        self.stretch = 1.0  # factor by which the intervals are lengthened, so that they fit the line
-        self.stretched_at = -inf  # time at which the factor was last computed
-        self.line = None if line is None else LinePacer(line, now)
         self.received = self.sent = self.dropped = 0
         self.signature = packer.signature  # bytes of the signature on every frame
         self.stuck = False  # True where there is no room for another answer
@@ -152,16 +90,11 @@ class Peer:
         """Return the seconds since it was last heard, or was first there."""
         return now - max(self.last_heard, self.created)
 
-    def update_radio(self, free_percent: int) -> None:
-        """Slow the line down if the radio's buffer is nearly full; ``free_percent`` is of RADIO_STATUS."""
-        if self.line is not None and free_percent < _RADIO_LOW:
-            self.line.note_stall()
-
     # --- sending -----------------------------------------------------------------------------------------------------
 
     def send(self, packed: Message, priority: Priority = Priority.ANSWER) -> bool:
         """Queue a message that must arrive, and return whether there was room for it."""
-        if self._waiting > self._limit:
+        if self._waiting > LIMIT:
             self.stuck = True
             self.dropped += 1
             return False
@@ -179,21 +112,15 @@ class Peer:
         self.flush()
 
     def flush(self) -> None:
-        """Give the operating system what it takes, and the line what it carries."""
+        """Give the operating system what it takes."""
         while self._frame or self._answers or self._bulk or self._telemetry:
             now = self._clock()
-            if self.line is not None and not self.line.is_free(now):
-                return
             frame = self._frame = self._frame or self._packer.pack_frame(self._next())
             count = self._transmit(frame)
-            if count < len(frame) and self.line is not None:
-                self.line.note_stall()
             if count <= 0:
                 self._blocked = now if self._blocked is None else self._blocked
                 return
             self._blocked = None
-            if self.line is not None:
-                self.line.count_bytes(count)
             self._frame = b"" if self.is_datagram else frame[count:]
             if self._frame:
                 return
@@ -218,12 +145,6 @@ class Peer:
         return packed
 
     @property
-    def flush_due(self) -> float:
-        """Time at which the line is free for :meth:`flush` again; inf: it does not wait for that."""
-        idle = not (self._frame or self._answers or self._bulk or self._telemetry)
-        return inf if idle or self.line is None or self._blocked is not None else self.line.free_at
-
-    @property
     def waiting_bytes(self) -> int:
         """Number of bytes that wait."""
         return len(self._frame) + self._waiting + sum(map(self._size, self._telemetry.values()))
@@ -231,11 +152,7 @@ class Peer:
     @property
     def is_behind(self) -> bool:
         """Whether so many answers wait that lists and files should pause."""
-        return self._waiting > (BULK if self.line is None else min(BULK, _BULK_S * self.line.rate))
-
-    @property
-    def _limit(self) -> float:
-        return LIMIT if self.line is None else min(LIMIT, max(BULK, _LIMIT_S * self.line.full_rate))
+        return self._waiting > BULK
 
     def _size(self, packed: Message) -> int:
         """Return the bytes of a message's frame, with its signature."""
@@ -244,8 +161,3 @@ class Peer:
     def blocked_seconds(self, now: float) -> float:
         """Return the seconds for which nothing has been taken though something waits."""
         return 0.0 if self._blocked is None else now - self._blocked
-
-    @property
-    def telemetry_rate(self) -> float:
-        """Bytes a second of the line that telemetry may take; inf where the line's rate is not known."""
-        return inf if self.line is None else TELEMETRY_FRACTION * self.line.rate

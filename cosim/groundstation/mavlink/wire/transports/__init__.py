@@ -1,1 +1,1 @@
-"""Bytes in and out: UDP, TCP, serial lines."""
+"""Bytes in and out: UDP and TCP."""

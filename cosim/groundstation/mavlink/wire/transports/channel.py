@@ -60,9 +60,8 @@ class ReadGate:
 class Connection:
     """A station over one connection.
 
-    ``item``: a file or socket to be watched; ``read`` and ``write`` are its own and never wait.  ``line``: bytes a
-    second that it carries, if that is known.  A connection that has taken nothing for ``STALL`` is closed; ``why``
-    then says so.
+    ``item``: a file or socket to be watched; ``read`` and ``write`` are its own and never wait.
+    A connection that has taken nothing for ``STALL`` is closed; ``why`` then says so.
     """
 
     def __init__(
@@ -72,7 +71,6 @@ class Connection:
         item: Any,
         read: Callable[[], bytes],
         write: Callable[[bytes], int],
-        line: float | None = None,
     ) -> None:
         self._link = link
         self.item = item
@@ -81,7 +79,7 @@ class Connection:
         self.open = True
         self.stalled = False  # True where it was closed because it accepted nothing
         self.why = ""
-        self.peer = link.new_peer(name, self._transmit, is_datagram=False, line=line)
+        self.peer = link.new_peer(name, self._transmit, is_datagram=False)
         self._gate = ReadGate(link, item, self._ready)
 
     def _transmit(self, data: bytes) -> int:
@@ -119,7 +117,7 @@ class Connection:
         if not self.open:
             return
         self._gate.poll(peer, now)
-        if peer.blocked_seconds(now) > STALL or (peer.stuck and peer.line is None):
+        if peer.blocked_seconds(now) > STALL or peer.stuck:
             self._link.refused["stuck"] += 1
             self.stalled = True
             self.close("too much waits for it" if peer.stuck else f"it has taken nothing for {STALL:g} s")

@@ -1,4 +1,4 @@
-"""URLs of links: ``udpout:127.0.0.1:14550``, ``udpin:``, ``tcp:``, ``tcpin:``, ``serial:/dev/ttyUSB0:57600``."""
+"""URLs of links: ``udpout:127.0.0.1:14550``, ``udpin:``, ``tcp:`` and ``tcpin:``."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from ipaddress import ip_address
 from typing import NamedTuple
 
 from cosim.base.errors import InputError
+from cosim.base.removed import describe_removed
 
 SYSTEMS = range(1, 251)  # MAVLink ids of vehicles; ground stations use those above
 _SINGLE = 10  # MAVSDK's ports end with 14549, where all the others share the last one; PX4's simulation does the same
 NETWORK = ("udpout", "udpin", "tcp", "tcpin")
 LOOPBACK = "127.0.0.1"
-_BAUD = 57600  # speed of the usual telemetry radios
-_FORMS = "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT, tcpin:[HOST:]PORT or serial:DEVICE[:BAUD]"
+_FORMS = "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT or tcpin:[HOST:]PORT"
 
 
 def default_urls(system: int = 1) -> tuple[str, str]:
@@ -27,14 +27,14 @@ def default_urls(system: int = 1) -> tuple[str, str]:
 class Endpoint(NamedTuple):
     """Parsed URL of one link."""
 
-    kind: str  # one of NETWORK, or serial
-    host: str  # an address, or the serial device
-    port: int  # the network port, or the speed of the serial line
+    kind: str  # one of NETWORK
+    host: str  # an address
+    port: int
     family: int = socket.AF_INET
 
     @property
     def url(self) -> str:
-        host = f"[{self.host}]" if ":" in self.host and self.kind != "serial" else self.host
+        host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.kind}:{host}:{self.port}"
 
 
@@ -45,15 +45,10 @@ def parse_endpoint(url: str, public: bool = False) -> Endpoint:
     """
     kind, colon, rest = url.strip().partition(":")
     rest = rest.removeprefix("//")
-    if not colon or not rest or kind not in (*NETWORK, "serial"):
-        raise InputError(f"link {url!r}: must be {_FORMS}")
     if kind == "serial":
-        device, _, speed = rest.rpartition(":")
-        if not device:
-            return Endpoint(kind, rest, _BAUD, 0)
-        if not (speed.isascii() and speed.isdigit() and 0 < int(speed) <= 4_000_000):
-            raise InputError(f"link {url!r}: the speed {speed!r} must be a number of baud")
-        return Endpoint(kind, device, int(speed), 0)
+        raise InputError(f"link {url!r}: {describe_removed('serial:')}")
+    if not colon or not rest or kind not in NETWORK:
+        raise InputError(f"link {url!r}: must be {_FORMS}")
     host, _, port = rest.rpartition(":")
     if not (port.isascii() and port.isdigit() and len(port) < 6 and 0 <= int(port) < 65536):
         raise InputError(f"link {url!r}: the port {port!r} must be a number from 0 to 65535")

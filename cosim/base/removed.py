@@ -1,0 +1,34 @@
+"""What left the program: since which version, and what to use instead.
+
+``docs/versions.md`` has the same table, and a test compares the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+
+class Removal(NamedTuple):
+    """A feature that left: its name in words, the first version without it, and what to use instead."""
+
+    what: str
+    since: str
+    instead: str
+
+
+# By what a user writes to name it: an option, a command, a key, the beginning of a value.
+REMOVED: Final[Mapping[str, Removal]] = {
+    "--foxglove": Removal("the live feed for Foxglove", "0.3.0", "hexjet export RUN --to mcap, which Foxglove opens"),
+    "serial:": Removal("serial links", "0.3.0", "socat, which joins a serial device to a UDP port"),
+}
+
+
+def describe_removed(name: str) -> str | None:
+    """Return a sentence on what left under a name, or None if nothing did.
+
+    >>> describe_removed("serial:")
+    'serial links left in version 0.3.0; use socat, which joins a serial device to a UDP port'
+    """
+    removal = REMOVED.get(name)
+    return None if removal is None else f"{removal.what} left in version {removal.since}; use {removal.instead}"
