@@ -255,10 +255,10 @@ def test_an_aircraft_from_an_empty_folder_as_its_page_has_it(installed: Path, tm
 
 # ---- what is installed with it
 
-# asked for where the rest can do without: at the build, on a cluster, on a serial line, by one law
+# asked for where the rest can do without: at the build, on a cluster, by one law
 OPTIONAL = {
     "clarabel", "cmake", "cmaes", "distributed", "gymnasium", "nptdms", "osqp", "pandas", "plotly", "pyulog",
-    "serial", "setuptools", "foxglove_schemas_protobuf", "google", "mcap", "mcap_protobuf",
+    "setuptools", "foxglove_schemas_protobuf", "google", "mcap", "mcap_protobuf",
 }  # fmt: skip
 
 
@@ -314,7 +314,6 @@ def test_the_page_of_packages_says_what_each_is_for(packages: Any) -> None:
 @pytest.mark.parametrize(
     ("package", "arguments", "said"),
     [
-        ("serial", ("gcs", "--mavlink", "serial:/dev/ttyS0"), "pip install 'hexjet-cosim[serial]'"),
         (
             "distributed",
             ("sweep", "payload-and-gust", "--cluster", "tcp://127.0.0.1:1"),
@@ -334,7 +333,7 @@ def test_a_command_says_which_extra_it_lacks(
 
 def test_a_flight_needs_nothing_but_the_core(tmp_path: Path) -> None:
     """Flown and reported, and the ground station's messages read, where everything else is out of sight."""
-    hidden = ("control", "matplotlib", "distributed", "dask", "serial", "psutil", "hypothesis")
+    hidden = ("control", "matplotlib", "distributed", "dask", "psutil", "hypothesis")
     code = f"""
 import sys
 sys.modules.update(dict.fromkeys({hidden!r}))
