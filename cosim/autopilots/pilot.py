@@ -14,7 +14,8 @@ from cosim.control.altitude import AltitudeController
 from cosim.control.autopilot.geometry import wrap
 from cosim.control.belief import Belief
 
-# Chosen by us: a vehicle commanded below the ground that has been this still for this long has landed.
+# Chosen by us: a vehicle commanded below the ground that has been this still for this long has landed, if its height is
+# below its span.  A hover is as still, where the autopilot holds a height of its own.
 STILL_SPEED, STILL_TIME = 0.1, 1.0
 # Where the autopilot holds place and height: climb that full throttle stick asks for, and the fraction of a stick below
 # which a pilot lets go of it, which is the autopilots' own dead zone.
@@ -44,7 +45,7 @@ class StickPilot:
     The autopilot flies the attitude that the sticks ask for, of full stick ``lean`` [rad] and ``turn`` [rad/s].  Height
     is held with the altitude loop of ``vehicle.toml`` and becomes a throttle: what the autopilot does with it is its
     own.  Heading is held by a turn in proportion to its error, with the yaw gain of the vehicle's attitude loop.
-    Once a height below the ground is asked for and the vehicle stands still, it is disarmed, and stays so.
+    Once a height below the ground is asked for and the vehicle stands still near it, it is disarmed, and stays so.
     Where the stick ``turns_target``, the heading that the autopilot holds by itself, that loop is closed around this
     heading: around the vehicle's there would be two loops about one error, which overshoot.
     From ``hold_from`` [s] of the flight on the autopilot holds place and height: the sticks are let go of, but for a
@@ -60,6 +61,7 @@ class StickPilot:
         self._heading = gains.attitude.gain_1_s[2]
         self._lean, self._turn, self._climb = lean, turn, gains.altitude.position_1_s / CLIMB
         self._step, self._hold_from, self._steps = belief.step_s, hold_from, 0
+        self._span = vehicle.aero.span_m
         self._turns_target = turns_target
         # headings, rad: that the autopilot holds, as the sticks have turned it, and that its loop has turned to by now
         self._target: tuple[float, float] | None = None
@@ -77,7 +79,7 @@ class StickPilot:
         if command.rate is not None:
             raise FlightError("the scenario asks for body rates; its sticks ask for angles: roll, pitch, yaw, altitude")
         now, self._steps = self._steps * self._step, self._steps + 1
-        if self._landed(command.altitude, measured.velocity[2]):
+        if self._landed(command.altitude, measured):
             return StickPositions()
         roll, pitch, yaw = command.attitude
         turn = self._turn_stick(yaw, heading_of(measured.attitude))
@@ -110,10 +112,11 @@ class StickPilot:
         self._target = target + self._step * moved, expected
         return stick
 
-    def _landed(self, height: float, down: float) -> bool:
-        """Return whether it has stood still for long: ``height`` commanded [m], ``down`` speed measured [m/s]."""
+    def _landed(self, height: float, measured: Measured) -> bool:
+        """Return whether it has stood still near the ground for long, asked for a ``height`` [m] below it."""
         if self._still < self._still_needed:
-            self._still = self._still + 1 if height < 0.0 and abs(down) < STILL_SPEED else 0
+            is_still = abs(measured.velocity[2]) < STILL_SPEED and measured.altitude < self._span
+            self._still = self._still + 1 if height < 0.0 and is_still else 0
         return self._still >= self._still_needed
 
     def _throttle(self, fraction: float) -> float:

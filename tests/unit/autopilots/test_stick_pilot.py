@@ -7,7 +7,7 @@ from math import radians
 import pytest
 
 from cosim.autopilots.lockstep import StickPositions
-from cosim.autopilots.pilot import StickPilot
+from cosim.autopilots.pilot import STILL_TIME, StickPilot
 from cosim.base.errors import FlightError
 from cosim.base.frames import from_euler
 from cosim.base.signals import ZERO3, Command, Measured
@@ -61,3 +61,13 @@ def test_it_turns_the_heading_that_the_autopilot_holds_and_not_the_vehicles() ->
     assert stick == pytest.approx(0.0, abs=1e-6)
     pilot.reset()
     assert pilot.update(command, measured(10.0, wanted), 0.0).yaw == pytest.approx(0.0)
+
+
+def test_it_disarms_no_vehicle_that_hovers() -> None:
+    """Asked below the ground for long, a vehicle that an autopilot holds in the air is as still as one that stands."""
+    still = round(2.0 * STILL_TIME / HOVER.step_s)
+    span = HOVER.resolved_vehicle()[0].aero.span_m
+    for height, disarmed in ((4.8, False), (1.1 * span, False), (0.9 * span, True)):
+        pilot = StickPilot(make_scenario_belief(HOVER, {}), LEAN, TURN)
+        flown = [pilot.update(asked(-2.0), measured(height), 0.0).armed for _ in range(still)]
+        assert (flown[0], flown[-1]) == (True, not disarmed), height
