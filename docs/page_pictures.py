@@ -28,8 +28,7 @@ from cosim.control.autopilot import requests as rq
 from cosim.groundstation.exchange import Exchange
 from cosim.groundstation.session import RecordOptions, Session
 from cosim.groundstation.web.server import WebServer
-from cosim.shelf.index import Shelf
-from cosim.shelf.server import ShelfServer
+from cosim.shelf.index import write_index
 from cosim.spec.scenario import Scenario
 
 FOLDER = Path(__file__).parent / "pictures"
@@ -106,24 +105,6 @@ def write(page: Page, folder: Path, done: set[str]) -> Path:
     if not (folder / page.path).is_file():
         raise InputError(f"{page.commands[-1]}: has left no {page.path}")
     return folder / page.path
-
-
-@contextmanager
-def shelf(folder: Path) -> Iterator[str]:
-    """The page of ``hexjet open`` over what is in a folder."""
-
-    def none(_: object) -> Path:
-        raise InputError("nothing is compared here")
-
-    server = ShelfServer(Shelf(folder), 0, none)
-    server.open()
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    try:
-        yield server.url
-    finally:
-        server.close()
-        thread.join()
 
 
 @contextmanager
@@ -215,8 +196,7 @@ def address(name: str, folder: Path, done: set[str]) -> Iterator[str]:
     """Where a page is, made by its commands or served as long as it is looked at."""
     if name == "runs":
         write(PAGES["comparison"], folder, done)
-        with shelf(folder) as url:
-            yield url
+        yield write_index(folder).as_uri()
     elif name == "live":
         with live(folder / "gcs") as url:
             yield url

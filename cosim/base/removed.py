@@ -19,7 +19,10 @@ class Removal(NamedTuple):
 
 # By what a user writes to name it: an option, a command, a key, the beginning of a value.
 REMOVED: Final[Mapping[str, Removal]] = {
-    "--foxglove": Removal("the live feed for Foxglove", "0.3.0", "hexjet export RUN --to mcap, which Foxglove opens"),
+    "hexjet gcs --foxglove": Removal(
+        "the live feed for Foxglove", "0.3.0", "hexjet export RUN --to mcap, which Foxglove opens"
+    ),
+    "hexjet open --port": Removal("the server of hexjet open", "0.3.0", "the page that hexjet open writes"),
     "serial:": Removal("serial links", "0.3.0", "socat, which joins a serial device to a UDP port"),
 }
 

@@ -224,7 +224,11 @@ def _explain(error: InputError | FlightError | click.ClickException | OSError) -
     """Return the line for an error that ends a command, and the exit status."""
     if isinstance(error, InputError):
         return str(error), FLIGHT_FAILED if isinstance(error, NotIdentifiedError) else WRONG_INPUT
-    if isinstance(error, click.NoSuchOption) and (removed := describe_removed(error.option_name)) is not None:
+    if (
+        isinstance(error, click.NoSuchOption)
+        and error.ctx is not None
+        and (removed := describe_removed(f"{error.ctx.command_path} {error.option_name}")) is not None
+    ):
         return f"{error.option_name}: {removed}", WRONG_INPUT
     if isinstance(error, click.NoSuchOption) and (key := _key_of(error)) is not None:
         return f"No such option {error.option_name!r}; it is a key of the scenario: --set {key}=...", WRONG_INPUT

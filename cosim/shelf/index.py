@@ -1,24 +1,23 @@
-"""The index of a folder of runs, one row a run: read once, and again only where a folder has changed.
-
-The rows are kept in ``.index.json`` of the folder, by name, with the times of the folder and of its summary: of ten
-thousand runs two looks at each are left, and no file is opened.  The index may be deleted at any time.
-"""
+"""The entries of a folder of runs, and the page that lists them."""
 
 from __future__ import annotations
 
 import json
 import os
-import re
-import shutil
+import secrets
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
+from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import quote
+
+from markupsafe import Markup
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import map_os_errors, replace_on_success, write_whole
+from cosim.base.storage.files import map_os_errors
 from cosim.campaign.folder import FLIGHTS, STUDY
 from cosim.identify.logs import is_flight_log
 from cosim.results.run import SUMMARY
@@ -27,12 +26,12 @@ from cosim.results.verdict import read_verdict
 from cosim.spec.controller_name import describe_controller
 from cosim.spec.file_kind import describe_path
 
-INDEX, TAGS = ".index.json", "tags.json"
-FORM = 3  # version of the index; other versions are ignored
+INDEX = "index.html"
+GENERATOR = "hexjet open"
+TEMPLATE = Path(__file__).resolve().parent / "templates" / "shelf.html"
 RUN, CAMPAIGN, PAGE, UNFINISHED, LOG = "run", "campaign", "page", "unfinished", "log"
 SCENARIO = "scenario.toml"
 LOGS = (".ulg", ".bin", ".bbl", ".bfl", ".cfusdlog")  # suffixes of logs of other flight controllers
-TAG = re.compile(r"[\w.+-]{1,40}")
 SUMMARY_KEYS = ("scenario", "title", "aircraft", "engine", "controller", "started", "outcome", "verdict", "reason")
 
 
@@ -43,95 +42,50 @@ class Entry(NamedTuple):
     kind: str
     details: dict[str, str]  # such as its scenario; empty where nothing says it
     metrics: dict[str, float]  # SI, by the names of docs/metrics.md
-    tags: list[str]
     page: str  # the file to look at; empty: none
 
 
-class Shelf:
-    """The index of a folder with runs, campaigns and whatever else leaves a page.
+def list_entries(folder: Path) -> list[Entry]:
+    """Return the entries of a folder, the newest first.  Raises InputError where the folder cannot be read."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is no folder of runs; {describe_path(folder)}")
+    with map_os_errors(InputError, folder), os.scandir(folder) as items:
+        found = sorted(filter(_is_candidate, items), key=lambda item: item.stat().st_mtime_ns, reverse=True)
+    entries = [read_entry(Path(item.path)) for item in found]
+    return [entry for entry in entries if entry.kind]
 
-    Raises InputError where the folder cannot be read.
+
+def write_index(folder: Path) -> Path:
+    """Write ``index.html`` into a folder of runs, with a row for each of its entries, and return its path.
+
+    Raises InputError where the folder cannot be read or has an ``index.html`` that is not ours, FlightError where the
+    page cannot be written.
     """
+    from cosim.results.report.page import render
 
-    def __init__(self, folder: Path) -> None:
-        if not folder.is_dir():
-            raise InputError(f"{folder}: is no folder of runs; {describe_path(folder)}")
-        self.folder = folder
-        self._rows: dict[str, tuple[list[int], Entry]] = {}
-        self._load()
+    rows = [entry._asdict() | {"page": _link(entry), "text": _searched_text(entry)} for entry in list_entries(folder)]
+    page = folder / INDEX
+    if page.exists() and GENERATOR not in page.read_text(encoding="utf-8", errors="replace")[:1000]:
+        raise InputError(f"{page}: was not written by hexjet open; move it, or the page would replace it")
+    data = json.dumps(rows, allow_nan=False).replace("<", "\\u003c")
+    render(
+        TEMPLATE,
+        page,
+        {},
+        generator=GENERATOR,
+        folder=folder.resolve().name,
+        rows=Markup(data),
+        nonce=secrets.token_urlsafe(16),
+    )
+    return page
 
-    def entries(self) -> list[Entry]:
-        """Return the entries of the folder now, the newest first; those that have not changed are not read again."""
-        entries: dict[str, tuple[list[int], Entry]] = {}
-        with map_os_errors(InputError, self.folder), os.scandir(self.folder) as items:
-            folders = [item for item in items if _is_candidate(item)]
-        changed = len(folders) != len(self._rows)
-        for folder in folders:
-            stamp = _stamp(folder)
-            row = self._rows.get(folder.name)
-            if row is None or row[0] != stamp:
-                changed, row = True, (stamp, read_entry(Path(folder.path)))
-            if row[1].kind:
-                entries[folder.name] = row
-            elif folder.name in self._rows:
-                changed = True
-        self._rows = entries
-        if changed:
-            self._save()
-        ordered = sorted(entries.values(), key=lambda pair: pair[0][0], reverse=True)
-        return [entry for _, entry in ordered]
 
-    def path(self, name: str) -> Path:
-        """Return the path of an entry.  Raises InputError for a name that is not in the index."""
-        if name not in self._rows:
-            raise InputError(f"{name}: is not here")
-        return self.folder / name
+def _link(entry: Entry) -> str:
+    return f"{quote(entry.name)}/{quote(entry.page)}" if entry.page else ""
 
-    def tag(self, names: Iterable[str], add: Iterable[str] = (), remove: Iterable[str] = ()) -> None:
-        """Add and remove tags; they are kept in the runs' own folders.  Raises InputError for a tag that is none."""
-        add, remove = list(add), set(remove)
-        for tag in add:
-            if not TAG.fullmatch(tag):
-                raise InputError(f"{tag!r} is no tag: letters, digits and . _ + -, 40 of them at most")
-        for name in names:
-            if self.path(name).is_file():
-                raise InputError(f"{name}: is a file; tags are kept in folders")
-            file = self.path(name) / TAGS
-            tags = [tag for tag in dict.fromkeys([*_tags(file), *add]) if tag not in remove]
-            write_whole(file, json.dumps(tags), InputError)
 
-    def delete(self, name: str) -> None:
-        """Delete a folder with all that is in it, or a log.
-
-        Raises InputError where it is none of the entries, is a link, may still be written to, or cannot be deleted.
-        """
-        folder = self.path(name)
-        if folder.is_symlink() or folder.parent.resolve() != self.folder.resolve():
-            raise InputError(f"{name}: is a link; nothing was deleted")
-        if self._rows[name][1].kind == UNFINISHED:
-            raise InputError(f"{name}: has no end yet, and may still be written to; nothing was deleted")
-        trash = self.folder / f".deleted-{name}"
-        with map_os_errors(InputError, name):
-            folder.rename(trash)  # whole or not at all, for whoever reads at the same time
-            if trash.is_file():
-                trash.unlink()
-            else:
-                shutil.rmtree(trash)
-        self._rows.pop(name, None)
-
-    def _load(self) -> None:
-        with suppress(OSError, ValueError, LookupError, TypeError):
-            table = json.loads((self.folder / INDEX).read_text(encoding="utf-8"))
-            if table["form"] == FORM:
-                self._rows = {row[1][0]: (row[0], Entry(*row[1])) for row in table["rows"]}
-
-    def _save(self) -> None:
-        rows = [[stamp, list(entry)] for stamp, entry in self._rows.values()]
-        with (
-            suppress(OSError),
-            replace_on_success(self.folder / INDEX) as temporary,
-        ):  # the folder may not be writable
-            temporary.write_text(json.dumps({"form": FORM, "rows": rows}), encoding="utf-8")
+def _searched_text(entry: Entry) -> str:
+    return " ".join([entry.name, entry.kind, *entry.details.values()]).lower()
 
 
 def _is_candidate(entry: os.DirEntry[str]) -> bool:
@@ -143,31 +97,22 @@ def _is_candidate(entry: os.DirEntry[str]) -> bool:
     )
 
 
-def _stamp(folder: os.DirEntry[str]) -> list[int]:
-    """Return the modification times [ns] of a folder and of its summary, if it has one."""
-    stamp = [folder.stat(follow_symlinks=False).st_mtime_ns]
-    with suppress(OSError):
-        stamp.append(os.stat(f"{folder.path}/{SUMMARY}").st_mtime_ns)
-    return stamp
-
-
 def read_entry(folder: Path) -> Entry:
     """Read the row of a folder or of a flight controller's log; its kind is empty for anything else."""
     if folder.is_file():
         began = {"started": datetime.fromtimestamp(folder.stat().st_mtime, UTC).isoformat(timespec="seconds")}
-        return Entry(folder.name, LOG if is_flight_log(folder) else "", began, {}, [], "")
+        return Entry(folder.name, LOG if is_flight_log(folder) else "", began, {}, "")
     page = next((name for name in ("report.html", "comparison.html", "search.html") if (folder / name).is_file()), "")
     page = page or next((path.name for path in sorted(folder.glob("[!.]*.html"))), "")
-    tags = _tags(folder / TAGS)
     with suppress(OSError, ValueError):
         summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
         if isinstance(summary, dict):
-            return Entry(folder.name, RUN, _summary_details(summary), flatten_metrics(summary), tags, page)
+            return Entry(folder.name, RUN, _summary_details(summary), flatten_metrics(summary), page)
     began = {"started": datetime.fromtimestamp(folder.stat().st_mtime, UTC).isoformat(timespec="seconds")}
     if (folder / STUDY).is_file() and (folder / FLIGHTS).is_dir():
-        return Entry(folder.name, CAMPAIGN, _study(folder / STUDY) | began, {}, tags, page)
+        return Entry(folder.name, CAMPAIGN, _study(folder / STUDY) | began, {}, page)
     kind = PAGE if page else UNFINISHED if (folder / SCENARIO).is_file() else ""
-    return Entry(folder.name, kind, began, {}, tags, page)
+    return Entry(folder.name, kind, began, {}, page)
 
 
 def _summary_details(summary: Mapping[str, Any]) -> dict[str, str]:
@@ -218,11 +163,4 @@ def flatten_metrics(summary: Mapping[str, Any]) -> dict[str, float]:
             metrics[f"{name}.{key}"] = value
     custom = summary.get("own_metrics") or {}
     metrics |= {name: summary.get(name) for name in ("touchdown_m_s", "fuel_burnt_kg", "duration_s")} | dict(custom)
-    return {name: value for name, value in metrics.items() if type(value) in (int, float)}
-
-
-def _tags(path: Path) -> list[str]:
-    with suppress(OSError, ValueError):
-        tags = json.loads(path.read_text(encoding="utf-8"))
-        return [tag for tag in tags if isinstance(tag, str) and TAG.fullmatch(tag)] if isinstance(tags, list) else []
-    return []
+    return {name: value for name, value in metrics.items() if type(value) in (int, float) and isfinite(value)}
