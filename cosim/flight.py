@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.errors import FlightError, InputError
+from cosim.base.errors import FlightError, InputError, notify
 from cosim.base.wording import says_arguments
 
 if TYPE_CHECKING:
@@ -39,7 +39,8 @@ def fly(
 ) -> Run:
     """Fly a scenario to its end, record every step, and give back the finished run.
 
-    A crash, a divergence or a failing engine is an outcome, not an exception.
+    A crash, a divergence or a failing engine is an outcome, not an exception.  What the summary notes, and what else
+    the command would say of the flight, becomes warnings, ``cosim.base.errors.Notice``.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def fly(
         If the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
     """
     check_arguments(scenario, out, realtime_factor)
-    return fly_watched(
+    run = fly_watched(
         scenario,
         out,
         controller=controller,
@@ -79,6 +80,21 @@ def fly(
         report=report,
         shared_assets=shared_assets,
     )
+    for text in (*list_warnings(run.scenario, controller), *run.summary.notes):
+        notify(text)
+    return run
+
+
+def list_warnings(scenario: Scenario, controller: Any = None) -> list[str]:
+    """Return what of a design's file and of a scenario's times is not as it may seem, beside the summary's notes."""
+    from cosim.spec.controller_name import is_design
+
+    lines = [f"scenario {scenario.name}: {text}" for text in scenario.after_the_end()]
+    if isinstance(controller, (str, Path)) and is_design(str(controller)):
+        from cosim.simulation.controllers.controller_file import list_differences
+
+        lines += [f"{controller}: {text}" for text in list_differences(scenario, Path(controller), noted=False)]
+    return lines
 
 
 def check_arguments(scenario: object, out: object, realtime_factor: object) -> None:

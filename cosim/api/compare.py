@@ -179,7 +179,7 @@ def expand_campaigns(names: Sequence[str], flights: Sequence[int]) -> list[str]:
 def _load_flight(letter: str, flight: str | Path | Run, note: Callable[[str], None]) -> ComparedFlight:
     from cosim.campaign import fly_again, open_campaign
     from cosim.campaign.folder import is_campaign
-    from cosim.flight import fly
+    from cosim.flight import fly_watched as fly
     from cosim.identify.logs import is_flight_log, read_flight_log
     from cosim.identify.logs.log_columns import as_columns, read_log
     from cosim.results.comparison import ComparedFlight

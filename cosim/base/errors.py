@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import importlib
+import sys
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -26,6 +28,14 @@ class FlightError(RuntimeError):
 
 class Notice(UserWarning):
     """Something of the user's is taken otherwise than it stands there, and the rest flies: one line, said once."""
+
+
+def notify(text: str, category: type[Warning] = Notice) -> None:
+    """Warn with one line, at the line of the program that called into this package."""
+    package, frame, level = str(Path(__file__).parents[1]), sys._getframe().f_back, 2
+    while frame is not None and frame.f_code.co_filename.startswith(package):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, category, stacklevel=level)
 
 
 class EngineError(FlightError):

@@ -22,7 +22,8 @@ from cosim.campaign.study.study import Study, study_code, study_names
 from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256, with_autopilot
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.campaign.workers.protocol import Workers
-from cosim.flight import fly, new_folder
+from cosim.flight import fly_watched as fly
+from cosim.flight import new_folder
 from cosim.results.log.digest import log_digest
 from cosim.results.run import Run
 from cosim.spec.scenario import scenario_names

@@ -162,7 +162,7 @@ def fmu_check(options: Check) -> int:
 def _check_controller(path: Path, output: opt.Output) -> int:
     """Print what a controller's FMU is told and answers, and whether a second of hover is twice the same."""
     from cosim.engine.make.controller_fmu import describe_controller, read_controller_fmu
-    from cosim.flight import fly
+    from cosim.flight import fly_watched as fly
     from cosim.spec.scenario import Scenario
 
     fmu = read_controller_fmu(path)

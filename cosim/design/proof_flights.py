@@ -21,7 +21,7 @@ from cosim.design.limits import Say
 from cosim.design.loop.criteria import CORNER, OVERSHOOT
 from cosim.design.proof_result import ProofFlight
 from cosim.design.shipped_comparison import FlownMeasures, FlownPair, measure_flight
-from cosim.flight import fly
+from cosim.flight import fly_watched as fly
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario, find_scenario
 from cosim.spec.vehicle import Vehicle

@@ -83,7 +83,8 @@ class Run:
         configuration += (
             "; an object of a program, which no file makes again" if user is not None and not user.again else ""
         )
-        return f"<p><b>{escape(heading)}</b><br>{escape(configuration)}</p>{summary.metric_table()}"
+        notes = "".join(f"<br>note: {escape(note)}" for note in summary.notes)
+        return f"<p><b>{escape(heading)}</b><br>{escape(configuration)}{notes}</p>{summary.metric_table()}"
 
     def __repr__(self) -> str:
         where = "" if self.folder is None else f", {self.folder}"

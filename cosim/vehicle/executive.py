@@ -10,7 +10,6 @@ import ctypes
 import os
 import re
 import threading
-import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Final
 
 import jsbsim
 
-from cosim.base.errors import FlightError, InputError, Notice
+from cosim.base.errors import FlightError, InputError, notify
 from cosim.base.storage.cache import RecentCache
 from cosim.vehicle.model_file import ACTING, find_acting_property, find_line
 
@@ -95,7 +94,7 @@ class Executive:
         fdm.set_dt(step)
         self.run: Callable[[], bool] = fdm.run
         for line in _log.lines:
-            warnings.warn(f"{self._label}: JSBSim: {line}", Notice, stacklevel=2)
+            notify(f"{self._label}: JSBSim: {line}")
 
     def start(self) -> None:
         """Start from the initial state.  Raises InputError for the model, FlightError without a state."""

@@ -10,14 +10,13 @@ import copy
 import posixpath
 import re
 import stat
-import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 from xml.parsers import expat
 
-from cosim.base.errors import InputError, Notice
+from cosim.base.errors import InputError, notify
 from cosim.base.storage.cache import RecentCache
 
 # The parts of which JSBSim makes what flies, in the order in which it reads them
@@ -101,7 +100,7 @@ def _strip_model(model: Path, text: bytes) -> bytes:
     _refuse_acting(root, model)
     if foreign:
         parts = "; ".join(f"<{tag}> ({_at(text, tag)})" for tag in dict.fromkeys(part.tag for part in foreign))
-        warnings.warn(f"{model}: left out, as no part of what flies: {parts}", Notice, stacklevel=2)
+        notify(f"{model}: left out, as no part of what flies: {parts}")
     if not foreign and not references:
         return text
     return bytes(ET.tostring(root, encoding="utf-8", xml_declaration=True))

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from cosim.base.errors import Notice
+from cosim.base.errors import notify
 from cosim.base.wording import says_arguments
 
 
@@ -31,7 +30,7 @@ class Progress:
         text : str
             One line; it becomes a warning, ``cosim.base.errors.Notice``.
         """
-        warnings.warn(text, Notice, stacklevel=3)
+        notify(text)
 
     def update(self, part: str, done: int, of: int) -> None:
         """Hear how far the call is.

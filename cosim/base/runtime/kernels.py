@@ -10,13 +10,14 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
 from typing import Any
+
+from cosim.base.errors import notify
 
 VARIABLE, REFERENCE = "OPENBLAS_CORETYPE", "Haswell"
 _NEEDED = {b"avx2", b"fma"}  # by those kernels; x86 processors have had both since 2013
@@ -76,11 +77,10 @@ def warn_of_other_kernels() -> None:
     ]
     if others and not _warnings and can_use_reference():
         _warnings.append(others[0])
-        warnings.warn(
+        notify(
             f"{' and '.join(others)} instead of {REFERENCE}: flights may end in other last digits than those of the "
             f"command hexjet; import cosim before numpy, or set {VARIABLE}={REFERENCE}",
             RuntimeWarning,
-            stacklevel=3,
         )
 
 

@@ -26,7 +26,7 @@ from cosim.campaign.search.search import describe_flight
 from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row
-from cosim.flight import fly
+from cosim.flight import fly_watched as fly
 from cosim.results.log.digest import log_digest
 from cosim.results.run import REPORT, SCENARIO
 

@@ -25,7 +25,7 @@ from cosim.campaign.surveys.survey import load_subject
 from cosim.control.allocation.authority import Authority, Range, Reach, compute_reach
 from cosim.control.predictors.registry import BASELINE
 from cosim.engine import list_engine_names
-from cosim.flight import fly
+from cosim.flight import fly_watched as fly
 from cosim.results.report.three_views import points_of, three_views
 from cosim.simulation.build import build
 from cosim.simulation.engines import load_engines

@@ -26,7 +26,7 @@ from cosim.campaign.surveys.survey import Progress, Subject, draw_engine, fly_al
 from cosim.design.controller_table import make_controller_table
 from cosim.design.design import design
 from cosim.engine import list_engine_names, load_engine
-from cosim.flight import fly
+from cosim.flight import fly_watched as fly
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import ControllerFile, Requirements, read_controller, read_purpose

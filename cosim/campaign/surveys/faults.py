@@ -28,7 +28,7 @@ from cosim.campaign.surveys.survey import (
 )
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.predictors.registry import BASELINE
-from cosim.flight import fly
+from cosim.flight import fly_watched as fly
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import list_differences, read_controller
 from cosim.spec.controller_name import is_design, label

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from cosim.base.errors import FlightError, InputError
 from cosim.cli.flight.fly import print_metrics
-from cosim.flight import fly, new_folder
+from cosim.flight import fly_watched as fly
+from cosim.flight import new_folder
 from cosim.results.report.comparison import compare_report
 from cosim.spec.scenario import Scenario
 

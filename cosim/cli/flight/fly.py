@@ -124,15 +124,10 @@ def fly(options: Fly) -> int:
 
 def _warn(scenario: Scenario, controller: str | None) -> None:
     """Say on standard error what of a design's file, of the scenario's times and of its FMUs is not as it may seem."""
-    from cosim.spec.controller_name import is_design
+    from cosim.flight import list_warnings
 
-    if controller is not None and is_design(controller):
-        from cosim.simulation.controllers.controller_file import list_differences
-
-        for text in list_differences(scenario, Path(controller), noted=False):
-            click.echo(f"hexjet: warning: {controller}: {text}", err=True)
-    for text in scenario.after_the_end():
-        click.echo(f"hexjet: warning: scenario {scenario.name}: {text}", err=True)
+    for text in list_warnings(scenario, controller):
+        click.echo(f"hexjet: warning: {text}", err=True)
     engines = (station.engine for station in scenario.stations.values() if station.engine)
     warn_of_fmu_defects(scenario.engine, *engines, folder=scenario.folder)
 

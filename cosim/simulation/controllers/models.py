@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from cosim.base.constants import GRAVITY
-from cosim.base.errors import InputError, Notice
+from cosim.base.errors import InputError, notify
 from cosim.base.protocols import Predictor
 from cosim.base.signals import AXES
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
@@ -64,11 +63,11 @@ def find_models(vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
         where = f"vehicle.identified.{engine.family!r}.{axis}"
         if not engine.matches_model(model.engine_sha256):
             other = f"is of another {engine.family} (sha256 {model.engine_sha256[:12]}, not {engine.fingerprint[:12]})"
-            warnings.warn(f"{where}: {other}: left out; hexjet identify {axis} makes one of this", Notice, stacklevel=2)
+            notify(f"{where}: {other}: left out; hexjet identify {axis} makes one of this")
             continue
         if not engine.library and not model.engine_sha256:
             unverified = f"states no hash: that it is of this {engine.family} is not verified"
-            warnings.warn(f"{where}: {unverified}", Notice, stacklevel=2)
+            notify(f"{where}: {unverified}")
         models[axis] = model
     return models
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import html
 import inspect
 import json
+import linecache
 import os
 import re
 import runpy
@@ -22,7 +24,8 @@ from places import DOCS, ROOT
 
 import cosim
 from cosim import InputError
-from cosim.api import Result
+from cosim.api import Progress, Result
+from cosim.base.errors import Notice
 from cosim.base.wording import with_arguments
 from cosim.campaign.surveys.failsafes import WINDS_M_S
 from cosim.cli.main import COMMANDS, cli
@@ -195,6 +198,22 @@ def test_a_line_that_names_an_option_names_an_argument_instead(name: str, record
     options = resolve_name(f"cosim.cli.{record}").options().values()
     for option in {each.names[0].partition("/")[0] for each in options if each.names} - WITHOUT.keys():
         assert "--" not in with_arguments(f"so {option} 3", parameters, name), option
+
+
+def test_a_note_is_a_warning_at_the_line_of_the_caller() -> None:
+    late = Scenario.load("roll-doublet").replace(duration_s=0.1, engine_parameters={"delay_samples": 40}, expect=[])
+    with pytest.warns(Notice) as said:
+        run = cosim.fly(late, controller="smith")
+    assert {str(each.message) for each in said} == {
+        *run.summary.notes,
+        "scenario roll-doublet: command.0 begins at 1 s and the flight ends at 0.1 s",
+    }
+    assert any("all delay 35.3 samples, and 49.3 by engine" in note for note in run.summary.notes)
+    assert html.escape(run.summary.notes[0]) in run._repr_html_()
+    with pytest.warns(Notice) as noted:
+        Progress().note("one")
+    for each, call in [*((each, "cosim.fly(late") for each in said), (noted[0], 'Progress().note("one")')]:
+        assert call in linecache.getline(each.filename, each.lineno)
 
 
 def test_an_import_loads_no_more_than_it_needs() -> None:
