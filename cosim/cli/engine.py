@@ -151,10 +151,12 @@ def fmu_check(options: Check) -> int:
     engine = options.engine
     if is_controller(Path(engine)):
         return _check_controller(Path(engine), options)
+    from cosim.engine import file_label
+
     options.check_out(*CHECK)
     offer_to_compile(engine)
     result = check_engine(**options.chosen("engine", "step_s", "settings", "time_limit_s"))
-    result.write(options.run_folder(f"check-{Path(engine).stem}"))
+    result.write(options.run_folder(f"check-{file_label(Path(engine))}"))
     options.answer(result.to_dict, lambda: print_check(result))
     return DONE if result.is_fit else FLIGHT_FAILED
 

@@ -73,7 +73,7 @@ def shipped_tuning(channel: Channel, vehicle: Vehicle, spec: EngineSpec) -> Tuni
         return Tuning(BASELINE.name, height.position_1_s, gains, control.predictor, channel.model("none"), lead)
     gains = getattr(control.rate, channel.name)
     angle = control.attitude.gain_1_s[AXES.index(channel.name)]
-    model = vehicle.identified.get(spec.family, {}).get(channel.name)  # type: ignore[call-overload]
+    model = spec.models_in(vehicle.identified).get(channel.name)  # type: ignore[call-overload]
     if model is None or not spec.matches_model(model.engine_sha256) or abs(model.sample_time_s - channel.step) > 1e-9:
         return Tuning(BASELINE.name, angle, gains, control.predictor, channel.model("none"), lead)
     model = model.model_copy(update={"delay_samples": model.delay_samples + channel.added_delay})

@@ -169,7 +169,7 @@ def design(
     say(f"uncertainty of {spec.name}")
     tolerances = engine_tolerances(need, scenario, vehicle, spec, plants.values())
     need = tolerances.need
-    models = read_models(model).get(spec.family, {}) if model else {}
+    models = spec.models_in(read_models(model)) if model else {}
     if model and not models:
         raise InputError(f"{model}: holds no model of {vehicle.name} with engine {spec.family!r}")
     for axis, table in models.items():

@@ -8,4 +8,4 @@ from cosim.engine.fmu.air import Air
 from cosim.engine.isolated import IsolatedBank, make_bank
 from cosim.engine.qualify.check import check_fmu, load_engine, make_limits
 from cosim.engine.qualify.report import CheckReport
-from cosim.engine.spec import EngineSpec, build_engines, list_engine_names
+from cosim.engine.spec import EngineSpec, build_engines, file_label, list_engine_names

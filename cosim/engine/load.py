@@ -16,7 +16,15 @@ from cosim.engine.fmu.variables import Variable
 from cosim.engine.measure import EngineMeasurement, measure_once
 from cosim.engine.response import ResponseError, settling_window
 from cosim.engine.rundown import MODELLED, FlameOutLaw, make_flame_out_law
-from cosim.engine.spec import EngineSource, EngineSpec, Sibling, check_whole_steps, find_source, resolve_parameters
+from cosim.engine.spec import (
+    EngineSource,
+    EngineSpec,
+    Sibling,
+    check_whole_steps,
+    file_label,
+    find_source,
+    resolve_parameters,
+)
 
 
 def load_unchecked(
@@ -59,7 +67,7 @@ def load_unchecked(
     except (InstanceError, ResponseError) as error:
         raise InputError(f"{archive.path}: {error}") from error
     return EngineSpec(
-        name=name_or_path if engine else source.path.stem,
+        name=name_or_path if engine else file_label(source.path),
         title=engine.title if engine else mapping.title or archive.model,
         library=engine is not None,
         path=archive.path,

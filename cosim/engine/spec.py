@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
 from bisect import bisect_right
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from cosim.base.errors import InputError, nearest
 from cosim.base.storage.cache import RecentCache
@@ -34,6 +35,9 @@ from cosim.engine.response import NO_CHANGE, Curve, SmallStep, trim_flat_ends
 from cosim.engine.rundown import FlameOutLaw
 from cosim.engine.ssp.structure import read_parameter_set
 from cosim.engine.ssp.system import SUFFIX, is_system, read_system
+
+Axis = TypeVar("Axis")
+Model = TypeVar("Model")
 
 
 class Sibling(NamedTuple):
@@ -141,12 +145,22 @@ class EngineSpec:
 
     @property
     def family(self) -> str:
-        """Key of its identified models: the library's name without FMI version, else the file's name.
+        """Key of its identified models: the library's name without FMI version, else the name with the file's suffix.
 
         The file is the mapping file where there is one.  With its suffix, so that somebody's ``edf.fmu`` is not taken
         for the library's ``edf``.
         """
-        return self.name.removesuffix(FMI2_SUFFIX) if self.library else (self.mapping or self.path).name
+        file = self.mapping or self.path
+        return self.name.removesuffix(FMI2_SUFFIX) if self.library else file_label(file) + file.suffix
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Keys of its identified models; version 0.2.0 had the file's name alone, also where that is ``engine``."""
+        return (self.family,) if self.library else (self.family, (self.mapping or self.path).name)
+
+    def models_in(self, identified: Mapping[str, Mapping[Axis, Model]]) -> Mapping[Axis, Model]:
+        """Return the models of this engine, by axis, among those by engine; empty where there are none."""
+        return next((identified[family] for family in self.families if family in identified), {})
 
     @property
     def ports(self) -> Mapping[str, Port]:
@@ -184,6 +198,11 @@ class EngineSpec:
         k = min(max(bisect_right(throttles, throttle), 1), len(throttles) - 1)
         fraction = (throttle - throttles[k - 1]) / (throttles[k] - throttles[k - 1])
         return thrusts[k - 1] + (thrusts[k] - thrusts[k - 1]) * min(max(fraction, 0.0), 1.0)
+
+
+def file_label(path: Path) -> str:
+    """Return what an engine that is a file is called: its name, or its folder's where the file is called ``engine``."""
+    return Path(os.path.abspath(path)).parent.name or path.stem if path.stem == "engine" else path.stem
 
 
 def list_engine_names() -> list[str]:

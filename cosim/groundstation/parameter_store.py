@@ -9,6 +9,7 @@ from pathlib import Path
 from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
+from cosim.engine import file_label
 from cosim.spec.controller_name import SHORT, folder_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import is_file
@@ -20,7 +21,7 @@ _HEAD = "# What differs from the defaults; written by hexjet gcs.\n"
 
 def make_vehicle_key(scenario: Scenario) -> str:
     """Return the key of the parameters' file: another engine or controller has other defaults."""
-    engine = Path(scenario.engine).stem if is_file(scenario.engine) else scenario.engine
+    engine = file_label(Path(scenario.engine)) if is_file(scenario.engine) else scenario.engine
     designs = [f"{Path(f.file).stem}-{f.sha256[:SHORT]}" for f in scenario.parameter_files if f.kind == "design"]
     return "-".join([scenario.aircraft_name, engine, folder_name(scenario.controller), *map(folder_name, designs)])
 

@@ -30,11 +30,11 @@ def attach_autopilot(simulation: Simulation, airborne: bool = False) -> Autopilo
     """
     scenario, vehicle, engine = simulation.scenario, simulation.vehicle, simulation.engine
     cascade, source = simulation.replaced_cascade or simulation.cascade, simulation.controller_source
-    roll = vehicle.identified.get(engine.family, {}).get("roll")
+    roll = engine.models_in(vehicle.identified).get("roll")
     delay = None if roll is None else roll.delay_samples + scenario.added_delay_samples
 
     def make_tuned_predictors(controller: str, samples: float, tuning: PredictorTuning) -> list[Predictor]:
-        models = dict(vehicle.identified.get(engine.family, {}))
+        models = dict(engine.models_in(vehicle.identified))
         if "roll" in models:
             models["roll"] = models["roll"].model_copy(update={"delay_samples": samples})
         control = vehicle.control.model_copy(update={"predictor": tuning})

@@ -177,7 +177,7 @@ def compare_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, sta
     """
     models = {
         axis: model
-        for axis, model in vehicle.identified.get(engine.family, {}).items()
+        for axis, model in engine.models_in(vehicle.identified).items()
         if abs(model.sample_time_s - scenario.step_s) <= 1e-9
     }
     response = _engine_response(vehicle, engine, scenario.step_s) if models else None

@@ -272,7 +272,7 @@ def _models(simulation: Simulation) -> list[Line]:
     vehicle, lines = simulation.vehicle, []
     for family, models in vehicle.identified.items():
         scenario, engine = simulation.scenario, simulation.engine
-        if family != engine.family:
+        if family not in engine.families:
             if family not in list_engine_names():
                 text = f"not compared: --engine FILE names the engine {family}"
                 lines += [Line(f"{axis} model, {family}", text) for axis in models]

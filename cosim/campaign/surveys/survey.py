@@ -46,8 +46,8 @@ class Subject(NamedTuple):
 
     def controllers(self) -> list[str]:
         """Return those of the compared controllers whose model the vehicle has with this engine."""
-        family = load_engine(self.engine, {}, self.vehicle.control_step).family
-        modelled = bool(self.vehicle.identified.get(family))
+        engine = load_engine(self.engine, {}, self.vehicle.control_step)
+        modelled = bool(engine.models_in(self.vehicle.identified))
         return [name for name, spec in PREDICTORS.items() if spec.compared and (modelled or not spec.needs_model)]
 
 

@@ -63,9 +63,11 @@ def identify_engine(options: SweptEngine) -> int:
 
     Band, amplitude and duration are chosen to suit the engine where they are not given.
     """
+    from cosim.engine import file_label
+
     return _identify(
         "engine",
-        f"identify-{Path(options.engine).stem}",
+        f"identify-{file_label(Path(options.engine))}",
         options,
         options.chosen("engine", "settings", "throttle", "step_s"),
     )

@@ -98,7 +98,7 @@ class LoopJudge:
         scenario = self._with(controller_of(values) or BASELINE.name)
         family = plants.spec.family
         vehicle = self._vehicle.model_copy(update={"control": control_of(self._vehicle.control, values)})
-        models = dict(vehicle.identified.get(family, {}))
+        models = dict(plants.spec.models_in(vehicle.identified))
         if "roll" in models:  # what the controller adds itself is in the parameter, and comes on top again
             samples = values["HJ_PRED_DELAY"] - scenario.added_delay_samples
             models["roll"] = models["roll"].model_copy(update={"delay_samples": max(0.0, samples)})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from cosim.base.constants import GRAVITY
@@ -59,7 +58,7 @@ def find_models(vehicle: Vehicle, engine: EngineSpec) -> dict[str, RateModel]:
     file of that name is left out, and one without a hash is taken.
     """
     models: dict[str, RateModel] = {}
-    for axis, model in vehicle.identified.get(engine.family, {}).items():
+    for axis, model in engine.models_in(vehicle.identified).items():
         where = f"vehicle.identified.{engine.family!r}.{axis}"
         if not engine.matches_model(model.engine_sha256):
             other = f"is of another {engine.family} (sha256 {model.engine_sha256[:12]}, not {engine.fingerprint[:12]})"
@@ -122,7 +121,7 @@ def _advise_design(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> 
     engine_name = engine.name if engine.library else str(engine.mapping or engine.path)
     aircraft_seen = aircraft_seen_from(scenario.aircraft, scenario.folder)
     aircraft = "" if aircraft_seen == "hexjet" else f" --aircraft {aircraft_seen}"
-    file = f"{vehicle.name}-{Path(engine_name).stem}.toml"
+    file = f"{vehicle.name}-{engine.name}.toml"
     return (
         f"one is made, with gains to go with it, by: hexjet design --engine {engine_name}{aircraft} --out {file} "
         f"(then fly with --controller {file}; or fly --controller {BASELINE.name})"

@@ -444,7 +444,7 @@ def mapping(folder: Path, fmu: Path, text: str) -> Path:
 def test_an_engine_of_pythonfmu_in_pounds_with_a_mapping_file(pythons: Mapping[str, Path], tmp_path: Path) -> None:
     path = mapping(tmp_path, pythons["pythonfmu"], MAPPING)
     spec = load(path)
-    assert (spec.name, spec.family, spec.title) == ("engine", "engine.toml", "Somebody's engine")
+    assert (spec.name, spec.family, spec.title) == (tmp_path.name, f"{tmp_path.name}.toml", "Somebody's engine")
     assert (spec.rotor_inertia, spec.transport_delay, spec.specified_delay, spec.mapping) == (2e-5, 0.1, 0.1, path)
     assert spec.path == tmp_path / "LbfEngine.fmu"
     assert spec.parameters == {"scale": 5.0}
@@ -882,3 +882,21 @@ def test_the_library_engine_by_path_is_the_library_engine() -> None:
     by_path = load(archive("turbojet", 3))
     assert set(by_path.ports) == {"throttle", "thrust", "start"}
     assert by_path.start == "throttle_start"
+
+
+def test_engines_whose_file_is_called_engine_have_the_names_of_their_folders(tmp_path: Path) -> None:
+    for name in ("my-engine", "other"):
+        (tmp_path / name).mkdir()
+        shutil.copy(archive("edf", 3), tmp_path / name / "engine.fmu")
+        (tmp_path / name / "engine.toml").write_text('fmu = "engine.fmu"\n')
+    mine, other, bare = (
+        load(tmp_path / each) for each in ("my-engine/engine.toml", "other/engine.toml", "other/engine.fmu")
+    )
+    assert [(each.name, each.family) for each in (mine, other, bare)] == [
+        ("my-engine", "my-engine.toml"), ("other", "other.toml"), ("other", "other.fmu"),
+    ]  # fmt: skip
+    # models that version 0.2.0 filed under the bare name are found, behind those of the name of today
+    assert mine.models_in({"engine.toml": {"roll": 1}}) == {"roll": 1}
+    assert mine.models_in({"engine.toml": {"roll": 1}, "my-engine.toml": {"roll": 2}}) == {"roll": 2}
+    assert mine.models_in({"other.toml": {"roll": 1}}) == {}
+    assert load_engine("edf", {}, STEP).models_in({"edf.fmu": {"roll": 1}}) == {}
