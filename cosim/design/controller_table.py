@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from math import isfinite
+from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
@@ -15,11 +17,14 @@ from cosim.design.loop.tuning import round_gain
 from cosim.design.proof_result import Proof
 from cosim.design.shipped_comparison import FlownMeasures, worse_lines
 from cosim.simulation.controllers.controller_file import AxisRecord, FlownRecord, LevelRecord, ProofRecord, Purpose
-from cosim.spec.vehicle import RateModel
+from cosim.spec.vehicle import RateModel, is_aircraft_path
 
 
-def make_controller_table(design: Design) -> dict[str, Any]:
-    """Return the content of a controller file as a table.  Raises InputError for a design that was not found."""
+def make_controller_table(design: Design, folder: Path | None = None) -> dict[str, Any]:
+    """Return the content of a controller file as a table; paths are seen from ``folder``, or absolute without one.
+
+    Raises InputError for a design that was not found.
+    """
     if not design.ok:
         raise InputError(f"no acceptable design: {design.reason}")
     chosen = {axis: axis_design.after for axis, axis_design in design.axes.items() if axis_design.after is not None}
@@ -59,6 +64,8 @@ def make_controller_table(design: Design) -> dict[str, Any]:
     purpose = Purpose(
         aircraft=design.vehicle.name,
         engine=spec.name,
+        aircraft_path=_path_of(scenario.aircraft, folder) if is_aircraft_path(scenario.aircraft) else None,
+        engine_path=None if spec.library else _path_of(scenario.engine, folder),
         family=spec.family,
         engine_sha256=spec.identity,
         engine_parameters=dict(scenario.engine_parameters),
@@ -98,6 +105,10 @@ def make_controller_table(design: Design) -> dict[str, Any]:
         "vehicle": vehicle,
         "design": purpose.model_dump(mode="json", exclude_none=True),
     }
+
+
+def _path_of(file: str, folder: Path | None) -> str:
+    return file if folder is None else Path(os.path.relpath(file, folder)).as_posix()
 
 
 def make_proof_record(proof: Proof) -> ProofRecord:

@@ -47,7 +47,7 @@ def write(design: Design, out: Path | None) -> dict[str, Path]:
     paths = {}
     file.parent.mkdir(parents=True, exist_ok=True)
     if design.ok:
-        write_files({file: toml_text(make_controller_table(design))})
+        write_files({file: toml_text(make_controller_table(design, file.parent))})
         paths["controller"] = file
     paths["report"] = file.with_suffix(".html") if out is not None else file.parent / PAGE
     render(

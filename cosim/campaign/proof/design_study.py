@@ -54,8 +54,8 @@ def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
             f"{file}: a design brings its own {refused}; leave it out, or prove a study that names the file"
         )
     made, nominal = read_purpose(file), bool(options.get("nominal_engine"))
-    settings = _settings(made, options.get("settings") or ())
-    _need_engine(file, made.engine, str(settings["engine"]))
+    settings = _settings(file, made, options.get("settings") or ())
+    _need_engine(file, made, str(settings["engine"]))
     aircraft = str(settings.pop("aircraft"))
     texts = [f"{key}={dumps(value)}" for key, value in flatten_settings(settings)]
     designed = apply_controller(SCENARIO, file, texts, aircraft)
@@ -82,11 +82,13 @@ def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
     return study.changed(name=named, title=f"{file.name}: the design for {made.aircraft} with engine {made.engine}")
 
 
-def _need_engine(file: Path, designed_for: str, flown: str) -> None:
-    """Raise InputError where the engine of the design is a file of the user's, of which the design states no path."""
+def _need_engine(file: Path, made: Purpose, flown: str) -> None:
+    """Raise InputError where the engine of the design is a file of the user's that is not where the design says."""
+    designed_for = made.find_engine(file)
     if flown != designed_for or Path(flown).is_file() or flown.removesuffix(FMI2_SUFFIX) in list_engine_names():
         return
-    raise InputError(f"{file}: designed for engine {flown!r}, which is not shipped; give its file with --engine")
+    where = "is not shipped" if made.engine_path is None else f"is not at {designed_for}"
+    raise InputError(f"{file}: designed for engine {made.engine!r}, which {where}; give its file with --engine")
 
 
 def tolerance_box(made: Purpose, scenario: Scenario) -> list[str]:
@@ -100,13 +102,12 @@ def tolerance_box(made: Purpose, scenario: Scenario) -> list[str]:
     return box + ([f"mismatch.delay_samples=0:{later}"] if later else [])
 
 
-def _settings(made: Purpose, given: Sequence[str]) -> dict[str, Any]:
+def _settings(file: Path, made: Purpose, given: Sequence[str]) -> dict[str, Any]:
     """Return the scenario's settings: what the design was made for, the doublet of its proof, and what is ``given``."""
     roll = made.axes["roll"]
     width = side_s(roll.bandwidth_hz)
     settings: dict[str, Any] = {
-        "aircraft": made.aircraft,
-        "engine": made.engine,
+        "engine": made.find_engine(file),
         "engine_parameters": dict(made.engine_parameters),
         "vehicle": dict(made.vehicle_changes),
         "step_s": made.step_s,
@@ -119,4 +120,5 @@ def _settings(made: Purpose, given: Sequence[str]) -> dict[str, Any]:
     for text in given:
         keys, value = parse_setting(text)
         set_path(settings, keys, value, "--set")
+    settings["aircraft"] = settings.get("aircraft") or made.find_aircraft(file)
     return {key: value for key, value in settings.items() if value != {}}

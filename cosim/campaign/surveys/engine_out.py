@@ -195,7 +195,7 @@ def _controller(subject: Subject, designs: Path, progress: Progress) -> Controll
         return f"no controller keeps the requirements of hexjet design: {designed.reason}"
     with map_os_errors(InputError, path):
         designs.mkdir(parents=True, exist_ok=True)
-    write_files({path: toml_text(make_controller_table(designed))})
+    write_files({path: toml_text(make_controller_table(designed, designs))})
     return read_controller(path, aircraft)
 
 

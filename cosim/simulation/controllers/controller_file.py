@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -97,6 +98,9 @@ class Purpose(Model):
 
     aircraft: str
     engine: str
+    # of an aircraft and an engine that are files, from the controller file's folder; None in a file of 0.2.0 too
+    aircraft_path: str | None = None
+    engine_path: str | None = None
     family: str  # what the models are filed under
     engine_sha256: str  # of a library engine's equations, of any other's archive; older files: always of the archive
     engine_parameters: dict[str, float] = Field(default_factory=dict)  # that were not the engine's own
@@ -113,6 +117,23 @@ class Purpose(Model):
     axes: dict[str, AxisRecord]
     levels: list[LevelRecord] = Field(default_factory=list)
     proof: ProofRecord | None = None  # None: it was left out, or a file from before it was stated
+
+    def find_engine(self, file: Path) -> str:
+        """Return the engine of the design in a controller file, a name or an absolute path."""
+        return self.engine if self.engine_path is None else os.path.abspath(file.parent / self.engine_path)
+
+    def find_aircraft(self, file: Path) -> str:
+        """Return the aircraft of the design in a controller file, a name or an absolute path.
+
+        Raises InputError where it is not there.
+        """
+        if self.aircraft_path is None and self.aircraft in aircraft_names():
+            return self.aircraft
+        path = None if self.aircraft_path is None else os.path.abspath(file.parent / self.aircraft_path)
+        if path is not None and os.path.exists(path):
+            return path
+        where = "is not shipped" if path is None else f"is not at {path}"
+        raise InputError(f"{file}: designed for aircraft {self.aircraft!r}, which {where}; name it with --aircraft")
 
 
 class ControllerFile(Model):
@@ -157,9 +178,7 @@ def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path
     if aircraft is not None and aircraft_name(aircraft, folder) != made_for:
         flown = aircraft_name(aircraft, folder)
         raise InputError(f"{path}: designed for aircraft {made_for!r}, not for {flown!r}")
-    if aircraft is None and made_for not in aircraft_names():
-        raise InputError(f"{path}: designed for aircraft {made_for!r}, which is not shipped: name its folder as well")
-    aircraft = aircraft or made_for
+    aircraft = aircraft or file.design.find_aircraft(path)
     load_vehicle(aircraft, file.vehicle, f"{path}: vehicle", folder)
     original, _ = load_vehicle(aircraft, folder=folder)
     control = file.vehicle.get("control", {})
@@ -213,7 +232,8 @@ def apply_controller(
     settings : sequence of str
         ``KEY=VALUE``, the value as TOML has it.
     aircraft : str or None
-        Who flies it; None: the scenario's aircraft.
+        Who flies it; None: the scenario's aircraft, or the design's with its engine where the scenario's file names
+        none.
 
     Raises
     ------
@@ -228,11 +248,15 @@ def apply_controller(
         source = find_scenario(scenario)
         original, where, table, folder = Scenario.as_filed(source), str(source), read_toml(source), source.parent
         known = original.parameter_files if original is not None else []
-    stated = table.get("aircraft", Scenario.model_fields["aircraft"].default)
-    flown = aircraft_seen_from(stated, folder) if aircraft is None else aircraft_seen_from(aircraft, Path())
+    named, seen_from = (table.get("aircraft"), folder) if aircraft is None else (aircraft, Path())
+    flown = None if named is None else aircraft_seen_from(named, seen_from)
     file = read_controller(path, flown)
     for key in ("controller_parameters", "controller_sha256"):  # what was said of the scenario's own controller
         table.pop(key, None)
+    if flown is None:
+        flown = file.design.find_aircraft(path)
+        if flown != Scenario.model_fields["aircraft"].default:
+            table["engine"] = file.design.find_engine(path)
     written = {"aircraft": flown, "controller": file.controller, "vehicle": file.vehicle, "expect": []}
     if file.controller_parameters:
         written["controller_parameters"] = file.controller_parameters

@@ -429,6 +429,12 @@ def test_a_design_keeps_what_it_states_and_is_the_same_again() -> None:
     found = short()
     again = short.__wrapped__()
     assert make_controller_table(found) == make_controller_table(again)
+    own = found.scenario.model_copy(update={"aircraft": "/a/gryphon", "engine": "/a/mine/engine.toml"})
+    own_design = replace(found, scenario=own, engine=replace(found.engine, library=False))
+    for folder, path in ((Path("/a"), ""), (Path("/a/designs"), "../"), (None, "/a/")):
+        made = make_controller_table(own_design, folder)["design"]
+        assert (made["aircraft_path"], made["engine_path"]) == (f"{path}gryphon", f"{path}mine/engine.toml")
+    assert not {"aircraft_path", "engine_path"} & make_controller_table(found, Path("/a"))["design"].keys()
     for axis, each in found.axes.items():
         after = each.after
         assert after is not None
@@ -564,7 +570,7 @@ def test_a_wrong_file_is_refused(tmp_path: Path, change: tuple[str, str], said: 
     path = tmp_path / "wrong.toml"
     path.write_text(text.replace(*change, 1), encoding="utf-8")
     with pytest.raises(InputError, match=said):
-        apply_controller("roll-doublet", path)
+        apply_controller(Scenario.load("roll-doublet"), path)
 
 
 def test_a_file_for_another_engine_is_told() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
@@ -14,8 +15,10 @@ import pytest
 from command_tools import Done, Hexjet
 from places import DESIGNS, ROOT
 
+from cosim.api.call.choices import choose
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
+from cosim.base.storage.paths import data_folder
 from cosim.campaign import open_campaign
 from cosim.campaign.analysis.summary import campaign_summary, success_lines
 from cosim.campaign.proof.prove import Request, conclude, fly_study, prove
@@ -343,6 +346,36 @@ def test_a_design_for_an_engine_of_the_users_asks_for_its_file(
     done: Done = hexjet(words[0], "mine.toml", *words[1:])
     assert (done.status, done.err.count("\n")) == (2, 1), done.err
     assert "mine.toml: designed for engine 'MyEngine', which is not shipped; give its file with --engine" in done.err
+
+
+def test_a_design_knows_where_its_aircraft_and_engine_are(hexjet: Hexjet, tmp_path: Path) -> None:
+    assert hexjet("aircraft", "new", "gryphon", "--out", "ours/gryphon").status == 0
+    (tmp_path / "ours/my-engine").mkdir()
+    shutil.copy(data_folder("fmus") / "turbojet.fmu", tmp_path / "ours/my-engine/engine.fmu")
+    design = tmp_path / "ours/gryphon.toml"
+    text = (DESIGNS / "turbojet.toml").read_text()
+    for stated, own in (
+        ('aircraft = "hexjet"', 'aircraft = "gryphon"\naircraft_path = "gryphon"'),
+        ('engine = "turbojet"', 'engine = "my-engine"\nengine_path = "my-engine/engine.fmu"'),
+        ("[vehicle.identified.turbojet", '[vehicle.identified."my-engine.fmu"'),
+    ):
+        assert stated in text
+        text = text.replace(stated, own)
+    design.write_text(text)
+    there = tmp_path / "ours/gryphon", tmp_path / "ours/my-engine/engine.fmu"
+    proven = proof_study("ours/gryphon.toml", "99%@95%").base()
+    margins = choose("hover", controller="ours/gryphon.toml")
+    for flown in (proven, margins):
+        assert (flown.aircraft, flown.engine) == tuple(map(str, there))
+    assert choose("hover", controller="ours/gryphon.toml", engine="edf").engine == "edf"
+    with pytest.raises(InputError, match="designed for aircraft 'gryphon', not for 'quadjet'"):
+        choose("hover", controller="ours/gryphon.toml", aircraft="quadjet")
+    (tmp_path / "ours/my-engine/engine.fmu").rename(tmp_path / "elsewhere.fmu")
+    with pytest.raises(InputError, match=f"engine 'my-engine', which is not at {there[1]}; give its file with "):
+        proof_study("ours/gryphon.toml", "99%@95%")
+    there[0].rename(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match=f"aircraft 'gryphon', which is not at {there[0]}; name it with "):
+        choose("hover", controller="ours/gryphon.toml")
 
 
 def test_the_quick_example_of_the_page_is_accepted() -> None:
