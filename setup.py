@@ -21,6 +21,7 @@ from typing import Any, ClassVar
 from setuptools import Command, Extension, setup
 from setuptools.command.build import build
 from setuptools.command.build_ext import build_ext
+from setuptools.command.editable_wheel import editable_wheel
 from setuptools.errors import CompileError
 
 ROOT = Path(__file__).resolve().parent
@@ -229,6 +230,33 @@ class BuildAll(build):
     sub_commands: ClassVar = [*build.sub_commands, ("build_data", None)]
 
 
+class PathFile:
+    """An editable install as a ``.pth`` file with the folders of all packages, which needs no import hook."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __call__(self, wheel: Any, files: list[str], mapping: dict[str, str]) -> None:
+        wheel.writestr(f"__editable__.{self.name}.pth", f"{ROOT}\n{ROOT / 'tools'}\n")
+
+    def __enter__(self) -> PathFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leave nothing behind."""
+
+
+class EditableInstall(editable_wheel):
+    """An editable install of packages in two folders.
+
+    setuptools writes a ``.pth`` file for one folder alone; for two it would install an import hook, which every start
+    of Python in the environment would pay for.
+    """
+
+    def _select_strategy(self, name: str, tag: str, build_lib: Any) -> PathFile:
+        return PathFile(name)
+
+
 # The engines' extension keeps to the limited API, which free-threaded builds do not have; the recorder's does not.
 LIMITED_API = not sysconfig.get_config_var("Py_GIL_DISABLED")
 
@@ -244,7 +272,12 @@ def c_flags(level: str) -> list[str]:
 
 
 setup(
-    cmdclass={"build": BuildAll, "build_data": BuildData, "build_ext": BuildExtensions},
+    cmdclass={
+        "build": BuildAll,
+        "build_data": BuildData,
+        "build_ext": BuildExtensions,
+        "editable_wheel": EditableInstall,
+    },
     ext_modules=[
         Extension(
             "cosim.engine._bank",

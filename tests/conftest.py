@@ -59,7 +59,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def _kind(item: pytest.Item) -> str:
-    return item.path.relative_to(TESTS).parts[0]
+    return next(part for part in item.path.relative_to(TESTS).parts if part in KINDS)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -130,7 +130,7 @@ def test_no_interpreter_is_started_that_looks_into_the_current_folder() -> None:
         ROOT / "setup.py",
         *(
             path
-            for name in ("cosim", "hexjet_paper", "docs", "examples", "benchmarks")
+            for name in ("cosim", "tools", "docs", "examples", "benchmarks")
             for path in (ROOT / name).rglob("*.py")
         ),
     ]
@@ -144,9 +144,7 @@ def test_no_interpreter_is_started_that_looks_into_the_current_folder() -> None:
 def test_processes_of_multiprocessing_do_not_either() -> None:
     """Its children are told nothing but by the environment."""
     files = [
-        path
-        for name in ("cosim", "hexjet_paper", "docs", "examples", "benchmarks")
-        for path in (ROOT / name).rglob("*.py")
+        path for name in ("cosim", "tools", "docs", "examples", "benchmarks") for path in (ROOT / name).rglob("*.py")
     ]
     uses = [path for path in files if "ProcessPoolExecutor(" in path.read_text(encoding="utf-8")]
     assert uses

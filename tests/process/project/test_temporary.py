@@ -31,9 +31,7 @@ NEXT = "from cosim.base.storage.scratch import scratch; scratch()"
 def test_no_folder_is_made_elsewhere() -> None:
     """Each would stay for ever after a kill -9: what is made says ``dir``, which is below the one folder."""
     wrong = []
-    for path in sorted(
-        file for name in ("cosim", "hexjet_paper", "benchmarks") for file in (ROOT / name).rglob("*.py")
-    ):
+    for path in sorted(file for name in ("cosim", "tools", "benchmarks") for file in (ROOT / name).rglob("*.py")):
         place = path.relative_to(ROOT).as_posix().removeprefix("cosim/")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             made = isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2]

@@ -17,7 +17,7 @@ from places import ROOT, TESTS
 from cosim.base.compiled import MODULES
 
 PACKAGE = ROOT / "cosim"
-PAPER = ROOT / "hexjet_paper"
+PAPER = ROOT / "tools" / "hexjet_paper"
 BENCHMARKS = ROOT / "benchmarks"
 
 # A file above this many lines is divided by meaning, except those here.

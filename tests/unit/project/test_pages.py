@@ -331,7 +331,9 @@ def test_the_papers_doublet_as_it_is_flown() -> None:
     )
     stated(page, sentence, getattr(command, "amplitude", math.nan), delay("edf-as-flown") - delay("edf"))
     # the largest gain that settles is among the numbers that `hexjet paper` fits
-    fitted = tomllib.loads((ROOT / "hexjet_paper" / "calibration.toml").read_text(encoding="utf-8"))["parameters"]
+    fitted = tomllib.loads((ROOT / "tools" / "hexjet_paper" / "calibration.toml").read_text(encoding="utf-8"))[
+        "parameters"
+    ]
     ours = load_vehicle("hexjet")[0].control.rate.roll.p
     (percent,) = figures(page, "some {} % above the largest with which the vehicle settles")
     assert 100.0 * (ours / fitted["hexjet_p"] - 1.0) == pytest.approx(value(percent), abs=2.0)
