@@ -73,7 +73,7 @@ class DesignResult(Result):
         self.files = write(self.designed, path)
         if self._autopilot is not None and self.ok:
             scenario = self.designed.scenario
-            self.files["parameters"] = write_parameters(self._autopilot, scenario, self.files["controller"])
+            self.files |= write_parameters(self._autopilot, scenario, self.files["controller"])
         return self
 
     def to_dict(self) -> dict[str, Any]:
@@ -279,22 +279,24 @@ def firmware_for(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firm
     return Firmware(autopilot, common_angle=True, output_delay=0 if vehicle.servo is None else 1)
 
 
-def write_parameters(autopilot: str, scenario: Scenario, controller: Path) -> Path:
-    """Write the parameter file beside the controller file that was designed for a scenario, and return its path.
+def write_parameters(autopilot: str, scenario: Scenario, controller: Path) -> dict[str, Path]:
+    """Write the parameter files beside the controller file that was designed for a scenario, and return their paths.
 
-    For ArduPilot the mixer of tilting banks, a script, is written beside it.  Raises FlightError.
+    For ArduPilot the mixer of tilting banks, a script, is written beside them.  Raises FlightError.
     """
-    from cosim.autopilots.firmware_parameters import format_firmware_parameters, format_mixer_script
+    from cosim.autopilots.firmware_parameters import DESIGN_FILES, format_firmware_parameters, format_mixer_script
     from cosim.simulation.controllers.controller_file import apply_controller
 
     flown = apply_controller(scenario, controller)
     vehicle, _ = flown.resolved_vehicle()
-    path = controller.with_suffix(".txt" if autopilot == "betaflight" else ".params" if autopilot == "px4" else ".parm")
-    with map_os_errors(FlightError, path):
-        path.write_text(format_firmware_parameters(autopilot, flown, flown.step_s))
+    files = DESIGN_FILES[autopilot]
+    paths = {name: controller.with_suffix(suffix) for name, (_, suffix) in files.items()}
+    with map_os_errors(FlightError, controller):
+        for name, (target, _) in files.items():
+            paths[name].write_text(format_firmware_parameters(autopilot, flown, flown.step_s, target))
         if autopilot == "ardupilot" and vehicle.servo is not None:
-            path.with_suffix(".lua").write_text(format_mixer_script(vehicle))
-    return path
+            controller.with_suffix(".lua").write_text(format_mixer_script(vehicle))
+    return paths
 
 
 def prepare(out: Path) -> None:

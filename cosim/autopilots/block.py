@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from math import inf, radians
 
 import numpy as np
@@ -61,7 +61,8 @@ class AutopilotBlock:
     The time of ``handling`` passes between the autopilot's first frame and the flight's first step.  In it the vehicle
     stands in a stand as it begins the flight: level or not, still, on its engines of a flight that has begun; the
     autopilot calibrates and is armed.  ``rows``: what it answered in the flight, step by step.
-    ``truth``: the true motion, for the autopilot's own log.  ``stand``: the sensors before the flight.
+    ``truth``: the true motion, for the autopilot's own log.  ``silent``: the sensors that are out.
+    ``stand``: the sensors before the flight.
     ``rates``: flies in the place of its rate loop.  ``hold_from``: second of the flight from which it holds its place.
     """
 
@@ -82,6 +83,7 @@ class AutopilotBlock:
         self.shown: tuple[float, ...] = (0.0, 0.0)
         self._frames = 0
         self.truth: Callable[[], State] | None = None
+        self.silent: Callable[[], Collection[str]] = tuple
         self.stand: StationarySensors | None = None
 
     def prepare(self, belief: Belief) -> None:
@@ -144,6 +146,7 @@ class AutopilotBlock:
             sticks,
             spool,
             None if self.truth is None else self.truth(),
+            self.silent(),
         )
         answer = self.autopilot.exchange(frame)
         self._frames += 1

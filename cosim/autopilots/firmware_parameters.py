@@ -26,6 +26,20 @@ from cosim.simulation.controllers.models import make_scenario_belief
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
+# The files of a design: of each the target, and what follows the stem of the controller file's name.
+DESIGN_FILES: dict[str, dict[str, tuple[str, str]]] = {
+    "betaflight": {"parameters": ("sitl", ".txt")},
+    "px4": {"board_parameters": ("board", ".board.params"), "stand_parameters": ("sitl", ".stand.params")},
+    "ardupilot": {"parameters": ("sitl", ".parm")},
+}
+TARGET_NOTES = {
+    "sitl": ("For the stand, hexjet sitl px4, and for no board: it has the radio's mapping and all flight modes.",),
+    "hil": ("For a board in the loop, and for none that flies: it has the radio's mapping and all flight modes.",),
+    "board": (
+        "For a board that flies: its radio, modes and checks stay as they are. IMU_GYRO_CUTOFF makes its raw gyro as",
+        "late as the vehicle's, with which the gains were designed; where it is not here the vehicle states no filter.",
+    ),
+}
 _AROUND_HOVER = 0.03  # of thrust, either way, over which a throttle's slope is taken; chosen by us
 
 
@@ -89,7 +103,7 @@ def format_firmware_parameters(autopilot: str, scenario: Scenario, step: float, 
         return "\n".join(lines) + "\n"
     is_px4 = autopilot == "px4"
     parameters = list_px4_parameters(scenario, step, target) if is_px4 else ardupilot_parameters(vehicle, step)
-    return parameter_file(autopilot, parameters)
+    return parameter_file(autopilot, parameters, TARGET_NOTES[target] if is_px4 else ())
 
 
 def format_mixer_script(vehicle: Vehicle) -> str:

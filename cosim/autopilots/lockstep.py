@@ -8,7 +8,7 @@ import re
 import socket
 import subprocess
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -60,6 +60,7 @@ class SensorFrame(NamedTuple):
     sticks: StickPositions
     spool: PerJet = ()  # rad/s, where the engines report it
     truth: State | None = None  # true state for the autopilot's log; no estimator reads it
+    silent: Collection[str] = ()  # sensors that are out: what stands above of them is what they said last
 
 
 class ActuatorOutputs(NamedTuple):
@@ -133,6 +134,22 @@ class Autopilot(Protocol):
         """End it; may be called twice."""
 
 
+# Of PX4 (PARAM_NAME_MAX of its generator) and of ArduPilot (AP_MAX_NAME_SIZE): sixteen characters.  What is in a name
+# goes into environments, scripts and files of other programs.
+PARAMETER_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
+
+
+def check_words(parameters: Iterable[str], lines: Iterable[str]) -> None:
+    """Raise InputError for a name that no parameter can have, and for a console's line that is more than one."""
+    for name in parameters:
+        if not PARAMETER_NAME.fullmatch(name):
+            allowed = "a capital letter, then capital letters, digits and _, sixteen characters at most"
+            raise InputError(f"parameter {name[:80]!r}: is no name of one; allowed: {allowed}")
+    for line in lines:
+        if not line.isprintable():
+            raise InputError(f"line {line[:80]!r}: has control characters; allowed: one line of the console")
+
+
 def describe_unknown(names: Sequence[str], existing: Collection[str], program: str) -> str:
     """Return the words that refuse names of parameters that a program does not have, with the nearest that exists."""
     closest = get_close_matches(names[0], sorted(existing), n=1)
@@ -193,12 +210,12 @@ def find_configured_program(binary: Path | None, variable: str) -> Path | None:
 
 
 def check_program(path: Path, where: str) -> Path:
-    """Return the absolute path of a program.  Raises InputError for what is no program."""
+    """Return the program itself, behind links: its files stand beside it.  Raises InputError for what is no program."""
     if not path.is_file():
         raise InputError(f"{where}: {path}: no such file")
     if not os.access(path, os.X_OK):
         raise InputError(f"{where}: {path}: is no program: it may not be executed")
-    return path.absolute()
+    return path.resolve()
 
 
 def listen(kind: socket.SocketKind, port: int, what: str, option: str) -> socket.socket:

@@ -8,13 +8,14 @@ sources; what was flown with the programs stands in docs/autopilots.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from math import degrees, isfinite, nan, pi
+from collections.abc import Mapping, Sequence
+from math import degrees, isfinite, nan, pi, sqrt
 from pathlib import Path
 
 import numpy as np
 
 from cosim.autopilots.ardupilot import HANDLING
+from cosim.autopilots.lockstep import PARAMETER_NAME
 from cosim.base.errors import InputError
 from cosim.base.limits import clip
 from cosim.base.signals import AXES, Vector3
@@ -151,11 +152,20 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
         f"MC_{axis.upper()}RATE_MAX": degrees(limit)
         for axis, limit in zip(AXES, control.attitude.rate_limit_rad_s, strict=True)
     }
-    parameters |= {"IMU_GYRO_CUTOFF": 0.0, "MC_AIRMODE": 1.0}  # the gyro of the vehicle is filtered already
-    parameters |= {"MC_YAW_TQ_CUTOFF": 0.0, "MC_REF_W_N": 200.0}
+    parameters |= {"MC_AIRMODE": 1.0, "MC_YAW_TQ_CUTOFF": 0.0, "MC_REF_W_N": 200.0}
     if control.rate.roll.d:
         parameters["IMU_DGYRO_CUTOFF"] = 1.0 / (2.0 * pi * control.rate.roll.d_filter_s)
     return parameters
+
+
+def find_gyro_cutoff(vehicle: Vehicle) -> float | None:
+    """Return the cutoff [Hz] at which an autopilot's filter of a raw gyro is as late as the vehicle's own gyro filter.
+
+    Theirs is a Butterworth filter of second order, whose delay well below its cutoff ``f`` is ``sqrt(2) / (2 pi f)``;
+    the vehicle's, of first order, is ``filter_s`` late, with which its gains were designed.  None: it has none.
+    """
+    filter_s = vehicle.sensors.gyro.filter_s
+    return sqrt(2.0) / (2.0 * pi * filter_s) if filter_s > 0.0 else None
 
 
 def px4_outputs(vehicle: Vehicle, prefix: str = "PWM_MAIN") -> dict[str, float]:
@@ -191,11 +201,14 @@ PX4_TARGETS = ("sitl", "hil", "board")
 def px4_target(vehicle: Vehicle, step: float, target: str) -> dict[str, float]:
     """Return all of PX4's parameters for its SITL, for a board in the loop, or for a board that flies.
 
-    A board that flies keeps its own radio; a name that the target does not have is an error to PX4.
+    A board that flies keeps its own radio and modes, and filters its gyro as the vehicle's is, or as PX4 ships; what a
+    simulation sends is filtered already.  A name that the target does not have is an error to PX4.
     """
     parameters = px4_parameters(vehicle) | px4_outputs(vehicle, "HIL_ACT" if target == "hil" else "PWM_MAIN")
     if target == "board":
-        return parameters
+        cutoff = find_gyro_cutoff(vehicle)
+        return parameters if cutoff is None else parameters | {"IMU_GYRO_CUTOFF": cutoff}
+    parameters["IMU_GYRO_CUTOFF"] = 0.0
     late = round(1e3 * step * vehicle.sensors.gnss.latency_samples)  # ms; a fraction to the older name
     parameters |= px4_link(step) | {"EKF2_GPS_DELAY": float(late), "SENS_GPS0_DELAY": late}
     return parameters | ({"SDLOG_PROFILE": _EVERY_SAMPLE} if target == "sitl" else {})
@@ -378,7 +391,7 @@ def read_parameters(path: Path) -> dict[str, float]:
             value = float(words[1])
         except (IndexError, ValueError):
             value = nan
-        if not words[0].isidentifier() or not isfinite(value):
+        if not PARAMETER_NAME.fullmatch(words[0]) or not isfinite(value):
             raise InputError(f"{path}: line {number}: {line.strip()!r}: must be a name and a number, a finite one")
         parameters[words[0]] = value
     return parameters
@@ -413,9 +426,12 @@ NOTES = {
 }
 
 
-def parameter_file(autopilot: str, parameters: Mapping[str, float]) -> str:
-    """Return parameters as ground stations read them: for PX4 ids, name, value and type, else name and value."""
-    lines = [f"# {line}" for line in NOTES[autopilot]]
+def parameter_file(autopilot: str, parameters: Mapping[str, float], notes: Sequence[str] = ()) -> str:
+    """Return parameters as ground stations read them: for PX4 ids, name, value and type, else name and value.
+
+    ``notes``: lines of comment before those on the autopilot.
+    """
+    lines = [f"# {line}" for line in (*notes, *NOTES[autopilot])]
     for name, value in sorted(parameters.items()):
         if autopilot == "px4":
             whole = float(value).is_integer() and not _is_real(name)

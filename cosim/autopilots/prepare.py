@@ -14,7 +14,7 @@ from typing import Any
 from cosim.autopilots import ardupilot, betaflight, px4
 from cosim.autopilots.block import AutopilotBlock, ExternalRateLoop
 from cosim.autopilots.firmware_parameters import list_px4_parameters, vehicle_in_throttle
-from cosim.autopilots.lockstep import LOCAL, Autopilot, StartTiming, find_configured_program
+from cosim.autopilots.lockstep import LOCAL, Autopilot, StartTiming, check_words, find_configured_program
 from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
     PX4_OF_SOME_RELEASES,
@@ -35,7 +35,7 @@ from cosim.base.signals import Vector3
 from cosim.base.trust import code_of, need_trust
 from cosim.simulation.controllers.models import make_scenario_belief
 from cosim.spec.controller_name import is_design
-from cosim.spec.scenario import Scenario
+from cosim.spec.scenario import Scenario, SensorBias, SensorDropout
 
 INSTANCE_PORTS = 32_760  # the first of the ports that stand for a number; chosen by us, nobody's
 MOST_INSTANCES = 250  # numbers: as many instances as hexjet sitl takes
@@ -44,6 +44,14 @@ PROGRAMS = {"px4": "px4", "ardupilot": "arducopter"}  # names by which they are 
 BUILDS = {  # how their makers build them, and where they say so
     "px4": "make px4_sitl; docs.px4.io, Building PX4 Software",
     "ardupilot": "./waf configure --board sitl && ./waf copter; ardupilot.org/dev, Building the code",
+}
+# Faults of sensors that do not reach an autopilot as what they are, and why.
+_OWN_ATTITUDE = "PX4 estimates its attitude by itself; allowed: gyro, gnss, barometer"
+_NO_POSITION = "Betaflight is told no position; allowed: gyro, attitude, and barometer, which its pilot has"
+_UNTOLD: dict[str, dict[tuple[str, str], str]] = {
+    "betaflight": dict.fromkeys([("gnss", "sensor_dropout"), ("gnss", "sensor_bias")], _NO_POSITION),
+    "px4": dict.fromkeys([("attitude", "sensor_dropout"), ("attitude", "sensor_bias")], _OWN_ATTITUDE),
+    "ardupilot": {},
 }
 PORT_SPACING = 20  # ports of Betaflight from one instance to the next: fourteen are one's
 
@@ -66,6 +74,9 @@ class Setup:
     defaults: Path | None = None  # ArduPilot: its parameters; None: those made from the vehicle
     channels: Sequence[str] = ()  # ArduPilot: NUMBER=PULSE or NUMBER=PULSE@SECONDS, beside the sticks
     station: int | None = None  # ArduPilot: the UDP port of this machine to which it talks MAVLink
+
+    def __post_init__(self) -> None:
+        check_words(self.parameters, self.lines)
 
 
 @dataclass(frozen=True)
@@ -129,7 +140,7 @@ def find_program(name: str, binary: Path | None) -> Path | None:
         return betaflight.find_program(binary)
     found = find_configured_program(binary, VARIABLES[name])
     if found is None and (on_path := which(PROGRAMS[name])) is not None:
-        found = Path(on_path).absolute()
+        found = Path(on_path).resolve()
     return found
 
 
@@ -167,8 +178,16 @@ def prepare(
             f"controller = {scenario.controller}: {name} flies in the place of the controller; the gains of a design "
             f"go into it by --gains {scenario.controller}"
         )
+    _check_faults(name, scenario)
     make = {"betaflight": _betaflight, "px4": _px4, "ardupilot": _ardupilot}[name]
     return make(scenario, folder / name, program, setup, rates)
+
+
+def _check_faults(name: str, scenario: Scenario) -> None:
+    """Raise InputError for the fault of a sensor that would not reach the autopilot as what it is."""
+    for index, fault in enumerate(scenario.fault):
+        if isinstance(fault, SensorBias | SensorDropout) and (untold := _UNTOLD[name].get((fault.sensor, fault.kind))):
+            raise InputError(f"{name}: fault.{index}: {fault.kind} of {fault.sensor}: {untold}")
 
 
 def _betaflight(

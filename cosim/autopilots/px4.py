@@ -62,7 +62,7 @@ _START_S = 60.0  # time limit of its connection, for a start on a busy machine
 _MOST_NOISE = 64  # bytes without MAVLink after which the connection is refused as no PX4
 _ACCEPT_EVERY = 16  # frames between two checks for a second connection
 _UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
-_SINCE_1_17 = "MAN_DEADZONE"
+_SINCE_1_17 = "MAN_DEADZONE"  # is told to every PX4
 _KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver_sw_release; 255: a release
 _END_S = 0.5  # wall-clock time that a process may take to end behind its connection
 _BOOT_TIMEOUT = 0.02  # s of the clock for an answer before there was one
@@ -83,13 +83,9 @@ def check_unknown_parameters(log: Path, parameters: Collection[str], optional: C
     """
     printed = dict.fromkeys(_UNKNOWN.findall(log.read_text(errors="replace")))
     unknown = [name for name in printed if name in parameters and name not in optional]
-    if _SINCE_1_17 in unknown:
-        raise InputError(
-            "px4: this PX4 is older than 1.17, which is the first that is flown: until then its yaw stick turned a "
-            f"heading that it held by itself (parameter {_SINCE_1_17} is missing; {log})"
-        )
     if unknown:
-        raise InputError(f"px4: {describe_unknown(unknown, set(parameters) - set(unknown), 'PX4')} (--param; {log})")
+        words = describe_unknown(unknown, set(parameters) - set(unknown), "PX4")
+        raise InputError(f"px4: {words} (--param; {log}); the first PX4 that is flown is 1.17")
 
 
 def describe_version(facts: Mapping[str, str | int]) -> str:
@@ -145,16 +141,14 @@ class Px4(Sitl):
         self._server = self._begin(socket.SOCK_STREAM, port)
         if self._binary is not None:
             environment = {"PX4_SYS_AUTOSTART": "10016", "PX4_SIM_MODEL": "none_iris", "HEADLESS": "1"}
-            # nine digits, as many as its single precision tells apart
-            values = {name: f"{value:.9g}" for name, value in self._parameters.items()}
-            environment |= {f"PX4_PARAM_{name}": value for name, value in values.items()}
+            # Nine digits are as many as its single precision tells apart.
+            environment |= {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in self._parameters.items()}
             startup = str(self._binary.parent.parent / "etc")
-            # an absolute folder: it is started there, and would look for a relative one below it
+            # The folder is absolute: it is started there, and would look for a relative one below it.
             folder = str(self._folder.absolute())
-            # before 1.17 it read them from a file that it found on the path, and was silent about the environment's
-            lines = "".join([f"param set {name} {value}\n" for name, value in values.items()])
-            (self._folder / "px4-rc.params").write_text(lines)
-            environment["PATH"] = f"{folder}{os.pathsep}{os.environ.get('PATH', os.defpath)}"
+            # An older PX4 reads this file from the path and not the environment; this line of it says so, as an error.
+            (self._folder / "px4-rc.params").write_text(f"param set {_SINCE_1_17} 0\n")
+            environment["PATH"] = f"{os.environ.get('PATH', os.defpath)}{os.pathsep}{folder}"
             command = [str(self._binary), "-d", "-i", str(self._instance), "-w", folder, startup]
             self._program = Program(command, self._folder, log, environment)
         timer = AnswerTimer(self.name, _START_S, self._program, f"did not connect to port {port}")
@@ -272,7 +266,7 @@ class Px4(Sitl):
         if frame.sticks != self._last_sticks or k % self._sticks_every == 0:
             self._last_sticks = frame.sticks
             parts.append(self._stick_message(frame))
-        if k % self._fix_every == 0:
+        if k % self._fix_every == 0 and "gnss" not in frame.silent:
             parts.append(self._gnss_message(frame, now))
         for index, spool in enumerate(frame.spool if k % self._baro_every == 0 else ()):
             if spool == spool:
@@ -285,7 +279,7 @@ class Px4(Sitl):
         if k % self._mag_every == 0:
             fields |= _MAG
             magnetic = to_body_field(self.field, frame.attitude)
-        if k % self._baro_every == 0:
+        if k % self._baro_every == 0 and "barometer" not in frame.silent:
             fields |= _BARO
             pascal, kelvin = standard_air(self._place.ground + frame.altitude)
             pressure, temperature = 0.01 * pascal, kelvin - 273.15

@@ -165,7 +165,7 @@ def fly_autopilot(
             autopilot.start()
             recording = record(simulation, folder)
             vehicle = simulation.vehicle
-            block.truth = lambda: simulation.state
+            block.truth, block.silent = lambda: simulation.state, lambda: simulation.sensors.silent
             environment, state = scenario.environment, simulation.state
             local_gravity = gravity(environment.latitude_deg, environment.ground_m + state.altitude)
             block.stand = StationarySensors(

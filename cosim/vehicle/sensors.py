@@ -261,11 +261,13 @@ class FaultySensors:
     """The sensors with faults on what they give out: a bias is added to it, a dropout repeats the last of it.
 
     The bias of the attitude is a small rotation about the body axes; of the GNSS, of position and of velocity.
+    ``silent``: the sensors of which the last sample only repeats what they said before.
     """
 
     def __init__(self, sensors: Sensors) -> None:
         self.inner: SensorSuite | Sensors = sensors  # sound
         self._faults: list[tuple[SensorFault, Measured]] = []
+        self.silent: tuple[str, ...] = ()
 
     def begin(self, fault: SensorFault, last: Measured) -> None:
         """Start ``fault`` at the next sample; ``last`` is the sample before it."""
@@ -276,11 +278,12 @@ class FaultySensors:
         self._faults = [entry for entry in self._faults if entry[0] is not fault]
 
     def reset(self, state: State) -> Measured:
-        self._faults = []
+        self._faults, self.silent = [], ()
         return self.inner.reset(state)
 
     def sample(self, state: State) -> Measured:
         measured = self.inner.sample(state)
+        self.silent = tuple([fault.sensor for fault, _ in self._faults if isinstance(fault, SensorDropout)])
         for fault, last in self._faults:
             measured = (
                 _freeze(measured, fault.sensor, last) if isinstance(fault, SensorDropout) else _shift(measured, fault)

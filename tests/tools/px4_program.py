@@ -9,6 +9,7 @@ It connects to port 4560 + N and is told of HIL_SENSOR, and what is hard for a s
 * what the gyro says before arming is its bias from then on;
 * the throttle is held down for ``COM_SPOOLUP_TIME`` after arming and comes up at 50 %/s;
 * mid-stick is the hover throttle, yaw has a dead zone and is bent, channels have ends and a middle of their own;
+* without a fix for some seconds it holds no place: it says so, and leans no more;
 * its mixer takes what a tilt does from ``CA_SV_TLn_TD`` and the side of its rotors alone, wherever these stand in height;
 * all numbers are of single precision.
 
@@ -40,6 +41,7 @@ BOOT = 9  # samples before the first answer
 ESTIMATOR_S = 2.0  # from then on answers wait for it
 READY_S = 10.0  # before that it does not arm
 TAKEOFF_S = 30.198  # when it says that it has taken off
+BLIND_S = 5.0  # without a fix, from which on it lands blind
 HOLD_DEAD = 0.1  # MPC_HOLD_DZ: a stick within it is let go of
 SAME = 1e-6  # values that are nearer to each other are the same
 STALE = {"mag": 1000, "baro": 100}  # so many of the same in a row
@@ -172,7 +174,7 @@ class Loops:
         self.asked = np.zeros(3, np.float32)  # rates, of the attitude loop of the sample before
         self.most, self.thrust, self.turn, self.yaw_torque = 0.0, 0.0, 0.0, 0.0
         self.heading: float | None = None
-        self.position, self.model = Position(), Model()
+        self.position, self.model, self.blind = Position(), Model(), False
 
     def stick(self, channels: tuple[int, ...], name: str) -> float:
         """From -1 to 1, by the ends and the middle of its channel; 0 where no channel is named."""
@@ -213,6 +215,7 @@ class Loops:
         roll, pitch = full * self.stick(channels, "ROLL"), -full * self.stick(channels, "PITCH")
         if self.mode(channels) == 2:
             roll, pitch, self.thrust = self.position.hold(self.thrust, seen.yaw, throttle, dt)
+            roll, pitch = (0.0, 0.0) if self.blind else (roll, pitch)
         else:
             self.position.place = None
         towards = np.array([roll, pitch, seen.yaw if self.heading is None else self.heading])
@@ -291,11 +294,13 @@ class Position:
 
     def __init__(self) -> None:
         self.place: Array | None = None  # degrees of latitude and longitude at which it began
+        self.heard_us = 0  # of the last fix
         self.fix, self.speed = np.zeros(2), np.zeros(3)
         self.height = self.held = self.hover = self.lift = 0.0
         self.drift = np.zeros(2)
 
     def hear(self, told: Any) -> None:
+        self.heard_us = told.time_usec
         self.fix = 1e-7 * np.array([told.lat, told.lon])
         self.speed = 0.01 * np.array([told.vn, told.ve, told.vd])
 
@@ -386,6 +391,11 @@ class Px4Program:
             armed_s = 0.0 if self.armed_at is None else 1e-6 * (self.times[-1] - self.armed_at)
             self.loops.attitude(self.channels, self.seen, armed_s, every * dt)
         self._note(force)
+        if self.loops.position.place is not None and not self.loops.blind:
+            self.loops.blind = self.times[-1] - self.loops.position.heard_us > BLIND_S * 1e6
+            if self.loops.blind:
+                self.said.append((self.times[-1], "Failsafe: blind land"))
+                self.write()
         if self.times[-1] > TAKEOFF_S * 1e6 and len(self.said) == 1:
             self.said.append((self.times[-1], "Takeoff detected"))
             self.write()

@@ -33,6 +33,10 @@ class StudyAutopilot(Model):
         for key, owners in owned.items():
             if getattr(self, key) and self.name not in owners:
                 raise ValueError(f"{key}: allowed for {' and '.join(owners)}, and this is {self.name}")
+        if self.parameters or self.lines:
+            from cosim.autopilots.lockstep import check_words
+
+            check_words(self.parameters, self.lines)
         if self.channels:
             from cosim.autopilots.ardupilot import parse_channel
         for text in self.channels:

@@ -163,13 +163,50 @@ def test_it_holds_its_place_by_itself_once_the_switch_is_raised(hexjet: Hexjet) 
     assert np.abs(errors("altitude_m") - 10.0).max() < 0.3
 
 
+def test_a_lost_gnss_is_lost_to_px4(hexjet: Hexjet) -> None:
+    """What repeats is not sent on as a fix: it says that it is blind, 5 s after the last one, and chases no frozen place."""
+    Path("lost.toml").write_text(
+        'name = "lost"\nduration_s = 7\n[initial]\naltitude_m = 10\n'
+        '[[fault]]\nkind = "sensor_dropout"\nsensor = "gnss"\nstart_s = 1\n'
+    )
+    done = flown(hexjet, "--scenario", "lost.toml", "--hold", "0.5", "--set", 'engine="edf"')
+    assert open_run(Path("run")).summary.outcome == "completed", done.out + done.err
+    said = [event for event in list_events(open_run(Path("run"))) if "blind land" in event.text]
+    assert [event.time_s for event in said] == [pytest.approx(6.0, abs=0.2)]
+
+
+def test_a_px4_behind_a_link_starts_with_its_files(hexjet: Hexjet) -> None:
+    """As PX4's own package is laid out: /usr/bin/px4 is a link, and what it reads stands beside the program."""
+    program = installed(Path("opt/px4").absolute())
+    Path("px4").symlink_to(program)
+    instance = str(free_instance(range(100, 250), 4560, 1, socket.SOCK_STREAM))
+    done = hexjet("sitl", "px4", "--binary", "px4", "--instance", instance, "--out", "run", "--timeout", "60",
+                  "--set", "duration_s=0.5")  # fmt: skip
+    assert done.status == 0, done.out + done.err
+
+
+def test_a_px4_that_reads_a_file_in_the_place_of_its_environment_is_refused(hexjet: Hexjet) -> None:
+    """By the one line that the file has, whatever is stated: no name of a parameter is in it."""
+    program = installed(Path("older").absolute())
+    script = program.read_text().splitlines()
+    older = """param() { [ "$2" != MAN_DEADZONE ] || echo "ERROR [param] Parameter $2 not found."; }; . px4-rc.params"""
+    program.write_text("\n".join([script[0], older, script[1], ""]))
+    instance = str(free_instance(range(100, 250), 4560, 1, socket.SOCK_STREAM))
+    done = hexjet("sitl", "px4", "--binary", str(program), "--instance", instance, "--out", "run", "--param",
+                  "MC_ROLL_P=5")  # fmt: skip
+    assert done.status == 2
+    assert "parameter MAN_DEADZONE: this PX4 has none of that name" in done.err
+    assert done.err.strip().endswith("the first PX4 that is flown is 1.17")
+    assert Path("run/px4/px4-rc.params").read_text() == "param set MAN_DEADZONE 0\n"
+
+
 def test_what_is_not_to_be_had_is_one_line(hexjet: Hexjet) -> None:
     """A parameter's name that it does not have, by its own words; a design where no gains are taken from; no file."""
     done = flown(hexjet, "--param", "MC_ROLRATE_P=0.1", "--param", "MC_ROLL_P=5")
     assert done.status == 2
     assert done.err.strip() == (
         "hexjet: px4: parameter MC_ROLRATE_P: this PX4 has none of that name; did you mean MC_ROLLRATE_P? (--param; "
-        "run/px4/px4.log)"
+        "run/px4/px4.log); the first PX4 that is flown is 1.17"
     )
     assert not Path("run/scenario.toml").exists()
     for given, said in (

@@ -224,6 +224,21 @@ def test_px4_is_told_what_was_measured(tmp_path: Path) -> None:
     assert told["RAW_RPM"].frequency == pytest.approx(100.0 * 60.0 / (2.0 * pi))
 
 
+def test_px4_hears_nothing_of_a_sensor_that_is_out(tmp_path: Path) -> None:
+    """No fix and no pressure, where a frozen one would be a receiver with fourteen satellites; then they are back."""
+    with px4_pair(tmp_path, boot=0) as (ours, theirs):
+        for k in range(300):
+            silent = ("gnss", "barometer") if 100 <= k < 200 else ()
+            ours.exchange(frame(k, silent=silent))
+            if k == 150:
+                assert theirs.told["HIL_SENSOR"].fields_updated == 7 | 56 | 448
+            if k in (99, 199):
+                assert theirs.seen["HIL_GPS"] == 4
+        assert theirs.seen["HIL_GPS"] == 8
+        assert theirs.told["HIL_GPS"].fix_type == 3
+        assert theirs.seen["HIL_SENSOR"] == 300
+
+
 def px4_of(program: Path, folder: Path) -> Px4:
     instance = free_instance(range(1000, 40000), 4560, 1, socket.SOCK_STREAM)
     return Px4(program, folder, HEXJET, STEP, PLACE, px4.LaunchOptions(instance))

@@ -13,6 +13,7 @@ from places import DESIGNS
 from cosim.api.design import write_parameters
 from cosim.autopilots import ardupilot, betaflight, px4
 from cosim.autopilots import prepare as preparation
+from cosim.autopilots.firmware_parameters import TARGET_NOTES
 from cosim.autopilots.parameters import (
     ARDUPILOT_STICKS,
     ardupilot_parameters,
@@ -24,11 +25,12 @@ from cosim.autopilots.parameters import (
 )
 from cosim.autopilots.prepare import PORT_SPACING, PreparedAutopilot, Setup, find_program, require_program
 from cosim.base.errors import InputError
-from cosim.base.storage.toml import parse_numbers
+from cosim.base.storage.toml import parse_numbers, validate
+from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.simulation.controllers.controller_file import apply_controller
 from cosim.spec.scenario import Scenario
 
-PROGRAM = Path("/bin/true")  # is never started here
+PROGRAM = Path("/bin/true").resolve()  # is never started here
 HOVER = Scenario.load("hover")
 QUAD = HOVER.replace(aircraft="quadrotor", engine="motor", step_s=0.0025)
 
@@ -89,15 +91,24 @@ def test_what_is_printed_for_px4_is_what_it_flies_with(tmp_path: Path, hexjet: H
     """The throttle of hover too, which is the engines'; of a design's file it is that of the engine that it is for."""
     made = prepare("px4", HOVER, tmp_path, None, Setup())
     done = hexjet("sitl", "params", "px4")
-    assert done.out == parameter_file("px4", made.details["parameters"])
+    assert done.out == parameter_file("px4", made.details["parameters"], TARGET_NOTES["sitl"])
     controller = tmp_path / "mine.toml"
     shutil.copy2(DESIGNS / "edf-as-flown.toml", controller)
     heavy = HOVER.replace(engine="edf-as-flown", vehicle={"mass_kg": 7.0, "servo": {"range_rad": 0.2}})
-    lines = write_parameters("px4", heavy, controller).read_text().splitlines()
-    told = {line.split("\t")[2]: float(line.split("\t")[3]) for line in lines if line[0] != "#"}
+    files = write_parameters("px4", heavy, controller)
+    assert [path.name for path in files.values()] == ["mine.board.params", "mine.stand.params"]
+    board, told = (
+        {line.split("\t")[2]: float(line.split("\t")[3]) for line in path.read_text().splitlines() if line[0] != "#"}
+        for path in files.values()
+    )
     flown = apply_controller(heavy, controller)
     assert told["MPC_THR_HOVER"] > 1.05 * made.details["parameters"]["MPC_THR_HOVER"]
     assert told == pytest.approx(prepare("px4", flown, tmp_path, None, Setup()).details["parameters"])
+    stand_alone = ("RC", "COM_", "MAN_", "MPC_THR_CURVE", "MPC_MAN", "SDLOG", "IMU_INTEG", "EKF2", "SENS")
+    assert not [name for name in board if name.startswith(stand_alone)]
+    assert {name for name in told if not name.startswith(stand_alone)} == set(board)
+    assert board["IMU_GYRO_CUTOFF"] > 0.0
+    assert {name for name, value in board.items() if value != told[name]} == {"IMU_GYRO_CUTOFF"}
 
 
 def test_ardupilots_parameters_are_a_file_where_it_is_started_here(tmp_path: Path) -> None:
@@ -142,6 +153,57 @@ def test_a_file_of_ones_own_flies_with_the_sticks_that_are_sent(tmp_path: Path) 
     file.write_text("FRAME_CLASS,quad\n")
     with pytest.raises(InputError, match=r"mine\.parm: line 1: 'FRAME_CLASS,quad': must be a name and a number"):
         prepare("ardupilot", HOVER, tmp_path, PROGRAM, Setup(defaults=file))
+
+
+@pytest.mark.parametrize("name", ["MC-ROLLRATE-P", "MC ROLLRATE_P", "MC_YAW_P;id", "P\nid", "mc_yaw_p", "1P", "A" * 17])
+def test_a_name_that_no_parameter_can_have_is_refused_wherever_it_is_taken(
+    name: str, tmp_path: Path, hexjet: Hexjet
+) -> None:
+    """By a command, a study and a file: an autopilot passes over such a name, and a script that has it runs it."""
+    study = {"name": "px4", "parameters": {name: 3.0}}
+    for said in (
+        lambda: Setup(parameters={name: 3.0}),
+        lambda: validate(StudyAutopilot, study, "study.toml"),
+    ):
+        with pytest.raises(InputError, match=r"is no name of one; allowed: a capital letter, .* sixteen characters"):
+            said()
+    for autopilot in ("px4", "ardupilot"):
+        done = hexjet("sitl", autopilot, "--binary", str(PROGRAM), "--param", f"{name}=3")
+        assert (done.status, len(done.err.strip().splitlines())) == (2, 1), done.err
+        assert f"parameter {name!r}: is no name of one" in done.err
+    file = tmp_path / "mine.parm"
+    file.write_text(f"{name},3\n")
+    with pytest.raises(InputError, match=r"mine\.parm: line 1: .* must be a name and a number"):
+        read_parameters(file)
+
+
+def test_a_line_for_the_console_is_one_line() -> None:
+    for lines in (["set p_roll = 12\nset p_pitch = 1"], ["set p_roll = 12\x00"]):
+        with pytest.raises(InputError, match=r"line 'set p_roll = 12.*: has control characters; allowed: one line"):
+            Setup(lines=lines)
+        with pytest.raises(InputError, match="has control characters"):
+            validate(StudyAutopilot, {"name": "betaflight", "lines": lines}, "study.toml")
+
+
+@pytest.mark.parametrize(
+    ("name", "sensor", "kind", "said"),
+    [
+        ("px4", "attitude", "sensor_dropout", r"px4: fault\.1: sensor_dropout of attitude: PX4 estimates its attitude"),
+        ("px4", "attitude", "sensor_bias", r"px4: fault\.1: sensor_bias of attitude: PX4 estimates its attitude"),
+        ("betaflight", "gnss", "sensor_dropout", r"betaflight: fault\.1: sensor_dropout of gnss: .* no position"),
+    ],
+)
+def test_a_sensors_fault_that_does_not_reach_an_autopilot_is_refused(
+    name: str, sensor: str, kind: str, said: str, tmp_path: Path
+) -> None:
+    amount = {"bias": [0.1, 0.0, 0.0]} if kind == "sensor_bias" else {}
+    faults = [
+        {"kind": "sensor_dropout", "sensor": "barometer", "start_s": 1.0},
+        {"kind": kind, "sensor": sensor, "start_s": 1.0, **amount},
+    ]
+    with pytest.raises(InputError, match=said):
+        prepare(name, HOVER.replace(fault=faults), tmp_path, PROGRAM, Setup())
+    prepare(name, HOVER.replace(fault=faults[:1]), tmp_path, PROGRAM, Setup())
 
 
 @pytest.mark.parametrize("line", ["ATC_RAT_RLL_P nan", "ATC_RAT_RLL_P,-inf", ",3", "3 4"])
@@ -191,9 +253,13 @@ def test_a_program_is_found_on_the_path_behind_what_is_named(
     variable = f"{name.upper()}_SITL"
     monkeypatch.delenv(variable, raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert find_program(name, None) == require_program(name, None) == tmp_path / program
-    monkeypatch.setenv(variable, str(PROGRAM))
+    # Of a link the program itself is taken: PX4's package has one in /usr/bin, and its files beside the program.
+    assert find_program(name, None) == require_program(name, None) == PROGRAM
+    monkeypatch.setenv("PATH", "/nowhere")
+    monkeypatch.setenv(variable, str(tmp_path / program))
     assert find_program(name, None) == PROGRAM
+    monkeypatch.delenv(variable)
+    assert find_program(name, tmp_path / program) == PROGRAM
 
 
 @pytest.mark.parametrize("name", ["px4", "ardupilot", "betaflight"])

@@ -148,7 +148,8 @@ def test_a_name_of_another_release_is_missed_by_who_states_it_alone(tmp_path: Pa
     with pytest.raises(InputError, match="EKF2_GPS_DELAY: this PX4 has none of that name"):
         check_unknown_parameters(log, told, stated.optional)
     log.write_text("ERROR [param] Parameter MAN_DEADZONE not found.\n")
-    with pytest.raises(InputError, match=r"px4: this PX4 is older than 1\.17, which is the first that is flown"):
+    said = r"MAN_DEADZONE: this PX4 has none of that name.*; the first PX4 that is flown is 1\.17"
+    with pytest.raises(InputError, match=said):
         check_unknown_parameters(log, told, ours.optional)
 
 
@@ -162,11 +163,26 @@ def test_a_target_is_told_of_what_it_has(hexjet: Hexjet) -> None:
     assert (link <= set(sitl), link <= set(hil), link & set(board)) == (True, True, set())
     done = hexjet("sitl", "params", "px4", "--target", "board")
     assert done.status == 0
+    assert done.out.startswith("# For a board that flies")
     assert "PWM_MAIN_FUNC1\t101\t6" in done.out
     assert "RC_MAP" not in done.out
+    assert hexjet("sitl", "params", "px4").out.startswith("# For the stand")
     done = hexjet("sitl", "params", "ardupilot", "--target", "board", "--aircraft", "quadrotor")
     assert (done.status, "--target board: ardupilot has one set of parameters" in done.err) == (2, True)
     assert "IMU_INTEG_RATE\t400\t6" in hexjet("sitl", "params", "px4", "--rate", "400").out
+
+
+def test_a_board_filters_its_gyro_as_late_as_the_vehicles_is() -> None:
+    """By the analogue filter of second order that PX4 states, at a tenth of the vehicle's corner; and never with 0 Hz,
+    which switches it off.  What the stand sends is filtered already."""
+    vehicle = load_vehicle("hexjet")[0]
+    stand, board = (px4_target(vehicle, STEP, target) for target in ("sitl", "board"))
+    assert stand["IMU_GYRO_CUTOFF"] == 0.0
+    w, corner = 0.1 / vehicle.sensors.gyro.filter_s, 2.0 * np.pi * board["IMU_GYRO_CUTOFF"]
+    lag = np.arctan2(np.sqrt(2.0) * w / corner, 1.0 - (w / corner) ** 2)
+    assert lag / w == pytest.approx(vehicle.sensors.gyro.filter_s, rel=0.01)
+    plain = vehicle.sensors.model_copy(update={"gyro": vehicle.sensors.gyro.model_copy(update={"filter_s": 0.0})})
+    assert "IMU_GYRO_CUTOFF" not in px4_target(vehicle.model_copy(update={"sensors": plain}), STEP, "board")
 
 
 def test_the_yaw_stick_undoes_what_px4_bends() -> None:
