@@ -23,6 +23,8 @@ REMOVED: Final[Mapping[str, Removal]] = {
         "the live feed for Foxglove", "0.3.0", "hexjet export RUN --to mcap, which Foxglove opens"
     ),
     "hexjet open --port": Removal("the server of hexjet open", "0.3.0", "the page that hexjet open writes"),
+    ".ssp": Removal("a system of FMUs (SSP) as an engine", "0.3.0", "one FMU; OMSimulator and FMPy run systems"),
+    "parameter_set": Removal("a parameter set in a file of its own (SSV)", "0.3.0", "[parameters] of the mapping file"),
     "serial:": Removal("serial links", "0.3.0", "socat, which joins a serial device to a UDP port"),
 }
 

@@ -29,7 +29,7 @@ REMEMBERED = "trusted"  # file in the settings folder: lines as sha256sum writes
 _SHIPPED = ("aircraft", "engines", "fmus", "scenarios", "studies")
 _MOST_NAMED = 4  # files in a refusal
 _HASH = re.compile(r"[0-9a-f]{64}")
-_CODE = (".py", ".fmu", ".ssp")  # endings of files that are code by their names
+_CODE = (".py", ".fmu")  # endings of files that are code by their names
 _ENGINES = ("--engine", "--engine=")  # behind which a mapping file is an engine
 _BETWEEN = re.compile(r"[\s\"'\[\],=]+")  # names on a command line, also within KEY=["NAME"]
 

@@ -75,8 +75,6 @@ def _connect(
 
 def _check_engine(jet: int, spec: EngineSpec) -> None:
     where = f"export vehicle --to ssp: engine of jet {jet} ({spec.path.name})"
-    if spec.archive.system is not None:
-        raise InputError(f"{where}: is a system itself, which cannot be a component here")
     if len(spec.archive.engines) > 1:
         raise InputError(f"{where}: holds {len(spec.archive.engines)} engines, which are not components of their own")
     if spec.start is None:

@@ -16,7 +16,6 @@ from cosim.engine.fmu.starting import Ignition, StartError
 from cosim.engine.fmu.unpacked import UnpackedArchive, unpack
 from cosim.engine.response import ResponseError, settle
 from cosim.engine.spec import EngineSpec
-from cosim.engine.ssp.system_instance import make_instance
 
 
 def make_log_columns(specs: Sequence[EngineSpec], in_flight: bool = False) -> tuple[Column, ...]:
@@ -128,7 +127,7 @@ class EngineBank:
             if key not in self._folders:
                 self._folders[key] = unpack(spec.archive)
             try:
-                self._instances.append(make_instance(spec.archive, self._folders[key].path, _engine_numbers(group)))
+                self._instances.append(FmuInstance(spec.archive, self._folders[key].path, _engine_numbers(group)))
             except InstanceError as error:
                 raise EngineError(f"{label}: {error}") from error
 

@@ -10,7 +10,7 @@ import cosim.engine._bank as _bank
 from cosim.base.storage.cache import RecentCache
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive
-from cosim.engine.fmu.instance import InstanceError
+from cosim.engine.fmu.instance import FmuInstance, InstanceError
 from cosim.engine.fmu.starting import Setting
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.response import (
@@ -28,7 +28,6 @@ from cosim.engine.response import (
     settling_window,
 )
 from cosim.engine.spec import make_behaviour_key
-from cosim.engine.ssp.system_instance import make_instance
 
 SMALL_STEP_FROM, SMALL_STEP_SIZE = 0.5, 0.05  # throttle: about where an engine hovers, and away from its limits
 LEAST_CHANGE_OVER_REST = 5.0  # thrust change of a small step over the engine's own movement at rest
@@ -96,7 +95,7 @@ def _measure(
     small: bool,
 ) -> EngineMeasurement:
     with unpack(archive) as folder:
-        instance = make_instance(archive, folder, "measured")
+        instance = FmuInstance(archive, folder, "measured")
         try:
             instance.initialize(settings, 0.0, air, step=step)
             native = _bank.Bank([instance.make_row()], step)
@@ -157,7 +156,7 @@ def _starts_settled(
     curve, response = measured.curve, measured.response
     middle = len(curve.throttle) // 2
     throttle, thrust = curve.throttle[middle], curve.thrust[middle]
-    instance = make_instance(archive, folder, "started")
+    instance = FmuInstance(archive, folder, "started")
     try:
         port = archive.ports["start"]
         first = instance.initialize([*settings, (port.variable, port.value(throttle))], throttle, air, step=step)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from cosim.base.errors import InputError, nearest
+from cosim.base.removed import describe_removed
 from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.paths import data_folder
 from cosim.base.trust import Code
@@ -33,8 +34,6 @@ from cosim.engine.library import (
 )
 from cosim.engine.response import NO_CHANGE, Curve, SmallStep, trim_flat_ends
 from cosim.engine.rundown import FlameOutLaw
-from cosim.engine.ssp.structure import read_parameter_set
-from cosim.engine.ssp.system import SUFFIX, is_system, read_system
 
 Axis = TypeVar("Axis")
 Model = TypeVar("Model")
@@ -221,10 +220,6 @@ def build_engines(names: list[str] | None = None) -> list[Path]:
         raise InputError(str(error)) from error
 
 
-def _read(path: Path, ports: PortMap | None = None) -> Archive:
-    return read_system(path, ports) if is_system(path) else read_archive(path, ports)
-
-
 _definitions: RecentCache[EngineDefinition] = RecentCache(64)
 
 
@@ -262,7 +257,7 @@ def _refuse_misspelt_file(path: Path) -> None:
     """Raise InputError with the likeliest engine's file beside ``path``, where a name is that of a file."""
     from difflib import get_close_matches
 
-    files = [file.name for file in Path().iterdir() if file.suffix.lower() in (".fmu", SUFFIX)] if path.suffix else []
+    files = [file.name for file in Path().iterdir() if file.suffix.lower() == ".fmu"] if path.suffix else []
     if meant := get_close_matches(path.name, files, n=1):
         raise InputError(f"engine {path}: no such file; did you mean {meant[0]!r}?")
 
@@ -273,28 +268,27 @@ def find_source(name_or_path: str) -> EngineSource:
     Raises InputError for an unknown name (lists the known ones) or a file that cannot be used.
     """
     path = Path(name_or_path)
+    if removed := describe_removed(path.suffix.lower()):
+        raise InputError(f"engine {name_or_path}: {removed}")
     if is_mapping(path):
         _refuse_engine_not_left(path)
         mapping, fmu, ports = read_mapping(path)
         try:
-            archive = _read(fmu, ports)
+            archive = read_archive(fmu, ports)
         except InputError as error:
             raise InputError(f"{path}: {error}") from error
-        if mapping.parameter_set is not None:
-            stated = read_parameter_set(path.parent / mapping.parameter_set, archive)
-            mapping = mapping.model_copy(update={"parameters": stated | mapping.parameters})
         if mapping.uncertainty is not None:
             mapping.uncertainty.check_parameters(archive.parameters, archive.start, str(path))
         return EngineSource(path, archive, None, mapping)
-    if path.suffix.lower() in (".fmu", SUFFIX) or len(path.parts) > 1 or path.is_file():
-        return EngineSource(path, _read(path), None, _without_mapping(path.name))
+    if path.suffix.lower() == ".fmu" or len(path.parts) > 1 or path.is_file():
+        return EngineSource(path, read_archive(path), None, _without_mapping(path.name))
     name = name_or_path.removesuffix(FMI2_SUFFIX)
     folder = data_folder("engines") / name
     if not (folder / "engine.toml").is_file():
         _refuse_misspelt_file(path)
         allowed = nearest(name, list_engine_names())
         raise InputError(
-            f"unknown engine {name_or_path!r}; {allowed}, or the path of an .fmu or .ssp, or of a .toml that maps one"
+            f"unknown engine {name_or_path!r}; {allowed}, or the path of an .fmu, or of a .toml that maps one"
         )
     engine = _definition(folder)
     path = archive_path(data_folder("fmus"), name, 2 if name_or_path != name else 3)
@@ -328,9 +322,6 @@ def _definition(folder: Path) -> EngineDefinition:
 
 def check_whole_steps(archive: Archive, engine: EngineDefinition | None, step: float) -> None:
     """Raise InputError for a communication step that is no multiple of the engine's clocks and internal step."""
-    if archive.system is not None:
-        for component in archive.system.components:
-            check_whole_steps(component.archive, None, step)
     for clock in archive.clocks:
         if clock.count_substeps(step, archive.substeps(step)) is None:
             raise InputError(

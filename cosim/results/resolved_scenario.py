@@ -9,7 +9,6 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.engine import EngineSpec, load_engine
-from cosim.engine.spec import find_source
 from cosim.results.run import REQUESTS, RUN_FILES
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.plugins import Plugins
@@ -224,11 +223,8 @@ def engine_files(specs: Sequence[EngineSpec], files: dict[str, Path | bytes]) ->
 
 
 def _mapping(path: Path, archive: str) -> Path | bytes:
-    """Return a mapping file as it is, or written anew with this name of its archive and its parameter set's values."""
+    """Return a mapping file as it is, or written anew with this name of its archive."""
     table = read_toml(path)
-    if "parameter_set" in table:
-        del table["parameter_set"]
-        table["parameters"] = find_source(str(path)).mapping.parameters
-    elif table["fmu"] == archive:
+    if table["fmu"] == archive:
         return path
     return toml_text(table | {"fmu": archive}).encode()

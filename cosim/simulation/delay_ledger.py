@@ -160,7 +160,6 @@ class _Hover:
             *(unknown if later else []),
             (f"transport delay{how if how == MEASURED else ''}", owner, "transport", _mean(delays, shares)),
             (f"spool lag{how or at_pole}", owner, "lag", _mean(lags, shares)),
-            *_loops(engines),
             ("thrust of the step's end acts over all of it", "engines, then airframe", "exchange", -1.0),
         ]
 
@@ -219,20 +218,6 @@ def _beside(who: str, share: float, owner: str) -> list[tuple[str, str, str, flo
 def _said(rows: Sequence[tuple[str, str, str, float | None]]) -> str:
     samples = [row[3] for row in rows]
     return "?" if None in samples else f"{sum(value for value in samples if value is not None):.1f}"
-
-
-def _loops(engines: Sequence[EngineSpec]) -> list[tuple[str, str, str, float | None]]:
-    """Return a line without delay for each value that a system of FMUs exchanges a step late inside itself.
-
-    That delay is part of the engine's own response.
-    """
-    return [
-        (f"{text}, a step late in a loop: within the engine's own", f"engine {name}", "exchange", 0.0)
-        for name, late in {
-            spec.name: spec.archive.system.late_connections for spec in engines if spec.archive.system
-        }.items()
-        for text in late
-    ]
 
 
 def _owner(engines: Sequence[EngineSpec]) -> str:

@@ -32,7 +32,6 @@ _ENDINGS = {  # of files that are no TOML
     ".csv": "a table, not {}; it goes with hexjet replay FILE",
     ".fmu": "an FMU, not {}; it goes with --engine FILE",
     ".py": "a program, not {}; it goes with --controller FILE:CLASS",
-    ".ssp": "a system of FMUs, not {}; it goes with --engine FILE",
     ".ulg": "a log, not {}; it goes with hexjet replay FILE",
 }
 

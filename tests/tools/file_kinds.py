@@ -224,45 +224,6 @@ def _read_fmu(path: Path) -> None:
     read_archive(path)
 
 
-def _structure(folder: Path) -> Path:
-    """A structure of one component, which :func:`_read_structure` packs with an FMU; that is never loaded."""
-    from systems import CONNECTORS, line, structure
-
-    _fmu(folder)
-    text = structure(
-        (line("throttle", "core.throttle"), line("core.thrust", "thrust")), ("core",), connectors=CONNECTORS
-    )
-    (folder / "SystemStructure.ssd").write_text(text)
-    return folder / "SystemStructure.ssd"
-
-
-def _read_structure(path: Path) -> None:
-    from cosim.engine.ssp.system import read_system
-
-    with zipfile.ZipFile(path.with_name("x.ssp"), "w") as made:
-        made.writestr(path.name, path.read_bytes())
-        made.writestr("resources/core.fmu", path.with_name("engine.fmu").read_bytes())
-    read_system(path.with_name("x.ssp"))
-
-
-def _parameters(folder: Path) -> Path:
-    """A parameter set of an engine."""
-    _fmu(folder)
-    uri = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
-    value = '<ssv:Parameter name="delay_samples"><ssv:Real value="12"/></ssv:Parameter>'
-    units = '<ssv:Units><ssc:Unit xmlns:ssc="http://ssp-standard.org/SSP1/SystemStructureCommon" name="1"/></ssv:Units>'
-    text = f'<ssv:ParameterSet xmlns:ssv="{uri}" version="1.0" name="p"><ssv:Parameters>{value}</ssv:Parameters>{units}'
-    (folder / "set.ssv").write_text(f"{text}</ssv:ParameterSet>")
-    return folder / "set.ssv"
-
-
-def _read_parameters(path: Path) -> None:
-    from cosim.engine.fmu.archive import read_archive
-    from cosim.engine.ssp.structure import read_parameter_set
-
-    read_parameter_set(path, read_archive(path.with_name("engine.fmu")))
-
-
 def _mapping(folder: Path) -> Path:
     _fmu(folder)
     text = """fmu = "engine.fmu"
@@ -338,8 +299,6 @@ KINDS = {
     ),
     "model": Kind(_model_file, _model, text=True),
     "fmu": Kind(_fmu, _read_fmu),
-    "structure": Kind(_structure, _read_structure, text=True),
-    "parameters": Kind(_parameters, _read_parameters, text=True),
     "mapping": Kind(_mapping, _read_mapping, text=True),
     "description": Kind(_described_fmu, _read_described, text=True),
 }

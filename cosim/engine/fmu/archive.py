@@ -6,10 +6,10 @@ import hashlib
 import io
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree import ElementTree
 
 from cosim.base.errors import InputError
@@ -31,7 +31,7 @@ from cosim.engine.fmu.description import pack_descriptions, read_description
 from cosim.engine.fmu.mapping import PortMap
 from cosim.engine.fmu.port_kinds import SPEEDS
 from cosim.engine.fmu.ports import PortError, find_engines
-from cosim.engine.fmu.starting import Setting, StartSequence, resolve_start
+from cosim.engine.fmu.starting import StartSequence, resolve_start
 from cosim.engine.fmu.units import Unit
 from cosim.engine.fmu.variables import INTEGERS, REALS, Port, Variable
 from cosim.engine.library import ADAPTER, ADAPTER_GENERATED, GENERATION_TOOL, platform_folder
@@ -40,59 +40,6 @@ TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}
 LARGEST_ARRAY = 10_000  # elements that are listed one by one
 
 _archives: RecentCache[Archive] = RecentCache(64)
-
-
-class Feed(NamedTuple):
-    """Connection to a component's input: ``factor * value + offset`` of another component's output."""
-
-    component: int
-    variable: Variable
-    source: int  # the component
-    output: Variable
-    factor: float
-    offset: float
-    is_late: bool  # the value of the step's beginning, because the source is stepped later
-
-
-class ComponentVariable(NamedTuple):
-    """A variable of a system: that of a component, and on the way there or from there ``factor * value + offset``."""
-
-    component: int
-    variable: Variable
-    factor: float = 1.0
-    offset: float = 0.0
-
-
-@dataclass(frozen=True)
-class Component:
-    """A component of a system: an FMU in its archive."""
-
-    name: str
-    file: str
-    archive: Archive
-    settings: tuple[Setting, ...]
-
-
-@dataclass(frozen=True)
-class System:
-    """The components of a system in stepping order, and their connections.
-
-    ``targets``: by the reference of a variable of the system; an input may be several components'.
-    """
-
-    components: tuple[Component, ...]
-    feeds: tuple[Feed, ...]
-    targets: tuple[tuple[ComponentVariable, ...], ...]
-
-    @property
-    def late_connections(self) -> list[str]:
-        """Descriptions of the connections whose values are exchanged one step late."""
-        names = [component.name for component in self.components]
-        return [
-            f"{names[feed.source]}.{feed.output.name} to {names[feed.component]}.{feed.variable.name}"
-            for feed in self.feeds
-            if feed.is_late
-        ]
 
 
 @dataclass(frozen=True)
@@ -116,7 +63,6 @@ class Archive:
     starting: StartSequence = field(
         default_factory=StartSequence
     )  # what an instance goes through before it gives thrust
-    system: System | None = field(default=None, repr=False)  # None: one FMU, of which the rest says more
     equations_sha256: str | None = None  # see hash_equations; None if not of the library
     identifier: str = ""
     token: str = ""
@@ -131,7 +77,7 @@ class Archive:
 
     @property
     def ports(self) -> Mapping[str, Port]:
-        """Ports of the first engine; empty where the archive is a component of a system."""
+        """Ports of the first engine; empty where the archive was read without ports."""
         return self.engines[0] if self.engines else {}
 
     @property
@@ -162,29 +108,12 @@ def read_archive(path: Path, ports: PortMap | None = None) -> Archive:
 
     Raises InputError: one line with the file and what is wrong with it.
     """
-    return read_cached(path, ports, _archives, _read)
-
-
-def read_cached(
-    path: Path, ports: PortMap | None, cache: RecentCache[Archive], read: Callable[[Path, bytes, str, PortMap], Archive]
-) -> Archive:
-    """Return ``read`` of a file's path, bytes, SHA-256 and port map, taken from ``cache`` where possible.
-
-    Raises InputError with the file and what is wrong with it.
-    """
     try:
         port_map, data = ports or PortMap(), read_bytes(path)
         sha256 = hashlib.sha256(data).hexdigest()
-        return cache.get((path, sha256, repr(port_map)), lambda: read(path, data, sha256, port_map))
+        return _archives.get((path, sha256, repr(port_map)), lambda: _read(path, data, sha256, port_map))
     except UnusableError as reason:
         raise InputError(f"{path}: {reason}") from reason
-
-
-def list_libraries(archive: Archive) -> list[str]:
-    """Return the paths of this platform's libraries relative to the folder of an unpacked archive."""
-    if archive.system is None:
-        return [find_library(archive)]
-    return [f"{number}/{find_library(component.archive)}" for number, component in enumerate(archive.system.components)]
 
 
 def find_library(archive: Archive) -> str:
@@ -205,7 +134,7 @@ def validate(data: bytes) -> list[str]:
 
 
 def read_component(path: Path, data: bytes) -> Archive:
-    """Read an FMU as a component of a system, without engine ports; raise UnusableError if it cannot be used."""
+    """Read an FMU without engine ports; raise UnusableError if it cannot be used."""
     return _read(path, data, hashlib.sha256(data).hexdigest(), None)
 
 
@@ -233,7 +162,7 @@ def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Arc
         raise UnusableError(str(error)) from error
     without = (
         "the FMU has no event mode" if not cosimulation.hasEventMode
-        else "the components of a system are stepped without event mode" if port_map is None
+        else "an FMU without ports is read without event mode" if port_map is None
         else None
     )  # fmt: skip
     events, clocks, clock_notes = find_clocks(root, without, label_ports(engines))

@@ -175,7 +175,6 @@ class MappingFile(Model):
     ledger: _Ledger = Field(default_factory=_Ledger.model_construct)
     uncertainty: Uncertainty | None = None  # how well parameters are known, as identified
     log: Annotated[dict[str, VariableName], BeforeValidator(flatten)] = Field(default_factory=dict)  # column: output
-    parameter_set: str | None = Field(default=None, min_length=1)  # a file (SSV) beside it; [parameters] go before it
 
 
 _NO_START = _Start.model_construct()

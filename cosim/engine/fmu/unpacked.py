@@ -12,7 +12,7 @@ from pathlib import Path
 
 from cosim.base.errors import InputError
 from cosim.base.storage.scratch import scratch
-from cosim.engine.fmu.archive import Archive, list_libraries
+from cosim.engine.fmu.archive import Archive, find_library
 from cosim.engine.fmu.container import DAMAGE, UnusableError, Zip, read_bytes, to_one_line
 from cosim.engine.library import platform_folder
 
@@ -26,14 +26,9 @@ class UnpackedArchive:
     def __init__(self, archive: Archive, data: bytes) -> None:
         self.sha256 = archive.sha256
         self.path = Path(tempfile.mkdtemp(prefix="engine-", dir=scratch()))
-        self._libraries = [self.path / name for name in list_libraries(archive)]
+        self._library = self.path / find_library(archive)
         try:
-            if archive.system is None:
-                _extract(archive, data, self.path)
-            else:
-                with Zip(io.BytesIO(data)) as ssp:
-                    for number, component in enumerate(archive.system.components):
-                        _extract(component.archive, ssp.read(component.file), self.path / str(number))
+            _extract(archive, data, self.path)
         except BaseException:
             self.remove()
             raise
@@ -41,9 +36,9 @@ class UnpackedArchive:
 
     @property
     def is_untouched(self) -> bool:
-        """Whether the files are unchanged since unpacking and no library of theirs is loaded in this process."""
+        """Whether the files are unchanged since unpacking and their library is not loaded in this process."""
         try:
-            return not any(map(_is_loaded, self._libraries)) and hash_files(self.path) == self._contents
+            return not _is_loaded(self._library) and hash_files(self.path) == self._contents
         except OSError:
             return False
 

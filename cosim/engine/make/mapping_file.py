@@ -57,8 +57,6 @@ def begin_mapping(fmu: Path, out: Path | None = None) -> BegunMapping:
     suffix = fmu.suffix.lower()
     if suffix == ".toml":
         raise InputError(f"{fmu}: is a mapping file already; hexjet fmu check {fmu} says what it lacks")
-    if suffix == ".ssp":
-        raise InputError(f"{fmu}: is a system, whose connectors are its ports; hexjet fmu map takes one FMU")
     if suffix != ".fmu" and not fmu.exists():
         raise InputError(f"{fmu}: is no file; hexjet fmu map takes the FMU of an engine, FILE.fmu")
     try:

@@ -20,7 +20,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import EngineOutput
 from cosim.engine.bank import EngineBank
 from cosim.engine.fmu.air import STANDARD_AIR, Air
-from cosim.engine.fmu.archive import list_libraries, validate
+from cosim.engine.fmu.archive import find_library, validate
 from cosim.engine.fmu.container import note_unusual_names, read_bytes
 from cosim.engine.fmu.description import is_harmless_violation, read_description
 from cosim.engine.fmu.instance import FmuInstance, InstanceError
@@ -48,7 +48,6 @@ from cosim.engine.response import (
     settling_window,
 )
 from cosim.engine.spec import EngineSource, EngineSpec, find_source, resolve_parameters
-from cosim.engine.ssp.system_instance import make_instance
 
 Say = Callable[[dict[str, Any]], None]
 Findings = tuple[dict[str, Any], list[str]]  # entries of the report, and problems
@@ -104,7 +103,7 @@ class Trial:
     def instance(self, throttle: float = 0.0) -> Iterator[FmuInstance]:
         """Yield a new instance, initialized at a throttle and freed afterwards; report before each of these."""
         self.say({"at": "when it was instantiated"})
-        instance = make_instance(self.archive, self.folder, "checked")
+        instance = FmuInstance(self.archive, self.folder, "checked")
         try:
             self.initialize(instance, throttle)
             yield instance
@@ -197,11 +196,6 @@ def run_task(order: Mapping[str, Any], say: Say) -> None:
 def _validate(trial: Trial) -> Findings:
     trial.say({"at": "while its description was validated"})
     notes = note_unusual_names(trial.archive.path)
-    if trial.archive.system is not None:  # the components were validated when they were read
-        return {
-            "features": [f"{component.name}: {component.file}" for component in trial.archive.system.components],
-            "notes": notes,
-        }, []
     data = read_bytes(trial.archive.path)
     # an archive with harmless violations was validated when it was read
     complaints = [] if trial.archive.harmless_violations else validate(data)
@@ -227,10 +221,9 @@ def _features(description: Any) -> list[str]:
 
 
 def _load(trial: Trial) -> Findings:
-    """Load and unload the library, or those of a system's components one after the other."""
+    """Load and unload the library."""
     before = read_process_state()
-    for library in list_libraries(trial.archive):
-        _load_library(trial, trial.folder / library)
+    _load_library(trial, trial.folder / find_library(trial.archive))
     return {}, describe_changes(before)
 
 

@@ -65,8 +65,6 @@ def engine_table(result: GreyIdentification) -> dict[str, object]:
     table: dict[str, object] = dict(read_toml(spec.mapping)) if spec.mapping else {}
     known = table.get("parameters")
     parameters: dict[str, object] = dict(known) if isinstance(known, dict) else {}
-    if table.pop("parameter_set", None):  # a file beside the mapping, which stays there
-        parameters = {variable.name: value for variable, value in spec.settings}
     parameters |= dict(result.choices.settings)
     parameters |= dict(zip(result.choices.fitted, map(float, result.values[1:]), strict=True))
     names, deviations = list(result.choices.fitted), list(result.deviations[1:])

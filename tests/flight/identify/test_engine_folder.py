@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_tools import Hexjet
-from engine_tools import archive
 from known_benches import Truth, bench_log
-from systems import parameter_set
 
 from cosim.engine import load_engine
 from cosim.engine.response import find_curve_problems
@@ -96,17 +94,3 @@ def test_where_none_is_left_that_is_the_last_word(hexjet: Hexjet, tmp_path: Path
     assert done.status == 2
     line = f"{Path('mine', 'engine.toml')}: the identification left no engine; {Path('mine', 'report.html')} says why"
     assert line in done.err.replace(f"{tmp_path}/", "")
-
-
-def test_a_set_of_parameters_in_a_file_comes_along(hexjet: Hexjet, tmp_path: Path) -> None:
-    """The engine that is fitted has them from a file beside its mapping, which the folder that is left does not have."""
-    log_of(tmp_path, Truth())
-    (tmp_path / "hot.ssv").write_text(parameter_set({"offset": 5.0, "lag": 0.3}))
-    (tmp_path / "hot.toml").write_text(f'fmu = "{archive("fitted", 3)}"\nparameter_set = "hot.ssv"\n')
-    done = hexjet(
-        "identify", "bench", "bench.csv", "--engine", "hot.toml", "--fit", "lag", "--fit", "gain", "--out", "mine"
-    )
-    assert done.status == 0, done.out + done.err
-    engine = load_engine(str(tmp_path / "mine" / "engine.toml"), {}, 0.004)
-    assert engine.parameters["offset"] == 5.0
-    assert engine.parameters["lag"] == pytest.approx(0.4, abs=0.02)

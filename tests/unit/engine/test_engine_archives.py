@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 import zipfile
@@ -14,7 +13,6 @@ import fmpy
 import pytest
 from engine_tools import STEP
 from foreign_engines import foreign
-from systems import components, pack, structure
 
 from cosim import Scenario, fly
 from cosim.base.errors import InputError
@@ -95,14 +93,6 @@ def test_an_fmu_from_another_system_is_fit_and_flies(
     assert fly(hover, report=False).outcome == "completed"
 
 
-@pytest.mark.long
-def test_a_system_of_fmus_packed_on_windows_is_fit(tmp_path: Path) -> None:
-    path = with_backslashes(pack(tmp_path / "jet.ssp", structure(), components(tmp_path)))
-    report = check_fmu(str(path))
-    assert report.problems == []
-    assert told_of_names(report.notes, with_backslashes)
-
-
 def test_a_description_is_found_behind_backslashes(tmp_path: Path) -> None:
     """What an FMU of FMI 3.0 says of its sources too."""
     path = with_backslashes(foreign(tmp_path, "other", "lag=0.1"))
@@ -117,17 +107,6 @@ def test_what_a_system_keeps_for_itself_is_not_unpacked(tmp_path: Path) -> None:
     spec = load(with_system_files(foreign(tmp_path, "mac", "lag=0.1")))
     with unpack(spec.archive) as folder:
         assert [path.name for path in folder.rglob("*") if path.is_file()] == [f"foreign{fmpy.sharedLibraryExtension}"]
-
-
-def test_a_system_of_fmus_packed_elsewhere_flies(tmp_path: Path) -> None:
-    """Its parameter sets have companions that are no XML, for one."""
-    path = pack(tmp_path / "jet.ssp", structure(), components(tmp_path))
-    thrusts = []
-    changes = (with_system_files, with_backslashes)
-    for each in (path, *(change(Path(shutil.copy(path, tmp_path / f"{change.__name__}.ssp"))) for change in changes)):
-        with EngineBank(load(each), 1, STEP) as bank:
-            thrusts.append([bank.reset(0.5).thrust[0], *(bank.step(k, (1.0,)).thrust[0] for k in range(20))])
-    assert thrusts[0] == thrusts[1] == thrusts[2]
 
 
 def test_a_way_out_is_none_with_backslashes_either(tmp_path: Path) -> None:

@@ -202,8 +202,14 @@ def test_unknown_engine_lists_the_known_ones() -> None:
     assert refusal("turbo") == (
         "unknown engine 'turbo'; did you mean 'turbojet'? allowed: edf, edf-as-flown, fitted, jetcat-p300, motor, p220, "
         "p220-2025, "
-        "turbine-100, turbine-20, turbine-220, turbojet, or the path of an .fmu or .ssp, or of a .toml that maps one"
+        "turbine-100, turbine-20, turbine-220, turbojet, or the path of an .fmu, or of a .toml that maps one"
     )
+
+
+def test_a_system_of_fmus_is_told_as_what_left() -> None:
+    with pytest.raises(
+        InputError, match=r"jet.ssp: a system of FMUs \(SSP\) as an engine left in version 0.3.0; use one"
+    ):
 
 
 def test_a_misspelt_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,1 +1,0 @@
-"""A system of FMUs as one engine."""
