@@ -57,19 +57,17 @@ def _normalise_tilts(tilt: PerServo, ranges: tuple[tuple[float, float], ...]) ->
 
 
 def fuel_status(v: TelemetryState) -> list[Message]:
-    """Return kerosene in ml and ml/s, as MAVLink has liquid fuel, from mass and mass flow."""
-    full, fuel = v.vehicle.fuel_capacity, v.sample.fuel
-    if isnan(full) or isnan(fuel):
+    """Return kerosene in ml and ml/s, as MAVLink has liquid fuel, from mass and mass flow.
+
+    The tank's gauge measures what remains; what was consumed may not be made of it.
+    """
+    full, left = v.vehicle.fuel_capacity, v.remaining
+    if isnan(full) or left is None:
         return []
-    left = min(1.0, max(0.0, fuel / full))
     flow = sum(flow for flow in v.sample.engines.fuel_flow[: v.vehicle.jets])
     capacity, rate = (mass / KEROSENE * 1e6 for mass in (full, flow))
     percent = to_field(100.0 * left, 0, 100)
-    return [
-        mav.MAVLink_fuel_status_message(
-            0, capacity, (1.0 - left) * capacity, left * capacity, percent, rate, nan, _LIQUID
-        )
-    ]
+    return [mav.MAVLink_fuel_status_message(0, capacity, nan, left * capacity, percent, rate, nan, _LIQUID)]
 
 
 def _engines(v: TelemetryState) -> list[int]:
@@ -122,10 +120,11 @@ def efi_status(v: TelemetryState) -> list[Message]:
         flow = engines.fuel_flow[i] / KEROSENE * 1e6 * 60.0  # cm^3/min
         throttle = 100.0 * sample.actuation.throttle[i]
         load = 100.0 * engines.thrust[i] / full
+        burnt = v.events.burnt[i] / KEROSENE * 1e6 if v.events.burnt else nan  # cm^3
         exhaust = engines.exhaust_temperature[i] - KELVIN
         messages.append(
             mav.MAVLink_efi_status_message(
-                int(sample.health[i] > 0.0), float(i), engines.spool_speed[i] * _RPM, nan, flow, load, throttle,
+                int(sample.health[i] > 0.0), float(i), engines.spool_speed[i] * _RPM, burnt, flow, load, throttle,
                 nan, nan, nan, nan, nan, nan, nan, exhaust, throttle, nan, 0.0, 0.0,
             )
         )  # fmt: skip

@@ -25,6 +25,11 @@ class Stream:
     name: str
     rate: float
     make_messages: Build
+    in_turn: bool = False  # one message a slot, because stations have one gauge for all; all on request
+
+    def select(self, messages: list[Message], turn: int) -> list[Message]:
+        """Return those of its messages that go in a slot; ``turn``: the slots before."""
+        return [messages[turn % len(messages)]] if self.in_turn and messages else messages
 
 
 # Add a new stream at the end, because the time slots of each stream depend on its place in this list.
@@ -49,7 +54,7 @@ STREAMS = (
     Stream("BATTERY_STATUS", 1.0, telemetry.battery_status),
     Stream("AUTOPILOT_VERSION", 0.0, telemetry.autopilot_version),
     Stream("GPS_GLOBAL_ORIGIN", 0.0, telemetry.gps_global_origin),
-    Stream("EFI_STATUS", 1.0, engine_telemetry.efi_status),
+    Stream("EFI_STATUS", 2.0, engine_telemetry.efi_status, in_turn=True),
     Stream("ESTIMATOR_STATUS", 1.0, telemetry.estimator_status),
     Stream("WIND_COV", 1.0, telemetry.wind_cov),
     Stream("HOME_POSITION", 0.5, telemetry.home_position),
@@ -64,7 +69,7 @@ STREAMS = (
     Stream("ODOMETRY", 0.0, telemetry.odometry),
     Stream("RAW_RPM", 1.0, engine_telemetry.raw_rpm),
     Stream("DEBUG_FLOAT_ARRAY", 5.0, telemetry.predictor_array),
-    Stream("FUEL_STATUS", 1.0, engine_telemetry.fuel_status),
+    Stream("FUEL_STATUS", 0.1, engine_telemetry.fuel_status),
     Stream("ACTUATOR_OUTPUT_STATUS", 1.0, engine_telemetry.actuator_output_status),
     Stream("COMPONENT_INFORMATION_BASIC", 0.0, telemetry.component_information_basic),
     Stream("AVAILABLE_MODES", 0.0, telemetry.available_modes),

@@ -25,7 +25,7 @@ from cosim.groundstation.mavlink.telemetry_state import (
     to_mm,
 )
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
-from cosim.vehicle.atmosphere import standard_density
+from cosim.vehicle.atmosphere import standard_air, standard_density
 
 _GYRO, _ACCEL, _MAG, _BARO, _GPS = 1, 2, 4, 8, 32
 _RATE, _ATTITUDE, _YAW, _HEIGHT, _POSITION, _MOTORS = 1024, 2048, 4096, 8192, 16384, 32768
@@ -39,6 +39,8 @@ _CAPABILITIES = 2 | 4 | 8 | 32 | 64 | 128 | 256 | 2048 | 8192 | 16384 | 32768
 _BYTEWISE, _C_CAST = 16, 131072
 PARAMETER_ENCODING = {"px4": _BYTEWISE, "ardupilot": _C_CAST, "generic": 0}
 
+# HIGHRES_IMU_UPDATED_FLAGS: three axes each; absolute pressure and its height
+_FORCE_FIELDS, _GYRO_FIELDS, _BAROMETER_FIELDS = 0b111, 0b111_000, 1 << 9 | 1 << 11
 _LOCAL_NED, _BODY_FRD = 1, 12  # MAV_FRAME
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5  # MISSION_STATE
 
@@ -54,7 +56,7 @@ def heartbeat(v: TelemetryState) -> list[Message]:
 def sys_status(v: TelemetryState) -> list[Message]:
     status = v.status
     has_tank = not isnan(v.vehicle.fuel_capacity)
-    battery = 0 if has_tank or status.remaining is None else _BATTERY
+    battery = 0 if has_tank or v.remaining is None else _BATTERY
     present = _SENSORS | _GEOFENCE | _PREARM | _PROPULSION | battery
     # The fence is reported healthy and off, because MAVProxy treats an unhealthy fence as breached.
     enabled = present & ~_GEOFENCE
@@ -66,7 +68,7 @@ def sys_status(v: TelemetryState) -> list[Message]:
         mav.MAVLink_sys_status_message(
             present, enabled, health,
             0 if load is None else to_field(load * 1000.0, 0, 1000),
-            U16, -1, _percent(v) if battery else -1, 0, 0, 0, 0, 0, 0,
+            U16, -1, _percent(v), 0, 0, 0, 0, 0, 0,
         )
     ]  # fmt: skip
 
@@ -90,8 +92,7 @@ def _unhealthy(v: TelemetryState) -> int:
 
 
 def _percent(v: TelemetryState) -> int:
-    remaining = v.status.remaining
-    return -1 if remaining is None else to_field(100.0 * remaining, 0, 100)
+    return -1 if v.remaining is None else to_field(100.0 * v.remaining, 0, 100)
 
 
 def system_time(v: TelemetryState) -> list[Message]:
@@ -105,10 +106,10 @@ def gps_raw_int(v: TelemetryState) -> list[Message]:
     fixed = v.status.positioned
     speed = to_field(hypot(vn, ve) * 100.0, 0, U16 - 1) if fixed else U16
     course = to_field(degrees(atan2(ve, vn) % (2.0 * pi)) * 100.0, 0, 35999) if fixed else U16
-    height = to_mm(metres)
     return [
         mav.MAVLink_gps_raw_int_message(
-            v.us, 3 if fixed else 1, to_e7(lat), to_e7(lon), height, U16, U16, speed, course, U8, height,
+            # There is no geoid: 0 above the ellipsoid stands for an extension that is not sent.
+            v.us, 3 if fixed else 1, to_e7(lat), to_e7(lon), to_mm(metres), U16, U16, speed, course, U8, 0,
             to_field(vehicle.position_noise * 1e3, 0, I32), to_field(vehicle.position_noise * 1e3, 0, I32),
             to_field(vehicle.velocity_noise * 1e3, 0, I32), 0, 0,
         )
@@ -195,11 +196,9 @@ def altitude(v: TelemetryState) -> list[Message]:
 
 
 def battery_status(v: TelemetryState) -> list[Message]:
-    """Return the estimated charge of a vehicle's battery; with a tank, an avionics bus without measurements."""
-    has_tank = not isnan(v.vehicle.fuel_capacity)
-    function = 3 if has_tank else 1  # MAV_BATTERY_FUNCTION: avionics, all
-    voltages = [U16] * 10
-    percent = -1 if has_tank else _percent(v)
+    """Return what is left of a vehicle's tank or battery in per cent: stations show no other message of fuel."""
+    function = 1 if isnan(v.vehicle.fuel_capacity) else 2  # MAV_BATTERY_FUNCTION: all, propulsion
+    voltages, percent = [U16] * 10, _percent(v)
     return [mav.MAVLink_battery_status_message(0, function, 0, I16, voltages, -1, -1, -1, percent, 0, 0, [0] * 4, 0, 0)]
 
 
@@ -420,10 +419,14 @@ def odometry(v: TelemetryState) -> list[Message]:
 
 
 def highres_imu(v: TelemetryState) -> list[Message]:
-    """Return measured rates and specific force; the force is marked invalid without an accelerometer."""
-    force, rate = v.measured.specific_force, v.measured.rate
-    updated = 0b111_000 if isnan(force[2]) else 0b111_111
-    return [mav.MAVLink_highres_imu_message(v.us, *force, *rate, nan, nan, nan, nan, nan, nan, nan, updated, 0)]
+    """Return measured rates and specific force, and the barometer's height with its pressure in the standard air.
+
+    The force is marked invalid without an accelerometer.
+    """
+    force, rate, height = v.measured.specific_force, v.measured.rate, v.vehicle.geodesy.ground + v.measured.altitude
+    pressure = 0.01 * standard_air(height)[0]  # hPa
+    updated = _GYRO_FIELDS | _BAROMETER_FIELDS | (0 if isnan(force[2]) else _FORCE_FIELDS)
+    return [mav.MAVLink_highres_imu_message(v.us, *force, *rate, nan, nan, nan, pressure, nan, height, nan, updated, 0)]
 
 
 def hil_state_quaternion(v: TelemetryState) -> list[Message]:

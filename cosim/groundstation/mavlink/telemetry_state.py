@@ -50,10 +50,12 @@ class FlightEvents:
     took_off: int = 0
     landed_ms: int = 0  # simulation time
     flights: int = 0
+    burnt: tuple[float, ...] = ()  # kg, by each engine in this flight; NaN: no tank
     clock: Callable[[], float] = field(default=time.time)
 
     def update(self, before: TelemetryState | None, now: TelemetryState) -> None:
-        """Note arming, take-off and landing between two snapshots."""
+        """Note arming, take-off, landing and the fuel burnt between two snapshots."""
+        self._share_fuel(before, now)
         was, status = before.status if before else None, now.status
         if status.armed and not (was and was.armed):
             self.armed, self.took_off, self.landed_ms = self._now(), 0, 0
@@ -62,6 +64,17 @@ class FlightEvents:
             self.took_off = self._now()
         if was and status.landed is LandedState.ON_GROUND and was.landed is not LandedState.ON_GROUND:
             self.landed_ms = now.ms
+
+    def _share_fuel(self, before: TelemetryState | None, now: TelemetryState) -> None:
+        """Share what the tank has lost since the last snapshot among the engines, by the flow of each."""
+        flows, full = now.sample.engines.fuel_flow[: now.vehicle.jets], now.vehicle.fuel_capacity
+        spent, total = before.sample.fuel - now.sample.fuel if before else nan, sum(flows)
+        if not spent >= 0.0:
+            # The first snapshot, or a tank that was filled for another flight.
+            self.burnt = (0.0 * full,) * len(flows)
+        elif total > 0.0:
+            shares = zip(self.burnt, flows, strict=True)
+            self.burnt = tuple(burnt + spent * flow / total for burnt, flow in shares)
 
     def _now(self) -> int:
         return int(self.clock() * 1e6)
@@ -106,6 +119,12 @@ class TelemetryState:
             (roll[1], pitch[1], yaw[1]),
             (roll[2] * step, pitch[2] * step, yaw[2] * step),
         )
+
+    @property
+    def remaining(self) -> float | None:
+        """The fraction of a full tank or battery that is left; None: not known."""
+        full, fuel = self.vehicle.fuel_capacity, self.sample.fuel
+        return self.status.remaining if isnan(full) or isnan(fuel) else min(1.0, max(0.0, fuel / full))
 
     @property
     def altitude(self) -> float:

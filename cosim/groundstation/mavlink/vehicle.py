@@ -84,7 +84,7 @@ class MavlinkVehicle:
         self._events = FlightEvents()
         self._snapshot: Snapshot | None = None
         self._state: TelemetryState | None = None
-        self._text_count = 0
+        self._text_count = self._logged_turn = 0
         self._peers: list[Peer] = []
         self._now = link.now()
         self._is_lost = False
@@ -152,13 +152,14 @@ class MavlinkVehicle:
         if state is None:
             return now + 0.01
         for stream, peers in self._streams.iterate_due(now, self.link.peers):
-            packets: list[Message] = []
-            for message in stream.make_messages(state):
-                packed = self._pack(message)
-                if packed is not None:
-                    packets.append(packed)
-                    self.link.log_sent(packed)
+            made = [packed for message in stream.make_messages(state) if (packed := self._pack(message)) is not None]
+            logged = stream.select(made, self._logged_turn)
+            self._logged_turn += stream.in_turn
+            for packed in logged:
+                self.link.log_sent(packed)
             for peer in peers:
+                packets = stream.select(made, peer.turn)
+                peer.turn += stream.in_turn
                 for index, packed in enumerate(packets):
                     # The heartbeat is never replaced by a newer one, because it shows that the vehicle is connected.
                     if stream.name == "HEARTBEAT":

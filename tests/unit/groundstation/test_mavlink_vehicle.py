@@ -88,6 +88,10 @@ def test_place(desk: Desk) -> None:
     assert local == pytest.approx([3.0, 4.0, -10.0, 1.0, 0.5, -2.0])
     gps = fields(desk, "GPS_RAW_INT", "fix_type", "lat", "lon", "alt", "h_acc", "vel")
     assert gps == [3, round(lat * 1e7), round(lon * 1e7), 22000, 400, round(100 * 1.25**0.5)]
+    assert fields(desk, "GPS_RAW_INT", "alt_ellipsoid") == [0]  # not sent: there is no geoid
+    imu = fields(desk, "HIGHRES_IMU", "pressure_alt", "abs_pressure", "fields_updated")
+    # 22 m above the sea: 2.64 hPa below 1013.25; no accelerometer
+    assert imu == pytest.approx([22.0, 1010.61, 0b1010_0011_1000], abs=0.02)
     altitude = fields(desk, "ALTITUDE", "altitude_amsl", "altitude_local", "altitude_relative")
     assert altitude == pytest.approx([22.0, 10.0, 8.0])
     home = fields(desk, "HOME_POSITION", "latitude", "longitude", "altitude", "z", "q")
@@ -205,6 +209,7 @@ def test_what_engines_do_not_say_is_not_made_up() -> None:
 
 
 def test_energy_by_tank_or_by_battery(desk: Desk) -> None:
+    """No station shows FUEL_STATUS, so per cent of the tank go where all of them look."""
     fuel = fields(
         desk,
         "FUEL_STATUS",
@@ -217,8 +222,10 @@ def test_energy_by_tank_or_by_battery(desk: Desk) -> None:
     )
     # 2 kg when full, 1.5 kg left, six engines at 1 g/s: ml and ml/s of 0.808 kg/l, MAV_FUEL_TYPE_LIQUID
     full = 2.0 / 0.808 * 1e3
-    assert fuel == pytest.approx([full, 0.25 * full, 0.75 * full, 75, 0.006 / 0.808 * 1e3, 1])
-    assert fields(desk, "BATTERY_STATUS", "battery_remaining") == [-1]
+    # of what is consumed and what remains the gauge measures one, and the other may not be made of it
+    assert fuel == pytest.approx([full, nan, 0.75 * full, 75, 0.006 / 0.808 * 1e3, 1], nan_ok=True)
+    assert fields(desk, "BATTERY_STATUS", "battery_remaining", "battery_function") == [75, 2]
+    assert fields(desk, "SYS_STATUS", "battery_remaining") == [75]
     electric = TelemetryState(
         replace(ABOUT, fuel_capacity=nan), snapshot(sample(), status(remaining=0.4)), FlightEvents()
     )
@@ -305,7 +312,7 @@ def counted(bench: Bench, desk: Desk, seconds: float) -> Counter[str]:
 
 def test_every_message_has_its_rate(bench: Bench, desk: Desk) -> None:
     found = counted(bench, desk, 4.0)
-    several = {"NAMED_VALUE_FLOAT": 5, "ESC_STATUS": 2, "ESC_INFO": 2, "EFI_STATUS": 6, "RAW_RPM": 4}
+    several = {"NAMED_VALUE_FLOAT": 5, "ESC_STATUS": 2, "ESC_INFO": 2, "RAW_RPM": 4}
     # there is no target, no circle, and nothing pushes what stands
     silent = {"POSITION_TARGET_LOCAL_NED", "ORBIT_EXECUTION_STATUS", "WIND_COV"}
     for stream in STREAMS:
@@ -314,6 +321,35 @@ def test_every_message_has_its_rate(bench: Bench, desk: Desk) -> None:
         assert found[stream.name] == pytest.approx(wanted, abs=several.get(stream.name, 1)), stream.name
     assert set(found) <= {stream.name for stream in STREAMS}
     assert not bench.link.failures
+
+
+def test_engines_share_the_one_gauge_in_turn(bench: Bench, desk: Desk) -> None:
+    """All six came at once, so that a station with one gauge only ever showed the last."""
+    slow = bench.station(200)
+    slow.ask(command(511, float(BY_NAME["EFI_STATUS"].id), 3e6))
+    desk.got.clear()
+    slow.got.clear()
+    bench.step(20.0, every=0.02)
+    shown = [message.ecu_index for message in desk.named("EFI_STATUS")]
+    assert len(shown) == pytest.approx(40, abs=1)
+    assert all((b - a) % 6 == 1 for a, b in pairwise(shown))
+    assert all((b - a) % 6 == 1 for a, b in pairwise(m.ecu_index for m in slow.named("EFI_STATUS")))
+    assert len(desk.named("FUEL_STATUS")) == 2
+
+
+def test_each_engine_says_what_it_has_consumed() -> None:
+    """Of 90 g that the tank lost, by flows of 2 g/s and five times 1 g/s; and from 0 again in another flight."""
+    engines = sample().engines._replace(fuel_flow=(0.002, 0.001, 0.001, 0.001, 0.001, 0.001))
+    events, before = FlightEvents(), None
+    for fuel in (1.5, 1.45, 1.41):
+        view = TelemetryState(ABOUT, snapshot(sample(engines=engines, fuel=fuel), status()), events)
+        events.update(before, view)
+        before = view
+    (efi,) = [stream for stream in STREAMS if stream.name == "EFI_STATUS"]
+    ml = [90.0 / 0.808 * share / 7.0 for share in (2.0, 1.0, 1.0, 1.0, 1.0, 1.0)]
+    assert [message.fuel_consumed for message in efi.make_messages(view)] == pytest.approx(ml)
+    events.update(before, TelemetryState(ABOUT, snapshot(sample(fuel=2.0), status()), events))
+    assert [message.fuel_consumed for message in efi.make_messages(view)] == [0.0] * 6
 
 
 def test_time_stamps_are_simulation_time(bench: Bench, desk: Desk) -> None:

@@ -51,6 +51,7 @@ class Peer:
         self.created = now = clock()
         self.last_heard = -1.0  # time of the last frame; -1: none yet
         self.intervals: dict[int, float] = {}  # s, by message; 0: not sent
+        self.turn = 0  # slots so far of messages that go one a slot
         self.received = self.sent = self.dropped = 0
         self.signature = packer.signature  # bytes of the signature on every frame
         self.stuck = False  # True where there is no room for another answer
