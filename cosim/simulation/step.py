@@ -111,8 +111,9 @@ class Simulation:
         self.initial_throttle = throttle = self.controller.reset(initial.on_ground, propulsion.burnt)
         # The thrust depends on the air at the start, which is known once the airframe is there: it is reset twice.
         at_rest = airframe.reset(initial, [ZERO3] * len(throttle), wind) if propulsion.wants_ambient else None
-        self._starts_cold = self._engines_were_off = initial.engines == "off"  # until the autopilot is armed
-        forces = propulsion.reset(throttle, at_rest, wind, self._starts_cold)
+        # Until the autopilot is armed, and again whenever it has switched them off.
+        self._engines_were_off = self._engines_restart = initial.engines == "off"
+        forces = propulsion.reset(throttle, at_rest, wind, self._engines_were_off)
         self.state = airframe.reset(initial, forces, wind, propulsion.momentum, propulsion.burnt)
         self.measured = self.sensors.reset(self.state)
         self.termination.reset(initial.on_ground)
@@ -151,7 +152,7 @@ class Simulation:
             command = self.command_script.at(k)
         else:
             controller = self.controller
-            starting = self._restarting(pilot) if self._starts_cold else self.starting
+            starting = self.starting or self._restarting(pilot)
             report = Report(
                 self.state.on_ground,
                 controller.signals.allocated,
@@ -170,7 +171,8 @@ class Simulation:
     def _restarting(self, pilot: Pilot) -> tuple[int, ...]:
         """Return the engines, counted from 1, that the pilot wants to run and that have yet to come up."""
         off, self._engines_were_off = self._engines_were_off, pilot.engines is _OFF
-        if self._engines_were_off:
+        self._engines_restart = self._engines_restart or self._engines_were_off
+        if self._engines_were_off or not self._engines_restart:
             return ()
         return self._all_engines if off else self.propulsion.engines.restarting_engines
 

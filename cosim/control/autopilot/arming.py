@@ -59,7 +59,7 @@ class Arming:
         self.armed = False
         self.engines = EngineState.OFF
 
-    def wait_for_engines(self, k: int) -> None:
+    def restart_wait(self, k: int) -> None:
         """Restart the time that it may stand armed at step ``k``."""
         self.since = k
 

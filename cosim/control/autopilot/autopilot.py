@@ -33,7 +33,7 @@ from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import BY_STICK, DIRECT, Home, LandedState, Message, Mode, Severity
 from cosim.control.autopilot.parameters import LAND, Parameters, table
 from cosim.control.autopilot.request_handler import HANDLERS, FaultCommands, RequestHandler, refuse
-from cosim.control.autopilot.requests import Answer, ItemKind, Request, Result
+from cosim.control.autopilot.requests import Answer, Request, Result
 from cosim.control.autopilot.status import Status
 from cosim.control.autopilot.tuning import Blocks, ControlLoops, LiveTuning
 from cosim.spec.vehicle import PilotSettings, PositionGains, Vehicle
@@ -103,7 +103,7 @@ class Autopilot:
             self._take_off, self._landing, self._return_flight, self._circle, self._mission,
         )  # fmt: skip
         airborne = engines is EngineState.FLY
-        self._state = FlightState(components, airborne)
+        self._state = FlightState(components, len(vehicle.jets), airborne)
         self._request_handler = RequestHandler(components, self._state, faults)
         self._airborne, self._engines = airborne, engines
         # whether hinges that turn engines push it aside after a loss, before throttles have followed
@@ -246,7 +246,7 @@ class Autopilot:
         if not has_failed:
             self._last_healthy_step = k
         is_pushed = self._is_pushed_by_hinges and 0 < k - self._last_healthy_step < self._push_steps
-        self._estimates.update(k, measured, is_standing, is_grounded, is_pushed)
+        self._estimates.update(k, measured, is_standing, is_grounded, is_pushed, self._landing.touchdown.has_contact)
         if self.home is None and k >= self._home_delay and is_standing:
             self._state.set_home_here()
         elif self.home is None and not is_standing:
@@ -266,7 +266,7 @@ class Autopilot:
         if report.starting and self.armed and not self._state.is_flying():
             if not self._state.report.starting:
                 self._state.say(Severity.INFO, "the engines start", k)
-            self._arming.wait_for_engines(k)
+            self._arming.restart_wait(k)
 
     def _check_failsafes(self, k: int) -> None:
         """Check everything that may end the present mode."""
@@ -330,6 +330,8 @@ class Autopilot:
     def _command_on_ground(self, k: int) -> Command:
         """Return the command of the armed, standing vehicle; disarm it after some time."""
         arming = self._arming
+        if self.mode is Mode.MISSION and arming.flew:
+            self._go_on_with_mission(k)
         if self._wants_up(k) and not self._state.report.starting:
             self._state.landed = LandedState.TAKING_OFF
             arming.leave_ground(k)
@@ -341,13 +343,25 @@ class Autopilot:
             self._state.stand_down(k, "landed, disarmed" if arming.flew else "not taken off, disarmed")
         return self._idle_command()
 
+    def _go_on_with_mission(self, k: int) -> None:
+        """Let a vehicle that has landed in a mission wait where an item says so, and disarm it if it may not go on."""
+        mission = self._mission
+        if mission.waits_on_ground:
+            mission.stay_on_ground(k)
+            self._arming.restart_wait(k)
+        if not (mission.waits_on_ground or self.mission.done):
+            item, short = mission.find_shortage(self.energy)
+            why = self._arming.find_take_off_refusal(self.mode, self._state.report)
+            if why or (short and item == self.mission.current):
+                self._state.stand_down(k, f"mission item {self.mission.current} refused: {why or short}, disarmed")
+
     def _wants_up(self, k: int) -> bool:
         """Return whether the mode or the request needs the vehicle to leave the ground."""
         if self.mode is Mode.TAKEOFF:
             return not self._arming.flew
         if self.mode is Mode.MISSION:
             item = self.mission.item
-            return item is not None and (not self._arming.flew or item.kind is ItemKind.TAKEOFF)
+            return item is not None and not (self._arming.flew and self._mission.waits_on_ground)
         return self._remote.needs_take_off(self.mode, k)
 
     def _command_take_off(self, k: int) -> Command:

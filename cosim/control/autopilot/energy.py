@@ -12,7 +12,7 @@ from math import hypot, log
 
 from cosim.base.protocols import Report
 from cosim.control.autopilot.geometry import Pair
-from cosim.control.autopilot.guidance.course import Course
+from cosim.control.autopilot.guidance.course import SLOW, Course
 from cosim.control.autopilot.guidance.descent import descent_rate
 from cosim.control.autopilot.guidance.ground_speed import GroundSpeed
 
@@ -90,12 +90,15 @@ class Energy:
         slowing = limits.lateness * log(v / end) + (v - end) / limits.braking
         return limits.lateness + steady + slowing + max(0.0, min(height, slow)) / end + _END_S
 
-    def travel_time(self, distance: float, climb: float) -> float:
-        """Return how long the way to a position at this distance and height difference [m] takes, both together."""
+    def travel_time(self, distance: float, climb: float, speed: float | None = None) -> float:
+        """Return how long the way to a position at this distance and height difference [m] takes, both together.
+
+        ``speed``: horizontal, m/s; None: that of automatic flight.
+        """
         p = self._parameters
         up, down = min(p["HJ_CLIMB_AUTO"], p["HJ_SPEED_UP"]), min(p["HJ_DESC_AUTO"], p["HJ_SPEED_DN"])
         rate = up if climb > 0.0 else down
-        level = self.ground_speed.travel_time(distance) if distance > 0.0 else 0.0
+        level = self.ground_speed.travel_time(distance, speed or self._course.speed) if distance > 0.0 else 0.0
         return max(level, abs(climb) / rate)
 
     def climb_time(self, height: float) -> float:
@@ -108,13 +111,14 @@ class Energy:
         )
 
     def return_time(self, position: Pair, altitude: float) -> float:
-        """Return how long the return from a position and an altitude takes, down to the ground."""
+        """Return how long the return from rest at a position and an altitude takes, down to the ground."""
         target, height, near = self._course.plan_return(position, altitude)
         if near:
             return self.descent_time(altitude - self._ground)
         away = hypot(target[0] - position[0], target[1] - position[1])
         climb = self.travel_time(0.0, max(0.0, height - altitude)) + self._course.guide.limits.lateness
-        return climb + self.travel_time(away, 0.0) + self.descent_time(max(height, altitude) - self._ground)
+        level = self.travel_time(away, 0.0, self._parameters["MPC_XY_VEL_MAX"])
+        return climb + level + self.descent_time(max(height, altitude) - self._ground)
 
     @property
     def _ground(self) -> float:
@@ -125,12 +129,26 @@ class Energy:
     # --- what they take of the tank --------------------------------------------------------------------------------
 
     def needed_fractions(self) -> tuple[float, float]:
-        """Return the fractions that the way home and down, and the way down alone, take from here, without a margin."""
-        altitude, position = self._estimates.altitude, self._estimates.fix.position
-        burn = self.burn
+        """Return the fractions that the way home and down, and the way down alone, take from here, without a margin.
+
+        The way home begins where the vehicle comes to rest.
+        """
+        altitude, burn = self._estimates.altitude, self.burn
         descent = self.descent_time(altitude - self._ground)
-        home = self.return_time(position, altitude) if self._landmarks.home is not None else descent
-        return burn * home, burn * descent
+        if self._landmarks.home is None:
+            return burn * descent, burn * descent
+        position, seconds = self._stop()
+        return burn * (seconds + self.return_time(position, altitude)), burn * descent
+
+    def _stop(self) -> tuple[Pair, float]:
+        """Return where the vehicle comes to rest if it stops now, and after how long [s]; as the set-point brakes."""
+        p, fix = self._parameters, self._estimates.fix
+        (north, east), (vn, ve), speed = fix.position, fix.velocity, hypot(*fix.velocity)
+        if speed < SLOW:
+            return fix.position, 0.0
+        braking, rounding = speed / p["HJ_ACC_HOR"], p["HJ_ACC_HOR"] / p["HJ_JERK_HOR"]
+        seconds = braking + rounding
+        return (north + 0.5 * seconds * vn, east + 0.5 * seconds * ve), seconds
 
     @property
     def margin(self) -> float:

@@ -46,7 +46,7 @@ class AutopilotComponents:
 class FlightState:
     """Mode, landed state, acting failsafe and messages, of step ``k`` with its ``report``."""
 
-    def __init__(self, components: AutopilotComponents, airborne: bool) -> None:
+    def __init__(self, components: AutopilotComponents, jets: int, airborne: bool) -> None:
         self._estimates, self._landmarks, self._course = components.estimates, components.landmarks, components.course
         self._remote, self._arming, self._take_off = components.remote, components.arming, components.take_off
         self._landing, self._return_flight, self._mission = (
@@ -54,7 +54,7 @@ class FlightState:
             components.return_flight,
             components.mission,
         )
-        self._airborne = airborne
+        self._jets, self._airborne = jets, airborne
         self.reset()
 
     def reset(self) -> None:
@@ -74,8 +74,12 @@ class FlightState:
         """Enter another mode, or the same one from its beginning."""
         if mode is not self.mode:
             self.say(Severity.INFO, f"mode {mode.value}", k)
+            if self.mode is Mode.MISSION and self._arming.armed and (rest := self._mission.mission.describe_rest()):
+                self.say(Severity.WARNING, rest, k)
         self.mode = mode
-        self.failsafe = ""
+        # No mode flies without any engine.
+        if len(self.report.lost) < self._jets:
+            self.failsafe = ""
         self._landing.abort()
         self._take_off.reset()
         self._return_flight.reset()
@@ -103,11 +107,11 @@ class FlightState:
 
     def stand_down(self, k: int, text: str) -> None:
         """Disarm the standing vehicle and announce why."""
-        self._arming.disarm()
         self.landed = LandedState.ON_GROUND
         self._landing.abort()
         if self.mode in (Mode.TAKEOFF, Mode.LAND, Mode.RTL, Mode.MISSION):
             self.enter(Mode.HOLD, k)
+        self._arming.disarm()
         self.failsafe = ""
         self.say(Severity.INFO, text, k)
 
@@ -133,8 +137,9 @@ class FlightState:
         self.say(Severity.CRITICAL, f"{reason}: {_ACTIONS[mode]}", self.k)
 
     def set_home_here(self) -> None:
-        """Set home to the present position."""
+        """Set home and the ground to where the vehicle stands."""
         self._landmarks.home = Home(*self._estimates.fix.position, self._estimates.altitude)
+        self._landmarks.ground = self._estimates.altitude
 
     def is_flying(self) -> bool:
         """Return whether the vehicle is in the air, or on its way there."""

@@ -219,7 +219,8 @@ class RequestHandler:
     def _upload(self, request: rq.MissionUpload, k: int) -> Answer:
         if self._state.mode is Mode.MISSION and self._arming.armed:
             return refuse(Result.TEMPORARILY_REJECTED, "upload refused: the mission is being flown")
-        self._mission.load(request, self._watch)
+        if warning := self._mission.load(request, self._watch):
+            self._state.say(Severity.WARNING, warning, k)
         return accept()
 
     def _start_mission(self, request: rq.MissionStart, k: int) -> Answer:

@@ -124,7 +124,7 @@ class Hold(CheckedRecord):
 
 
 class SetSpeed(CheckedRecord):
-    """Horizontal speed of automatic flight until the next arming, m/s."""
+    """Horizontal speed of automatic flight until the next arming or return, m/s."""
 
     m_s: Speed
 

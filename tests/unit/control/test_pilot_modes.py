@@ -810,3 +810,77 @@ def test_nothing_that_may_be_asked_breaks_it(airborne: bool, story: list[tuple[A
             # the most that a parameter may allow; what is asked for first begins where the vehicle is, as leant as that
             assert lean <= max(radians(46.0), leant + 1e-9)
         assert pilot.status.ready is not bool(pilot.status.refusals)
+
+
+def test_a_mission_that_is_left_says_what_is_not_flown() -> None:
+    w = world("air")
+    w.ok(rq.MissionUpload((*POINTS, MissionItem("land"))))
+    w.ok(rq.MissionSetCurrent(1))
+    w.ok(rq.MissionStart())
+    w.seconds(0.1)
+    w.ok(rq.LinkLost())
+    w.seconds(2.0)
+    assert w.pilot.mode is Mode.RTL
+    assert "mission left at item 1: 2 of 3 not flown" in w.texts()
+
+
+def test_a_mission_that_is_finished_or_was_not_flown_says_nothing_of_it() -> None:
+    w = world("standing")
+    w.ok(rq.MissionUpload(POINTS))
+    w.ok(rq.MissionStart())
+    w.ok(rq.Hold())
+    assert not any("not flown" in text for text in w.texts())
+
+
+def test_items_at_the_ground_are_told_at_the_upload_and_flown_above_it() -> None:
+    w = world("air")
+    low = MissionItem("waypoint", 5.0, 0.0, 0.0)
+    w.ok(rq.MissionUpload((low, POINTS[0], MissionItem("stay", 5.0, 0.0, -2.0))))
+    assert "mission item 0, 2: below 1 m above the ground, flown at that height" in w.texts()
+    w.ok(rq.MissionStart())
+    w.seconds(0.1)
+    assert w.pilot.status.target == pytest.approx((5.0, 0.0, 1.0))
+
+
+def test_after_a_landing_on_the_way_a_failed_engine_ends_the_mission() -> None:
+    w = world("armed")
+    w.ok(rq.MissionUpload((MissionItem("land"), *POINTS)))
+    w.ok(rq.MissionStart())
+    w.pilot._arming.flew = True
+    w.seconds(0.1, lost=(3,))
+    assert not w.pilot.armed
+    assert w.texts()[-2:] == [
+        "mission left at item 1: 2 of 3 not flown",
+        "mission item 1 refused: engine 3 failed, disarmed",
+    ]
+
+
+def test_no_mode_ends_the_failsafe_of_a_vehicle_without_engines() -> None:
+    w = world("air")
+    w.seconds(0.1, lost=(1, 2, 3, 4, 5, 6))
+    assert w.pilot.failsafe == "engine 1, 2, 3, 4, 5, 6 failed"
+    for request in (rq.Hold(), STICKS, rq.SetMode("POSCTL"), rq.ReturnHome()):
+        w.ok(request)
+        assert w.pilot.failsafe == "engine 1, 2, 3, 4, 5, 6 failed"
+
+
+def test_the_way_home_begins_where_it_stops_and_at_the_usual_speed() -> None:
+    """It counted from where the vehicle was, and at the speed that was set for sightseeing."""
+    w = world("air")
+    w.pilot.energy.hover_burn = 0.001
+    w.ok(rq.SetHome(0.0, 0.0, 0.0))
+    w.seconds(0.1, north=60.0)
+    energy, fix = w.pilot.energy, w.pilot._estimates.fix
+    still = energy.needed_fractions()[0]
+    assert still == pytest.approx(0.001 * energy.return_time(fix.position, 10.0), rel=1e-3)
+    w.ok(rq.SetSpeed(1.0))
+    assert energy.needed_fractions()[0] == still
+    # 5 m/s, at 1.5 m/s^2 and 1.5 m/s^3: 3.3 s to stop and 1 s of jerk, half of it at the full speed
+    a, j = (w.pilot.parameters[name] for name in ("HJ_ACC_HOR", "HJ_JERK_HOR"))
+    w.pilot._estimates.fix = fix._replace(velocity=(5.0, 0.0))
+    stop = 5.0 / a + a / j
+    there = (fix.position[0] + 2.5 * stop, fix.position[1])
+    assert energy.needed_fractions()[0] == pytest.approx(0.001 * (stop + energy.return_time(there, 10.0)), rel=1e-3)
+    w.ok(rq.ReturnHome())
+    w.seconds(0.1)
+    assert w.pilot._course.cruise is None

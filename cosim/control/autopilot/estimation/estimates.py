@@ -68,12 +68,15 @@ class Estimates:
         self.euler: Vector3 = (0.0, 0.0, 0.0) if measured is None else to_euler(measured.attitude)
         self.fix = self._position.fix
 
-    def update(self, k: int, measured: Measured, still: bool, is_grounded: bool, is_pushed: bool) -> None:
+    def update(
+        self, k: int, measured: Measured, still: bool, is_grounded: bool, is_pushed: bool, has_contact: bool
+    ) -> None:
         """Update all estimates at step ``k``; ``still``: the vehicle stands; ``is_grounded``: or has not lifted off.
 
-        ``is_pushed``: see :meth:`cosim.control.autopilot.estimation.position.Estimator.update`.
+        ``has_contact``: its legs touch the ground.  ``is_pushed``: see
+        :meth:`cosim.control.autopilot.estimation.position.Estimator.update`.
         """
-        self.measured = measured = self.senses.update(k, measured, still)
+        self.measured = measured = self.senses.update(k, measured, still, has_contact)
         self.euler = to_euler(measured.attitude)
         inertial = self.senses.inertial
         lean = 0.0 if inertial.has_attitude else inertial.deviation

@@ -33,13 +33,13 @@ class Senses:
         else:
             self.vertical.reset(measured.altitude, -measured.velocity[2])
 
-    def update(self, k: int, measured: Measured, still: bool) -> Measured:
-        """Return the measurements that step ``k`` is flown with; ``still``: the vehicle stands."""
+    def update(self, k: int, measured: Measured, still: bool, has_contact: bool = False) -> Measured:
+        """Return the measurements that step ``k`` is flown with; ``still``: it stands, ``has_contact``: legs touch."""
         if not self._is_initialised:
             self.reset(measured)
         attitude, rate = self.inertial.update(measured, still)
         vertical = self.vertical
-        vertical.update(k, measured, attitude, still)
+        vertical.update(k, measured, attitude, still, has_contact)
         north, east, _ = measured.velocity
         return Measured(
             rate, attitude, measured.position, (north, east, -vertical.rate), vertical.height, measured.specific_force

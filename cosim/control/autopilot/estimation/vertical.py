@@ -25,6 +25,8 @@ _MOST_BIAS = 0.5  # m/s^2
 _UNFELT = 3.0  # m/s^2: without an accelerometer any acceleration of a flight is possible
 _STILL_RATE = 0.02  # m/s: the noise of standing still as a measurement
 _GATE = 25.0  # squared normalised error: five standard deviations, passed by chance once in 1.7 million
+# m/s^2: forces of stiff legs change by as much within a step, so that their samples are off by it.
+_CONTACT_FORCE_NOISE = 2.0
 _FAILED_S = 0.1  # without news for so long a barometer or accelerometer has stopped
 _IMPLAUSIBLE_S = 0.5  # contradicted for so long it is not trusted
 _AGREEMENT_S = 1.0  # in agreement for so long it is trusted again
@@ -39,7 +41,8 @@ class VerticalEstimator:
     upright by the attitude, less gravity, held over a step.  The barometer is compared every step, GNSS velocity at
     every epoch with the estimate of the instant at which it was taken; GNSS height only while there is no barometer,
     shifted by what the two were apart before.  A reading further than five standard deviations off is left out.  While
-    the vehicle is known to stand, ``v = 0`` is a measurement too.
+    the vehicle is known to stand, ``v = 0`` is a measurement too.  While its legs touch the ground with engines that
+    fly, the specific force has the noise of the contact.
 
     ``deviation`` is the filter's own: it grows while sensors are missing.
     """
@@ -52,6 +55,7 @@ class VerticalEstimator:
         self._velocity_noise = max(gnss.velocity_noise_m_s, _LEAST_VELOCITY_NOISE) ** 2
         self._position_noise = max(gnss.position_noise_m, _LEAST_POSITION_NOISE) ** 2
         self._force_noise = max(sensors.accelerometer.noise_m_s2, _LEAST_FORCE_NOISE) ** 2
+        self._contact_noise = max(self._force_noise, _CONTACT_FORCE_NOISE**2)
         self.reset(0.0, 0.0)
 
     def reset(self, height: float, rate: float) -> None:
@@ -118,10 +122,10 @@ class VerticalEstimator:
 
     # --- one step ----------------------------------------------------------------------------------------------------
 
-    def update(self, k: int, measured: Measured, attitude: Quaternion, still: bool) -> None:
-        """Update the estimate at ``t_k``; ``attitude`` body to NED, ``still``: the vehicle stands."""
+    def update(self, k: int, measured: Measured, attitude: Quaternion, still: bool, has_contact: bool = False) -> None:
+        """Update the estimate at ``t_k``; ``attitude`` body to NED, ``still``: it stands, ``has_contact``: on legs."""
         is_new = self._check_repeats(measured, still)
-        self._predict(attitude, measured.specific_force)
+        self._predict(attitude, measured.specific_force, has_contact and not still)
         self._past.append((self._h, self._v))
         self._past.popleft()
         if still:
@@ -149,13 +153,13 @@ class VerticalEstimator:
         # Where nothing moves, no sensor can be said to have stopped.
         return new_height or not new_force
 
-    def _predict(self, attitude: Quaternion, force: Vector3) -> None:
+    def _predict(self, attitude: Quaternion, force: Vector3, has_contact: bool) -> None:
         dt = self._dt
         if self.has_force and force[2] == force[2]:
             w, x, y, z = attitude
             down = 2.0 * ((x * z - w * y) * force[0] + (y * z + w * x) * force[1] + (0.5 - x * x - y * y) * force[2])
             self.lift = -down
-            a, noise = -down - GRAVITY - self._b, self._force_noise
+            a, noise = -down - GRAVITY - self._b, self._contact_noise if has_contact else self._force_noise
         else:
             # constant over a second, not white from step to step
             a, noise = 0.0, _UNFELT**2 / dt

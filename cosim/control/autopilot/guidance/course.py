@@ -15,6 +15,7 @@ from cosim.control.autopilot.requests import RallyPoint
 
 # Chosen by us, with the reason.
 LOWEST_M = 1.0  # m above the ground: no automatic flight is lower, and a stop ends no lower
+GROUND_M = 0.3  # m above the ground: a height below this asks the vehicle to stand
 REACHED_M = 0.4  # m of height error at which a take-off or climb is over, or a waypoint's height is reached
 ABOVE_M = 0.7  # m from home: below 0.5 m/s the descent begins
 SLOW = 0.5  # m/s
@@ -133,7 +134,8 @@ class Course:
         """Return the height set-point [m] on the way to ``altitude`` [m]."""
         parameters = self.parameters
         height_setpoint = self.guide.to_height(altitude, parameters["HJ_CLIMB_AUTO"], parameters["HJ_DESC_AUTO"])
-        self.descending = altitude < height_setpoint
+        # The set-point may reach the ground, or a height below it, before the vehicle does.
+        self.descending = altitude < max(height_setpoint, self.landmarks.ground + GROUND_M)
         return height_setpoint
 
     def descend(self, position: Pair | None = None) -> Command:

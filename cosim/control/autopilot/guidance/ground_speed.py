@@ -76,15 +76,15 @@ class GroundSpeed:
         """The speed over the ground [m/s] of a long way: what is asked for, or as much of it as can be flown."""
         return min(self._course.speed, self.max_speed)
 
-    def travel_time(self, distance: float) -> float:
-        """Return how long [s] a way of so many m takes, from rest to rest.
+    def travel_time(self, distance: float, speed: float) -> float:
+        """Return how long [s] a way of so many m takes at a commanded speed [m/s], from rest to rest.
 
         The set-point speeds up with a and brakes with 3/4 a.  While it is faster than the vehicle can be, it gets
         ahead; from when it brakes the vehicle closes in on it at no more than ``catch_up``.
         """
         p, greatest = self._parameters, self.max_speed
         a, catch_up = p["HJ_ACC_HOR"], min(self._catch_up, greatest)
-        top = min(self._course.speed, sqrt(distance * a / _RAMPS))
+        top = min(speed, sqrt(distance * a / _RAMPS))
         set_point_time = distance / top + _RAMPS * top / a + a / p["HJ_JERK_HOR"]
         excess_speed = max(0.0, top - greatest)
         lag = _RAMPS * excess_speed * excess_speed / a + excess_speed * max(0.0, distance / top - _RAMPS * top / a)

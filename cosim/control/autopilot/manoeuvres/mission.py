@@ -38,6 +38,11 @@ class Mission:
     def done(self) -> bool:
         return self.current >= len(self.items)
 
+    def describe_rest(self) -> str:
+        """Return which items have yet to be flown; empty: none."""
+        count = len(self.items)
+        return "" if self.done else f"mission left at item {self.current}: {count - self.current} of {count} not flown"
+
     def advance(self) -> MissionItem | None:
         """Go on to the next item to be flown and return it; None at the end or in a circle of jumps."""
         self.reached = self.current

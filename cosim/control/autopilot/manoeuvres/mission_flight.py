@@ -8,7 +8,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import Command
 from cosim.control.autopilot.energy import Energy
 from cosim.control.autopilot.failsafes import Watch
-from cosim.control.autopilot.guidance.course import ABOVE_M, REACHED_M, Course
+from cosim.control.autopilot.guidance.course import ABOVE_M, LOWEST_M, REACHED_M, Course
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.mission import Mission, find_endless_jump
 from cosim.control.autopilot.manoeuvres.return_flight import ReturnFlight
@@ -38,8 +38,11 @@ class MissionFlight:
         """End the present item."""
         self._is_in_position = False  # where the item changes its height or lands
 
-    def load(self, request: MissionUpload, watch: Watch) -> None:
-        """Take another mission.  Raises InputError where an item is outside the fence or jumps on the spot for ever."""
+    def load(self, request: MissionUpload, watch: Watch) -> str:
+        """Take another mission and return a warning of items at the ground; empty: there are none.
+
+        Raises InputError where an item is outside the fence or jumps on the spot for ever.
+        """
         if (jump := find_endless_jump(request.items)) is not None:
             raise InputError(f"mission item {jump} refused: it jumps for ever, and nothing is flown on the way")
         for index, item in enumerate(request.items):
@@ -52,6 +55,12 @@ class MissionFlight:
                 if why:
                     raise InputError(f"mission item {index} refused: {why}")
         self.mission.load(request.items)
+        low = ", ".join(str(i) for i, item in enumerate(request.items) if self._altitude_of(item) != item.altitude)
+        return f"mission item {low}: below {LOWEST_M:g} m above the ground, flown at that height" if low else ""
+
+    def _altitude_of(self, item: MissionItem) -> float | None:
+        """Return the altitude [m] at which an item is flown: its own, or the lowest of automatic flight."""
+        return None if item.altitude is None else max(item.altitude, self._landmarks.lowest_altitude)
 
     def find_shortage(self, energy: Energy) -> tuple[int, str]:
         """Return the first item for which fuel or battery are short, there and home, and why; empty: none.
@@ -80,13 +89,25 @@ class MissionFlight:
             item = mission.advance()
         return 0, ""
 
+    @property
+    def waits_on_ground(self) -> bool:
+        """Whether the present item lets a vehicle that has landed stand: a pause, or a landing, which is done."""
+        return self.mission.item is not None and self.mission.item.kind in (ItemKind.DELAY, ItemKind.LAND)
+
+    def stay_on_ground(self, k: int) -> None:
+        """Let a vehicle that has landed stand for one step of such an item, and go on to the next where it is done."""
+        item = self.mission.item
+        if item is not None and (item.kind is ItemKind.LAND or self._is_done(item, k)):
+            self.advance(flying=False)
+
     def leave_ground(self, flown: bool) -> None:
         """Prepare for take-off; ``flown``: for the mission, which climbs first where its item does not say so."""
         item = self.mission.item
         self._climb_to = None
         if flown and item is not None and item.kind is not ItemKind.TAKEOFF:
             height = self._landmarks.home_altitude + self._parameters["MIS_TAKEOFF_ALT"]
-            self._climb_to = height if item.altitude is None else min(height, item.altitude)
+            altitude = self._altitude_of(item)
+            self._climb_to = height if altitude is None else min(height, altitude)
 
     def advance(self, flying: bool) -> None:
         """Go on from the present item, which is done."""
@@ -99,20 +120,19 @@ class MissionFlight:
         if item is None:
             return
         self.abort()
-        course = self._course
+        course, altitude = self._course, self._altitude_of(item)
         position = (item.north, item.east) if item.north is not None and item.east is not None else None
         if item.kind in (ItemKind.WAYPOINT, ItemKind.STAY):
-            course.aim(position, item.altitude, item.yaw)
-        elif item.kind is ItemKind.CIRCLE and position is not None and item.altitude is not None:
+            course.aim(position, altitude, item.yaw)
+        elif item.kind is ItemKind.CIRCLE and position is not None and altitude is not None:
             radius = item.radius or 1.0
-            self._circle.begin(Orbit(radius, item.clockwise, turns=item.turns), position, item.altitude)
+            self._circle.begin(Orbit(radius, item.clockwise, turns=item.turns), position, altitude)
         elif item.kind is ItemKind.ALTITUDE:
             course.aim(position, None, None)
         elif item.kind is ItemKind.TAKEOFF:
-            height = item.altitude
-            if height is not None and flying:
-                height = max(height, course.stop_height)
-            course.aim(None if flying else self._estimates.fix.position, height, item.yaw)
+            if altitude is not None and flying:
+                altitude = max(altitude, course.stop_height)
+            course.aim(None if flying else self._estimates.fix.position, altitude, item.yaw)
         elif item.kind is ItemKind.LAND:
             course.aim(position, course.height, item.yaw)
         elif item.kind is ItemKind.RETURN:
@@ -159,7 +179,7 @@ class MissionFlight:
         """Aim at the item's altitude, once its position is reached."""
         course = self._course
         if course.position is None or course.distance_to(course.position) <= self._parameters["HJ_ACC_RADIUS"]:
-            self._is_in_position, course.height = True, item.altitude
+            self._is_in_position, course.height = True, self._altitude_of(item)
 
     def _fly_circle(self) -> Command:
         """Return the command of the next step of the circle, and go on to the next item where it is complete."""
@@ -176,7 +196,8 @@ class MissionFlight:
             return False
         place = self._course.position
         if item.kind is not ItemKind.DELAY:
-            height_error = 0.0 if item.altitude is None else self._estimates.altitude - item.altitude
+            altitude = self._altitude_of(item)
+            height_error = 0.0 if altitude is None else self._estimates.altitude - altitude
             if height_error < -REACHED_M or (height_error > REACHED_M and item.kind is not ItemKind.TAKEOFF):
                 return False
             if item.kind is ItemKind.WAYPOINT and place is not None:

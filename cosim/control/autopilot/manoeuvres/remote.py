@@ -7,7 +7,7 @@ from math import cos, radians, sin
 from cosim.base.frames import to_euler
 from cosim.base.signals import Command
 from cosim.control.autopilot.geometry import limit_length
-from cosim.control.autopilot.guidance.course import Course
+from cosim.control.autopilot.guidance.course import GROUND_M, Course
 from cosim.control.autopilot.modes import BY_STICK, DIRECT, Mode
 from cosim.control.autopilot.requests import OffboardAttitude, OffboardPosition, OffboardVelocity, Sticks, quaternion_of
 from cosim.spec.vehicle import AllocationLimits
@@ -19,7 +19,6 @@ _LOW = 0.05  # throttle below this is "off" on the ground
 _UP = 0.6  # throttle above this asks to leave the ground
 _DEAD = 0.05  # dead band around the centre, as a fraction of full stick
 _CLIMBS = 0.1  # m/s: slower commands count as level
-_HIGHER_M = 0.3  # a height above this one asks to leave the ground
 _NEVER = -(10**9)  # a step long before the first
 _CENTRED = Sticks(0.0, 0.0, 0.0, 0.5)
 
@@ -83,7 +82,7 @@ class Remote:
             if isinstance(setpoint, OffboardVelocity):
                 return setpoint.down < -_CLIMBS
             if isinstance(setpoint, OffboardPosition):
-                return -setpoint.down > self._estimates.altitude + _HIGHER_M
+                return -setpoint.down > self._estimates.altitude + GROUND_M
         return False
 
     def fly(self, mode: Mode) -> Command:

@@ -92,6 +92,11 @@ class Touchdown:
         return self._load_s > _LOAD_S
 
     @property
+    def has_contact(self) -> bool:
+        """Whether the legs touch the ground, or have until a moment ago."""
+        return self._contact_s > 0.0
+
+    @property
     def is_touching(self) -> bool:
         """Whether the vehicle has been in contact for a moment at least."""
         return self._contact_s > _TOUCH_S
