@@ -48,7 +48,7 @@ OCTOJET = {name: f"octojet-{OWN[name]}" for name in (HOVER, ROLL, LAND)}
 ALWAYS = ("--set", "limits.drift_m=false", "--set", "expect=[]")
 # ArduPilot's main loop flies until a switch is raised, as its README with the exported files says
 SWITCH = ("--param", "CC_TYPE=3", "--param", "CC_AXIS_MASK=7", "--param", "RC8_OPTION=109", "--channel", "8=2000@0.1")
-STOCK, VEHICLE, DESIGNED, OUTSIDE, INSIDE = "stock", "vehicle", "designed", "smith, from outside", "smith, inside it"
+STOCK, VEHICLE, DESIGNED, INSIDE = "stock", "vehicle", "designed", "smith, inside it"
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ QUADROTOR_LATE = Craft(
     "quadrotor", "0.1 s late", OWN, options=("--engine", "motor", "--set", "engine_parameters.delay_samples=40")
 )
 COMPARED = ["autopilot", "vehicle", "engines", "axis", "design", "flown", "design, still", "flown, still", "agree"]
-LATE = (STOCK, VEHICLE, DESIGNED, OUTSIDE, INSIDE)
+LATE = (STOCK, VEHICLE, DESIGNED, INSIDE)
 
 
 def at_400_hz(craft: Craft) -> Craft:
@@ -183,8 +183,6 @@ def designed(autopilot: str, craft: Craft, out: Path) -> Path | None:
 
 def gains_of(autopilot: str, gains: str, craft: Craft, out: Path) -> Sequence[str] | None:
     """Options that say what flies it; None: there is no such design."""
-    if gains == OUTSIDE:
-        return ("--rates", "smith")
     if gains in (VEHICLE, INSIDE):
         return ("--gains", "vehicle", *(SWITCH if (autopilot, gains) == ("ardupilot", INSIDE) else ()))
     if gains == STOCK:

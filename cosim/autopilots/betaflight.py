@@ -380,18 +380,6 @@ def compute_gain_units(vehicle: Vehicle) -> dict[str, tuple[float, float, float,
     }
 
 
-# With --rates its loop is P of the set-point: so small that no motor is at its limit for what a scenario asks for,
-# 64 of 500 at 100 deg/s.  Chosen by us.
-EXTERNAL_RATE_P = 20
-EXTERNAL_RATES = [f"set {key}_{axis} = {EXTERNAL_RATE_P if key == 'p' else 0}" for axis in AXES for key in "pidf"]
-
-
-def compute_external_rate_gain(vehicle: Vehicle) -> Vector3:
-    """Return what its P with :data:`OUTSIDE` gives per rad/s: throttle about roll, rad of tilt about pitch and yaw."""
-    roll, pitch, yaw = (EXTERNAL_RATE_P * unit for _, unit, _, _ in compute_gain_units(vehicle).values())
-    return roll, pitch, yaw
-
-
 def make_gain_settings(vehicle: Vehicle) -> list[str]:
     """Return the vehicle's attitude and rate gains as console lines, rounded to Betaflight's whole numbers.
 

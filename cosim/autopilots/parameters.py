@@ -397,18 +397,6 @@ def read_parameters(path: Path) -> dict[str, float]:
     return parameters
 
 
-# With --rates its rate loop is P of the error: so small that no output is at its limit for what a scenario asks for, a
-# tenth of a torque at 2 rad/s.  Chosen by us.
-_EXTERNAL_RATE_P = 0.05
-
-
-def px4_external_rates(vehicle: Vehicle) -> tuple[dict[str, float], Vector3]:
-    """Return parameters that make PX4's rate loop P alone, and that P: throttle or rad of tilt per rad/s."""
-    gains = {"P": _EXTERNAL_RATE_P, "I": 0.0, "D": 0.0, "FF": 0.0, "K": 1.0}
-    roll, pitch, yaw = (_EXTERNAL_RATE_P * scale for scale in px4_torque_scale(vehicle))
-    return {f"MC_{axis.upper()}RATE_{key}": value for axis in AXES for key, value in gains.items()}, (roll, pitch, yaw)
-
-
 NOTES = {
     "px4": (
         "The rate loop runs at IMU_GYRO_RATEMAX, not at our step;",

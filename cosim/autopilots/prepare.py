@@ -12,7 +12,7 @@ from shutil import which
 from typing import Any
 
 from cosim.autopilots import ardupilot, betaflight, px4
-from cosim.autopilots.block import AutopilotBlock, ExternalRateLoop
+from cosim.autopilots.block import AutopilotBlock
 from cosim.autopilots.firmware_parameters import list_px4_parameters, vehicle_in_throttle
 from cosim.autopilots.lockstep import LOCAL, Autopilot, StartTiming, check_words, find_configured_program
 from cosim.autopilots.parameters import (
@@ -24,11 +24,10 @@ from cosim.autopilots.parameters import (
     leave_ardupilot_gains,
     leave_px4_gains,
     parameter_file,
-    px4_external_rates,
     read_parameters,
 )
 from cosim.autopilots.pilot import find_hover_throttle
-from cosim.autopilots.run import AutopilotRun, fly_autopilot, make_external_rate_loop
+from cosim.autopilots.run import AutopilotRun, fly_autopilot
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Vector3
@@ -88,19 +87,18 @@ class PreparedAutopilot:
     program: Path | None  # None: started by hand
     endpoint: str  # address that a program started by hand connects to
     details: Mapping[str, Any]
-    rates: ExternalRateLoop | None = None
     hold_from_s: float = inf  # of the flight
 
     def fly(
-        self, scenario: Scenario, folder: Path, page: bool = True, realtime_factor: float | None = None, **details: Any
+        self, scenario: Scenario, folder: Path, page: bool = True, realtime_factor: float | None = None
     ) -> AutopilotRun:
-        """Fly a scenario, see :func:`cosim.autopilots.run.fly_autopilot`; ``details``: more for its lockstep.json."""
+        """Fly a scenario, see :func:`cosim.autopilots.run.fly_autopilot`."""
         return fly_autopilot(
             scenario,
-            AutopilotBlock(self.autopilot, self.name, start_timing(self.name), self.rates, self.hold_from_s),
+            AutopilotBlock(self.autopilot, self.name, start_timing(self.name), self.hold_from_s),
             folder,
             files=[] if self.program is None else [self.program],
-            details=dict(self.details) | details,
+            details=dict(self.details),
             realtime_factor=realtime_factor,
             page=page,
         )
@@ -165,13 +163,10 @@ def require_program(name: str, binary: Path | None) -> Path:
     return program
 
 
-def prepare(
-    name: str, scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None = None
-) -> PreparedAutopilot:
+def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> PreparedAutopilot:
     """Prepare an autopilot for the scenario's vehicle; its files go into a folder of its name in the run's ``folder``.
 
-    ``program``: see :func:`find_program`.  ``rates``: the scenario whose controller's rate loop flies in the place of
-    the autopilot's own, from outside; ArduPilot takes none.  Raises InputError.
+    ``program``: see :func:`find_program`.  Raises InputError.
     """
     if is_design(scenario.controller):
         raise InputError(
@@ -180,7 +175,7 @@ def prepare(
         )
     _check_faults(name, scenario)
     make = {"betaflight": _betaflight, "px4": _px4, "ardupilot": _ardupilot}[name]
-    return make(scenario, folder / name, program, setup, rates)
+    return make(scenario, folder / name, program, setup)
 
 
 def _check_faults(name: str, scenario: Scenario) -> None:
@@ -190,34 +185,25 @@ def _check_faults(name: str, scenario: Scenario) -> None:
             raise InputError(f"{name}: fault.{index}: {fault.kind} of {fault.sensor}: {untold}")
 
 
-def _betaflight(
-    scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None
-) -> PreparedAutopilot:
+def _betaflight(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> PreparedAutopilot:
     assert program is not None
     vehicle, _ = scenario.resolved_vehicle()
     lines = [
         *([] if setup.gains == "stock" else betaflight.make_gain_settings(vehicle_in_throttle(scenario))),
-        *([] if rates is None else betaflight.EXTERNAL_RATES),
         *setup.lines,
     ]
-    external = None if rates is None else make_external_rate_loop(rates, betaflight.compute_external_rate_gain(vehicle))
     port = betaflight.PORT + PORT_SPACING * setup.instance if setup.port is None else setup.port
     ground = scenario.environment.ground_m
     autopilot = betaflight.Betaflight(program, folder, vehicle, scenario.step_s, lines, port, setup.limit_s, ground)
     details = {"gains": setup.gains, "console": autopilot.settings}
-    return PreparedAutopilot("betaflight", autopilot, program, f"UDP port {port}", details, external)
+    return PreparedAutopilot("betaflight", autopilot, program, f"UDP port {port}", details)
 
 
-def _px4(
-    scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None
-) -> PreparedAutopilot:
+def _px4(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> PreparedAutopilot:
     vehicle, _ = scenario.resolved_vehicle()
-    parameters, external = list_px4_parameters(scenario, scenario.step_s), None
+    parameters = list_px4_parameters(scenario, scenario.step_s)
     if setup.gains == "stock":
         parameters = leave_px4_gains(parameters)
-    if rates is not None:
-        rate_parameters, gain = px4_external_rates(vehicle)
-        parameters, external = parameters | rate_parameters, make_external_rate_loop(rates, gain, has_gyro=True)
     parameters |= setup.parameters
     optional = set(PX4_OF_SOME_RELEASES) - setup.parameters.keys()  # who states one wants it
     launch = px4.LaunchOptions(setup.instance, setup.limit_s, parameters, setup.magnetic_field, optional)
@@ -225,14 +211,10 @@ def _px4(
     endpoint = f"TCP port {px4.PORT + setup.instance}"
     details = {"gains": setup.gains, "hold_from_s": setup.hold_from_s, "parameters": parameters}
     hold_from = inf if setup.hold_from_s is None else setup.hold_from_s
-    return PreparedAutopilot("px4", autopilot, program, endpoint, details, external, hold_from)
+    return PreparedAutopilot("px4", autopilot, program, endpoint, details, hold_from)
 
 
-def _ardupilot(
-    scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None
-) -> PreparedAutopilot:
-    if rates is not None:
-        raise InputError("ardupilot: flies its own rate loop; allowed with another in its place: betaflight, px4")
+def _ardupilot(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> PreparedAutopilot:
     vehicle, _ = scenario.resolved_vehicle()
     parameters = _ardupilot_parameters(scenario, program, setup)
     defaults = None
@@ -261,7 +243,7 @@ def _ardupilot(
         "channels": list(setup.channels),
     }
     hold_from = inf if setup.hold_from_s is None else setup.hold_from_s
-    return PreparedAutopilot("ardupilot", autopilot, program, endpoint, details, hold_from_s=hold_from)
+    return PreparedAutopilot("ardupilot", autopilot, program, endpoint, details, hold_from)
 
 
 def _ardupilot_parameters(scenario: Scenario, program: Path | None, setup: Setup) -> dict[str, float]:

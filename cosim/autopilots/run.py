@@ -10,13 +10,13 @@ from hashlib import sha256
 from pathlib import Path
 from typing import IO, Any
 
-from cosim.autopilots.block import AutopilotBlock, ExternalRateLoop
+from cosim.autopilots.block import AutopilotBlock
 from cosim.autopilots.lockstep import Autopilot, FirmwareReport, LockstepCounts
 from cosim.autopilots.stand import StationarySensors
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import gravity
 from cosim.base.protocols import Observer
-from cosim.base.signals import Sample, Vector3
+from cosim.base.signals import Sample
 from cosim.base.storage.files import write_whole
 from cosim.flight import record, with_page
 from cosim.results.resolved_scenario import resolve
@@ -73,18 +73,6 @@ class _AnswerWriter:
     def close(self) -> None:
         self.write()
         self._file.close()
-
-
-def make_external_rate_loop(scenario: Scenario, gain: Vector3, has_gyro: bool = False) -> ExternalRateLoop:
-    """Return the rate loop of a scenario's controller.  Raises InputError for one that is more than a rate loop."""
-    with build(scenario) as simulation:
-        source = simulation.controller_source
-        if source is not None and source.level not in ("predictor", "rate"):
-            raise InputError(
-                f"--rates {scenario.controller}: is of level {source.level}; allowed are built-in controllers, and "
-                "others of level predictor or rate"
-            )
-        return ExternalRateLoop(simulation.cascade, gain, has_gyro)
 
 
 def _close_and_check_names(ending: Ending, autopilot: Autopilot) -> Ending:

@@ -17,11 +17,16 @@ class Removal(NamedTuple):
     instead: str
 
 
+_RATES: Final = Removal(
+    "a rate loop from outside", "0.3.0", "hexjet export controller --for, which puts it inside the autopilot"
+)
 # By what a user writes to name it: an option, a command, a key, the beginning of a value.
 REMOVED: Final[Mapping[str, Removal]] = {
     "hexjet gcs --foxglove": Removal(
         "the live feed for Foxglove", "0.3.0", "hexjet export RUN --to mcap, which Foxglove opens"
     ),
+    "hexjet sitl betaflight --rates": _RATES,
+    "hexjet sitl px4 --rates": _RATES,
     "hexjet open --port": Removal("the server of hexjet open", "0.3.0", "the page that hexjet open writes"),
     ".ssp": Removal("a system of FMUs (SSP) as an engine", "0.3.0", "one FMU; OMSimulator and FMPy run systems"),
     "parameter_set": Removal("a parameter set in a file of its own (SSV)", "0.3.0", "[parameters] of the mapping file"),

@@ -74,13 +74,6 @@ class Sitl(Flight, opt.Output):
         return load_scenario(self.scenario, designed, self.engines, self.seed, self.settings, aircraft=self.aircraft)
 
 
-_RATES = opt.word(
-    "--rates",
-    "NAME|FILE.toml",
-    "The rate loop of this controller of ours, predictor and all, in the place of its own, from outside.",
-)
-
-
 def _find_gains(gains: str, *words: str) -> str | None:
     """Return the design file that ``--gains`` names, None for one of the words.  Raises InputError for others."""
     if gains in words:
@@ -97,9 +90,9 @@ class Betaflight(Sitl):
         "--gains",
         "designed|vehicle|stock|FILE.toml",
         "Rate and attitude gains: searched for now as hexjet design --for betaflight does, the vehicle's own, as "
-        "Betaflight ships, or of a controller file.  [default: designed; with --rates: vehicle]",
+        "Betaflight ships, or of a controller file.",
+        "designed",
     )
-    rates: str | None = _RATES
     console = opt.words("--line", "TEXT", 'For its console, e.g. "set p_roll = 12".')
     port = opt.whole(
         "--port",
@@ -121,7 +114,7 @@ def betaflight(options: Betaflight) -> int:
     """
     from cosim.autopilots.prepare import Setup, find_program
 
-    gains = options.gains or ("vehicle" if options.rates else "designed")
+    gains = options.gains
     scenario = options.read(_find_gains(gains, "designed", "vehicle", "stock"))
     if gains == "designed":
         from cosim.cli.firmware import search_gains
@@ -131,7 +124,7 @@ def betaflight(options: Betaflight) -> int:
         file = options.out / "betaflight" / "gains.toml"
         scenario = options.read(str(search_gains("betaflight", scenario, options.settings, file, options.as_json)))
     setup = Setup(limit_s=options.timeout, port=options.port, gains=gains, lines=options.console)
-    return _fly(options, scenario, "betaflight", setup, options.rates)
+    return _fly(options, scenario, "betaflight", setup)
 
 
 _INSTANCE = opt.whole(
@@ -160,7 +153,6 @@ class Px4(Sitl):
         "Rate and attitude gains: the vehicle's own, as PX4 ships, or of hexjet design --for px4.",
         "vehicle",
     )
-    rates: str | None = _RATES
     parameters = opt.words("--param", "NAME=VALUE", "Over those of hexjet sitl params px4.")
     field = opt.word("--field", "N,E,D", "The magnetic field [gauss].  [default: the Earth's at the place]")
     hold = _HOLD
@@ -187,7 +179,7 @@ def px4(options: Px4) -> int:
         hold_from_s=options.hold,
     )
     scenario = options.read(_find_gains(options.gains, "vehicle", "stock"))
-    return _fly(options, _let_it_lean(scenario, options.hold), "px4", setup, options.rates)
+    return _fly(options, _let_it_lean(scenario, options.hold), "px4", setup)
 
 
 class ArduPilot(Sitl):
@@ -297,14 +289,14 @@ def params(options: Parameters) -> int:
     return DONE
 
 
-def _fly(options: Sitl, scenario: Scenario, name: str, setup: Setup, rates: str | None = None) -> int:
-    """Fly, and print what it came to; ``rates``: the controller whose rate loop flies in the place of its own."""
+def _fly(options: Sitl, scenario: Scenario, name: str, setup: Setup) -> int:
+    """Fly, and print what it came to."""
     from dataclasses import asdict
 
     from cosim.autopilots.prepare import describe_missing, find_program, prepare
 
     program, folder = find_program(name, options.binary), options.run_folder(f"{scenario.name}-{name}")
-    autopilot = prepare(name, scenario, folder, program, setup, options.read(rates) if rates else None)
+    autopilot = prepare(name, scenario, folder, program, setup)
     if name == "ardupilot":
         from cosim.autopilots.ardupilot import PORT_SPACING, RC_PORT
 
@@ -317,9 +309,8 @@ def _fly(options: Sitl, scenario: Scenario, name: str, setup: Setup, rates: str 
     if program is None:
         where = f"waiting for one at {autopilot.endpoint} of this machine"
         click.echo(f"hexjet: no {_TITLES[name]} is named ({describe_missing(name)}): {where}", err=True)
-    details: dict[str, Any] = {} if name == "ardupilot" else {"rates": rates}
     with output_to_stderr(options.as_json):
-        flown = autopilot.fly(scenario, folder, realtime_factor=options.rtf or None, **details)
+        flown = autopilot.fly(scenario, folder, realtime_factor=options.rtf or None)
     lockstep = asdict(flown.counts) | {"gains": setup.gains}
     options.answer(
         lambda: flown.run.summary.model_dump(mode="json") | {"lockstep": lockstep}, lambda: _print(flown, setup.gains)

@@ -8,7 +8,6 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from autopilot_standins import ArduPilotStandIn, Px4StandIn
 from patience import PATIENCE
@@ -17,12 +16,10 @@ from cosim.autopilots import px4
 from cosim.autopilots.ardupilot import ArduPilot, LaunchOptions
 from cosim.autopilots.block import AutopilotBlock
 from cosim.autopilots.lockstep import Autopilot, StartTiming
-from cosim.autopilots.parameters import px4_external_rates, px4_torque_scale
 from cosim.autopilots.px4 import Px4
-from cosim.autopilots.run import AutopilotRun, fly_autopilot, make_external_rate_loop
+from cosim.autopilots.run import AutopilotRun, fly_autopilot
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
-from cosim.base.signals import AXES, ZERO3, Sample, Vector3
 from cosim.flight import fly
 from cosim.spec.scenario import Scenario
 
@@ -65,50 +62,6 @@ def test_px4_flies_by_the_sticks(tmp_path: Path) -> None:
     assert theirs.seen["HIL_STATE_QUATERNION"] == 375
     books = json.loads((tmp_path / "run" / "lockstep.json").read_text())
     assert (books["autopilot"], books["steps"], books["repeated"]) == ("px4", 250, 0)
-    same_again(flown, tmp_path / "again")
-
-
-def test_a_rate_loop_of_ours_hears_what_px4_asks_for(tmp_path: Path) -> None:
-    """A stand-in that is P of a set-point less its gyro, by the parameters for that and a mixing of its own: what it asks
-    for arrives, and our loop flies it there through engines 0.1 s late."""
-    scenario = HOVER.replace(engine="edf-as-flown", controller="smith")
-    parameters, gain = px4_external_rates(VEHICLE)
-    assert VEHICLE.servo is not None
-    limit, worth, frames = VEHICLE.servo.range_rad, px4_torque_scale(VEHICLE), count()
-    wanted = (0.2, -0.1, 0.05)  # rad/s, from the flight's first step on
-
-    def controls(told: dict[str, Any]) -> Sequence[float]:
-        imu, sticks = told["HIL_SENSOR"], told["RC_CHANNELS"]
-        set_point = wanted if next(frames) >= 490 else ZERO3  # the first ten frames of the 500 before are not answered
-        gains = [parameters[f"MC_{axis.upper()}RATE_P"] for axis in AXES]
-        gyro = (imu.xgyro, imu.ygyro, imu.zgyro)
-        roll, pitch, yaw = (
-            p * size * (asked - rate) for p, size, asked, rate in zip(gains, worth, set_point, gyro, strict=True)
-        )
-        throttle = (sticks.chan3_raw - 1000) / 1000
-        engines = [throttle + (-roll if jet.servo == "right" else roll) for jet in VEHICLE.jets]
-        # a bank that tilts forward pushes the nose down, and turns it away from its side
-        return [*engines, (yaw - pitch) / limit, (-yaw - pitch) / limit] + [0.0] * 8
-
-    ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, px4.LaunchOptions(31_009, PATIENCE))
-    theirs = Px4StandIn(4560 + 31_009, controls=controls)
-    rates = make_external_rate_loop(scenario, gain, has_gyro=True)
-    heard: list[Vector3] = []
-
-    class Heard:
-        def observe(self, sample: Sample) -> None:
-            heard.append(rates.rate_setpoint)
-
-    flown = fly_autopilot(
-        scenario, AutopilotBlock(ours, "px4", HANDLING, rates), tmp_path / "run",
-        observers=[Heard()],
-    )  # fmt: skip
-    theirs.thread.join(PATIENCE)
-    assert flown.run.outcome == "completed", flown.run.reason
-    assert len(heard) == 250
-    assert np.abs(np.array(heard) - wanted).max() < 1e-5  # of single precision
-    turned = [flown.run.log[f"rate_{letter}_rad_s"][-1] for letter in "pqr"]
-    assert turned == pytest.approx(wanted, abs=0.06)
     same_again(flown, tmp_path / "again")
 
 

@@ -18,9 +18,9 @@ from command_tools import Hexjet
 from stated_figures import stated
 
 from cosim.autopilots import betaflight as theirs
-from cosim.autopilots.block import AutopilotBlock, ExternalRateLoop
+from cosim.autopilots.block import AutopilotBlock
 from cosim.autopilots.lockstep import SensorFrame, StickPositions
-from cosim.autopilots.run import LOCKSTEP, AutopilotRun, fly_autopilot, make_external_rate_loop
+from cosim.autopilots.run import LOCKSTEP, AutopilotRun, fly_autopilot
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Sample
 from cosim.design.assessment import margins
@@ -33,7 +33,6 @@ from cosim.design.loop.tuning import Tuning
 from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.identify.logs import read_flight_log
-from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
 
 try:
@@ -77,10 +76,8 @@ def made(scenario: Scenario, folder: Path, gains: str = "vehicle", limit: float 
     return theirs.Betaflight(BINARY, folder / "betaflight", vehicle, scenario.step_s, lines, free_port(), limit)
 
 
-def fly_with(
-    autopilot: theirs.Betaflight, scenario: Scenario, folder: Path, rates: ExternalRateLoop | None = None, **more: Any
-) -> AutopilotRun:
-    return fly_autopilot(scenario, AutopilotBlock(autopilot, "betaflight", theirs.HANDLING, rates), folder, **more)
+def fly_with(autopilot: theirs.Betaflight, scenario: Scenario, folder: Path, **more: Any) -> AutopilotRun:
+    return fly_autopilot(scenario, AutopilotBlock(autopilot, "betaflight", theirs.HANDLING), folder, **more)
 
 
 def flown(scenario: Scenario, folder: Path, gains: str = "vehicle") -> AutopilotRun:
@@ -283,43 +280,6 @@ def test_its_margin_of_delay_is_the_designs(tmp_path: Path) -> None:
         settled,
         closed.settling_s,
     )
-
-
-def flown_from_outside(controller: str, scenario: Scenario, folder: Path) -> Run:
-    """With the rate loop of this controller, into the folder's ``run``."""
-    vehicle, _ = scenario.resolved_vehicle()
-    lines = [*theirs.make_gain_settings(vehicle), *theirs.EXTERNAL_RATES]
-    assert BINARY is not None
-    autopilot = theirs.Betaflight(BINARY, folder / "its", vehicle, scenario.step_s, lines, free_port(), 60.0)
-    rates = make_external_rate_loop(scenario.replace(controller=controller), theirs.compute_external_rate_gain(vehicle))
-    return fly_with(autopilot, scenario, folder / "run", rates=rates).run
-
-
-def test_a_rate_loop_of_ours_flies_it_from_outside(tmp_path: Path) -> None:
-    """The gains with which its own loop is lost hold with a predictor; the flight repeats without either."""
-    run = flown_from_outside("smith", Scenario.load("roll-doublet"), tmp_path)
-    roll = run.metrics["roll"]
-    assert run.outcome == "completed"
-    assert roll.settling_time_s is not None
-    assert roll.overshoot_percent is not None
-    stated(
-        "docs/autopilots.md",
-        "The doublet settles in {} s with {} % of overshoot, as with the patch inside",
-        roll.settling_time_s,
-        roll.overshoot_percent,
-    )
-    assert all(run.metrics[axis].max_abs_error_rad < np.radians(1.0) for axis in ("pitch", "yaw"))
-    again = fly(tmp_path / "run" / "scenario.toml", tmp_path / "again", report=False)
-    assert again.log["roll_rad"].tobytes() == run.log["roll_rad"].tobytes()
-
-
-def test_the_controller_at_the_limit_flies_it_from_outside(tmp_path: Path) -> None:
-    run = flown_from_outside("optimal", Scenario.load("roll-doublet").replace(duration_s=8.0), tmp_path)
-    roll = run.metrics["roll"]
-    assert (run.outcome, roll.settling_time_s is None) == ("completed", False)
-    stated("docs/autopilots.md", "with `--rates optimal` it settles in {} s", roll.settling_time_s or 0.0)
-    assert roll.overshoot_percent is not None
-    assert roll.overshoot_percent < 2.0  # it is a lag of third order behind the delay
 
 
 CONTROLLER_FILE = """controller = "baseline"

@@ -19,7 +19,6 @@ from cosim.autopilots.parameters import (
     ardupilot_parameters,
     ardupilot_script,
     parameter_file,
-    px4_external_rates,
     px4_target,
     read_parameters,
 )
@@ -35,11 +34,9 @@ HOVER = Scenario.load("hover")
 QUAD = HOVER.replace(aircraft="quadrotor", engine="motor", step_s=0.0025)
 
 
-def prepare(
-    name: str, scenario: Scenario, folder: Path, program: Path | None, setup: Setup, rates: Scenario | None = None
-) -> PreparedAutopilot:
+def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> PreparedAutopilot:
     """As it would fly, and closed."""
-    made = preparation.prepare(name, scenario, folder, program, setup, rates)
+    made = preparation.prepare(name, scenario, folder, program, setup)
     made.autopilot.close()
     return made
 
@@ -52,27 +49,9 @@ def test_betaflights_console_has_gains_then_what_is_stated(tmp_path: Path) -> No
     assert own.details["gains"] == "vehicle"
     assert own.details["console"][-len(console) :] == console
     assert own.endpoint == f"UDP port {betaflight.PORT + 3 * PORT_SPACING}"
-    assert own.rates is None
     stock = prepare("betaflight", HOVER, tmp_path, PROGRAM, Setup(gains="stock", port=2000))
     assert not set(betaflight.make_gain_settings(vehicle)) & set(stock.details["console"])
     assert stock.endpoint == "UDP port 2000"
-
-
-def test_a_rate_loop_from_outside_makes_their_own_p(tmp_path: Path) -> None:
-    vehicle, _ = HOVER.resolved_vehicle()
-    smith = HOVER.replace(controller="smith")
-    first = prepare("betaflight", HOVER, tmp_path, PROGRAM, Setup(lines=["set p_roll = 12"]), smith)
-    console = first.details["console"]
-    assert console[-1] == "set p_roll = 12"
-    assert console[-1 - len(betaflight.EXTERNAL_RATES) : -1] == betaflight.EXTERNAL_RATES
-    second = prepare("px4", HOVER, tmp_path, PROGRAM, Setup(), smith)
-    told = dict(second.details["parameters"])
-    assert told.pop("MPC_THR_HOVER") == pytest.approx(0.451, abs=0.001)
-    assert told == px4_target(vehicle, HOVER.step_s, "sitl") | px4_external_rates(vehicle)[0]
-    assert first.rates is not None
-    assert second.rates is not None
-    with pytest.raises(InputError, match="allowed with another in its place: betaflight, px4"):
-        prepare("ardupilot", QUAD, tmp_path, PROGRAM, Setup(), smith)
 
 
 def test_px4s_parameters_are_the_vehicles_then_what_is_stated(tmp_path: Path) -> None:
@@ -233,6 +212,13 @@ def test_the_stand_in_for_px4_has_nothing_of_the_project_in_it() -> None:
     imported += [name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names]
     assert "pymavlink.dialects.v20" in imported
     assert not [name for name in imported if name.split(".")[0] == "cosim"]
+
+
+@pytest.mark.parametrize("name", ["px4", "betaflight"])
+def test_the_rate_loop_from_outside_left_in_a_line_that_says_what_to_use(name: str, hexjet: Hexjet) -> None:
+    done = hexjet("sitl", name, "--rates", "smith")
+    assert (done.status, len(done.err.strip().splitlines())) == (2, 1)
+    assert "a rate loop from outside left in version 0.3.0; use hexjet export controller --for" in done.err
 
 
 def test_who_may_be_started_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cosim.base.signals import ZERO3, Actuation, JetHealth
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
-from cosim.control.allocation.reallocation import attainable, attainable_sets, plan
+from cosim.control.allocation.reallocation import attainable, attainable_sets, command_to_torque, plan
 from cosim.spec.vehicle import load_vehicle
 
 HEXJET = load_vehicle("hexjet")[0]
@@ -257,3 +257,11 @@ def test_a_quadrotor_without_a_rotor_has_no_level_hover() -> None:
     assert sets[(1, 2), True].thrust < 0.2
     tool = RotorAllocator(QUADROTOR.jets, QUADROTOR.control.allocation, 0.5)
     assert not tool.replan([LOST, WELL, WELL, WELL])
+
+
+def test_the_inverse_gives_back_what_the_allocation_was_told() -> None:
+    class Banks:
+        left, pitch_sign = (True, True, False, False), -1.0
+
+    wanted = [[0.25, 0.25, -0.25, -0.25, 0.0, 0.0], [0.0] * 4 + [-0.5, -0.5], [0.0] * 4 + [0.5, -0.5]]
+    assert command_to_torque(4, Banks()) == wanted
