@@ -73,7 +73,7 @@ _CLOCK_FRAMES = 2
 # Before the flight: its grace time of 5 s after it began, and its gyro's zero.  Full stick is chosen by us: what the
 # scenarios lean, with room.
 HANDLING = StartTiming(before_s=6.0, arming_s=1.5, throttle_s=0.5, lean_deg=45.0, turn_deg_s=90.0)
-TILT_WEIGHT = 0.1  # of pitch and yaw on the outputs that carry the tilts; chosen by us, see mixing()
+TILT_WEIGHT = 0.1  # of pitch and yaw on the outputs that carry the tilts; chosen by us, see make_mixer_settings
 _FULL_SUM = 500.0  # pidsum_limit of an axis, which is the whole range of a servo
 _SUM_TO_MOTOR = 1.0 / 1000.0  # PID_MIXER_SCALING
 # src/main/flight/pid.h: what one unit of a gain in the console is, per deg/s, per deg and per deg/s^2
@@ -261,7 +261,7 @@ class Betaflight(Sitl):
         return FirmwareReport(f"program {self._binary.resolve().name}")
 
     def _tilts(self, outputs: Sequence[float]) -> tuple[float, float]:
-        """Return both tilts [rad], see :func:`mixing`; the engines' rolls cancel, so their mean is the collective."""
+        """Return both tilts [rad] by :func:`make_mixer_settings`; the engines' mean is the collective."""
         mean = sum(outputs[: self._jets]) / self._jets
         scale = self._range / (_FULL_SUM * _SUM_TO_MOTOR * TILT_WEIGHT * (1.0 - self.idle))
         left, right = (clamp(scale * (value - mean), self._range) for value in outputs[self._jets :])
@@ -366,14 +366,14 @@ def _console(program: Program, port: int, end: float) -> socket.socket:
 
 
 def compute_torque_scale(vehicle: Vehicle) -> Vector3:
-    """Return what 1 of an axis' PID sum is, by :func:`mixing`: throttle about roll, rad of tilt about the others."""
+    """Return what 1 of an axis' PID sum is to its mixer: throttle about roll, rad of tilt about the others."""
     motor = _SUM_TO_MOTOR * (1.0 - vehicle.control.allocation.throttle_min)  # throttle
     tilt = vehicle.servo.range_rad / _FULL_SUM if vehicle.servo else motor
     return motor, tilt, tilt
 
 
 def compute_gain_units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
-    """Return for each axis what 1 of its attitude gain [1/s] and of P, I and D is here, by :func:`mixing`."""
+    """Return for each axis what 1 of its attitude gain [1/s] and of P, I and D is to its mixer."""
     return {
         axis: (0.1, unit * P_SCALE, unit * I_SCALE * (YAW_I if axis == "yaw" else 1.0), unit * D_SCALE)
         for axis, unit in zip(AXES, (degrees(scale) for scale in compute_torque_scale(vehicle)), strict=True)
@@ -384,8 +384,7 @@ def make_gain_settings(vehicle: Vehicle) -> list[str]:
     """Return the vehicle's attitude and rate gains as console lines, rounded to Betaflight's whole numbers.
 
     It has one attitude gain for roll and pitch: the smaller of the two.  What a unit of a gain is worth follows from
-    its scales, from how far its mixer lets a motor go, and from :func:`mixing`.  Its one filter of the derivative is
-    roll's.
+    its scales and from :func:`compute_torque_scale`.  Its one filter of the derivative is roll's.
     """
     control = vehicle.control
     lines = [f"set angle_p_gain = {round(10.0 * min(control.attitude.gain_1_s[:2]))}", *_CONSTANT_GAINS]

@@ -41,7 +41,7 @@ MOST_INSTANCES = 250  # numbers: as many instances as hexjet sitl takes
 VARIABLES = {"px4": "PX4_SITL", "ardupilot": "ARDUPILOT_SITL"}  # of the environment: a program that nobody states
 PROGRAMS = {"px4": "px4", "ardupilot": "arducopter"}  # names by which they are looked for on the path
 BUILDS = {  # how their makers build them, and where they say so
-    "px4": "make px4_sitl; docs.px4.io, Building PX4 Software",
+    "px4": "make px4_sitl, and have a package in their releases; docs.px4.io, Building PX4 Software",
     "ardupilot": "./waf configure --board sitl && ./waf copter; ardupilot.org/dev, Building the code",
 }
 # Faults of sensors that do not reach an autopilot as what they are, and why.
@@ -173,12 +173,12 @@ def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, s
             f"controller = {scenario.controller}: {name} flies in the place of the controller; the gains of a design "
             f"go into it by --gains {scenario.controller}"
         )
-    _check_faults(name, scenario)
+    check_faults(name, scenario)
     make = {"betaflight": _betaflight, "px4": _px4, "ardupilot": _ardupilot}[name]
     return make(scenario, folder / name, program, setup)
 
 
-def _check_faults(name: str, scenario: Scenario) -> None:
+def check_faults(name: str, scenario: Scenario) -> None:
     """Raise InputError for the fault of a sensor that would not reach the autopilot as what it is."""
     for index, fault in enumerate(scenario.fault):
         if isinstance(fault, SensorBias | SensorDropout) and (untold := _UNTOLD[name].get((fault.sensor, fault.kind))):

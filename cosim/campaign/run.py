@@ -108,11 +108,12 @@ def _in_order(rows: Iterator[Row], numbers: list[int]) -> Iterator[Row]:
 
 
 def _check_autopilot(study: Study, autopilot: StudyAutopilot, workers: Workers | int | None) -> None:
-    """Raise InputError for an autopilot that is not here, or flights that are to be flown elsewhere."""
+    """Raise InputError for an autopilot that is not here, or flights that it cannot fly, or not here."""
     if not (workers is None or isinstance(workers, (int, LocalWorkers))):
         raise InputError(f"study {study.name}: autopilot {autopilot.name} flies on this machine; leave out --cluster")
-    from cosim.autopilots.prepare import require_program
+    from cosim.autopilots.prepare import check_faults, require_program
 
+    check_faults(autopilot.name, study.base())
     require_program(autopilot.name, autopilot.program(study.folder))
 
 

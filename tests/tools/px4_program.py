@@ -468,7 +468,10 @@ def ulog(values: Mapping[str, float], said: list[tuple[int, str]]) -> Iterator[b
 
 
 def main(arguments: list[str]) -> None:
-    """As PX4's command line has it."""
+    """As PX4's command line has it; its scripts stand in the folder that is named last."""
+    if not (Path(arguments[-1]) / "init.d-posix" / "rcS").is_file():
+        print("ERROR [px4] Error opening startup file, does not exist: etc/init.d-posix/rcS")
+        sys.exit(255)
     stated = dict(pairwise(arguments))
     folder = Path(stated.get("-w", "."))
     folder.mkdir(parents=True, exist_ok=True)
@@ -479,7 +482,8 @@ def installed(folder: Path) -> Path:
     """The program as a build has it: ``bin/px4`` beside ``etc``."""
     binary = folder / "bin" / "px4"
     binary.parent.mkdir(parents=True)
-    (folder / "etc").mkdir()
+    (folder / "etc" / "init.d-posix").mkdir(parents=True)
+    (folder / "etc" / "init.d-posix" / "rcS").write_text("#!/bin/sh\n")
     path = os.pathsep.join(part for part in sys.path if part)
     binary.write_text(f'#!/bin/sh\nPYTHONPATH="{path}" exec "{sys.executable}" "{Path(__file__).absolute()}" "$@"\n')
     binary.chmod(0o755)

@@ -10,8 +10,8 @@ loops, and its matrices are read off that, column by column:
 so ``u(z) = (C (z - A^N)^-1 (1 + ... + A^(N-1)) B + D) (r, y)`` at the flight's step, exactly.  P, I and D enter
 linearly, each with its own matrices.
 
-Sources: Betaflight 4.6 ``flight/pid.c``, ``pid_init.c``, ``sensors/gyro.c``, ``common/filter.c``; PX4 1.15
-``RateControl.cpp``, ``VehicleAngularVelocity.cpp``, ``AlphaFilter.hpp``; ArduPilot 4.6 ``AC_PID.cpp``, ``Copter.cpp``.
+Sources: Betaflight 4.6 ``flight/pid.c``, ``pid_init.c``, ``sensors/gyro.c``, ``common/filter.c``; PX4 1.18
+``rate_control.cpp``, ``VehicleAngularVelocity.cpp``, ``AlphaFilter.hpp``; ArduPilot 4.6 ``AC_PID.cpp``, ``Copter.cpp``.
 That PX4's and ArduPilot's rate loops hear the attitude loop one step later follows from the order of their tasks.  PX4:
 ``mc_rate_control`` runs at each new rate, in the work queue of the highest priority (``rate_ctrl`` in
 ``WorkQueueManager.hpp``); ``mc_att_control`` runs at each new attitude, which the estimator makes of the same sample,

@@ -441,6 +441,17 @@ def test_a_dropout_repeats_the_last_value(sensor: str, column: str, other: str) 
     assert log[f"fault_{sensor}"].sum() == 25
 
 
+def test_a_sensor_is_silent_as_long_as_its_samples_repeat() -> None:
+    """By which an autopilot is told nothing: a step too long, and what it had said last would be a new fix."""
+    fault = {"kind": "sensor_dropout", "start_s": 0.2, "duration_s": 0.1, "sensor": "gnss"}
+    silent = []
+    with build(HOVER.replace(duration_s=0.4, fault=[fault])) as simulation:
+        for _ in range(100):
+            simulation.step()
+            silent.append(simulation.sensors.silent)
+    assert [k for k, sensors in enumerate(silent) if sensors == ("gnss",)] == list(range(50, 75))
+
+
 # ---- a flight with them
 
 
