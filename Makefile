@@ -68,9 +68,6 @@ $(BETAFLIGHT): tests/betaflight.lock | setup
 fmus: $(BUILT) ## build the engines' FMUs anew
 	@$(BIN)/hexjet fmu build $(ARGS)
 
-kinds: setup ## check, design and fly every kind of foreign engine that the tests know: a table, in an hour or two
-	$(BIN)/hexjet fmu survey $$($(BIN)/python tests/tools/foreign_engines.py runs/kinds) $(ARGS)
-
 pictures: setup ## draw the documentation's pictures anew, from flights
 	@$(BIN)/python docs/pictures.py
 	@$(BIN)/python docs/engine_pictures.py
@@ -97,7 +94,7 @@ help: ## this list
 		/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 	@printf '\nThe interpreter: make PYTHON=python3.12 ... (at the first set-up, or after make clean)\n'
 
-.PHONY: demo bench setup check test long fast fmus kinds pictures docs lock clean help missing
+.PHONY: demo bench setup check test long fast fmus pictures docs lock clean help missing
 
 $(LOCKED): requirements.lock
 	@$(call check_python)

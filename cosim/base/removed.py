@@ -22,6 +22,9 @@ _RATES: Final = Removal(
 )
 # By what a user writes to name it: an option, a command, a key, the beginning of a value.
 REMOVED: Final[Mapping[str, Removal]] = {
+    "hexjet fmu compile": Removal("compiling the sources of an FMU", "0.3.0", "python -m fmpy compile FILE.fmu"),
+    "hexjet fmu survey": Removal("the table of many engines", "0.3.0", "hexjet fmu check and hexjet design for each"),
+    "hexjet fmu build --windows": Removal("building for Windows", "0.3.0", "a wheel made on Windows"),
     "hexjet gcs --foxglove": Removal(
         "the live feed for Foxglove", "0.3.0", "hexjet export RUN --to mcap, which Foxglove opens"
     ),

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cosim.base.errors import InputError
 from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, part_progress, say
+from cosim.cli.console import output_to_stderr, say
 from cosim.cli.groups import Group
-from cosim.cli.options import DONE, FLIGHT_FAILED, example, offer_to_compile
+from cosim.cli.options import DONE, FLIGHT_FAILED, example
 from cosim.cli.outputs import Out
 
 if TYPE_CHECKING:
@@ -23,15 +22,10 @@ def fmu() -> None:
     """Build and check engine FMUs."""
 
 
-_FMU = Out(".fmu")
-_WINDOWS = opt.flag("--windows", "For 64-bit Windows, with MinGW's compiler (x86_64-w64-mingw32-gcc).")
-
-
 class Build(opt.Record):
     """Options of ``hexjet fmu build``."""
 
     engines: tuple[str, ...] = opt.argument(nargs=-1)
-    windows: bool = _WINDOWS
 
 
 @fmu.command("build", epilog=example("hexjet fmu build turbojet"))
@@ -39,91 +33,10 @@ class Build(opt.Record):
 def fmu_build(options: Build) -> int:
     """Build the FMUs of ENGINES, or of all, from their sources; those up to date are left alone."""
     from cosim.engine import build_engines
-    from cosim.engine.make.compile import compile_archive, has_windows
 
     for path in build_engines(list(options.engines) or None):
-        if options.windows and not has_windows(path):
-            compile_archive(path, windows=True)
         click.echo(str(path))
     return DONE
-
-
-class Compile(opt.Output):
-    """Options of ``hexjet fmu compile``."""
-
-    archive: Path = opt.argument(metavar="FILE.fmu", type=click.Path(path_type=Path))
-    out = opt.out("[default: into FILE.fmu itself]", "FILE.fmu|DIR", _FMU)
-    windows: bool = _WINDOWS
-
-
-@fmu.command("compile", epilog=example("hexjet fmu compile their.fmu"))
-@opt.takes(Compile)
-def fmu_compile(options: Compile) -> int:
-    """Compile the sources that an FMU brings for this machine, and put the library into it.
-
-    For an FMU without a library for this machine, or, with --windows, for one that is to run on Windows too: an engine
-    of the library, an exported controller, anybody's.  Needs a C compiler.
-    """
-    from cosim.engine.make.compile import compile_archive
-
-    out = options.out
-    if out is not None and not _FMU.is_file(out):
-        out = out / options.archive.name
-    click.echo(str(compile_archive(options.archive, out, options.windows)))
-    return DONE
-
-
-class Survey(opt.Output):
-    """Options of ``hexjet fmu survey``."""
-
-    engines: tuple[Path, ...] = opt.argument(
-        nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path)
-    )
-    controller = opt.word("--controller", "NAME", "As in hexjet design, or auto.", "baseline")
-    time_limit = opt.number("--time-limit", "S", "Time of the clock for each command.", min=1.0, default=900.0)
-    page = opt.path(
-        "--page",
-        "FILE.md",
-        "Write each row into this page as it is found, between the marks 'measured: engines' and 'end'; other rows "
-        "of its table stay.",
-    )
-    missing = opt.flag("--missing", "Leave out the engines that have a row in the page already.")
-    as_json = opt.JSON
-
-
-@fmu.command("survey", epilog=example("hexjet fmu survey engines/*.fmu engines/*.toml"))
-@opt.takes(Survey)
-def fmu_survey(options: Survey) -> int:
-    """Print a line for each of many engines: is it fit, is there a design for it, does that fly as promised.
-
-    Checked, designed for and flown in processes of their own.  Status 1: a command of ours failed on one of them.
-    """
-    from dataclasses import asdict
-
-    from cosim.design.survey import COLUMNS, FAULT, MARK, add_to_page, read_rows, survey
-    from cosim.results.report.marks import check_marks, table
-
-    engines, page = options.engines, options.page
-    if options.missing and page is None:
-        raise InputError("--missing: goes with --page, which has the rows")
-    if page:
-        check_marks(page, [MARK])
-    if page and options.missing:
-        surveyed = read_rows(page)
-        engines = tuple(path for path in engines if path.stem not in surveyed)
-    rows = []
-    with part_progress("survey", quiet=options.as_json) as tell:
-        for number, row in enumerate(survey(engines, options.controller, options.time_limit), start=1):
-            tell(row.engine, number, len(engines))
-            rows.append(row)
-            if page:
-                add_to_page(page, row)
-    options.answer(
-        lambda: {"engines": [asdict(row) for row in rows]},
-        lambda: click.echo(table(COLUMNS, [row.cells for row in rows], left=len(COLUMNS) - 1), nl=False),
-        nan=True,
-    )
-    return FLIGHT_FAILED if any(row.verdict == FAULT for row in rows) else DONE
 
 
 class Check(opt.Output):
@@ -154,7 +67,6 @@ def fmu_check(options: Check) -> int:
     from cosim.engine import file_label
 
     options.check_out(*CHECK)
-    offer_to_compile(engine)
     result = check_engine(**options.chosen("engine", "step_s", "settings", "time_limit_s"))
     result.write(options.run_folder(f"check-{file_label(Path(engine))}"))
     options.answer(result.to_dict, lambda: print_check(result))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import click
 
+from cosim.base.removed import describe_removed
+
 GROUPS = {
     "Fly": {
         "fly": "fly a scenario and leave a run's folder",
@@ -48,6 +50,14 @@ _WHOLE = 1000  # letters: no first sentence is longer
 
 class Group(click.Group):
     """A group of commands, whose help has the whole first sentence of each."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that is named; raise UsageError with what to use instead of one that left."""
+        if (removed := describe_removed(f"{ctx.command_path} {args[0]}")) is not None:
+            ctx.fail(f"{args[0]}: {removed}")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands."""

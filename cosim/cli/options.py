@@ -96,24 +96,6 @@ def refuse_others(why: str, *allowed: str) -> None:
             raise InputError(f"{option}: {why}")
 
 
-def offer_to_compile(*engines: str) -> None:
-    """Ask once, on a terminal, whether an FMU that brings sources alone is to be compiled; elsewhere say nothing.
-
-    Raises InputError if it is and cannot be.
-    """
-    import sys
-
-    for engine in engines:
-        path = Path(engine.partition("=")[2] or engine)
-        if path.suffix.lower() != ".fmu" or not (sys.stdin.isatty() and sys.stderr.isatty()):
-            continue
-        from cosim.engine.make.compile import compile_archive, needs_compiling
-
-        question = f"{path} has sources and no library for this machine; compile them into it?"
-        if needs_compiling(path) and click.confirm(question, err=True):
-            compile_archive(path)
-
-
 def warn_of_fmu_defects(*engines: str, folder: Path = Path()) -> None:
     """Tell on standard error what of a foreign FMU's description, seen from ``folder``, is not as FMI has it."""
     from cosim.spec.vehicle import is_file

@@ -14,7 +14,7 @@ from cosim.cli.console import without_bars
 
 R = TypeVar("R")
 RUN_NONE = (  # commands that run nothing of what a file or a folder of the user's names
-    "aircraft new", "bench", "fmu build", "fmu compile", "fmu map", "list", "open", "paper", "report", "show",
+    "aircraft new", "bench", "fmu build", "fmu map", "list", "open", "paper", "report", "show",
     "sitl params",
 )  # fmt: skip
 _HELP = "Run what files name though you never flew it, Python, FMUs and programs, and remember it."

@@ -218,22 +218,3 @@ def mapped(fmu: Path, *lines: str) -> Path:
     path = fmu.with_suffix(".toml")
     path.write_text("\n".join([f'fmu = "{fmu.name}"', *lines, ""]))
     return path
-
-
-def kinds_table() -> str:
-    """What every kind is made of, in Markdown."""
-    from cosim.results.report.marks import table
-
-    rows = ([name, of, f"{fmi}.0", "; ".join(lines)] for name, (of, _, fmi, lines, _) in KINDS.items())
-    return table(("engine", "made of", "FMI", "mapping"), rows, left=4)
-
-
-if __name__ == "__main__":
-    import sys
-
-    if sys.argv[1].endswith(".md"):
-        from cosim.results.report.marks import write_marks
-
-        write_marks(Path(sys.argv[1]), {"kinds": kinds_table()})
-    else:
-        print(*write_kinds(Path(sys.argv[1])))

@@ -11,7 +11,7 @@ import click
 
 from cosim.cli import opt
 from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, example, offer_to_compile, warn_of_fmu_defects
+from cosim.cli.options import DONE, FLIGHT_FAILED, example, warn_of_fmu_defects
 
 if TYPE_CHECKING:
     from cosim.design.design import Design
@@ -116,7 +116,6 @@ def design(options: DesignOptions) -> int:
     if options.out is not None:  # before any question
         prepare(options.out)
     engine = engine_for(options.aircraft, options.engine)
-    offer_to_compile(engine)
     warn_of_fmu_defects(engine)
     chosen = options.chosen(
         "aircraft", "controller", "model", "amplitude", "max_sensitivity", "delay_tolerance", "gain_tolerance",

@@ -10,7 +10,7 @@ import click
 from cosim.base.signals import AXES
 from cosim.cli import opt
 from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table
-from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, offer_to_compile, warn_of_fmu_defects
+from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, warn_of_fmu_defects
 
 if TYPE_CHECKING:
     from cosim.design.measured import MeasuredMargins
@@ -65,7 +65,6 @@ def margins(options: Margins) -> int:
     from cosim.spec.controller_name import folder_name
 
     options.check_out(*WRITTEN)
-    offer_to_compile(*options.engines)
     loaded, axes = options.load(), options.axes or AXES
     warn_of_fmu_defects(loaded.engine, folder=loaded.folder)
     chosen = options.chosen("amplitude", "from_hz", "to_hz", "period_s", "periods", "limit", "at_least")

@@ -10,7 +10,7 @@ import click
 from cosim.base.errors import InputError
 from cosim.cli import opt
 from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table
-from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, is_given, offer_to_compile
+from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, is_given
 
 if TYPE_CHECKING:
     from cosim.identify.replay import Replay
@@ -77,7 +77,6 @@ def replay(options: Replayed) -> int:
     from cosim.api.replay import replay as fly_again
 
     options.check_out(*WRITTEN)
-    offer_to_compile(*options.engines)
     is_own = options.log.is_dir() and not is_given("scenario")
     chosen = options.chosen("time_column", "time_unit", "begin", "end", "window_s", "draws", "aircraft", "settings")
     with output_to_stderr(options.as_json), part_progress("replay", quiet=options.as_json) as show:

@@ -13,7 +13,7 @@ import click
 from cosim.base.errors import InputError
 from cosim.cli import opt
 from cosim.cli.console import on_terminal, output_to_stderr, say, show_table, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, offer_to_compile, refuse_others, warn_of_fmu_defects
+from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, refuse_others, warn_of_fmu_defects
 
 if TYPE_CHECKING:
     from cosim.base.protocols import Observer
@@ -99,7 +99,6 @@ def fly(options: Fly) -> int:
         raise InputError("--realtime and --rtf: give one of them")
     factor = (rtf or None) if rtf is not None else 1.0 if options.realtime or watched else None
     finish_killed(Path(options.scenario))
-    offer_to_compile(*options.engines)
     loaded = options.load()
     _warn(loaded, controller)
     label = short_name(controller) if controller is not None else loaded.controller

@@ -11,7 +11,7 @@ from cosim.api.call import Result
 from cosim.cli import opt
 from cosim.cli.console import CommandProgress
 from cosim.cli.groups import Group
-from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, offer_to_compile
+from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example
 from cosim.cli.outputs import Out
 from cosim.cli.trust import display_only
 from cosim.results.export import FILES, LOG_ENDINGS
@@ -141,7 +141,6 @@ def controller(options: ExportController) -> int:
     """
     from cosim.api.export import export_controller
 
-    offer_to_compile(*options.engines)
     result = export_controller(
         options.load(),
         options.out,
@@ -181,7 +180,6 @@ def vehicle(options: ExportVehicle) -> int:
     """
     from cosim.api.export import export_vehicle
 
-    offer_to_compile(*options.engines)
     chosen = options.chosen("outside", "kind", "name")
     result = export_vehicle(options.load(), options.out, progress=CommandProgress(), **chosen)
     options.answer(result.to_dict, lambda: _print(result), nan=True)

@@ -268,7 +268,7 @@ def _check_library(names: list[str], fmi: int, identifier: str) -> None:
     if here:
         files = ", ".join(file for file in here if file)
         has = f"folder {platform_folder(fmi)} {f'holds {files}' if files else 'is empty'}"
-    more = "; it has sources: hexjet fmu compile makes one of them" if has_sources(names) else ""
+    more = "; it has sources: python -m fmpy compile makes one of them" if has_sources(names) else ""
     raise UnusableError(f"has no binary for this machine, {needed} ({has}){more}")
 
 

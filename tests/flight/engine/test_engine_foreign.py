@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 import shutil
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,21 +19,16 @@ from foreign_engines import (
     POWER,
     PULSE,
     PULSE3,
-    SOURCE,
     SPEED,
     VALVE,
-    description,
     force,
     foreign,
-    kinds_table,
     lever,
-    library,
     mapped,
     write_kinds,
 )
 from pilot_flights import Flight
 from places import ROOT
-from stated_figures import stated
 
 from cosim import Scenario, fly
 from cosim.base.errors import EngineError, InputError
@@ -44,15 +38,12 @@ from cosim.cli.main import main
 from cosim.codegen.vectors import record_vectors
 from cosim.codegen.vehicle_ports import ExportedFlight, VehicleContents
 from cosim.control.autopilot import requests as rq
-from cosim.design.survey import FLIES, MARK, NONE, REFUSED, UNFIT, describe_design
 from cosim.engine import EngineBank, EngineSpec, load_engine
 from cosim.engine.fmu.air import Air
 from cosim.engine.fmu.archive import read_archive, validate
 from cosim.engine.fmu.description import is_harmless_violation
-from cosim.engine.make.compile import compile_archive, needs_compiling
 from cosim.engine.response import note_flat_ends
 from cosim.results.log.digest import log_digest
-from cosim.results.report import marks
 from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import LedgerRow, make_delay_ledger, select_axis
 from cosim.spec.vehicle import load_vehicle
@@ -131,53 +122,6 @@ def test_a_blemished_engine_is_fit_and_flies_with_a_warning(place: Path, capfd: 
 
 
 # ---- sources
-
-
-@pytest.fixture(scope="module")
-def sources(place: Path) -> Path:
-    """An FMU of sources alone: what the library is made of, with the stubs that FMPy asks for."""
-    library(2, place)
-    path = place / "sources.fmu"
-    files = '><SourceFiles><File name="all.c"/></SourceFiles></CoSimulation>'
-    text = description("foreign:lag=0.2", [lever(), force()], 2)
-    text = re.sub(r"(<CoSimulation [^>]*)/>", rf"\1{files}", text)
-    stubs = (place / "foreign2.c").read_text().replace(str(SOURCE), SOURCE.name)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("modelDescription.xml", text)
-        archive.writestr("sources/all.c", stubs)
-        archive.writestr(f"sources/{SOURCE.name}", SOURCE.read_text())
-    return path
-
-
-def test_an_engine_of_sources_alone_names_the_command_and_is_compiled_by_it(
-    sources: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert needs_compiling(sources)
-    with pytest.raises(InputError, match=r"no binary at all.; it has sources: hexjet fmu compile makes one of them"):
-        read_archive(sources)
-    made = sources.with_name("compiled.fmu")
-    with pytest.raises(SystemExit) as ended:
-        main(["fmu", "compile", str(sources), "--out", str(made)])
-    assert ended.value.code == 0
-    assert capfd.readouterr().out.strip() == str(made)
-    assert needs_compiling(sources)
-    assert not needs_compiling(made)
-    assert made.stat().st_mode == sources.stat().st_mode  # as readable for others as any file
-    assert read_archive(made).thrust.name == "thrust"
-    with pytest.raises(InputError, match=r"nowhere.x\.fmu: No such file or directory"):
-        compile_archive(sources, sources.with_name("nowhere") / "x.fmu")
-
-
-def test_sources_that_do_not_compile_say_why(sources: Path) -> None:
-    path = sources.with_name("wrong.fmu")
-    with zipfile.ZipFile(sources) as before, zipfile.ZipFile(path, "w") as after:
-        for name in before.namelist():
-            text = b"int broken(" if name == "sources/all.c" else before.read(name)
-            after.writestr(name, text)
-    with pytest.raises(InputError, match=r"do not compile .*error"):
-        compile_archive(path)
-    with pytest.raises(InputError, match="has no sources"):
-        compile_archive(foreign(sources.parent, "no-sources", "lag=0.2"))
 
 
 # ---- mapping: integers, enumerations, constants, sign, air, starts, rest
@@ -456,7 +400,7 @@ def test_a_flight_without_a_model_names_the_one_command(place: Path) -> None:
 
 
 def test_every_kind_is_read_and_measured_or_refused_in_one_line(tmp_path: Path) -> None:
-    """Those that cannot be flown as they are say what is missing; the table of all is `make kinds`."""
+    """Those that cannot be flown as they are say what is missing."""
     said = {}
     for path in write_kinds(tmp_path):
         try:
@@ -494,40 +438,6 @@ def test_six_lines_of_mapping_make_it_fly(kind: str, place: Path) -> None:
     assert total == pytest.approx(9.81 * run.log["mass_kg"][0], rel=0.02)
 
 
-def test_a_survey_tells_what_came_of_each(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    refused = foreign(place, "furlong", "lag=0.2", change=('unit="N"', 'unit="furlong"'))
-    page = place / "page.md"
-    page.write_text(
-        "Before.\n<!-- measured: engines -->\n| engine | s |\n| --- | ---: |\n| other | 1 |\n| missing | 7 |\n<!-- end -->\n"
-    )
-    with pytest.raises(SystemExit) as ended:
-        main(["fmu", "survey", str(refused), str(place / "missing.fmu"), "--page", str(page)])
-    assert ended.value.code == 0
-    out = capfd.readouterr().out.splitlines()
-    made = page.read_text().splitlines()
-    assert made[:3] == ["Before.", "<!-- measured: engines -->", out[0]]
-    assert [line.split("|")[1].strip() for line in made[4:-1]] == ["other", "missing", "furlong"]  # in their places
-    assert made[5] == out[3]
-    with pytest.raises(SystemExit):
-        main(["fmu", "survey", str(refused), "--page", str(page), "--missing"])  # it has a row: nothing is tried
-    assert len(capfd.readouterr().out.splitlines()) == 2
-    assert page.read_text().splitlines() == made
-    with pytest.raises(SystemExit) as ended:
-        main(["fmu", "survey", str(refused), "--missing"])
-    assert ended.value.code == 2
-    assert re.match(r"\| furlong \| .*its thrust is in furlong.* \|  \|  \| refused \| \d+ \|", out[2])
-    assert re.match(r"\| missing \| .*no such file \|  \|  \| refused \|", out[3])
-
-
-@pytest.mark.parametrize(
-    ("faults", "ok", "verdict"), [(["", ""], True, FLIES), (["swings", ""], False, NONE), ([], True, NONE)]
-)
-def test_nothing_is_said_to_fly_that_did_not(faults: list[str], ok: bool, verdict: str) -> None:
-    roll = {"after": {"bandwidth_hz": 1.0, "peak_sensitivity": 1.7}}
-    made = {"ok": ok, "reason": "" if ok else "swings", "controller": "smith", "axes": {"roll": roll}}
-    assert describe_design(made | {"proof": {"flights": [{"fault": each} for each in faults]}})[2] == verdict
-
-
 def test_the_delay_ledger_has_what_was_measured(place: Path, tmp_path: Path) -> None:
     """A library engine under a file's name, of which nothing is stated: the same rows; else what its parts add up to."""
     vehicle = load_vehicle("hexjet")[0]
@@ -552,29 +462,6 @@ def test_the_delay_ledger_has_what_was_measured(place: Path, tmp_path: Path) -> 
     assert [row.samples for row in rows(str(path))] == pytest.approx([5.0, 5.0 + 0.2 / 0.004 + 0.5], abs=0.3)
     noisy = mapped(foreign(place, "restless", "lag=0.1,noise=0.0025"), "[rest]", "thrust = 0.5")
     assert [row.samples for row in rows(str(noisy))] == [None, None]  # 1 N of change, and half of it by itself
-
-
-def test_the_page_of_kinds_is_what_the_survey_wrote() -> None:
-    """Every row a kind that there is, and a verdict with what it rests on; what they are made of, as they are."""
-    page = ROOT / "docs" / "engine-kinds.md"
-    parts = marks.page_parts(page)
-    assert parts["kinds"] == kinds_table()
-    rows = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in parts[MARK].splitlines()[2:]]
-    assert {row[0] for row in rows} <= set(KINDS)
-    assert len(rows) >= 44
-    for _, check, design, kept, verdict, seconds in rows:
-        assert verdict in (FLIES, NONE, UNFIT, REFUSED)  # never a fault of ours
-        assert float(seconds) > 0.0
-        assert (check == "fit") == (design != "")
-        if verdict == FLIES:
-            assert re.fullmatch(r"(\d+) of \1", kept)
-    counts = [sum(row[4] == verdict for row in rows) for verdict in (FLIES, NONE, UNFIT, REFUSED)]
-    said = "Of {} engines {} fly as promised, for {} there is no design, {} are unfit and {} are refused"
-    stated("docs/engine-kinds.md", said, len(rows), *counts)
-    made_of = [dict(each.split("=") for each in KINDS[row[0]][0].split(",")) for row in rows if row[4] == FLIES]
-    lags = [float(each["lag"]) for each in made_of]
-    late = max(float(each.get("delay", 0.0)) for each in made_of)
-    stated("docs/engine-kinds.md", "lags from {} to {} s, delays to {} s", min(lags), max(lags), late)
 
 
 def test_further_outputs_are_in_the_log_by_name_and_unit(place: Path) -> None:

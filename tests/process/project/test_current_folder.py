@@ -18,10 +18,8 @@ from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.local import LocalWorkers
-from cosim.design import survey
 from cosim.engine import IsolatedBank, load_engine
 from cosim.engine.fmu.air import STANDARD_AIR
-from cosim.engine.make.compile import compile_archive
 from cosim.engine.make.controller_fmu import make_command
 from cosim.engine.qualify.supervisor import Limits, run_in_child
 from cosim.flight import fly
@@ -70,14 +68,6 @@ def log_maker() -> None:
         store.close()
 
 
-def design_survey() -> None:
-    assert "status 0" in survey._run(["--version"], PATIENCE)[2]
-
-
-def compiler() -> None:
-    compile_archive(archive(), Path("compiled.fmu").absolute())
-
-
 def controller_fmu() -> None:
     with pytest.raises(InputError, match=r"before it had said what it is: .*edf"):  # an engine is no controller
         request_description(lambda: make_command(archive()), Path.cwd(), "none")
@@ -108,7 +98,7 @@ def trapped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     assert sorted(folder.rglob("*.sprung")) == []
 
 
-WAYS = [isolated_engines, fmu_check, worker, log_maker, design_survey, compiler, controller_fmu, bench, autopilot]
+WAYS = [isolated_engines, fmu_check, worker, log_maker, controller_fmu, bench, autopilot]
 
 
 @pytest.mark.parametrize("way", WAYS, ids=[way.__name__ for way in WAYS])

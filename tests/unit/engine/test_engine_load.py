@@ -424,7 +424,7 @@ def test_a_broken_archive_gets_one_clear_line(what: str, tmp_path: Path, capfd: 
     assert capfd.readouterr() == ("", "")
 
 
-SOURCES = "; it has sources: hexjet fmu compile makes one of them"
+SOURCES = "; it has sources: python -m fmpy compile makes one of them"
 
 
 def test_a_missing_binary_is_told_with_what_there_is(tmp_path: Path) -> None:

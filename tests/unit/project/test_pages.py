@@ -90,7 +90,6 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/design.md": ("test_pages.py", "test_sensors.py"),
     "docs/tables/design.md": ("test_pages.py",),
     "docs/engine-check.md": ("test_pages.py",),
-    "docs/engine-kinds.md": ("test_engine_foreign.py",),
     "docs/flight-page.md": ("test_flight_page.py",),
     "docs/failsafes.md": (
         "test_engine_out.py",
@@ -101,7 +100,6 @@ COVERED: Mapping[str, tuple[str, ...]] = {
     "docs/tables/accuracy.md": ("marks", "test_accuracy.py"),
     "docs/tables/benchmarks.md": ("marks", "test_bench.py", "test_flight_page.py"),
     "docs/tables/control-design.md": ("marks", "test_design_stored.py"),
-    "docs/tables/engine-kinds.md": ("marks", "test_engine_foreign.py"),
     "docs/tables/faults.md": ("marks", "test_pages.py", "test_engine_out.py", "test_faults.py"),
     "docs/tables/failsafes.md": ("marks", "test_failsafes.py"),
     "docs/tables/identification.md": ("marks",),
@@ -217,7 +215,6 @@ TYPED: Mapping[str, int] = {
     "docs/campaigns.md": 1,
     "docs/control-design.md": 19,
     "docs/design.md": 17,
-    "docs/engine-kinds.md": 3,
     "docs/failsafes.md": 1,
     "docs/faults.md": 11,
     "docs/full-scale.md": 13,
