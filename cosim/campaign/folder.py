@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from cosim.base.errors import InputError
+from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import write_whole
 from cosim.base.storage.toml import read_toml, toml_text
+from cosim.campaign.installed import FILES, installed_versions
 from cosim.campaign.study.distributions import Vary
 from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.study import Study
@@ -32,9 +34,11 @@ from cosim.spec.vehicle import is_aircraft_path, is_file
 
 STUDY, SCENARIO = "study.toml", "scenario.toml"
 FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS = "flights", "flights.jsonl", "report.html", "cases", "columns.json"
-# Where the values of a scenario are from; older folders do not say it.
-PROVENANCE = ("changed", "parameter_files")
-CAMPAIGN_FILES = (STUDY, SCENARIO, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS)
+# What the first flight was asked for: study and scenario once more, hashes of their files, and what was installed.
+RECORD = "asked.toml"
+# Keys of study and scenario that no row depends on: what they are called, and where values are from.
+WORDS = ("title", "description", "changed")
+CAMPAIGN_FILES = (STUDY, SCENARIO, RECORD, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -50,25 +54,70 @@ class FrozenStudy:
         for name, content in self.files.items():
             write_whole(folder / name, content)
         write_whole(folder / SCENARIO, toml_text(self.scenario).encode())
+        write_whole(folder / RECORD, toml_text(self.asked | {"installed": installed_versions()}).encode())
         write_whole(folder / STUDY, toml_text(self.study, multiline=True).encode())
 
-    def differences(self, folder: Path) -> Iterator[str]:
-        """Yield a line for each difference between this study and the one in ``folder``, the study itself first."""
-        defaults = {
-            name: field.get_default(call_default_factory=True)
-            for name, field in Study.model_fields.items()
-            if not field.is_required()
-        }
-        for name, table, unstated in ((STUDY, self.study, defaults), (SCENARIO, self.scenario, {})):
-            saved = read_toml(folder / name)
-            ignored = {key for key in PROVENANCE if name == SCENARIO and (key == "changed" or key not in saved)}
-            for key, saved_value, value in _compare_tables("", unstated | saved, unstated | table):
-                if key.partition(".")[0] in ignored:
-                    continue
-                yield f"{name}: {key} is {_format_value(saved_value)} there and {_format_value(value)} here"
-        for name, content in self.files.items():
-            if not (folder / name).is_file() or (folder / name).read_bytes() != content:
-                yield f"{name}: is another file there"
+    @property
+    def asked(self) -> dict[str, Any]:
+        """What rows depend on, as tables; of files the hashes."""
+        files = {name: sha256(content).hexdigest() for name, content in self.files.items()}
+        return {STUDY: self.study, SCENARIO: self.scenario, "file": files}
+
+
+def check_asked(folder: Path, frozen: FrozenStudy | None, holds: str) -> None:
+    """Raise InputError unless a folder may go on with what its first flight was asked for.
+
+    Study, scenario and their files have to be as they were then, and what is installed; ``frozen``, if there is one,
+    has to be that study.  ``holds`` begins the message where it is another.
+    """
+    if not (folder / RECORD).is_file():
+        raise InputError(
+            f"{folder}: {RECORD} is missing, so nothing tells whether study and program are as they were at the first "
+            "flight; it can be looked at, and flown anew in another folder"
+        )
+    check_unedited(folder)
+    asked = read_toml(folder / RECORD)
+    for name, value in installed_versions().items():
+        if (then := asked["installed"].get(name)) != value:
+            change = f"other {FILES}" if name == FILES else f"{name} was {then} and is {value}"
+            raise InputError(f"{folder}: what is installed changed since its first flight: {change}")
+    if frozen is not None:
+        for name, was, now in _differences(asked, frozen.asked):
+            raise InputError(f"{holds}; {name} is {was} there and {now} here")
+
+
+def check_unedited(folder: Path) -> None:
+    """Raise InputError where study, scenario or a file of theirs is not as it was at a folder's first flight.
+
+    Nothing can be told of folders of versions that kept no record.
+    """
+    if not (folder / RECORD).is_file():
+        return
+    asked = read_toml(folder / RECORD)
+    files = {name: sha256(_read(folder / name)).hexdigest() for name in asked["file"]}
+    now = {name: read_toml(folder / name) for name in (STUDY, SCENARIO)} | {"file": files}
+    for name, was, value in _differences(asked, now):
+        raise InputError(f"{folder}: changed since its first flight; {name} was {was} and is {value}")
+
+
+def extend_asked(folder: Path, study: Study) -> None:
+    """Write a longer study into a folder whose rows are its first ones, and that this is what is asked now."""
+    write_whole(folder / RECORD, toml_text(read_toml(folder / RECORD) | {STUDY: study.table()}), FlightError)
+    study.save(folder / STUDY)
+
+
+def _differences(asked: Mapping[str, Any], current: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield where two records differ, the study first: file and key, and both values in words."""
+    defaults = {
+        name: field.get_default(call_default_factory=True)
+        for name, field in Study.model_fields.items()
+        if not field.is_required()
+    }
+    for name in (STUDY, SCENARIO, "file"):
+        unstated = defaults if name == STUDY else {}
+        for key, was, now in _compare_tables("", unstated | asked[name], unstated | current[name]):
+            if key.partition(".")[0] not in WORDS:
+                yield f"{name}: {key}", _format_value(was), _format_value(now)
 
 
 def freeze(study: Study) -> FrozenStudy:

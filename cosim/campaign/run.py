@@ -12,7 +12,7 @@ from typing import Any
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.trust import need_trust
-from cosim.campaign.folder import STUDY, is_campaign
+from cosim.campaign.folder import STUDY, extend_asked, is_campaign
 from cosim.campaign.store import Campaign, Store, Tally, open_campaign
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.options import open_study
@@ -173,7 +173,7 @@ def extend_campaign(folder: Path, until: str | None = None, runs: int | None = N
         table = study.table() | {key: value for key, value in changes.items() if value is not None}
         longer = Study.from_table(table, folder.absolute(), str(folder / STUDY))
         stopping_rule(longer)
-        longer.save(folder / STUDY)
+        extend_asked(folder, longer)
 
 
 def choose_workers(count: int | None, cluster: str | None, time_limit_s: float | None) -> Workers:

@@ -28,9 +28,12 @@ from cosim.campaign.folder import (
     COLUMNS,
     FLIGHTS,
     JOURNAL,
+    RECORD,
     SCENARIO,
     STUDY,
     FrozenStudy,
+    check_asked,
+    check_unedited,
     freeze,
     is_campaign,
     load,
@@ -124,7 +127,7 @@ class Store:
         try:
             return cls._begin_with(folder, journal, frozen)
         except InputError:
-            for name in (*frozen.files, SCENARIO, STUDY, JOURNAL, COLUMNS):
+            for name in (*frozen.files, SCENARIO, RECORD, STUDY, JOURNAL, COLUMNS):
                 (folder / name).unlink(missing_ok=True)
             with suppress(OSError):
                 (folder / FLIGHTS).rmdir()
@@ -147,7 +150,8 @@ class Store:
     def resume(cls, folder: Path, study: Study | None = None) -> Store:
         """Go on with the campaign in a folder, or begin it if it was killed before it had begun.
 
-        Raises InputError if ``study`` is another one than the folder's, or another process is at work there.
+        Raises InputError if the folder, or the program, is not as it was at the first flight, ``study`` is another one
+        than the folder's, or another process is at work there.
         """
         frozen = None if study is None else freeze(study)
         anew = frozen is not None and _lacks_study(folder)
@@ -158,9 +162,7 @@ class Store:
         if frozen is not None and anew:
             return cls._begin_with(folder, journal, frozen)
         try:
-            difference = next(frozen.differences(folder), None) if frozen is not None else None
-            if difference is not None:
-                raise InputError(f"{folder}: holds another study; {difference}")
+            check_asked(folder, frozen, f"{folder}: holds another study")
             store = cls(folder, journal)
             store._take_up()
         except BaseException:
@@ -305,11 +307,13 @@ def open_campaign(folder: Path | str) -> Campaign:
     >>> campaign.columns["success"].count(True) / len(campaign)
     1.0
 
-    None of the code that it names is run.  Raises InputError if there is none, or a file cannot be read.
+    None of the code that it names is run.  Raises InputError if there is none, a file cannot be read, or its study is
+    not the one that its flights were judged by.
     """
     folder = Path(folder)
     with without_code():
         study = load(folder)
+        check_unedited(folder)
         of = flight_count(study)
         columns = stored_kinds(folder, study, lambda: _names_in_rows(folder, of))
     return Campaign(folder, study, _Columns(folder, columns, of), of)

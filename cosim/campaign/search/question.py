@@ -19,7 +19,7 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import lock_file, map_os_errors, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.campaign.folder import FrozenStudy, freeze
+from cosim.campaign.folder import FrozenStudy, check_asked, freeze
 from cosim.campaign.folder import load as load_study
 from cosim.campaign.search.probe import Journal
 from cosim.campaign.search.search import describe_flight
@@ -51,14 +51,12 @@ def _holds_question(out: Path, frozen: FrozenStudy, asked: Mapping[str, Any], re
         raise InputError(f"{out}: is not empty and holds no {words.none}; choose another folder")
     if not resume:
         raise InputError(f"{out}: already holds {words.one}; choose another folder, or --resume goes on with it")
-    difference = next(iter(frozen.differences(out / STUDY)), None)
+    holds = f"{out}: holds {words.other}"
+    check_asked(out / STUDY, frozen, holds)
     saved = read_toml(out / words.file)
-    differing = [key for key in asked.keys() | saved.keys() if asked.get(key) != saved.get(key)]
-    if difference is None and differing:
-        key = min(differing)
-        difference = f"{words.file}: {key} is {saved.get(key)} there and {asked.get(key)} here"
-    if difference is not None:
-        raise InputError(f"{out}: holds {words.other}; {difference}")
+    for key in sorted(asked.keys() | saved.keys()):
+        if asked.get(key) != saved.get(key):
+            raise InputError(f"{holds}; {words.file}: {key} is {saved.get(key)} there and {asked.get(key)} here")
     return True
 
 

@@ -30,6 +30,7 @@ from uuid import uuid4
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.scratch import scratch
 from cosim.campaign.folder import FrozenStudy, freeze
+from cosim.campaign.installed import installed_versions, list_differences
 from cosim.campaign.workers import remote
 from cosim.campaign.workers.flight_row import Row, failed_row
 from cosim.campaign.workers.protocol import time_limit, update_mean
@@ -111,7 +112,7 @@ class DaskWorkers:
                 option = f"--scheduler-file {self._where}" if self._where.endswith(".json") else self._where
                 raise InputError(f"--cluster {self._where}: has no workers; one is started with: dask worker {option}")
             sleep(0.1)
-        installed = {name: self._client.submit(remote.installed, workers=[name], pure=False) for name in workers}
+        installed = {name: self._client.submit(installed_versions, workers=[name], pure=False) for name in workers}
         end = monotonic() + CHECK_S
         for name, future in installed.items():
             try:
@@ -120,7 +121,7 @@ class DaskWorkers:
                 continue
             except Exception as error:
                 raise InputError(f"--cluster {self._where}: worker {name}: {_describe(error)}") from error
-            differences = remote.differences(remote_versions, remote.installed())
+            differences = list_differences(remote_versions, installed_versions())
             if differences:
                 raise InputError(f"--cluster {self._where}: worker {name} has {', '.join(differences)}")
 
@@ -269,7 +270,7 @@ class _Tasks:
                 _fly,
                 self._packed,
                 self._digest,
-                remote.installed(),
+                installed_versions(),
                 batch,
                 self._limit,
                 key=f"{self._name}-flights-{next(self._number)}",
@@ -328,7 +329,7 @@ def _fly(
 ) -> list[Row]:
     """Fly these flights on a worker of the cluster.  Raises FlightError if its packages are not the expected ones."""
     worker = _dask().get_worker()
-    wrong = remote.differences(remote.installed(), expected)
+    wrong = list_differences(installed_versions(), expected)
     if wrong:
         raise FlightError(f"worker {worker.address} has {', '.join(wrong)}")
     return remote.fly_together(frozen, digest, flights, limit, Path(worker.local_directory))

@@ -7,29 +7,22 @@ worker with it, and threads of one worker share nothing but the machine.
 from __future__ import annotations
 
 import atexit
-import hashlib
-import platform
-from collections.abc import Mapping, Sequence
-from functools import cache
+from collections.abc import Sequence
 from pathlib import Path
 from threading import Lock, Timer
 from typing import TYPE_CHECKING
 
 from cosim.base.storage.cache import RecentCache
-from cosim.base.storage.paths import data_folder
 from cosim.base.trust import trust
 from cosim.campaign.folder import STUDY, FrozenStudy, load
 from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.local import LocalWorkers
-from cosim.results.summary import versions
 
 if TYPE_CHECKING:
     from cosim.campaign.study.plan import Flight
     from cosim.campaign.study.study import Study
 
 IDLE_S = 60.0  # chosen by us: after which a process without flights ends
-PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy")  # packages that determine a flight's numbers
-FILES = "files of aircraft, engines and program"  # compared by their contents
 
 _studies: RecentCache[Study] = RecentCache(4)
 _unpacking = Lock()
@@ -97,38 +90,8 @@ def end_idle() -> None:
     _processes.end_idle()
 
 
-@cache
-def installed() -> dict[str, str]:
-    """Return the versions of what determines a flight's numbers here, and may differ elsewhere."""
-    all_versions = versions()
-    minor = ".".join(platform.python_version_tuple()[:2])
-    return {"python": minor, **{name: all_versions.get(name, "none") for name in PACKAGES}, FILES: _files()}
-
-
-def differences(remote: Mapping[str, str], local: Mapping[str, str]) -> list[str]:
-    """Describe what is installed otherwise there than here."""
-    return [
-        f"other {name}" if name == FILES else f"{name} {remote.get(name, 'none')} (here {value})"
-        for name, value in local.items()
-        if remote.get(name) != value
-    ]
-
-
 def _unpack(frozen: FrozenStudy, folder: Path) -> None:
     """Write the study down if that was not done yet, or somebody has cleaned up since."""
     if not (folder / STUDY).is_file():  # the last that is written
         folder.mkdir(parents=True, exist_ok=True)
         frozen.write(folder)
-
-
-def _files() -> str:
-    package = Path(__file__).resolve().parents[2]
-    files = [(package, path) for path in package.rglob("*.py") if "data" not in path.relative_to(package).parts]
-    for name, kinds in (("aircraft", ("*.toml", "*.xml")), ("engines", ("*.toml", "*.c", "*.h"))):
-        root = data_folder(name)
-        files += [(root, path) for kind in kinds for path in root.rglob(kind)]
-    digest = hashlib.sha256()
-    for root, path in sorted(files, key=lambda file: (file[0].name, file[1].relative_to(file[0]).as_posix())):
-        digest.update(f"{root.name}/{path.relative_to(root).as_posix()}\n".encode())
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()

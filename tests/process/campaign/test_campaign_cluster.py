@@ -23,6 +23,7 @@ from patience import PATIENCE
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.paths import data_folder
 from cosim.campaign.folder import freeze, load
+from cosim.campaign.installed import FILES, installed_versions
 from cosim.campaign.run import run_campaign
 from cosim.campaign.store import Store
 from cosim.campaign.study.plan import Flight, flights
@@ -190,14 +191,14 @@ def test_threads_of_this_process_do_the_same(capfd: pytest.CaptureFixture[str]) 
 
 
 def test_another_installation_is_told_before_a_flight(processes: Processes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(remote.installed(), "jsbsim", "0.9")
-    monkeypatch.setitem(remote.installed(), remote.FILES, "of another day")
+    monkeypatch.setitem(installed_versions(), "jsbsim", "0.9")
+    monkeypatch.setitem(installed_versions(), FILES, "of another day")
     with pytest.raises(InputError) as refused:
         DaskWorkers(str(processes.file))
     assert "\n" not in str(refused.value)
     assert "jsbsim" in str(refused.value)
     assert "(here 0.9)" in str(refused.value)
-    assert f"other {remote.FILES}" in str(refused.value)
+    assert f"other {FILES}" in str(refused.value)
 
 
 def test_a_worker_is_no_scheduler(processes: Processes) -> None:

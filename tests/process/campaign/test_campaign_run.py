@@ -14,6 +14,7 @@ import tomli_w
 from campaign_tools import without_chance
 from command_tools import Hexjet
 
+from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
 from cosim.campaign import (
@@ -26,6 +27,7 @@ from cosim.campaign import (
 from cosim.campaign.folder import (
     FLIGHTS,
     JOURNAL,
+    RECORD,
     SCENARIO,
     STUDY,
 )
@@ -113,6 +115,11 @@ def test_a_changed_number_of_the_aircraft_is_told(moved: Path) -> None:
     scenario = read_toml(moved / SCENARIO)
     scenario["vehicle"]["sensors"]["gyro"]["noise_rad_s"] *= 1.0 + 1e-12
     (moved / SCENARIO).write_text(tomli_w.dumps(scenario))
+    with pytest.raises(
+        InputError, match=r"scenario.toml: vehicle.sensors.gyro.noise_rad_s was 0.005 and is 0.00500000"
+    ):
+        open_campaign(moved)
+    (moved / RECORD).unlink()  # a folder of version 0.2.0 does not tell before it is flown
     again = fly_again(open_campaign(moved), 0)
     assert (again.same, again.verdict) == (False, "not the same")
     assert again.otherwise[0] == "the numbers of the aircraft or of an engine are others"

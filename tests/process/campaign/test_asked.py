@@ -1,0 +1,103 @@
+"""A folder goes on with what its first flight was asked for, or not at all: every command that resumes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from command_tools import Done, Hexjet
+
+from cosim.base.errors import InputError
+from cosim.campaign import installed, open_campaign
+from cosim.campaign.folder import RECORD
+
+STUDY = """
+name = "short"
+scenario = "hover"
+controllers = ["smith"]
+design = "random"
+runs = 20
+until = "70%@90%"
+
+[settings]
+duration_s = 0.02
+
+[[vary]]
+key = "vehicle.mass_kg"
+normal = { mean = 5.525, sd = 0.05, min = 5.4, max = 5.7 }
+
+[success]
+"roll.max_abs_error_rad" = { max = 0.0305 }
+"""
+DRAWN = ["hover", "--vary", "vehicle.mass_kg=normal(5.525,0.05,5.4,5.7)"]
+HOVER = ["--set", "duration_s=0.02", "--success", "roll.max_abs_error_rad<=0.0305"]
+BUDGET = ["--budget", "800", "--target", "0.5", "--same-seed"]
+# Of each: the command, how it is resumed, and where its study is.
+COMMANDS: dict[str, tuple[list[str], list[str], str]] = {
+    "sweep": (["sweep", "short.toml"], ["sweep", "out"], ""),
+    "prove": (["prove", "short.toml", "--search", "0", "--no-limit"], ["prove", "out", "--search", "0"], "campaign"),
+    "search": (["search", "hover", "--vary", "vehicle.mass_kg=5.5:5.6:3", *HOVER], [], "study"),
+    "likely": (["search", *DRAWN, "--likely", "--budget", "20", *HOVER], [], "study"),
+    "rare": (["rare", *DRAWN, *BUDGET, *HOVER], [], "study"),
+}
+
+
+@pytest.fixture(params=COMMANDS)
+def flown(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hexjet: Hexjet
+) -> tuple[Path, Callable[[], Done]]:
+    """The folder of a study that a command flew, and what resumes it."""
+    monkeypatch.chdir(tmp_path)
+    Path("short.toml").write_text(STUDY)
+    first, again, folder = COMMANDS[request.param]
+    done = hexjet(*first, "--out", "out", "--workers", "1")
+    assert done.status in (0, 1), done.err
+    resume = [*again, "--resume"] if again else [*first, "--out", "out", "--resume"]
+    return Path("out", folder), lambda: hexjet(*resume, "--workers", "1")
+
+
+def edit(file: Path, old: str, new: str) -> None:
+    text = file.read_text()
+    assert text.count(old) == 1
+    file.write_text(text.replace(old, new))
+
+
+def test_an_edited_folder_is_refused_by_the_key_that_changed(
+    flown: tuple[Path, Callable[[], Done]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, resume = flown
+    assert resume().status in (0, 1)
+    for file, old, new, key in (
+        ("study.toml", "0.0305", "0.5", "success.roll.max_abs_error_rad.max was 0.0305 and is 0.5"),
+        ("scenario.toml", "mass_kg = 5.525", "mass_kg = 5.0", "vehicle.mass_kg was 5.525 and is 5.0"),
+    ):
+        edit(folder / file, old, new)
+        assert resume() == (2, "", f"hexjet: {folder}: changed since its first flight; {file}: {key}\n")
+        edit(folder / file, new, old)
+    with monkeypatch.context() as other:
+        other.setitem(installed.installed_versions(), "jsbsim", "0.9")
+        status, _, line = resume()
+    begin = f"hexjet: {folder}: what is installed changed since its first flight: jsbsim was "
+    assert (status, line[: len(begin)], line[-12:]) == (2, begin, " and is 0.9\n")
+    (folder / RECORD).unlink()
+    status, _, line = resume()
+    assert (status, line.startswith(f"hexjet: {folder}: asked.toml is missing")) == (2, True)
+
+
+def test_the_rows_of_an_edited_study_are_not_shown_beside_its_limits(tmp_path: Path, hexjet: Hexjet) -> None:
+    folder = tmp_path / "out"
+    assert hexjet("sweep", *DRAWN, "--runs", "2", *HOVER, "--out", str(folder)).status == 0
+    edit(folder / "study.toml", "0.0305", "0.5")
+    with pytest.raises(InputError, match=r"success.roll.max_abs_error_rad.max was 0.0305 and is 0.5$"):
+        open_campaign(folder)
+    edit(folder / "study.toml", "0.5", "0.0305")
+    assert len(open_campaign(folder)) == 2
+
+
+def test_a_longer_study_is_what_is_asked_from_then_on(tmp_path: Path, hexjet: Hexjet) -> None:
+    folder = str(tmp_path / "out")
+    assert hexjet("sweep", *DRAWN, "--runs", "3", *HOVER, "--sampling", "random", "--out", folder).status == 0
+    for runs in ("5", "7"):
+        assert hexjet("sweep", folder, "--resume", "--runs", runs).status == 0
+    assert len(open_campaign(folder)) == 7
