@@ -13,13 +13,13 @@ from typing import Any
 from cosim.base.errors import FlightError, InputError
 from cosim.base.trust import need_trust
 from cosim.campaign.folder import STUDY, extend_asked, is_campaign
-from cosim.campaign.store import Campaign, Store, Tally, open_campaign
+from cosim.campaign.store import Campaign, Store, Tally, count_flights, open_campaign
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import Flight, scenario_of, stopping_rule
 from cosim.campaign.study.sequential import default_runs
 from cosim.campaign.study.study import Study, study_code, study_names
-from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256, with_autopilot
+from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256, verdict_of, with_autopilot
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.campaign.workers.protocol import Workers
 from cosim.flight import fly_watched as fly
@@ -81,9 +81,8 @@ def _fly_remaining(store: Store, workers: Workers) -> Iterator[Row]:
     if rule is None:
         yield from workers.fly(store.study, (flight for flight in store.flights if flight.number not in store.done))
         return
-    finished = open_campaign(store.folder).columns if store.stored else {"flight": [], "success": []}
-    for number, success in zip(finished["flight"], finished["success"], strict=True):
-        rule.add(int(number or 0), bool(success))
+    if store.stored:
+        count_flights(rule, open_campaign(store.folder))
     if rule.is_finished:
         return
     remaining = [number for number in range(len(store.flights)) if number not in store.done]
@@ -91,7 +90,7 @@ def _fly_remaining(store: Store, workers: Workers) -> Iterator[Row]:
     with closing(rows):  # type: ignore[type-var]  # both kinds of workers end what is under way when they are closed
         for row in _in_order(rows, remaining):
             yield row
-            if rule.add(row["flight"], bool(row["success"])):  # type: ignore[arg-type]
+            if rule.add(row["flight"], verdict_of(row["outcome"], row["success"])):  # type: ignore[arg-type]
                 return
 
 

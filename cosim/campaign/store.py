@@ -39,8 +39,9 @@ from cosim.campaign.folder import (
     load,
 )
 from cosim.campaign.study.plan import flight_count, flights
+from cosim.campaign.study.sequential import StoppingRule
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Kinds, Row, Value, kinds
+from cosim.campaign.workers.flight_row import Kinds, Row, Value, kinds, verdict_of
 from cosim.results.log.arrow import read_table, write_table
 
 PART_ROWS = 4096  # 2 MB
@@ -317,6 +318,13 @@ def open_campaign(folder: Path | str) -> Campaign:
         of = flight_count(study)
         columns = stored_kinds(folder, study, lambda: _names_in_rows(folder, of))
     return Campaign(folder, study, _Columns(folder, columns, of), of)
+
+
+def count_flights(rule: StoppingRule, campaign: Campaign) -> None:
+    """Let a stopping rule count the flights of a campaign."""
+    columns = [campaign.columns.get(name, []) for name in ("flight", "outcome", "success")]
+    for number, outcome, success in zip(*columns, strict=True):
+        rule.add(int(number or 0), verdict_of(outcome, success))
 
 
 class _Columns(Mapping[str, list[Value]]):

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from math import ceil, floor, log10
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from cosim.campaign.store import count_flights
 from cosim.campaign.study.plan import stopping_rule
 from cosim.campaign.study.sequential import Claim, Verdict
 from cosim.spec.controller_name import short_name
@@ -32,6 +33,7 @@ class ClaimResult(NamedTuple):
             "tests": {
                 name: {
                     "decision": verdict.decision, "flights": verdict.flights, "failures": verdict.failures,
+                    "not_flown": verdict.not_flown,
                     "bound": verdict.bound if self.is_finished else None,
                     "bound_is": "at most" if verdict.decision == "refuted" else "at least",
                     "confidence": self.claim.confidence,
@@ -51,21 +53,21 @@ class ClaimResult(NamedTuple):
         if not self.is_finished and verdict.decision == "open":
             return f"{self.text} is not decided yet: {counted} so far"
         probability = "probability of success" if self.claim.pair is None else "share of these"
-        side = "at most" if verdict.decision == "refuted" else "at least"
         low, high = verdict.interval
-        bound = format_percent(verdict.bound, up=verdict.decision == "refuted")
         return (
-            f"{self.text} is {WORDS[verdict.decision]} by {counted}; {probability} {side} {bound} "
+            f"{self.text} is {WORDS[verdict.decision]} by {counted}; {probability} {format_bound(verdict)} "
             f"with {100.0 * self.claim.confidence:g} % confidence; the two-sided interval of 95 % confidence is "
             f"{format_percent(low, up=False)} to {format_percent(high, up=True)}"
         )
 
     def _counted(self, verdict: Verdict) -> str:
         if self.claim.pair is not None:
-            won = verdict.flights - verdict.failures
-            return f"{verdict.flights:,} draws that one of the two alone succeeds in, {won:,} of them the first"
-        flights = f"{verdict.flights:,} flight{'s' if verdict.flights != 1 else ''}"
-        return f"{flights} with {verdict.failures:,} failure{'s' if verdict.failures != 1 else ''}"
+            won = verdict.flights - verdict.failures - verdict.not_flown
+            told = f"{verdict.flights:,} draws that one of the two alone succeeds in, {won:,} of them the first"
+        else:
+            flights = f"{verdict.flights:,} flight{'s' if verdict.flights != 1 else ''}"
+            told = f"{flights} with {verdict.failures:,} failure{'s' if verdict.failures != 1 else ''}"
+        return f"{told} and {verdict.not_flown:,} without a verdict" if verdict.not_flown else told
 
 
 def judge_claim(campaign: Campaign) -> ClaimResult | None:
@@ -73,11 +75,16 @@ def judge_claim(campaign: Campaign) -> ClaimResult | None:
     rule = stopping_rule(campaign.study)
     if rule is None:
         return None
-    columns = campaign.columns
-    for number, success in zip(columns.get("flight", []), columns.get("success", []), strict=True):
-        rule.add(int(number or 0), bool(success))
+    count_flights(rule, campaign)
     verdicts = {short_name(name): test.verdict() for name, test in rule.tests.items() if test.flights}
     return ClaimResult(rule.claim, str(campaign.study.until), rule.is_finished, verdicts)
+
+
+def format_bound(verdict: Verdict) -> str:
+    """Return the bound of a verdict in words, rounded to the side of its error where the claim is open."""
+    if verdict.decision == "open":
+        return f"at least {format_percent(verdict.bound, up=False)}"
+    return f"at {'most' if verdict.decision == 'refuted' else 'least'} {100.0 * verdict.bound:.12g} %"
 
 
 def format_percent(probability: float, up: bool) -> str:

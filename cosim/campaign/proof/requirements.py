@@ -9,18 +9,21 @@ from cosim.campaign.analysis.table import describe_range
 from cosim.campaign.proof.result import ProvenRequirement
 from cosim.campaign.store import Campaign
 from cosim.campaign.workers.flight_row import MARGIN_OF
+from cosim.results.limits import LIMITED
 from cosim.results.requirements import parse_formula
 from cosim.results.wording import metric
 from cosim.spec.scenario import Range, RequireEntry
 
-FLOWN = "flies to its end, within the flight's own limits"
+# Limits that a flight has only if its scenario states them.
+NO_DEFAULT = {"throttle_activity_1_s", "tilt_activity_rad_s", "fuel_burnt_kg"}
 
 
 def proven_requirements(campaign: Campaign) -> list[ProvenRequirement]:
     """Return what a flight must keep to count as a success: to fly, each formula, and each condition of the study."""
     outcomes, beyond = campaign.columns.get("outcome", []), campaign.columns.get("beyond", [])
-    lost = sum(outcome != "completed" or bool(limits) for outcome, limits in zip(outcomes, beyond, strict=True))
-    listed = [ProvenRequirement("R1", FLOWN, lost, len(outcomes), None, "", None)]
+    flown = [(outcome, limits) for outcome, limits in zip(outcomes, beyond, strict=True) if outcome != "failed"]
+    lost = sum(outcome != "completed" or bool(limits) for outcome, limits in flown)
+    listed = [ProvenRequirement("R1", _describe_flown(campaign), lost, len(flown), None, "", None)]
     for entry in campaign.study.base().require:
         listed.append(_formula(campaign, f"R{len(listed) + 1}", entry))
     for name, allowed in campaign.study.success.items():
@@ -28,11 +31,31 @@ def proven_requirements(campaign: Campaign) -> list[ProvenRequirement]:
     return listed
 
 
+def _describe_flown(campaign: Campaign) -> str:
+    """Return the requirement to fly to the end, with the limits that count and those that are off, by their keys."""
+    scenario, position = campaign.study.base(), LIMITED["place_error_m"]
+    is_placed = any(value is not None for value in campaign.columns.get(position, []))
+    absent = NO_DEFAULT | {"drift_m" if is_placed else "place_error_m"}
+    if scenario.requests is not None:
+        absent |= {"drift_m", "speed_m_s"}
+    counting, off = [], []
+    for key, value in scenario.limits.model_dump().items():
+        if value is False or (value is None and key in absent):
+            off.append(key)
+        else:
+            counting.append(key if value is None else f"{key} = {value:g}")
+    return (
+        f"flies to its end; limits that count: {', '.join(counting) or 'none'}; limits that are off: "
+        f"{', '.join(off) or 'none'}"
+    )
+
+
 def _formula(campaign: Campaign, label: str, entry: RequireEntry) -> ProvenRequirement:
     """Return a requirement of the scenario or the study; a flight that was lost broke it."""
     unit = parse_formula(entry.formula).unit
     says = f"{entry.name}: {entry.formula}"
-    return _proven(campaign, label, says, entry.name, range(len(campaign)), 1.0, "" if unit == "1" else unit)
+    flown = [index for index, outcome in enumerate(campaign.columns["outcome"]) if outcome != "failed"]
+    return _proven(campaign, label, says, entry.name, flown, 1.0, "" if unit == "1" else unit)
 
 
 def _condition(campaign: Campaign, label: str, name: str, allowed: Range) -> ProvenRequirement:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.campaign.analysis.claim import ClaimResult, format_percent
+from cosim.campaign.analysis.claim import ClaimResult, format_bound
 from cosim.campaign.proof.credibility import Factor
 from cosim.campaign.study.sequential import Decision, Verdict
 from cosim.design.loop.limit import AxisLimit
@@ -105,14 +105,15 @@ class Proof:
         if verdict is None or not self.claim.is_finished:
             so_far = 0 if verdict is None else verdict.flights
             return f"Nothing can be said yet of whether {who} keeps {what}: {so_far:,} flights are counted"
-        bound = format_percent(verdict.bound, up=verdict.decision == "refuted")
-        side = "at most" if verdict.decision == "refuted" else "at least"
-        stopped = "all that it was given" if verdict.decision == "open" else "stopped by rule"
+        all_flown = verdict.flights == study["most_flights"]
+        stopped = "all that it was given" if verdict.decision == "open" and all_flown else "stopped by rule"
         flights = (
             f"{verdict.flights:,} flight{'s' if verdict.flights != 1 else ''}, {verdict.failures:,} of them failed"
         )
+        if verdict.not_flown:
+            flights += f" and {verdict.not_flown:,} not flown to a verdict"
         counted = f"{confidence:g} % confidence, {flights}, {stopped}"
-        text = f"{who} keeps {what} with probability {side} {bound} ({counted})"
+        text = f"{who} keeps {what} with probability {format_bound(verdict)} ({counted})"
         if verdict.decision == "shown":
             return text[0].upper() + text[1:]
         claimed = f"{100.0 * self.claim.claim.probability:g} %"

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from math import ceil, log
 from typing import Literal, NamedTuple
@@ -92,8 +93,11 @@ class Verdict:
     """What a study shows of a claim after ``flights``, of which ``failures`` were no success.
 
     Of a pair ``flights`` counts the draws that only one of the two flew with success, and ``failures`` the second's.
-    ``bound`` is one-sided, on the side of the decision and at the claim's confidence: the lower end of the probability
-    of success, or the upper end where the claim is refuted; ``interval`` has two sides and holds 95 %.
+    ``not_flown`` of the flights have no verdict and are no ``failures``.
+    ``bound`` has the claim's confidence whichever way the study ended: of a claim that is shown or refuted it is the
+    claimed probability itself, the least or the most; else the lower end of the probability of success, one-sided.  A
+    bound beyond the claimed one, on the side that the flights chose, would be wrong twice as often as it says.
+    ``interval`` has two sides and holds 95 %.
     """
 
     decision: Decision
@@ -101,6 +105,7 @@ class Verdict:
     failures: int
     bound: float
     interval: tuple[float, float]
+    not_flown: int = 0
 
 
 class SequentialTest:
@@ -138,12 +143,13 @@ class SequentialTest:
             elif self._least(self.claim.error) > self._failing:
                 self.decision = "refuted"
 
-    def verdict(self) -> Verdict:
-        """Return what can be said now."""
-        error = self.claim.error
-        failing = self._least(error) if self.decision == "refuted" else self._highest(error)
-        interval = (1.0 - self._highest(0.025), 1.0 - self._least(0.025))
-        return Verdict(self.decision, self.flights, self.failures, 1.0 - failing, interval)
+    def lower_end(self) -> float:
+        """Return the lower end of the probability of success, one-sided, at the claim's confidence."""
+        return 1.0 - self._highest(self.claim.error)
+
+    def interval(self) -> tuple[float, float]:
+        """Return the two-sided interval of 95 % of the probability of success."""
+        return 1.0 - self._highest(0.025), 1.0 - self._least(0.025)
 
     def _advance(self) -> None:
         """Put every course that a study may take one flight on, and end those that have crossed a boundary."""
@@ -216,6 +222,52 @@ class SequentialTest:
         return float(brentq(function, _SPAN, 1.0 - _SPAN, xtol=1e-12))
 
 
+class ClaimTest:
+    """The test of a claim by flights of which some have no verdict: they count against whatever is being decided.
+
+    Such a flight is a failure in the course that may show the claim, and a success in the one that may refute it.
+    """
+
+    def __init__(self, claim: Claim) -> None:
+        # One and the same up to the first flight without a verdict.
+        self._worst = self._best = SequentialTest(claim)
+        self.flights = self.failures = self.not_flown = 0
+
+    @property
+    def decision(self) -> Decision:
+        """What is decided: shown by the worst course, or refuted by the best."""
+        return "shown" if self._worst.decision == "shown" else "refuted" if self._best.decision == "refuted" else "open"
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether no flight decides any more: it is decided, or both courses have ended the other way."""
+        return self.decision != "open" or "open" not in (self._worst.decision, self._best.decision)
+
+    def add(self, worst: bool | None, best: bool | None) -> None:
+        """Count one more flight as a success or not in either course, None: not at all; nothing after the end."""
+        if self.is_finished or worst is best is None:
+            return
+        if worst is not best and self._best is self._worst:
+            self._best = deepcopy(self._worst)
+        self.flights += 1
+        self.failures += worst is best is False
+        self.not_flown += worst is not best
+        for course, success in {id(self._worst): (self._worst, worst), id(self._best): (self._best, best)}.values():
+            if success is not None:
+                course.add(success)
+
+    def close(self) -> None:
+        """Decide by all of the error, now that the study has no more flights."""
+        for course in (self._worst, self._best):
+            course.close()
+
+    def verdict(self) -> Verdict:
+        """Return what can be said now."""
+        bound = self._worst.lower_end() if self.decision == "open" else self._worst.claim.probability
+        interval = (self._worst.interval()[0], self._best.interval()[1])
+        return Verdict(self.decision, self.flights, self.failures, bound, interval, self.not_flown)
+
+
 class StoppingRule:
     """Decides when a study may stop, from its flights in any order; only whole draws count, in their order.
 
@@ -227,22 +279,23 @@ class StoppingRule:
         self.claim = claim
         self._controllers, self._draws = controllers, draws
         names = controllers if claim.pair is None else [" > ".join(claim.pair)]
-        self.tests = {name: SequentialTest(claim) for name in names}
+        self.tests = {name: ClaimTest(claim) for name in names}
         self._counted = 0  # draws
-        self._waiting: dict[int, bool] = {}  # success by the number of a flight whose draw is not counted yet
+        # Success by the number of a flight whose draw is not counted yet; None without a verdict.
+        self._waiting: dict[int, bool | None] = {}
 
     @property
     def is_decided(self) -> bool:
         """Whether every test has decided, so that no more flights are needed."""
-        return all(test.decision != "open" for test in self.tests.values())
+        return all(test.is_finished for test in self.tests.values())
 
     @property
     def is_finished(self) -> bool:
         """Whether no flight is left to count."""
         return self.is_decided or self._counted == self._draws
 
-    def add(self, number: int, success: bool) -> bool:
-        """Take in a flight by its number, and return whether the study may stop."""
+    def add(self, number: int, success: bool | None) -> bool:
+        """Take in a flight by its number, None: without a verdict, and return whether the study may stop."""
         self._waiting[number] = success
         while not self.is_finished and (draw := self._next_draw()) is not None:
             self._count(draw)
@@ -252,7 +305,7 @@ class StoppingRule:
                     test.close()
         return self.is_finished
 
-    def _next_draw(self) -> dict[str, bool] | None:
+    def _next_draw(self) -> dict[str, bool | None] | None:
         """Return the successes of the next draw by controller; None while one of its flights is missing."""
         first = self._counted * len(self._controllers)
         numbers = range(first, first + len(self._controllers))
@@ -260,12 +313,13 @@ class StoppingRule:
             return None
         return {name: self._waiting.pop(number) for name, number in zip(self._controllers, numbers, strict=True)}
 
-    def _count(self, successes: Mapping[str, bool]) -> None:
+    def _count(self, successes: Mapping[str, bool | None]) -> None:
         """Count one draw."""
         if self.claim.pair is None:
             for name, success in successes.items():
-                self.tests[name].add(success)
+                self.tests[name].add(success is True, success is not False)
             return
         first, second = (successes[name] for name in self.claim.pair)
-        if first != second:
-            next(iter(self.tests.values())).add(first)
+        worst, best = (first is True, second is not False), (first is not False, second is True)
+        ends = [None if one == other else one for one, other in (worst, best)]
+        next(iter(self.tests.values())).add(*ends)

@@ -58,7 +58,10 @@ _LAST: Kinds = {
     "worker": str,
 }
 # the one rule for flights without a verdict: there is no such vehicle, say, or no such scenario
-NOT_FLOWN = "what cannot be flown is no success wherever flights are counted, and no failure that a search finds"
+NOT_FLOWN = (
+    "what cannot be flown is no success wherever flights are counted, refutes no claim, and is no failure that a "
+    "search finds"
+)
 # of an autopilot of others: states that it was told, and answers that never came
 _LOCKSTEP: Kinds = {"autopilot": str, "autopilot_frames": int, "autopilot_missing": int}
 _KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}
@@ -183,6 +186,11 @@ def failed_row(study: Study, flight: Flight, reason: str) -> Row:
     numbers: Row = {"flight": flight.number, "draw": flight.draw, "controller": flight.controller, "seed": flight.seed}
     failed: Row = {"outcome": "failed", "reason": reason, "success": False}
     return {**dict.fromkeys(kinds(study)), **numbers, **flight.values, **failed}
+
+
+def verdict_of(outcome: Value, success: Value) -> bool | None:
+    """Return whether a row's flight was a success; None where it was not flown to a verdict."""
+    return None if outcome == "failed" else bool(success)
 
 
 def describe_not_flown(flights: int, reason: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from math import ceil, log
 
 import numpy as np
@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 
 from cosim.base.errors import InputError
 from cosim.campaign.analysis.claim import format_percent
-from cosim.campaign.study.sequential import SequentialTest, StoppingRule, Verdict, parse_claim
+from cosim.campaign.study.sequential import ClaimTest, SequentialTest, StoppingRule, Verdict, parse_claim
 
 CLAIMS = ("90%@95%", "50%@95%", "99%@90%")
 RUNS = 200
@@ -45,15 +45,14 @@ def test_without_a_failure_99_9_percent_takes_what_the_binomial_says() -> None:
         assert short.add(True) == "open"
     short.close()
     assert short.decision == "shown"
-    assert short.verdict().bound == pytest.approx(0.05 ** (1.0 / 2995), abs=1e-9)
+    assert short.lower_end() == pytest.approx(0.05 ** (1.0 / 2995), abs=1e-9)
 
 
 def test_where_no_boundary_was_near_the_interval_is_clopper_and_pearsons() -> None:
     test = SequentialTest(parse_claim("99.99%@99.99%"))
     for success in (True,) * 9 + (False,) + (True,) * 10:
         assert test.add(success) == "open"
-    low, high = test.verdict().interval
-    assert (low, high) == pytest.approx(tuple(binomtest(19, 20).proportion_ci(0.95, "exact")), abs=1e-4)
+    assert test.interval() == pytest.approx(tuple(binomtest(19, 20).proportion_ci(0.95, "exact")), abs=1e-4)
 
 
 def ends(test: SequentialTest) -> Iterator[tuple[SequentialTest, float]]:
@@ -76,8 +75,16 @@ def all_ends(request: pytest.FixtureRequest) -> tuple[float, float, list[tuple[V
     test = SequentialTest(claim)
     for _ in range(RUNS):
         test._advance()
-    found = [(end.verdict(), probability) for end, probability in ends(test)]
+    found = [(of_course(end), probability) for end, probability in ends(test)]
     return 1.0 - claim.probability, claim.error, found
+
+
+def of_course(course: SequentialTest) -> Verdict:
+    """The verdict of flights that all have one."""
+    test = ClaimTest(course.claim)
+    test._worst = test._best = course
+    test.flights, test.failures = course.flights, course.failures
+    return test.verdict()
 
 
 def weights(found: list[tuple[Verdict, float]], claimed: float, failing: float) -> list[float]:
@@ -117,7 +124,7 @@ def test_ends_decisions_and_intervals_have_the_probabilities_that_they_state(
         for (verdict, _), each in zip(found, weight, strict=True)
         if (verdict.bound >= 1.0 - failing - 1e-9 if verdict.decision == "refuted" else verdict.bound <= 1.0 - failing + 1e-9)
     )  # fmt: skip
-    assert bounded >= 1.0 - 2.0 * error  # of a one-sided bound on either side
+    assert bounded >= 1.0 - error  # whichever side the flights chose
 
 
 def test_the_error_is_used_up(all_ends: tuple[float, float, list[tuple[Verdict, float]]]) -> None:
@@ -133,12 +140,12 @@ def test_a_thousand_drawn_studies_are_held_by_their_intervals() -> None:
     random = np.random.default_rng(7)
     held = shown = 0
     for _ in range(1000):
-        test = SequentialTest(parse_claim("90%@95%"))
+        course = SequentialTest(parse_claim("90%@95%"))
         for success in random.random(400) >= 0.08:
-            if test.add(bool(success)) != "open":
+            if course.add(bool(success)) != "open":
                 break
-        test.close()
-        verdict = test.verdict()
+        course.close()
+        verdict = of_course(course)
         held += verdict.interval[0] <= 0.92 <= verdict.interval[1]
         shown += verdict.decision == "shown"
     assert held >= 935  # 950 less two standard deviations
@@ -220,3 +227,50 @@ def test_bounds_are_rounded_to_their_own_side() -> None:
     assert format_percent(1.0, up=True) == "100.0 %"
     assert format_percent(0.0, up=False) == "0.0 %"
     assert format_percent(0.4567, up=False) == "45.6 %"
+
+
+def judge(text: str, verdicts: Iterable[bool | None], draws: int = 200) -> Verdict:
+    """The verdict on one controller by these flights in turn, None: without a verdict, up to where it stops."""
+    rule = StoppingRule(parse_claim(text), ["smith"], draws)
+    for number, success in enumerate(verdicts):
+        if rule.add(number, success):
+            break
+    assert rule.is_finished
+    return rule.tests["smith"].verdict()
+
+
+def test_flights_without_a_verdict_refute_nothing_and_show_nothing() -> None:
+    never = judge("90%@95%", [None] * 200)
+    assert (never.decision, never.failures, never.not_flown, never.interval) == ("open", 0, never.flights, (0.0, 1.0))
+    assert judge("90%@95%", [False] * 200).decision == "refuted"
+    half = judge("90%@95%", [True, None] * 100)  # half of them unknown: all others succeed
+    assert half.decision == "open"
+    assert half.bound < 0.9
+    few = judge("90%@95%", [None, *[True] * 199])
+    assert (few.decision, few.failures, few.not_flown, few.bound) == ("shown", 0, 1, 0.9)
+    assert few.flights > judge("90%@95%", [True] * 200).flights  # it counts as a failure there
+    bad = judge("90%@95%", [None, None, *[False] * 198])
+    assert (bad.decision, bad.failures, bad.not_flown, bad.bound) == ("refuted", bad.flights - 2, 2, 0.9)
+
+
+def test_a_pair_is_not_decided_by_draws_that_one_has_no_verdict_on() -> None:
+    for a, b in ((None, False), (None, True), (False, None), (True, None), (None, None)):
+        rule = StoppingRule(parse_claim("a>b@95%"), ["a", "b"], 100)
+        for draw in range(100):
+            rule.add(2 * draw, a)
+            rule.add(2 * draw + 1, b)
+        assert rule.tests["a > b"].decision == "open"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("unknown", [0.02, 0.1])
+def test_no_claim_at_the_truth_is_decided_too_often_with_unknown_flights(unknown: float) -> None:
+    """Whether the unknown ones would all have failed or all have succeeded, at the very probability of the claim."""
+    random = np.random.default_rng(5)
+    for truth, wrong in ((0.9 + unknown, "shown"), (0.9, "refuted")):  # of flights that are no failures
+        decided = 0
+        for _ in range(300):
+            draws = random.random(150)
+            flights = [None if x < unknown else bool(x < truth) for x in draws]
+            decided += judge("90%@95%", flights, 150).decision == wrong
+        assert decided <= 300 * 0.05 + 3.0 * (300 * 0.05 * 0.95) ** 0.5
