@@ -49,12 +49,12 @@ class ProofResult(Result):
         ]
 
     def tables(self) -> list[Table]:
-        """Return the requirements, and how credible the model is."""
+        """Return the requirements, and what is on record of the model."""
         proof = self.proof
-        levels = [(one.name, str(one.level)) for one in proof.credibility]
+        record = [(one.name, one.evidence) for one in proof.credibility]
         return [
             Table("", ("", "requirement", "broken", "smallest margin"), list(proof.requirement_rows())),
-            Table("", ("credibility, NASA-STD-7009B", "level"), levels),
+            Table("", ("factor, NASA-STD-7009B", "on record"), record),
         ]
 
 
@@ -84,7 +84,7 @@ def prove(
     """Show or refute that a vehicle keeps its requirements, with what a review asks beside it.
 
     Flies until the claim is decided, flies the worst again, compares the controller with the best linear one, and says
-    what is not covered and how credible the model is.
+    what is not covered and what is on record of the model.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def prove(
     Returns
     -------
     ProofResult
-        The sentence, the requirements and the credibility.
+        The sentence, the requirements and what is on record.
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -153,7 +154,7 @@ def replay(
     """
     from cosim.base.storage.files import check_results_folder
     from cosim.identify.logs import read_flight_log
-    from cosim.identify.replay import Choices, ThrottleChannels, has_commands, record_flight
+    from cosim.identify.replay import Choices, ThrottleChannels, has_commands, hash_log, is_simulated, record_flight
     from cosim.identify.replay import replay as fly_again
     from cosim.results.run import SCENARIO
 
@@ -171,5 +172,6 @@ def replay(
     vehicle, _ = chosen.resolved_vehicle()
     flight = record_flight(read, vehicle, chosen.step_s, channels, (begin, end))
     choices = Choices(window_s, draws, inertia_tolerance, mass_tolerance, thrust_tolerance, seed)
-    result = ReplayResult(fly_again(path.name, chosen, flight, choices, hears.update))
+    replayed = fly_again(path.name, chosen, flight, choices, hears.update)
+    result = ReplayResult(dataclasses.replace(replayed, log_sha256=hash_log(read), simulated=is_simulated(read)))
     return result if out is None else result.write(out)

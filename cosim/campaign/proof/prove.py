@@ -28,7 +28,7 @@ from cosim.campaign.analysis.summary import SUCCESS, rank_keys
 from cosim.campaign.analysis.table import FlightTable, read_flight_table
 from cosim.campaign.analysis.worst_cases import eccentricity
 from cosim.campaign.folder import STUDY, is_campaign
-from cosim.campaign.proof.credibility import CHOSEN, Evidence, assess_credibility
+from cosim.campaign.proof.credibility import CHOSEN, Evidence, list_evidence
 from cosim.campaign.proof.failure import LIKELY, SAID, search_failures, simulate_rare
 from cosim.campaign.proof.failure import WORST as WORST_CASE
 from cosim.campaign.proof.limit import flown_limits
@@ -177,7 +177,7 @@ def _conclude(
             [part.says for part in searched.values() if part.result is None],
             table.not_flown,
         ),
-        credibility=assess_credibility(evidence),
+        credibility=list_evidence(evidence),
         repeat=_repeat(out, campaign, request),
     )  # fmt: skip
 
@@ -213,7 +213,7 @@ def _evidence(
     request: Request,
     searched: Mapping[str, Part],
 ) -> Evidence:
-    """Return what the credibility of the proof is judged by."""
+    """Return what is on record of the model and of this proof."""
     source = engine_source(scenario, scenario.engine)
     uncertainty = source.uncertainty
     again = [*(one.is_same for one in worst), *(part.result["is_same"] for part in searched.values() if part.result)]

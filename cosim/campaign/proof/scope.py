@@ -55,6 +55,6 @@ def not_covered(study: Study, missing: Sequence[str], not_flown: Sequence[str]) 
         lines.append("nothing fails in these flights; hexjet faults and failsafes say what then")
     lines.append(
         "the probability is that of the model under what is drawn here; how far the model is the vehicle's is what the "
-        "credibility table says"
+        "evidence on record says"
     )
     return lines

@@ -62,8 +62,8 @@ def prove(options: Prove) -> int:
 
     STUDY is a study's name or file, or a scenario's where the engine states its uncertainty; DESIGN a controller file
     of hexjet design or its folder; DIR a proof's folder, to be resumed.  Flies until the claim is decided, flies the
-    worst again, compares the controller with the best linear one, and says what is not covered and how credible the
-    model is.  Status 0: shown; 1: refuted, open, or stopped before; 2: wrong input.
+    worst again, compares the controller with the best linear one, and says what is not covered and what is on
+    record of the model.  Status 0: shown; 1: refuted, open, or stopped before; 2: wrong input.
     """
     from cosim.api.prove import prove as show_claim
 
@@ -83,13 +83,17 @@ def prove(options: Prove) -> int:
 
 
 def print_proof(proof: Proof) -> None:
-    """Print the sentence, what belongs to it, the requirements, the credibility and where the page is."""
+    """Print the sentence, what belongs to it, the requirements, what it was compared with, and where the page is."""
+    from cosim.campaign.proof.credibility import VALIDATION
+
     say(proof.sentence)
     for about, text in proof.facts.items():
         say(f"{about}: {text}")
     show_table(["", "requirement", "broken", "smallest margin"], list(proof.requirement_rows()), [2, 3])
-    show_table(["credibility, NASA-STD-7009B", "level"], [(one.name, str(one.level)) for one in proof.credibility], [1])
+    (validation,) = [one for one in proof.credibility if one.name == VALIDATION]
     for line in (
+        f"compared with the real vehicle: {validation.evidence}",
+        "credibility: no level is computed; the report has the form of NASA-STD-7009B with what is on record",
         *(f"not covered: {text}" for text in proof.not_covered),
         f"again: {proof.repeat['command']}",
         f"folder: {proof.folder}",

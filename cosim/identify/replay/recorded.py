@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping as Table
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from hashlib import file_digest
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,7 @@ from cosim.base.signals import AXES
 from cosim.identify.logs import Channel, FlightLog
 from cosim.identify.logs.log_columns import LEFT_AND_UP, match_columns
 from cosim.results.log.columns import RATES
+from cosim.results.run import LOG, SUMMARY
 from cosim.spec.vehicle import Vehicle
 
 XYZ: Final = ("x", "y", "z")
@@ -34,6 +36,9 @@ COUNTS: Final = {  # what 0 and 1 of a throttle are, by the kind of log, or by t
     "MAVLink telemetry log": MICROSECONDS,
     "Betaflight blackbox": (48.0, 2047.0),
 }
+# By these columns of a table, or the names of these topics, a log is known to be written by this program.
+OWN_COLUMNS: Final = {"throttle_1", "thrust_1_N", "health_1"}
+OWN_TOPICS: Final = "hexjet_"
 _FASTER: Final = {  # how a kind of log has commands oftener
     "ULog": "PX4: SDLOG_PROFILE with high rate; of ours: hexjet export --to ulog --rates all",
     "ArduPilot DataFlash": "ArduPilot writes RCOU ten times a second; hexjet identify log --axis takes RATE.ROut",
@@ -110,6 +115,20 @@ def has_commands(log: FlightLog, mapping: ThrottleChannels) -> bool:
 def _all_columns(log: FlightLog) -> dict[str, Channel]:
     """Return what a log has, by its own names and as far as they are known by ours."""
     return match_columns(log) | dict(log.channels)
+
+
+def is_simulated(log: FlightLog) -> bool:
+    """Return whether a log is a run of this program, an export of one, or lies in the folder of one."""
+    folders = [log.path, *log.path.absolute().parents[:2]]
+    names = [name.partition(".")[0] for name in log.channels]
+    ours = set(names) >= OWN_COLUMNS or any(name.startswith(OWN_TOPICS) for name in names)
+    return ours or any((folder / SUMMARY).is_file() for folder in folders)
+
+
+def hash_log(log: FlightLog) -> str:
+    """Return the SHA-256 of a log's file, of a run's folder of the log in it."""
+    with (log.path / LOG if log.path.is_dir() else log.path).open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()
 
 
 def record_flight(

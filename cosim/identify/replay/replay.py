@@ -83,6 +83,8 @@ class Replay:
     tolerances: tuple[str, ...]
     notes: tuple[str, ...]
     reach: Reach | None = None  # of a log that finds nothing wrong, in open loop
+    log_sha256: str = ""
+    simulated: bool = False  # the log is of this program, so that no flight was recorded
 
     @property
     def window_s(self) -> float:
@@ -186,6 +188,8 @@ class Replay:
             **shared_record(self.aircraft, channels, units, self.judgement, refused, self.notes),
             "estimates": [fitted.to_dict() for fitted in self.causes.named],
             "log": self.log,
+            "log_sha256": self.log_sha256,
+            "simulated": self.simulated,
             "aircraft": self.aircraft,
             "engine": self.engine,
             "way": self.way,

@@ -4,6 +4,7 @@ import json
 import struct
 from collections.abc import Callable
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from cosim.identify.replay import Choices, RecordedFlight, Replay, ThrottleChann
 from cosim.identify.replay import replay as fly_again
 from cosim.identify.replay.measures import theil
 from cosim.identify.replay.reach import WRONG, WRONG_S
-from cosim.identify.replay.recorded import SLOWEST_COMMAND_S, SLOWEST_SETPOINT_S, has_commands
+from cosim.identify.replay.recorded import SLOWEST_COMMAND_S, SLOWEST_SETPOINT_S, has_commands, is_simulated
 from cosim.identify.replay.replay import EXPLAINED, NEEDED, NOT_EXPLAINED, NOT_TOLD
 from cosim.results.export.csv_file import export_csv
 from cosim.results.export.mat import export_mat
@@ -83,6 +84,7 @@ def test_every_export_is_the_same_flight(doublet: Path, tmp_path: Path, ending: 
     """To the last bit, but for a ULog, whose values have 32 bits; that one is flown again."""
     path = tmp_path / f"flight.{ending}"
     EXPORTS[ending](doublet, path)
+    assert is_simulated(read_flight_log(path))
     run, export = recorded(doublet), recorded(path)
     if ending == "ulg":
         check_explained(replayed(export))
@@ -298,6 +300,9 @@ def test_the_command_leaves_page_json_and_csv(hexjet: Hexjet, doublet: Path, tmp
     assert data["verdict"] == "explained"
     assert data.keys() >= SHARED
     assert data["engine"] == "edf-as-flown"
+    assert data["simulated"]  # it is no recorded flight, whoever reads it later
+    assert data["log_sha256"] == sha256((doublet / "flight.parquet").read_bytes()).hexdigest()
+    assert not is_simulated(read_flight_log(dataflash(tmp_path / "log.bin", doublet)))
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "each started from the recorded state" in page
     table = pyarrow.csv.read_csv(out / "replay.csv")

@@ -1,4 +1,4 @@
-"""The credibility table: every factor of the standard, a level from what exists, honest where there is nothing."""
+"""The form of credibility: every factor of the standard with what is on record, and no level that is computed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from places import ROOT
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
-from cosim.campaign.proof.credibility import RECORD, Evidence, assess_credibility, read_comparison
+from cosim.campaign.proof.credibility import RECORD, Evidence, list_evidence, read_comparison
 from cosim.results.report.marks import page_parts
 from cosim.results.summary import versions
 
@@ -44,69 +44,80 @@ GOOD = Evidence(
     warnings=[],
     replayed=3,
     replayed_same=3,
-    comparisons=[{"log": "f.ulg", "aircraft": "hexjet", "engine": "turbojet", "verdict": "explained", "seconds": 20.0}],
+    comparisons=[
+        {
+            "log": "f.ulg",
+            "log_sha256": "ab" * 32,
+            "simulated": False,
+            "aircraft": "hexjet",
+            "engine": "turbojet",
+            "verdict": "explained",
+            "seconds": 20.0,
+        }
+    ],
 )
+REPLAY = GOOD.comparisons[0]
 
 
-def level(evidence: Evidence, factor: str) -> int:
-    (found,) = [one for one in assess_credibility(evidence) if one.name == factor]
-    return found.level
+def evidence_of(evidence: Evidence, factor: str) -> str:
+    (found,) = [one for one in list_evidence(evidence) if one.name == factor]
+    return found.evidence
 
 
-def test_every_factor_is_there_with_what_it_rests_on() -> None:
+def test_every_factor_is_there_with_what_is_on_record_and_a_level_to_fill_in() -> None:
     for evidence in (GOOD, replace(GOOD, is_shipped=False, varied=0, ranked=0, searched=False, comparisons=[])):
-        factors = assess_credibility(evidence)
+        factors = list_evidence(evidence)
         assert tuple(one.name for one in factors) == FACTORS
         assert [one.assessment for one in factors].count("capability") == 5
-        assert all(one.level in range(4) and one.evidence and one.raised_by for one in factors)
+        assert all(one.evidence and (one.level, one.reason, one.judged_by) == (None, "", "") for one in factors)
 
 
-def test_the_most_that_is_given() -> None:
-    """No level that a person has to judge, and none of the reviews, which are on no record."""
-    levels = {one.name: one.level for one in assess_credibility(GOOD)}
-    assert levels == dict(zip(FACTORS, (2, 2, 2, 0, 2, 1, 2, 2, 3, 0, 2), strict=True))
+def test_a_replay_is_listed_by_log_hash_aircraft_engine_and_length() -> None:
+    text = evidence_of(GOOD, "Validation").partition("; compared with")[0]
+    assert text == "20 s of f.ulg (sha256 abababababababab, hexjet with turbojet): explained"
 
 
 @pytest.mark.parametrize(
-    ("changes", "factor", "expected"),
+    ("changes", "words"),
     [
-        ({"is_shipped": False}, "Data pedigree", 0),
-        ({"uncertainty_source": "chosen, from fits of speed"}, "Data pedigree", 1),
-        ({"uncertainty_source": None}, "Data pedigree", 1),
-        ({"version": "0.0.1"}, "Verification", 1),
-        ({"own_code": ["mine.py"]}, "Verification", 1),
-        ({"comparisons": []}, "Validation", 1),  # with the paper
-        ({"comparisons": [], "is_shipped": False}, "Validation", 0),
-        ({"comparisons": [], "aircraft": "crazyflie"}, "Validation", 0),  # compared, and not explained
-        ({"comparisons": [], "aircraft": "octojet"}, "Validation", 0),
-        ({"comparisons": [], "aircraft": "octojet", "engine": "jetcat-p300"}, "Validation", 0),  # of the engine alone
-        ({"comparisons": [GOOD.comparisons[0] | {"verdict": "not explained"}]}, "Validation", 0),
-        ({"comparisons": [GOOD.comparisons[0] | {"aircraft": "mine"}]}, "Validation", 1),
-        ({"is_shipped": False}, "Development process and product management", 1),
-        ({"warnings": ["its proof failed"]}, "Use assessment", 0),
-        ({"varied": 0}, "Input pedigree", 0),
-        ({"uncertainty_source": "chosen"}, "Input pedigree", 1),
-        ({"is_engine_drawn": False}, "Input pedigree", 1),
-        ({"is_engine_drawn": False}, "Uncertainty characterization", 1),  # it states one
-        ({"is_engine_drawn": False, "uncertainty_source": None}, "Uncertainty characterization", 2),
-        ({"varied": 0}, "Uncertainty characterization", 0),
-        ({"searched": False}, "Results robustness", 2),
-        ({"ranked": 3}, "Results robustness", 2),
-        ({"not_varied": ["servos"]}, "Results robustness", 2),
-        ({"ranked": 0}, "Results robustness", 1),
-        ({"ranked": 0, "searched": False}, "Results robustness", 0),
-        ({"replayed_same": 2}, "Use process and product management", 0),
-        ({"replayed": 0, "replayed_same": 0}, "Use process and product management", 1),
+        ({"simulated": True}, "explained; a run of this program, no recorded flight"),
+        ({"engine": "edf"}, "; of another engine than flew here"),
+        ({"aircraft": "mine", "engine": "edf"}, "; of another aircraft and another engine than flew here"),
+        ({"seconds": 0.02}, "0.02 s of f.ulg"),
     ],
 )
-def test_less_evidence_is_a_lower_level(changes: dict[str, object], factor: str, expected: int) -> None:
-    assert level(replace(GOOD, **changes), factor) == expected  # type: ignore[arg-type]
+def test_what_a_replay_is_not_is_said(changes: dict[str, object], words: str) -> None:
+    """A run of the program itself, another engine, two hundredths of a second: nothing of it counts for more."""
+    assert words in evidence_of(replace(GOOD, comparisons=[{**REPLAY, **changes}]), "Validation")
+
+
+@pytest.mark.parametrize(
+    ("changes", "factor", "words"),
+    [
+        ({"is_shipped": False}, "Data pedigree", "nothing says where they are from"),
+        ({"uncertainty_source": "chosen, from fits of speed"}, "Data pedigree", "many are published or chosen"),
+        ({}, "Data pedigree", "identified: hexjet identify bench of 12.csv"),
+        ({"version": "0.0.1"}, "Verification", "0.0.1 flew"),
+        ({"own_code": ["mine.py"]}, "Verification", "none of them sees: mine.py"),
+        ({"comparisons": []}, "Validation", "some hold, some under a condition and some do not"),
+        ({"comparisons": [], "is_shipped": False}, "Validation", "compared with no measurement of the real vehicle"),
+        ({"comparisons": [], "aircraft": "crazyflie"}, "Validation", "neither flight is explained"),
+        ({"warnings": ["its proof failed"]}, "Use assessment", "its proof failed; no earlier use is on record"),
+        ({"varied": 0}, "Input pedigree", "nothing was varied"),
+        ({"uncertainty_source": "chosen"}, "Input pedigree", "that was not measured: chosen"),
+        ({"is_engine_drawn": False}, "Uncertainty characterization", "an uncertainty that was not drawn"),
+        ({"ranked": 0}, "Results robustness", "no sensitivity is known; a search"),
+        ({"replayed_same": 2}, "Use process and product management", "2 of 3 flights came out the same"),
+    ],
+)
+def test_the_evidence_is_what_there_is(changes: dict[str, object], factor: str, words: str) -> None:
+    assert words in evidence_of(replace(GOOD, **changes), factor)  # type: ignore[arg-type]
 
 
 def test_what_is_not_varied_is_named() -> None:
     (factor,) = [
         one
-        for one in assess_credibility(replace(GOOD, not_varied=["servos", "wind and air"]))
+        for one in list_evidence(replace(GOOD, not_varied=["servos", "wind and air"]))
         if one.name == "Uncertainty characterization"
     ]
     assert "nothing of servos and wind and air" in factor.evidence
@@ -131,5 +142,12 @@ def test_what_replay_left_is_read(tmp_path: Path) -> None:
     (tmp_path / "replay.json").write_text(json.dumps(told))
     assert read_comparison(tmp_path) == read_comparison(tmp_path / "replay.json") == GOOD.comparisons[0]
     (tmp_path / "replay.json").write_text("{}")
+    with pytest.raises(InputError, match=r"replay\.json: lacks 'log'; hexjet replay of this version writes it$"):
+        read_comparison(tmp_path)
+    five = {key: REPLAY[key] for key in ("log", "aircraft", "engine", "verdict", "seconds")}
+    (tmp_path / "replay.json").write_text(json.dumps(five))
+    with pytest.raises(InputError, match=r"replay\.json: lacks 'log_sha256'"):
+        read_comparison(tmp_path)
+    (tmp_path / "replay.json").write_text("[]")
     with pytest.raises(InputError, match=r"replay\.json: is no replay.json of hexjet replay"):
         read_comparison(tmp_path)
