@@ -35,10 +35,10 @@ from cosim.cli.main import main as hexjet
 from cosim.results.report.marks import check_marks, table, write_marks
 
 PAGE = Path(__file__).parent / "campaigns.md"
-DELAY, GUST = "engine_parameters.delay_samples", "disturbance.0.velocity_ned_m_s.1"
+DELAY, STEP_S = "engine_parameters.delay_samples", 0.004  # s, the control step that a sample is of
 LOAD, LEVER, SIDE_GUST = "disturbance.0.mass_kg", "disturbance.0.offset_m.1", "disturbance.1.velocity_ned_m_s.1"
 LATE = (12.0, 20.0, 25.0, 30.0, 37.0)  # samples, edges of the classes; the model has 25
-BREEZE_M_S = 10.0  # above and below it the full-scale flights are counted
+ECU_SAMPLES = (15.0, 25.0)  # up to 60 and 100 ms late, and later: the full-scale flights are counted so
 HEAVY_M_S = 10.0  # up to here every gust is held with the heaviest load that is named
 
 ROLL = '--success "roll.max_abs_error_rad<=0.1745" --success "roll.oscillation_rad<=0.01745"'
@@ -176,15 +176,16 @@ def _numbers(flown: FlightTable, path: str) -> Any:
 
 
 def full(flown: FlightTable) -> str:
-    """How often, and how often in less and in more than a breeze."""
-    gust, everything = _numbers(flown, GUST), np.ones(flown.flight.size, dtype=bool)
-    calm = np.less(gust, BREEZE_M_S)
+    """How often, and how often with an ECU that is so late."""
+    late, everything = _numbers(flown, DELAY), np.ones(flown.flight.size, dtype=bool)
     (found,) = success_fractions(flown)
     low, high = found.wilson
     gone = np.count_nonzero(lost(flown))
     cells = [f"{found.of}", percent(flown.success, everything), f"{100.0 * low:.0f} to {100.0 * high:.0f} %", f"{gone}"]
-    cells += [percent(flown.success, calm), percent(flown.success, ~calm)]
-    titles = ["flights", "succeed", "95 %", "lost", f"below {BREEZE_M_S:g} m/s", f"above {BREEZE_M_S:g} m/s"]
+    soon, later = (np.less_equal(late, edge) for edge in ECU_SAMPLES)
+    cells += [percent(flown.success, each) for each in (soon, later & ~soon, ~later)]
+    edges = [f"{1e3 * STEP_S * edge:.0f}" for edge in ECU_SAMPLES]
+    titles = ["flights", "succeed", "95 %", "lost", f"up to {edges[0]} ms late", f"to {edges[1]} ms", "later"]
     return table(titles, [cells], left=0)
 
 

@@ -36,6 +36,7 @@ from cosim.campaign.workers.flight_row import fly_one
 from cosim.control.allocation import reallocation as replan
 from cosim.engine import build_engines, library, load_engine, response
 from cosim.engine.fmu import container
+from cosim.engine.fmu.uncertainty import CUT
 from cosim.engine.qualify import check, trial
 from cosim.identify.sweep import Identification, identify_axis
 from cosim.identify.sweep.fit import fit
@@ -990,7 +991,13 @@ def test_what_campaigns_say_of_studies_and_statistics() -> None:
     stated(CAMPAIGNS, "the roll doublet with {} vehicles that are not the model", robust.runs or 0)
     levels = math.prod(len(vary.values) if vary.values else vary.levels or 1 for vary in envelope.vary)
     stated(STUDIES, "(../../studies/payload-and-gust.toml) flies {} combinations", levels)
-    assert f"| {full.runs} |" in parts_of((ROOT / STUDIES).read_text(encoding="utf-8"), STUDIES)["full-scale"]
+    flown = parts_of((ROOT / STUDIES).read_text(encoding="utf-8"), STUDIES)["full-scale"]
+    runs, share, *_, lost, soon, _, _ = (int(each) for each in re.findall(r"\d+", flown.splitlines()[-1]))
+    assert runs == full.runs
+    stated(FULL, "is lost in {} of {} flights in gusts and succeeds in {} %", lost, runs, share)
+    ((_, edge),) = re.findall(r"(up to) (\d+) ms late", flown)
+    stated(STUDIES, "With an ECU that answers within {} ms six in seven succeed", int(edge))
+    assert soon == pytest.approx(100.0 * 6.0 / 7.0, abs=0.5)
     # exact: none of a hundred, 0.975 of the probability
     stated(
         CAMPAIGNS, "a hundred flights without a failure leave room for {} % of failures", 100.0 * (1.0 - 0.025**0.01)
@@ -1030,9 +1037,16 @@ def test_what_campaigns_say_is_varied() -> None:
         *ranged(envelope, "disturbance.0.mass_kg"), *(-100.0 * float(each) for each in (levers[0], levers[-1])),
         *ranged(envelope, "disturbance.1.velocity_ned_m_s.1"), math.degrees(lean or 0.0), math.degrees(end or 0.0),
     )  # fmt: skip
-    gust, late = ranged(full, "disturbance.0.velocity_ned_m_s.1"), ranged(full, "engine_parameters.delay_samples")
-    stated(STUDIES, "{} kg on six P220, as shipped, in gusts of {} to {} m/s with engines up to {} ms later and a tenth "
-           "slower than published", load_vehicle("hexjet-p220")[0].mass_kg, *gust, 1e3 * STEP * late[1])  # fmt: skip
+    gust = ranged(full, "disturbance.0.velocity_ned_m_s.1")
+    (late,) = [vary.normal for vary in full.vary if vary.key == "engine_parameters.delay_samples"]
+    assert late is not None
+    ecu = read_toml(data_folder("engines") / "jetcat-p300" / "engine.toml")
+    place = ecu["uncertainty"]["parameters"].index("delay_samples")
+    fitted = (ecu["variables"]["delay_samples"]["start"], ecu["uncertainty"]["deviation"][place])
+    assert (late.mean, late.sd, late.max) == (*fitted, fitted[0] + CUT * fitted[1])
+    stated(STUDIES, "{} kg on six P220, as shipped, with engines as late as the one ECU that was measured, {} ms with a "
+           "deviation of {} ms, and up to a tenth slower than published, in gusts of {} to {} m/s",
+           load_vehicle("hexjet-p220")[0].mass_kg, *(1e3 * STEP * each for each in fitted), *gust)  # fmt: skip
     assert ranged(full, "fault.0.lag_s")[1] == pytest.approx(0.1 / 1.295, abs=5e-4)
 
 
