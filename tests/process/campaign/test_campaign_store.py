@@ -252,17 +252,6 @@ def test_a_scenario_that_cannot_fly_leaves_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "c").exists()
 
 
-def test_other_random_numbers_are_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "c"
-    with Store.create(folder, tools.study()) as store:
-        fill(store, range(4))
-    monkeypatch.setattr("cosim.campaign.study.draws.flight_seed", lambda seed, number: number)
-    with pytest.raises(
-        InputError, match=r"flight 0 was flown with seed = .* other numbers than the versions that began"
-    ):
-        Store.resume(folder)
-
-
 @pytest.mark.parametrize("place", ["journal", "part"])
 def test_a_full_disk_is_told_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
     """In a process of its own no file may grow past a limit, as on a disk that fills."""
