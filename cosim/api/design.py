@@ -276,7 +276,7 @@ def firmware_for(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firm
     if autopilot == "px4":
         return Firmware(autopilot, common_filter=True)
     # what its mixer of tilting banks gives out is sent in the next loop (AP_MotorsMatrix_6DoF_Scripting)
-    return Firmware(autopilot, common_angle=True, output_delay=0 if vehicle.servo is None else 1)
+    return Firmware(autopilot, output_delay=0 if vehicle.servo is None else 1)
 
 
 def write_parameters(autopilot: str, scenario: Scenario, controller: Path) -> dict[str, Path]:

@@ -47,14 +47,15 @@ from cosim.spec.vehicle import Vehicle
 PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10
 # Its estimator takes to GNSS some 44 s after its start, and only then has a level and a place: 60 s chosen by us.  It
 # holds its motors for 2 s (ARMING_DELAY_SEC) after it was armed, and lets them go within 1 s (twice MOT_SPOOL_TIME)
-# once throttle is raised.  Full stick: ANGLE_MAX, and PILOT_Y_RATE as it ships.
+# once throttle is raised.  Full stick: ATC_ANGLE_MAX, and PILOT_Y_RATE as it ships.
 HANDLING = StartTiming(before_s=60.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0, turns_target=True)
 HOVER = 0.35  # default of MOT_THST_HOVER; ArduPilot learns it in modes that hold the height, not in Stabilize
 _SERIALS = (0, 1, 2, 5, 6, 7, 8)  # serial ports that are TCP ports by default; 3 and 4 are the simulated GNSS receivers
 _SPEEDUP = 100  # upper limit of its speed over real time; the lockstep sets the pace
 # Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.
 _RATE_SETTLING = 2400
-MOST_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7)  # 5 chooses the mode, 7 arms
+GNSS_CHANNEL = 16  # raised where the vehicle's GNSS is out: RC16_OPTION 65, with which ArduPilot has no fix
+MOST_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7, GNSS_CHANNEL)  # 5 chooses the mode, 7 arms
 HOLD_PULSE = 2000  # of the fifth channel: the sixth mode, FLTMODE6; the fourth before
 _SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by their magic: frame rate, frame count, pulses [us]
 _STICKS = Struct("<16H")
@@ -69,6 +70,28 @@ _START_S = 60.0  # time limit for its first packet, s
 _REPEAT_S = 0.5
 _INFO = 6  # severity as in syslog
 _LONGEST_STEP_S = 0.1  # s; a longer step does not advance its clock
+
+
+Release = tuple[int, int]
+NEWEST: Release = (4, 8)
+FLOWN: tuple[Release, ...] = ((4, 6), (4, 8))  # as 4.6.0-dev of October 2024 and 4.8.0-dev of April 2026
+_TITLE = re.compile(rb"ArduCopter V(\d{1,2})\.(\d{1,2})\.\d{1,2}[-\w]{0,12}")
+
+
+def read_release(program: Path | None) -> tuple[Release, str]:
+    """Return the release of a program, which is among its texts, and a remark on one that was not flown, or "".
+
+    The newest for one that states none, or is started by hand.
+    """
+    if program is None:
+        return NEWEST, ""
+    named = f"parameters are named as of {NEWEST[0]}.{NEWEST[1]}"
+    title = _TITLE.search(program.read_bytes())
+    if title is None:
+        return NEWEST, f"{program}: states no version of ArduCopter: its {named}"
+    release = int(title[1]), int(title[2])
+    flown = " and ".join(f"{major}.{minor}" for major, minor in FLOWN)
+    return release, "" if release in FLOWN else f"{title[0].decode()} was not flown here; {flown} were"
 
 
 class TransmitterChannel(NamedTuple):
@@ -240,8 +263,10 @@ class ArduPilot(Sitl):
         return ActuatorOutputs(throttle, tilt, max(throttle) > 0.0)
 
     def _state(self, frame: SensorFrame) -> bytes:
+        """Return the state's line; of its height its simulation makes the barometer, by which the estimator flies."""
         return _STATE % (
-            frame.time, *frame.rate, *frame.force, *frame.position, *frame.attitude, *frame.velocity,
+            frame.time, *frame.rate, *frame.force, *frame.position[:2], -frame.altitude, *frame.attitude,
+            *frame.velocity,
         )  # fmt: skip
 
     def check_parameters(self) -> str:
@@ -307,6 +332,7 @@ class Transmitter:
         for channel in self._channels:
             begins = 0.0 if channel.since_s is None else HANDLING.before_s + channel.since_s
             pulses[channel.number - 1] = channel.pulse if frame.time > begins - self._half_step else 1000
+        pulses[GNSS_CHANNEL - 1] = 2000 if "gnss" in frame.silent else 1000
         return pulses
 
     def _throttle(self, sticks: StickPositions) -> int:

@@ -24,6 +24,8 @@ class AutopilotBlock:
     ``truth``: the true motion, for the autopilot's own log.  ``silent``: the sensors that are out.
     ``stand``: the sensors before the flight.
     ``hold_from``: second of the flight from which it holds its place.
+    ``hands_off``: the pilot leaves the sticks alone, in the middle and without throttle, and arms nobody: a ground
+    station does.
     """
 
     level = "controller"
@@ -35,9 +37,10 @@ class AutopilotBlock:
         label: str,
         handling: StartTiming,
         hold_from: float = inf,
+        hands_off: bool = False,
     ) -> None:
         self.autopilot, self.label, self._handling = autopilot, label, handling
-        self._hold_from = hold_from
+        self._hold_from, self._hands_off = hold_from, hands_off
         self.rows: list[Row] = []
         self.shown: tuple[float, ...] = (0.0, 0.0)
         self._frames = 0
@@ -80,13 +83,13 @@ class AutopilotBlock:
         answer = None
         for k in range(steps):
             sticks = StickPositions(throttle=self._pilot.hover if k >= throttle else 0.0, armed=k >= arming)
-            answer = self._exchange(self.stand.sample(), sticks, ())
-        if answer is None or not answer.armed:
+            answer = self._exchange(self.stand.sample(), StickPositions() if self._hands_off else sticks, ())
+        if not self._hands_off and (answer is None or not answer.armed):
             raise FlightError(f"{self.label} was not armed within {handling.before_s:g} s{handling.unarmed}")
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
         """Exchange one step with the autopilot.  Raises FlightError where it does not answer."""
-        sticks = self._pilot.update(command, measured, applied.burnt)
+        sticks = StickPositions() if self._hands_off else self._pilot.update(command, measured, applied.burnt)
         throttle, tilt, armed = self._exchange(measured, sticks, applied.engines.spool_speed)
         self.shown = (1.0 if armed else 0.0, self._frames * self._belief.step_s)
         self.rows.append((throttle, tilt, self.shown))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cosim.autopilots.ardupilot import NEWEST, Release
 from cosim.autopilots.betaflight import (
     compute_torque_scale,
     make_base_settings,
@@ -30,15 +31,27 @@ from cosim.spec.vehicle import Vehicle
 DESIGN_FILES: dict[str, dict[str, tuple[str, str]]] = {
     "betaflight": {"parameters": ("sitl", ".txt")},
     "px4": {"board_parameters": ("board", ".board.params"), "stand_parameters": ("sitl", ".stand.params")},
-    "ardupilot": {"parameters": ("sitl", ".parm")},
+    "ardupilot": {"board_parameters": ("board", ".board.parm"), "stand_parameters": ("sitl", ".stand.parm")},
 }
 TARGET_NOTES = {
-    "sitl": ("For the stand, hexjet sitl px4, and for no board: it has the radio's mapping and all flight modes.",),
-    "hil": ("For a board in the loop, and for none that flies: it has the radio's mapping and all flight modes.",),
-    "board": (
-        "For a board that flies: its radio, modes and checks stay as they are. IMU_GYRO_CUTOFF makes its raw gyro as",
-        "late as the vehicle's, with which the gains were designed; where it is not here the vehicle states no filter.",
-    ),
+    "px4": {
+        "sitl": ("For the stand, hexjet sitl px4, and for no board: it has the radio's mapping and all flight modes.",),
+        "hil": ("For a board in the loop, and for none that flies: it has the radio's mapping and all flight modes.",),
+        "board": (
+            "For a board that flies: its radio, modes and checks stay as they are. IMU_GYRO_CUTOFF makes its raw gyro",
+            "as late as the vehicle's, with which the gains were designed; where it is not here the vehicle states no",
+            "filter.",
+        ),
+    },
+    # ArduPilot reads lines of 98 characters.
+    "ardupilot": {
+        "sitl": ("For the stand, hexjet sitl ardupilot, and for no board: arming checks and gyro filter are off.",),
+        "board": (
+            "For a board that flies: its radio, modes and arming checks stay as they are. INS_GYRO_FILTER",
+            "makes its raw gyro as late as the vehicle's, with which the gains were designed; where it is",
+            "not here the vehicle states no filter.",
+        ),
+    },
 }
 _AROUND_HOVER = 0.03  # of thrust, either way, over which a throttle's slope is taken; chosen by us
 
@@ -86,11 +99,13 @@ def check_vehicle(autopilot: str, vehicle: Vehicle, step: float) -> None:
         ardupilot_parameters(vehicle, step)
 
 
-def format_firmware_parameters(autopilot: str, scenario: Scenario, step: float, target: str = "sitl") -> str:
+def format_firmware_parameters(
+    autopilot: str, scenario: Scenario, step: float, target: str = "sitl", release: Release = NEWEST
+) -> str:
     """Return lines for Betaflight's console, or a file of ``px4`` or ``ardupilot``, for a scenario's vehicle.
 
-    ``target``: of PX4, see :func:`cosim.autopilots.parameters.px4_target`.  Raises InputError for a vehicle that it has
-    no parameters for.
+    ``target``: see :func:`cosim.autopilots.parameters.px4_target` and ``ardupilot_parameters``; ``release``: of
+    ArduPilot, whose names and units they have.  Raises InputError for a vehicle that it has no parameters for.
     """
     vehicle = vehicle_in_throttle(scenario)
     if autopilot == "betaflight":
@@ -101,9 +116,12 @@ def format_firmware_parameters(autopilot: str, scenario: Scenario, step: float, 
             "save",
         ]
         return "\n".join(lines) + "\n"
-    is_px4 = autopilot == "px4"
-    parameters = list_px4_parameters(scenario, step, target) if is_px4 else ardupilot_parameters(vehicle, step)
-    return parameter_file(autopilot, parameters, TARGET_NOTES[target] if is_px4 else ())
+    notes = TARGET_NOTES[autopilot][target]
+    if autopilot == "px4":
+        return parameter_file(autopilot, list_px4_parameters(scenario, step, target), notes)
+    names = "since ArduCopter 4.7" if release > (4, 6) else "until ArduCopter 4.6"
+    parameters = ardupilot_parameters(vehicle, step, release, target)
+    return parameter_file(autopilot, parameters, (*notes, f"Names and units are those {names}."))
 
 
 def format_mixer_script(vehicle: Vehicle) -> str:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.autopilots.ardupilot import HANDLING
+from cosim.autopilots.ardupilot import GNSS_CHANNEL, HANDLING, NEWEST, Release
 from cosim.autopilots.lockstep import PARAMETER_NAME
 from cosim.base.errors import InputError
 from cosim.base.limits import clip
@@ -230,16 +230,39 @@ _QUAD_FRAMES: dict[int, tuple[str, dict[tuple[int, int, int], int]]] = {
     6: ("plus, reversed", {(0, 1, -1): 1, (0, -1, -1): 2, (1, 0, 1): 3, (-1, 0, 1): 4}),
 }
 # Sticks as hexjet sitl sends them, not as the transmitters that ArduPilot takes by itself: 1100 to 1900 us, and dead
-# zones of 20 and 30 us.  The seventh channel arms.  Full stick is that of HANDLING.
-ARDUPILOT_STICKS: dict[str, float] = {
+# zones of 20 and 30 us.  The seventh channel arms, the last takes its GNSS away.  Full stick is that of HANDLING.
+_ARDUPILOT_STICKS: dict[str, float] = {
     **{f"RC{n}_{key}": value for n in range(1, 5) for key, value in (("MIN", 1000), ("MAX", 2000), ("DZ", 0))},
     **{f"RC{n}_TRIM": 1000 if n == 3 else 1500 for n in range(1, 5)},
-    "ANGLE_MAX": 100.0 * HANDLING.lean_deg,
+    "ATC_ANGLE_MAX": HANDLING.lean_deg,
     "PILOT_Y_RATE": HANDLING.turn_deg_s,
     "PILOT_Y_EXPO": 0.0,
     "RC7_OPTION": 153,
-    "ARMING_CHECK": 0,
+    f"RC{GNSS_CHANNEL}_OPTION": 65,
+    "ARMING_SKIPCHK": -1,
 }
+# Until ArduCopter 4.6: the name, and how much of its unit is one of today's.  What was checked was stated until then,
+# and not what is left out; all of that is left out here.
+_UNTIL_4_6: dict[str, tuple[str, float]] = {
+    "ATC_ANGLE_MAX": ("ANGLE_MAX", 100.0),
+    **{f"ATC_ACC_{axis}_MAX": (f"ATC_ACCEL_{axis}_MAX", 100.0) for axis in "RPY"},
+    "ARMING_SKIPCHK": ("ARMING_CHECK", 0.0),
+    "SIM_GPS1_LAG_MS": ("SIM_GPS_LAG_MS", 1.0),
+}
+
+
+def _name_as_of(release: Release, parameters: Mapping[str, float]) -> dict[str, float]:
+    """Return parameters by the names and in the units of a release."""
+    if release > (4, 6):
+        return dict(parameters)
+    older = [(_UNTIL_4_6.get(name, (name, 1.0)), value) for name, value in parameters.items()]
+    return {name: unit * value + 0.0 for (name, unit), value in older}
+
+
+def ardupilot_sticks(release: Release = NEWEST) -> dict[str, float]:
+    """Return ArduPilot's parameters for the sticks and switches of :class:`cosim.autopilots.ardupilot.Transmitter`."""
+    return _name_as_of(release, _ARDUPILOT_STICKS)
+
 
 _LOITER = 5  # number of the mode
 _ARDUPILOT_HOVER_RANGE = 0.125, 0.6875  # of MOT_THST_HOVER
@@ -327,33 +350,44 @@ def _ardupilot_frame_parameters(vehicle: Vehicle) -> dict[str, float]:
     return parameters
 
 
-def ardupilot_parameters(vehicle: Vehicle, step: float) -> dict[str, float]:
-    """Return ArduPilot's parameters of a vehicle: frame, gains, filters, sticks, and the flight's rate.
+ARDUPILOT_TARGETS = ("sitl", "board")
 
+
+def ardupilot_parameters(
+    vehicle: Vehicle, step: float, release: Release = NEWEST, target: str = "sitl"
+) -> dict[str, float]:
+    """Return ArduPilot's parameters of a vehicle for its SITL, or for a board that flies: frame, gains, filters.
+
+    A board keeps its radio, modes and checks, and filters its gyro as the vehicle's is, or as ArduPilot ships.  In its
+    SITL it senses what the vehicle does, bias, noise, filter, latency and all: a drift of the gyro, noise of the
+    barometer and latency of GNSS of its own came on top.
     Raises InputError for a vehicle that is no frame of ArduCopter, see :func:`ardupilot_frame`, and that no script
     makes one, see :func:`ardupilot_script`.
     """
     control = vehicle.control
     refuse_effectiveness("ardupilot", vehicle)
     throttle_min = control.allocation.throttle_min
-    parameters: dict[str, float] = {"SIM_RATE_HZ": round(1.0 / step), "SCHED_LOOP_RATE": min(round(1.0 / step), 400)}
-    parameters["SIM_DRIFT_SPEED"] = 0.0  # the gyro is the vehicle's, bias and all; a drift of its own came on top
+    parameters: dict[str, float] = {"SCHED_LOOP_RATE": min(round(1.0 / step), 400)}
     parameters |= _ardupilot_frame_parameters(vehicle)
     for axis, gains, scale in pair_rate_gains(vehicle, ardupilot_torque_scale(vehicle)):
         name = f"ATC_RAT_{'RLL' if axis == 'roll' else 'PIT' if axis == 'pitch' else 'YAW'}"
         parameters |= {f"{name}_P": gains.p / scale, f"{name}_I": gains.i / scale, f"{name}_D": gains.d / scale}
+        # The gyro's filter is the one that the loop was designed with; these would be late on top.
         parameters |= {f"{name}_FLTT": 0.0, f"{name}_FLTE": 0.0}
         parameters[f"{name}_FLTD"] = 1.0 / (2.0 * pi * gains.d_filter_s) if gains.d else 0.0
         parameters[f"{name}_IMAX"] = min(gains.integral_limit / scale, 1.0)
     names = [f"ATC_ANG_{axis}_P" for axis in ("RLL", "PIT", "YAW")]
     parameters |= dict(zip(names, control.attitude.gain_1_s, strict=True))
-    # Its shaping of what is asked and its feed-forward of that are together the attitude gain alone then, and without
-    # limits of acceleration large errors count as small ones do: cosim.design.loop.firmware.
-    parameters |= {"ATC_RATE_FF_ENAB": 1, "ATC_INPUT_TC": 1.0 / control.attitude.gain_1_s[0]}
-    parameters |= {f"ATC_ACCEL_{axis}_MAX": 0 for axis in "RPY"}
+    # Without shaping and feed-forward it is the attitude gain alone, and without limits of acceleration large errors
+    # count as small ones do: cosim.design.loop.firmware.
+    parameters |= {"ATC_RATE_FF_ENAB": 0} | {f"ATC_ACC_{axis}_MAX": 0 for axis in "RPY"}
     parameters |= {"MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_THST_EXPO": 0.0, "MOT_SPIN_MAX": 1.0}
-    parameters |= {"MOT_SPIN_MIN": throttle_min, "MOT_SPIN_ARM": throttle_min, "INS_GYRO_FILTER": 0}
-    return parameters | ARDUPILOT_STICKS
+    parameters |= {"MOT_SPIN_MIN": throttle_min, "MOT_SPIN_ARM": throttle_min}
+    if target == "board":
+        cutoff = find_gyro_cutoff(vehicle)
+        return _name_as_of(release, parameters | ({} if cutoff is None else {"INS_GYRO_FILTER": round(cutoff)}))
+    parameters |= {"SIM_RATE_HZ": round(1.0 / step), "SIM_DRIFT_SPEED": 0, "SIM_BARO_RND": 0, "SIM_GPS1_LAG_MS": 0}
+    return _name_as_of(release, parameters | _ARDUPILOT_STICKS | {"INS_GYRO_FILTER": 0})
 
 
 def ardupilot_hold(throttle: float, least: float) -> dict[str, float]:
@@ -366,7 +400,8 @@ def ardupilot_hold(throttle: float, least: float) -> dict[str, float]:
 
 def leave_ardupilot_gains(parameters: Mapping[str, float]) -> dict[str, float]:
     """Return ArduPilot's parameters without gains, shaping, filters and thrust curve: these are as ArduCopter ships."""
-    kept = {name: value for name, value in parameters.items() if not name.startswith(("ATC_", "INS_GYRO"))}
+    own = ("ATC_RA", "ATC_ANG_", "ATC_ACC", "INS_GYRO")
+    kept = {name: value for name, value in parameters.items() if not name.startswith(own)}
     kept.pop("MOT_THST_EXPO", None)
     return kept
 
@@ -406,10 +441,8 @@ NOTES = {
         "by PX4's rule of signs that is what they do. A positive output tilts forward: the first servo is the left.",
     ),
     "ardupilot": (
-        "The shipped quadrotor's and the Hex-Jet's, with its script, flew ArduCopter 4.6.0-dev in its",
-        "SITL, hover and doublets; no hardware has flown with any of them.",
-        "RCn_*, RC7_OPTION, ARMING_CHECK = 0 and SIM_* are for hexjet sitl. On hardware leave",
-        "them out: calibrate your transmitter, and keep the arming checks.",
+        "The shipped quadrotor's and the Hex-Jet's, with its script, flew ArduCopter 4.6.0-dev and",
+        "4.8.0-dev in its SITL, hover and doublets; no hardware has flown with any of them.",
     ),
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
-from cosim.autopilots.lockstep import StickPositions
+from cosim.autopilots.lockstep import STICKS_S, StickPositions
 from cosim.base.errors import FlightError
 from cosim.base.frames import heading_of
 from cosim.base.limits import clip
@@ -47,7 +47,8 @@ class StickPilot:
     own.  Heading is held by a turn in proportion to its error, with the yaw gain of the vehicle's attitude loop.
     Once a height below the ground is asked for and the vehicle stands still near it, it is disarmed, and stays so.
     Where the stick ``turns_target``, the heading that the autopilot holds by itself, that loop is closed around this
-    heading: around the vehicle's there would be two loops about one error, which overshoot.
+    heading: around the vehicle's there would be two loops about one error, which overshoot.  The stick moves as often
+    as a receiver sends it, so that the turn is what was sent, whenever the autopilot hears it.
     From ``hold_from`` [s] of the flight on the autopilot holds place and height: the sticks are let go of, but for a
     height or a heading that is off by more than the autopilot's dead zone.
     """
@@ -62,7 +63,8 @@ class StickPilot:
         self._lean, self._turn, self._climb = lean, turn, gains.altitude.position_1_s / CLIMB
         self._step, self._hold_from, self._steps = belief.step_s, hold_from, 0
         self._span = vehicle.aero.span_m
-        self._turns_target = turns_target
+        self._turns_target, self._turned = turns_target, 0.0
+        self._held_steps = max(1, round(STICKS_S / belief.step_s))
         # headings, rad: that the autopilot holds, as the sticks have turned it, and that its loop has turned to by now
         self._target: tuple[float, float] | None = None
         self._still_needed, self._still = round(STILL_TIME / belief.step_s), 0
@@ -71,7 +73,7 @@ class StickPilot:
     def reset(self) -> None:
         """Reset the height loop, and forget a landing."""
         self._altitude.reset()
-        self._still = self._steps = 0
+        self._still, self._steps, self._turned = 0, 0, 0.0
         self._target = None
 
     def update(self, command: Command, measured: Measured, burnt: float) -> StickPositions:
@@ -104,13 +106,14 @@ class StickPilot:
         if not self._turns_target:
             return self._heading * wrap(yaw - heading) / self._turn
         target, expected = self._target or (heading, heading)
-        stick = clip(self._heading * wrap(yaw - target) / self._turn, -1.0, 1.0)
-        # what is held may be another than what is believed to be: by how far the vehicle is from where it should have
-        # turned to tells, slowly; by how far it is from what is held would be a second loop while it turns
-        moved = stick * self._turn + wrap(heading - expected) / TARGET_TIME
-        expected += self._step * (moved + self._heading * wrap(target - expected))
-        self._target = target + self._step * moved, expected
-        return stick
+        if self._steps % self._held_steps == 1 or self._held_steps == 1:
+            self._turned = clip(self._heading * wrap(yaw - target) / self._turn, -1.0, 1.0)
+        # What is held may be another than what is believed to be: by how far the vehicle is from where it should have
+        # turned to tells, slowly; by how far it is from what is held would be a second loop while it turns.
+        off = wrap(heading - expected) / TARGET_TIME
+        expected += self._step * (off + self._heading * wrap(target - expected))
+        self._target = target + self._step * (self._turned * self._turn + off), expected
+        return self._turned
 
     def _landed(self, height: float, measured: Measured) -> bool:
         """Return whether it has stood still near the ground for long, asked for a ``height`` [m] below it."""

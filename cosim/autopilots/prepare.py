@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
 from shutil import which
@@ -16,11 +16,11 @@ from cosim.autopilots.block import AutopilotBlock
 from cosim.autopilots.firmware_parameters import list_px4_parameters, vehicle_in_throttle
 from cosim.autopilots.lockstep import LOCAL, Autopilot, StartTiming, check_words, find_configured_program
 from cosim.autopilots.parameters import (
-    ARDUPILOT_STICKS,
     PX4_OF_SOME_RELEASES,
     ardupilot_hold,
     ardupilot_parameters,
     ardupilot_script,
+    ardupilot_sticks,
     leave_ardupilot_gains,
     leave_px4_gains,
     parameter_file,
@@ -45,12 +45,19 @@ BUILDS = {  # how their makers build them, and where they say so
     "ardupilot": "./waf configure --board sitl && ./waf copter; ardupilot.org/dev, Building the code",
 }
 # Faults of sensors that do not reach an autopilot as what they are, and why.
-_OWN_ATTITUDE = "PX4 estimates its attitude by itself; allowed: gyro, gnss, barometer"
+_OWN_ATTITUDE = "it estimates its attitude by itself; allowed: gyro, gnss, barometer"
 _NO_POSITION = "Betaflight is told no position; allowed: gyro, attitude, and barometer, which its pilot has"
 _UNTOLD: dict[str, dict[tuple[str, str], str]] = {
     "betaflight": dict.fromkeys([("gnss", "sensor_dropout"), ("gnss", "sensor_bias")], _NO_POSITION),
     "px4": dict.fromkeys([("attitude", "sensor_dropout"), ("attitude", "sensor_bias")], _OWN_ATTITUDE),
-    "ardupilot": {},
+    "ardupilot": {
+        ("attitude", "sensor_dropout"): _OWN_ATTITUDE,
+        ("attitude", "sensor_bias"): _OWN_ATTITUDE,
+        (
+            "barometer",
+            "sensor_dropout",
+        ): "its simulation's barometer would go on with the last height; allowed: gyro, gnss",
+    },
 }
 PORT_SPACING = 20  # ports of Betaflight from one instance to the next: fourteen are one's
 
@@ -70,6 +77,7 @@ class Setup:
     parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: over those made from the vehicle
     magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: the Earth's at the place
     hold_from_s: float | None = None  # PX4, ArduPilot: of the flight; from then on it holds place and height
+    hands_off: bool = False  # PX4, ArduPilot: a ground station arms and flies it
     defaults: Path | None = None  # ArduPilot: its parameters; None: those made from the vehicle
     channels: Sequence[str] = ()  # ArduPilot: NUMBER=PULSE or NUMBER=PULSE@SECONDS, beside the sticks
     station: int | None = None  # ArduPilot: the UDP port of this machine to which it talks MAVLink
@@ -88,6 +96,8 @@ class PreparedAutopilot:
     endpoint: str  # address that a program started by hand connects to
     details: Mapping[str, Any]
     hold_from_s: float = inf  # of the flight
+    remark: str = ""  # on a program of a version that was not flown
+    hands_off: bool = False
 
     def fly(
         self, scenario: Scenario, folder: Path, page: bool = True, realtime_factor: float | None = None
@@ -95,7 +105,7 @@ class PreparedAutopilot:
         """Fly a scenario, see :func:`cosim.autopilots.run.fly_autopilot`."""
         return fly_autopilot(
             scenario,
-            AutopilotBlock(self.autopilot, self.name, start_timing(self.name), self.hold_from_s),
+            AutopilotBlock(self.autopilot, self.name, start_timing(self.name), self.hold_from_s, self.hands_off),
             folder,
             files=[] if self.program is None else [self.program],
             details=dict(self.details),
@@ -174,8 +184,13 @@ def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, s
             f"go into it by --gains {scenario.controller}"
         )
     check_faults(name, scenario)
+    if setup.hands_off and not scenario.initial.on_ground:
+        raise InputError(
+            f"--hands-off: scenario {scenario.name} begins in the air; a ground station takes a vehicle that stands: "
+            "allowed is initial.on_ground = true, such as climb-and-land"
+        )
     make = {"betaflight": _betaflight, "px4": _px4, "ardupilot": _ardupilot}[name]
-    return make(scenario, folder / name, program, setup)
+    return replace(make(scenario, folder / name, program, setup), hands_off=setup.hands_off)
 
 
 def check_faults(name: str, scenario: Scenario) -> None:
@@ -183,6 +198,11 @@ def check_faults(name: str, scenario: Scenario) -> None:
     for index, fault in enumerate(scenario.fault):
         if isinstance(fault, SensorBias | SensorDropout) and (untold := _UNTOLD[name].get((fault.sensor, fault.kind))):
             raise InputError(f"{name}: fault.{index}: {fault.kind} of {fault.sensor}: {untold}")
+        if name == "ardupilot" and isinstance(fault, SensorBias) and fault.sensor == "gnss" and fault.bias[2]:
+            raise InputError(
+                f"{name}: fault.{index}.bias: its simulation has one height, the barometer's; allowed for gnss: a bias "
+                "to north and east, velocity_bias"
+            )
 
 
 def _betaflight(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> PreparedAutopilot:
@@ -216,7 +236,8 @@ def _px4(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -
 
 def _ardupilot(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> PreparedAutopilot:
     vehicle, _ = scenario.resolved_vehicle()
-    parameters = _ardupilot_parameters(scenario, program, setup)
+    release, remark = ardupilot.read_release(program)
+    parameters = _ardupilot_parameters(scenario, program, setup, release)
     defaults = None
     if program is not None:
         defaults = folder / "hexjet.parm"
@@ -243,29 +264,31 @@ def _ardupilot(scenario: Scenario, folder: Path, program: Path | None, setup: Se
         "channels": list(setup.channels),
     }
     hold_from = inf if setup.hold_from_s is None else setup.hold_from_s
-    return PreparedAutopilot("ardupilot", autopilot, program, endpoint, details, hold_from)
+    return PreparedAutopilot("ardupilot", autopilot, program, endpoint, details, hold_from, remark)
 
 
-def _ardupilot_parameters(scenario: Scenario, program: Path | None, setup: Setup) -> dict[str, float]:
+def _ardupilot_parameters(
+    scenario: Scenario, program: Path | None, setup: Setup, release: ardupilot.Release
+) -> dict[str, float]:
     """Return what an ArduPilot flies with: the file stated over its sticks, or the vehicle's; over both what is stated.
 
     One that is started by hand has its own; the vehicle's are taken for them where there are any.
     """
     hold: dict[str, float] = {}
     vehicle, _ = scenario.resolved_vehicle()
-    if setup.hold_from_s is not None:
+    if setup.hold_from_s is not None or setup.hands_off:
         throttle = find_hover_throttle(make_scenario_belief(scenario, {}))
         hold = ardupilot_hold(throttle, vehicle.control.allocation.throttle_min)
     if setup.defaults is not None:
-        return ARDUPILOT_STICKS | hold | read_parameters(setup.defaults) | dict(setup.parameters)
+        return ardupilot_sticks(release) | hold | read_parameters(setup.defaults) | dict(setup.parameters)
     try:
-        parameters = ardupilot_parameters(vehicle_in_throttle(scenario), scenario.step_s)
+        parameters = ardupilot_parameters(vehicle_in_throttle(scenario), scenario.step_s, release)
         parameters = leave_ardupilot_gains(parameters) if setup.gains == "stock" else parameters
         return parameters | hold | dict(setup.parameters)
     except InputError:
         if program is not None:
             raise
-        return ARDUPILOT_STICKS | dict(setup.parameters)
+        return ardupilot_sticks(release) | dict(setup.parameters)
 
 
 def _geodesy(scenario: Scenario) -> Geodesy:

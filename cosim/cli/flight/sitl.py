@@ -141,6 +141,11 @@ _HOLD = opt.number(
     "From this second of the flight on it holds place and height by itself, by GNSS: Position mode, or Loiter.",
     min=0.0,
 )
+_HANDS_OFF = opt.flag(
+    "--hands-off",
+    "Leave the vehicle, on the ground, to a ground station: sticks in the middle, no throttle, nobody is armed or "
+    "disarmed, and what the scenario commands and limits is left out.",
+)
 
 
 class Px4(Sitl):
@@ -156,6 +161,7 @@ class Px4(Sitl):
     parameters = opt.words("--param", "NAME=VALUE", "Over those of hexjet sitl params px4.")
     field = opt.word("--field", "N,E,D", "The magnetic field [gauss].  [default: the Earth's at the place]")
     hold = _HOLD
+    hands_off: bool = _HANDS_OFF
 
 
 @sitl.command(epilog=example("hexjet sitl px4 --binary px4_sitl_default/bin/px4 --param MC_ROLLRATE_P=0.05"))
@@ -177,9 +183,10 @@ def px4(options: Px4) -> int:
         parameters=parse_numbers(options.parameters, "--param"),
         magnetic_field=_magnetic_field(options.field),
         hold_from_s=options.hold,
+        hands_off=options.hands_off,
     )
     scenario = options.read(_find_gains(options.gains, "vehicle", "stock"))
-    return _fly(options, _let_it_lean(scenario, options.hold), "px4", setup)
+    return _fly(options, _let_it_go(scenario, options), "px4", setup)
 
 
 class ArduPilot(Sitl):
@@ -201,6 +208,7 @@ class ArduPilot(Sitl):
     )
     parameters = opt.words("--param", "NAME=VALUE", "Over these.")
     hold = _HOLD
+    hands_off: bool = _HANDS_OFF
     channels = opt.words(
         "--channel", "N=PULSE[@S]", "A switch of the transmitter [us], from second S of the flight on: 8=2000@2."
     )
@@ -231,22 +239,27 @@ def ardupilot(options: ArduPilot) -> int:
         gains=options.gains,
         parameters=parse_numbers(options.parameters, "--param"),
         hold_from_s=options.hold,
+        hands_off=options.hands_off,
         defaults=options.defaults,
         channels=options.channels,
         station=options.station,
     )
     scenario = options.read(_find_gains(options.gains, "vehicle", "stock"))
-    return _fly(options, _let_it_lean(scenario, options.hold), "ardupilot", setup)
+    return _fly(options, _let_it_go(scenario, options), "ardupilot", setup)
 
 
-def _let_it_lean(scenario: Scenario, hold: float | None) -> Scenario:
-    """Return the scenario, which does not look at an oscillation where the autopilot holds the place.
+def _let_it_go(scenario: Scenario, options: Px4 | ArduPilot) -> Scenario:
+    """Return the scenario without what does not fit an autopilot, or a station, that goes where it likes.
 
-    It leans as it likes to hold that, which nobody commands.
+    An autopilot that holds the place leans as it likes to hold that; a station does nothing that the scenario says.
     """
-    if hold is None or scenario.limits.oscillation_rad is not None:
+    limits: dict[str, Any] = scenario.limits.model_dump()
+    if options.hands_off:
+        limits |= dict.fromkeys(("height_error_m", "place_error_m", "drift_m", "speed_m_s", "oscillation_rad"), False)
+        return scenario.replace(command=[], expect=[], limits=limits)
+    if options.hold is None or scenario.limits.oscillation_rad is not None:
         return scenario
-    return scenario.replace(limits=scenario.limits.model_dump() | {"oscillation_rad": False})
+    return scenario.replace(limits=limits | {"oscillation_rad": False})
 
 
 class Parameters(opt.Record):
@@ -259,9 +272,10 @@ class Parameters(opt.Record):
     target = opt.choice(
         "--target",
         ["sitl", "hil", "board"],
-        "PX4's: its SITL, a board in the loop, or one that flies, which keeps its own radio.",
+        "Its SITL, of PX4 a board in the loop, or a board that flies, which keeps its own radio, modes and checks.",
         "sitl",
     )
+    release = opt.choice("--release", ["4.6", "4.8"], "ArduPilot's: by whose names; they are others since 4.7.", "4.8")
     script = opt.flag("--script", "ArduPilot's mixer of tilting banks, a Lua script, in the place of parameters.")
 
 
@@ -274,17 +288,20 @@ def params(options: Parameters) -> int:
     console.
     """
     from cosim.autopilots.firmware_parameters import format_firmware_parameters, format_mixer_script
+    from cosim.autopilots.parameters import ARDUPILOT_TARGETS, PX4_TARGETS
 
     autopilot, target = options.autopilot, options.target
-    if target != "sitl" and autopilot != "px4":
-        raise InputError(f"--target {target}: {autopilot} has one set of parameters; allowed is px4")
+    targets = {"px4": PX4_TARGETS, "ardupilot": ARDUPILOT_TARGETS}.get(autopilot, ("sitl",))
+    if target not in targets:
+        raise InputError(f"--target {target}: allowed for {autopilot}: {', '.join(targets)}")
     if options.script and autopilot != "ardupilot":
         raise InputError(f"--script: {autopilot} has none; allowed is ardupilot")
     scenario = load_scenario("hover", options.gains, (), None, (), None, options.aircraft)
     if options.script:
         text = format_mixer_script(scenario.resolved_vehicle()[0])
     else:
-        text = format_firmware_parameters(autopilot, scenario, 1.0 / options.rate, target)
+        release = 4, int(options.release[2:])
+        text = format_firmware_parameters(autopilot, scenario, 1.0 / options.rate, target, release)
     click.echo(text, nl=False)
     return DONE
 
@@ -297,6 +314,8 @@ def _fly(options: Sitl, scenario: Scenario, name: str, setup: Setup) -> int:
 
     program, folder = find_program(name, options.binary), options.run_folder(f"{scenario.name}-{name}")
     autopilot = prepare(name, scenario, folder, program, setup)
+    if autopilot.remark:
+        click.echo(f"hexjet: {autopilot.remark}", err=True)
     if name == "ardupilot":
         from cosim.autopilots.ardupilot import PORT_SPACING, RC_PORT
 

@@ -24,10 +24,9 @@ late in the angle too.  ArduPilot's mixer of a script (``AP_MotorsMatrix_6DoF_Sc
 servos, which take them up in the next loop: measured with a gyro of one sample, and not so with its own frames.
 
 Of limits and anti-windup nothing is in it, nor of gains that follow the throttle: our settings switch these off.  So
-they do with ArduPilot's limits of acceleration (``ATC_ACCEL_R_MAX`` and the others), and the square root of a large
-error that comes with them.  Its target follows the pilot's with ``ATC_INPUT_TC``, and the target's rate is fed forward:
-``target' = (pilot - target) / tc``, ``rate = gain (target - angle) + target'``.  With ``tc`` = 1 / ``gain`` that is
-``gain (pilot - angle)``, step by step; so it is set, and roll and pitch, which have one ``tc``, have one attitude gain.
+they do with ArduPilot's limits of acceleration (``ATC_ACC_R_MAX`` and the others), and the square root of a large error
+that comes with them, and with its shaping of the pilot's angles and the feed-forward of their rate
+(``ATC_RATE_FF_ENAB``), which are others since 4.8.  What is left is ``rate = gain (pilot - angle)``.
 """
 
 from __future__ import annotations

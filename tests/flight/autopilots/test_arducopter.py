@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arducopter_standin import DEFAULTS, HOLDS_S, PLACE_S, Radio, begin_log, installed
+from arducopter_standin import DEFAULTS, HOLDS_S, PLACE_S, TITLE, Radio, begin_log, installed
 from command_tools import Hexjet
 from patience import FLIGHT_PATIENCE, PATIENCE
 from stated_figures import stated
@@ -26,6 +26,7 @@ from cosim.autopilots.ardupilot import (
     parse_channel,
 )
 from cosim.autopilots.lockstep import SensorFrame, StickPositions
+from cosim.autopilots.parameters import ardupilot_sticks
 from cosim.autopilots.prepare import Setup, prepare
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
@@ -153,6 +154,19 @@ def test_it_holds_its_place_by_itself_once_the_switch_is_raised(program: Path, t
     assert HANDLING.before_s > PLACE_S + 10.0
 
 
+def test_hands_off_it_stands_where_it_is_until_a_station_takes_it(program: Path, tmp_path: Path) -> None:
+    """Nobody arms or disarms it, the throttle is closed; home is where it stands, which a vehicle in the air has not."""
+    scenario = Scenario.load("climb-and-land").replace(aircraft="quadrotor", engine="motor", step_s=0.0025, command=[])
+    scenario = scenario.replace(duration_s=1.0, expect=[])
+    made = prepare("ardupilot", scenario, tmp_path, program, Setup(222, PATIENCE, hands_off=True))
+    run = made.fly(scenario, tmp_path, page=False).run
+    assert run.outcome == "completed", run.reason
+    assert np.abs(run.log["altitude_m"] - run.log["altitude_m"][0]).max() < 1e-3
+    assert "rming motors" not in (tmp_path / "ardupilot" / "ardupilot.log").read_text()
+    with pytest.raises(InputError, match="scenario hover begins in the air; a ground station takes a vehicle that st"):
+        prepare("ardupilot", QUADROTOR, tmp_path, program, Setup(hands_off=True))
+
+
 @pytest.mark.parametrize("kept", ["nothing", "no version", "half"])
 def test_a_flight_whose_log_does_not_list_all_names_says_that_nobody_checked_them(kept: str, tmp_path: Path) -> None:
     vehicle, _ = QUADROTOR.resolved_vehicle()
@@ -198,7 +212,7 @@ def test_the_names_of_a_log_are_those_that_the_autopilots_own_reader_finds(
     theirs.filehandle.close()
     ours = read_notes(Path("logs/00000001.BIN"))
     assert ours.parameters == named == pytest.approx(DEFAULTS)
-    assert ours.version == "stand-in for ArduCopter"
+    assert ours.version == f"stand-in for {TITLE}"
 
 
 @pytest.mark.parametrize(
@@ -261,11 +275,23 @@ def test_the_throttle_that_is_meant_is_what_comes_out_of_its_stick(hover: float)
             assert 0.1 + 0.8 * share == pytest.approx(throttle, abs=0.002)
 
 
+def test_a_gnss_that_is_out_is_taken_away_by_a_switch() -> None:
+    """Of ArduPilot's own (RC16_OPTION 65), with which it has no fix, where a frozen one would be a good one."""
+    assert ardupilot_sticks()["RC16_OPTION"] == 65
+    frame = SensorFrame(
+        70.0, *[(0.0, 0.0, 0.0)] * 2, (1.0, 0.0, 0.0, 0.0), *[(0.0, 0.0, 0.0)] * 2, 10.0, StickPositions()
+    )
+    ours = Transmitter({}, [], 0.0025)
+    assert ours.compute_pulses(frame)[15] == 1000
+    assert ours.compute_pulses(frame._replace(silent=("gnss",)))[15] == 2000
+    assert ours.compute_pulses(frame._replace(silent=("barometer",)))[15] == 1000
+
+
 @pytest.mark.parametrize(
     ("text", "channel"),
     [
         ("8=2000", TransmitterChannel(8, 2000, None)),
-        ("16=1100@0", TransmitterChannel(16, 1100, 0.0)),
+        ("15=1100@0", TransmitterChannel(15, 1100, 0.0)),
         ("9=1500@2.5", TransmitterChannel(9, 1500, 2.5)),
     ],
 )
@@ -273,7 +299,9 @@ def test_a_channel_is_read(text: str, channel: TransmitterChannel) -> None:
     assert parse_channel(text, "--channel") == channel
 
 
-@pytest.mark.parametrize("text", ["3=2000", "7=1000", "17=2000", "8=200", "8", "8=2000@-1", "8=high", "0=2000"])
+@pytest.mark.parametrize(
+    "text", ["3=2000", "7=1000", "16=2000", "17=2000", "8=200", "8", "8=2000@-1", "8=high", "0=2000"]
+)
 def test_what_is_no_channel_is_refused_with_those_that_are(text: str) -> None:
-    with pytest.raises(InputError, match=rf"^--channel {text}: must be .*; allowed channels: 6, 8, 9, 10, .*, 16$"):
+    with pytest.raises(InputError, match=rf"^--channel {text}: must be .*; allowed channels: 6, 8, 9, 10, .*, 15$"):
         parse_channel(text, "--channel")

@@ -156,16 +156,6 @@ def test_an_output_that_a_script_keeps_is_a_step_of_delay() -> None:
     )
 
 
-def test_what_ardupilot_shapes_and_feeds_forward_is_the_attitude_gain_alone() -> None:
-    """Its lines with our ATC_INPUT_TC, of a pilot who moves the stick at random, and of an angle that does not follow."""
-    pilot = np.cumsum(np.random.default_rng(2).normal(0.0, 0.01, 500))
-    target, rate, angle = 0.0, 0.0, 0.03
-    for asked in pilot:
-        target += STEP * rate  # update_attitude_target, at the beginning of its loop
-        rate = (asked - target) * ANGLE  # input_shaping_angle, without a limit of acceleration
-        assert ANGLE * (target - angle) + rate == pytest.approx(ANGLE * (asked - angle), abs=1e-12)
-
-
 @pytest.mark.parametrize("pitch_takes", [9.0, 2.0, 0.0])
 def test_where_pitch_does_not_take_rolls_attitude_gain_both_have_that_of_pitch(
     pitch_takes: float, monkeypatch: pytest.MonkeyPatch
@@ -183,7 +173,7 @@ def test_where_pitch_does_not_take_rolls_attitude_gain_both_have_that_of_pitch(
         return SimpleNamespace(after=None if fails else SimpleNamespace(tuning=tuning))
 
     monkeypatch.setattr("cosim.design.design._axis", axis)
-    inputs = _AxisInputs(*[None] * 6, Firmware("ardupilot", common_angle=True), print)  # type: ignore[arg-type]
+    inputs = _AxisInputs(*[None] * 6, Firmware("betaflight", common_angle=True), print)  # type: ignore[arg-type]
     plants: Any = {name: name for name in ("roll", "pitch", "yaw", "altitude")}
     axes, used = _design_axes(plants, inputs, None)
     gains = {name: made.after and made.after.tuning.angle_gain for name, made in axes.items()}

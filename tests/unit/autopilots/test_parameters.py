@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from math import atan2, cos, degrees, radians, sqrt
+from math import atan2, cos, degrees, pi, radians, sqrt
 
 import numpy as np
 import pytest
@@ -116,7 +116,27 @@ def test_ardupilots_quadrotor() -> None:
     assert told["ATC_RAT_RLL_P"] * half == pytest.approx(QUADROTOR.control.rate.roll.p)
     assert (told["SIM_RATE_HZ"], told["SCHED_LOOP_RATE"]) == (400, 400)
     assert [told[f"RC{n}_{key}"] for n in (1, 2, 3, 4) for key in ("MIN", "MAX", "DZ")] == [1000, 2000, 0] * 4
-    assert (told["ANGLE_MAX"], told["PILOT_Y_RATE"]) == (3000.0, 202.0)
+    assert (told["ATC_ANGLE_MAX"], told["PILOT_Y_RATE"]) == (30.0, 202.0)
+
+
+def test_ardupilots_file_for_a_board_is_fit_for_a_board(hexjet: Hexjet) -> None:
+    """Nothing of the stand: no ranges of sticks, no switches, no arming checks left out; and the gyro's filter is on."""
+    said = hexjet("sitl", "params", "ardupilot", "--target", "board").out
+    stand = hexjet("sitl", "params", "ardupilot", "--release", "4.6").out
+    assert said.startswith("# For a board that flies")
+    assert "# Names and units are those since ArduCopter 4.7.\n" in said
+    assert stand.startswith("# For the stand, hexjet sitl ardupilot, and for no board")
+    assert max(len(line) for line in (said + stand).splitlines()) <= 98  # what ArduPilot reads of a line
+    board, told = (
+        {line.split(",")[0]: float(line.split(",")[1]) for line in text.splitlines() if line[0] != "#"}
+        for text in (said, stand)
+    )
+    foreign = ("RC", "SIM_", "ARMING", "ANGLE_MAX", "ATC_ANGLE_MAX", "PILOT_")
+    assert not [name for name in board if name.startswith(foreign)]
+    assert board["INS_GYRO_FILTER"] == round(sqrt(2.0) / (2.0 * pi * HEXJET.sensors.gyro.filter_s)) == 25
+    assert (told["INS_GYRO_FILTER"], told["ARMING_CHECK"], told["ATC_ACCEL_R_MAX"]) == (0.0, 0.0, 0.0)
+    same = {name.replace("_ACC_", "_ACCEL_") for name in board}
+    assert {name for name in told if not name.startswith(foreign)} == same
 
 
 # AP_MotorsMatrix_6DoF_Scripting: number; roll, pitch, yaw, throttle, forward, right; both ways, order of the motor test

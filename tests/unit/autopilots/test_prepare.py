@@ -15,9 +15,9 @@ from cosim.autopilots import ardupilot, betaflight, px4
 from cosim.autopilots import prepare as preparation
 from cosim.autopilots.firmware_parameters import TARGET_NOTES
 from cosim.autopilots.parameters import (
-    ARDUPILOT_STICKS,
     ardupilot_parameters,
     ardupilot_script,
+    ardupilot_sticks,
     parameter_file,
     px4_target,
     read_parameters,
@@ -70,7 +70,7 @@ def test_what_is_printed_for_px4_is_what_it_flies_with(tmp_path: Path, hexjet: H
     """The throttle of hover too, which is the engines'; of a design's file it is that of the engine that it is for."""
     made = prepare("px4", HOVER, tmp_path, None, Setup())
     done = hexjet("sitl", "params", "px4")
-    assert done.out == parameter_file("px4", made.details["parameters"], TARGET_NOTES["sitl"])
+    assert done.out == parameter_file("px4", made.details["parameters"], TARGET_NOTES["px4"]["sitl"])
     controller = tmp_path / "mine.toml"
     shutil.copy2(DESIGNS / "edf-as-flown.toml", controller)
     heavy = HOVER.replace(engine="edf-as-flown", vehicle={"mass_kg": 7.0, "servo": {"range_rad": 0.2}})
@@ -105,11 +105,40 @@ def test_ardupilots_parameters_are_a_file_where_it_is_started_here(tmp_path: Pat
     assert own.details["channels"] == ["8=2000@2"]
 
 
+@pytest.mark.parametrize(
+    ("title", "old", "remark"),
+    [
+        ("ArduCopter V4.6.0-dev", True, ""),
+        ("ArduCopter V4.6.3", True, ""),
+        ("ArduCopter V4.8.0-dev", False, ""),
+        ("ArduCopter V4.7.0-beta1", False, "ArduCopter V4.7.0-beta1 was not flown here; 4.6 and 4.8 were"),
+        ("ArduCopter V4.5.7", True, "ArduCopter V4.5.7 was not flown here; 4.6 and 4.8 were"),
+        ("nothing", False, "arducopter: states no version of ArduCopter: its parameters are named as of 4.8"),
+    ],
+)
+def test_ardupilots_parameters_have_the_names_of_its_release(
+    title: str, old: bool, remark: str, tmp_path: Path
+) -> None:
+    """The program has its release among its texts; a lean was hundredths of a degree until 4.6, a check what is checked."""
+    program = tmp_path / "arducopter"
+    program.write_bytes(b"\x7fELF\x00Init %s\x00" + title.encode() + b" (fa6c811d)\x00\xff")
+    made = prepare("ardupilot", QUAD, tmp_path, program, Setup())
+    told = made.details["parameters"]
+    names = {"ANGLE_MAX": 3000.0, "ARMING_CHECK": 0.0, "SIM_GPS_LAG_MS": 0.0, "ATC_ACCEL_R_MAX": 0.0}
+    today = {"ATC_ANGLE_MAX": 30.0, "ARMING_SKIPCHK": -1.0, "SIM_GPS1_LAG_MS": 0.0, "ATC_ACC_R_MAX": 0.0}
+    assert {name: told.get(name) for name in (*names, *today)} == (
+        names | dict.fromkeys(today) if old else dict.fromkeys(names) | today
+    )
+    assert (len(told), told["ATC_RATE_FF_ENAB"], "-0" in str(told)) == (len(ardupilot_parameters(
+        QUAD.resolved_vehicle()[0], 0.0025)), 0, False)  # fmt: skip
+    assert made.remark.removeprefix(f"{tmp_path}/") == remark
+
+
 def test_as_it_ships_ardupilot_keeps_its_gains_and_flies_our_frame_and_sticks(tmp_path: Path) -> None:
     stock = prepare("ardupilot", QUAD, tmp_path, PROGRAM, Setup(gains="stock", parameters={"ATC_INPUT_TC": 0.2}))
     told = stock.details["parameters"]
-    assert [name for name in told if name.startswith(("ATC_", "INS_", "MOT_THST"))] == ["ATC_INPUT_TC"]
-    assert ARDUPILOT_STICKS.items() <= told.items()
+    assert [name for name in told if name.startswith(("ATC_", "INS_", "MOT_THST"))] == ["ATC_ANGLE_MAX", "ATC_INPUT_TC"]
+    assert ardupilot_sticks().items() <= told.items()
     assert (told["FRAME_TYPE"], told["MOT_SPIN_MAX"]) == (18, 1.0)
 
 
@@ -127,7 +156,7 @@ def test_a_file_of_ones_own_flies_with_the_sticks_that_are_sent(tmp_path: Path) 
     file.write_text("# mine\nFRAME_CLASS,7\nRC1_DZ 5\nMOT_SPIN_MIN, 0.1 @READONLY\n")
     made = prepare("ardupilot", HOVER, tmp_path, PROGRAM, Setup(defaults=file, parameters={"MOT_SPIN_MIN": 0.2}))
     told = read_parameters(tmp_path / "ardupilot" / "hexjet.parm")
-    assert told == ARDUPILOT_STICKS | {"FRAME_CLASS": 7.0, "RC1_DZ": 5.0, "MOT_SPIN_MIN": 0.2}
+    assert told == ardupilot_sticks() | {"FRAME_CLASS": 7.0, "RC1_DZ": 5.0, "MOT_SPIN_MIN": 0.2}
     assert made.details["defaults"] == str(file)
     file.write_text("FRAME_CLASS,quad\n")
     with pytest.raises(InputError, match=r"mine\.parm: line 1: 'FRAME_CLASS,quad': must be a name and a number"):
@@ -156,6 +185,17 @@ def test_a_name_that_no_parameter_can_have_is_refused_wherever_it_is_taken(
         read_parameters(file)
 
 
+def test_ardupilot_has_one_height_and_so_no_bias_of_gnss_in_it(tmp_path: Path) -> None:
+    fault = {"kind": "sensor_bias", "sensor": "gnss", "start_s": 1.0, "velocity_bias": [0.0, 0.0, 0.5]}
+    for bias, is_told in (([3.0, 0.0, 0.0], True), ([0.0, 0.0, 3.0], False)):
+        scenario = QUAD.replace(fault=[fault | {"bias": bias}])
+        if is_told:
+            prepare("ardupilot", scenario, tmp_path, PROGRAM, Setup())
+        else:
+            with pytest.raises(InputError, match=r"ardupilot: fault\.0\.bias: .* one height, the barometer's; allowed"):
+                prepare("ardupilot", scenario, tmp_path, PROGRAM, Setup())
+
+
 def test_a_line_for_the_console_is_one_line() -> None:
     for lines in (["set p_roll = 12\nset p_pitch = 1"], ["set p_roll = 12\x00"]):
         with pytest.raises(InputError, match=r"line 'set p_roll = 12.*: has control characters; allowed: one line"):
@@ -167,9 +207,17 @@ def test_a_line_for_the_console_is_one_line() -> None:
 @pytest.mark.parametrize(
     ("name", "sensor", "kind", "said"),
     [
-        ("px4", "attitude", "sensor_dropout", r"px4: fault\.1: sensor_dropout of attitude: PX4 estimates its attitude"),
-        ("px4", "attitude", "sensor_bias", r"px4: fault\.1: sensor_bias of attitude: PX4 estimates its attitude"),
+        ("px4", "attitude", "sensor_dropout", r"px4: fault\.1: sensor_dropout of attitude: it estimates its attitude"),
+        ("px4", "attitude", "sensor_bias", r"px4: fault\.1: sensor_bias of attitude: it estimates its attitude"),
         ("betaflight", "gnss", "sensor_dropout", r"betaflight: fault\.1: sensor_dropout of gnss: .* no position"),
+        ("ardupilot", "attitude", "sensor_bias", r"ardupilot: fault\.1: sensor_bias of attitude: it estimates its att"),
+        (
+            "ardupilot",
+            "barometer",
+            "sensor_dropout",
+            r"ardupilot: fault\.1: sensor_dropout of barometer: .* last height",
+        ),
+        ("ardupilot", "attitude", "sensor_dropout", r"ardupilot: fault\.1: sensor_dropout of attitude: it estimates"),
     ],
 )
 def test_a_sensors_fault_that_does_not_reach_an_autopilot_is_refused(
@@ -177,7 +225,7 @@ def test_a_sensors_fault_that_does_not_reach_an_autopilot_is_refused(
 ) -> None:
     amount = {"bias": [0.1, 0.0, 0.0]} if kind == "sensor_bias" else {}
     faults = [
-        {"kind": "sensor_dropout", "sensor": "barometer", "start_s": 1.0},
+        {"kind": "sensor_dropout", "sensor": "gyro", "start_s": 1.0},
         {"kind": kind, "sensor": sensor, "start_s": 1.0, **amount},
     ]
     with pytest.raises(InputError, match=said):
