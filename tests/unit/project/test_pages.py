@@ -7,11 +7,10 @@ must be what its file says.
 
 from __future__ import annotations
 
-import ast
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -20,7 +19,7 @@ import numpy as np
 import pytest
 from command_tools import Hexjet
 from engine_tools import NEWTON_PER_KGF, PAPER, STEP, Array, Driven, archive, driven
-from places import DESIGNS, ROOT, file_of
+from places import DESIGNS, ROOT
 from scipy.optimize import brentq
 from stated_figures import NUMBER, defined, figures, last_digit, numbers, row_states, rows, stated, text, value
 
@@ -52,272 +51,7 @@ from cosim.vehicle.atmosphere import standard_air
 G = 9.80665
 
 
-# --- every page is covered ------------------------------------------------------------------------------------------
-
-# "marks": a command writes figures between marks; a test's name: it, among others, compares the page with the product.
-COVERED: Mapping[str, tuple[str, ...]] = {
-    "README.md": ("test_pages.py",),
-    "CHANGELOG.md": ("test_project_files.py",),
-    "CODE_OF_CONDUCT.md": ("test_project_files.py",),
-    "CONTRIBUTING.md": ("test_pages.py",),
-    "SECURITY.md": ("test_project_files.py",),
-    "aircraft/hexjet/README.md": ("test_pages.py", "test_simulation.py", "test_pilot_navigation.py"),
-    "aircraft/hexjet-100/README.md": ("test_pages.py", "test_full_scale.py"),
-    "aircraft/hexjet-p220/README.md": ("test_full_scale.py",),
-    "aircraft/crazyflie/README.md": ("test_replay_crazyflie.py",),
-    "aircraft/octojet/README.md": ("test_octojet.py",),
-    "aircraft/quadjet/README.md": ("test_quadjet.py",),
-    "aircraft/trijet/README.md": ("test_trijet.py",),
-    "aircraft/jetwing/README.md": ("test_jetwing.py",),
-    "aircraft/quadrotor/README.md": ("test_pages.py", "test_quadrotor.py"),
-    "benchmarks/README.md": ("test_pages.py",),
-    "docs/accuracy.md": ("marks", "test_accuracy.py"),
-    "docs/api.md": ("marks", "test_docstrings.py"),
-    "docs/bench.md": ("test_identify_bench.py", "test_bench_coverage.py"),
-    "docs/autopilots.md": ("marks", "test_adapters.py", "test_arducopter.py", "test_betaflight.py", "test_lockstep.py"),
-    "docs/tables/autopilots.md": (
-        "marks",
-        "test_px4_program.py",
-        "test_arducopter.py",
-        "test_betaflight.py",
-        "test_lockstep.py",
-    ),
-    "docs/benchmarks.md": ("marks", "test_bench.py", "test_flight_page.py"),
-    "docs/campaigns.md": ("marks", "test_pages.py", "test_campaign_docs.py", "test_sequential.py"),
-    "docs/tables/campaigns.md": ("marks", "test_pages.py", "test_campaign_docs.py", "test_campaign_limits.py"),
-    "docs/control-design.md": ("test_pages.py",),
-    "docs/controller-export.md": ("test_codegen.py",),
-    "docs/export-vehicle.md": ("test_vehicle_export.py",),
-    "docs/design.md": ("test_pages.py", "test_sensors.py"),
-    "docs/tables/design.md": ("test_pages.py",),
-    "docs/engine-check.md": ("test_pages.py",),
-    "docs/flight-page.md": ("test_flight_page.py",),
-    "docs/failsafes.md": (
-        "test_engine_out.py",
-        "test_failsafes.py",
-        "test_quadrotor.py",
-        "test_reduced_attitude.py",
-    ),
-    "docs/tables/accuracy.md": ("marks", "test_accuracy.py"),
-    "docs/tables/benchmarks.md": ("marks", "test_bench.py", "test_flight_page.py"),
-    "docs/tables/control-design.md": ("marks", "test_design_stored.py"),
-    "docs/tables/faults.md": ("marks", "test_pages.py", "test_engine_out.py", "test_faults.py"),
-    "docs/tables/failsafes.md": ("marks", "test_failsafes.py"),
-    "docs/tables/identification.md": ("marks",),
-    "docs/tables/identify-logs.md": ("marks", "test_identify_log.py"),
-    "docs/tables/controller-export.md": ("test_codegen.py",),
-    "docs/tables/export-vehicle.md": ("test_vehicle_export.py",),
-    "docs/tables/packages.md": ("marks", "test_package.py"),
-    "docs/tables/paper.md": ("marks", "test_readings.py", "test_reproduce.py"),
-    "docs/tables/real-engine.md": ("test_engine_jetcat.py",),
-    "docs/tables/full-scale-ecu.md": ("test_full_scale_ecu.py",),
-    "docs/tables/full-scale.md": ("marks", "test_pages.py", "test_engine_out.py", "test_full_scale.py"),
-    "docs/faults.md": ("marks", "test_pages.py", "test_engine_out.py", "test_faults.py", "test_quadrotor.py"),
-    "docs/full-scale.md": (
-        "marks",
-        "test_pages.py",
-        "test_engine_out.py",
-        "test_full_scale.py",
-        "test_engine_p220_2025.py",
-        "test_full_scale_ecu.py",
-    ),
-    "docs/README.md": ("test_site.py",),
-    "docs/glossary.md": ("test_site.py",),
-    "docs/ground-station.md": ("marks", "test_mavlink_lines.py", "test_fence_flights.py"),
-    "docs/tables/ground-station.md": ("marks", "test_pilot_envelope.py", "test_dead_sensors.py"),
-    "docs/identification.md": ("test_pages.py",),
-    "docs/identify-logs.md": ("test_identify_log.py",),
-    "docs/log-export.md": ("test_export_formats.py", "test_flightgear.py"),
-    "docs/judging.md": ("marks", "test_judging.py"),
-    "docs/laws.md": ("marks", "test_laws.py"),
-    "docs/tables/laws.md": ("marks", "test_laws.py"),
-    "docs/margins.md": ("test_measured_margins.py", "test_engine_tolerances.py"),
-    "docs/metrics.md": ("test_metrics_docs.py",),
-    "docs/requirements.md": ("test_requirements.py",),
-    "docs/related.md": ("test_site.py",),
-    "docs/rare.md": ("test_rare.py",),
-    "docs/tables/rare.md": ("marks", "test_rare.py"),
-    "docs/real-engine.md": ("test_engine_jetcat.py", "test_full_scale_ecu.py"),
-    "docs/prove.md": ("test_prove.py",),
-    "docs/sensors.md": ("marks", "test_sensor_profile.py"),
-    "docs/own-aircraft.md": ("test_aircraft_check.py", "test_model_agreement.py"),
-    "docs/tables/own-aircraft.md": ("test_model_agreement.py",),
-    "docs/replay.md": ("test_replay.py",),
-    "docs/own-blocks.md": ("test_own_blocks.py",),
-    "docs/own-controller.md": ("test_own_controller.py",),
-    "docs/tables/own-controller.md": ("test_controller_process.py",),
-    "docs/own-engine.md": ("test_pages.py",),
-    "docs/packages.md": ("marks", "test_package.py"),
-    "docs/paper.md": ("marks", "test_pages.py", "test_reproduce.py", "test_readings.py"),
-    "docs/theory.md": ("test_theory.py",),
-    "docs/runs.md": ("test_shelf.py",),
-    "docs/versions.md": ("test_project_files.py",),
-    "docs/tutorial.md": ("test_site.py", "test_tutorial.py"),
-    "docs/python.md": ("test_stepper.py", "test_gym.py", "test_tables.py"),
-    "engines/README.md": ("test_pages.py",),
-    "engines/edf/README.md": ("test_pages.py",),
-    "engines/edf-as-flown/README.md": ("test_pages.py",),
-    "engines/fitted/README.md": ("test_engine_fitted.py",),
-    "engines/jetcat-p300/README.md": ("test_engine_jetcat.py",),
-    "engines/motor/README.md": ("test_pages.py",),
-    "engines/p220/README.md": ("test_pages.py", "test_engine_p220.py"),
-    "engines/p220-2025/README.md": ("test_engine_p220_2025.py",),
-    "engines/turbine-20/README.md": ("test_engine_turbine.py",),
-    "engines/turbine-100/README.md": ("test_engine_turbine.py",),
-    "engines/turbine-220/README.md": ("test_pages.py", "test_engine_turbine.py"),
-    "engines/turbojet/README.md": ("test_pages.py",),
-    "fmus/README.md": ("test_pages.py",),
-}
-
-
-def pages() -> set[str]:
-    found = [
-        *ROOT.glob("*.md"),
-        *(ROOT / "docs").rglob("*.md"),
-        ROOT / "benchmarks" / "README.md",
-        ROOT / "fmus" / "README.md",
-    ]
-    for folder in ("aircraft", "engines", "scenarios", "studies"):
-        found += (ROOT / folder).rglob("*.md")
-    return {path.relative_to(ROOT).as_posix() for path in found}
-
-
-def test_every_page_says_how_its_figures_are_kept() -> None:
-    """A new page comes with the command that writes its figures, or with a test that asks for them."""
-    assert pages() == set(COVERED)
-
-
-@pytest.mark.parametrize("page", COVERED)
-def test_what_is_said_to_keep_a_page_exists(page: str) -> None:
-    parts = parts_of((ROOT / page).read_text(encoding="utf-8"), page)
-    assert parts or "marks" not in COVERED[page]
-    for name in set(COVERED[page]) - {"marks"}:
-        source = file_of(name).read_text(encoding="utf-8")
-        assert Path(page).name in source or "README" in source, f"{name} does not name {page}"
-
-
-# --- no figure without a parent ---------------------------------------------------------------------------------------
-
-# A figure: a number with a unit, or with a decimal point.  Where a command writes it, in code and in links it is not
-# counted, and where a test that keeps the page has its sentence or the first cell of its row.
-UNIT = (
-    r"(?:%|°C|°|dB|Hz|rad/s²|rad/s|rad|deg/s|deg|m/s²|m/s|mm|cm|km|ms|us|kg/s|kg m²|kg m|kg|g/s|N m|N|MB|GB|K|W|s|m"
-    r"|times|samples)"
-)
-FIGURE = re.compile(
-    rf"(?<![\w./-])[-+±]?\d+(?:[ ,]\d{{3}})*(?:\.\d+)?(?:e[-+]?\d+)?\s?{UNIT}(?![\w/²])"
-    r"|(?<![\w./-])[-+±]?\d+\.\d+(?:e[-+]?\d+)?(?![\w.])"
-)
-# What is left on the pages of docs/: inputs that were chosen, definitions, other people's figures.  A page may lose some
-# (then its number here goes down) and gets none: a new figure comes with a mark, or with a test that has its sentence.
-TYPED: Mapping[str, int] = {
-    "docs/accuracy.md": 11,
-    "docs/tables/autopilots.md": 1,
-    "docs/campaigns.md": 1,
-    "docs/control-design.md": 19,
-    "docs/design.md": 17,
-    "docs/failsafes.md": 1,
-    "docs/faults.md": 11,
-    "docs/full-scale.md": 13,
-    "docs/ground-station.md": 14,
-    "docs/identification.md": 21,
-    "docs/identify-logs.md": 1,
-    "docs/metrics.md": 7,
-    "docs/own-engine.md": 8,
-    "docs/paper.md": 9,
-    "docs/tables/accuracy.md": 1,
-    "docs/tables/benchmarks.md": 4,
-    "docs/tables/faults.md": 2,
-}
-
-
-def plain(page: str) -> str:
-    """The page without what a command writes, without code and the addresses of links; a paragraph or row a line."""
-    said = (ROOT / page).read_text(encoding="utf-8").replace("**", "")
-    for pattern in (r"^<!-- measured: .*?^<!-- end -->$", r"^```.*?^```$", r"^ {4}\S[^\n]*$"):
-        said = re.sub(pattern, "", said, flags=re.MULTILINE | re.DOTALL)
-    lines = []
-    for paragraph in re.split(r"\n\s*\n", bare(said)):
-        lines += paragraph.splitlines() if paragraph.lstrip().startswith("|") else [" ".join(paragraph.split())]
-    return "\n".join(lines)
-
-
-def bare(said: str) -> str:
-    """Without what stands between backquotes and behind links."""
-    return re.sub(r"`[^`]*`", "`", re.sub(r"\]\([^)]*\)", "]", said))
-
-
-def asked_for(page: str) -> list[re.Pattern[str]]:
-    """What the tests that keep a page look for in it: their texts, with a number for ``{}``, and rows by a cell."""
-    texts = set()
-    for name in set(COVERED[page]) - {"marks"}:
-        tree = ast.parse(file_of(name).read_text(encoding="utf-8"))
-        found = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant))
-        texts |= {bare(" ".join(each.split())) for each in found if isinstance(each, str)}
-    sentences = [each for each in texts if len(each) > 8 and ("{}" in each or re.search(r"\d", each))]
-    cells = [rf"(?<=\| ){re.escape(each)} \|[^\n]*" for each in texts if len(each) > 2]
-    return [re.compile(NUMBER.join(map(re.escape, each.split("{}")))) for each in sentences] + list(
-        map(re.compile, cells)
-    )
-
-
-def typed(page: str) -> list[str]:
-    """The figures of a page that nobody looks after, each with some words about it."""
-    said = plain(page)
-    kept = [match.span() for pattern in asked_for(page) for match in pattern.finditer(said)]
-    left = [match for match in FIGURE.finditer(said) if not any(a <= match.start() < b for a, b in kept)]
-    return [f"{match[0]}: ...{said[max(0, match.start() - 40) : match.end() + 20].strip()}..." for match in left]
-
-
-@pytest.mark.parametrize("page", [page for page in COVERED if page.startswith("docs/")])
-def test_a_figure_on_a_page_has_a_parent(page: str) -> None:
-    left, allowed = typed(page), TYPED.get(page, 0)
-    assert len(left) <= allowed, f"{page}: {len(left)} figures are typed, {allowed} may be:\n" + "\n".join(left)
-
-
-# --- length -----------------------------------------------------------------------------------------------------------
-
-
-def test_the_documentation_stays_readable_in_length() -> None:
-    """README and docs/ without code blocks, data pages (docs/tables) and the reference made of the code (docs/api.md)."""
-    paths = [path for path in (ROOT / "docs").rglob("*.md") if path.parent.name != "tables" and path.name != "api.md"]
-    code = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
-    words = {str(path): len(code.sub("", path.read_text("utf-8")).split()) for path in (ROOT / "README.md", *paths)}
-    longest = sorted(words.items(), key=lambda page: -page[1])[:5]
-    assert sum(words.values()) <= 60_000, f"{sum(words.values())} words; the longest are {longest}"
-
-
-# --- README.md, CONTRIBUTING.md, docs/design.md ----------------------------------------------------------------------
-
-# A sentence that states how exactly something was tested, the test, and the tolerance in it.
-TESTED = [
-    ("docs/paper.md", "difference equations to {}.", "test_engine_fmu.py", "atol=1e-12", (1e-12,)),
-    ("docs/paper.md", "r x F to {}.", "test_airframe.py", "rel=1e-9", (1e-9,)),
-    ("aircraft/quadrotor/README.md", "(a test wants {} dB and {} deg)", "test_quadrotor.py",
-     "Within 1 dB and 8 deg of G_n(z) from 0.5 to 12 Hz", (1.0, 8.0)),
-    ("aircraft/hexjet/README.md", "{} deg and {} dB at the lean command, peak sensitivity {}; {} deg, {} dB and {} where",
-     "test_pilot_navigation.py", "(54.0, 42.0), (10.0, 8.0), (1.5, 1.7)", (54.0, 10.0, 1.5, 42.0, 8.0, 1.7)),
-    ("aircraft/quadrotor/README.md", "but 1/{} of its gain", "test_paper.py", "approx(3660.0", (3660.0,)),
-    ("docs/design.md", "equals `vehicle.toml` to {}.", "test_airframe.py", "rel=1e-12", (1e-12,)),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("page", "sentence", "test", "words", "values"), TESTED, ids=lambda part: str(part)[:40])
-def test_how_exactly_is_what_the_test_asks_for(
-    page: str, sentence: str, test: str, words: str, values: tuple[float, ...]
-) -> None:
-    stated(page, sentence, *values)
-    assert words in file_of(test).read_text(encoding="utf-8")
-
-
-def test_the_readmes_own_figures() -> None:
-    page = "README.md"
-    robust = Study.load("predictor-robustness")
-    assert len(robust.controllers) == 5
-    stated(page, "# {} draws, five controllers", robust.runs or 0)
-    stated(page, "whose engines respond {} s late", delay("edf-as-flown") * STEP)
-    stated(page, "# a shipped one: {} kg on six JetCat P220", load_vehicle("hexjet-p220")[0].mass_kg)
-    assert len((ROOT / page).read_text(encoding="utf-8").splitlines()) <= 110
+# --- docs/paper.md, docs/design.md -------------------------------------------------------------------------------
 
 
 def test_the_papers_doublet_as_it_is_flown() -> None:
@@ -335,11 +69,6 @@ def test_the_papers_doublet_as_it_is_flown() -> None:
     ours = load_vehicle("hexjet")[0].control.rate.roll.p
     (percent,) = figures(page, "some {} % above the largest with which the vehicle settles")
     assert 100.0 * (ours / fitted["hexjet_p"] - 1.0) == pytest.approx(value(percent), abs=2.0)
-
-
-def test_the_width_of_a_line() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    stated("CONTRIBUTING.md", "ruff formats, {} columns", project["tool"]["ruff"]["line-length"])
 
 
 def test_pages_without_a_result() -> None:
