@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError
 from cosim.base.storage.files import check_results_folder, map_os_errors, write_files
+from cosim.base.trust import code_of, remember
 from cosim.identify.picture import draw_picture
 
 if TYPE_CHECKING:
@@ -31,9 +32,10 @@ def write_identification(
 ) -> dict[str, Path]:
     """Write the ``record`` as JSON, ``texts`` by their kind, and the page; return the paths by kind.
 
-    ``archive`` is copied as that of the engine, and its README gets the figure ``signals`` as PICTURE.  What an earlier
-    identification left there of the files ``removed`` goes, also where none is left now.  Raises InputError for a
-    folder with files of these names and without RECORD, FlightError if a file cannot be read or written.
+    ``archive`` is copied as that of the engine and is trusted from then on; its README gets the figure ``signals`` as
+    PICTURE.  What an earlier identification left there of the files ``removed`` goes, also where none is left now.
+    Raises InputError for a folder with files of these names and without RECORD, FlightError if a file cannot be read or
+    written.
     """
     check_results_folder(folder, RECORD, *FILES)
     paths = {"json": folder / RECORD, **{kind: folder / _NAMES[kind] for kind in texts}}
@@ -48,6 +50,8 @@ def write_identification(
         for name in removed:
             (folder / name).unlink(missing_ok=True)
     write_files(files)
+    if archive is not None:
+        remember([code_of(folder / f"engine{archive.suffix}")])
     paths["report"] = folder / "report.html"
     page.write(paths["report"])
     return paths

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import select
 import shutil
 import subprocess
@@ -12,8 +13,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_tools import Hexjet
+from known_benches import Truth, bench_log
 from patience import PATIENCE
 
 import cosim
@@ -292,6 +295,23 @@ def test_the_engine_of_a_named_aircraft_is_asked_for(theirs: Path, hexjet: Hexje
         assert (done.status, done.err.count("\n")) == (2, 1), words
         assert REFUSED in done.err
         assert "their.fmu" in done.err
+
+
+def test_an_engine_that_an_identification_wrote_is_flown_without_a_question(hexjet: Hexjet, tmp_path: Path) -> None:
+    times, throttle, thrust, _ = bench_log("stairs of 2 s", 50.0, Truth(gain=20.0, offset=1.0), noise=0.1)
+    rows = np.column_stack([times, throttle, thrust])
+    np.savetxt(tmp_path / "bench.csv", rows, "%.9g", ",", header="time_s,throttle,thrust_N", comments="")
+    assert hexjet("identify", "bench", "bench.csv", "--out", "my-engine").status == 0
+    assert hexjet("aircraft", "new", "gryphon").status == 0
+    vehicle = tmp_path / "gryphon" / "vehicle.toml"
+    text = vehicle.read_text()
+    assert text.count('\nengine = "') == 1
+    vehicle.write_text(re.sub('\nengine = ".*"', '\nengine = "../my-engine/engine.toml"', text))
+    done = hexjet("fly", "hover", "--aircraft", "./gryphon", "--set", "duration_s=0.1", "--controller", "baseline")
+    assert (done.status, REFUSED in done.err) == (0, False), done.err
+    forget(tmp_path)
+    done = hexjet("fly", "hover", "--aircraft", "./gryphon", "--set", "duration_s=0.1", "--controller", "baseline")
+    assert (done.status, REFUSED in done.err) == (2, True), done.err
 
 
 def test_a_terminal_is_asked_once_for_all(

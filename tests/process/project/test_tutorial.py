@@ -1,4 +1,4 @@
-"""docs/tutorial.md, run as it is written: its files, its commands, in an empty folder, one after the other.
+"""docs/tutorial.md, run as it is written by a user who has flown nothing: its files, its commands, in an empty folder.
 
 Long.  That its commands exist is asked daily, in test_site.py.
 """
@@ -17,6 +17,7 @@ from known_benches import Truth, bench_log
 from places import DOCS
 from stated_figures import last_digit, numbers, rows, stated
 
+from cosim.base import trust
 from cosim.simulation.controllers.controller_file import Requirements, read_controller
 
 NAME = "docs/tutorial.md"
@@ -28,7 +29,11 @@ def run(line: str, folder: Path) -> str:
     """What a line of a shell prints, which must succeed."""
     here = Path(sys.executable).parent
     environment = os.environ | {"PATH": f"{here}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "80"}
-    done = subprocess.run(line, shell=True, cwd=folder, env=environment, capture_output=True, text=True)
+    environment |= {"XDG_CONFIG_HOME": str(folder / "settings")}
+    environment.pop(trust.ENVIRONMENT, None)
+    done = subprocess.run(
+        line, shell=True, cwd=folder, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True
+    )
     assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
     return done.stdout
 
