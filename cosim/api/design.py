@@ -41,7 +41,7 @@ class DesignResult(Result):
 
     @property
     def controller(self) -> Path | None:
-        """The controller file, for :func:`cosim.fly`; None where none was written."""
+        """The controller file, for :func:`cosim.fly`, of a design not proved too; None where none was written."""
         return self.files.get("controller")
 
     @says_arguments
@@ -243,7 +243,7 @@ def design(
     designed = seek()
     if proof:
         designed = add_proof(designed, tell, lambda unsure: seek(unsure=unsure))
-    if limit and designed.ok:
+    if limit and designed.is_written:
         designed = add_limits(designed, tell)
     result = DesignResult(designed, autopilot)
     return result if out is None else result.write(out)

@@ -25,7 +25,7 @@ def make_controller_table(design: Design, folder: Path | None = None) -> dict[st
 
     Raises InputError for a design that was not found.
     """
-    if not design.ok:
+    if not design.is_written:
         raise InputError(f"no acceptable design: {design.reason}")
     chosen = {axis: axis_design.after for axis, axis_design in design.axes.items() if axis_design.after is not None}
     roll, altitude = chosen["roll"].tuning, chosen["altitude"].tuning

@@ -106,6 +106,14 @@ class Design:
         return not self.reason
 
     @property
+    def is_written(self) -> bool:
+        """Whether there is a controller file: also, as not proved, where only flights off the design fail its proof."""
+        if self.ok or self.proof is None or self.reason != self.proof.reason:
+            return self.ok
+        as_designed = [flight.fault for flight in self.proof.flights if flight.is_as_designed]
+        return bool(as_designed) and not any(as_designed)
+
+    @property
     def engine_dynamics(self) -> Dynamics:
         """The identified dynamics of the engine, which are the height's actuator on every vehicle."""
         return self.axes["altitude"].channel.actuator.dynamics

@@ -33,7 +33,7 @@ from cosim.design.design import Design, throttle_for
 from cosim.design.limits import Say
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import Dynamics, bounds
-from cosim.design.proof_flights import HOVER, compare_with_shipped, fly_all, lean_of
+from cosim.design.proof_flights import HOVER, compare_with_shipped, find_allowing, fly_all, lean_of
 from cosim.design.proof_result import Proof, ProofFlight
 from cosim.identify.sweep.engine import fly_sweep
 from cosim.identify.sweep.result import Sweep, suitable_duration
@@ -64,13 +64,13 @@ def add_proof(design: Design, say: Say = lambda text: None, again: Again | None 
         return design
     proof = prove(design, say)
     if not proof.unsure or again is None:
-        return replace(design, proof=proof, reason=proof.reason)
+        return replace(design, proof=proof, reason=proof.reason, allowing=proof.allowing)
     say("again, for an engine that differs from its model as measured")
     other = again(proof.unsure)
     if not other.ok:
         return replace(other, proof=proof, reason=f"{proof.reason}; with that in the search, {other.reason}")
     proof = prove(other, say)
-    return replace(other, proof=proof, reason=proof.reason)
+    return replace(other, proof=proof, reason=proof.reason, allowing=proof.allowing)
 
 
 def prove(design: Design, say: Say = lambda text: None) -> Proof:
@@ -99,7 +99,9 @@ def prove(design: Design, say: Say = lambda text: None) -> Proof:
         hint = LESS_NOISE.format(LESS * design.need.noise_share) if _is_moved_by_noise(bad[0]) else ""
         reason = f"{NOT_KEPT}: {bad[0].words}: {bad[0].fault}{more}{hint}"
     compared = compare_with_shipped(design, flights, say)
-    return replace(proof, reason=reason, flights=flights, compared=compared, lean_deg=lean_of(design.vehicle))
+    allowing = find_allowing(design, flights, say) if bad else {}
+    lean = lean_of(design.vehicle)
+    return replace(proof, reason=reason, flights=flights, compared=compared, lean_deg=lean, allowing=allowing)
 
 
 def _is_moved_by_noise(flight: ProofFlight) -> bool:

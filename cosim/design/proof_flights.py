@@ -7,7 +7,7 @@ and slower than the others, and with one stronger and slower, because engines of
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import ceil, degrees, floor, pi
 from typing import Any
 
@@ -23,6 +23,7 @@ from cosim.design.proof_result import ProofFlight
 from cosim.design.shipped_comparison import FlownMeasures, FlownPair, measure_flight
 from cosim.flight import fly_watched as fly
 from cosim.results.run import Run
+from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.scenario import Scenario, find_scenario
 from cosim.spec.vehicle import Vehicle
 
@@ -34,6 +35,7 @@ LARGE_KG = 20.0  # from here on the gust is that of the full scale
 HOVER_S = 20.0
 
 ENGINE_SPREAD = 0.3  # of gain and lag, by which one engine is off; less where less is stated as tolerance of gain
+ALLOWED_STEP = 0.05  # between the requirements that are tried where a flight failed
 ONSET_STEPS = 6  # in which that comes about: such an engine is off from the ground up, and jolts nobody in hover
 STATIONS_WITH_FACTOR = 6  # that have a thrust factor of their own
 
@@ -57,11 +59,53 @@ def fly_all(design: Design, say: Say) -> list[ProofFlight]:
             flights.append(fly_corner(design, name, table, gain, steps))
         if any(flight.fault for flight in flights[-len(tables) :]):
             return flights  # one corner that fails is enough
-    spread = min(ENGINE_SPREAD, need.gain_tolerance) if need.engine_spread is None else need.engine_spread
+    spread = spread_of(need)
     for factor in (1.0 - spread, 1.0 + spread) if spread else ():
         say(f"flight: one engine with {factor:.2f} of its thrust")
         flights.append(fly_with_odd_engine(design, tables, factor))
     return flights
+
+
+def spread_of(need: Requirements) -> float:
+    """Return the share of gain and lag by which one engine is off in a proof."""
+    return min(ENGINE_SPREAD, need.gain_tolerance) if need.engine_spread is None else need.engine_spread
+
+
+def find_allowing(design: Design, flights: Sequence[ProofFlight], say: Say) -> dict[str, float]:
+    """Return the requirement that a failed flight is off by, and the largest value with which the same flights keep it.
+
+    The values are whole twentieths below the one that was flown, found by bisection; the gains stay.  Empty where a
+    flight as designed failed: no tolerance is in its way.
+    """
+    bad = [flight for flight in flights if flight.fault]
+    if not bad or bad[0].is_as_designed:
+        return {}
+    need, tables, first = design.need, flight_tables(design), bad[0]
+    name, most = "engine_spread", spread_of(need)
+    if not first.engine:
+        name = "delay_tolerance" if first.later else "gain_tolerance"
+        most = getattr(need, name)
+
+    def fly_with(value: float) -> Iterator[ProofFlight]:
+        if first.engine:
+            yield from (fly_with_odd_engine(design, tables, factor) for factor in (1.0 - value, 1.0 + value))
+            return
+        gain, later = first.gain, need.model_copy(update={name: value}).delay_samples(transport)
+        if not first.later:
+            gain, later = (1.0 + value if gain > 1.0 else 1.0 - value), 0.0
+        for flight in bad:
+            yield fly_corner(design, flight.scenario, tables[flight.scenario], gain, floor(later))
+
+    transport = design.axes["roll"].channel.transport_samples
+    kept, lost = 0, ceil(most / ALLOWED_STEP - 1e-9)
+    while lost - kept > 1:
+        middle = (kept + lost) // 2
+        say(f"flight: {name.replace('_', ' ')} {middle * ALLOWED_STEP:.2f}")
+        if any(flight.fault for flight in fly_with(middle * ALLOWED_STEP)):
+            lost = middle
+        else:
+            kept = middle
+    return {name: round(kept * ALLOWED_STEP, 2)}
 
 
 def compare_with_shipped(design: Design, flights: Sequence[ProofFlight], say: Say) -> list[FlownPair]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from math import isfinite
 
 from cosim.design.shipped_comparison import FlownMeasures, FlownPair
@@ -49,6 +49,7 @@ class Proof:
     unsure: tuple[tuple[float, float], ...] = ()  # (Hz, share): how far the measured response was off; where it fails
     compared: Sequence[FlownPair] = ()  # with the gains that ship; empty where nothing was flown
     lean_deg: float = 0.0  # to which the doublets went; 0 where nothing was flown
+    allowing: Mapping[str, float] = field(default_factory=dict)  # the requirement with which what failed would keep it
 
     def lines(self) -> list[str]:
         """Describe the proof by flights and the one by measured response, in a sentence each."""

@@ -33,6 +33,8 @@ from cosim.spec.vehicle import EngineLead
 
 PAGE = "design.html"
 TEMPLATE = Path(__file__).parent / "templates" / PAGE
+NOT_PROVED = "NOT PROVED"  # a controller that is written though its proof failed
+OPTIONS = ("engine_spread", "gain_tolerance", "delay_tolerance")  # what allows a design whose proof failed
 NOTHING = 3.0  # %: less than this a search does not tell from its own error
 
 
@@ -46,8 +48,9 @@ def write(design: Design, out: Path | None) -> dict[str, Path]:
     file = out if out is not None else new_folder(Path("runs"), f"design-{name}") / "controller.toml"
     paths = {}
     file.parent.mkdir(parents=True, exist_ok=True)
-    if design.ok:
-        write_files({file: toml_text(make_controller_table(design, file.parent))})
+    if design.is_written:
+        mark = "" if design.ok else f"# {NOT_PROVED}: {design.reason}\n\n"
+        write_files({file: mark + toml_text(make_controller_table(design, file.parent))})
         paths["controller"] = file
     paths["report"] = file.with_suffix(".html") if out is not None else file.parent / PAGE
     render(
@@ -75,6 +78,7 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
     identification = design.identification
     return {
         "ok": design.ok,
+        "proved": design.ok and design.proof is not None,
         "reason": design.reason,
         "allowing": dict(design.allowing),
         "aircraft": design.vehicle.name,
@@ -101,7 +105,7 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
             for level in design.levels
         ],
         "schedule": design.schedule.model_dump(exclude_none=True) if design.schedule else None,
-        "file": make_controller_table(design) if design.ok else None,
+        "file": make_controller_table(design) if design.is_written else None,
         "proof": _proof_record(design.proof) if design.proof else None,
         "worse": worse_lines(design.proof.compared) if design.proof else [],
         "paths": {name: str(path) for name, path in (paths or {}).items()},
@@ -164,10 +168,11 @@ def summary_lines(design: Design) -> list[str]:
 
 def answer_lines(design: Design) -> list[str]:
     """Return the answer: the controller, its proof, what is worse with it, what limits it; or why there is none."""
-    if not design.ok:
+    if not design.is_written:
         return [f"no acceptable design: {design.reason}", *_allowing_lines(design)]
     roll = design.axes["roll"]
-    lines = [f"controller: {design.controller}; {_compare_candidates(roll)}"]
+    lines = [] if design.ok else [f"{NOT_PROVED}: {design.reason}", *_allowing_lines(design)]
+    lines += [f"controller: {design.controller}; {_compare_candidates(roll)}"]
     if design.proof is not None:
         lines += [*design.proof.lines(), *comparison_lines(design.proof.compared)]
     elif design.firmware is None:
@@ -178,7 +183,7 @@ def answer_lines(design: Design) -> list[str]:
 def detail_lines(design: Design) -> list[str]:
     """Return what the answer rests on."""
     lines = _model_lines(design)
-    if not design.ok:
+    if not design.is_written:
         return [*lines, *(design.proof.lines() if design.proof else [])]
     if design.firmware is not None:
         lines += _firmware_lines(design, design.firmware)
@@ -367,6 +372,11 @@ def _allowing_lines(design: Design) -> list[str]:
             if part
             else "without any lag of the engine there would be one"
         )
+    lines += [
+        f"--{name.replace('_', '-')} {value:g} would allow it: with these gains that flight keeps what is promised"
+        for name, value in design.allowing.items()
+        if name in OPTIONS
+    ]
     if not design.allowing and design.axes["roll"].after is None:
         lines.append("neither less delay nor less lag of the engine alone would allow one")
     return lines

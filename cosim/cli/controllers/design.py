@@ -104,7 +104,8 @@ def design(options: DesignOptions) -> int:
     with the engine's own response, and hover, gust, and doublets to the lean that the pilot may ask for, flown with
     noise, at the corners of the tolerances and with one engine off.  What is worse as flown than with the gains that
     ship is said right after the verdict.
-    Status 1: no design keeps the requirements, and what would allow one; or its proof failed, and where.
+    Status 1: no design keeps the requirements, and what would allow one; or its proof failed, where, and what would
+    allow it: a controller that flies as designed is written, marked as not proved.
     """
     from cosim.base.runtime.threads import one_thread
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from foreign_engines import foreign, mapped
 
+from cosim.api.design import DesignResult
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
 from cosim.design import design as making
@@ -33,7 +34,7 @@ from cosim.design.result import summary_lines, to_dict
 from cosim.design.shipped_comparison import FlownMeasures, FlownPair, comparison_lines, comparison_rows, worse_lines
 from cosim.engine import load_engine
 from cosim.identify.sweep.response import FrequencyResponse
-from cosim.simulation.controllers.controller_file import ControllerFile, Requirements
+from cosim.simulation.controllers.controller_file import ControllerFile, Requirements, read_controller
 from cosim.spec.new_aircraft import new_aircraft
 from cosim.spec.scenario import Scenario, find_scenario
 
@@ -290,6 +291,7 @@ def test_a_hover_that_swings_asks_for_less_noise(monkeypatch: pytest.MonkeyPatch
     design: Any = SimpleNamespace(identification=None, need=Requirements(noise_share=0.08), vehicle=None)
     monkeypatch.setattr(proving, "compare_with_shipped", lambda *a: [])
     monkeypatch.setattr(proving, "lean_of", lambda vehicle: 20.0)
+    monkeypatch.setattr(proving, "find_allowing", lambda *a: {})
     swings = ProofFlight("hover", 1.0, 0, "roll swings by 3.7 deg, 1 at most")
     for flight, asked in (
         (swings, True),
@@ -317,6 +319,61 @@ def test_an_engine_that_surges_on_a_fast_throttle_is_no_design(place: Path, live
     assert found.proof is not None
     assert len(found.proof.flights) == 4
     assert "does not keep what it promises: doublet to 20 deg, as designed: " in found.reason
+
+
+@pytest.mark.parametrize(
+    ("off", "holds", "allowed"),
+    [
+        ({"engine": "engine 1 with 0.70 of its thrust"}, 0.17, {"engine_spread": 0.15}),
+        ({"engine": "engine 1 with 0.70 of its thrust"}, 0.01, {"engine_spread": 0.0}),
+        ({"gain": 1.3}, 0.26, {"gain_tolerance": 0.25}),
+        ({"gain": 0.7, "later": 3}, 0.3, {"delay_tolerance": 0.25}),
+        ({}, 0.0, None),
+    ],
+)
+def test_a_design_whose_proof_fails_beside_it_is_written_as_not_proved(
+    off: dict[str, Any],
+    holds: float,
+    allowed: dict[str, float] | None,
+    sound: Design,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What would allow it is found with flights that keep it up to ``holds``; of one as designed nothing is written."""
+    transport = sound.axes["roll"].channel.transport_samples
+
+    def corner(_: Design, name: str, table: object, gain: float, later: int) -> ProofFlight:
+        size = later / transport if off.get("later") else abs(gain - 1.0)
+        return ProofFlight(name, gain, later, "lost" if size > holds else "")
+
+    def odd(_: Design, tables: object, factor: float) -> ProofFlight:
+        return ProofFlight("doublet", 1.0, 0, "lost" if abs(factor - 1.0) > holds else "", "engine 1")
+
+    flights = [ProofFlight("hover", 1.0, 0, ""), replace(ProofFlight("doublet", 1.0, 0, "overshoot of 39 %"), **off)]
+    monkeypatch.setattr(flying, "fly_corner", corner)
+    monkeypatch.setattr(flying, "fly_with_odd_engine", odd)
+    monkeypatch.setattr(proving, "fly_all", lambda *a: flights)
+    monkeypatch.setattr(proving, "compare_with_shipped", lambda *a: [])
+    found = add_proof(sound)
+    assert (found.ok, found.is_written) == (False, allowed is not None)
+    result = DesignResult(found).write(tmp_path / "mine.toml")
+    told, page = result.to_dict(), " ".join((tmp_path / "mine.html").read_text().split())
+    assert (told["ok"], told["proved"], told["allowing"]) == (False, False, allowed or {})
+    if allowed is None:
+        assert (result.controller, told["file"]) == (None, None)
+        assert "no acceptable design" in page
+        return
+    ((key, value),) = allowed.items()
+    first, second = result.lines()[1:3]
+    assert first.startswith(f"NOT PROVED: {found.reason}")
+    assert second.startswith(f"--{key.replace('_', '-')} {value:g} would allow it")
+    assert ", not proved</span>" in page
+    assert "NOT PROVED" in page
+    assert (tmp_path / "mine.toml").read_text().startswith("# NOT PROVED: flown with the engine itself")
+    made = read_controller(tmp_path / "mine.toml").design
+    assert made.proof is not None
+    assert made.proof.failed == found.reason
+    assert told["file"]["design"]["proof"]["failed"] == found.reason
 
 
 def test_an_engine_that_is_off_is_flown_as_such(sound: Design, monkeypatch: pytest.MonkeyPatch) -> None:
