@@ -71,21 +71,22 @@ class Commands(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands in groups; what another package adds is imported for its line."""
-        names = self.list_commands(ctx)
-        for title, commands in GROUPS.items():
-            rows = [(name, text) for name, text in commands.items() if name in COMMANDS or _is_here(ctx, name)]
-            with formatter.section(title):
-                formatter.write_dl(rows)
+        sections = {
+            title: [(name, text) for name, text in commands.items() if name in COMMANDS or _is_here(ctx, name)]
+            for title, commands in GROUPS.items()
+        }
         known = {name for commands in GROUPS.values() for name in commands}
-        others = {name: self.get_command(ctx, name) for name in names if name not in known}
-        rows = [
+        others = {name: self.get_command(ctx, name) for name in self.list_commands(ctx) if name not in known}
+        sections[OTHERS] = [
             (name, command.get_short_help_str(_LINE))
             for name, command in others.items()
             if command is not None and not command.hidden
         ]
-        if rows:
-            with formatter.section(OTHERS):
-                formatter.write_dl(rows)
+        for title, rows in sections.items():
+            # A wheel has no command of the last group, and click writes no empty list.
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -7,10 +7,12 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
 import tarfile
+import time
 import tomllib
 import zipfile
 from importlib import import_module
@@ -27,6 +29,7 @@ from cosim.base.compiled import (
     SHARED,
     STAMP,
 )
+from cosim.cli.main import COMMANDS
 from cosim.results.report.marks import page_parts
 
 UNCOMPILED = bool(os.environ.get(PURE))
@@ -203,6 +206,66 @@ def test_the_installed_command_lists_what_is_shipped(installed: Path, tmp_path: 
     assert set(SCENARIOS) <= set(words)
     assert set(STUDIES) <= set(words)
     assert set(ENGINES) <= set(words)
+
+
+HELPS = """import click
+from cosim.cli.main import cli
+def show(name, command, above=None):
+    context = click.Context(command, info_name=name, parent=above)
+    print(context.command_path, context.get_help().count(chr(10)))
+    for each in command.list_commands(context) if isinstance(command, click.Group) else ():
+        show(each, command.get_command(context, each), context)
+show("hexjet", cli)
+"""
+
+
+@pytest.mark.long
+def test_the_installed_command_has_a_help_as_all_its_commands_have(installed: Path, tmp_path: Path) -> None:
+    listed = run(installed / "hexjet", "--help", cwd=tmp_path)
+    assert listed == run(installed / "hexjet", "-h", cwd=tmp_path)
+    # without a word it is status 2, with the same help
+    alone = subprocess.run([installed / "hexjet"], cwd=tmp_path, capture_output=True, text=True)
+    assert (alone.returncode, alone.stderr) == (2, listed)
+    helps = run(installed / "python", "-c", HELPS, cwd=tmp_path).splitlines()
+    assert {f"hexjet {name}" for name in (*COMMANDS, "paper", "fmu check")} <= {
+        line.rpartition(" ")[0] for line in helps
+    }
+    assert min(int(line.rpartition(" ")[2]) for line in helps) > 2
+
+
+# What is added to commands of the README that fly for long, take a port that others may have, or open a browser
+SHORTER = {
+    "design": "--no-proof",
+    "sweep": "--runs 1",
+    "prove": "--claim 50%@50% --budget 5 --search 0 --no-limit",
+    "gcs": "--duration 0.5 --parameters none --web 0",
+    "open": "--no-browser",
+}
+
+
+@pytest.mark.long
+def test_the_installed_command_runs_the_commands_of_the_readme(installed: Path, tmp_path: Path) -> None:
+    """Each as it is written, one after the other, but that some fly less; what they come to is not asked."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^\.venv/bin/hexjet ([^#\n]+)", readme, re.MULTILINE)
+    names = [line.split()[0] for line in lines]
+    assert {*SHORTER, "list", "fly", "fmu", "aircraft", "paper"} == set(names)
+    for name, line in zip(names, lines, strict=True):
+        command = [installed / "hexjet", *line.split(), *SHORTER.get(name, "").split()]
+        with (tmp_path / "printed").open("w+") as printed:
+            running = subprocess.Popen(
+                command, cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.STDOUT
+            )
+            if name == "paper":
+                # It takes minutes: by then it has begun.
+                while running.poll() is None and not (tmp_path / "runs" / "paper" / "parts").exists():
+                    time.sleep(0.1)
+                running.send_signal(signal.SIGINT)
+            status = running.wait()
+            printed.seek(0)
+            said = f"{line}: {printed.read()}"
+        assert status in ((130,) if name == "paper" else (0, 1)), said
+        assert "Traceback" not in said
 
 
 @pytest.mark.long

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
 from cosim.cli.groups import GROUPS
-from cosim.cli.main import COMMANDS, cli
+from cosim.cli.main import COMMANDS, cli, main
 from cosim.simulation.controllers.controller_file import read_controller
 from cosim.spec.file_kind import AIRCRAFT, ENGINE, SCENARIO, STUDY, FileKind, find_kind
 from cosim.spec.scenario import Scenario
@@ -28,6 +29,20 @@ def test_every_command_has_a_group_and_its_line_fits_eighty_columns() -> None:
     assert max(map(len, listed.splitlines())) <= 80
     for name in COMMANDS:
         assert f"\n  {name} " in listed, name
+
+
+@pytest.mark.parametrize(("words", "status"), [(["--help"], 0), (["-h"], 0), ([], 2)])
+def test_the_help_stands_where_a_group_has_no_command(
+    words: list[str], status: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A wheel has no benchmarks, and so no command in the last group."""
+    monkeypatch.setitem(sys.modules, "benchmarks", None)
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == status
+    listed = "".join(capsys.readouterr())
+    assert "\n  fly " in listed
+    assert "Develop" not in listed
 
 
 @pytest.mark.parametrize(
@@ -48,8 +63,6 @@ def test_every_command_has_a_group_and_its_line_fits_eighty_columns() -> None:
     ],
 )
 def test_a_wrong_name_says_the_nearest(words: list[str], line: str, capsys: pytest.CaptureFixture[Any]) -> None:
-    from cosim.cli.main import main
-
     with pytest.raises(SystemExit) as ended:
         main(words)
     assert ended.value.code == 2
