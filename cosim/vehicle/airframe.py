@@ -19,7 +19,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections.abc import Callable, Sequence
-from math import cos, pi, radians, sin
+from math import cos, isfinite, pi, radians, sin
 from pathlib import Path
 from typing import Any, Final
 
@@ -250,6 +250,7 @@ class Airframe:
         """Put the vehicle at its initial state with ``forces`` (N, body, one per jet) already acting.
 
         ``momentum``: of the rotors, as for :meth:`set_momentum`; ``burnt``: fuel [kg] that it lacks from the start.
+        Raises InputError where the model's forces are not finite there.
         """
         if not self._fresh:
             # JSBSim's own reset leaves traces in the initial state; a new one is the same to the last bit
@@ -294,7 +295,10 @@ class Airframe:
         self._turbulent = place.turbulence_severity > 0
         # JSBSim counts "up" from a datum of its own; ours is the ground below the start
         self._datum = self._place.get()[2] - height
-        return self._read()
+        state = self._read()
+        if not all(map(isfinite, state.specific_force)):
+            raise self._jsbsim.explain_not_finite()
+        return state
 
     def step(self, forces: list[Vector3], disturbance: Disturbance, moment: Vector3 = ZERO3) -> State:
         """Advance one control step with ``forces`` (N, body, at each jet's station) and ``disturbance`` held.

@@ -12,6 +12,7 @@ import re
 import threading
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
+from math import isfinite
 from pathlib import Path
 from typing import Final
 
@@ -90,7 +91,8 @@ class Executive:
                 raise Complaint("")
         except Complaint as error:
             raise self._refusal_for(str(error)) from None
-        self._check_properties(file.read_bytes())
+        self._xml = file.read_bytes()
+        self._check_properties(self._xml)
         fdm.set_dt(step)
         self.run: Callable[[], bool] = fdm.run
         for line in _log.lines:
@@ -108,6 +110,16 @@ class Executive:
     def flight_error(self, error: Exception) -> FlightError:
         """Return the FlightError for an exception of JSBSim in flight."""
         return FlightError(str(self._refusal_for(str(error))))
+
+    def explain_not_finite(self) -> InputError:
+        """Return the error for a start with forces that are not finite, and the first part of the model that is not."""
+        for element in ET.fromstring(self._xml).iter():
+            name = element.get("name", "")
+            node = self._manager.get_node(name) if _NAME.fullmatch(name) else None
+            if node is not None and not isfinite(value := node.get_double_value()):
+                where = self._locate([name])
+                return InputError(f"{where}: {name} is {value:g} at the start; it has to be finite, at rest too")
+        return InputError(f"{self._label}: the forces of this JSBSim model are not finite at the start")
 
     def node(self, name: str) -> Property:
         """Return a property.  Raises InputError where there is none: JSBSim would make one of it when it is written."""

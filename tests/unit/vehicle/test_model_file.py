@@ -293,6 +293,24 @@ def test_jsbsims_own_aircraft_fly_or_are_refused_in_a_line(name: str, expected: 
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("axis", "value"),
+    [
+        ("X", "<quotient><p>aero/qbar-psf</p><p>velocities/vt-fps</p></quotient>"),
+        ("ROLL", "<pow><v>-1</v><v>0.5</v></pow>"),
+    ],
+)
+def test_what_is_not_finite_at_rest_is_named_with_its_line(axis: str, value: str, tmp_path: Path) -> None:
+    """Not the functions behind it, which are not finite for its sake."""
+    part = f'<function name="aero/own">{value}</function>\n<function name="aero/more"><p>aero/own</p></function>'
+    model = brought(tmp_path, f'<aerodynamics>\n<axis name="{axis}">\n{part}\n</axis>\n</aerodynamics>')
+    with pytest.raises(InputError) as caught:
+        fly(model)
+    said = str(caught.value)
+    assert said.startswith(f"{model}, line 4: aero/own is ")
+    assert said.endswith(" at the start; it has to be finite, at rest too")
+
+
 NUMBERS = (
     '<system name="s"><property value="0">my/zero</property><channel name="c"><sensor name="my/noise"><input>my/zero</input>'
     '<noise variation="ABSOLUTE" distribution="GAUSSIAN">1</noise></sensor><fcs_function name="my/random"><function><random/>'
