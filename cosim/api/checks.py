@@ -83,7 +83,7 @@ def check_engine(
     step_s : float or None
         Control step [s]; None: 0.004, or the library engine's.
     settings : sequence of str or mapping
-        Parameters of the engine.
+        Parameters of the engine: numbers, or the names of an enumeration's items.
     time_limit_s : float
         Time of the clock for the whole check [s].
     out : str or Path or None
@@ -100,14 +100,14 @@ def check_engine(
         For a file that cannot be used as an engine at all.
     """
     from cosim.base.storage.files import check_results_folder
-    from cosim.base.storage.toml import parse_numbers
+    from cosim.base.storage.toml import parse_values
     from cosim.engine import check_fmu, make_limits
 
     check_results_folder(out, *CHECK)
     texts = as_settings(settings)
     mention([*texts, engine], Path())
-    numbers = parse_numbers(tuple(texts), "--set")
-    result = EngineCheckResult(check_fmu(str(engine), step_s, numbers, make_limits(time_limit_s)))
+    limits = make_limits(time_limit_s)
+    result = EngineCheckResult(check_fmu(str(engine), step_s, parse_values(texts), limits))
     return result if out is None else result.write(out)
 
 

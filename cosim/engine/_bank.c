@@ -379,13 +379,18 @@ static Fault advance(Engine *e, double step, bool all)
 
 typedef struct {
     PyObject_HEAD
-    char text[1024];
+    char text[1024]; /* errors */
+    char last[512];  /* the last message that is none: some FMUs say in it why they discard a step */
 } Log;
 
 static void append(Log *log, int status, const char *message)
 {
-    if (!log || status < DISCARD || !message)
+    if (!log || !message)
         return;
+    if (status < DISCARD) {
+        snprintf(log->last, sizeof(log->last), "%s", message);
+        return;
+    }
     const size_t used = strlen(log->text);
     snprintf(log->text + used, sizeof(log->text) - used, "%s%s", used ? "; " : "", message);
 }
@@ -410,8 +415,9 @@ static void logger3(void *environment, int status, const char *category, const c
 static PyObject *log_take(Log *self, PyObject *unused)
 {
     (void)unused;
-    PyObject *text = PyUnicode_DecodeUTF8(self->text, (Py_ssize_t)strlen(self->text), "replace");
-    self->text[0] = '\0';
+    const char *said = *self->text ? self->text : self->last;
+    PyObject *text = PyUnicode_DecodeUTF8(said, (Py_ssize_t)strlen(said), "replace");
+    self->text[0] = self->last[0] = '\0';
     return text;
 }
 
@@ -430,7 +436,7 @@ static void plain_dealloc(PyObject *self)
 }
 
 static PyMethodDef log_methods[] = {
-    {"take", (PyCFunction)log_take, METH_NOARGS, "take() -> str: the error messages since the last call."},
+    {"take", (PyCFunction)log_take, METH_NOARGS, "take() -> str: the error messages since the last call, or else the last message."},
     {NULL, NULL, 0, NULL},
 };
 

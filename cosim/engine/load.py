@@ -10,7 +10,6 @@ from cosim.engine.fmu.instance import InstanceError
 from cosim.engine.fmu.mapping import is_mapping
 from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.engine.fmu.ports import PortError, expand_engine_variables, has_several_engines
-from cosim.engine.fmu.starting import CONSTANTS
 from cosim.engine.fmu.uncertainty import ParameterRange, Uncertainty
 from cosim.engine.fmu.variables import Variable
 from cosim.engine.measure import EngineMeasurement, measure_once
@@ -127,8 +126,6 @@ def _logged(source: EngineSource, slot: int) -> tuple[tuple[str, Variable], ...]
         if not matches:
             known = [v.name for v in source.archive.outputs]
             raise InputError(f"{where}: no such output; {nearest(output, known)}")
-        if matches[0].type not in CONSTANTS:
-            raise InputError(f"{where}: it is of type {matches[0].type}; allowed: {', '.join(CONSTANTS)}")
         if not name.isidentifier() or not name.isascii():
             raise InputError(f"{where}: a column's name is of letters, digits and _, no digit first")
         columns.append((name, matches[0]))
@@ -136,10 +133,8 @@ def _logged(source: EngineSource, slot: int) -> tuple[tuple[str, Variable], ...]
 
 
 def _uncertain_ranges(source: EngineSource, uncertainty: Uncertainty) -> tuple[ParameterRange, ...]:
-    parameters = source.archive.parameters
-    starts = {variable.name: variable.start for variable in parameters if isinstance(variable.start, (int, float))}
-    nominal = {name: float(value) for name, value in (starts | source.mapping.parameters).items()}
-    return tuple(uncertainty.ranges(nominal, parameters))
+    nominal, _ = resolve_parameters(source, {})
+    return tuple(uncertainty.ranges(nominal, source.archive.parameters))
 
 
 def _flame_out(source: EngineSource) -> FlameOutLaw | None:

@@ -19,10 +19,13 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.trust import Code
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive, read_archive
-from cosim.engine.fmu.mapping import MappingFile, PortMap, is_mapping, read_mapping
-from cosim.engine.fmu.starting import Setting
+from cosim.engine.fmu.container import read_bytes
+from cosim.engine.fmu.description import read_description
+from cosim.engine.fmu.mapping import ConstantValue, MappingFile, PortMap, is_mapping, read_mapping
+from cosim.engine.fmu.ports import PortError
+from cosim.engine.fmu.starting import Setting, convert_value
 from cosim.engine.fmu.uncertainty import ParameterRange, Uncertainty, without_uncertainty
-from cosim.engine.fmu.variables import INTEGERS, Port, Variable
+from cosim.engine.fmu.variables import Port, Variable
 from cosim.engine.library import (
     FMI2_SUFFIX,
     BuildError,
@@ -342,7 +345,7 @@ def check_whole_steps(archive: Archive, engine: EngineDefinition | None, step: f
 
 
 def resolve_parameters(
-    source: EngineSource, overrides: Mapping[str, float]
+    source: EngineSource, overrides: Mapping[str, ConstantValue]
 ) -> tuple[dict[str, float], tuple[Setting, ...]]:
     """Return every parameter's value, and the settings for those of the mapping file and of ``overrides``.
 
@@ -352,28 +355,27 @@ def resolve_parameters(
     parameters = {v.name: v for v in archive.parameters if v.name != archive.start}
     values = {name: v.start for name, v in parameters.items() if v.start is not None}
     settings = []
-    for name, value in {**source.mapping.parameters, **overrides}.items():
+    for name, specified in {**source.mapping.parameters, **overrides}.items():
         if name not in parameters:
             allowed = nearest(name, list(parameters)) if parameters else "it has none"
-            hint = (
-                " is set by the simulation itself" if name == archive.start
-                else " is an input, which a mapping file holds under [inputs], and no parameter"
-                if any(v.name == name for v in archive.inputs)
-                else ": no such parameter"
-            )  # fmt: skip
-            raise InputError(f"{archive.path}: {name}{hint}; {allowed}")
-        _need_value(archive, parameters[name], value)
-        values[name] = float(value)
-        settings.append((parameters[name], float(value)))
+            raise InputError(f"{archive.path}: {name}{_why_no_parameter(archive, name)}; {allowed}")
+        try:
+            values[name] = convert_value(parameters[name], specified, str(archive.path))
+        except PortError as error:
+            raise InputError(str(error)) from error
+        settings.append((parameters[name], values[name]))
     return values, tuple(settings)
 
 
-def _need_value(archive: Archive, variable: Variable, value: float) -> None:
-    low = -math.inf if variable.min is None else variable.min
-    high = math.inf if variable.max is None else variable.max
-    whole = variable.type in {*INTEGERS, "Boolean", "Enumeration"}
-    if variable.type == "Boolean":
-        low, high = 0.0, 1.0
-    if not math.isfinite(value) or not low <= value <= high or (whole and value != round(value)):
-        kind = "a whole number" if whole else "a number"
-        raise InputError(f"{archive.path}: {variable.name} = {value:g}: must be {kind} from {low:g} to {high:g}")
+def _why_no_parameter(archive: Archive, name: str) -> str:
+    """Return why a name is no parameter that can be set, in words that follow it."""
+    if name == archive.start:
+        return " is set by the simulation itself"
+    if any(v.name == name for v in archive.inputs):
+        return " is an input, which a mapping file holds under [inputs], and no parameter"
+    for v in read_description(read_bytes(archive.path))[0].modelVariables:
+        if v.name == name and v.causality == "parameter":
+            return f" is a parameter of type {v.type}, which cannot be set"
+        if v.name == name:
+            return f" is of causality {v.causality or 'local'}, and no parameter"
+    return ": no such parameter"

@@ -96,13 +96,15 @@ static void strike(const Engine *e, const char *moment)
             sleep(1000);
 }
 
-static void say(const Engine *e, const char *text)
+static void mention(const Engine *e, int status, const char *text)
 {
     if (e->logger2)
-        e->logger2(e->environment, "engine", ERROR, "logStatusError", "%s", text);
+        e->logger2(e->environment, "engine", status, "logStatusError", "%s", text);
     if (e->logger3)
-        e->logger3(e->environment, ERROR, "logStatusError", text);
+        e->logger3(e->environment, status, "logStatusError", text);
 }
+
+static void say(const Engine *e, const char *text) { mention(e, ERROR, text); }
 
 static void rest(Engine *e)
 {
@@ -195,7 +197,7 @@ static int advance(Engine *e, double time, double step)
     if (is(e, "error"))
         return say(e, "compressor surge"), ERROR;
     if (is(e, "discard"))
-        return DISCARD;
+        return mention(e, OK, "no time for that"), DISCARD;
     if (is(e, "fatal"))
         return FATAL;
     if (is(e, "grid") && fabs(step - 0.003) > 1e-9)
@@ -253,21 +255,6 @@ static double thrust(Engine *e)
     return force;
 }
 
-static void *save(const Engine *e)
-{
-    Engine *copy = malloc(sizeof(Engine));
-    *copy = *e;
-    if (is(e, "bad-state"))
-        copy->y = 0.0;
-    return copy;
-}
-
-static void load(Engine *e, const Engine *saved)
-{
-    strike(e, "restore");
-    *e = *saved;
-}
-
 enum { THROTTLE = 1, THRUST = 2, OTHER = 3 };
 
 static int get(Engine *e, const uint32_t reference[], size_t count, double value[])
@@ -316,23 +303,6 @@ int fmi2SetReal(Engine *e, const uint32_t r[], size_t n, const double v[]) { ret
 #ifndef WITHOUT_STEP
 int fmi2DoStep(Engine *e, double t, double h, int no) { return (void)no, advance(e, t, h); }
 #endif
-int fmi2GetFMUstate(Engine *e, void **state) { return *state = save(e), OK; }
-int fmi2SetFMUstate(Engine *e, void *state) { return load(e, state), OK; }
-int fmi2FreeFMUstate(Engine *e, void **state) { return (void)e, free(*state), *state = NULL, OK; }
-int fmi2SerializedFMUstateSize(Engine *e, void *state, size_t *size) { return (void)e, (void)state, *size = sizeof(Engine), OK; }
-int fmi2SerializeFMUstate(Engine *e, void *state, char bytes[], size_t size)
-{
-    memcpy(bytes, state, size);
-    if (is(e, "bad-bytes"))
-        ((Engine *)(void *)bytes)->y = 0.5;
-    return OK;
-}
-int fmi2DeSerializeFMUstate(Engine *e, const char bytes[], size_t size, void **state)
-{
-    (void)e;
-    memcpy(*state = malloc(size), bytes, size);
-    return OK;
-}
 #else
 void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources, bool visible, bool logging,
                                   bool events, bool early, const uint32_t required[], size_t count, void *environment,

@@ -6,7 +6,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
-from math import isfinite, nan
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 
@@ -178,15 +178,23 @@ def parse_numbers(texts: Iterable[str], option: str) -> dict[str, float]:
     """Return ``NAME=NUMBER`` texts as a table; a number is finite.  Raises InputError that names ``option``."""
     numbers = {}
     for text in texts:
-        name, _, value = (part.strip() for part in text.partition("="))
-        try:
-            number = float(value)
-        except ValueError:
-            number = nan
-        if not name or not isfinite(number):
+        ((name, number),) = parse_values([text]).items()
+        if not name or isinstance(number, str) or not isfinite(number):
             raise InputError(f"{option} {text}: write it as NAME=NUMBER, with a finite number")
         numbers[name] = number
     return numbers
+
+
+def parse_values(texts: Iterable[str]) -> dict[str, float | str]:
+    """Return ``NAME=VALUE`` texts as a table, in which a value that is no number stays a text."""
+    values: dict[str, float | str] = {}
+    for text in texts:
+        name, _, value = (part.strip() for part in text.partition("="))
+        try:
+            values[name] = float(value)
+        except ValueError:
+            values[name] = value
+    return values
 
 
 def set_path(data: dict[str, Any], path: list[str], value: Any, where: str) -> None:

@@ -29,7 +29,7 @@ from cosim.campaign.study.key import Key, Value, unit_of
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import list_engine_names
 from cosim.engine.fmu.variables import INTEGERS
-from cosim.engine.spec import EngineSource, find_source
+from cosim.engine.spec import EngineSource, find_source, resolve_parameters
 from cosim.simulation.controllers.source import find_controller_source
 from cosim.simulation.controllers.source import list_installed as custom_controllers
 from cosim.spec.controller_name import is_design
@@ -384,13 +384,13 @@ def engine_source(scenario: Scenario, engine: str) -> EngineSource:
 
 def _parameters(path: str, source: EngineSource, values: Mapping[str, float]) -> Iterator[Key]:
     """Yield the parameters that an engine declares and the simulation does not set itself."""
-    start, values = source.archive.start, {**source.mapping.parameters, **values}
+    nominals = {**resolve_parameters(source, {})[0], **values}
     for variable in source.archive.parameters:
-        if variable.name == start or variable.start is None:
+        if variable.name not in nominals:
             continue
         whole = variable.type in {*INTEGERS, "Boolean", "Enumeration"}
         low, high = (0.0, 1.0) if variable.type == "Boolean" else (variable.min, variable.max)
-        nominal = values.get(variable.name, variable.start)
+        nominal = nominals[variable.name]
         yield Key(
             f"{path}.{variable.name}",
             "int" if whole else "float",

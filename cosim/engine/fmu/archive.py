@@ -58,8 +58,6 @@ class Archive:
     outputs: tuple[Variable, ...]
     parameters: tuple[Variable, ...]
     once_per_process: bool
-    saves_state: bool
-    serializes_state: bool
     starting: StartSequence = field(
         default_factory=StartSequence
     )  # what an instance goes through before it gives thrust
@@ -186,8 +184,6 @@ def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Arc
         once_per_process=cosimulation.canBeInstantiatedOnlyOncePerProcess,
         event_mode=events,
         returns_early=cosimulation.mightReturnEarlyFromDoStep,
-        saves_state=cosimulation.canGetAndSetFMUstate,
-        serializes_state=cosimulation.canGetAndSetFMUstate and cosimulation.canSerializeFMUstate,
         starting=starting,
         clocks=clocks if events else (),
     )

@@ -12,9 +12,9 @@ Of these only ``fmu`` is needed; ports that are not stated are found (:mod:`cosi
     throttle = [20.0, 100.0]  # what 0 and 1 are, in the FMU's own unit
     [scale]
     thrust = -1.0             # the port is so many times the variable
-    [parameters]
+    [parameters]              # numbers, true or false, the name of an enumeration's item
     gain = 1.0
-    [inputs]                  # inputs that are held: numbers, true or false, the name of an enumeration's item
+    [inputs]                  # inputs that are held, in the same way
     fuel_valve = 1.0
     [start]                   # what is done with every instance before anything else: see cosim.engine.fmu.starting
     sequence = [{ set = { ignition = true }, until = "N1 > 30000", at_most_s = 60.0 }]
@@ -124,7 +124,14 @@ def flatten(table: object) -> object:
     return values
 
 
-ConstantValue = bool | float | str  # of an input: a number, true or false, or the name of an enumeration's item
+def _scalar(value: object) -> object:
+    if not isinstance(value, (bool, int, float, str)):
+        raise ValueError("must be a number, true or false, or the name of an enumeration's item")
+    return value
+
+
+# Value of an input or a parameter.  A number that is not finite is refused with the variable that it is for.
+ConstantValue = Annotated[bool | Annotated[float, Field(allow_inf_nan=True)] | str, BeforeValidator(_scalar)]
 
 
 class _Stage(Model):
@@ -166,7 +173,7 @@ class MappingFile(Model):
     units: _Units = Field(default_factory=_Units.model_construct)
     range: _Range = Field(default_factory=_Range.model_construct)
     scale: _Scale = Field(default_factory=_Scale.model_construct)
-    parameters: Annotated[dict[str, float], BeforeValidator(flatten)] = Field(default_factory=dict)
+    parameters: Annotated[dict[str, ConstantValue], BeforeValidator(flatten)] = Field(default_factory=dict)
     inputs: Annotated[dict[str, ConstantValue], BeforeValidator(flatten)] = Field(default_factory=dict)
     start: _Start = Field(default_factory=_Start.model_construct)
     rest: _Rest = Field(default_factory=_Rest.model_construct)

@@ -18,16 +18,16 @@ output, in the FMU's own unit.  Everything is counted in communication steps, so
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from math import inf, isfinite
 from typing import NamedTuple
 
 from cosim.engine.fmu.mapping import CONDITION, ConstantValue, PortMap
 from cosim.engine.fmu.ports import PortError
-from cosim.engine.fmu.variables import INTEGERS, REALS, Port, Variable
+from cosim.engine.fmu.variables import REALS, Port, Variable
 
 Setting = tuple[Variable, float]
 
 AT_MOST_S = 120.0  # for a condition, unless stated
-CONSTANTS = (*REALS, *INTEGERS, "Boolean", "Enumeration")
 
 
 class Until(NamedTuple):
@@ -161,8 +161,8 @@ def resolve_start(
 
 
 def convert_value(variable: Variable, specified: ConstantValue, where: str) -> float:
-    """Return the number for an input's specified value; raise PortError if the variable cannot have it."""
-    shown = f"{where}: {variable.name} = {specified!r}"
+    """Return the number for a specified value of an input or a parameter; raise PortError if it cannot have it."""
+    shown = f"{where}: {variable.name} = {f'{specified:g}' if isinstance(specified, float) else repr(specified)}"
     if isinstance(specified, str):
         items = dict(variable.items)
         if specified not in items:
@@ -172,16 +172,16 @@ def convert_value(variable: Variable, specified: ConstantValue, where: str) -> f
     if isinstance(specified, bool) and variable.type != "Boolean":
         raise PortError(f"{shown}: it is of type {variable.type}; a number goes here")
     value = float(specified)
-    if variable.type == "Boolean" and value not in (0.0, 1.0):
-        raise PortError(f"{shown}: true or false goes here")
-    if variable.type in (*INTEGERS, "Enumeration") and value != round(value):
-        raise PortError(f"{shown}: a whole number goes here")
     if variable.items and value not in {float(item) for _, item in variable.items}:
         raise PortError(f"{shown}: allowed: {', '.join(f'{name} ({item})' for name, item in variable.items)}")
-    low, high = variable.min, variable.max
-    if (low is not None and value < low) or (high is not None and value > high):
-        ends = f"{'any' if low is None else f'{low:g}'} to {'any' if high is None else f'{high:g}'}"
-        raise PortError(f"{shown}: outside its range, {ends}")
+    low = -inf if variable.min is None else variable.min
+    high = inf if variable.max is None else variable.max
+    if variable.type == "Boolean":
+        low, high = 0.0, 1.0
+    is_whole = variable.type not in REALS
+    if not isfinite(value) or not low <= value <= high or (is_whole and value != round(value)):
+        kind = "a whole number" if is_whole else "a number"
+        raise PortError(f"{shown}: must be {kind} from {low:g} to {high:g}")
     return value
 
 
@@ -189,8 +189,6 @@ def _find_input(name: str, inputs: Sequence[Variable], where: str) -> Variable:
     matches = [v for v in inputs if v.name == name]
     if not matches:
         raise PortError(f"{where}: no input is called {name} ({_list_names(inputs)})")
-    if matches[0].type not in CONSTANTS:
-        raise PortError(f"{where}: {name} is of type {matches[0].type}; allowed: {', '.join(CONSTANTS)}")
     return matches[0]
 
 

@@ -26,6 +26,7 @@ from cosim.base.trust import need_trust
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive, label_ports
 from cosim.engine.fmu.container import DAMAGE, Zip
+from cosim.engine.fmu.mapping import ConstantValue
 from cosim.engine.fmu.port_kinds import KINDS
 from cosim.engine.fmu.ports import normalise_name
 from cosim.engine.fmu.unpacked import unpack
@@ -44,8 +45,7 @@ MOST_PRINTED = 2**20  # bytes
 MOST_BLEMISHES = 10  # most lines shown, because a tool repeats a violation in every variable
 
 PARTS = (
-    "validate", "load", "start", "run", "repeat", "measure", "respond", "together", "reset", "restore", "serialize",
-    "time", "grow",
+    "validate", "load", "start", "run", "repeat", "measure", "respond", "together", "reset", "time", "grow",
 )  # fmt: skip
 NEEDED = ("load", "start", "run", "measure")  # parts whose failure ends the check
 DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
@@ -62,7 +62,7 @@ def make_limits(seconds: float) -> Limits:
 def check_fmu(
     name_or_path: str,
     step: float | None = None,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Mapping[str, ConstantValue] | None = None,
     limits: Limits | None = None,
 ) -> CheckReport:
     """Check an FMU by path, by mapping file, or by its name in the library.
@@ -78,7 +78,7 @@ def check_fmu(
 def _check(
     name_or_path: str,
     step: float | None,
-    parameters: Mapping[str, float],
+    parameters: Mapping[str, ConstantValue],
     limits: Limits,
     parts: Sequence[str] = PARTS,
     air: Air = STANDARD_AIR,
@@ -88,7 +88,7 @@ def _check(
     archive = source.archive
     step = step or (source.engine.internal_step if source.engine else DEFAULT_STEP_S)
     check_whole_steps(archive, source.engine, step)
-    resolve_parameters(source, parameters)
+    values, settings = resolve_parameters(source, parameters)
     unpack(archive).close()
     report = CheckReport(
         path=str(source.path),
@@ -99,7 +99,10 @@ def _check(
         ports=[_described_port(name, port, source) for name, port in label_ports(archive.engines).items()],
         inputs=_described(archive.inputs),
         outputs=_described(archive.outputs),
-        parameters=_described(archive.parameters),
+        parameters=[
+            {**described, "value": _value(v, values.get(v.name, v.start))}
+            for v, described in zip(archive.parameters, _described(archive.parameters), strict=True)
+        ],
         problems=_checksums(archive.path),
         notes=_notes(archive, source.engine is not None),
     )
@@ -107,7 +110,7 @@ def _check(
         return report, None
     # the child runs in a folder of its own
     name = name_or_path if source.engine else str(Path(name_or_path).absolute())
-    task = {"name": name, "parameters": dict(parameters), "step": step, "air": list(air)}
+    task = {"name": name, "parameters": {v.name: value for v, value in settings}, "step": step, "air": list(air)}
     measured = _TrialRunner(task, limits, report).all(parts)
     if source.engine is None and (report.apart or (tuple(parts) == PARTS and report.ok)):
         record_misbehaviour(archive.sha256, report.apart or "")
@@ -215,6 +218,11 @@ def _described(variables: Iterable[Variable]) -> list[dict[str, Any]]:
     return [{key: getattr(v, key) for key in DESCRIBED} for v in variables]
 
 
+def _value(variable: Variable, value: float | None) -> float | str | None:
+    """Return a parameter's value in effect; an item of an enumeration by its name."""
+    return {float(item): name for name, item in variable.items}.get(value, value) if value is not None else None
+
+
 def _described_port(label: str, port: Port, source: EngineSource) -> dict[str, Any]:
     v = port.variable
     name = label.partition(" ")[0]  # port name without the engine's number
@@ -265,8 +273,6 @@ def note_harmless_violations(archive: Archive) -> list[str]:
 
 def _notes(archive: Archive, library: bool) -> list[str]:
     notes = [*note_harmless_violations(archive), *archive.port_notes]
-    if not archive.saves_state:
-        notes.append("cannot save its state")
     if archive.once_per_process:
         notes.append("may be instantiated once per process: every engine gets a library of its own")
     if not library and not any("fuel_flow" in ports for ports in archive.engines):

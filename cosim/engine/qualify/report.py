@@ -22,7 +22,7 @@ class CheckReport:
     ports: list[dict[str, Any]]
     inputs: list[dict[str, Any]]
     outputs: list[dict[str, Any]]
-    parameters: list[dict[str, Any]]
+    parameters: list[dict[str, Any]]  # ``start`` is the FMU's own, ``value`` that with which all was measured
     features: list[str] = field(default_factory=list)  # of FMI, that it uses or offers
     throttle: list[float] | None = None  # of the static curve
     thrust: list[float] | None = None
@@ -40,8 +40,6 @@ class CheckReport:
     processes_agree: bool | None = None  # two processes, bit for bit
     independent: bool | None = None  # six at once
     reset_restores_start: bool | None = None
-    state_restores: bool | None = None  # None also if the FMU does not claim it
-    serialized_state_restores: bool | None = None
     microseconds_per_step: float | None = None
     bytes_per_instance: float | None = None  # resident, without the library itself
     bytes_per_step: float | None = None  # growth of resident memory
@@ -105,8 +103,6 @@ class CheckReport:
             ("two processes agree", _verdict(self.processes_agree)),
             ("six at once", _verdict(self.independent)),
             ("reset", _verdict(self.reset_restores_start)),
-            ("saved state", _verdict(self.state_restores)),
-            ("serialized state", _verdict(self.serialized_state_restores)),
         ]
         if self.microseconds_per_step is not None:
             rows.append(("one step takes", f"{self.microseconds_per_step:.2f} us"))
@@ -132,7 +128,8 @@ def _port_text(port: dict[str, Any]) -> str:
 
 def _variable_text(v: dict[str, Any]) -> str:
     unit = "" if v["unit"] in (None, "1") else f" {v['unit']}"
-    start = "" if v["start"] is None else f" = {v['start']:g}{unit}"
+    value = v.get("value", v["start"])
+    start = "" if value is None else f" = {value if isinstance(value, str) else f'{value:g}'}{unit}"
     limits = "" if v["min"] is None and v["max"] is None else f", {_limit(v['min'])} to {_limit(v['max'])}"
     what = f": {v['description']}" if v["description"] else ""
     return f"{v['name']}{start or unit}{limits}{what}"

@@ -54,7 +54,6 @@ Findings = tuple[dict[str, Any], list[str]]  # entries of the report, and proble
 
 RUN_S = 20.0  # s of simulated time under a changing throttle
 TRIAL_STEPS = 500
-SAVED_AT = 37
 CHUNK = 250  # steps between two progress messages
 ENGINES = 6  # engines of a Hex-Jet
 TIMED_STEPS = 20_000
@@ -122,9 +121,9 @@ class Trial:
         self.say({"at": "when it was initialized"})
         instance.initialize(self.settings, throttle, step=self.step)
 
-    def make_native_bank(self, instance: FmuInstance, done: int = 0) -> _bank.Bank:
-        """Return a C loop around an instance that has made ``done`` steps."""
-        return _bank.Bank((instance.make_row(done),), self.step, EngineOutput)
+    def make_native_bank(self, instance: FmuInstance) -> _bank.Bank:
+        """Return a C loop around a new instance."""
+        return _bank.Bank((instance.make_row(),), self.step, EngineOutput)
 
     def make_hold(self, instance: FmuInstance) -> Hold:
         """Return a function that steps a new instance at a constant throttle and reports progress."""
@@ -147,12 +146,12 @@ class Trial:
         """Report that stepping has come to step ``k``."""
         self.say({"at": f"while it was stepped, {k * self.step:g} s after its start or later"})
 
-    def run_zigzag(self, instance: FmuInstance, begin: int = 0, end: int = TRIAL_STEPS) -> list[float]:
-        """Return thrusts under a throttle that keeps changing within 0..1, from step ``begin`` to ``end``."""
-        native = self.make_native_bank(instance, begin)
+    def run_zigzag(self, instance: FmuInstance, steps: int = TRIAL_STEPS) -> list[float]:
+        """Return the thrusts of a new instance under a throttle that keeps changing within 0..1."""
+        native = self.make_native_bank(instance)
         thrusts: list[float] = []
-        for k in range(begin, end):
-            if k == begin or k % CHUNK == 0:
+        for k in range(steps):
+            if k % CHUNK == 0:
                 self.report_step(k)
             try:
                 thrusts += native.hold(0, zigzag_throttle(k), 1)
@@ -251,7 +250,7 @@ def _start(trial: Trial) -> Findings:
 
     before, threads, libraries = read_process_state(), count_threads(), list_mapped_libraries()
     with trial.instance() as instance:
-        trial.run_zigzag(instance, 0, 1)
+        trial.run_zigzag(instance, 1)
         runtimes = sorted({match[0] for name in list_mapped_libraries() - libraries if (match := RUNTIMES.match(name))})
         more = count_threads() - threads
     own = f"brings a run time of its own ({', '.join(runtimes)})" if runtimes else ""
@@ -263,7 +262,7 @@ def _start(trial: Trial) -> Findings:
 def _run(trial: Trial) -> Findings:
     before = read_process_state()
     with trial.instance() as instance:
-        thrusts = trial.run_zigzag(instance, 0, max(TRIAL_STEPS, round(RUN_S / trial.step)))
+        thrusts = trial.run_zigzag(instance, max(TRIAL_STEPS, round(RUN_S / trial.step)))
     digest = hashlib.sha256(struct.pack(f"<{len(thrusts)}d", *thrusts)).hexdigest()
     return {"digest": digest}, describe_changes(before)
 
@@ -396,42 +395,6 @@ def _reset(trial: Trial) -> Findings:
     return _finding("reset_restores_start", is_equal, "a run after a reset differs from the first")
 
 
-def _restore(trial: Trial) -> Findings:
-    if not trial.archive.saves_state:
-        return {}, []
-    with trial.instance() as instance:
-        is_equal = _continues(trial, instance, lambda state: state)
-    return _finding("state_restores", is_equal, "a run from a restored state differs from the first")
-
-
-def _serialize(trial: Trial) -> Findings:
-    if not trial.archive.serializes_state:
-        return {}, []
-    with trial.instance() as instance:
-
-        def copy(state: Any) -> Any:
-            return instance.call("deserializeFMUState", instance.call("serializeFMUState", state))
-
-        is_equal = _continues(trial, instance, copy)
-    return _finding("serialized_state_restores", is_equal, "a run from a serialized state differs from the first")
-
-
-def _continues(trial: Trial, instance: FmuInstance, copy: Callable[[Any], Any]) -> bool:
-    """Return whether a run repeats after going back to ``copy`` of a state saved in mid-run."""
-    trial.run_zigzag(instance, 0, SAVED_AT)
-    trial.say({"at": "when its state was saved"})
-    saved = instance.call("getFMUState")
-    first = trial.run_zigzag(instance, SAVED_AT)
-    trial.say({"at": "when its state was restored"})
-    copied = copy(saved)
-    instance.call("setFMUState", copied)
-    second = trial.run_zigzag(instance, SAVED_AT)
-    trial.say({"at": "when a saved state was freed"})
-    for state in {id(state): state for state in (saved, copied)}.values():
-        instance.call("freeFMUState", state)
-    return first == second
-
-
 def _time(trial: Trial) -> Findings:
     with trial.instance() as instance:
         hold = trial.make_hold(instance)
@@ -466,8 +429,6 @@ PARTS: Mapping[str, Callable[[Trial], Findings]] = {
     "repeat": _repeat,
     "together": _together,
     "reset": _reset,
-    "restore": _restore,
-    "serialize": _serialize,
     "time": _time,
     "grow": _grow,
 }

@@ -63,8 +63,6 @@ def test_the_library_is_sound(name: str, suffix: str) -> None:
     assert report.processes_agree
     assert report.independent
     assert report.reset_restores_start
-    assert report.state_restores
-    assert report.serialized_state_restores
     assert report.microseconds_per_step is not None
     assert 0.0 < report.microseconds_per_step < 100.0
     assert report.bytes_per_step is not None
@@ -157,12 +155,9 @@ def test_what_is_left_unsaid_is_noted(tmp_path: Path) -> None:
     path = edit_description(
         path, tmp_path / "b.fmu", ' unit="1" min="0.0" max="1.0" start="0.0" />\n    <F', ' start="0" />\n    <F'
     )
-    path = edit_description(path, tmp_path / "c.fmu", ' canGetAndSetFMUState="true" canSerializeFMUState="true"', "")
     report = check_fmu(str(path))
     assert report.ok
-    assert report.state_restores is None
     assert sorted(report.notes) == [
-        "cannot save its state",
         "reports no fuel flow: the tank of a vehicle stays full with it",
         "throttle states no range; it is taken to run from 0 to 1",
         "thrust states no unit; it is taken to be in N",
@@ -183,6 +178,25 @@ def test_a_mapping_file_is_checked_with_what_it_states(tmp_path: Path) -> None:
         ("throttle", 0.5, 1.0, "by its name"),
         ("thrust", None, None, "in the mapping file"),
     ]
+
+
+def test_the_report_has_the_parameters_that_were_measured(tmp_path: Path) -> None:
+    """Not the FMU's own where others were given: by a mapping file, and over that by the call."""
+    shutil.copy(archive("edf", 2), tmp_path / "their.fmu")
+    (tmp_path / "map.toml").write_text('fmu = "their.fmu"\n[parameters]\ngain = 0.5\npole = 0.9\n')
+    report = check_fmu(str(tmp_path / "map.toml"), parameters={"gain": 0.25})
+    assert report.thrust is not None
+    assert report.thrust[-1] == pytest.approx(0.25 / (1.0 - 0.9) * NEWTON_PER_KGF)
+    values = {each["name"]: (each["start"], each["value"]) for each in report.parameters}
+    assert values["gain"] == (PAPER["edf"][0], 0.25)
+    assert values["pole"] == (PAPER["edf"][1], 0.9)
+    assert values["delay_samples"] == (0.0, 0.0)
+    page = write_check(report, tmp_path / "checked").read_text()
+    assert f"<td>gain</td><td>0.25</td><td>{PAPER['edf'][0]:g}</td>" in page
+    assert any(label == "parameter" and text.startswith("gain = 0.25") for label, text in report.lines())
+    assert {"name": "gain", "value": 0.25}.items() <= json.loads((tmp_path / "checked" / "check.json").read_text())[
+        "parameters"
+    ][0].items()
 
 
 def test_what_fmpy_says_against_dependencies_that_nothing_reads_is_a_note(tmp_path: Path) -> None:
@@ -218,8 +232,6 @@ def test_an_engine_with_memory_it_does_not_own_is_found_out(tmp_path: Path) -> N
             "its thrust does not rise with the throttle: 13.79 N at 0.9, 13.78 N at 0.95",
             "six of it at once do not answer as one alone: they are not independent",
             "a run after a reset differs from the first",
-            "a run from a restored state differs from the first",
-            "a run from a serialized state differs from the first",
         ]
         assert not report.ok
 

@@ -30,7 +30,7 @@ from foreign_engines import (
 from pilot_flights import Flight
 from places import ROOT
 
-from cosim import Scenario, fly
+from cosim import Scenario, check_engine, fly
 from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient
 from cosim.base.storage.toml import parse_setting
@@ -38,7 +38,7 @@ from cosim.cli.main import main
 from cosim.codegen.vectors import record_vectors
 from cosim.codegen.vehicle_ports import ExportedFlight, VehicleContents
 from cosim.control.autopilot import requests as rq
-from cosim.engine import EngineBank, EngineSpec, load_engine
+from cosim.engine import EngineBank, EngineSpec, check_fmu, load_engine
 from cosim.engine.fmu.air import Air
 from cosim.engine.fmu.archive import read_archive, validate
 from cosim.engine.fmu.description import is_harmless_violation
@@ -161,7 +161,7 @@ def test_an_input_is_held_at_what_the_mapping_file_says(row: tuple[str, ...], he
 WRONG_INPUTS = {
     "no = 1.0": r"no input is called no \(there are: throttle, fuel.valve, mode\)",
     "throttle = 1.0": "throttle is its port throttle",
-    "'fuel.valve' = 2.0": "outside its range, 0 to 1",
+    "'fuel.valve' = 2.0": "must be a number from 0 to 1",
     "'fuel.valve' = true": "it is of type Real; a number goes here",
     "mode = 'running'": "allowed: off, crank, run",
     "mode = 7": r"allowed: off \(0\), crank \(1\), run \(2\)",
@@ -176,6 +176,53 @@ def test_an_input_that_cannot_be_held_is_refused(held: str, place: Path) -> None
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match=r"fuel.valve is an input, which a mapping file holds under \[inputs\]"):
         load_engine(str(path), {"fuel.valve": 1.0}, STEP, unchecked=True)
+
+
+CHOICE = ("choice", "valve", "parameter", 'Enumeration: declaredType="Mode" start="0"')
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_parameter_of_an_enumeration_is_set_by_the_name_of_its_item(fmi: int, place: Path) -> None:
+    """Or by its number; what a check measured with is in its report."""
+    path = foreign(place, f"choice{fmi}", "lag=0.05,valve=1", [lever(), force(), CHOICE], fmi, types=MODES[fmi])
+    for line in ("choice = 'crank'", "choice = 1"):
+        assert load(path, "[parameters]", line).curve.thrust[-1] == pytest.approx(FULL)
+    report = check_engine(path, settings=["choice=crank"]).check
+    assert report.problems == []
+    assert [(each["start"], each["value"]) for each in report.parameters] == [(0.0, "crank")]
+    assert dict(report.lines())["parameter"] == "choice = crank"
+
+
+SCALE = ("scale", "gain", "parameter", 'start="1" max="3"')
+DECK = ("deck", "runs", "parameter", 'String: start="deck.csv"')
+WRONG_PARAMETERS = {
+    "choice = 'hot'": r"x.fmu: choice = 'hot': allowed: off, crank, run$",
+    "choice = 7": r"x.fmu: choice = 7: allowed: off \(0\), crank \(1\), run \(2\)$",
+    "choice = 0.5": r"x.fmu: choice = 0.5: allowed: off \(0\), crank \(1\), run \(2\)$",
+    "scale = 'much'": r"x.fmu: scale = 'much': allowed: a number, because it is no enumeration$",
+    "scale = true": r"x.fmu: scale = True: it is of type Real; a number goes here$",
+    "scale = [1.0]": r"x.toml: parameters.scale: must be a number, true or false, or the name of an enumeration's item$",
+    "scale = nan": r"x.fmu: scale = nan: must be a number from -inf to 3$",
+    "deck = 'other.csv'": r"x.fmu: deck is a parameter of type String, which cannot be set; allowed: choice, scale$",
+    "thrust = 1.0": r"x.fmu: thrust is of causality output, and no parameter; allowed: choice, scale$",
+}
+
+
+@pytest.mark.parametrize("line", WRONG_PARAMETERS)
+def test_a_parameter_that_cannot_be_set_is_refused_with_what_can(line: str, place: Path) -> None:
+    path = foreign(place, "x", "lag=0.05,valve=1", [lever(), force(), CHOICE, SCALE, DECK], types=MODES[2])
+    with pytest.raises(InputError, match=WRONG_PARAMETERS[line]) as caught:
+        load(path, "[parameters]", line)
+    assert "\n" not in str(caught.value)
+
+
+def test_states_that_cannot_be_saved_prevent_no_flight(place: Path) -> None:
+    """No flight saves one: an engine that says that it can, and returns an error, is fit."""
+    claims = 'canGetAndSetFMUstate="true" canSerializeFMUstate="true" canHandleVariable'
+    path = foreign(place, "states", "lag=0.05", change=("canHandleVariable", claims))
+    report = check_fmu(str(path))
+    assert report.problems == []
+    assert "serialized state" in report.features
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
