@@ -203,7 +203,7 @@ def main(arguments: list[str] | None = None) -> None:
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.ctx.get_help() if error.ctx else "", err=True)
         status = WRONG_INPUT
-    except (InputError, FlightError, click.ClickException, OSError) as error:
+    except (InputError, FlightError, click.ClickException, OSError, MemoryError) as error:
         if isinstance(error, OSError) and error.errno not in MACHINE_TROUBLE:
             raise
         message, status = _explain(error)
@@ -221,7 +221,7 @@ def main(arguments: list[str] | None = None) -> None:
     sys.exit(status if isinstance(status, int) else DONE)
 
 
-def _explain(error: InputError | FlightError | click.ClickException | OSError) -> tuple[str, int]:
+def _explain(error: InputError | FlightError | click.ClickException | OSError | MemoryError) -> tuple[str, int]:
     """Return the line for an error that ends a command, and the exit status."""
     if isinstance(error, InputError):
         return str(error), FLIGHT_FAILED if isinstance(error, NotIdentifiedError) else WRONG_INPUT
@@ -236,6 +236,8 @@ def _explain(error: InputError | FlightError | click.ClickException | OSError) -
     if isinstance(error, click.ClickException):
         where = f" ({error.ctx.command_path} --help)" if isinstance(error, click.UsageError) and error.ctx else ""
         return " ".join(error.format_message().split()) + where, WRONG_INPUT
+    if isinstance(error, MemoryError):
+        return "the memory that this process may have is used up", FLIGHT_FAILED
     return (_machine_trouble(error) if isinstance(error, OSError) else str(error)), FLIGHT_FAILED
 
 

@@ -8,9 +8,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from math import isfinite
 from pathlib import Path
+from sys import float_info
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from cosim.base.errors import InputError, nearest
 from cosim.base.removed import describe_removed
@@ -66,6 +67,14 @@ def _numeric(model: type[BaseModel]) -> frozenset[str]:
     )
 
 
+def _scalar(value: object) -> object:
+    is_finite = isinstance(value, str) or (isinstance(value, (int, float)) and abs(value) <= float_info.max)
+    if not is_finite:
+        raise ValueError("must be a finite number, true, false or a text")
+    return value
+
+
+Scalar = Annotated[bool | int | float | str, BeforeValidator(_scalar)]
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Seconds = Annotated[float, Field(ge=0.0, le=1e6)]  # from the flight's start, or as long
@@ -93,7 +102,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         table: dict[str, Any] = _copy(_parsed.get(text, lambda: tomllib.loads(text)))
         return table
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
     except RecursionError as error:
         raise InputError(f"{path}: not valid TOML: nested too deep") from error
@@ -155,10 +164,15 @@ def parse_setting(text: str) -> tuple[list[str], Any]:
     path = [part.strip() for part in split_key(key.strip())]
     if not equals or not all(path):
         raise InputError(f"--set {text}: write it as KEY=VALUE, for example vehicle.mass_kg=6.0")
+    return path, parse_value(value)
+
+
+def parse_value(text: str) -> Any:
+    """Return a value read as TOML and, failing that, as a text."""
     try:
-        return path, tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
-        return path, value.strip()
+        return tomllib.loads(f"value = {text}")["value"]
+    except (ValueError, RecursionError):
+        return text.strip()
 
 
 def split_key(key: str) -> list[str]:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Sequence
-from math import inf, isfinite, log
+from math import inf, log
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, nearest
-from cosim.base.storage.toml import Model, Positive, validate
+from cosim.base.storage.toml import Model, Positive, Scalar, parse_value, validate
 
 T = TypeVar("T")
 FORMS = ("range", "values", "normal", "lognormal", "triangular", "uncertainty")
@@ -24,15 +23,6 @@ USAGE = (
     "KEY=lognormal(MEDIAN,SIGMA,LO,HI) or KEY=triangular(LO,MODE,HI); *= for factors, += for offsets; engine alone: by "
     "its [uncertainty]"
 )
-
-
-def _scalar(value: Any) -> Any:
-    if not isinstance(value, (bool, int, float, str)) or (isinstance(value, float) and not isfinite(value)):
-        raise ValueError("must be a finite number, true, false or a text")
-    return value
-
-
-Scalar = Annotated[bool | int | float | str, BeforeValidator(_scalar)]
 
 
 class Normal(Model):
@@ -232,7 +222,7 @@ def _parse_form(form: str, text: str) -> dict[str, Any]:
         if ":" in form:
             return _span(form, text)
         if "," in form:
-            return {"values": [_value(part) for part in form.split(",")]}
+            return {"values": [parse_value(part) for part in form.split(",")]}
         if ends := re.fullmatch(r"([\d.]+)\s*(?:-|\.\.|to)\s*([\d.]+)", form):
             raise InputError(f"--vary {text}: write the range as {ends[1]}:{ends[2]}")
         raise InputError(f"--vary {text}: one value does not vary; KEY=LO:HI or KEY=A,B do, or --set {text}")
@@ -272,14 +262,6 @@ def parse_number(text: str, where: str) -> float:
 def first_repeated(values: Sequence[T]) -> T | None:
     """Return the first of the values that is there twice; None if each is there once."""
     return next((value for index, value in enumerate(values) if value in values[:index]), None)
-
-
-def _value(part: str) -> Any:
-    """Read as TOML and, failing that, as a text."""
-    try:
-        return tomllib.loads(f"value = {part}")["value"]
-    except tomllib.TOMLDecodeError:
-        return part.strip()
 
 
 def _text(value: bool | int | float | str) -> str:

@@ -47,7 +47,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, create_model, model_validator
 
 from cosim.base.errors import InputError
-from cosim.base.storage.toml import Model, NotNegative, Positive, read_toml, validate
+from cosim.base.storage.toml import Model, NotNegative, Positive, Scalar, read_toml, validate
 from cosim.engine.fmu.port_kinds import KINDS
 from cosim.engine.fmu.uncertainty import Uncertainty
 from cosim.engine.fmu.units import find_unit
@@ -124,14 +124,8 @@ def flatten(table: object) -> object:
     return values
 
 
-def _scalar(value: object) -> object:
-    if not isinstance(value, (bool, int, float, str)):
-        raise ValueError("must be a number, true or false, or the name of an enumeration's item")
-    return value
-
-
-# Value of an input or a parameter.  A number that is not finite is refused with the variable that it is for.
-ConstantValue = Annotated[bool | Annotated[float, Field(allow_inf_nan=True)] | str, BeforeValidator(_scalar)]
+# Value of an input or a parameter: a number, true or false, or the name of an enumeration's item
+ConstantValue = Scalar
 
 
 class _Stage(Model):

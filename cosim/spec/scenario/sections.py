@@ -1,6 +1,6 @@
 """Tables of a scenario: initial state, environment, limits, expected results and engine stations."""
 
-from math import inf
+from sys import float_info
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -47,7 +47,7 @@ class Range(Model):
 def _most(value: Any) -> float | Literal[False] | None:
     if value is None or value is False:
         return value
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < inf:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value <= float_info.max:
         raise ValueError("must be a number of at least 0, or false for no limit")
     return float(value)
 

@@ -70,7 +70,7 @@ class Aero(Model):
 class Contact(Model):
     """A point that can touch the ground."""
 
-    name: str
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_. -]*$")]
     kind: Literal["leg", "hull"]
     position_m: Vector
     spring_n_m: Positive

@@ -75,6 +75,8 @@ def find_aircraft(aircraft: str, folder: Path = Path()) -> Path:
 
     Raises InputError for an unknown aircraft (lists the known ones) and for a path where none is.
     """
+    if not isinstance(aircraft, str):
+        raise InputError(f"aircraft {aircraft!r}: must be a name or a path, as a text")
     if not is_aircraft_path(aircraft):
         path = data_folder("aircraft") / aircraft / VEHICLE
         if not path.is_file():

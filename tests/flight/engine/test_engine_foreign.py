@@ -201,8 +201,9 @@ WRONG_PARAMETERS = {
     "choice = 0.5": r"x.fmu: choice = 0.5: allowed: off \(0\), crank \(1\), run \(2\)$",
     "scale = 'much'": r"x.fmu: scale = 'much': allowed: a number, because it is no enumeration$",
     "scale = true": r"x.fmu: scale = True: it is of type Real; a number goes here$",
-    "scale = [1.0]": r"x.toml: parameters.scale: must be a number, true or false, or the name of an enumeration's item$",
-    "scale = nan": r"x.fmu: scale = nan: must be a number from -inf to 3$",
+    "scale = [1.0]": "x.toml: parameters.scale: must be a finite number, true, false or a text$",
+    "scale = nan": "x.toml: parameters.scale = nan: must be a finite number, true, false or a text$",
+    "scale = 4": r"x.fmu: scale = 4: must be a number from -inf to 3$",
     "deck = 'other.csv'": r"x.fmu: deck is a parameter of type String, which cannot be set; allowed: choice, scale$",
     "thrust = 1.0": r"x.fmu: thrust is of causality output, and no parameter; allowed: choice, scale$",
 }

@@ -184,6 +184,9 @@ def test_settings_write_over_the_file() -> None:
         ("title.x=5", r"--set: title is a value, not a table"),
         ("vehicel.mass_kg=5", r"unknown key 'vehicel'; did you mean 'vehicle'\?"),
         ("duration_s=inf", r"duration_s = inf: .*finite"),
+        # what no float holds, and what Python reads no more
+        (f"limits.drift_m=1{'0' * 400}", r"limits\.drift_m = 10+.*: must be a number of at least 0"),
+        (f"limits.drift_m=1{'0' * 5000}", r"limits\.drift_m = '?10+.*: must be a number"),
     ],
 )
 def test_wrong_settings_are_refused(setting: str, message: str) -> None:

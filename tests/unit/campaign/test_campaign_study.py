@@ -110,6 +110,7 @@ def test_correlations_and_criteria_are_read() -> None:
         ("a=1,x", "values of different kinds: 1, x"),
         ("a=1,true", "values of different kinds: 1, true"),
         ("a=1,nan", "must be a finite number, true, false or a text"),
+        (f"a=1,1{'0' * 400}", "must be a finite number, true, false or a text"),
         ("a=1,[2]", "1,[2]: values.1"),
         ("a*=x,y", "a factor is a number, not x"),
         ("a=log(0:1)", "a logarithmic range needs bounds above 0, not 0"),

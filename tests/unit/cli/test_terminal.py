@@ -45,6 +45,19 @@ def test_without_a_width_a_pipe_has_one(monkeypatch: pytest.MonkeyPatch, capsys:
     assert 80 < max(map(len, capsys.readouterr().out.splitlines()[:8])) <= 120
 
 
+def test_a_process_without_memory_ends_in_a_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(**_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(command.cli, "main", fail)
+    with pytest.raises(SystemExit) as end:
+        command.main([])
+    assert end.value.code == 1
+    assert capsys.readouterr().err == "hexjet: the memory that this process may have is used up\n"
+
+
 def test_a_terminal_without_the_signs_and_one_that_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     poor = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr(sys, "stdout", poor)

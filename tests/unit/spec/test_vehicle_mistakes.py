@@ -108,6 +108,10 @@ MISTAKES: dict[str, tuple[Change, str]] = {
         put("contacts", 1, "name", to="leg_front_right"),
         r"contacts: two are called 'leg_front_right'; names must differ",
     ),
+    "a contact with a quote in its name": (
+        put("contacts", 1, "name", to="a'b"),
+        r"""contacts\.1\.name = "a'b": .*pattern""",
+    ),
     "a leg upwards": (put("contacts", 0, "position_m", 2, to=-0.2), r"contacts\.0\.position_m \[.*-0\.2\]: .* must be above 0"),
     "no legs": (legs, r"contacts: 0 of kind 'leg'; .* three at least"),
     "all legs in front": (
@@ -189,6 +193,12 @@ def test_there_are_thirty_and_the_vehicle_that_they_are_made_in_is_right(folder:
     assert render(vehicle, place / str(vehicle.model))
     for name in aircraft_names():
         load_vehicle(name)
+
+
+@pytest.mark.parametrize("name", [5, [], None, Path("hexjet")])
+def test_what_is_no_name_of_an_aircraft_is_one_line(name: object) -> None:
+    with pytest.raises(InputError, match=r"^aircraft .*: must be a name or a path, as a text$"):
+        load_vehicle(name)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
