@@ -171,7 +171,8 @@ class Simulation:
     def _restarting(self, pilot: Pilot) -> tuple[int, ...]:
         """Return the engines, counted from 1, that the pilot wants to run and that have yet to come up."""
         off, self._engines_were_off = self._engines_were_off, pilot.engines is _OFF
-        self._engines_restart = self._engines_restart or self._engines_were_off
+        # Whether they have come up is told by their thrust at the start, which is idle on the ground only.
+        self._engines_restart |= self._engines_were_off and self.scenario.initial.on_ground
         if self._engines_were_off or not self._engines_restart:
             return ()
         return self._all_engines if off else self.propulsion.engines.restarting_engines
