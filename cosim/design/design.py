@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from math import inf, isfinite
 from pathlib import Path
@@ -98,7 +97,8 @@ class Design:
     proof: Proof | None = None  # of the measured response and in flight; None where it was not asked for
     firmware: Firmware | None = None  # in whose loop the gains are; None: ours
     tolerances: str = ""  # where those are from that nobody stated; empty: the usual ones
-    performance: Mapping[str, AxisLimit] = field(default_factory=dict)  # by axis, where it was asked for
+    # by axis, where it was asked for; or why there is no limit
+    performance: Mapping[str, AxisLimit | str] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
@@ -208,20 +208,22 @@ def design(
 
 
 def add_limits(design: Design, say: Say = lambda text: None) -> Design:
-    """Return the design with each attitude axis beside the limit of performance, where it has one.
+    """Return the design with each attitude axis beside the limit of performance, or with the reason why it has none.
 
     Raises InputError where the solver is not installed.
     """
     need_solver()
-    limits = {}
+    limits: dict[str, AxisLimit | str] = {}
     for axis in AXES:
         channel, after = design.axes[axis].channel, design.axes[axis].after
         if after is not None and after.load_error is not None:
             say(f"{axis}: the limit of performance")
-            with suppress(InputError):  # an axis without a limit of this kind
+            try:
                 limits[axis] = axis_limit(
                     fine_loop(channel, after.tuning), after.load_error, priced=not channel.is_by_servo
                 )
+            except InputError as error:
+                limits[axis] = str(error)
     return replace(design, performance=limits)
 
 

@@ -91,7 +91,10 @@ def to_dict(design: Design, paths: Mapping[str, Path] | None = None) -> dict[str
         "model_source": design.model_source,
         "identification": identification.to_dict() if identification else None,
         "axes": {axis: _axis_dict(axis_design) for axis, axis_design in design.axes.items()},
-        "limit": {axis: limit.to_dict() for axis, limit in design.performance.items()},
+        "limit": {
+            axis: {"reason": limit} if isinstance(limit, str) else limit.to_dict()
+            for axis, limit in design.performance.items()
+        },
         "levels": [
             {
                 "fuel": level.level.fuel,
@@ -199,7 +202,10 @@ def detail_lines(design: Design) -> list[str]:
         for axis, axis_design in design.axes.items()
         for check, fine in axis_design.checks.items()
     ]
-    limits = [f"{axis}: {limit.describe()}" for axis, limit in design.performance.items()]
+    limits = [
+        f"no limit of performance: {limit}" if isinstance(limit, str) else f"{axis}: {limit.describe()}"
+        for axis, limit in design.performance.items()
+    ]
     return [*lines, *_merge_same_values(checks), *limits]
 
 

@@ -26,7 +26,7 @@ from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_re
 from cosim.design.loop.criteria import excesses
 from cosim.design.loop.tuning import Tuning
 from cosim.design.measured.computed import compute_margins
-from cosim.design.result import answer_lines, detail_lines
+from cosim.design.result import answer_lines, detail_lines, to_dict
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import Requirements, apply_controller
 from cosim.spec.scenario import Scenario
@@ -179,10 +179,28 @@ def test_no_search_of_gains_begins_at_its_file(file: Path) -> None:
         designs.design("edf-as-flown", start=file)
 
 
+def test_an_axis_without_a_limit_says_which_condition_it_does_not_keep() -> None:
+    found = designed()
+    axes = {
+        axis: replace(each, after=each.after and replace(each.after, load_error=1.0 if axis == "roll" else None))
+        for axis, each in found.axes.items()
+    }
+    model = axes["roll"].channel.model("late")
+    late = model.model_copy(update={"delay_samples": model.delay_samples + 0.5})
+    axes["roll"] = replace(axes["roll"], channel=replace(axes["roll"].channel, identified=late))
+    limited = add_limits(replace(found, axes=axes))
+    reason = f"roll: a limit needs a delay of whole steps, not {late.delay_samples:g}"
+    assert limited.performance == {"roll": reason}
+    assert f"no limit of performance: {reason}" in detail_lines(limited)
+    assert to_dict(limited)["limit"] == {"roll": {"reason": reason}}
+
+
 @pytest.mark.long
 def test_the_page_ends_with_how_many_times_the_limit_it_is() -> None:
     limited = add_limits(replace(designed()))
-    assert limited.performance["roll"].times_tolerant is not None
-    assert 1.0 < limited.performance["roll"].times_tolerant < 1.6
+    roll = limited.performance["roll"]
+    assert not isinstance(roll, str)
+    assert roll.times_tolerant is not None
+    assert 1.0 < roll.times_tolerant < 1.6
     assert "times the least that any linear controller leaves" in detail_lines(limited)[-1]
     assert answer_lines(limited)[0].startswith("controller: optimal; ")
