@@ -283,8 +283,7 @@ class ArduPilot(Sitl):
         )
         if known_names is None:
             return f"the names of its parameters were not checked: no log in {folder} has all of them"
-        # ArduPilot ignores the case of parameter names
-        if unknown := [name for name in self._launch.parameters if name.upper() not in known_names]:
+        if unknown := [name for name in self._launch.parameters if name not in known_names]:
             text = describe_unknown(unknown, known_names, "ArduCopter")
             raise FlightError(f"ardupilot: {text} (--param, --defaults; {folder})")
         return ""
