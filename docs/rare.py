@@ -23,8 +23,7 @@ from scipy.stats import norm
 
 from cosim.base.arrays import Array
 from cosim.campaign.rare.estimate import Budget, Estimate, estimate
-from cosim.campaign.rare.subset import Repeat, subset_simulation
-from cosim.campaign.search.line_search import run_together
+from cosim.campaign.rare.repeats import Simulations, simulate_groups
 from cosim.results.report.marks import table, write_marks
 
 PAGE = Path(__file__).parent / "tables" / "rare.md"
@@ -32,6 +31,7 @@ MARK = "rare-coverage"
 PROBABILITIES = (1e-2, 1e-4, 1e-6)
 FLIGHTS = 5000
 CURVATURE = 0.3
+BAND_FURTHER = 0.42  # standard deviations between the limit of roll and the band of height
 AGAIN = (("plane 20", 1e-4),)  # the line that held the truth least often, with other random numbers
 AGAIN_SEEDS = range(300, 1800)
 NOISE = sqrt(0.5)  # of the margin's standard deviation, from the seed
@@ -43,7 +43,7 @@ class Truth:
 
     name: str
     dimension: int
-    margin: Callable[[Array, Array, float], Array]  # of points, seeds and the level
+    margin: Callable[[Array, Array, float], Array]  # of points, seeds and the level; a column a requirement
     level: Callable[[float], float]  # at which it has a probability
 
 
@@ -82,6 +82,17 @@ def linear(dimension: int) -> Truth:
     )
 
 
+@cache
+def band_level(probability: float) -> float:
+    """Return b at which |u1| > b or |u2| > b + BAND_FURTHER is a probability."""
+
+    def excess(level: float) -> float:
+        roll, height = 2.0 * ndtr(-level), 2.0 * ndtr(-level - BAND_FURTHER)
+        return float(log((roll + height - roll * height) / probability))
+
+    return float(brentq(excess, 0.0, 8.0))
+
+
 TRUTHS = {
     "plane 2": linear(2),
     "plane 6": linear(6),
@@ -107,24 +118,39 @@ TRUTHS = {
         ),
         one_sided,
     ),
+    "band": Truth(
+        "a limit of roll and a band of height, 2 keys",
+        2,
+        lambda points, seeds, level: np.stack(
+            [(level - np.abs(points[:, 0])) / level, 0.01 * (level + BAND_FURTHER - np.abs(points[:, 1]))], axis=1
+        ),
+        band_level,
+    ),
+    "shallow": Truth(
+        "a requirement that is always near and never broken, beside one that is, 2 keys",
+        2,
+        lambda points, seeds, level: np.stack(
+            [0.02 + 0.2 * np.exp(-np.maximum(points[:, 1], -3.0)), level - points[:, 0]], axis=1
+        ),
+        one_sided,
+    ),
 }
+SEVERAL = ("band", "shallow")  # of several requirements
 
 
-def simulated(truth: Truth, probability: float, budget: Budget, seed: int) -> tuple[Estimate, list[Repeat]]:
-    """Return the estimate of one whole simulation of a known truth, and its repeats."""
+def simulated(truth: Truth, probability: float, budget: Budget, seed: int) -> tuple[Estimate, Simulations]:
+    """Return the estimate of one whole simulation of a known truth, and the simulations that it is from."""
     level = truth.level(probability)
-    generators = [
-        subset_simulation(truth.dimension, budget.size, budget.most_levels, np.random.default_rng([seed, repeat]))
-        for repeat in range(budget.repeats)
-    ]
-    repeats = run_together(
-        dict(enumerate(generators)),
+    made = simulate_groups(
+        truth.dimension,
+        budget,
+        [np.random.default_rng([seed, repeat]) for repeat in range(budget.repeats)],
         lambda asked: {
-            number: truth.margin(candidates.points, np.array(candidates.seeds), level)
-            for number, candidates in asked.items()
+            place: truth.margin(candidates.points, np.array(candidates.seeds), level).reshape(len(candidates.seeds), -1)
+            for place, candidates in asked.items()
         },
     )
-    return estimate(list(repeats.values())), list(repeats.values())
+    return estimate(made.repeats), made
 
 
 def rows(studies: int, only: Sequence[str]) -> Iterator[list[str]]:
@@ -143,18 +169,18 @@ def row(truth: Truth, probability: float, budget: Budget, seeds: range) -> list[
     return cells(truth, probability, [simulated(truth, probability, budget, seed) for seed in seeds])
 
 
-def cells(truth: Truth, probability: float, ended: Sequence[tuple[Estimate, list[Repeat]]]) -> list[str]:
+def cells(truth: Truth, probability: float, ended: Sequence[tuple[Estimate, Simulations]]) -> list[str]:
     """Return the cells of a row from its studies."""
     studies = len(ended)
     found = [each for each, _ in ended]
-    flights = [sum(repeat.flights for repeat in repeats) for _, repeats in ended]
+    flights = [made.flights for _, made in ended]
     held = sum(each.low <= probability <= each.high for each in found)
     above = sum(each.low > probability for each in found)
     near = sum(each.probability is not None and abs(log(each.probability / probability)) < log(2.0) for each in found)
     widths = [sqrt(each.high / each.low) for each in found if each.low]
     parts = [f"{100.0 * count / studies:.1f} %" for count in (held, above, studies - held - above, near)]
-    made = [f"{np.median(widths):.1f}", f"{np.mean(flights):,.0f}", f"{max(flights):,}"]
-    return [truth.name, f"1e{round(np.log10(probability))}", str(studies), *parts, *made]
+    cost = [f"{np.median(widths):.1f}", f"{np.mean(flights):,.0f}", f"{max(flights):,}"]
+    return [truth.name, f"1e{round(np.log10(probability))}", str(studies), *parts, *cost]
 
 
 TITLES = [

@@ -98,13 +98,11 @@ class RareResult(Result):
 
     def lines(self) -> list[str]:
         """Return the probability, how it was made, and what decides."""
-        from cosim.campaign.rare.page import LIMITS, describe_deciders
-        from cosim.campaign.rare.simulation import describe_plan
+        from cosim.campaign.rare.page import LIMITS, describe_deciders, describe_result
 
         result = self.simulated.result
-        method = (result.estimate.method, result.seed_note, describe_plan(result.plan), result.study.engine_note)
         deciders = [describe_deciders(result)] if result.deciders else []
-        return [result.sentence, *filter(None, method), *deciders, LIMITS]
+        return [*describe_result(result), *deciders, LIMITS]
 
     def tables(self) -> list[Table]:
         """Return where the failures lie in what is drawn."""

@@ -5,15 +5,16 @@ Counting knows yes and no alone.  Methods that go towards failure need to know w
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import isfinite
 
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Row
-from cosim.results.requirements import LOST, Lost, range_requirements
+from cosim.campaign.workers.flight_row import LIMITS_MARGIN, MARGIN_OF, Row, study_requirements
+from cosim.results.requirements import LOST, UNKNOWN, Lost, range_requirements
 from cosim.spec.scenario import Range
 
 MARGIN = "margin"  # the column of a row that states its margin
+OWN_LIMITS = "the flight's own limits"
 SMALLEST = 1e-9  # size of the margin of a failure of which no more is known, chosen by us
 
 
@@ -31,6 +32,30 @@ def row_margin(row: Row, study: Study) -> float:
     stated = row.get(MARGIN)
     margin = _number(stated) if stated is not None else success_margin(row, study.success)
     return max(margin, 0.0) if row["success"] else min(margin, -SMALLEST)
+
+
+def requirement_margins(study: Study) -> tuple[list[str], Callable[[Row], list[float]]]:
+    """Return the names of a study's requirements, and what returns the margin of each in a row, in scales.
+
+    The last is :data:`OWN_LIMITS`, with the loss of the flight.  One at least is less than 0 where the row is no
+    success, and none elsewhere.
+    """
+    scales = {requirement.name: requirement.divisor for requirement in study_requirements(study)}
+
+    def margins(row: Row) -> list[float]:
+        whole, success = row_margin(row, study), bool(row["success"])
+        if not scales or row["outcome"] == "failed":
+            return [whole] * (len(scales) + 1)
+        known = [(row.get(MARGIN_OF + name), scale) for name, scale in scales.items()] + [(row.get(LIMITS_MARGIN), 1.0)]
+        unknown = UNKNOWN if success else -UNKNOWN
+        found = [unknown if margin is None else _number(margin) / scale for margin, scale in known]
+        if known[-1][0] is None:
+            found[-1] = UNKNOWN
+        if success:
+            return [max(margin, 0.0) for margin in found]
+        return found if min(found) < 0.0 else [*found[:-1], min(whole, -SMALLEST)]
+
+    return [*scales, OWN_LIMITS], margins
 
 
 def success_margin(values: Mapping[str, object], success: Mapping[str, Range]) -> float:

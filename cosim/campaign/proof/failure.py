@@ -24,7 +24,18 @@ SAID = {  # of one that was not made
     WORST: "no search for the worst case was made",
 }
 TARGET = 1e-6  # the smallest probability that the levels reach: that of hexjet rare by default
-KEPT = ("probability", "low", "high", "method", "flights", "failures", "not_flown", "nearest", "shifts")  # of rare.json
+KEPT = (
+    "probability",
+    "low",
+    "high",
+    "method",
+    "flights",
+    "failures",
+    "not_flown",
+    "nearest",
+    "shifts",
+    "contradiction",
+)  # of rare.json
 HINT = "pip install 'hexjet-cosim[worst]'"
 
 
@@ -101,4 +112,5 @@ def simulate_rare(study: Study, folder: Path, flights: int, workers: Workers, sa
         }
         for case in saved.cases
     ]
-    return Part({key: told[key] for key in KEPT} | {"cases": cases, "is_same": saved.confirmed}, saved.result.sentence)
+    says = "; ".join(filter(None, (saved.result.sentence, saved.result.contradiction)))
+    return Part({key: told[key] for key in KEPT} | {"cases": cases, "is_same": saved.confirmed}, says)

@@ -24,6 +24,8 @@ REPEATS = 8  # chosen by us: t of 7 degrees of freedom, and levels that are not 
 CONFIDENCE = LEVEL
 SEEDS_DECIDE = 0.5  # of seed_effect: below it noise decides; 0.4 to 0.1 where half of the margin's variance is its
 SMALLEST_LEVEL = 50  # flights a level: five starts
+SMALLEST_OF_SEVERAL = 20  # flights a level of one of several groups; measured, docs/tables/rare.md
+SEARCHED = 0.05  # least part of the flights that several groups leave to the search for the nearest failure
 
 
 @dataclass(frozen=True)
@@ -41,17 +43,32 @@ class Budget:
 
     @property
     def size(self) -> int:
-        """The flights of a level, in whole tens."""
-        return int(self.flights / (self.repeats * (1.0 + (1.0 - LEVEL_FRACTION) * (self.most_levels - 1))) / 10) * 10
+        """The flights of the first level, in whole tens, and of each other one where there is one group."""
+        return int(self.flights / (self.repeats * (1.0 + self._later_levels)) / 10) * 10
+
+    def size_of(self, groups: int) -> int:
+        """Return the flights of each level after the first of so many groups of requirements."""
+        left = (1.0 - SEARCHED) * self.flights - self.repeats * self.size
+        return self.size if groups == 1 else int(left / (self.repeats * self._later_levels * groups))
+
+    @property
+    def most_groups(self) -> int:
+        """How many groups of requirements have enough flights for a simulation each."""
+        enough = self.size_of(2) * 2 // SMALLEST_OF_SEVERAL
+        return max(1, enough)
+
+    @property
+    def _later_levels(self) -> float:
+        """How many times the flights of a level all levels after the first take."""
+        return (1.0 - LEVEL_FRACTION) * (self.most_levels - 1)
 
     def check(self) -> None:
         """Raise InputError where no level would have enough flights."""
         if self.size < SMALLEST_LEVEL:
-            levels = 1.0 + (1.0 - LEVEL_FRACTION) * (self.most_levels - 1)
+            least = ceil(self.repeats * (1.0 + self._later_levels) * SMALLEST_LEVEL)
             raise InputError(
                 f"--budget {self.flights}: {self.repeats} repeats of {self.most_levels} levels down to "
-                f"{probability_text(self.target)} take at least "
-                f"{ceil(self.repeats * levels * SMALLEST_LEVEL):,} flights"
+                f"{probability_text(self.target)} take at least {least:,} flights"
             )
 
 
@@ -77,34 +94,63 @@ class Estimate:
         return f"{probability_text(self.probability)} ({100.0 * CONFIDENCE:g} %: {interval})"
 
 
-def estimate(repeats: Sequence[Repeat]) -> Estimate:
-    """Return the probability of failure from the repeats of one simulation."""
-    if all(len(repeat.levels) == 1 for repeat in repeats):
-        return _counted(repeats)
-    logs = [repeat.log_probability for repeat in repeats]
-    missing = sum(value is None for value in logs)
-    if 2 * missing > len(repeats):
-        return _bound(repeats)
-    filled = [
-        value if value is not None else repeat.log_reached - log(repeat.levels[-1].margins.size)
-        for value, repeat in zip(logs, repeats, strict=True)
-    ]
-    note = (
-        f"; {missing} of them met none, and count as one of the flights of their last level, and no upper end is below "
-        "what all of them reached"
-        if missing
-        else ""
-    )
-    low, high = lognormal_interval(filled)
+def estimate(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
+    """Return the probability of failure from the repeats of each group's simulation.
+
+    A repeat's probability is the sum of those of all groups.  A group of which most repeats met no failure has a bound
+    alone, which is added to the upper end.
+    """
+    if all(len(repeat.levels) == 1 for repeats in simulations for repeat in repeats):
+        return _counted(simulations)
+    led = [repeats for repeats in simulations if not _leads_nowhere(repeats)]
+    met = [repeats for repeats in led if 2 * _missing(repeats) <= len(repeats)]
+    if not met:
+        return _bound(led)
+    filled = [[_filled(repeat) for repeat in repeats] for repeats in met]
+    low, high = lognormal_interval([float(value) for value in np.log(np.sum(np.exp(filled), axis=0))])
+    missing = sum(map(_missing, met))
     if missing:
-        high = max(high, _reached_by_all(repeats, CONFIDENCE)[1])
-    probability = float(np.mean(np.exp(filled)))
+        high = max(high, sum(_reached_by_all(repeats, CONFIDENCE)[1] for repeats in met if _missing(repeats)))
+    high += sum(_reached_by_all(repeats, CONFIDENCE)[1] for repeats in led if 2 * _missing(repeats) > len(repeats))
+    probability = float(np.mean(np.sum(np.exp(filled), axis=0)))
     return Estimate(
-        probability,
-        min(low, probability),
-        min(max(high, probability), 1.0),
-        f"{len(repeats)} subset simulations; the interval is that of their mean, by how far they lie apart{note}",
+        probability, min(low, probability), min(max(high, probability), 1.0), _method(simulations, led, met, missing)
     )
+
+
+def _method(simulations: Sequence[object], led: Sequence[object], met: Sequence[Sequence[Repeat]], missing: int) -> str:
+    """Return in words how an interval was made."""
+    repeats = len(met[0])
+    if len(simulations) == 1:
+        made = f"{repeats} subset simulations; the interval is that of their mean, by how far they lie apart"
+    else:
+        made = (
+            f"{repeats} subset simulations for each of {len(simulations)} groups of requirements, a flight that breaks "
+            "several counted once; the interval is that of the mean of their sums, by how far these lie apart"
+        )
+    if len(led) > len(met):
+        made += f"; {len(led) - len(met)} of the groups met none in most, and their bounds are added to the upper end"
+    if missing:
+        made += (
+            f"; {missing} of them met none, and count as one of the flights of their last level, and no upper end is "
+            "below what all of them reached"
+        )
+    return made
+
+
+def _leads_nowhere(repeats: Sequence[Repeat]) -> bool:
+    """Return whether no flight of the first level failed, and none of its margins begins a next level."""
+    return all(len(repeat.levels) == 1 and not repeat.levels[0].below for repeat in repeats)
+
+
+def _missing(repeats: Sequence[Repeat]) -> int:
+    return sum(repeat.log_probability is None for repeat in repeats)
+
+
+def _filled(repeat: Repeat) -> float:
+    """Return the logarithm of a repeat's probability; one that met none counts as one flight of its last level."""
+    known = repeat.log_probability
+    return repeat.log_reached - log(repeat.levels[-1].margins.size) if known is None else known
 
 
 def seed_effect(repeats: Sequence[Repeat]) -> float | None:
@@ -129,20 +175,20 @@ def lognormal_interval(logs: Sequence[float], confidence: float = CONFIDENCE) ->
     return exp(mean + variance / 2.0 - reach), exp(min(mean + variance / 2.0 + reach, 0.0))
 
 
-def _counted(repeats: Sequence[Repeat]) -> Estimate:
+def _counted(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
     """Return what counting says where failures are not rare, or all margins the same: every flight is independent."""
-    failed, flights = _first_level(repeats)
+    failed, flights = _first_level(simulations)
     if not failed:
-        return _counted_bound(repeats)
+        return _counted_bound(simulations)
     method = f"{failed:,} of {flights:,} independent flights failed, counted"
     return Estimate(failed / flights, *proportion(failed, flights).exact, method)
 
 
-def _counted_bound(repeats: Sequence[Repeat]) -> Estimate:
+def _counted_bound(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
     """Return the upper bound by counting alone, where margins lead no further."""
     from scipy.special import betaincinv
 
-    failed, flights = _first_level(repeats)
+    failed, flights = _first_level(simulations)
     return Estimate(
         None,
         0.0,
@@ -153,24 +199,28 @@ def _counted_bound(repeats: Sequence[Repeat]) -> Estimate:
     )
 
 
-def _first_level(repeats: Sequence[Repeat]) -> tuple[int, int]:
+def _first_level(simulations: Sequence[Sequence[Repeat]]) -> tuple[int, int]:
     """Return how many of the independent flights of all first levels failed, and how many there are."""
-    margins = np.concatenate([repeat.levels[0].margins for repeat in repeats])
-    return int(np.count_nonzero(margins < 0.0)), margins.size
+    firsts = [[repeat.levels[0] for repeat in repeats] for repeats in simulations]
+    failed = sum(float(np.sum(level.shares[level.margins < 0.0])) for levels in firsts for level in levels)
+    return round(failed), sum(level.margins.size for level in firsts[0])
 
 
-def _bound(repeats: Sequence[Repeat]) -> Estimate:
+def _bound(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
     """Return an upper bound: the probability of a margin that every repeat has reached, which no failure exceeds."""
-    without = [repeat for repeat in repeats if repeat.log_probability is None]
-    if any(len(repeat.levels) == 1 for repeat in without):
-        return _counted_bound(repeats)
-    reached, high = _reached_by_all(repeats, 2.0 * CONFIDENCE - 1.0)  # whose upper end alone is of CONFIDENCE
+    if any(len(repeat.levels) == 1 for repeats in simulations for repeat in repeats if not repeat.levels[-1].below):
+        return _counted_bound(simulations)
+    # each upper end alone is of a confidence that leaves their sum that of the whole
+    confidence = 1.0 - 2.0 * (1.0 - CONFIDENCE) / len(simulations)
+    bounds = [_reached_by_all(repeats, confidence) for repeats in simulations]
+    reached = ", ".join(f"{margin:.3g}" for margin, _ in bounds)
+    several = f" for each of {len(bounds)} groups of requirements" if len(bounds) > 1 else ""
     return Estimate(
         None,
         0.0,
-        high,
-        f"{len(without)} of {len(repeats)} subset simulations met no failure; what all of them reached is a margin of "
-        f"{reached:.3g}, and a failure is rarer than that",
+        min(sum(high for _, high in bounds), 1.0),
+        f"{sum(map(_missing, simulations))} of {sum(map(len, simulations))} subset simulations{several} met no "
+        f"failure; what all of them reached is a margin of {reached}, and a failure is rarer than that",
     )
 
 

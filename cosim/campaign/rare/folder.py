@@ -70,7 +70,7 @@ def run_rare(
     with open_question(study, plan.table(), out, resume, RARE) as (flown, journal):
         result = simulate(flown, plan, workers, journal, progress)
         saved = SavedRare(out, result, tuple(_cases(result, empty_cases(out))))
-        columns = {"repeat": int, "level": int} | kinds(result.study) | {"margin": float}
+        columns = {"repeat": int, "group": int, "level": int} | kinds(result.study) | {"margin": float}
         table = {name: [row.get(name) for row in result.rows] for name in columns}
         write_table(out / ROWS, table, kinds=columns)
         saved.write(RESULT)

@@ -39,7 +39,7 @@ def write_page(saved: SavedRare, path: Path) -> None:
         base=base,
         controller=short_name(result.controller),
         sentence=result.sentence,
-        plan=describe_plan(result.plan),
+        plan=describe_plan(result.plan, len(result.groups)),
         limits=LIMITS,
         repeats=repeat_rows(result),
         shifts=shift_rows(result),
@@ -49,15 +49,36 @@ def write_page(saved: SavedRare, path: Path) -> None:
     )
 
 
+def describe_result(result: RareResult) -> list[str]:
+    """Return the result in lines: its sentence, what contradicts it, and how it was made."""
+    lines = (
+        result.sentence,
+        result.contradiction,
+        result.estimate.method,
+        result.groups_note,
+        result.search_note,
+        result.seed_note,
+        describe_plan(result.plan, len(result.groups)),
+        result.study.engine_note,
+    )
+    return [line for line in lines if line]
+
+
 def repeat_rows(result: RareResult) -> list[list[str]]:
-    """Return a row for each repeat: its number, flights, thresholds and probability."""
+    """Return a row for each simulation: its requirements, flights, thresholds and probability."""
     rows = []
-    for number, repeat in enumerate(result.repeats, 1):
+    for names, repeat in _named_repeats(result):
         log = repeat.log_probability
         thresholds = ", ".join(f"{level.threshold:.3g}" for level in repeat.levels[:-1])
         probability = "no failure" if log is None else probability_text(float(np.exp(log)))
-        rows.append([str(number), str(repeat.flights), thresholds or "-", probability])
+        rows.append([", ".join(names), str(repeat.flights), thresholds or "-", probability])
     return rows
+
+
+def _named_repeats(result: RareResult) -> list[tuple[list[str], Repeat]]:
+    """Return each simulation with the requirements that it is of."""
+    pairs = zip(result.groups, result.simulations.repeats, strict=True)
+    return [(names, repeat) for names, repeats in pairs for repeat in repeats]
 
 
 def shift_rows(result: RareResult) -> list[list[str]]:
@@ -74,13 +95,13 @@ def describe_deciders(result: RareResult) -> str:
 def _levels(result: RareResult) -> Figure:
     """Return the figure of the probability of a margin below a number, a curve a repeat, and the levels' thresholds."""
     data: list[Figure] = []
-    for number, repeat in enumerate(result.repeats):
+    for number, (names, repeat) in enumerate(_named_repeats(result)):
         margins, probabilities = _curve(repeat)
         data.append(
             {
                 "type": "scatter",
                 "mode": "lines",
-                "name": f"simulation {number + 1}",
+                "name": f"simulation {number + 1}, {', '.join(names)}",
                 "x": margins,
                 "y": probabilities,
                 "line": {"color": run_colour(number), "width": 1.5},

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.campaign.analysis.margin import row_margin
+from cosim.campaign.analysis.margin import requirement_margins, row_margin
 from cosim.campaign.rare.estimate import SEEDS_DECIDE, Budget, Estimate, estimate, probability_text, seed_effect
-from cosim.campaign.rare.subset import Candidates, Repeat, subset_simulation
-from cosim.campaign.search.line_search import run_together
+from cosim.campaign.rare.nearest import NearestSearch, search_nearest
+from cosim.campaign.rare.repeats import Place, Simulations, simulate_groups
+from cosim.campaign.rare.subset import Candidates
 from cosim.campaign.search.probe import FlownRows, Journal, Point
 from cosim.campaign.search.question import Answered
 from cosim.campaign.study.draws import flight_seed
@@ -69,22 +70,47 @@ class KeyShift:
 class RareResult:
     """The result of subset simulations of one controller.
 
-    ``rows`` are all flights in the order in which they were asked for, ``repeat`` and ``level`` of each beside them.
+    ``rows`` are all flights in the order in which they were asked for, with ``repeat``, ``group`` and ``level`` of
+    each.  The flights of ``searched`` are no part of them.
     """
 
     study: Study
     plan: Plan
     controller: str
     estimate: Estimate
-    repeats: tuple[Repeat, ...]
+    simulations: Simulations
+    searched: NearestSearch
     failures: tuple[Failure, ...]
     rows: tuple[Row, ...]
     names: tuple[str, ...]
+    requirements: tuple[str, ...]
 
     @property
     def flights(self) -> int:
-        """How many flights it took."""
-        return len(self.rows)
+        """How many flights it took, with those that searched for the nearest failure."""
+        return len(self.rows) + self.searched.flights
+
+    @property
+    def groups(self) -> list[list[str]]:
+        """The requirements that share a simulation, by their names."""
+        return [[self.requirements[column] for column in group.columns] for group in self.simulations.groups]
+
+    @property
+    def groups_note(self) -> str:
+        """Which requirements share a simulation; empty where there is one requirement."""
+        if len(self.requirements) == 1:
+            return ""
+        return f"simulated on its own: {'; '.join(' with '.join(names) for names in self.groups)}"
+
+    @property
+    def contradiction(self) -> str:
+        """What the search for the nearest failure found that the interval does not allow; empty elsewhere."""
+        return self.searched.contradict(self.estimate.high)
+
+    @property
+    def search_note(self) -> str:
+        """What the search for the nearest failure came to; empty where failures were counted."""
+        return "" if self.simulations.counted else self.searched.says
 
     @property
     def not_flown(self) -> list[str]:
@@ -106,7 +132,7 @@ class RareResult:
     @property
     def seed_note(self) -> str:
         """A warning where noise and turbulence decide, which no chain can lead to failure; empty elsewhere."""
-        effect = seed_effect(self.repeats)
+        effect = seed_effect([repeat for repeats in self.simulations.repeats for repeat in repeats])
         if effect is None or effect >= SEEDS_DECIDE:
             return ""
         return (
@@ -158,13 +184,16 @@ class RareResult:
             **asdict(self.estimate),
             "flights": self.flights,
             "not_flown": len(self.not_flown),
-            "seed_effect": seed_effect(self.repeats),
+            "seed_effect": seed_effect([repeat for repeats in self.simulations.repeats for repeat in repeats]),
             "failures": len(self.failures),
             "deciders": self.deciders,
             "shifts": [asdict(shift) for shift in self.shifts],
             "nearest": None if nearest is None else self._flight_table(nearest),
+            "search": asdict(self.searched),
+            "contradiction": self.contradiction,
             "simulations": [
                 {
+                    "requirements": names,
                     "flights": repeat.flights,
                     "probability": None if (log := repeat.log_probability) is None else float(np.exp(log)),
                     "levels": [
@@ -172,7 +201,8 @@ class RareResult:
                         for level in repeat.levels
                     ],
                 }
-                for repeat in self.repeats
+                for names, repeats in zip(self.groups, self.simulations.repeats, strict=True)
+                for repeat in repeats
             ],
         }
 
@@ -221,16 +251,15 @@ def simulate(
     space = NormalSpace(study)
     flyer = _Flyer(study, space, controller, workers, journal, progress)
     seed = None if plan.seeds_vary else flight_seed(study.seed, 0)
-    generators = [
-        subset_simulation(space.dimension, plan.budget.size, plan.budget.most_levels, random, seed)
-        for random in map(np.random.default_rng, np.random.SeedSequence(study.seed, spawn_key=(REPEAT_STREAMS,)).spawn(
-            plan.budget.repeats
-        ))
-    ]  # fmt: skip
-    repeats = list(run_together(dict(enumerate(generators)), flyer.margins).values())
+    streams = np.random.SeedSequence(study.seed, spawn_key=(REPEAT_STREAMS,)).spawn(plan.budget.repeats)
+    simulations = simulate_groups(
+        space.dimension, plan.budget, [np.random.default_rng(stream) for stream in streams], flyer.margins, seed
+    )
+    left = 0 if simulations.counted else plan.budget.flights - len(flyer.rows)
+    searched = search_nearest(study, space, controller, seed, left, flyer.flown)
     return RareResult(
-        study, plan, controller, estimate(repeats), tuple(repeats), tuple(flyer.failures(repeats)), tuple(flyer.rows),
-        tuple(space.names),
+        study, plan, controller, estimate(simulations.repeats), simulations, searched,
+        tuple(flyer.failures(simulations)), tuple(flyer.rows), tuple(space.names), tuple(flyer.requirements),
     )  # fmt: skip
 
 
@@ -247,39 +276,50 @@ class _Flyer:
         progress: Callable[[int], None],
     ) -> None:
         self._study, self._space, self._controller = study, space, controller
-        self._flown = FlownRows(study, workers, journal, progress)
+        self.flown = FlownRows(study, workers, journal, progress)
+        self.requirements, self._margins_of = requirement_margins(study)
         self.rows: list[Row] = []
         self._points: list[Array] = []
-        self._numbers: dict[int, list[int]] = {}  # of each repeat's flights
+        self._numbers: dict[Place, list[int]] = {}  # of each simulation's own flights
 
-    def margins(self, asked: Mapping[int, Candidates]) -> dict[int, Array]:
-        """Return the margins of the candidates of each repeat.  Raises FlightError if flights cannot be flown."""
-        requests: list[tuple[int, int, tuple[Point, int]]] = []  # repeat, level, what is flown
-        for repeat, candidates in asked.items():
+    def margins(self, asked: Mapping[Place, Candidates]) -> dict[Place, Array]:
+        """Return the margins of candidates, a column a requirement.  Raises FlightError if flights cannot be flown."""
+        requests: list[tuple[Place, int, tuple[Point, int]]] = []  # whose, level, what is flown
+        for place, candidates in asked.items():
             self._points += list(candidates.points)
             for values, seed in zip(self._space.values(candidates.points), candidates.seeds, strict=True):
-                requests.append((repeat, candidates.level, (Point.of(self._controller, values), seed)))
-        self._flown.fly([key for *_, key in requests], _flight)
-        margins: dict[int, list[float]] = {repeat: [] for repeat in asked}
-        for repeat, level, key in requests:
-            row = self._flown.rows[key]
+                requests.append((place, candidates.level, (Point.of(self._controller, values), seed)))
+        self.flown.fly([key for *_, key in requests], _flight)
+        margins: dict[Place, list[list[float]]] = {place: [] for place in asked}
+        for place, level, key in requests:
+            row = self.flown.rows[key]
             number = len(self.rows)
-            margin = row_margin(row, self._study)
             self.rows.append(
-                {**row, "flight": number, "draw": number, "repeat": repeat, "level": level, "margin": margin}
+                {
+                    **row,
+                    "flight": number,
+                    "draw": number,
+                    "repeat": place[0],
+                    "group": place[1],
+                    "level": level,
+                    "margin": row_margin(row, self._study),
+                }
             )
-            self._numbers.setdefault(repeat, []).append(number)
-            margins[repeat].append(margin)
-        return {repeat: np.array(values) for repeat, values in margins.items()}
+            self._numbers.setdefault(place, []).append(number)
+            margins[place].append(self._margins_of(row))
+        return {place: np.array(values) for place, values in margins.items()}
 
-    def failures(self, repeats: list[Repeat]) -> list[Failure]:
+    def failures(self, simulations: Simulations) -> list[Failure]:
         """Return the failed flights of the last levels, each with its part of the probability."""
         weights: dict[int, float] = {}
-        for repeat, numbers in enumerate(self._numbers.values()):
-            last = repeats[repeat].levels[-1]
-            each = float(np.exp(repeats[repeat].log_reached)) / last.margins.size
-            for number in last.numbers[last.margins < 0.0].tolist():
-                weights[numbers[number]] = weights.get(numbers[number], 0.0) + each
+        for group, repeats in enumerate(simulations.repeats):
+            for at, repeat in enumerate(repeats):
+                first, last = repeat.levels[0].margins.size, repeat.levels[-1]
+                numbers = self._numbers[at, 0][:first] + self._numbers.get((at, group), [])[0 if group else first :]
+                each = float(np.exp(repeat.log_reached)) / last.margins.size
+                for state in np.flatnonzero(last.margins < 0.0):
+                    number = numbers[last.numbers[state]]
+                    weights[number] = weights.get(number, 0.0) + each * float(last.shares[state])
         total = sum(weights.values()) or 1.0
         return [Failure(number, self._points[number], weight / total) for number, weight in sorted(weights.items())]
 
@@ -288,10 +328,12 @@ def _flight(point: Point, seed: int, number: int) -> Flight:
     return Flight(number, number, point.controller, seed, dict(point.values))
 
 
-def describe_plan(plan: Plan) -> str:
-    """Return what is simulated, in words."""
+def describe_plan(plan: Plan, groups: int) -> str:
+    """Return what is simulated for so many groups of requirements, in words."""
     budget = plan.budget
+    several = "" if groups == 1 else f"in the first, and {budget.size_of(groups)} in every other of each group"
     return (
-        f"{budget.repeats} subset simulations of at most {budget.most_levels} levels with {budget.size} flights each, "
-        f"for probabilities down to {probability_text(budget.target)}: {budget.flights:,} flights at most"
+        f"{budget.repeats} subset simulations of at most {budget.most_levels} levels with {budget.size} flights "
+        f"{several or 'each'}, for probabilities down to {probability_text(budget.target)}: {budget.flights:,} flights "
+        "at most"
     )

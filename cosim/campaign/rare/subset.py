@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.campaign.rare.groups import Group
 from cosim.campaign.study.normal_space import draw_seed
 
 Index = np.ndarray[Any, np.dtype[np.int64]]
@@ -55,13 +56,15 @@ class Candidates(NamedTuple):
 class Level:
     """The margins of a level's flights, all of them below the threshold of the level before; numbers as flown.
 
-    ``threshold`` is where the next level begins, 0 in the last one, and ``below`` how many flights are below it.
+    ``threshold`` is where the next level begins, 0 in the last one, and ``below`` how many flights are below it: in the
+    last one the sum of their ``shares``.
     """
 
     margins: Array
     numbers: Index  # of each state's flight, counted from 0 in the repeat: a state may be one from before
     threshold: float
-    below: int
+    below: float
+    shares: Array
 
     @property
     def fraction(self) -> float:
@@ -105,50 +108,65 @@ class Repeat:
 
 
 class _States:
-    """Markov chains' states or a level's flights: points, seeds, margins and the flights' numbers."""
+    """Markov chains' states or a level's flights: points, seeds, margins, shares and the flights' numbers."""
 
-    def __init__(self, points: Array, seeds: list[int], margins: Array, numbers: Index) -> None:
-        self.points, self.seeds, self.margins, self.numbers = points, np.array(seeds, dtype=object), margins, numbers
+    def __init__(self, points: Array, seeds: Any, margins: Array, shares: Array, numbers: Index) -> None:
+        self.points, self.seeds, self.numbers = points, np.array(seeds, dtype=object), numbers
+        self.margins, self.shares = margins, shares
 
     def chosen(self, index: Index) -> _States:
         """Return a copy of the entries ``index``."""
-        return _States(self.points[index], list(self.seeds[index]), self.margins[index], self.numbers[index])
+        return _States(*(values[index] for values in self._columns()))
 
     def replace(self, index: Index, by: _States) -> None:
         """Put the entries ``index`` of other states into the same places of these."""
-        self.points[index], self.seeds[index] = by.points[index], by.seeds[index]
-        self.margins[index], self.numbers[index] = by.margins[index], by.numbers[index]
+        for mine, theirs in zip(self._columns(), by._columns(), strict=True):
+            mine[index] = theirs[index]
+
+    def _columns(self) -> tuple[Any, ...]:
+        return self.points, self.seeds, self.margins, self.shares, self.numbers
 
     @staticmethod
     def joined(parts: list[_States]) -> _States:
-        points, margins, numbers = (
-            np.concatenate([getattr(part, name) for part in parts]) for name in ("points", "margins", "numbers")
-        )
-        return _States(points, [seed for part in parts for seed in part.seeds], margins, numbers)
+        return _States(*map(np.concatenate, zip(*(part._columns() for part in parts), strict=True)))
+
+
+def first_level(dimension: int, size: int, random: np.random.Generator, seed: int | None = None) -> Candidates:
+    """Return the independent flights that a repeat begins with.  Each has this ``seed``, or one of its own."""
+    points = np.round(random.standard_normal((size, dimension)), DIGITS)
+    return Candidates(points, [draw_seed(random) if seed is None else seed for _ in range(size)], 0)
 
 
 def subset_simulation(
-    dimension: int, size: int, most_levels: int, random: np.random.Generator, seed: int | None = None
+    first: Candidates,
+    flown: Array,
+    group: Group,
+    size: int,
+    most_levels: int,
+    random: np.random.Generator,
+    seed: int | None = None,
 ) -> Generator[Candidates, Array, Repeat]:
-    """Yield the candidates of one repeat, take their margins, and return what came of it.
+    """Yield the candidates of one repeat, take their margins of every requirement, and return what came of it.
 
-    ``size`` flights a level, ``most_levels`` levels.  Every candidate has this ``seed``, or one of its own.
+    It goes on from the ``first`` level, whose margins are ``flown``, to failures of the ``group``, by at most
+    ``most_levels`` levels in all, each other one with ``size`` flights.  Every candidate has this ``seed``, or one of
+    its own.
     """
-    points = np.round(random.standard_normal((size, dimension)), DIGITS)
-    seeds = [draw_seed(random) if seed is None else seed for _ in range(size)]
-    margins = yield Candidates(points, seeds, 0)
-    states = _States(points, seeds, margins, np.arange(size))
+    count, dimension = first.points.shape
+    states = _States(first.points, first.seeds, *group.judge(flown), np.arange(count))
     levels: list[Level] = []
     judgements: list[Array] = [np.zeros((0, 2))]  # of each candidate: whether it had a new seed, and was accepted
-    flights, scale = size, FIRST_STEP
+    flights, scale = count, FIRST_STEP
     while True:
-        failed = int(np.count_nonzero(states.margins < 0.0))
-        threshold = _next_threshold(states.margins, round(LEVEL_FRACTION * size))
-        if failed >= round(LEVEL_FRACTION * size) or len(levels) + 1 == most_levels or threshold is None:
-            levels.append(Level(states.margins, states.numbers, 0.0, failed))
+        failed = states.margins < 0.0
+        least = round(LEVEL_FRACTION * failed.size)
+        threshold = _next_threshold(states.margins, least)
+        if np.count_nonzero(failed) >= least or len(levels) + 1 == most_levels or threshold is None:
+            below = float(np.sum(states.shares[failed]))
+            levels.append(Level(states.margins, states.numbers, 0.0, below, states.shares))
             return Repeat(tuple(levels), flights, *_count_accepted(np.concatenate(judgements)))
         starting = np.flatnonzero(states.margins < threshold)
-        levels.append(Level(states.margins, states.numbers, threshold, starting.size))
+        levels.append(Level(states.margins, states.numbers, threshold, starting.size, states.shares))
         model = _LinearModel(states, threshold, starting)
         random.shuffle(starting)
         chains = states.chosen(starting)
@@ -167,10 +185,10 @@ def subset_simulation(
             candidates = np.round(candidates, DIGITS)
             redrawn = random.random(moving) < (SEED_REDRAWN if seed is None else 0.0)
             seeds = [draw_seed(random) if new else old for new, old in zip(redrawn, now.seeds, strict=True)]
-            margins = yield Candidates(candidates, seeds, len(levels))
+            margins, shares = group.judge((yield Candidates(candidates, seeds, len(levels))))
             ratio = np.where(by_model, model.log_weight(now.points) - model.log_weight(candidates), 0.0)
             accepted = (margins < threshold) & (np.log1p(-random.random(moving)) <= ratio)
-            new = _States(candidates, seeds, margins, flights + np.arange(moving))
+            new = _States(candidates, seeds, margins, shares, flights + np.arange(moving))
             now.replace(np.flatnonzero(accepted), new)
             chains.replace(np.flatnonzero(accepted), new)
             judgements.append(np.stack([redrawn, accepted], axis=1))

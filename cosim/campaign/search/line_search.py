@@ -92,14 +92,15 @@ def run_together(
     answer: Callable[[Mapping[Name, Asked]], Mapping[Name, Answer]],
 ) -> dict[Name, Result]:
     """Run generators side by side to their ends; ``answer`` is given what all of them ask for next at a time."""
-    waiting = {name: next(generator) for name, generator in generators.items()}
+    answers: Mapping[Name, Answer | None] = dict.fromkeys(generators)
     ended: dict[Name, Result] = {}
-    while waiting:
-        answers = answer(waiting)
-        for name in list(waiting):
+    while answers:
+        waiting: dict[Name, Asked] = {}
+        for name, given in answers.items():
             try:
-                waiting[name] = generators[name].send(answers[name])
+                waiting[name] = generators[name].send(given)  # type: ignore[arg-type]  # nothing begins a generator
             except StopIteration as end:
-                del waiting[name]
                 ended[name] = end.value
+        told = answer(waiting) if waiting else {}
+        answers = {name: told[name] for name in waiting}
     return {name: ended[name] for name in generators}

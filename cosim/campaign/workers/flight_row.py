@@ -28,11 +28,12 @@ from cosim.results.metrics import check_expectations, metric_names
 from cosim.results.requirements import (
     FlightSignals,
     Lost,
+    Requirement,
     RequirementResult,
     range_requirements,
     smallest_margin,
 )
-from cosim.results.requirements.stated import columns_of
+from cosim.results.requirements.stated import columns_of, stated_requirements
 from cosim.simulation.plugins import load_metrics
 from cosim.spec.scenario import WaypointsCommand
 
@@ -48,6 +49,7 @@ Kinds = dict[str, type[Value]]
 _FIRST: Kinds = {"flight": int, "draw": int, "controller": str, "seed": int}
 _OUTCOME: Kinds = {"outcome": str, "reason": str, "success": bool, "beyond": str, "steps": int, "duration_s": float}
 MARGIN_OF = "margin_"  # before the name of a requirement: its margin, in its unit
+LIMITS_MARGIN = "limits_margin"  # the smallest margin of the flight's own limits and expectations, in scales
 _LAST: Kinds = {
     "controller_sha256": str,
     "controller_repeatable": bool,
@@ -150,9 +152,15 @@ def _plugin_kinds(study: Study) -> Kinds:
 
 
 def _margin_kinds(study: Study) -> Kinds:
-    """Return the columns of margins: the smallest, whose it is, and one for each requirement and limit of success."""
-    names = [entry.name for entry in study.base().require] + list(study.success)
-    return {"margin": float, "decided_by": str} | dict.fromkeys([MARGIN_OF + name for name in names], float)
+    """Return the columns of margins: the smallest, whose it is, that of limits, and one for each other requirement."""
+    names = [requirement.name for requirement in study_requirements(study)]
+    smallest: Kinds = {"margin": float, "decided_by": str, LIMITS_MARGIN: float}
+    return smallest | dict.fromkeys([MARGIN_OF + name for name in names], float)
+
+
+def study_requirements(study: Study) -> list[Requirement]:
+    """Return what a study requires of each flight beside its own limits: ``[[require]]`` and ``[success]``."""
+    return [*stated_requirements(study.base()), *range_requirements(study.success, "success")]
 
 
 def _margins(study: Study, run: Run) -> Row:
@@ -167,7 +175,9 @@ def _margins(study: Study, run: Run) -> Row:
     results = [*summary.requirements, *success]
     margin, decided_by = smallest_margin(results, lost)
     named = [result for result in results if result.source in ("require", "success")]
-    return {"margin": margin, "decided_by": decided_by} | {MARGIN_OF + result.name: result.margin for result in named}
+    limits, _ = smallest_margin([result for result in results if result.source in ("limits", "expect")], lost)
+    smallest = {"margin": margin, "decided_by": decided_by, LIMITS_MARGIN: limits}
+    return smallest | {MARGIN_OF + result.name: result.margin for result in named}
 
 
 def _sink(scenario: Scenario) -> DigestSink:

@@ -369,12 +369,10 @@ def print_worst(saved: SavedWorst) -> None:
 
 def print_rare(saved: SavedRare) -> None:
     """Print the probability and how it was made, what the failures have in common, and the files."""
-    from cosim.campaign.rare.page import LIMITS, describe_deciders, shift_rows
-    from cosim.campaign.rare.simulation import describe_plan
+    from cosim.campaign.rare.page import LIMITS, describe_deciders, describe_result, shift_rows
 
     result = saved.result
-    method = (result.estimate.method, result.seed_note, describe_plan(result.plan), result.study.engine_note)
-    for line in (result.sentence, *filter(None, method)):
+    for line in describe_result(result):
         say(line, wrap=False)
     if result.failures:
         titles = ["key", "mean [standard deviations]", "spread"]

@@ -6,6 +6,7 @@ A scenario's and a study's ``[[require]]`` state them; limits, ``[[expect]]`` an
 from cosim.results.requirements.grammar import parse_formula
 from cosim.results.requirements.requirement import (
     LOST,
+    UNKNOWN,
     Assessment,
     Lost,
     Requirement,
@@ -19,6 +20,7 @@ from cosim.results.requirements.signals import FlightSignals
 
 __all__ = [
     "LOST",
+    "UNKNOWN",
     "Assessment",
     "FlightSignals",
     "Lost",

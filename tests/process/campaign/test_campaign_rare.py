@@ -90,7 +90,9 @@ def test_a_known_truth_is_in_the_interval_and_all_is_kept(whole: SavedRare) -> N
         f"hover with smith fails with a probability of {found.text} after {whole.result.flights:,} flights; seeds of "
         "wind and noise are part of what varies"
     )
-    assert whole.result.flights == len(rows(whole)) <= 1600
+    assert len(rows(whole)) + whole.result.searched.flights == whole.result.flights <= 1600
+    assert whole.result.searched.distance == pytest.approx(2.5, abs=0.02)
+    assert whole.result.contradiction == ""
     nearest = whole.result.nearest
     assert nearest is not None
     assert nearest.distance == pytest.approx(2.5, abs=0.2)

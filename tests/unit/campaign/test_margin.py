@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from cosim.campaign.analysis.margin import SMALLEST, row_margin
+from cosim.campaign.analysis.margin import OWN_LIMITS, SMALLEST, requirement_margins, row_margin
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study
 
@@ -53,3 +53,15 @@ def test_a_stated_margin_comes_first() -> None:
     assert row_margin(row(margin=0.03), asked) == 0.03
     assert row_margin(row(margin=-0.4, success=False), asked) == -0.4
     assert row_margin(row(margin=-7.0, success=False, outcome="crashed"), asked) == -7.0
+
+
+def test_each_requirement_has_its_own_margin_and_one_is_broken_in_a_failure() -> None:
+    names, margins = requirement_margins(study([f"{ROLL}<=50", f"{HEIGHT}<=2"]))
+    assert names == [ROLL, HEIGHT, OWN_LIMITS]
+    kept = {"margin_" + ROLL: 10.0, "margin_" + HEIGHT: 1.0, "limits_margin": 0.7, "margin": 0.2}
+    assert margins(row(**kept)) == pytest.approx([0.2, 0.5, 0.7])
+    broken = kept | {"margin_" + ROLL: -5.0, "margin": -0.1, "success": False}
+    assert margins(row(**broken)) == pytest.approx([-0.1, 0.5, 0.7])
+    assert margins(row(**kept | {"success": False})) == pytest.approx([0.2, 0.5, -SMALLEST])
+    assert margins(row(success=False, outcome="failed", duration_s=None)) == [-2.0, -2.0, -2.0]
+    assert requirement_margins(study([]))[1](row(margin=0.3)) == [0.3]
