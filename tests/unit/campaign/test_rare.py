@@ -229,6 +229,18 @@ def test_the_page_has_what_was_measured_and_it_is_what_an_interval_states() -> N
     stated("docs/rare.md", "an honest interval of 95 % holds the truth in {} to {} of 100 by chance", *by_chance)
     near = {(row[0], row[1]): float(row[6].removesuffix("%")) for row in cells}
     bent = (near[TRUTHS[key].name, "1e-6"] for key in ("two", "parabola"))
+    several = (
+        float(row[3].removesuffix("%"))
+        for row in cells
+        if (row[0], row[1]) in {(TRUTHS[key].name, "1e-4") for key in measured.SEVERAL}
+    )
+    band, shallow = several
+    stated(
+        "docs/rare.md",
+        "holds `1e-4` in {} of 100 studies, of a limit of roll beside a band of height in {}",
+        shallow,
+        band,
+    )
     stated("docs/rare.md", "fewer are, {} and {} of 100 at `1e-6`", *bent)
     stated("docs/rare.md", "{} of 100 estimates of `1e-5` are within a factor of two", near["a plane, 6 keys", "1e-5"])
 
