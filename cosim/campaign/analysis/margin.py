@@ -44,13 +44,13 @@ def requirement_margins(study: Study) -> tuple[list[str], Callable[[Row], list[f
 
     def margins(row: Row) -> list[float]:
         whole, success = row_margin(row, study), bool(row["success"])
-        if not scales or row["outcome"] == "failed":
-            return [whole] * (len(scales) + 1)
         known = [(row.get(MARGIN_OF + name), scale) for name, scale in scales.items()] + [(row.get(LIMITS_MARGIN), 1.0)]
+        if all(margin is None for margin, _ in known):
+            return [UNKNOWN] * len(scales) + [whole]
         unknown = UNKNOWN if success else -UNKNOWN
         found = [unknown if margin is None else _number(margin) / scale for margin, scale in known]
-        if known[-1][0] is None:  # no limit, or the row does not say: then its margin is what no requirement explains
-            found[-1] = whole if whole < min(found[:-1]) else UNKNOWN
+        if known[-1][0] is None:
+            found[-1] = UNKNOWN
         if success:
             return [max(margin, 0.0) for margin in found]
         return found if min(found) < 0.0 else [*found[:-1], min(whole, -SMALLEST)]

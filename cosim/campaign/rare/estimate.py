@@ -23,9 +23,9 @@ from cosim.campaign.rare.subset import LEVEL_FRACTION, Repeat
 REPEATS = 8  # chosen by us: t of 7 degrees of freedom, and levels that are not too small
 CONFIDENCE = LEVEL
 SEEDS_DECIDE = 0.5  # of seed_effect: below it noise decides; 0.4 to 0.1 where half of the margin's variance is its
-SMALLEST_LEVEL = 50  # flights a level: five starts
-SMALLEST_OF_SEVERAL = 20  # flights a level of one of several groups; measured, docs/tables/rare.md
-SEARCHED = 0.05  # least part of the flights that several groups leave to the search for the nearest failure
+# Flights a level at least, of one group of requirements (five starts) and of one of several (docs/tables/rare.md), and
+# the part of all flights that several groups leave to the search for the nearest failure.
+SMALLEST_LEVEL, SMALLEST_OF_SEVERAL, SEARCHED = 50, 20, 0.05
 
 
 @dataclass(frozen=True)

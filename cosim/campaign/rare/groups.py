@@ -20,7 +20,6 @@ import numpy as np
 from cosim.base.arrays import Array
 
 QUANTILES, DEVIATIONS = (0.1, 0.01), (1.2816, 2.3263)  # of a margin, and where a normal number has them
-FAR = 20.0  # standard deviations to failure, chosen by us: four times what one in a million is away
 
 
 @dataclass(frozen=True)
@@ -39,14 +38,18 @@ class Group:
         return np.min(margins[:, self.columns] / self.spreads, axis=1), 1.0 / groups_broken
 
 
-def group_requirements(margins: Array, most: int) -> list[Group]:
-    """Return at most so many groups of requirements from the ``margins`` of independent flights, a column each."""
+def group_requirements(margins: Array, most: int, far: float = 20.0) -> list[Group]:
+    """Return at most so many groups of requirements from the ``margins`` of independent flights, a column each.
+
+    Those ``far`` standard deviations from failure have none of their own: by default four times what one in a million
+    is away.
+    """
     count = margins.shape[1]
     if count == 1:
         return [Group((0,), (1.0,))]
     distances, spreads = zip(*(measure_distance(column) for column in margins.T), strict=True)
     order = sorted(range(count), key=lambda column: distances[column])
-    alone = [[column] for column in order if distances[column] < FAR] or [order[:1]]
+    alone = [[column] for column in order if distances[column] < far] or [order[:1]]
     groups = alone[: max(most, 1)]
     groups[-1 if len(alone) > most else 0] += [column for column in order if [column] not in groups]
     return [

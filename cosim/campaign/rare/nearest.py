@@ -25,8 +25,9 @@ from cosim.campaign.study.normal_space import NormalSpace
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
 
-MAX_SEARCHED, MIN_SEARCHED = 500, 50  # flights of the search, of those that the simulations leave; chosen by us
-SEEDS_TRIED = 10  # of noise and turbulence at the failure that was found, where the seed varies
+# Flights of the search, of those that the simulations leave, and seeds of noise and turbulence that are tried at the
+# failure where they vary: chosen by us.
+MAX_SEARCHED, MIN_SEARCHED, SEEDS_TRIED = 500, 50, 10
 
 
 @dataclass(frozen=True)

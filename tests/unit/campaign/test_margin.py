@@ -63,6 +63,6 @@ def test_each_requirement_has_its_own_margin_and_one_is_broken_in_a_failure() ->
     broken = kept | {"margin_" + ROLL: -5.0, "margin": -0.1, "success": False}
     assert margins(row(**broken)) == pytest.approx([-0.1, 0.5, 0.7])
     assert margins(row(**kept | {"success": False})) == pytest.approx([0.2, 0.5, -SMALLEST])
-    assert margins(row(success=False, outcome="failed", duration_s=None)) == [-2.0, -2.0, -2.0]
+    assert margins(row(success=False, outcome="failed", duration_s=None)) == [1.0, 1.0, -2.0]
     assert requirement_margins(study([]))[1](row(margin=0.3)) == [0.3]
     assert margins(row(margin=0.3)) == [1.0, 1.0, 0.3]  # the row says no more
