@@ -12,7 +12,7 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 5_500,
-    "cosim": 105_000,
+    "cosim": 105_500,
     "docs": 6_700,
     "tests": 78_500,
     "tools/hexjet_paper": 4_600,
@@ -21,7 +21,7 @@ MAX_LINES = {
 MAX_CONSTANTS = 1_150
 # Words of README.md and the pages in docs/, and of the tables in docs/tables/.
 MAX_PAGE_WORDS = 82_000
-MAX_TABLE_WORDS = 51_100
+MAX_TABLE_WORDS = 51_600
 
 _CONSTANT = re.compile(r"^[_A-Z][A-Z0-9_]* *(: *[^=]+)?= *-?[0-9.]")
 _GENERATED = {"_messages.py"}
