@@ -30,7 +30,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "api.md"
 SECTION = re.compile(r"^(\w+)\n-{3,}\n", re.MULTILINE)
 ENTRY = re.compile(r"^(\S[^\n]*)\n((?:    [^\n]*\n?|\n(?=    ))+)", re.MULTILINE)
-MODULES = ("api", "campaign", "commands", "files", "identify", "loops", "pages")
+MODULES = ("api", "campaign", "commands", "files", "identify", "laws", "loops", "pages")
 RECORDS = ("cosim/base/signals.py", "cosim/base/protocols/records.py")
 
 

@@ -1,4 +1,4 @@
-"""Compares the laws of cosim/control/laws at the same peak sensitivity and writes docs/laws.md and its picture.
+"""Compares the laws of the literature at the same peak sensitivity and writes docs/laws.md and its picture.
 
     python docs/laws.py [--out runs/laws] [--runs N] [--workers 2]
     python docs/laws.py --tune [LAW ...]

@@ -17,7 +17,7 @@ from places import ROOT, TESTS
 from cosim.base.compiled import MODULES
 
 PACKAGE = ROOT / "cosim"
-PAPER = ROOT / "tools" / "hexjet_paper"
+TOOLS = ROOT / "tools"
 BENCHMARKS = ROOT / "benchmarks"
 
 # A file above this many lines is divided by meaning, except those here.
@@ -32,7 +32,7 @@ HOMES = {
     "jsbsim": ["vehicle/executive.py"],
     "fmpy": ["engine/"],
     "cmaes": ["campaign/search/minimise.py"],
-    "osqp": ["control/laws/mpc.py"],
+    "osqp": ["tools/hexjet_laws/mpc.py"],
     "pymavlink": ["groundstation/mavlink/"],
     "plotly": ["results/report/page.py"],
     "pyarrow": ["results/log/arrow.py"],
@@ -88,7 +88,7 @@ HEAVY = [
 def modules() -> list[Path]:
     """Every module of what is installed, as it is in the clone."""
     ours = (path for path in PACKAGE.rglob("*.py") if "data" not in path.relative_to(PACKAGE).parts)
-    return sorted([*ours, *PAPER.rglob("*.py")])
+    return sorted([*ours, *TOOLS.rglob("*.py")])
 
 
 def place(path: Path) -> str:

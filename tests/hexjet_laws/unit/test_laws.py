@@ -23,13 +23,8 @@ from cosim.base.protocols import Parameter
 from cosim.base.signals import Unallocated, Vector3
 from cosim.campaign.study.study import Study
 from cosim.control.belief import Belief
-from cosim.control.laws.adrc import AdrcAxis
 from cosim.control.laws.axis import Actuators, Axis
-from cosim.control.laws.indi import DAMPING, IndiAxis, SecondOrder
-from cosim.control.laws.lqg import KalmanFilter, add_delay, discrete_model, regulator
-from cosim.control.laws.mpc import MpcAxis
 from cosim.control.laws.optimal import ModelForm, Optimal, Target, fit_weights, make_predictor
-from cosim.control.laws.px4 import ACCELERATION_HZ, FADES, LowPass, Px4Axis
 from cosim.control.predictors.linear import model_response
 from cosim.control.rate import RateController
 from cosim.design.loop.actuator import Actuator
@@ -42,6 +37,11 @@ from cosim.results.report.marks import page_parts
 from cosim.simulation.build import build
 from cosim.simulation.controllers.models import make_predictors, make_scenario_belief
 from cosim.spec.vehicle import Vehicle
+from hexjet_laws.adrc import AdrcAxis
+from hexjet_laws.indi import DAMPING, IndiAxis, SecondOrder
+from hexjet_laws.lqg import KalmanFilter, add_delay, discrete_model, regulator
+from hexjet_laws.mpc import MpcAxis
+from hexjet_laws.px4 import ACCELERATION_HZ, FADES, LowPass, Px4Axis
 
 LawLoop, SetpointFilter = script("law_loop").LawLoop, script("law_loop").SetpointFilter
 PAGE = "docs/laws.md"

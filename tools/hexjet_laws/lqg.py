@@ -18,10 +18,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
-from cosim.control.predictors.linear import cascade
-from cosim.spec.vehicle import RateModel
+from cosim.laws import Array, Axis, AxisLaw, RateLaw, RateModel, attitude_gain_parameter, cascade, positive_parameter
 
 
 def add_delay(A: Array, B: Array, samples: int) -> tuple[Array, Array]:

@@ -4,7 +4,7 @@
 
 over the next commands, the first that still can be chosen; those on their way are in the prediction.  Commands are
 kept for ever longer blocks of steps, the horizon ``N`` is twice ``theta``.  State and disturbance come from the Kalman
-filter of :mod:`cosim.control.laws.lqg`.  While the unconstrained optimum is within the limits it is the optimum, and
+filter of :mod:`hexjet_laws.lqg`.  While the unconstrained optimum is within the limits it is the optimum, and
 the law is linear; else OSQP solves the quadratic programme.
 
 ``lambda = k^2 / (w^4 T^2)``: on an integrator it puts the loop's poles at ``w``.
@@ -21,10 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
-from cosim.base.errors import FlightError, InputError
-from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
-from cosim.control.laws.lqg import discrete_model, kalman_filter
+from cosim import FlightError, InputError
+from cosim.laws import Array, Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
+from hexjet_laws.lqg import discrete_model, kalman_filter
 
 BLOCKS = (1, 1, 1, 2, 2, 3, 4, 6, 8, 12)  # steps for which each command is kept; the last until the end
 TOLERANCE = 1e-9  # tolerance of OSQP's solution, relative to the command

@@ -6,7 +6,7 @@ it was measured, ``u_f``, to where they must be,
     u = u_f + (v - a_f) / k,   v = w (r - y_p),
     a_f = H(s) s y,  u_f = H(s) A(z) u,  H = w_f^2 / (s^2 + 1.1 w_f s + w_f^2)
 
-with ``A`` the actuators (:class:`cosim.control.laws.axis.Actuators`), so that both sides are late alike.  The rate that
+with ``A`` the actuators (:class:`cosim.laws.Actuators`), so that both sides are late alike.  The rate that
 ``v`` corrects is predicted over the delay by the same increments: ``y_p = y + T sum_j (a_f + k (x_j - u_f))``, with
 ``x_j`` the actuators j steps ahead, which the commands on their way decide.
 
@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import cos, exp, sin, sqrt
 
-from cosim.control.laws.axis import Actuators, Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
+from cosim.laws import Actuators, Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
 
 DAMPING = 0.55
 

@@ -1,6 +1,6 @@
 """Active disturbance rejection with a predictor: what is not the nominal integrator is estimated, predicted, cancelled.
 
-The axis is taken for ``y' = f + k x``, ``x = A u`` the actuators (:class:`cosim.control.laws.axis.Actuators`).  An
+The axis is taken for ``y' = f + k x``, ``x = A u`` the actuators (:class:`cosim.laws.Actuators`).  An
 extended observer is told where they are, late as they are, so that what it calls a disturbance is one; its state is run
 ahead over the delay with the commands on their way:
 
@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import exp
 
-from cosim.control.laws.axis import Actuators, Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
+from cosim.laws import Actuators, Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
 
 
 class AdrcAxis:

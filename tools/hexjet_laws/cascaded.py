@@ -2,7 +2,7 @@
 
     u = p (r - y^) + i integral(r - y^) - d y^'
 
-with ``y^`` from the predictor: see :class:`cosim.control.rate.RateAxis`.
+with ``y^`` from the predictor: see :class:`cosim.laws.RateAxis`.
 """
 
 from __future__ import annotations
@@ -11,9 +11,7 @@ from collections.abc import Mapping
 from typing import ClassVar
 
 from cosim.base.protocols import Parameter
-from cosim.control.laws.axis import Axis, AxisLaw, Pid, RateLaw, attitude_gain_parameter, positive_parameter
-from cosim.control.predictors.registry import PREDICTORS
-from cosim.control.rate import RateAxis
+from cosim.laws import PREDICTORS, Axis, AxisLaw, Pid, RateAxis, RateLaw, attitude_gain_parameter, positive_parameter
 
 
 def _gains(a: float, p: float, i: float, d: float) -> tuple[Parameter, ...]:

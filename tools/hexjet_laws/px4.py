@@ -16,8 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import cos, exp, inf, pi, radians, sqrt, tan
 
-from cosim.base.limits import clamp
-from cosim.control.laws.axis import Axis, AxisLaw, RateLaw, attitude_gain_parameter, positive_parameter
+from cosim.laws import Axis, AxisLaw, RateLaw, attitude_gain_parameter, clamp, positive_parameter
 
 FADES = radians(400.0)  # rad/s of error at which nothing is integrated any more
 ACCELERATION_HZ = 30.0  # IMU_DGYRO_CUTOFF as it ships

@@ -1,0 +1,1 @@
+"""Rate loops of the literature beside the paper's, each written against the names that users write against."""
