@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -18,6 +18,10 @@ from cosim.design.loop.limit import need_solver
 from cosim.design.loop.tuning import Tuning, candidates, designable
 from cosim.simulation.controllers.controller_file import LAW, Requirements
 from cosim.spec.vehicle import RateModel, Vehicle
+
+COMPLEXITY_COST = 0.06  # of the objective: a more complex controller must answer 3 % faster to be chosen
+LEAD_COST = 0.19  # the same of a lead, 10 % faster: it works the throttle, and believes in the engine's lags
+WITH_LEAD = " + lead"
 
 
 def candidate_names(controller: str, start: Path | None) -> Sequence[str]:
@@ -60,3 +64,16 @@ def design_axis_at_limit(
         return replace(axis, candidates={LAW: inf}, why_not=why_not)
     checks = tolerance_checks(channel, tuning, need)
     return replace(axis, candidates={LAW: value}, after=assess(channel, tuning, need), checks=checks)
+
+
+def find_simplest(objectives: Mapping[str, float]) -> str:
+    """Return the name of the first candidate, in the order of what they take, that is as good as the best.
+
+    Those with a lead only where it pays.
+    """
+    led = {name: value for name, value in objectives.items() if name.endswith(WITH_LEAD)}
+    plain = {name: value for name, value in objectives.items() if name not in led}
+    least = min(plain.values())
+    among = led if led and min(led.values()) < least - LEAD_COST else plain
+    enough = min(among.values()) + COMPLEXITY_COST
+    return next(name for name, value in among.items() if value <= enough)

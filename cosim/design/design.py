@@ -15,7 +15,13 @@ from cosim.base.signals import AXES
 from cosim.base.storage.toml import merge, parse_setting, set_path
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.design.assessment import Assessment, AxisDesign, assess, predictor_model, shipped_tuning
-from cosim.design.candidates import candidate_names, design_axis_at_limit, names_for_servos
+from cosim.design.candidates import (
+    WITH_LEAD,
+    candidate_names,
+    design_axis_at_limit,
+    find_simplest,
+    names_for_servos,
+)
 from cosim.design.levels import (
     DESIGNED,
     THRUST_AXES,
@@ -63,9 +69,6 @@ CHANNELS = (*AXES, "altitude")
 SWING = 0.005  # of the throttle, around hover: what an engine's limits on its acceleration do not see
 ABOVE_REST = 2.0  # times the thrust's own movement at rest, where a mapping file states one
 MISFIT = 0.005  # of one lag and a delay, above which more is fitted
-COMPLEXITY_COST = 0.06  # of the objective: a more complex controller must answer 3 % faster to be chosen
-LEAD_COST = 0.19  # the same of a lead, 10 % faster: it works the throttle, and believes in the engine's lags
-WITH_LEAD = " + lead"
 
 
 @dataclass(frozen=True)
@@ -481,7 +484,7 @@ def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDes
             say(f"{axis}: {key}")
             tried[key] = tune(channel, name, model, start, need, not predicted, with_lead)
     objectives = {key: result.objective for key, result in tried.items()}
-    best = tried[_simplest(objectives)]
+    best = tried[find_simplest(objectives)]
     if not isfinite(best.objective):
         nearest = describe_nearest(channel, tried, need)
         return AxisDesign(channel, before, objectives, None, {}, {}, nearest=nearest)
@@ -494,16 +497,3 @@ def _axis(channel: Channel, inputs: _AxisInputs, roll: Tuning | None) -> AxisDes
         say("what limits it")
         limits = bandwidths_without_limits(channel, after, need, lead)
     return AxisDesign(channel, before, objectives, after, limits, tolerance_checks(channel, after.tuning, need))
-
-
-def _simplest(objectives: Mapping[str, float]) -> str:
-    """Return the name of the first candidate, in the order of what they take, that is as good as the best.
-
-    Those with a lead only where it pays.
-    """
-    led = {name: value for name, value in objectives.items() if name.endswith(WITH_LEAD)}
-    plain = {name: value for name, value in objectives.items() if name not in led}
-    least = min(plain.values())
-    among = led if led and min(led.values()) < least - LEAD_COST else plain
-    enough = min(among.values()) + COMPLEXITY_COST
-    return next(name for name, value in among.items() if value <= enough)

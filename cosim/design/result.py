@@ -12,8 +12,9 @@ from cosim.base.signals import AXES
 from cosim.base.storage.files import to_json_record, write_files
 from cosim.base.storage.toml import toml_text
 from cosim.design.assessment import Assessment, AxisDesign
+from cosim.design.candidates import WITH_LEAD
 from cosim.design.controller_table import make_controller_table
-from cosim.design.design import WITH_LEAD, Design
+from cosim.design.design import Design
 from cosim.design.figures import design_figures
 from cosim.design.loop.channel import Channel
 from cosim.design.loop.closed_loop import window_s

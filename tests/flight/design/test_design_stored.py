@@ -18,13 +18,12 @@ from stored_designs import LINEAR, small_step, stored
 from cosim.base.storage.toml import read_toml
 from cosim.control.predictors.registry import BASELINE
 from cosim.design.assessment import assess, predictor_model, shipped_tuning
+from cosim.design.candidates import WITH_LEAD, find_simplest
 from cosim.design.design import (
     AXES,
-    WITH_LEAD,
     _levels,
     _read_start,
     _scenario,
-    _simplest,
     axis_requirements,
     design,
     identify_there,
@@ -80,7 +79,7 @@ def from_nothing(name: str, channel: Channel, fixed: Tuning, model: RateModel, a
     # the objective is the file's, and of those of all candidates it is the choice
     key = controller + (WITH_LEAD if lead else "")
     assert tried[key] == pytest.approx(found.objective, abs=1e-6)
-    assert _simplest({BASELINE.name: inf} | tried) == key  # a candidate that kept no requirements is not there
+    assert find_simplest({BASELINE.name: inf} | tried) == key  # a candidate that kept no requirements is not there
     return settle(channel, found.tuning, asked)
 
 

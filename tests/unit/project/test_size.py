@@ -15,6 +15,7 @@ MAX_LINES = {
     "cosim": 105_500,
     "docs": 6_700,
     "tests": 78_500,
+    "tools/hexjet_laws": 650,
     "tools/hexjet_paper": 4_600,
 }
 # Lines of the package and of the tools that begin with a name in capitals and have a number.
