@@ -19,6 +19,7 @@ from cosim.autopilots.lockstep import PARAMETER_NAME
 from cosim.base.errors import InputError
 from cosim.base.limits import clip
 from cosim.base.signals import AXES, Vector3
+from cosim.base.storage.files import read_text
 from cosim.spec.vehicle import RateGains, Vehicle
 
 # Not every release has these, nor needs them.  From 1.16: a low-pass of yaw's torque, of 2 Hz as shipped, which no
@@ -411,14 +412,8 @@ def read_parameters(path: Path) -> dict[str, float]:
 
     Raises InputError for a file that cannot be read, and for a line that is none of that.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is no text file; allowed is a name and a number on a line") from None
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
     parameters: dict[str, float] = {}
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(read_text(path).splitlines(), 1):
         words = line.split("#")[0].replace(",", " ").split()
         if not words:
             continue

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import write_whole
+from cosim.base.storage.files import read_file, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.campaign.installed import FILES, installed_versions
 from cosim.campaign.study.distributions import Vary
@@ -94,7 +94,7 @@ def check_unedited(folder: Path) -> None:
     if not (folder / RECORD).is_file():
         return
     asked = read_toml(folder / RECORD)
-    files = {name: sha256(_read(folder / name)).hexdigest() for name in asked["file"]}
+    files = {name: sha256(read_file(folder / name)).hexdigest() for name in asked["file"]}
     now = {name: read_toml(folder / name) for name in (STUDY, SCENARIO)} | {"file": files}
     for name, was, value in _differences(asked, now):
         raise InputError(f"{folder}: changed since its first flight; {name} was {was} and is {value}")
@@ -143,7 +143,7 @@ def freeze(study: Study) -> FrozenStudy:
     reserved = next((name for name in sources if name in CAMPAIGN_FILES), None)
     if reserved is not None:
         raise InputError(f"scenario {base.name}: a file named {reserved!r} cannot be copied into a campaign's folder")
-    files = {name: source if isinstance(source, bytes) else _read(source) for name, source in sources.items()}
+    files = {name: source if isinstance(source, bytes) else read_file(source) for name, source in sources.items()}
     return FrozenStudy(renamed.table(), scenario, files)
 
 
@@ -221,13 +221,6 @@ def _add_copy(source: Path, sources: dict[str, Path | bytes]) -> str:
         name, number = f"{number}-{source.name}", number + 1
     sources[name] = source
     return name
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
 
 
 def _compare_tables(where: str, saved: Any, current: Any) -> Iterator[tuple[str, Any, Any]]:

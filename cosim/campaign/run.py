@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, nullcontext
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
+from cosim.base.storage.files import parse_json
 from cosim.base.trust import need_trust
 from cosim.campaign.folder import STUDY, extend_asked, is_campaign
 from cosim.campaign.store import Campaign, Store, Tally, count_flights, open_campaign
@@ -261,7 +261,7 @@ def flight_of(study: Study, row: Row) -> Flight:
 
 def _explain_differences(row: Row, run: Run) -> list[str]:
     """Return why a flight may differ now from the recorded one."""
-    then, now = json.loads(str(row["inputs"])), json.loads(inputs(run))
+    then, now = parse_json(str(row["inputs"]), "inputs"), parse_json(inputs(run), "inputs")
     differences = [
         f"{name} was {_short(then[kind].get(name))} and is {_short(now[kind].get(name))}"
         for kind in ("versions", "sha256")

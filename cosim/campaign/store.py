@@ -20,7 +20,7 @@ from types import TracebackType
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.appended import AppendedFile
-from cosim.base.storage.files import map_os_errors, one_line, try_lock
+from cosim.base.storage.files import map_os_errors, parse_json, read_file, try_lock
 from cosim.base.trust import without_code
 from cosim.campaign.columns import stored_kinds, write_columns
 from cosim.campaign.folder import (
@@ -371,18 +371,13 @@ def _journal(folder: Path, of: int) -> Iterator[Row]:
 
     Raises InputError if it cannot be read, or has anything but flights below ``of``.
     """
-    try:
-        lines = (folder / JOURNAL).read_bytes().splitlines(keepends=True)
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        raise InputError(f"{folder / JOURNAL}: {one_line(error)}") from error
-    for number, line in enumerate(lines, 1):
+    path = folder / JOURNAL
+    for number, line in enumerate(read_file(path).splitlines(keepends=True) if path.exists() else (), 1):
         if not line.endswith(b"\n"):
             return
         try:
-            row = json.loads(line)
-        except ValueError:
+            row = parse_json(line, str(path), finite=False)
+        except InputError:
             return
         is_row = isinstance(row, dict) and row.keys() >= set(_TALLIED)
         if not is_row or not isinstance(row["flight"], int) or not 0 <= row["flight"] < of:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import FlightError, InputError
+from cosim.base.storage.files import read_file
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.scratch import scratch, temporary
 from cosim.base.trust import code_of, remember
@@ -122,8 +123,7 @@ def _resources(flight: ExportedFlight, contents: VehicleContents) -> Mapping[str
     """Return the FMU's resources: the flight with its files, the manifest for its process, and the interpreter."""
     resolved, files = resolve(flight.simulation)
     flight_files = {
-        f"{FLIGHT}/{name}": source if isinstance(source, bytes) else source.read_bytes()
-        for name, source in files.items()
+        f"{FLIGHT}/{name}": source if isinstance(source, bytes) else read_file(source) for name, source in files.items()
     }
     manifest = {
         "versions": versions(),

@@ -7,7 +7,6 @@ line that says why not.  Its first word, a 0, says that it is ready.  It ends wh
 
 from __future__ import annotations
 
-import json
 import os
 import struct
 import sys
@@ -74,13 +73,14 @@ class _Server:
 
     def __init__(self, socket: _Socket, folder: Path) -> None:
         from cosim.base.errors import InputError
+        from cosim.base.storage.files import read_json
         from cosim.base.trust import trust
         from cosim.codegen.vehicle_ports import VehicleContents
         from cosim.results.summary import versions
         from cosim.spec.scenario import Scenario
 
         self._socket = socket
-        manifest: dict[str, Any] = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        manifest: dict[str, Any] = read_json(folder / MANIFEST)
         differences = describe_version_differences(manifest["versions"], versions())
         if differences and not os.environ.get(ANY_VERSION):
             raise InputError(

@@ -15,6 +15,7 @@ from typing import NamedTuple, TypeVar
 from cosim.base.errors import InputError, nearest
 from cosim.base.removed import describe_removed
 from cosim.base.storage.cache import RecentCache
+from cosim.base.storage.files import read_file
 from cosim.base.storage.paths import data_folder
 from cosim.base.trust import Code
 from cosim.engine.fmu.air import STANDARD_AIR, Air
@@ -316,9 +317,7 @@ def _without_mapping(fmu: str) -> MappingFile:
 def _definition(folder: Path) -> EngineDefinition:
     path = folder / "engine.toml"
     try:
-        return _definitions.get((folder, path.read_bytes()), lambda: read_engine(folder))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
+        return _definitions.get((folder, read_file(path)), lambda: read_engine(folder))
     except BuildError as error:
         raise InputError(str(error)) from error
 

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from cosim.base.errors import FlightError, InputError
 from cosim.base.outcomes import Outcome
 from cosim.base.protocols import Column
-from cosim.base.storage.files import lock_file, read_text, write_whole
+from cosim.base.storage.files import lock_file, read_file, read_text, write_whole
 from cosim.base.storage.toml import toml_text
 from cosim.results.log.arrow import ParquetLog, StreamSink, read_note, stream_to_parquet
 from cosim.results.log.columns import COLUMNS
@@ -218,7 +218,7 @@ def begin_run(
     stream = StreamSink(folder / STREAM, setup.model_dump_json(), columns)
     try:
         for name, source in (files or {}).items():
-            write_whole(folder / name, source if isinstance(source, bytes) else source.read_bytes(), FlightError)
+            write_whole(folder / name, source if isinstance(source, bytes) else read_file(source), FlightError)
         write_whole(folder / SCENARIO, scenario_toml(scenario), FlightError)
     except (OSError, FlightError) as error:
         stream.close()

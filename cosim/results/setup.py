@@ -7,6 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from cosim.base.runtime import kernels
+from cosim.base.storage.files import read_file
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
 from cosim.results.expectations import allowed_metric_names, find_expectation
@@ -183,7 +184,7 @@ def _engine_hashes(specs: Sequence[EngineSpec]) -> dict[str, str]:
     for spec in specs:
         files = {spec.path: spec.sha256}
         if spec.mapping is not None:
-            files[spec.mapping] = sha256(spec.mapping.read_bytes()).hexdigest()
+            files[spec.mapping] = sha256(read_file(spec.mapping)).hexdigest()
         for path, value in files.items():
             name = path.name if hashes.get(path.name, value) == value else str(path)
             hashes[name] = value

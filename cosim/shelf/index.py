@@ -17,7 +17,7 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import map_os_errors
+from cosim.base.storage.files import map_os_errors, read_file, read_json, read_text
 from cosim.campaign.folder import FLIGHTS, STUDY
 from cosim.identify.logs import is_flight_log
 from cosim.results.run import SUMMARY
@@ -65,7 +65,7 @@ def write_index(folder: Path) -> Path:
 
     rows = [entry._asdict() | {"page": _link(entry), "text": _searched_text(entry)} for entry in list_entries(folder)]
     page = folder / INDEX
-    if page.exists() and GENERATOR not in page.read_text(encoding="utf-8", errors="replace")[:1000]:
+    if page.exists() and GENERATOR not in read_file(page, first=1000).decode(errors="replace"):
         raise InputError(f"{page}: was not written by hexjet open; move it, or the page would replace it")
     data = json.dumps(rows, allow_nan=False).replace("<", "\\u003c")
     render(
@@ -104,8 +104,8 @@ def read_entry(folder: Path) -> Entry:
         return Entry(folder.name, LOG if is_flight_log(folder) else "", began, {}, "")
     page = next((name for name in ("report.html", "comparison.html", "search.html") if (folder / name).is_file()), "")
     page = page or next((path.name for path in sorted(folder.glob("[!.]*.html"))), "")
-    with suppress(OSError, ValueError):
-        summary = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+    with suppress(InputError):
+        summary = read_json(folder / SUMMARY)
         if isinstance(summary, dict):
             return Entry(folder.name, RUN, _summary_details(summary), flatten_metrics(summary), page)
     began = {"started": datetime.fromtimestamp(folder.stat().st_mtime, UTC).isoformat(timespec="seconds")}
@@ -145,8 +145,8 @@ def _study(path: Path) -> dict[str, str]:
 
 def _read_head(path: Path) -> dict[str, Any]:
     """Return what a TOML file has before its first table, all of it where that alone cannot be read; else nothing."""
-    with suppress(OSError, ValueError, RecursionError):
-        text = path.read_text(encoding="utf-8")
+    with suppress(ValueError, RecursionError):
+        text = read_text(path)
         with suppress(tomllib.TOMLDecodeError):  # a line of a text or of a list may begin like a table
             return tomllib.loads(text.partition("\n[")[0])
         return tomllib.loads(text)

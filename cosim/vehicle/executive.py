@@ -20,6 +20,7 @@ import jsbsim
 
 from cosim.base.errors import FlightError, InputError, notify
 from cosim.base.storage.cache import RecentCache
+from cosim.base.storage.files import read_file
 from cosim.vehicle.model_file import ACTING, find_acting_property, find_line
 
 Property = jsbsim.FGPropertyNode
@@ -91,7 +92,7 @@ class Executive:
                 raise Complaint("")
         except Complaint as error:
             raise self._refusal_for(str(error)) from None
-        self._xml = file.read_bytes()
+        self._xml = read_file(file)
         self._check_properties(self._xml)
         fdm.set_dt(step)
         self.run: Callable[[], bool] = fdm.run

@@ -9,7 +9,6 @@ from __future__ import annotations
 import copy
 import posixpath
 import re
-import stat
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +17,7 @@ from xml.parsers import expat
 
 from cosim.base.errors import InputError, notify
 from cosim.base.storage.cache import RecentCache
+from cosim.base.storage.files import read_file
 
 # The parts of which JSBSim makes what flies, in the order in which it reads them
 FLOWN: Final = (
@@ -32,7 +32,7 @@ ACTING: Final = tuple(
         "jsbsim-debug",
     )
 )  # fmt: skip
-MOST_BYTES: Final = 2**26  # most bytes of one file; the largest of JSBSim's own aircraft has 400 kB
+MAX_MB: Final = 64.0  # of one file; the largest of JSBSim's own aircraft has 0.4
 _NONE: Final = b"<fdm_config/>"
 # may name other files, or has an encoding or definitions that hide it
 _HIDES: Final = re.compile(rb"\sfile\s*=|\0|<!DOCTYPE")
@@ -48,7 +48,7 @@ def read_model(model: Path | None) -> bytes:
     """
     if model is None:
         return _NONE
-    text = _read(model)
+    text = read_file(model, MAX_MB)
     if _names_others.get(text, lambda: _HIDES.search(text) is not None):
         return _strip_model(model, text)
     return _cache.get((model, text), lambda: _strip_model(model, text))
@@ -65,23 +65,10 @@ def parse(path: Path, text: bytes) -> ET.Element:
 def find_line(model: Path, name: str) -> str:
     """Return where a word stands in a model or a file that it names, as ``path, line N``; the model's path if not."""
     for path in [model, *_named_files(model)]:
-        numbers = _lines(path.read_bytes(), lambda text: name in _words(text))
+        numbers = _lines(read_file(path, MAX_MB), lambda text: name in _words(text))
         if numbers:
             return f"{path}, line {numbers[0]}"
     return str(model)
-
-
-def _read(path: Path) -> bytes:
-    """Return the contents of a file.  Raises InputError where it is not a file, or larger than a model can be."""
-    try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise InputError(f"{path}: is no file")
-        if status.st_size > MOST_BYTES:
-            raise InputError(f"{path}: has {status.st_size} bytes; at most {MOST_BYTES}")
-        return path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
-        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
 
 
 def _strip_model(model: Path, text: bytes) -> bytes:
@@ -119,7 +106,7 @@ def _find_file(model: Path, part: ET.Element) -> Path:
 
 def _merge_file(file: Path, part: ET.Element, model: Path) -> ET.Element:
     """Return a part with the contents of its file after its own; of a property that both have, its own counts."""
-    other = parse(file, _read(file))
+    other = parse(file, read_file(file, MAX_MB))
     if other.tag != part.tag:
         raise InputError(f"{file}: is a {other.tag}, where {model.name} takes a {part.tag} from it")
     if "file" in other.attrib:
@@ -136,7 +123,7 @@ def _merge_file(file: Path, part: ET.Element, model: Path) -> ET.Element:
 
 
 def _named_files(model: Path) -> list[Path]:
-    root = parse(model, _read(model))
+    root = parse(model, read_file(model, MAX_MB))
     return [_find_file(model, part) for part in root if "file" in part.attrib and part.tag in FLOWN]
 
 

@@ -26,6 +26,7 @@ from types import CodeType, ModuleType
 
 from cosim.base.compiled import PACKAGE
 from cosim.base.errors import InputError, describe_error
+from cosim.base.storage.files import read_file
 from cosim.base.trust import Code, CodeRefusedError, code_of, is_code_forbidden, need_trust, process_name
 
 _PREFIX = "hexjet_controller_"  # modules that were made of files here
@@ -35,7 +36,7 @@ _RUNNABLE = tuple(all_suffixes())
 def execute_file(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
     """Execute a Python file; return its module and the files beside it that it imports.  Raises InputError."""
     folder = path.resolve().parent
-    text = path.read_bytes()
+    text = read_file(path)
     need_trust([Code(path, hashlib.sha256(text).hexdigest()), *_imports(path, path)], where)
     module = ModuleType(f"{_PREFIX}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}")
     module.__file__ = str(path)
@@ -58,7 +59,7 @@ def execute_file(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
 
 
 def python_code(path: Path) -> list[Code]:
-    """Return a file of Python and the files beside it that it imports, as code.  Raises OSError."""
+    """Return a file of Python and the files beside it that it imports, as code.  Raises InputError."""
     return [code_of(path), *_imports(path, path)]
 
 
@@ -66,7 +67,7 @@ def program_code(path: Path, arguments: str) -> list[Code]:
     """Return what a program runs, as code: its file with its arguments, and the files beside it that it is given.
 
     Of Python also what these are seen to import, with compiled copies that lie there: Python takes those first.  Raises
-    OSError.
+    InputError.
     """
     name = process_name(path, arguments)
     beside = [file for word in arguments.split() if (file := path.parent / word).is_file()]
@@ -90,7 +91,7 @@ def _imports(path: Path, name: Path | str) -> list[Code]:
                         waiting += [file] if file.suffix == ".py" else []
     code: list[Code] = []
     for file in found:
-        with suppress(OSError):
+        with suppress(InputError):
             code.append(code_of(file, name))
     return code
 
@@ -98,7 +99,7 @@ def _imports(path: Path, name: Path | str) -> list[Code]:
 def _names(path: Path) -> set[str]:
     """Return the modules that a Python file imports, anywhere in it, by the first part of their names."""
     names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_bytes())):
+    for node in ast.walk(ast.parse(read_file(path))):
         if isinstance(node, ast.Import):
             names |= {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:

@@ -16,6 +16,9 @@ from typing import Any
 
 from cosim.base.errors import FlightError, InputError
 
+# Scenarios, summaries, journals and archives of engines stay below some tens of MB; more than this is no such file.
+MAX_FILE_MB = 256.0
+
 
 @contextmanager
 def replace_on_success(path: Path) -> Iterator[Path]:
@@ -55,12 +58,69 @@ def open_without_links(path: str | Path, flags: int) -> int:
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0), 0o666)
 
 
-def read_text(path: Path, encoding: str = "utf-8") -> str:
-    """Return the text of a file.  Raises InputError with file and reason in a line."""
+def read_file(path: Path, max_mb: float = MAX_FILE_MB, first: int = -1) -> bytes:
+    """Return the content of a file of somebody else, or its ``first`` bytes.
+
+    What lies there may be a pipe that nobody writes to or a device without an end: neither is waited for or read.
+    Raises InputError with file and reason in a line for what is no regular file, or larger than ``max_mb`` (of 2**20
+    bytes).
+    """
     try:
-        return path.read_text(encoding=encoding)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+        with open(path, "rb", opener=_open_at_once) as file:
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                raise InputError(f"{path}: is a device or a pipe; an ordinary file is needed")
+            if status.st_size > max_mb * 2**20:
+                raise InputError(f"{path}: has {status.st_size / 2**20:.0f} MB; allowed: at most {max_mb:g}")
+            return file.read(first)
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:  # a name may have a zero in it
+        raise InputError(f"{path}: {one_line(error)}") from error
+
+
+def _open_at_once(path: str | Path, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_text(path: Path, encoding: str = "utf-8") -> str:
+    """Return the text of a file, with its line ends as ``\\n``.  Raises InputError with file and reason in a line."""
+    try:
+        text = read_file(path).decode(encoding)
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: no text (byte {error.start})") from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_json(path: Path) -> Any:
+    """Return what a file of JSON holds.  Raises InputError as :func:`read_file` and :func:`parse_json` do."""
+    return parse_json(read_file(path), str(path))
+
+
+def parse_json(text: str | bytes, where: str, finite: bool = True) -> Any:
+    """Return what is written as JSON.
+
+    Raises InputError, in a line with ``where``, for what is no JSON, is nested too deep and, unless ``finite`` is off,
+    for NaN and infinities.
+    """
+    try:
+        return json.loads(text, **(_FINITE if finite else {}))
+    except RecursionError as error:
+        raise InputError(f"{where}: JSON that is nested too deep") from error
+    except ValueError as error:
+        raise InputError(f"{where}: cannot be read as JSON: {one_line(error)}") from error
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON")
+
+
+def _parse_finite(digits: str) -> float:
+    number = float(digits)
+    return number if isfinite(number) else _refuse_constant(digits[:40])
+
+
+_FINITE: dict[str, Any] = {"parse_constant": _refuse_constant, "parse_float": _parse_finite}
 
 
 def write_all(file: int, data: bytes) -> None:
@@ -119,10 +179,8 @@ def check_results_folder(out: Path | str | None, record: str, *files: str) -> No
 def holds_record(path: Path) -> bool:
     """Return whether a command's results are there, by the file that it always leaves."""
     try:
-        return (
-            isinstance(json.loads(path.read_text(encoding="utf-8")), dict) if path.suffix == ".json" else path.is_file()
-        )
-    except (OSError, ValueError, RecursionError):
+        return isinstance(read_json(path), dict) if path.suffix == ".json" else path.is_file()
+    except (OSError, InputError):
         return False
 
 

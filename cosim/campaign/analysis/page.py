@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cosim.base.arrays import Array
+from cosim.base.storage.files import parse_json
 from cosim.campaign.analysis.claim import judge_claim
 from cosim.campaign.analysis.figures import KIND_COLOURS, campaign_figures
 from cosim.campaign.analysis.sensitivity import Ranking, joint
@@ -265,7 +265,7 @@ def collect_sources(campaign: Campaign) -> dict[str, list[str]]:
     """Return by name every version and file hash of aircraft and engines with which flights were computed."""
     sources: dict[str, list[str]] = {}
     for text in dict.fromkeys(campaign.columns.get("inputs", [])):
-        for part in json.loads(str(text)).values() if text else ():
+        for part in parse_json(str(text), "inputs", finite=False).values() if text else ():
             for name, value in part.items():
                 sources.setdefault(name, [])
                 sources[name] += [value] if value not in sources[name] else []

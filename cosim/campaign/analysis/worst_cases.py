@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import map_os_errors, write_whole
+from cosim.base.storage.files import map_os_errors, read_file, write_whole
 from cosim.base.storage.toml import toml_text
 from cosim.base.trust import CodeRefusedError, is_code_forbidden
 from cosim.campaign.analysis.summary import SUCCESS, controller_indices, unmet_criteria
@@ -171,4 +171,4 @@ def write_flight(scenario: Scenario, folder: Path, name: str) -> str:
 def _write(path: Path, content: Path | bytes) -> None:
     with map_os_errors(FlightError, path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, content if isinstance(content, bytes) else content.read_bytes())
+        write_whole(path, content if isinstance(content, bytes) else read_file(content))

@@ -6,14 +6,13 @@ Appendix E), the words are ours.  No level is given here: what the evidence is w
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import read_text
+from cosim.base.storage.files import read_json
 from cosim.base.storage.toml import read_toml
 
 RECORD = Path(__file__).with_name("evidence.toml")
@@ -61,7 +60,7 @@ def read_comparison(path: Path) -> dict[str, Any]:
     """
     file = path / "replay.json" if path.is_dir() else path
     try:
-        data = json.loads(read_text(file))
+        data = read_json(file)
         keys = ("log", "log_sha256", "simulated", "aircraft", "engine", "verdict", "seconds")
         return {key: data[key] for key in keys}
     except KeyError as error:

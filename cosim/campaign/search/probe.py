@@ -9,7 +9,7 @@ from math import ceil
 from pathlib import Path
 
 from cosim.base.errors import FlightError
-from cosim.base.storage.files import map_os_errors, one_line, open_without_links
+from cosim.base.storage.files import map_os_errors, one_line, open_without_links, parse_json
 from cosim.campaign.study.engine_draw import EngineDraw
 from cosim.campaign.study.key import Value
 from cosim.campaign.study.plan import Flight
@@ -164,7 +164,7 @@ class Journal:
                     if not line.endswith(b"\n"):
                         file.truncate(file.tell() - len(line))
                         break
-                    entry = json.loads(line)
+                    entry = parse_json(line, "", finite=False)
                     rows[Point.of(entry["controller"], entry["values"]), entry["seed"]] = entry["row"]
         except OSError as error:
             raise FlightError(f"{self.path}: {one_line(error)}") from error

@@ -374,7 +374,7 @@ def study_code(study: Study) -> list[Code]:
             elif kind == "aircraft":
                 code += list_aircraft_code(value, base.folder, with_engine=True)
     if study.autopilot is not None and (program := study.autopilot.program(study.folder)):
-        with suppress(OSError):
+        with suppress(InputError):
             code.append(code_of(program))
     return list(dict.fromkeys(code))
 

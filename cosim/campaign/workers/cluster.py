@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 from cosim.base.errors import FlightError, InputError
+from cosim.base.storage.files import read_json
 from cosim.base.storage.scratch import scratch
 from cosim.campaign.folder import FrozenStudy, freeze
 from cosim.campaign.installed import installed_versions, list_differences
@@ -361,8 +362,8 @@ def _scheduler_at(address: str) -> str:
     """Return the address of a scheduler that answers within ``CONNECT_S``.  Raises InputError if none does."""
     if address.endswith(".json"):
         try:
-            scheduler = str(json.loads(Path(address).read_text(encoding="utf-8"))["address"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            scheduler = str(read_json(Path(address))["address"])
+        except (ValueError, KeyError, TypeError) as error:
             raise InputError(f"--cluster {address}: no scheduler file: {_line(error)}") from error
     else:
         scheduler = address

@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, nearest
+from cosim.base.storage.files import read_file
 from cosim.base.storage.toml import Model, NotNegative, read_toml, toml_text
 from cosim.engine.fmu.variables import LEVERS, Variable
 
@@ -174,7 +175,7 @@ def without_uncertainty(path: Path) -> tuple[bytes, bytes]:
     """
     table = read_toml(path)
     table.pop("uncertainty", None)
-    return toml_text(table).encode(), _OLDER_CUT.sub(b"", path.read_bytes())
+    return toml_text(table).encode(), _OLDER_CUT.sub(b"", read_file(path))
 
 
 def cut_normal(quantiles: Array, centre: Array, deviation: float, low: float = -np.inf, high: float = np.inf) -> Array:

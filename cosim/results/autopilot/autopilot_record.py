@@ -35,7 +35,7 @@ from cosim.base.errors import InputError
 from cosim.base.frames import to_euler
 from cosim.base.signals import Sample
 from cosim.base.storage.appended import AppendedFile
-from cosim.base.storage.files import map_os_errors, read_text
+from cosim.base.storage.files import map_os_errors, parse_json, read_text
 from cosim.results.run import AUTOPILOT
 
 if TYPE_CHECKING:  # a page reads the records of flights without an autopilot too: there are none
@@ -146,10 +146,7 @@ def read_pilot_record(folder: Path) -> list[Line]:
 
 def _lines(path: Path, text: str) -> Iterator[Line]:
     for number, line in enumerate(text.split("\n")[:-1], 1):
-        try:
-            entry = json.loads(line)
-        except ValueError as error:
-            raise InputError(f"{path}, line {number}: not JSON ({error})") from error
+        entry = parse_json(line, f"{path}, line {number}")
         if not isinstance(entry, dict) or not isinstance(entry.get("k"), int) or not isinstance(entry.get("kind"), str):
             raise InputError(f"{path}, line {number}: must be an object with the step k and a kind")
         yield entry

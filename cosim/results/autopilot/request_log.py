@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from cosim.base.errors import InputError
 from cosim.base.storage.appended import AppendedFile
-from cosim.base.storage.files import map_os_errors, read_text
+from cosim.base.storage.files import map_os_errors, parse_json, read_text
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.requests import Answer, Request, from_dict, to_dict
 
@@ -69,10 +69,7 @@ def read_requests(path: Path) -> list[Entry]:
 
 
 def _entry(line: str, where: str) -> Entry:
-    try:
-        data = json.loads(line)
-    except ValueError as error:
-        raise InputError(f"{where}: not JSON ({error})") from error
+    data = parse_json(line, where)
     if not isinstance(data, dict):
         raise InputError(f"{where}: must be a JSON object")
     step = data.get("step")

@@ -18,7 +18,7 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.protocols import Column
-from cosim.base.storage.files import one_line
+from cosim.base.storage.files import one_line, read_file
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.export.output import (
     ROWS,
@@ -94,7 +94,7 @@ def export_mcap(folder: Path, path: Path) -> None:
         )
         for name, kind in ((SCENARIO, "application/toml"), (SUMMARY, "application/json")):
             if (folder / name).is_file():
-                writer.add_attachment(0, 0, name, kind, (folder / name).read_bytes())
+                writer.add_attachment(0, 0, name, kind, read_file(folder / name))
         channels = register_channels(writer, describe_columns(run))
         drawing = scene.Scene(writer, run.summary.step_s, read_flown_scenario(run))
         texts = _texts(writer, log_lines(run, read_pilot_record(folder)))

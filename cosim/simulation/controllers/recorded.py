@@ -14,6 +14,7 @@ from pathlib import Path
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.protocols import Applied, Column
 from cosim.base.signals import Actuation, Command, Measured, PerJet, Unallocated
+from cosim.base.storage.files import read_text
 
 ACTUATORS = "actuators.csv"  # in a run's folder
 TILTS = ("tilt_left_rad", "tilt_right_rad")
@@ -39,8 +40,8 @@ def format_row(row: Row, servo: bool) -> str:
 def read_rows(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
     """Read the rows of a table, and the columns for the log.  Raises InputError with the line that does not fit."""
     try:
-        first, *lines = path.read_text().splitlines()
-    except (OSError, ValueError) as error:
+        first, *lines = read_text(path).splitlines()
+    except ValueError as error:
         raise InputError(f"{where}: {path}: is no table of actuator commands: {error or 'it is empty'}") from None
     names = first.split(",")
     jets = 0

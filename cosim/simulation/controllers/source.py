@@ -29,6 +29,7 @@ from cosim.base.plugins.entry_points import describe_entry, find_entries, load_e
 from cosim.base.plugins.execute import execute_file, import_installed, program_code
 from cosim.base.protocols import Column, Parameter
 from cosim.base.storage.cache import RecentCache
+from cosim.base.storage.files import read_file
 from cosim.base.trust import Code, CodeRefusedError, code_of, need_trust
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.simulation.controllers import recorded
@@ -57,7 +58,7 @@ NAME = re.compile(r"[A-Za-z_]\w*")
 
 
 def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(read_file(path)).hexdigest()
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
+from io import StringIO
 from math import cos, isfinite, log, pi, radians, sin
 from pathlib import Path
 from typing import Final
 
 from cosim.base.errors import InputError, nearest
 from cosim.base.signals import Command
+from cosim.base.storage.files import read_text
 from cosim.spec.scenario import (
     SIGNALS,
     DoubletCommand,
@@ -231,10 +233,11 @@ def read_columns(
     do not grow, no rows.
     """
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{where}: {path}: {getattr(error, 'strerror', None) or error}") from error
+        rows = list(csv.reader(StringIO(read_text(path, "utf-8-sig"))))
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+    except csv.Error as error:
+        raise InputError(f"{where}: {path}: {error}") from error
     header = _read_header(rows, path, allowed)
     if all_of_them and header[1:] != list(allowed):
         raise InputError(f"{path}: line 1: must be {','.join(('time_s', *allowed))}")

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field
 
 from cosim.base.errors import InputError
+from cosim.base.storage.files import read_file
 from cosim.base.storage.toml import Model
 
 _CONTENTS: dict[tuple[str, str], bytes] = {}  # contents by path and hash, of files that a command or a study named
@@ -59,11 +60,9 @@ def read_verified(entry: ParameterFile, folder: Path, where: str) -> bytes:
 def read_whole(path: Path, where: str) -> bytes:
     """Return a file's content.  Raises InputError that begins with ``where``."""
     try:
-        if path.exists() and not path.is_file():
-            raise InputError(f"{where}: {path}: is no file")
-        return path.read_bytes()
-    except (OSError, ValueError) as error:  # a name may have a zero in it
-        raise InputError(f"{where}: {path}: {getattr(error, 'strerror', None) or error}") from error
+        return read_file(path)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
 
 
 def parse_table(content: bytes, where: str) -> dict[str, Any]:

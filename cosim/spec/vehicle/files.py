@@ -10,7 +10,7 @@ from typing import Any
 from cosim.base.errors import InputError, nearest
 from cosim.base.signals import Vector3
 from cosim.base.storage.cache import RecentCache
-from cosim.base.storage.files import map_os_errors
+from cosim.base.storage.files import read_file
 from cosim.base.storage.paths import data_folder, names_in
 from cosim.base.storage.toml import Model, Positive, merge, read_toml, validate
 from cosim.spec.file_kind import AIRCRAFT, describe_path, refuse_other_kind
@@ -154,10 +154,9 @@ def _without_bank_inertia(overrides: dict[str, Any]) -> dict[str, Any]:
 
 def _source_texts(path: Path) -> list[bytes]:
     """Return the contents of an aircraft's file and of the file that it is scaled from, where there is one."""
-    with map_os_errors(InputError, path):
-        text = path.read_bytes()
+    text = read_file(path)
     base = _bases.get((path, text), lambda: _find_base(path))
-    return [text] if base is None else [text, (data_folder("aircraft") / base / VEHICLE).read_bytes()]
+    return [text] if base is None else [text, read_file(data_folder("aircraft") / base / VEHICLE)]
 
 
 def _find_base(path: Path) -> str | None:

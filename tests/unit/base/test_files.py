@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
 
@@ -10,7 +11,14 @@ import pytest
 from patience import PATIENCE
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.storage.files import open_without_links, replace_on_success, write_whole
+from cosim.base.storage.files import (
+    open_without_links,
+    parse_json,
+    read_file,
+    read_json,
+    replace_on_success,
+    write_whole,
+)
 from cosim.campaign.search.probe import Journal
 from cosim.results.autopilot.request_log import RequestLog
 
@@ -79,3 +87,84 @@ def test_a_link_to_a_device_is_refused_and_stays(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"report\.html: is a link to a device or a pipe; name an ordinary file$"):
         write_whole(link, "ours", InputError)
     assert link.is_symlink()
+
+
+# ---- files of somebody else
+
+
+def _readers() -> dict[str, Callable[[Path], object]]:
+    """What reads a file that a scenario, a command line or a folder names."""
+    from cosim.autopilots.parameters import read_parameters
+    from cosim.base.plugins.execute import execute_file, program_code
+    from cosim.base.storage.toml import read_toml
+    from cosim.base.trust import code_of
+    from cosim.groundstation.mavlink.wire.signing import read_key
+    from cosim.identify.logs import read_flight_log
+    from cosim.identify.prediction_error.validate import read_model
+    from cosim.results.autopilot.request_log import read_requests
+    from cosim.simulation.controllers.recorded import read_rows
+    from cosim.simulation.script.command_script import read_columns
+    from cosim.spec.scenario.parameter_file import read_whole
+    from cosim.vehicle.model_file import read_model as read_airframe
+
+    return {
+        "mapping": read_toml,
+        "python": lambda path: execute_file(path, "controller"),
+        "program": lambda path: program_code(path, ""),
+        "controller FMU": code_of,
+        "wind": lambda path: read_columns(path, ("north_m_s",), "wind"),
+        "commands": lambda path: read_rows(path, "controller"),
+        "requests": read_requests,
+        "parameter file": lambda path: read_whole(path, "parameters"),
+        "autopilot's parameters": read_parameters,
+        "key": read_key,
+        "model": read_model,
+        "airframe": read_airframe,
+        "log": read_flight_log,
+        "json": read_json,
+    }
+
+
+@pytest.mark.parametrize("name", _readers())
+@pytest.mark.parametrize("what", ["pipe", "device", "huge", "missing"])
+def test_what_is_no_ordinary_file_is_refused_at_once(tmp_path: Path, name: str, what: str) -> None:
+    path = tmp_path / "file"
+    if what == "pipe":
+        os.mkfifo(path)
+    elif what == "device":
+        path.symlink_to("/dev/zero")
+    elif what == "huge":
+        with path.open("wb") as file:
+            file.truncate(20 * 2**30)
+    with pytest.raises(InputError) as refused:
+        _readers()[name](path)
+    said = {"pipe": "a device or a pipe", "device": "a device or a pipe", "huge": "20480 MB", "missing": ""}[what]
+    assert said in str(refused.value)
+    assert str(path) in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (b"[" * 100_000, "nested too deep"),
+        (b'{"a": NaN}', "NaN is no number of JSON"),
+        (b"[-Infinity]", "-Infinity is no number of JSON"),
+        (b"[1e999]", "1e999 is no number of JSON"),
+        (b'{"a": 1', "cannot be read as JSON"),
+        (b"\xff\xfe", "cannot be read as JSON"),
+    ],
+)
+def test_json_is_finite_and_not_deep(tmp_path: Path, text: bytes, said: str) -> None:
+    path = tmp_path / "summary.json"
+    path.write_bytes(text)
+    with pytest.raises(InputError, match=said) as refused:
+        read_json(path)
+    assert str(refused.value).startswith(f"{path}: ")
+    assert "\n" not in str(refused.value)
+
+
+def test_json_of_rows_may_have_what_is_missing(tmp_path: Path) -> None:
+    assert parse_json('{"a": [1.5, null]}', "row", finite=False) == {"a": [1.5, None]}
+    assert parse_json("[NaN]", "row", finite=False)[0] != 0.0
+    assert read_file(Path(__file__), first=3) == b'"""'

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -42,6 +43,18 @@ def test_what_a_folder_holds(runs: Path) -> None:
     assert third.details["controller"] == "smith"
     assert third.metrics == {"roll.rmse_rad": 0.003, "position.drift_m": 4.0, "own.jerk": 2.0, "duration_s": 20.0}
     assert (third.page, found["drawn"].page) == ("report.html", "drawing.html")
+
+
+@pytest.mark.parametrize("content", ["[" * 100_000, '{"metrics": {"roll": {"rmse_rad": NaN}}}', "pipe"])
+def test_one_file_does_not_take_the_others_down(runs: Path, content: str) -> None:
+    file = runs / "run-00003" / "summary.json"
+    file.unlink()
+    if content == "pipe":
+        os.mkfifo(file)
+    else:
+        file.write_text(content)
+    rows = [entry.name for entry in list_entries(runs) if entry.kind == RUN]
+    assert sorted(rows) == [f"run-{k:05d}" for k in (0, 1, 2, 4, 5)]
 
 
 def test_logs_of_other_controllers_lie_there_too(runs: Path) -> None:

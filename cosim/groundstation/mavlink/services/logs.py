@@ -20,6 +20,7 @@ from pathlib import Path
 from threading import Thread
 
 from cosim.base.runtime.processes import Child, python_command
+from cosim.base.storage.files import read_json
 from cosim.base.storage.scratch import scratch
 from cosim.groundstation.mavlink.services.ftp import File, MemoryFile
 from cosim.groundstation.mavlink.services.service import MAX_CLIENTS, Client, Outgoing, RateLimit, Service
@@ -295,14 +296,12 @@ def find_finished_runs(root: Path) -> list[Path]:
 
 def _start_time(run: Path) -> int:
     """Return when a run began [s since 1970]; 0 where its summary does not say."""
-    import json
-
     try:
-        started = json.loads((run / "summary.json").read_text(encoding="utf-8"))["started"]
+        started = read_json(run / "summary.json")["started"]
         moment = datetime.fromisoformat(started)
         seconds = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
         return min(2**32 - 1, max(0, int(seconds)))  # the field is an unsigned integer of 32 bits
-    except (OSError, ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError):
         return 0
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
+from cosim.base.storage.files import read_text
 
 EPOCH = 1420070400.0  # s: 2015-01-01 as UNIX time
 _TICKS = 100_000  # time stamps per second
@@ -27,10 +28,7 @@ def read_key(path: Path) -> bytes:
 
     The key of a pass phrase is its SHA-256, as in QGroundControl and MAVProxy.  Raises InputError.
     """
-    try:
-        text = path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: the signing key cannot be read: {error}") from error
+    text = read_text(path).strip()
     if text.startswith(_HEX):
         try:
             key = bytes.fromhex(text.removeprefix(_HEX))
