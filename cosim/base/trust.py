@@ -21,8 +21,10 @@ from functools import cache
 from pathlib import Path
 
 from cosim.base.errors import InputError
+from cosim.base.storage.files import read_file
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.user import settings_folder
+from cosim.base.wording import printable
 
 ENVIRONMENT = "HEXJET_TRUST"  # set to 1, it says --trust to every command and program
 REMEMBERED = "trusted"  # file in the settings folder: lines as sha256sum writes them
@@ -52,8 +54,7 @@ class Code:
 
     def __str__(self) -> str:
         """Return the file with its arguments in one line, with nothing in it that a terminal would obey."""
-        text = f"{self.path}{self.arguments}"
-        return "".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in text)
+        return printable(f"{self.path}{self.arguments}").replace("\n", "\\n")
 
 
 @dataclass(frozen=True)
@@ -73,8 +74,8 @@ _code_forbidden: ContextVar[bool] = ContextVar("code_forbidden", default=False)
 
 
 def code_of(path: Path, *named_by: Path | str, arguments: str = "") -> Code:
-    """Return a file as code; ``arguments`` are part of what is run.  Raises OSError."""
-    content = path.read_bytes() + (b"\0" + arguments.encode() if arguments else b"")
+    """Return a file as code; ``arguments`` are part of what is run.  Raises InputError."""
+    content = read_file(path) + (b"\0" + arguments.encode() if arguments else b"")
     return Code(path, hashlib.sha256(content).hexdigest(), named_by, arguments)
 
 

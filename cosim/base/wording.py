@@ -38,6 +38,11 @@ _EVERYWHERE = ("aircraft", "controller", "engine", "model", "vary")  # of some c
 # a command that is quoted stays as it is, to be typed into a shell; an option ends where its name does
 _QUOTED_OR_OPTION = r"(?P<quoted>\bhexjet [a-z](?:[^;:(),]|[:,](?! ))*)|(?<![\w-])--(?P<option>[a-z][a-z-]*)"
 _SUBJECT = r"(\w+) ([^\s=:,]+)(?=: )"  # an argument with its value, in front
+# What a terminal obeys, or by which it writes from right to left; line ends and tabs are not among it.
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+_QUOTED = re.compile(r"(?<!\w)(['\"])(.*?)\1(?!\w)", re.DOTALL)  # a value, as messages echo it
+MAX_ECHO = 80  # characters of a value in a message
+MAX_LINE = 2000  # characters of a message
 _options: ContextVar[tuple[str, ...] | None] = ContextVar("options", default=None)  # of the command that runs
 
 
@@ -49,6 +54,22 @@ def at_command_line(options: Iterable[str]) -> Iterator[None]:
         yield
     finally:
         _options.reset(before)
+
+
+def printable(text: str) -> str:
+    """Return a text with nothing in it that a terminal would obey; control characters stand as Python writes them."""
+    return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
+def printable_line(text: str) -> str:
+    """Return a message in one printable line, with at most ``MAX_ECHO`` characters of each value that it quotes."""
+
+    def shorten(found: re.Match[str]) -> str:
+        value = found[2] if len(found[2]) <= MAX_ECHO else f"{found[2][:MAX_ECHO]}..."
+        return f"{found[1]}{value}{found[1]}"
+
+    line = _QUOTED.sub(shorten, printable(text).replace("\n", "\\n"))
+    return line if len(line) <= MAX_LINE else f"{line[:MAX_LINE]}..."
 
 
 def option_of(argument: str) -> str | None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, say, show_table
+from cosim.cli.console import echo, output_to_stderr, say, show_table
 from cosim.cli.groups import Group
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
 
@@ -47,9 +47,9 @@ def aircraft_new(options: New) -> int:
 
     path = new_aircraft(options.name, options.base, options.out or Path(options.name))
     folder = path.parent if path.parent.is_absolute() else f"./{path.parent}"
-    click.echo(f"{path}\nhexjet aircraft check {folder}\nhexjet fly hover --aircraft {folder}")
+    echo(f"{path}\nhexjet aircraft check {folder}\nhexjet fly hover --aircraft {folder}")
     if load_vehicle(options.base)[0].identified:
-        click.echo(
+        echo(
             f"hexjet: note: its identified models are those of {options.base}: they hold until inertia, jets, sensors "
             f"or engine change; hexjet aircraft check {folder} compares them",
             err=True,

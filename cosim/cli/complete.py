@@ -10,6 +10,8 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem, get_completion_class
 
+from cosim.cli.console import echo
+
 Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 SHELLS = ("bash", "zsh", "fish")
 
@@ -88,5 +90,5 @@ def install(context: click.Context, parameter: click.Parameter, shell: str | Non
     path.parent.mkdir(parents=True, exist_ok=True)
     script = kind(context.command, {}, "hexjet", "_HEXJET_COMPLETE").source()
     path.write_text(script, encoding="utf-8")
-    click.echo(f"{path}: {also}")
+    echo(f"{path}: {also}")
     context.exit()

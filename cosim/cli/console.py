@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cosim.api.call import Progress
+from cosim.base.wording import printable, printable_line
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -78,7 +79,7 @@ def part_progress(title: str, quiet: bool) -> Iterator[Callable[[str, int, int],
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with on_terminal(Bar(*columns, console=Console(stderr=True), transient=True)) as progress:
         task = progress.add_task(title, total=None)
-        yield lambda part, done, of: progress.update(task, description=part, completed=done, total=of)
+        yield lambda part, done, of: progress.update(task, description=printable(part), completed=done, total=of)
 
 
 class CommandProgress(Progress):
@@ -96,7 +97,7 @@ class CommandProgress(Progress):
 
     def note(self, text: str) -> None:
         """Print it on standard error."""
-        click.echo(f"hexjet: note: {text}", err=True)
+        note(text)
 
     def update(self, part: str, done: int, of: int) -> None:
         """Show it, and keep how far it is."""
@@ -104,6 +105,16 @@ class CommandProgress(Progress):
         if not self.is_concluding:
             self.done, self.of = done, of
         self._show(part, done, of)
+
+
+def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
+    """Print a text as it is, but for control characters; ``err``: on standard error."""
+    click.echo(printable(text), err=err, nl=nl)
+
+
+def note(text: str) -> None:
+    """Print a note on standard error."""
+    click.echo(f"hexjet: note: {printable_line(text)}", err=True)
 
 
 def say(text: str, *, wrap: bool = True, marked: bool = False) -> None:
@@ -164,6 +175,10 @@ def terminal() -> Any:
 
         def on_broken_pipe(self) -> None:
             raise
+
+        def render_str(self, text: str, **how: Any) -> Any:
+            """Make what is printed of a text, which a file may state, without its control characters."""
+            return super().render_str(printable(text), **how)
 
     if sys.stdout is None:  # closed by whoever started this
         return Console(file=StringIO(), width=_PIPE_WIDTH, emoji=False)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, say
+from cosim.cli.console import echo, output_to_stderr, say
 from cosim.cli.groups import Group
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
 from cosim.cli.outputs import Out
@@ -35,7 +35,7 @@ def fmu_build(options: Build) -> int:
     from cosim.engine import build_engines
 
     for path in build_engines(list(options.engines) or None):
-        click.echo(str(path))
+        echo(str(path))
     return DONE
 
 

@@ -24,7 +24,9 @@ from cosim.base.errors import (
 )
 from cosim.base.removed import describe_removed
 from cosim.base.trust import at_a_command
+from cosim.base.wording import printable_line
 from cosim.cli.complete import SHELLS, install
+from cosim.cli.console import echo, note
 from cosim.cli.groups import GROUPS, OTHERS
 from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, WRONG_INPUT, Terminated, treat_sigterm_as_interrupt
 from cosim.cli.trust import trust_prompt, with_trust
@@ -133,9 +135,7 @@ def _note_taken_names(ctx: click.Context, *names: str) -> None:
     for entry in _added(ctx):
         if entry.name in names and entry.name not in noted:
             noted.add(entry.name)
-            click.echo(
-                f"hexjet: note: {entry.name} of {_package(entry)} is not reached: hexjet has that command", err=True
-            )
+            echo(f"hexjet: note: {entry.name} of {_package(entry)} is not reached: hexjet has that command", err=True)
 
 
 def _load_added(entries: Sequence[EntryPoint]) -> click.Command:
@@ -201,7 +201,7 @@ def main(arguments: list[str] | None = None) -> None:
         with treat_sigterm_as_interrupt(), at_a_command(trust_prompt(), words):
             status = cli.main(args=words, prog_name="hexjet", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as error:
-        click.echo(error.ctx.get_help() if error.ctx else "", err=True)
+        echo(error.ctx.get_help() if error.ctx else "", err=True)
         status = WRONG_INPUT
     except (InputError, FlightError, click.ClickException, OSError, MemoryError) as error:
         if isinstance(error, OSError) and error.errno not in MACHINE_TROUBLE:
@@ -265,7 +265,7 @@ def _show_notices(show_other: Callable[..., None]) -> Callable[..., None]:
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
         if issubclass(category, Notice):
-            click.echo(f"hexjet: note: {message}", err=True)
+            note(str(message))
         else:
             show_other(message, category, *where, **options)
 
@@ -273,4 +273,4 @@ def _show_notices(show_other: Callable[..., None]) -> Callable[..., None]:
 
 
 def _complain(message: str) -> None:
-    click.echo(f"hexjet: {message}", err=True)
+    echo(f"hexjet: {printable_line(message)}", err=True)

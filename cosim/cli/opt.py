@@ -14,6 +14,7 @@ import click
 from cosim.base.errors import nearest
 from cosim.base.wording import at_command_line
 from cosim.cli.complete import complete_by
+from cosim.cli.console import echo
 from cosim.cli.outputs import Out
 
 T = TypeVar("T")
@@ -221,7 +222,7 @@ class Output(Record):
     def answer(self, data: Callable[[], Any], show: Callable[[], None], *, nan: bool = False) -> None:
         """Print ``data`` as one JSON object where that is asked for, ``nan``: which may hold NaN; else ``show`` it."""
         if self.as_json:
-            click.echo(dumps(data(), allow_nan=nan))
+            echo(dumps(data(), allow_nan=nan))
         else:
             show()
 

@@ -15,6 +15,7 @@ from click.core import ParameterSource
 from cosim.api.call import choices
 from cosim.base.errors import InputError
 from cosim.cli import opt
+from cosim.cli.console import echo, note
 
 if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
@@ -106,7 +107,7 @@ def warn_of_fmu_defects(*engines: str, folder: Path = Path()) -> None:
             from cosim.engine.spec import find_source
 
             for line in note_harmless_violations(find_source(str(folder / engine)).archive):
-                click.echo(f"hexjet: warning: {engine}: {line}", err=True)
+                echo(f"hexjet: warning: {engine}: {line}", err=True)
 
 
 def load_scenario(
@@ -119,9 +120,4 @@ def load_scenario(
     aircraft: str | None = None,
 ) -> Scenario:
     """Return the scenario with the command line's choices written over it, with notes on standard error."""
-    return choices.load_scenario(name, controller, engines, seed, settings, model, aircraft, print_note)
-
-
-def print_note(text: str) -> None:
-    """Print a note on standard error."""
-    click.echo(f"hexjet: note: {text}", err=True)
+    return choices.load_scenario(name, controller, engines, seed, settings, model, aircraft, note)

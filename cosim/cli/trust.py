@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import click
 
 from cosim.base.trust import Code, trust_everything, without_code
-from cosim.cli.console import without_bars
+from cosim.cli.console import echo, without_bars
 
 R = TypeVar("R")
 RUN_NONE = (  # commands that run nothing of what a file or a folder of the user's names
@@ -54,7 +54,7 @@ def trust_prompt() -> Callable[[Sequence[Code]], bool] | None:
 
 def _ask_for_trust(files: Sequence[Code]) -> bool:
     with without_bars():
-        click.echo("Code that you have not flown before:", err=True)
+        echo("Code that you have not flown before:", err=True)
         for file in files:
-            click.echo(f"  {file}", err=True)
+            echo(f"  {file}", err=True)
         return click.confirm("Run it, with your rights, and remember it?", err=True)

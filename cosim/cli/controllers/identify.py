@@ -9,7 +9,7 @@ import click
 
 from cosim.base.signals import AXES
 from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, say, show_table
+from cosim.cli.console import echo, output_to_stderr, say, show_table
 from cosim.cli.controllers.bench import identify_bench
 from cosim.cli.groups import Group
 from cosim.cli.options import DONE, FLIGHT_FAILED, example
@@ -190,12 +190,12 @@ def identify_from_log(options: FromLog) -> int:
 def print_channels(log: FlightLog) -> None:
     """Print what a log holds: its remarks, and each channel with its rate and span."""
     table = log.to_dict()
-    click.echo(f"{table['log']}: {table['kind']}")
+    echo(f"{table['log']}: {table['kind']}")
     for note in table["notes"]:
-        click.echo(f"note: {note}")
+        echo(f"note: {note}")
     for channel in table["channels"]:
         text = "{name}  {values} values, {seconds:.1f} s, {rate_hz:.4g} Hz  {unit}"
-        click.echo(text.format(**channel).rstrip())
+        echo(text.format(**channel).rstrip())
 
 
 def print_from_log(result: LogIdentifyResult) -> None:

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from cosim.base.errors import FlightError, InputError
+from cosim.cli.console import echo
 from cosim.cli.flight.fly import print_metrics
 from cosim.flight import fly_watched as fly
 from cosim.flight import new_folder
@@ -17,18 +18,18 @@ def main() -> int:
     """Fly both, print the comparison and say where the reports are."""
     folder = new_folder(Path("runs"), "demo")
     scenario = Scenario.load("roll-doublet")
-    print(f"{scenario.title}\n")
+    echo(f"{scenario.title}\n")
     runs = []
     for controller in ("baseline", "smith"):
         run = fly(scenario.replace(controller=controller), folder / controller)
-        print(f"{controller:9} {run.summary.ending} ({run.summary.realtime_factor:.0f} x real time)")
+        echo(f"{controller:9} {run.summary.ending} ({run.summary.realtime_factor:.0f} x real time)")
         runs.append(run)
     print_metrics(runs, by="controller")
     path = folder / "comparison.html"
     compare_report(runs, path)
-    print(f"Comparison: {path}")
+    echo(f"Comparison: {path}")
     for run in runs:
-        print(f"{run.summary.controller:10}: {run.folder}/report.html")
+        echo(f"{run.summary.controller:10}: {run.folder}/report.html")
     return 0 if runs[1].summary.expectations_met else 1
 
 

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cosim.base.errors import InputError
+from cosim.base.wording import printable
 from cosim.cli import opt
-from cosim.cli.console import on_terminal, output_to_stderr, say, show_table, terminal
+from cosim.cli.console import echo, on_terminal, output_to_stderr, say, show_table, terminal
 from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, refuse_others, warn_of_fmu_defects
 
 if TYPE_CHECKING:
@@ -126,7 +127,7 @@ def _warn(scenario: Scenario, controller: str | None) -> None:
     from cosim.flight import list_warnings
 
     for text in list_warnings(scenario, controller):
-        click.echo(f"hexjet: warning: {text}", err=True)
+        echo(f"hexjet: warning: {text}", err=True)
     engines = (station.engine for station in scenario.stations.values() if station.engine)
     warn_of_fmu_defects(scenario.engine, *engines, folder=scenario.folder)
 
@@ -182,7 +183,7 @@ def flight_progress(scenario: Scenario, quiet: bool) -> Iterator[Sequence[Observ
 
     every = max(1, round(0.5 / scenario.step_s))
     with on_terminal(Progress(console=Console(stderr=True), transient=True)) as progress:
-        task = progress.add_task(scenario.name, total=scenario.steps)
+        task = progress.add_task(printable(scenario.name), total=scenario.steps)
 
         class Watch:
             def observe(self, sample: Sample) -> None:

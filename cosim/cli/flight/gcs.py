@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cosim.base.wording import printable
 from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, terminal
+from cosim.cli.console import echo, output_to_stderr
 from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example
 
 if TYPE_CHECKING:
@@ -136,12 +137,9 @@ def gcs(options: Gcs) -> int:
 
 def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) -> None:
     """Print where to connect, what flies, and where it is recorded."""
-    from rich.console import Console
-
     from cosim.groundstation.session_flight import estimate_hourly_mb
     from cosim.spec.scenario import controller_shown
 
-    console = Console(stderr=True) if to_stderr else terminal()
     scenario, site = session.scenario, session.scenario.environment
     rows = [
         ("vehicle", f"{scenario.aircraft_name}, engine {scenario.engine}, controller {controller_shown(scenario)}"),
@@ -160,13 +158,13 @@ def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) ->
         ("pace", "as fast as it goes" if session.factor is None else f"{session.factor:g} x real time"),
     ]
     for label, value in rows:
-        console.print(f"{label:11} {value}", highlight=False, soft_wrap=True, markup=False)
-    console.print("ready; Ctrl-C ends it", highlight=False)
+        echo(f"{label:11} {value}", err=to_stderr)
+    echo("ready; Ctrl-C ends it", err=to_stderr)
 
 
 def print_session(runs: Sequence[Run], counts: Mapping[str, Any], to_stderr: bool) -> None:
     """Print in a line how a session went."""
-    print(session_line(runs, counts), file=sys.stderr if to_stderr else sys.stdout)
+    echo(session_line(runs, counts), err=to_stderr)
 
 
 def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
@@ -230,7 +228,7 @@ def live_line(links: Links, quiet: bool) -> Iterator[None]:
             for message in links.exchange.messages:
                 if message.number > last_shown:
                     last_shown = message.number
-                    print(f"\r\x1b[K{message.severity.name.lower()}: {message.text}", file=sys.stderr)
+                    print(f"\r\x1b[K{message.severity.name.lower()}: {printable(message.text)}", file=sys.stderr)
             print(f"\r\x1b[K{_state(links)}", end="", file=sys.stderr, flush=True)
 
     thread = threading.Thread(target=show, name="live line", daemon=True)

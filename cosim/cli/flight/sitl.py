@@ -8,7 +8,7 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, say
+from cosim.cli.console import echo, output_to_stderr, say
 from cosim.cli.groups import Group
 from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, load_scenario
 
@@ -302,7 +302,7 @@ def params(options: Parameters) -> int:
     else:
         release = 4, int(options.release[2:])
         text = format_firmware_parameters(autopilot, scenario, 1.0 / options.rate, target, release)
-    click.echo(text, nl=False)
+    echo(text, nl=False)
     return DONE
 
 
@@ -315,11 +315,11 @@ def _fly(options: Sitl, scenario: Scenario, name: str, setup: Setup) -> int:
     program, folder = find_program(name, options.binary), options.run_folder(f"{scenario.name}-{name}")
     autopilot = prepare(name, scenario, folder, program, setup)
     if autopilot.remark:
-        click.echo(f"hexjet: {autopilot.remark}", err=True)
+        echo(f"hexjet: {autopilot.remark}", err=True)
     if name == "ardupilot":
         from cosim.autopilots.ardupilot import PORT_SPACING, RC_PORT
 
-        click.echo(
+        echo(
             f"hexjet: ArduPilot listens for sticks at UDP port {RC_PORT + PORT_SPACING * setup.instance} on every "
             "network interface of this machine, for states at one that the system draws, and cannot be told otherwise: "
             "close them to others",
@@ -327,7 +327,7 @@ def _fly(options: Sitl, scenario: Scenario, name: str, setup: Setup) -> int:
         )
     if program is None:
         where = f"waiting for one at {autopilot.endpoint} of this machine"
-        click.echo(f"hexjet: no {_TITLES[name]} is named ({describe_missing(name)}): {where}", err=True)
+        echo(f"hexjet: no {_TITLES[name]} is named ({describe_missing(name)}): {where}", err=True)
     with output_to_stderr(options.as_json):
         flown = autopilot.fly(scenario, folder, realtime_factor=options.rtf or None)
     lockstep = asdict(flown.counts) | {"gains": setup.gains}

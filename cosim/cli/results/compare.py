@@ -11,7 +11,7 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.cli import opt
-from cosim.cli.console import CommandProgress, output_to_stderr, say, show_table, terminal
+from cosim.cli.console import CommandProgress, echo, output_to_stderr, say, show_table, terminal
 from cosim.cli.options import DONE, example
 from cosim.cli.outputs import Out
 
@@ -82,7 +82,7 @@ class _Warnings(CommandProgress):
 
     def note(self, text: str) -> None:
         """Print it on standard error."""
-        click.echo(f"hexjet: warning: {text}", err=True)
+        echo(f"hexjet: warning: {text}", err=True)
 
 
 def _shifts(texts: Sequence[str]) -> dict[str, float]:

@@ -9,7 +9,7 @@ import click
 
 from cosim.api.call import Result
 from cosim.cli import opt
-from cosim.cli.console import CommandProgress
+from cosim.cli.console import CommandProgress, echo
 from cosim.cli.groups import Group
 from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example
 from cosim.cli.outputs import Out
@@ -82,7 +82,7 @@ def log(options: Log) -> int:
     """
     from cosim.api.export import export as write
 
-    click.echo(str(write(options.folder, options.target, options.out, rates=options.rates)))
+    echo(str(write(options.folder, options.target, options.out, rates=options.rates)))
     return DONE
 
 
@@ -188,4 +188,4 @@ def vehicle(options: ExportVehicle) -> int:
 
 def _print(result: Result) -> None:
     for line in result.lines():
-        click.echo(line)
+        echo(line)

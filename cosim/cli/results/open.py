@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from cosim.cli.console import echo
 from cosim.cli.options import DONE, example
 from cosim.cli.trust import display_only
 
@@ -22,7 +23,7 @@ def open_(folder: Path, browser: bool) -> int:
     from cosim.shelf.index import write_index
 
     page = write_index(folder)
-    click.echo(page)
+    echo(str(page))
     if browser:
         import webbrowser
 

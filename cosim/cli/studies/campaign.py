@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cosim.base.wording import printable
 from cosim.cli import opt
-from cosim.cli.console import CommandProgress, on_terminal, output_to_stderr, part_progress, say, show_table
+from cosim.cli.console import CommandProgress, echo, on_terminal, output_to_stderr, part_progress, say, show_table
 from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, example
 
 if TYPE_CHECKING:
@@ -240,7 +241,7 @@ def report_interruption(describe: Callable[[], str]) -> Iterator[None]:
         yield
     except KeyboardInterrupt as stop:
         stop.add_note(REPORTED)
-        print(f"hexjet: stopped{describe()}", file=sys.stderr)
+        echo(f"hexjet: stopped{describe()}", err=True)
         raise
 
 
@@ -284,13 +285,13 @@ def _sweep_bar(quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
 
         def show(part: str, done: int, of: int) -> None:
             if of == 0:
-                progress.update(task, rate="", shares=part)
+                progress.update(task, rate="", shares=printable(part))
                 return
             if progress.tasks[0].total is None:
                 progress.reset(task, total=of, completed=done)  # flights of an earlier run do not count for the rate
             speed = progress.tasks[0].speed
             rate = "" if speed is None else f"{speed:.1f}/s"
-            progress.update(task, completed=done, rate=rate, shares=part)
+            progress.update(task, completed=done, rate=rate, shares=printable(part))
 
         yield show
 

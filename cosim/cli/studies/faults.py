@@ -10,7 +10,7 @@ import click
 
 from cosim.base.errors import InputError
 from cosim.cli import opt
-from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table
+from cosim.cli.console import CommandProgress, echo, output_to_stderr, part_progress, say, show_table
 from cosim.cli.options import DONE, example, is_given, refuse_others
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def faults(options: Faults) -> int:
     result = found.survival
     found.write(options.run_folder(f"faults-{result.aircraft}"))
     for text in result.warnings:
-        click.echo(f"hexjet: warning: {text}", err=True)
+        echo(f"hexjet: warning: {text}", err=True)
     if page is not None:
         write_page(result, page)
     options.answer(found.to_dict, lambda: print_survival(found))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,8 +13,9 @@ from typing import Any
 import click
 import pytest
 from command_tools import Hexjet
-from places import TESTS
+from places import ROOT, TESTS
 
+from cosim.base.wording import printable_line
 from cosim.cli import main as command
 from cosim.cli.controllers.design import fly_command
 from cosim.cli.flight.fly import print_run
@@ -110,3 +112,56 @@ def test_a_design_says_the_command_that_flies_it() -> None:
     assert fly_command(options, Path("c.toml")) == (
         "hexjet fly SCENARIO --aircraft quadjet --engine 'my e.fmu' --set engine_parameters.delay=4 --controller c.toml"
     )
+
+
+# ---- what files say
+
+
+HOSTILE = "\x1b]52;c;cm0gLXJmIH4=\x07\x1b[2J\x9b31m\u202e"
+
+
+def test_no_file_writes_to_the_terminal_as_it_likes(tmp_path: Path, hexjet: Hexjet) -> None:
+    """Titles, names and reasons, in what is shown and in what is refused."""
+    import json
+    import shutil
+
+    quoted = json.dumps(HOSTILE)
+    scenario = (ROOT / "scenarios" / "hover.toml").read_text()
+    title = f'title = {quoted[:-1]} flight"'
+    (tmp_path / "title.toml").write_text(re.sub("(?m)^title = .*$", lambda _: title, scenario))
+    (tmp_path / "key.toml").write_text(f"{quoted} = 1\n{scenario}")
+    shutil.copytree(RUN, tmp_path / "run")
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    summary |= dict.fromkeys(("title", "scenario", "reason", "engine", "controller"), HOSTILE)
+    (tmp_path / "run" / "summary.json").write_text(json.dumps(summary))
+    for arguments in (
+        ("show", "title.toml"),
+        ("show", "key.toml"),
+        ("show", "run"),
+        ("report", "run"),
+        ("show", HOSTILE),
+    ):
+        done = hexjet(arguments[0], *(str(tmp_path / each) if each != HOSTILE else each for each in arguments[1:]))
+        printed = done.out + done.err
+        assert "x1b" in printed, arguments
+        assert not set(HOSTILE) & set("\x1b\x07\x9b\u202e") & set(printed), arguments
+
+
+def test_a_refusal_echoes_eighty_characters_of_a_value(tmp_path: Path, hexjet: Hexjet) -> None:
+    scenario = (ROOT / "scenarios" / "hover.toml").read_text()
+    (tmp_path / "long.toml").write_text(f"duration_s = '{'x' * 10_000}'\n" + re.sub("(?m)^duration_s.*$", "", scenario))
+    done = hexjet("fly", str(tmp_path / "long.toml"))
+    assert done.status == 2
+    assert f"'{'x' * 80}...'" in done.err
+    assert len(done.err) < 400 + len(str(tmp_path))
+    said = printable_line("no column 'a b'; 'c' grows from row to row: the log's own word\nand " + 3000 * "y")
+    assert said.startswith("no column 'a b'; 'c' grows from row to row: the log's own word\\nand yyy")
+    assert len(said) < 2100
+
+
+def test_one_module_of_the_command_line_prints() -> None:
+    """It takes the control characters out."""
+    for path in (ROOT / "cosim" / "cli").rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        printers = re.findall(r"click\.echo\(|(?<![\w.])print\((?!f\"\\r|\"\\r)", text)
+        assert not printers or path.name == "console.py", path
