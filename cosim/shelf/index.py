@@ -17,7 +17,7 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import map_os_errors, read_file, read_json, read_text
+from cosim.base.storage.files import map_os_errors, parse_json, read_file, read_text
 from cosim.campaign.folder import FLIGHTS, STUDY
 from cosim.identify.logs import is_flight_log
 from cosim.results.run import SUMMARY
@@ -105,7 +105,7 @@ def read_entry(folder: Path) -> Entry:
     page = next((name for name in ("report.html", "comparison.html", "search.html") if (folder / name).is_file()), "")
     page = page or next((path.name for path in sorted(folder.glob("[!.]*.html"))), "")
     with suppress(InputError):
-        summary = read_json(folder / SUMMARY)
+        summary = parse_json(read_file(folder / SUMMARY), SUMMARY, finite=False)
         if isinstance(summary, dict):
             return Entry(folder.name, RUN, _summary_details(summary), flatten_metrics(summary), page)
     began = {"started": datetime.fromtimestamp(folder.stat().st_mtime, UTC).isoformat(timespec="seconds")}

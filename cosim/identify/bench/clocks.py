@@ -15,7 +15,8 @@ from cosim.base.errors import InputError
 from cosim.identify.bench.command import make_command
 from cosim.identify.engine_file import DEVIATIONS_95
 from cosim.identify.logs.flight_log import Channel, FlightLog
-from cosim.identify.logs.table import column_names, columns_with_time, plain_name, unit_in_name
+from cosim.identify.logs.table import columns_with_time, plain_name, unit_in_name
+from cosim.identify.logs.table_columns import TableColumns
 from cosim.identify.robust import memory_rows, robust_factor
 
 GRID_S = 0.1  # of the first search
@@ -87,20 +88,17 @@ class Alignment(NamedTuple):
         )
 
 
-def split_clocks(path: Path, time_unit: str | None = None) -> list[FlightLog]:
+def split_clocks(path: Path, columns: TableColumns, time_unit: str | None = None) -> list[FlightLog]:
     """Return a table with columns of time of several clocks as a log each; an empty list where there is one clock.
 
     A signal is on the clock with a word of whose name its own begins or ends (``cell_time``, ``cell_force``), else on
     the one in the nearest column to its left.  Raises InputError where neither tells it.
     """
-    try:
-        names = column_names(path)
-    except InputError:  # no table, which its reader says in better words
-        return []
+    names = columns.names
     named = [name for name in names if CLOCKS & _words(name)]
     if len(named) < 2:
         return []
-    tables = {name: columns_with_time(path, name, time_unit) for name in named}
+    tables = {name: columns_with_time(path, columns, name, time_unit) for name in named}
     clocks = _different_clocks({name: table.times for name, table in tables.items()})
     if len(clocks) < 2:
         return []

@@ -17,8 +17,8 @@ from cosim.identify.bench.clocks import EvenRows, align, align_by_command, find_
 from cosim.identify.bench.command import moves_on
 from cosim.identify.bench.running import SLOW_ROWS_S, describe_adrift, find_running, find_speed
 from cosim.identify.logs.flight_log import Channel, FlightLog, unit_of
-from cosim.identify.logs.read import is_table, read_flight_log
-from cosim.identify.logs.table import NO_NUMBERS
+from cosim.identify.logs.read import is_table, read_columns, read_flight_log
+from cosim.identify.logs.table import NO_NUMBERS, make_log
 
 LEAST_ROWS = 20  # with fewer no noise is told from an answer
 MOST_ROWS = 20_000  # more are averaged
@@ -124,9 +124,12 @@ def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[
 
 def _read_logs(path: Path, columns: Columns) -> list[FlightLog]:
     """Read a file: a log, or of a table of several clocks that with the command and that with the output behind it."""
-    clocks = split_clocks(path, columns.time_unit) if columns.time is None and is_table(path) else []
-    if not clocks:
+    if columns.time is not None or not is_table(path):
         return [spread_stamps(read_flight_log(path, columns.time, columns.time_unit))]
+    table = read_columns(path)
+    clocks = split_clocks(path, table, columns.time_unit)
+    if not clocks:
+        return [spread_stamps(make_log(path, table, None, columns.time_unit))]
     first = next((log for log in clocks if not _has_no_command(log, columns)), None)
     every = FlightLog(path, "table", {name: channel for log in clocks for name, channel in log.channels.items()})
     output = columns.output or _find(every, OUTPUTS, NO_OUTPUT, "--output")

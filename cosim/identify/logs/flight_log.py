@@ -24,6 +24,7 @@ SAME_UNITS = {"%": "percent", "pct": "percent"} | dict.fromkeys(
 SAME_UNITS["krpm"] = "krpm"
 LONGEST_WORDLESS = 3  # letters of a unit: what is longer and no unit that is known, as (actual), says which one it is
 DEGREE = np.pi / 180.0
+MAX_LOG_MB = 4096.0  # of a file that is read as a log
 SEARCHED = 2**16  # bytes of a file in which the head of a log is looked for, behind what does not belong to it
 MOST_INSTANCES = 256  # that one message may have: more values are no instances
 LEAST_SHARED = 0.5  # of the rows of the shorter of two channels: with fewer equal stamps they are of two clocks

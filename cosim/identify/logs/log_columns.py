@@ -11,7 +11,7 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES, MOST_JETS
 from cosim.identify.logs.flight_log import Channel, FlightLog
-from cosim.identify.logs.read import signals_of
+from cosim.identify.logs.read import read_columns, signals_of
 from cosim.identify.logs.table import NO_NUMBERS, columns_with_time
 from cosim.results.log.columns import COLUMNS, RATES
 from cosim.results.log.recorder import MemoryLog
@@ -73,7 +73,7 @@ def read_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
     Its columns are ours where they are called as ours; its time [s] is called and grows as
     :mod:`cosim.identify.logs.table` has it.  Columns without numbers are left out.  Raises InputError.
     """
-    table = columns_with_time(path)
+    table = columns_with_time(path, read_columns(path))
     columns, times, time = table.columns, table.times, table.name
     if times.size < 2:
         raise InputError(f"{path}: {times.size} rows; at least two are needed")

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
-from cosim.base.storage.toml import read_toml
-from cosim.identify.logs import blackbox, crazyflie, dataflash, table, tdms, tlog, ulog
-from cosim.identify.logs.flight_log import SEARCHED, FlightLog, LogSignals
+from cosim.base.storage.files import read_file
+from cosim.identify.logs import blackbox, crazyflie, dataflash, tlog, ulog
+from cosim.identify.logs.flight_log import MAX_LOG_MB, SEARCHED, FlightLog, LogSignals
+from cosim.identify.logs.reader import read_apart
+from cosim.identify.logs.table import make_log, read_run
+from cosim.identify.logs.table_columns import TableColumns
 from cosim.identify.logs.text_table import decode
 from cosim.results.log.columns import RATES
-from cosim.spec.file_kind import find_kind
 
 KINDS = (
     "a run's folder, .ulg (ULog), .bin (ArduPilot DataFlash), .bbl or .bfl (Betaflight blackbox), "
@@ -23,17 +24,18 @@ KINDS = (
 HEAD = 512  # bytes by which a file is recognised
 
 _READERS = (
-    (ulog.recognises, ulog.read),
-    (dataflash.recognises, dataflash.read),
-    (crazyflie.recognises, crazyflie.read),
-    (blackbox.recognises, blackbox.read),
-    (tlog.recognises, tlog.read),
+    (ulog.recognises, "ulog.read"),
+    (dataflash.recognises, "dataflash.read"),
+    (crazyflie.recognises, "crazyflie.read"),
+    (blackbox.recognises, "blackbox.read"),
+    (tlog.recognises, "tlog.read"),
 )
-_MARKS = ((ulog.MAGIC, ulog.read), (dataflash.MARK, dataflash.read), (blackbox.MARKER, blackbox.read))
-_EXPORTS = (  # of a run of ours; and LabVIEW's
-    (b"\x89MCAP", table.read_mcap),
-    (b"MATLAB 5", table.read_mat),
-    (tdms.MARK, tdms.read),
+_MARKS = ((ulog.MAGIC, "ulog.read"), (dataflash.MARK, "dataflash.read"), (blackbox.MARKER, "blackbox.read"))
+_TABLES = (  # of others and, as MCAP and MAT, of a run of ours; and LabVIEW's
+    (b"PAR1", "table_columns.read_parquet"),
+    (b"\x89MCAP", "table_columns.read_mcap"),
+    (b"MATLAB 5", "table_columns.read_mat"),
+    (b"TDSm", "tdms.read"),
 )
 _OTHERS = (  # what else a file may begin with, and what it is then
     (b"\x1f\x8b", "a file compressed by gzip: unpack it"),
@@ -60,9 +62,8 @@ _OTHERS = (  # what else a file may begin with, and what it is then
 def is_flight_log(path: Path) -> bool:
     """Return whether a file, or that of ``FILE:N``, is the log of a flight controller that can be read."""
     try:
-        with _file_and_number(path)[0].open("rb") as file:
-            return _reader(file.read(SEARCHED)) is not None
-    except OSError:
+        return _controller_reader(_head(_file_and_number(path)[0])) is not None
+    except InputError:
         return False
 
 
@@ -70,20 +71,23 @@ def is_table(path: Path) -> bool:
     """Return whether a file is read as a table, of text or Parquet."""
     if not path.is_file():
         return False
-    with path.open("rb") as file:
-        head = file.read(SEARCHED)
-    known = _reader(head) is not None or any(head.startswith(mark) for mark, _ in (*_EXPORTS, *_OTHERS))
-    return table.is_parquet(head) or not (known or decode(head) is None)
+    head = _head(path)
+    known = _controller_reader(head) is not None or any(head.startswith(mark) for mark, _ in (*_TABLES[1:], *_OTHERS))
+    return head.startswith(_TABLES[0][0]) or not (known or decode(head) is None)
 
 
-def _reader(head: bytes) -> tuple[Callable[[Path], FlightLog], int] | None:
+def _head(path: Path) -> bytes:
+    return read_file(path, MAX_LOG_MB, SEARCHED)
+
+
+def _controller_reader(head: bytes) -> tuple[str, int] | None:
     """Return the reader of a flight controller's log by its first bytes, and how many bytes come before the log."""
-    for recognises, read in _READERS:
+    for recognises, reader in _READERS:
         if recognises(head[:HEAD]):
-            return read, 0
-    for mark, read in _MARKS:
+            return reader, 0
+    for mark, reader in _MARKS:
         if (before := head.find(mark)) > 0:
-            return read, before
+            return reader, before
     return None
 
 
@@ -103,46 +107,59 @@ def read_flight_log(path: Path, time: str | None = None, time_unit: str | None =
     """
     path, number = _file_and_number(path)
     if path.is_dir():
-        return table.read_run(path)
-    try:
-        with path.open("rb") as file:
-            head = file.read(SEARCHED)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
+        return read_run(path)
+    content = _read(path, number)
+    return content if isinstance(content, FlightLog) else make_log(path, content, time, time_unit)
+
+
+def read_columns(path: Path) -> TableColumns:
+    """Read the columns of a table of another tool.  Raises InputError for another file."""
+    content = _read(path, None)
+    if isinstance(content, FlightLog):
+        raise InputError(f"{path}: is a log ({content.kind}), and no table")
+    return content
+
+
+def _read(path: Path, number: int | None) -> FlightLog | TableColumns:
+    """Return what is in a file, which a process of its own reads, by its first bytes."""
+    head = _head(path)
     if not head:
         raise InputError(f"{path}: the file is empty")
     if path.suffix.lower() == ".toml":
+        from cosim.base.storage.toml import read_toml
+        from cosim.spec.file_kind import find_kind
+
         kind = find_kind(read_toml(path))
         what = f"{kind.name}, and no" if kind else "TOML, and no"
         raise InputError(f"{path}: is {what} log; allowed: {KINDS}")
     if number is not None:
         if blackbox.MARKER in head:
-            return blackbox.read(path, number)
+            return read_apart("blackbox.read", path, number)
         raise InputError(f"{path}: holds one log; {path}:{number} is for a blackbox file of several")
-    if (reader := _reader(head)) is not None:
-        read, before = reader
-        log = read(path)
-        notes = (f"{before} bytes before the head of the log are passed over",) if before else ()
-        return replace(log, remarks=(*notes, *log.remarks))
-    return _table_or_refusal(path, head, time, time_unit)
+    if (found := _controller_reader(head)) is None:
+        return read_apart(_table_reader(path, head), path)
+    reader, before = found
+    log = read_apart(reader, path)
+    assert isinstance(log, FlightLog)
+    notes = (f"{before} bytes before the head of the log are passed over",) if before else ()
+    return replace(log, remarks=(*notes, *log.remarks))
 
 
-def _table_or_refusal(path: Path, head: bytes, time: str | None, time_unit: str | None) -> FlightLog:
-    """Read a table, or an export of ours.  Raises InputError for another file, and says what it is instead."""
-    for mark, read in _EXPORTS:
+def _table_reader(path: Path, head: bytes) -> str:
+    """Return the reader of a table, or of an export of ours.  Raises InputError with what another file is instead."""
+    for mark, reader in _TABLES:
         if head.startswith(mark):
-            return read(path)
-    if not table.is_parquet(head):
-        begins = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")[:HEAD]
-        other = next((words for mark, words in _OTHERS if begins.startswith(mark)), "")
-        if not other and b"\nFMT, " in head:
-            other = dict(_OTHERS)[b"FMT, "]
-        if other:
-            raise InputError(f"{path}: is {other}; allowed: {KINDS}")
-        if decode(head) is None:
-            start = head[:8].hex(" ")
-            raise InputError(f"{path}: no log that is known, and no text: it begins with {start}; allowed: {KINDS}")
-    return table.read_table(path, time, time_unit)
+            return reader
+    begins = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \t\r\n")[:HEAD]
+    other = next((words for mark, words in _OTHERS if begins.startswith(mark)), "")
+    if not other and b"\nFMT, " in head:
+        other = dict(_OTHERS)[b"FMT, "]
+    if other:
+        raise InputError(f"{path}: is {other}; allowed: {KINDS}")
+    if decode(head) is None:
+        start = head[:8].hex(" ")
+        raise InputError(f"{path}: no log that is known, and no text: it begins with {start}; allowed: {KINDS}")
+    return "table_columns.read_text_table"
 
 
 def signals_of(log: FlightLog, key: str) -> LogSignals:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,16 +12,11 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, nearest
-from cosim.base.storage.files import one_line
 from cosim.identify.logs.flight_log import Channel, FlightLog
-from cosim.identify.logs.text_table import is_number, read_text, seconds
-from cosim.results.export.mcap_file import read_mcap_columns
-from cosim.results.log.arrow import read_csv_numbers, read_numbers
+from cosim.identify.logs.table_columns import TableColumns
 from cosim.results.log.columns import COLUMNS
 from cosim.results.log.tables import TIME
-from cosim.results.run import open_run
 
-PARQUET = b"PAR1"  # a file begins and ends with it
 TIMES = (TIME, "time", "t")  # what the time [s] may be called in a log of another tool
 OTHER_TIMES = (  # and what else, in any case, its unit behind it; the likeliest first
     "time", "t", "timestamp", "timestamp_sample", "timeus", "timems", "elapsed", "elapsed time", "datetime",
@@ -44,9 +40,6 @@ _SAME_UNITS = {
 }
 _UNIT = re.compile(r"(.*?)[\s_]*(?:[\[(]\s*([^\[\]()]*?)\s*[\])]|_([mun]?s|[mu]?sec))")
 LEAST_RUNNING = 0.9  # share of the steps from row to row in which a time has to grow
-LEAST_NUMBERS = (
-    0.5  # share of a column's texts that have to be numbers: the others are damaged, or say that there is none
-)
 NO_NUMBERS = "left out, being no numbers"  # a remark begins so
 
 
@@ -59,110 +52,33 @@ class Table:
     name: str
     unit: str  # of the time in the file
     units: dict[str, str] = field(default_factory=dict)
-    left_out: tuple[str, ...] = ()  # being no numbers
+    left_out: Sequence[str] = ()  # being no numbers
     remarks: list[str] = field(default_factory=list)
 
 
-@dataclass
-class _Columns:
-    numbers: dict[str, Array]
-    dates: set[str] = field(default_factory=set)  # of the numbers, those that are in seconds
-    units: dict[str, str] = field(default_factory=dict)
-    left_out: tuple[str, ...] = ()
-    remarks: list[str] = field(default_factory=list)
-
-
-def is_parquet(head: bytes) -> bool:
-    """Return whether the first bytes of a file are Parquet's."""
-    return head.startswith(PARQUET)
-
-
-def columns_with_time(path: Path, name: str | None = None, unit: str | None = None) -> Table:
-    """Read the columns of a table; ``name`` is its time, in ``unit`` or as its name or line of units says.
+def columns_with_time(path: Path, columns: TableColumns, name: str | None = None, unit: str | None = None) -> Table:
+    """Return the columns of a table; ``name`` is its time, in ``unit`` or as its name or line of units says.
 
     Without a name the time is the first of those that are called so and run.  Raises InputError where there is none.
     """
     if unit is not None and unit not in SECONDS:
         raise InputError(f"time in {unit!r}: allowed: {', '.join(SECONDS)}")
-    with path.open("rb") as file:
-        columns = _of_parquet(path) if is_parquet(file.read(len(PARQUET))) else _of_text(path)
-    time = _time(path, columns, name)
+    time, numbers = _time(path, columns, name), dict(columns.numbers)
     taken = unit or ("s" if time in columns.dates else time_unit(time, columns.units.get(time, "")))
-    times = SECONDS[taken] * columns.numbers.pop(time)
+    times = SECONDS[taken] * numbers.pop(time)
     remarks = list(columns.remarks)
     if time in columns.dates and len(times):
         times, remark = _since_first(times)
         remarks.append(f"{time}: {remark}")
     elif taken != "s" and unit is None:
         remarks.append(f"{time} is taken for the time, in {taken}")
-    return Table(columns.numbers, times, time, taken, columns.units, columns.left_out, remarks)
-
-
-def column_names(path: Path) -> list[str]:
-    """Return what a table's columns are called, in its order.  Raises InputError for what is no table."""
-    with path.open("rb") as file:
-        if is_parquet(file.read(len(PARQUET))):
-            return [name.strip() for name in read_numbers(path).numbers]
-    return list(read_text(path).names)
-
-
-def _of_parquet(path: Path) -> _Columns:
-    read = read_numbers(path)
-    numbers = {name.strip(): values for name, values in read.numbers.items()}
-    columns = _Columns(numbers, {name.strip() for name in read.times})
-    _add_texts(columns, read.texts)
-    return columns
-
-
-def _of_text(path: Path) -> _Columns:
-    text = read_text(path)
-    labels = [name or f"column_{n}" for n, name in enumerate(text.names, 1)]
-    read, odd = read_csv_numbers(path, text.rows, labels, text.separator, text.decimal)
-    remarks = list(text.remarks)
-    if odd:
-        remarks.append(f"{odd} rows have not a cell for each column, the last one perhaps cut short; left out")
-    named = {name: values for name, values in read.numbers.items() if name in text.names}
-    columns = _Columns(named, read.times, text.units, (), remarks)
-    _add_texts(columns, {name: values for name, values in read.texts.items() if name in text.names})
-    return columns
-
-
-def _add_texts(columns: _Columns, texts: dict[str, list[str | None]]) -> None:
-    """Add the columns of texts that are numbers but for some cells, or dates."""
-    left_out = []
-    for name, values in texts.items():
-        if (numeric := _numbers(values)) is not None:
-            columns.numbers[name], missing = numeric
-            columns.remarks += [f"{name}: {missing} of {len(values)} cells are no numbers; left out"] if missing else []
-        elif (dates := seconds(values)) is not None:
-            columns.numbers[name] = np.array(dates)
-            columns.dates.add(name)
-        else:
-            left_out.append(name)
-    columns.left_out = tuple(left_out)
-
-
-def _numbers(values: list[str | None]) -> tuple[Array, int] | None:
-    """Return texts as numbers, NaN for what is none, and how many are none; None where most are none."""
-    texts = [(text or "").strip() for text in values]
-    good = [text for text in texts if text and is_number(text)]
-    if len(good) < max(LEAST_NUMBERS * sum(map(bool, texts)), 1):
-        return None
-    numeric = np.array([_number(text) for text in texts])
-    return numeric, sum(bool(text) and not is_number(text) for text in texts)
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text.replace(",", "."))
-    except ValueError:
-        return float("nan")
+    return Table(numbers, times, time, taken, columns.units, columns.left_out, remarks)
 
 
 # ---- the time
 
 
-def _time(path: Path, held: _Columns, name: str | None) -> str:
+def _time(path: Path, held: TableColumns, name: str | None) -> str:
     columns = held.numbers
     if name is not None:
         stripped = next((column for column in (name, name.strip()) if column in columns), None)
@@ -231,39 +147,13 @@ def _since_first(times: Array) -> tuple[Array, str]:
 # ---- logs
 
 
-def read_table(path: Path, time: str | None = None, unit: str | None = None) -> FlightLog:
-    """Read a table of text or Parquet; ``time`` names its time, in ``unit``.  Raises InputError.
+def make_log(path: Path, columns: TableColumns, time: str | None = None, unit: str | None = None) -> FlightLog:
+    """Return a table as a log; ``time`` names its time, in ``unit``.  Raises InputError.
 
     A table that has our ``time_s``, and is not told otherwise by ``time``, has our stamps: a thrust stands in the row
     of the step at whose end the engine has it, and is a step of the table later than that row's time.
     """
-    return _log_of(path, columns_with_time(path, time, unit), time is None)
-
-
-def read_mcap(path: Path) -> FlightLog:
-    """Read a run's log that was exported as MCAP.  Raises InputError for MCAP of another tool."""
-    columns = read_mcap_columns(path)
-    return _log_of(path, Table(columns, columns.pop(TIME), TIME, "s"), True)
-
-
-def read_mat(path: Path) -> FlightLog:
-    """Read a run's log that was exported for MATLAB.  Raises InputError for another file of MATLAB's."""
-    from scipy.io import loadmat
-
-    try:
-        flight = loadmat(path, simplify_cells=True).get("flight", {})
-    except (ValueError, TypeError, NotImplementedError, OSError, KeyError) as error:
-        raise InputError(f"{path}: cannot be read as a file of MATLAB: {one_line(error)}") from error
-    if not isinstance(flight, dict) or not {"time", "columns"} <= flight.keys():
-        raise InputError(f"{path}: is a file of MATLAB without a flight of ours; export it as CSV")
-    names = flight["names"] if isinstance(flight.get("names"), dict) else {}
-    columns = {names.get(name, name): np.asarray(values, np.float64) for name, values in flight["columns"].items()}
-    times = columns.pop(TIME, np.asarray(flight["time"], np.float64))
-    return _log_of(path, Table(columns, times, TIME, "s"), True)
-
-
-def _log_of(path: Path, table: Table, has_our_stamps: bool) -> FlightLog:
-    """Return a table as a log; ``has_our_stamps``: unless its time is called otherwise."""
+    table, has_our_stamps = columns_with_time(path, columns, time, unit), time is None
     times, name = table.times, table.name
     remarks = [f"{NO_NUMBERS}: {', '.join(table.left_out)}"] if table.left_out else []
     remarks += table.remarks
@@ -287,6 +177,8 @@ def _log_of(path: Path, table: Table, has_our_stamps: bool) -> FlightLog:
 
 def read_run(folder: Path) -> FlightLog:
     """Read the log of a run's folder.  Raises InputError if there is none."""
+    from cosim.results.run import open_run
+
     run = open_run(folder)
     times = np.asarray(run.log[TIME])
     units = {column.name: column.unit for column in run.log.described}

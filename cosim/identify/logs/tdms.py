@@ -13,7 +13,6 @@ from cosim.base.errors import InputError
 from cosim.identify.logs.flight_log import Channel, FlightLog, numbers
 from cosim.identify.logs.table import SECONDS, TIMES, plain_name, time_unit, unit_in_name
 
-MARK = b"TDSm"
 UNITS = ("unit_string", "NI_UnitDescription", "unit", "units")  # properties in which a channel's unit may be
 STEP, OFFSET = "wf_increment", "wf_start_offset"  # s from row to row, and of the first
 

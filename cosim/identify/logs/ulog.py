@@ -1,11 +1,10 @@
-"""ULog, as PX4 writes it, read by pyulog in a process of its own."""
+"""ULog, as PX4 writes it, read by pyulog."""
 
 from __future__ import annotations
 
-import json
-import signal
+import contextlib
+import io
 import struct
-import subprocess
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,20 +13,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.compiled import child_environment
 from cosim.base.errors import InputError
-from cosim.base.runtime.processes import Child, python_command
-from cosim.identify.logs.flight_log import SEARCHED, Channel, FlightLog, numbers
+from cosim.base.storage.files import one_line, read_file
+from cosim.identify.logs.flight_log import MAX_LOG_MB, SEARCHED, Channel, FlightLog, numbers
 
 MAGIC = b"ULog\x01\x12\x35"
 HEAD_BYTES = 16
-MOST_S, MOST_S_A_MB = 20.0, 3.0  # of CPU, to begin with and for every MB: some ten times what pyulog takes
-MOST_MB, MOST_MB_A_MB = 2048.0, 40.0  # of address space; what is resident is ten times the file
-MOST_SILENT = 30.0  # times its limit of CPU that it may take by the clock: on a machine that is busy, or asleep
 _NUMBERS = {"float": "<f", "int32_t": "<i"}  # types of a parameter's value
 _LOGGED, _TAGGED = ord("L"), ord("C")
-_PROGRAM = Path(__file__).with_name("ulog_child.py")
-_RUN = 'import runpy; del sys.argv[0]; runpy.run_path(sys.argv[0], run_name="__main__")'
 
 
 def recognises(head: bytes) -> bool:
@@ -39,69 +32,73 @@ def read(path: Path) -> FlightLog:
     """Read every topic's fields as ``topic.field``, those of further instances as ``topic#1.field``.
 
     Times are those of ``timestamp_sample`` where a topic has it: when it was measured, not when it was published.
-    Raises InputError.
+    Raises InputError, and whatever pyulog may for a damaged file.
     """
     if find_spec("pyulog") is None:
         raise InputError("a ULog needs pyulog, which is not installed: pip install 'hexjet-cosim[logs]'")
     data = path.read_bytes()
-    begin, size = max(data[:SEARCHED].find(MAGIC), 0), len(data) / 2**20
-    answer, end = _read_apart(path, begin, MOST_S + MOST_S_A_MB * size, MOST_MB + MOST_MB_A_MB * size)
-    if end:
-        raise InputError(f"{path}: cannot be read as ULog: it is damaged; the reader {end}")
-    head, _, doubles = answer.partition(b"\n")
-    header = json.loads(head)
-    if "error" in header:
-        raise InputError(f"{path}: cannot be read as ULog: {header['error']}")
-    channels = _channels(header, numbers(np.frombuffer(doubles, "<f8")))
+    begin = max(data[:SEARCHED].find(MAGIC), 0)
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        log = _load(path, data, begin)
+    step = log.initial_parameters.get("step_s")
+    channels, untimed = _channels(log, None if step is None else float(step))
     if not channels:
         raise InputError(f"{path}: the ULog holds no data: it was cut short before the first message, or damaged")
-    remarks = [f"left out, having no time: {', '.join(header['untimed'])}"] if header["untimed"] else []
-    if header["damaged"]:
+    remarks = [f"left out, having no time: {', '.join(untimed)}"] if untimed else []
+    if log.file_corruption or printed.getvalue().strip():
         remarks.append("parts of the file are damaged and were passed over")
     elif not _ends(data, begin):
         remarks.append("the log was cut short, or the power went: it ends within a message")
-    if missing := header["lost"]:
+    if missing := [int(dropout.duration) for dropout in log.dropouts]:
         remarks.append(f"{len(missing)} times the logger lost data, {1e-3 * sum(missing):.1f} s together")
-    events = [(1e-6 * at, text) for at, text in header["events"]]
+    events = [(1e-6 * int(message.timestamp), str(message.message)) for message in log.logged_messages]
     return FlightLog(path, "ULog", channels, tuple(remarks), events)
 
 
-def _read_apart(path: Path, begin: int, seconds: float, megabytes: float) -> tuple[bytes, str]:
-    """Return what the reader says of a log, and why it came to no end, in words: damaged, it may run or grow for ever.
+class _Remainder(io.BytesIO):
+    """The rest of a file, which refuses as a file does to go back to before its beginning; BytesIO stops there.
 
-    It may take ``seconds`` of CPU and ``megabytes`` of address space.
+    pyulog goes back by what a damaged message says, and would come to it again for ever.
     """
-    child = Child(
-        python_command(_RUN, str(_PROGRAM), str(path), str(begin), seconds=int(seconds) + 1, megabytes=megabytes),
-        {**child_environment(), "OPENBLAS_NUM_THREADS": "1"},  # each of its threads would ask for address space
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        if whence == io.SEEK_CUR and self.tell() + offset < 0:
+            raise OSError("before the beginning")
+        return super().seek(offset, whence)
+
+
+def _load(path: Path, data: bytes, begin: int) -> Any:
+    """Load the log with pyulog.  Raises InputError with the byte of the file by which it stopped."""
+    from pyulog import ULog
+    from pyulog.core import ULogException
+
+    source = _Remainder(data[begin:])
     try:
-        answer, _ = child.finish(MOST_SILENT * seconds)
-    except subprocess.TimeoutExpired:
-        return b"", f"was not done within {MOST_SILENT * seconds:.3g} s"
-    if child.returncode == -signal.SIGXCPU:
-        return b"", f"was not done within {seconds:.3g} s of processor time"
-    return answer, f"ended its process (status {child.returncode})" if child.returncode else ""
+        return ULog(source)
+    except ULogException as error:
+        raise InputError(f"{path}: cannot be read as ULog: {one_line(error)}") from error
+    except Exception as error:  # for a file that is wrong it raises whatever its own calls raise, in their words
+        at = begin + source.tell()
+        raise InputError(f"{path}: cannot be read as ULog: it is damaged at byte {at} or before that") from error
 
 
-def _channels(header: dict[str, Any], columns: Array) -> dict[str, Channel]:
-    channels = {}
-    at = 0
-    for topic in header["topics"]:
-        fields, rows = topic["fields"], topic["rows"]
-        count = (1 + len(fields)) * rows
-        table = columns[at : at + count].reshape(1 + len(fields), rows)
-        at += count
-        times = 1e-6 * table[0]
-        if topic["name"] == "hexjet_thrust":  # ours: what the engine has at the end of the step that the message is of
-            times = times + _step(header["step"], times)
-        name = topic["name"] + (f"#{topic['instance']}" if topic["instance"] else "")
-        for field, values in zip(fields, table[1:], strict=True):
-            channels[f"{name}.{field}"] = Channel(times, values)
-    return channels
+def _channels(log: Any, step: float | None) -> tuple[dict[str, Channel], list[str]]:
+    """Return the channels of a log, and the topics that have no time."""
+    channels, untimed = {}, []
+    for topic in log.data_list:
+        stamp = topic.data.get("timestamp_sample", topic.data.get("timestamp"))
+        if stamp is None:
+            untimed.append(topic.name)
+            continue
+        times = 1e-6 * numbers(stamp)
+        if topic.name == "hexjet_thrust":  # ours: what the engine has at the end of the step that the message is of
+            times = times + _step(step, times)
+        name = topic.name + (f"#{topic.multi_id}" if topic.multi_id else "")
+        for field, values in topic.data.items():
+            if not field.startswith("timestamp"):
+                channels[f"{name}.{field}"] = Channel(times, numbers(values))
+    return channels, untimed
 
 
 def _step(nominal: float | None, times: Array) -> float:
@@ -133,10 +130,7 @@ def read_notes(path: Path) -> UlogNotes:
     Topics are passed over, so that it takes no pyulog.  What does not have the form of its kind is passed over too.
     Raises InputError for a file that cannot be read.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
+    data = read_file(path, MAX_LOG_MB)
     facts: dict[str, str | int] = {}
     parameters: dict[str, float] = {}
     messages: list[tuple[float, int, str]] = []

@@ -12,7 +12,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.storage.files import one_line, write_files
+from cosim.base.storage.files import one_line, read_json, write_files
 from cosim.identify.engine_file import DEVIATIONS_95
 from cosim.identify.logs import FlightLog, LogSignals, signals_of
 from cosim.identify.page import Card, Page, Signals, draw_signals
@@ -150,8 +150,10 @@ def read_model(path: Path, axis: str | None = None) -> StatedModel:
     file = path / "identification.json" if path.is_dir() else path
     if file.suffix.lower() == ".toml":
         return _of_model_file(file, axis)
+    if not file.exists():
+        raise InputError(f"{path}: no model here; {describe_path(path)}")
+    data = read_json(file)
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
         if data.get("kind") == "axis" and (beside := file.parent / "model.toml").is_file():  # of a sweep
             return _of_model_file(beside, axis)
         best = data["estimates"][0]
@@ -159,10 +161,6 @@ def read_model(path: Path, axis: str | None = None) -> StatedModel:
         wants = LogSignals(*(str(data[name]) for name in LogSignals._fields))
         x = np.array([float(best[name]) for name in form.names])
         return StatedModel(file, str(data["what"]), wants, form, x, float(best["gain"]))
-    except OSError as error:
-        if not file.exists():
-            raise InputError(f"{path}: no model here; {describe_path(path)}") from error
-        raise InputError(f"{file}: {error.strerror or error}") from error
     except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise InputError(
             f"{file}: is no identification.json of hexjet identify log ({one_line(error)}); "

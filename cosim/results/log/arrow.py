@@ -392,7 +392,6 @@ def _arrow(path: Path, read: Callable[[], pa.Table]) -> pa.Table:
 
 def _sort_columns(path: Path, table: pa.Table) -> Sorted:
     import pyarrow as pa
-    import pyarrow.compute as pc
 
     names = table.column_names
     if doubled := [name for name in names if names.count(name) > 1]:
@@ -406,12 +405,24 @@ def _sort_columns(path: Path, table: pa.Table) -> Sorted:
             column, kind = column.cast(integer), integer
             result.times.add(name)
         if pa.types.is_integer(kind) or pa.types.is_floating(kind) or kind in (pa.bool_(), pa.null()):
-            column = pc.fill_null(column.cast(pa.float64(), safe=False), float("nan"))
-            values = np.concatenate([np.empty(0), *map(_numbers, column.chunks)])
+            chunks = column.cast(pa.float64(), safe=False).chunks
+            values = np.concatenate([np.empty(0), *map(_with_nan, chunks)])
             result.numbers[name] = unit * np.where(np.isnan(values), np.nan, values)  # a NaN that signals would warn
         else:
             result.texts[name] = [None if value is None else str(value) for value in column.to_pylist()]
     return result
+
+
+def _with_nan(column: pa.Array) -> Array:
+    """Return floats, NaN for what is missing.
+
+    With ``fill_null`` or ``to_numpy`` pyarrow would load pandas, which takes longer than to read most tables.
+    """
+    import pyarrow as pa
+
+    values = np.full(len(column), np.nan)
+    values[_numbers(column.is_valid().cast(pa.uint8())) > 0.0] = _numbers(column.drop_null())
+    return values
 
 
 def _array(name: str, values: Sequence[Value], expected: type[Value] | None) -> pa.Array:

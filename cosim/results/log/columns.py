@@ -21,13 +21,15 @@ import re
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from itertools import count
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from cosim.base.constants import SENSORS, SERVOS
 from cosim.base.errors import InputError, nearest
 from cosim.base.protocols import Column
 from cosim.base.signals import AXES, JETS
-from cosim.spec.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from cosim.spec.vehicle import Vehicle
 
 RATES = ("p", "q", "r")
 _XYZ = ("x", "y", "z")

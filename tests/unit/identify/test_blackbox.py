@@ -11,6 +11,8 @@ from cosim.base.errors import InputError
 from cosim.identify.logs import FlightLog, read_flight_log, signals_of
 from cosim.identify.prediction_error.identify_log import identify_log
 
+pytestmark = pytest.mark.usefixtures("logs_read_here")
+
 ROWS = 400
 
 

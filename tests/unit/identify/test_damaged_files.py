@@ -19,7 +19,7 @@ from cosim.identify.logs import read_flight_log
 from cosim.results.log.arrow import write_log
 
 SOME, MANY = 25, 2000
-DEAR = ("ulog", "summary", "rows", "stream")  # a process, or a table of a whole run, for each
+DEAR = ("ulog", "mat", "summary", "rows", "stream")  # a process, or a table of a whole run, for each
 
 
 @pytest.mark.parametrize("name", KINDS)

@@ -11,10 +11,12 @@ from command_tools import Hexjet
 from flights import exported, samples, scenario, setup
 
 from cosim.base.errors import InputError
-from cosim.identify.logs import FlightLog, read_flight_log, signals_of, ulog
+from cosim.identify.logs import FlightLog, read_flight_log, reader, signals_of
 from cosim.identify.logs.flight_log import Channel
 from cosim.identify.logs.log_columns import as_columns
 from cosim.results.run import begin_run
+
+pytestmark = pytest.mark.usefixtures("logs_read_here")
 
 TIMES = np.arange(50) * 0.01
 WAVE = np.sin(TIMES)
@@ -219,17 +221,16 @@ def test_a_ulog_that_is_cut_has_its_columns(tmp_path: Path, flown: bytes) -> Non
 
 def test_a_ulog_that_its_reader_never_ends_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A message of no kind whose size leads behind the end: pyulog goes back by it, and comes to it again, for ever."""
-    monkeypatch.setattr(ulog, "MOST_S", 0.5)
+    monkeypatch.setattr(reader, "MAX_CPU_S", 0.5)
 
     def message(kind: int, body: bytes) -> bytes:
         return struct.pack("<HB", len(body), kind) + body
 
     said = [message(ord("I"), b"\x0dchar[100] k%02d" % n + 100 * b"x") for n in range(30)]
     endless = struct.pack("<HB", 1 + 50 + 3 * len(said[0]), 0) + bytes(50)
-    with pytest.raises(
-        InputError, match=r"x\.ulg: cannot be read as ULog: it is damaged; the reader was not done within"
-    ):
-        read(tmp_path / "x.ulg", b"ULog\x01\x12\x35\x01" + bytes(8) + b"".join(said) + endless)
+    (tmp_path / "x.ulg").write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"".join(said) + endless)
+    with pytest.raises(InputError, match=r"x\.ulg: cannot be read: it is damaged; the reader was not done within"):
+        reader.read_apart("ulog.read", tmp_path / "x.ulg")
 
 
 @pytest.mark.parametrize("before", [b"", b"\xff" * 100], ids=["alone", "behind"])

@@ -18,6 +18,8 @@ from cosim.identify.prediction_error.stretches import Clock
 from cosim.results.export.csv_file import export_csv
 from cosim.results.run import begin_run, open_run
 
+pytestmark = pytest.mark.usefixtures("logs_read_here")
+
 TIMES = np.arange(50) * 0.01
 WAVE = np.sin(TIMES)
 DATA = Path(__file__).parents[4] / "shared" / "data" / "flight-logs"

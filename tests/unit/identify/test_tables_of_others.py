@@ -10,6 +10,8 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.identify.logs import FlightLog, read_flight_log
 
+pytestmark = pytest.mark.usefixtures("logs_read_here")
+
 ROWS = 60
 TIMES = 0.01 * np.arange(ROWS)
 WAVE = np.round(np.sin(10.0 * TIMES), 6)

@@ -13,6 +13,8 @@ from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
 from cosim.identify.logs import FlightLog, is_flight_log, read_flight_log, signals_of, tlog
 from cosim.identify.logs.log_columns import as_columns
 
+pytestmark = pytest.mark.usefixtures("logs_read_here")
+
 BEGIN = 1_700_000_000.0  # s since 1970
 ROWS = 100
 TIMES = 0.02 * np.arange(ROWS)
@@ -136,7 +138,8 @@ def test_frames_of_no_message_that_is_known_are_no_log(tmp_path: Path, monkeypat
     monkeypatch.setattr(tlog, "DIALECTS", tlog.DIALECTS[:1])  # without that of ArduPilot's messages
     tlog._kinds.cache_clear()
     try:
-        log = read(tmp_path, flown())
+        (tmp_path / "own.tlog").write_bytes(flown())
+        log = tlog.read(tmp_path / "own.tlog")
         assert len(log.channels["ATTITUDE.roll"].values) == ROWS
         assert "messages of unknown numbers were left out: 11030" in log.remarks
     finally:

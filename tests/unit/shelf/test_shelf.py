@@ -45,7 +45,7 @@ def test_what_a_folder_holds(runs: Path) -> None:
     assert (third.page, found["drawn"].page) == ("report.html", "drawing.html")
 
 
-@pytest.mark.parametrize("content", ["[" * 100_000, '{"metrics": {"roll": {"rmse_rad": NaN}}}', "pipe"])
+@pytest.mark.parametrize("content", ["[" * 100_000, '{"metrics": ', "pipe"])
 def test_one_file_does_not_take_the_others_down(runs: Path, content: str) -> None:
     file = runs / "run-00003" / "summary.json"
     file.unlink()
