@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.base.storage.files import read_json, write_whole
+from cosim.base.storage.files import parse_json, read_file, write_whole
 from cosim.campaign.folder import COLUMNS
 from cosim.campaign.study.key import Key
 from cosim.campaign.study.study import Study
@@ -37,7 +37,10 @@ def stored_kinds(folder: Path, study: Study, in_rows: Callable[[], Iterable[str]
         names = in_rows() if study.base().metrics else ()
         return kinds(study, [name for name in names if name.startswith(PREFIX)])
     try:
-        content = read_json(path)
+        content = parse_json(read_file(path), COLUMNS, finite=False)  # a bound may be infinite
+    except InputError as error:
+        raise InputError(f"{path}: not the columns of a campaign: {error}") from error
+    try:
         metrics = [str(name) for name in _list(content["own"])]
         keys = [Key(**{**key, "choices": tuple(_list(key["choices"]))}) for key in _list(content["keys"])]
     except (LookupError, TypeError) as error:

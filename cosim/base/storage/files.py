@@ -88,7 +88,7 @@ def read_text(path: Path, encoding: str = "utf-8") -> str:
     try:
         text = read_file(path).decode(encoding)
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: no text (byte {error.start})") from error
+        raise InputError(f"{path}: is no text file (byte {error.start})") from error
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -106,9 +106,9 @@ def parse_json(text: str | bytes, where: str, finite: bool = True) -> Any:
     try:
         return json.loads(text, **(_FINITE if finite else {}))
     except RecursionError as error:
-        raise InputError(f"{where}: JSON that is nested too deep") from error
+        raise InputError(f"{where}: not JSON (nested too deep)") from error
     except ValueError as error:
-        raise InputError(f"{where}: cannot be read as JSON: {one_line(error)}") from error
+        raise InputError(f"{where}: not JSON ({one_line(error)})") from error
 
 
 def _refuse_constant(name: str) -> float:

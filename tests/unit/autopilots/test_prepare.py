@@ -244,7 +244,7 @@ def test_a_line_without_a_name_or_a_finite_number_is_refused(line: str, tmp_path
 def test_a_file_that_is_no_text_is_called_that(tmp_path: Path) -> None:
     file = tmp_path / "mine.parm"
     file.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match=r"mine\.parm: is no text file; allowed is a name and a number on a line$"):
+    with pytest.raises(InputError, match=r"mine\.parm: is no text file \(byte 0\)$"):
         read_parameters(file)
 
 
