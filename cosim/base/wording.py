@@ -41,8 +41,6 @@ _SUBJECT = r"(\w+) ([^\s=:,]+)(?=: )"  # an argument with its value, in front
 # What a terminal obeys, or by which it writes from right to left; line ends and tabs are not among it.
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 _QUOTED = re.compile(r"(?<!\w)(['\"])(.*?)\1(?!\w)", re.DOTALL)  # a value, as messages echo it
-MAX_ECHO = 80  # characters of a value in a message
-MAX_LINE = 2000  # characters of a message
 _options: ContextVar[tuple[str, ...] | None] = ContextVar("options", default=None)  # of the command that runs
 
 
@@ -61,15 +59,15 @@ def printable(text: str) -> str:
     return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
-def printable_line(text: str) -> str:
-    """Return a message in one printable line, with at most ``MAX_ECHO`` characters of each value that it quotes."""
+def printable_line(text: str, max_echo: int = 80, max_line: int = 2000) -> str:
+    """Return a message in one printable line of ``max_line`` characters, with ``max_echo`` of each value it quotes."""
 
     def shorten(found: re.Match[str]) -> str:
-        value = found[2] if len(found[2]) <= MAX_ECHO else f"{found[2][:MAX_ECHO]}..."
+        value = found[2] if len(found[2]) <= max_echo else f"{found[2][:max_echo]}..."
         return f"{found[1]}{value}{found[1]}"
 
     line = _QUOTED.sub(shorten, printable(text).replace("\n", "\\n"))
-    return line if len(line) <= MAX_LINE else f"{line[:MAX_LINE]}..."
+    return line if len(line) <= max_line else f"{line[:max_line]}..."
 
 
 def option_of(argument: str) -> str | None:

@@ -16,9 +16,6 @@ from typing import Any
 
 from cosim.base.errors import FlightError, InputError
 
-# Scenarios, summaries, journals and archives of engines stay below some tens of MB; more than this is no such file.
-MAX_FILE_MB = 256.0
-
 
 @contextmanager
 def replace_on_success(path: Path) -> Iterator[Path]:
@@ -58,12 +55,12 @@ def open_without_links(path: str | Path, flags: int) -> int:
     return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0), 0o666)
 
 
-def read_file(path: Path, max_mb: float = MAX_FILE_MB, first: int = -1) -> bytes:
+def read_file(path: Path, max_mb: float = 256.0, first: int = -1) -> bytes:
     """Return the content of a file of somebody else, or its ``first`` bytes.
 
     What lies there may be a pipe that nobody writes to or a device without an end: neither is waited for or read.
     Raises InputError with file and reason in a line for what is no regular file, or larger than ``max_mb`` (of 2**20
-    bytes).
+    bytes): scenarios, summaries, journals and engines stay below some tens.
     """
     try:
         with open(path, "rb", opener=_open_at_once) as file:

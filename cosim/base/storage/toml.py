@@ -89,14 +89,14 @@ _DOTTED_NAMES = re.compile(
     r"(?P<head>(?:mismatch\.)?engine_parameters|stations\.[^.]+\.parameters|mismatch\.stations\.[^.]+)\.(?P<name>.+)"
     r"|(?P<file>vehicle\.identified)\.(?P<family>.+)\.(?P<axis>roll|pitch|yaw)\.(?P<rest>.+)"
 )
-MAX_TOML_MB = 16.0  # the largest of ours has a hundredth of that
 _parsed: RecentCache[dict[str, Any]] = RecentCache(64)
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file.  Raises InputError that names the file and, for bad syntax, the line."""
     try:
-        text = read_file(path, MAX_TOML_MB).decode().replace("\r\n", "\n")
+        # The largest of ours has a hundredth of these MB.
+        text = read_file(path, max_mb=16.0).decode().replace("\r\n", "\n")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not UTF-8 text (byte {error.start}); a TOML file is needed") from error
     try:

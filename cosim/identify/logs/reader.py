@@ -30,7 +30,6 @@ from cosim.identify.logs.table_columns import TableColumns
 MAX_CPU_S, MAX_CPU_S_PER_MB = 20.0, 3.0  # some ten times what the slowest reader takes, which is pyulog
 # Of address space.  The libraries take 300; what is read is ten times the file, of a text twenty times.
 MAX_MB, MAX_MB_PER_MB = 1024.0, 40.0
-MAX_WAIT = 30.0  # times its limit of CPU that it may take by the clock: on a machine that is busy, or asleep
 _RUN = "from cosim.identify.logs.reader import main; main()"
 # Threads and pools of memory of libraries ask for address space that they do not use.
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
@@ -53,7 +52,8 @@ def read_apart(reader: str, path: Path, *numbers: int) -> FlightLog | TableColum
         stderr=subprocess.DEVNULL,
     )
     try:
-        answer, _ = child.finish(MAX_WAIT * seconds)
+        # By the clock it may take many times as long: the machine may be busy, or asleep.
+        answer, _ = child.finish(30.0 * seconds)
         status = child.returncode
     except subprocess.TimeoutExpired:
         answer, status = b"", -signal.SIGXCPU
