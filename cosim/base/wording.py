@@ -41,6 +41,8 @@ _SUBJECT = r"(\w+) ([^\s=:,]+)(?=: )"  # an argument with its value, in front
 # What a terminal obeys, or by which it writes from right to left; line ends and tabs are not among it.
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 _QUOTED = re.compile(r"(?<!\w)(['\"])(.*?)\1(?!\w)", re.DOTALL)  # a value, as messages echo it
+# What is longer than a file's name can be is no part of a path, but a value that stands without quotes.
+_LONG_WORD = re.compile(r"[^\s/]{256,}")
 _options: ContextVar[tuple[str, ...] | None] = ContextVar("options", default=None)  # of the command that runs
 
 
@@ -67,6 +69,7 @@ def printable_line(text: str, max_echo: int = 80, max_line: int = 2000) -> str:
         return f"{found[1]}{value}{found[1]}"
 
     line = _QUOTED.sub(shorten, printable(text).replace("\n", "\\n"))
+    line = _LONG_WORD.sub(lambda found: f"{found[0][:max_echo]}...", line)
     return line if len(line) <= max_line else f"{line[:max_line]}..."
 
 

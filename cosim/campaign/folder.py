@@ -76,7 +76,7 @@ def check_asked(folder: Path, frozen: FrozenStudy | None, holds: str) -> None:
             "flight; it can be looked at, and flown anew in another folder"
         )
     check_unedited(folder)
-    asked = read_toml(folder / RECORD)
+    asked = _read_asked(folder)
     for name, value in installed_versions().items():
         if (then := asked["installed"].get(name)) != value:
             change = f"other {FILES}" if name == FILES else f"{name} was {then} and is {value}"
@@ -93,11 +93,19 @@ def check_unedited(folder: Path) -> None:
     """
     if not (folder / RECORD).is_file():
         return
-    asked = read_toml(folder / RECORD)
+    asked = _read_asked(folder)
     files = {name: sha256(read_file(folder / name)).hexdigest() for name in asked["file"]}
     now = {name: read_toml(folder / name) for name in (STUDY, SCENARIO)} | {"file": files}
     for name, was, value in _differences(asked, now):
         raise InputError(f"{folder}: changed since its first flight; {name} was {was} and is {value}")
+
+
+def _read_asked(folder: Path) -> dict[str, Any]:
+    asked = read_toml(folder / RECORD)
+    for name in (STUDY, SCENARIO, "file", "installed"):
+        if not isinstance(asked.get(name), dict):
+            raise InputError(f"{folder / RECORD}: has no table [{name}]; it is not as it was at the first flight")
+    return asked
 
 
 def extend_asked(folder: Path, study: Study) -> None:

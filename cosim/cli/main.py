@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import tempfile
@@ -204,7 +205,7 @@ def main(arguments: list[str] | None = None) -> None:
         echo(error.ctx.get_help() if error.ctx else "", err=True)
         status = WRONG_INPUT
     except (InputError, FlightError, click.ClickException, OSError, MemoryError) as error:
-        if isinstance(error, OSError) and error.errno not in MACHINE_TROUBLE:
+        if isinstance(error, OSError) and error.errno not in (*MACHINE_TROUBLE, errno.ENAMETOOLONG):
             raise
         message, status = _explain(error)
         _complain(message)
@@ -238,6 +239,8 @@ def _explain(error: InputError | FlightError | click.ClickException | OSError | 
         return " ".join(error.format_message().split()) + where, WRONG_INPUT
     if isinstance(error, MemoryError):
         return "the memory that this process may have is used up", FLIGHT_FAILED
+    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+        return f"{error.filename}: is longer than a file's name can be", WRONG_INPUT
     return (_machine_trouble(error) if isinstance(error, OSError) else str(error)), FLIGHT_FAILED
 
 

@@ -80,6 +80,9 @@ def test_an_edited_folder_is_refused_by_the_key_that_changed(
         status, _, line = resume()
     begin = f"hexjet: {folder}: what is installed changed since its first flight: jsbsim was "
     assert (status, line[: len(begin)], line[-12:]) == (2, begin, " and is 0.9\n")
+    edit(folder / RECORD, "[installed]", "[other]")
+    line = f"hexjet: {folder / RECORD}: has no table [installed]; it is not as it was at the first flight\n"
+    assert resume() == (2, "", line)
     (folder / RECORD).unlink()
     status, _, line = resume()
     assert (status, line.startswith(f"hexjet: {folder}: asked.toml is missing")) == (2, True)

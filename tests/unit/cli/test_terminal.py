@@ -159,6 +159,19 @@ def test_a_refusal_echoes_eighty_characters_of_a_value(tmp_path: Path, hexjet: H
     assert len(said) < 2100
 
 
+def test_a_value_too_long_for_a_name_is_refused_in_a_line(hexjet: Hexjet) -> None:
+    long = 10_000 * "y"
+    for arguments in (
+        ("fly", long),
+        ("fly", "hover", "--engine", long),
+        ("show", long),
+        ("sweep", "hover", "--vary", long),
+    ):
+        status, out, line = hexjet(*arguments)
+        assert (status, out, line.count("\n")) == (2, "", 1)
+        assert (81 * "y" in line, "yyy..." in line) == (False, True), line
+
+
 def test_one_module_of_the_command_line_prints() -> None:
     """It takes the control characters out."""
     for path in (ROOT / "cosim" / "cli").rglob("*.py"):
