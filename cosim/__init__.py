@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from cosim.api.searches import rare, search
     from cosim.api.show import show
     from cosim.api.studies import sweep
-    from cosim.api.surveys import engine_out, failsafes, faults
+    from cosim.api.surveys import failsafes, faults
     from cosim.base.signals import Command
     from cosim.base.trust import trust
     from cosim.flight import fly
@@ -56,7 +56,6 @@ __all__ = [
     "check_engine",
     "compare",
     "design",
-    "engine_out",
     "export",
     "export_controller",
     "export_vehicle",
@@ -90,7 +89,6 @@ _WHERE = {
     "check_aircraft": "cosim.api.checks",
     "check_engine": "cosim.api.checks",
     "compare": "cosim.api.compare",
-    "engine_out": "cosim.api.surveys",
     "export": "cosim.api.export",
     "export_controller": "cosim.api.export",
     "export_vehicle": "cosim.api.export",

@@ -42,7 +42,6 @@ WHAT = {  # every package that pyproject.toml names for those who fly, and why i
 }
 EXTRAS = {
     "bench": "hexjet bench: other ways to step FMUs, a multirotor simulator",
-    "bounds": "docs/engine_out.py: trajectory optimisation, with Ipopt",
     "cluster": "hexjet sweep --cluster",
     "docs": "make docs",
     "export": "hexjet export --to mcap",

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cosim.api.searches import RareResult, SearchResult
     from cosim.api.show import ShowResult
     from cosim.api.studies import SweepResult
-    from cosim.api.surveys import EngineOutResult, FailsafesResult, FaultsResult
+    from cosim.api.surveys import FailsafesResult, FaultsResult
 
 _WHERE = {
     "AircraftCheckResult": "checks",
@@ -35,7 +35,6 @@ _WHERE = {
     "ControllerExport": "export",
     "DesignResult": "design",
     "EngineCheckResult": "checks",
-    "EngineOutResult": "surveys",
     "FailsafesResult": "surveys",
     "FaultsResult": "surveys",
     "IdentifyResult": "identify",
@@ -62,7 +61,6 @@ __all__ = [
     "ControllerExport",
     "DesignResult",
     "EngineCheckResult",
-    "EngineOutResult",
     "FailsafesResult",
     "FaultsResult",
     "IdentifyResult",

@@ -10,7 +10,6 @@ from cosim.api.call import FolderResult, Limits, Progress, Table, checked
 from cosim.base.trust import mention
 
 if TYPE_CHECKING:
-    from cosim.campaign.surveys.engine_out import EngineOut
     from cosim.campaign.surveys.failsafes import Failsafes
     from cosim.campaign.surveys.faults import Survival
 
@@ -140,97 +139,6 @@ def faults(
     result = FaultsResult(
         survival(str(aircraft), flown, named, list(kinds), workers, hears.update, limits, nominal_engine)
     )
-    return result if out is None else result.write(out)
-
-
-class EngineOutResult(FolderResult):
-    """What becomes of vehicles with one engine out.
-
-    ``write`` leaves ``engine-out.csv``.
-
-    Attributes
-    ----------
-    engine_out : EngineOut
-        Everything; ``flights`` has one for each station.
-    """
-
-    def __init__(self, engine_out: EngineOut) -> None:
-        self.engine_out = engine_out
-        self.files = {}
-
-    def _write(self, folder: Path) -> dict[str, Path]:
-        from cosim.campaign.surveys.engine_out import write
-
-        return {"table": write(self.engine_out, folder)}
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet faults --engine-out --json`` prints."""
-        return self.engine_out.to_dict()
-
-    def lines(self) -> list[str]:
-        """Return how many flights there are, which vehicles are left out, and notes on engines."""
-        result = self.engine_out
-        left = [f"{each.aircraft} with {each.engine}: left out, {each.why}" for each in result.left]
-        return [f"{len(result.flights)} flights with one engine out", *left, *result.engine_notes]
-
-    def tables(self) -> list[Table]:
-        """Return verdict, lean, height lost and drift of each vehicle, and its bounds."""
-        from cosim.campaign.surveys.engine_out import TABLES, rows
-
-        result = self.engine_out
-        aircraft = [each.aircraft for each in result.flights] + [each.aircraft for each in result.left]
-        return [Table("", TABLES[name], lines) for name, lines in rows(result, aircraft).items()]
-
-
-@checked(workers=WORKERS)
-def engine_out(
-    aircraft: Sequence[str] = (),
-    engines: Sequence[str] = (),
-    *,
-    designs: str | Path | None = None,
-    nominal_engine: bool = False,
-    workers: int = 2,
-    out: str | Path | None = None,
-    progress: Progress | None = None,
-) -> EngineOutResult:
-    """Fly one engine out in hover, at every station, and compare with the lean that no throttles avoid.
-
-    Parameters
-    ----------
-    aircraft : sequence of str
-        Names or folders; none: all that are shipped and have tilting banks.
-    engines : sequence of str
-        Names or files; none: all that lift the vehicle.
-    designs : str or Path or None
-        The folder of the controllers, a missing one is designed, which takes minutes; None: ``designs`` in ``out``, or
-        in ``runs/engine-out``.
-    nominal_engine : bool
-        Whether engines fly as they are stated, not drawn by their uncertainty.
-    workers : int
-        Processes.
-    out : str or Path or None
-        A folder for the table; without it none is written.
-    progress : Progress or None
-        Hears how far it is.
-
-    Returns
-    -------
-    EngineOutResult
-        A row for each flight, and the bounds.
-
-    Raises
-    ------
-    InputError
-        For an aircraft or an engine that there is none of, and a vehicle without tilting banks.
-    """
-    from cosim.campaign.surveys.engine_out import engine_out as fly_all
-
-    hears = progress or Progress()
-    folder = (
-        Path(designs) if designs is not None else (Path("runs/engine-out") if out is None else Path(out)) / "designs"
-    )
-    mention(engines, Path())
-    result = EngineOutResult(fly_all(tuple(aircraft), tuple(engines), folder, workers, hears.update, nominal_engine))
     return result if out is None else result.write(out)
 
 

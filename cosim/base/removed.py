@@ -20,10 +20,19 @@ class Removal(NamedTuple):
 _RATES: Final = Removal(
     "a rate loop from outside", "0.3.0", "hexjet export controller --for, which puts it inside the autopilot"
 )
+_ENGINE_OUT: Final = Removal(
+    "the table of three vehicles with one engine out", "0.3.0", "hexjet faults --kind flame-out for a vehicle"
+)
+_PAGES: Final = Removal("writing this project's own pages", "0.3.0", "the scripts in docs/ of a checkout")
 # By what a user writes to name it: an option, a command, a key, the beginning of a value.
 REMOVED: Final[Mapping[str, Removal]] = {
     "hexjet fmu compile": Removal("compiling the sources of an FMU", "0.3.0", "python -m fmpy compile FILE.fmu"),
     "hexjet fmu survey": Removal("the table of many engines", "0.3.0", "hexjet fmu check and hexjet design for each"),
+    "hexjet faults --engine-out": _ENGINE_OUT,
+    "hexjet faults --designs": _ENGINE_OUT,
+    "hexjet faults --docs": _PAGES,
+    "hexjet failsafes --page": _PAGES,
+    "hexjet paper --page": _PAGES,
     "hexjet fmu build --windows": Removal("building for Windows", "0.3.0", "a wheel made on Windows"),
     "hexjet gcs --foxglove": Removal(
         "the live feed for Foxglove", "0.3.0", "hexjet export RUN --to mcap, which Foxglove opens"

@@ -26,13 +26,6 @@ class Paper(opt.Output):
         help="Where the result goes; parts that are there already are taken up.",
     )
     workers: int = opt.WORKERS
-    pages: tuple[Path, ...] = opt.option(
-        "--page",
-        type=click.Path(dir_okay=False, path_type=Path),
-        metavar="FILE.md",
-        multiple=True,
-        help="Write counts and tables between the page's marks.",
-    )
     as_json = opt.json("Print the comparison as one JSON object and nothing else.")
 
 
@@ -43,16 +36,11 @@ def paper(options: Paper) -> int:
 
     Leaves comparison.csv, comparison.json and report.html in DIR.  An interrupted call goes on where it ended.
     """
-    from hexjet_paper.report.pages import check_page, write_page
     from hexjet_paper.report.result import DATA, REPORT
     from hexjet_paper.reproduce import reproduce
 
-    for page in options.pages:
-        check_page(page)
     with part_progress("paper", quiet=options.as_json) as tell:
         reproduction = reproduce(options.out, tell, options.workers)
-    for page in options.pages:
-        write_page(page, reproduction)
     options.answer(
         lambda: json.loads((options.out / DATA).read_text(encoding="utf-8")),
         lambda: print_paper(reproduction, options.out / REPORT),

@@ -1,4 +1,4 @@
-"""The tables of failsafes: the file of every flight, with what flies it again, and the parts of a page."""
+"""The tables of failsafes: the file of every flight, with what flies it again, and the table of a vehicle."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from cosim.base.errors import InputError
 from cosim.base.storage.files import map_os_errors
 from cosim.base.storage.toml import toml_text
 from cosim.campaign.surveys.failsafe_flight import Row
-from cosim.campaign.surveys.failsafes import HOVER_S, Failsafes
+from cosim.campaign.surveys.failsafes import Failsafes
 from cosim.control.autopilot.requests import to_dict
 from cosim.results.autopilot.request_log import Entry
-from cosim.results.report import marks
 from cosim.spec.scenario import Scenario
 
 
@@ -91,25 +90,6 @@ def summary(result: Failsafes) -> list[FailsafeSummary]:
         worst = [_worst(rows, column) for column in ("touchdown_m_s", "sideways_m_s", "thrust_n")]
         table.append(FailsafeSummary(name, wind, speed, ends, *worst))
     return table
-
-
-def mark(aircraft: str) -> str:
-    """Return the name of the mark in a page between which a vehicle's table goes."""
-    return f"failsafes after a take-off, {aircraft}"
-
-
-def markdown(result: Failsafes) -> str:
-    """Return the part of a page for flights after a take-off: a line for each failsafe, a column for each start."""
-    low, high = HOVER_S
-    winds = ", ".join(f"{wind:g}" for wind in sorted({row.wind_m_s for row in result.rows}))
-    limits = (
-        f"Engine `{result.engine}`, controller `{result.controller}`; a leg that touches faster than "
-        f"{result.limit_m_s:.2f} m/s counts as a crash, and what touches faster than {result.trip_m_s:.2f} m/s "
-        f"sideways has slid. After a take-off and {low:g} to {high:g} s of hover, a moment drawn for each flight; "
-        f"winds of {winds} m/s in turn."
-    )
-    head, *lines = grid(result)
-    return f"{limits}\n\n" + marks.table(head, lines)
 
 
 def grid(result: Failsafes) -> list[list[str]]:

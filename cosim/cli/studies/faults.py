@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,10 +10,10 @@ import click
 from cosim.base.errors import InputError
 from cosim.cli import opt
 from cosim.cli.console import CommandProgress, echo, output_to_stderr, part_progress, say, show_table
-from cosim.cli.options import DONE, example, is_given, refuse_others
+from cosim.cli.options import DONE, example
 
 if TYPE_CHECKING:
-    from cosim.api.surveys import EngineOutResult, FailsafesResult, FaultsResult
+    from cosim.api.surveys import FailsafesResult, FaultsResult
     from cosim.campaign.surveys.failsafes import Failsafes
 
 
@@ -26,26 +25,6 @@ class Faults(opt.Output):
     controllers = opt.words("--controller", "NAME|FILE", "[default: those with a model]")
     kinds = opt.words("--kind", "NAME", "Only faults that begin so.  [default: all]")
     limits = opt.flag("--limits", "Also: how much thrust may be lost, and how late it may be noticed.")
-    engine_out = opt.flag(
-        "--engine-out",
-        "Instead: one engine out in hover, at every station, of every aircraft (or --aircraft) with every engine "
-        "(or --engine) that lifts it, each with the gains designed for it, beside the lean that no throttles avoid.",
-    )
-    designs = opt.path(
-        "--designs",
-        "DIR",
-        "With --engine-out: the folder of its controllers, ENGINE.toml by hexjet design; a missing one is designed and "
-        "written there.  [default: designs in --out]",
-        file_okay=False,
-    )
-    docs = opt.path(
-        "--docs",
-        "DIR",
-        "Write the tables between the marks of faults.md, with --limits, or with --engine-out of faults.md and "
-        "full-scale.md, there; of all that they hold.",
-        exists=True,
-        file_okay=False,
-    )
     nominal_engine = opt.NOMINAL_ENGINE
     workers: int = opt.WORKERS
     out = opt.OUT
@@ -57,59 +36,20 @@ class Faults(opt.Output):
 def faults(options: Faults) -> int:
     """Fly every single fault, from hover and from a roll of 10 deg, and tell which the vehicle survives.
 
-    Leaves survival.csv and survival.html in DIR; with --engine-out, engine-out.csv.
+    Leaves survival.csv and survival.html in DIR.
     """
     from cosim.api.surveys import WRITTEN
     from cosim.api.surveys import faults as fly_all
-    from cosim.campaign.surveys.fault_page import MARKS, write_page
-    from cosim.results.report.marks import check_marks
-
-    if options.engine_out:
-        return _engine_out(options)
-    if options.designs is not None:
-        raise InputError("--designs goes with --engine-out")
-    page = None if options.docs is None else options.docs / "faults.md"
-    if page is not None:
-        why = "the page holds every fault of the default vehicle with every controller; leave it out with --docs"
-        refuse_others(why, "docs", "limits", "workers", "out", "as_json")
-        check_marks(page, MARKS)
 
     options.check_out(*WRITTEN)
     chosen = options.chosen("aircraft", "engine", "controllers", "kinds", "nominal_engine", "workers")
     with output_to_stderr(options.as_json), part_progress("faults", quiet=options.as_json) as tell:
-        found = fly_all(**chosen, limits=options.limits or page is not None, progress=CommandProgress(tell))
+        found = fly_all(**chosen, limits=options.limits, progress=CommandProgress(tell))
     result = found.survival
     found.write(options.run_folder(f"faults-{result.aircraft}"))
     for text in result.warnings:
         echo(f"hexjet: warning: {text}", err=True)
-    if page is not None:
-        write_page(result, page)
     options.answer(found.to_dict, lambda: print_survival(found))
-    return DONE
-
-
-def _engine_out(options: Faults) -> int:
-    from cosim.api.surveys import engine_out
-    from cosim.campaign.surveys.engine_out import check_pages, write_pages
-
-    allowed = (
-        "aircraft", "engine", "engine_out", "designs", "docs", "nominal_engine", "workers", "out", "as_json",
-    )  # fmt: skip
-    refuse_others("does not go with --engine-out", *allowed)
-    aircraft = (options.aircraft,) if is_given("aircraft") else ()
-    engines = (options.engine,) if options.engine else ()
-    folder, docs = options.run_folder("engine-out"), options.docs
-    if docs is not None:
-        if aircraft or engines:
-            raise InputError("--docs: the pages hold every aircraft and engine; leave out --aircraft and --engine")
-        check_pages(docs)
-    with output_to_stderr(options.as_json), part_progress("engine out", quiet=options.as_json) as tell:
-        chosen = options.chosen("nominal_engine", "workers")
-        designs = options.designs or folder / "designs"
-        found = engine_out(aircraft, engines, designs=designs, progress=CommandProgress(tell), **chosen)
-    found.write(folder)
-    pages = write_pages(found.engine_out, docs) if docs is not None else []
-    options.answer(found.to_dict, lambda: print_engine_out(found, [*found.files.values(), *pages]))
     return DONE
 
 
@@ -155,7 +95,6 @@ class FailsafeOptions(opt.Output):
     )
     workers: int = opt.WORKERS
     out = opt.OUT
-    page = opt.path("--page", "FILE", "Write the table there.", dir_okay=False)
     as_json = opt.JSON
 
 
@@ -170,23 +109,16 @@ def failsafes(options: FailsafeOptions) -> int:
     With several aircraft each has a folder of its name in DIR.
     """
     from cosim.api.surveys import FailsafesResult
-    from cosim.campaign.surveys.failsafe_table import mark, markdown
     from cosim.campaign.surveys.failsafes import TABLED, WINDS_M_S, Conditions
     from cosim.campaign.surveys.failsafes import failsafes as fly_all
-    from cosim.results.report.marks import check_marks, write_marks
-    from cosim.spec.vehicle import aircraft_name
 
-    aircraft, page = options.aircraft, options.page
+    aircraft = options.aircraft
     if "all" in aircraft:
         if len(aircraft) > 1:
             raise InputError("--aircraft all: leave out the others")
         aircraft = TABLED
     aircraft = tuple(dict.fromkeys(aircraft))
     several = len(aircraft) > 1
-    if page is not None:
-        if options.airborne:
-            raise InputError("--page: the page has flights after a take-off; leave out --airborne")
-        check_marks(page, [mark(aircraft_name(name)) for name in aircraft])
     conditions = Conditions(
         options.heights, options.winds or WINDS_M_S, options.moving, options.flights, options.airborne, options.seed,
         options.nominal_engine,
@@ -203,8 +135,6 @@ def failsafes(options: FailsafeOptions) -> int:
             if not options.as_json:
                 print_failsafes(found)
             results.append(survey)
-    if page is not None:
-        write_marks(page, {mark(survey.aircraft): markdown(survey) for survey in results})
     data = [survey.to_dict() for survey in results]
     options.answer(lambda: {"tables": data} if several else data[0], lambda: None)
     return DONE
@@ -235,19 +165,6 @@ def print_survival(found: FaultsResult) -> None:
         say(f"{limit.quantity}, {limit.start}, {name}: held at {held}; airborne at {airborne}; lost {lost}", wrap=False)
     show_table(by_loss.columns, by_loss.rows, (1, 2, 3))
     say(f"report: {found.report}", wrap=False)
-
-
-def print_engine_out(found: EngineOutResult, paths: Sequence[Path]) -> None:
-    """Print what became of every vehicle with one engine out, its bounds, and where it stands."""
-    for table in found.tables():
-        show_table(table.columns, table.rows)
-    say(
-        "each jet: verdict, largest lean, height lost, furthest drift; bounds: the lean that no throttles avoid, "
-        "and while it does not spin no tilts either, told of it at once; the second table: the bound for throttles "
-        "alone with one thing changed, and when the opposite engine has to be shut off for a bound at the limit"
-    )
-    for text in (*found.engine_out.engine_notes, *map(str, paths)):
-        say(text, wrap=False)
 
 
 def print_failsafes(found: FailsafesResult) -> None:

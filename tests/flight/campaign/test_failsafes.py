@@ -15,7 +15,7 @@ import pytest
 from command_tools import Hexjet
 from failsafe_flights import Flight, again, again_of_the_table
 from long_cases import long_after
-from places import DOCS
+from places import DOCS, script
 from stated_figures import stated
 
 from cosim.base.constants import GRAVITY
@@ -31,6 +31,7 @@ from cosim.results.report import marks
 from cosim.spec.vehicle import aircraft_names, load_vehicle
 
 HEXJETS = ("hexjet", "hexjet-p220")
+mark = script("surveys").mark
 AT_REST = 0.1  # of the speed that it had: nine tenths of it is gone when it touches
 LOST_WITHOUT_ONE = ("trijet",)  # whichever engine; the page says what is known of why
 
@@ -57,7 +58,7 @@ def flown(
 
 
 def tip_of(aircraft: str) -> float:
-    text = marks.parts_of((DOCS / "tables/failsafes.md").read_text(encoding="utf-8"), "")[tables.mark(aircraft)]
+    text = marks.parts_of((DOCS / "tables/failsafes.md").read_text(encoding="utf-8"), "")[mark(aircraft)]
     return float(re.search(r"faster than ([\d.]+) m/s sideways", text)[1])  # type: ignore[index]
 
 
@@ -571,25 +572,17 @@ def test_who_is_in_hold_elsewhere_does_not_hold(moved: rq.Goto, monkeypatch: pyt
     assert row.margin_m < 0.0
 
 
-def test_the_command_writes_the_table_and_the_part_of_a_page(tmp_path: Path, hexjet: Hexjet) -> None:
-    page = tmp_path / "page.md"
-    page.write_text(
-        "Text.\n\n<!-- measured: failsafes after a take-off, hexjet -->\n<!-- end -->\n\nMore.\n", encoding="utf-8"
-    )
+def test_the_command_writes_the_table(tmp_path: Path, hexjet: Hexjet) -> None:
     done = hexjet(
         *("failsafes", "--failsafe", "sticks", "--height", "3", "--wind", "0", "--workers", "1", "--json"),
         *("--flights", "2"),
-        *("--out", str(tmp_path / "out"), "--page", str(page)),
+        *("--out", str(tmp_path / "out")),
     )
     assert done.status == 0, done.err
     found = json.loads(done.out)
     assert [(row["failsafe"], row["verdict"], row["thrust_n"]) for row in found["rows"]] == [
         ("sticks lost", "holds", None)
     ] * 2
-    text = page.read_text(encoding="utf-8")
-    assert text.startswith("Text.\n\n<!-- measured: failsafes after a take-off, hexjet -->\nEngine `edf-as-flown`")
-    worst = max(row["off_m"] for row in found["rows"])
-    assert f"| sticks lost | 2 of 2 holds, {worst:.2f} m off |" in text
     assert (tmp_path / "out" / "failsafes.csv").read_text().count("\n") == 3
     # at moments of their own, which the seed draws; and the flights fly again
     assert len({row["hover_s"] for row in found["rows"]}) == 2
@@ -598,23 +591,13 @@ def test_the_command_writes_the_table_and_the_part_of_a_page(tmp_path: Path, hex
 
 
 def test_one_command_writes_the_tables_of_several_vehicles(tmp_path: Path, hexjet: Hexjet) -> None:
-    page = tmp_path / "page.md"
     both = ("quadrotor", "hexjet-100")
-    page.write_text("".join(f"<!-- measured: {tables.mark(each)} -->\n<!-- end -->\n" for each in both), "utf-8")
     asked = ("failsafes", "--failsafe", "sticks", "--height", "3", "--wind", "0", "--workers", "1", "--flights", "1")
-    done = hexjet(
-        *asked, "--aircraft", both[0], "--aircraft", both[1], "--out", str(tmp_path / "out"), "--page", str(page)
-    )
+    done = hexjet(*asked, "--aircraft", both[0], "--aircraft", both[1], "--out", str(tmp_path / "out"))
     assert done.status == 0, done.err
-    parts = marks.parts_of(page.read_text(encoding="utf-8"), page)
     for aircraft in both:
         assert f"{aircraft}, " in done.out
-        assert "| sticks lost | 1 of 1 holds, " in parts[tables.mark(aircraft)]
         assert (tmp_path / "out" / aircraft / "failsafes.csv").is_file()
-    # `all` is every vehicle that has an autopilot, and its marks are looked for before anything is flown
-    done = hexjet(*asked, "--aircraft", "all", "--page", str(page))
-    assert done.status == 2
-    assert "measured: failsafes after a take-off, hexjet -->" in done.err
 
 
 @pytest.mark.parametrize(
@@ -627,8 +610,6 @@ def test_one_command_writes_the_tables_of_several_vehicles(tmp_path: Path, hexje
         (["--aircraft", "zeppelin"], "unknown aircraft 'zeppelin'"),
         (["--aircraft", "hexjet", "--aircraft", "zeppelin"], "unknown aircraft 'zeppelin'"),
         (["--aircraft", "all", "--aircraft", "hexjet"], "--aircraft all: leave out the others"),
-        (["--page", "page.md", "--airborne"], "--page: the page has flights after a take-off; leave out --airborne"),
-        (["--page", "nowhere.md"], "nowhere.md: No such file or directory"),
     ],
 )
 def test_wrong_input_is_one_line(options: list[str], complaint: str, hexjet: Hexjet) -> None:
@@ -701,7 +682,7 @@ def test_a_cell_of_several_flights_tells_how_many_landed_and_the_worst() -> None
 
 def rows_of_the_page(aircraft: str) -> tuple[list[str], list[list[str]]]:
     """The starts and the lines of a vehicle's table of flights after a take-off."""
-    text = marks.parts_of((DOCS / "tables/failsafes.md").read_text(encoding="utf-8"), "")[tables.mark(aircraft)]
+    text = marks.parts_of((DOCS / "tables/failsafes.md").read_text(encoding="utf-8"), "")[mark(aircraft)]
     lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|"]
     return lines[0][1:], lines[2:]
 
@@ -811,4 +792,4 @@ def test_every_vehicle_with_an_autopilot_has_its_table_on_the_page() -> None:
     piloted = {each for each in aircraft_names() if load_vehicle(each)[0].control.pilot is not None}
     assert piloted == set(table.TABLED)
     for name in table.TABLED:
-        assert f"<!-- measured: {tables.mark(name)} -->" in page
+        assert f"<!-- measured: {mark(name)} -->" in page

@@ -15,12 +15,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from long_cases import long_case
-from places import DESIGNS, DOCS
+from places import DESIGNS, DOCS, script
 from stated_figures import stated
 
 from cosim.base.errors import InputError
 from cosim.base.signals import EngineOutput, PerJet, Sample
-from cosim.campaign.surveys.fault_page import MARKS, write, write_page
+from cosim.campaign.surveys.fault_page import write
 from cosim.campaign.surveys.faults import LOSS, Case, Limit, cases, scenario_of, summary, survival
 from cosim.campaign.surveys.survey import load_subject, measure_flight
 from cosim.control.allocation.engine_monitor import EngineMonitor, EngineReference
@@ -829,15 +829,14 @@ def test_a_small_table(tmp_path: Path) -> None:
     assert "gyro bias 3 deg/s" in paths["report"].read_text()
     assert found.moments is not None
     assert found.moments.moment == pytest.approx(5.525 * 9.80665 / 6 * 0.15)
-    page = tmp_path / "page.md"
-    marks = "".join(f"<!-- measured: {name} -->\n<!-- end -->\n" for name in MARKS)
-    page.write_text(f"# Before\n{marks}after\n", encoding="utf-8")
     scanned = [
         Limit(LOSS, "hover", "smith", [0.2, 0.3, 0.5], [0.1, 0.4], None),
         Limit(LOSS, "roll", "smith", [], [0.1, 0.2], 0.3),
     ]
-    write_page(replace(found, limits=scanned), page)
-    text = page.read_text(encoding="utf-8")
+    pages = script("surveys")
+    parts = pages.fault_parts(replace(found, limits=scanned))
+    assert tuple(parts) == pages.FAULT_MARKS
+    text = "".join(parts.values())
     assert "0.15 m off the centre: 1.35 N m on 0.0416 kg m², 32.6 rad/s²." in text
     row = "held 0.2 to 0.3 and 0.5, airborne 0.1 and 0.4, lost nowhere | airborne 0.1 to 0.2, lost at 0.3"
     assert f"| {LOSS} | smith | {row} |" in text

@@ -27,7 +27,7 @@ from cosim.base.errors import InputError
 from cosim.cli.main import main
 from cosim.design.loop.frequency import margins
 from cosim.flight import fly
-from cosim.results.report.marks import page_parts, parts_of
+from cosim.results.report.marks import page_parts
 from cosim.results.report.page import figure_json
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
@@ -69,7 +69,8 @@ from hexjet_paper.report.figures import panels, paper_figures
 from hexjet_paper.report.page import count_choices, counts_in_words, page_values, tally
 from hexjet_paper.report.page import write_page as paper_report
 from hexjet_paper.report.pages import CONSTRUCTED as CONSTRUCTED_PART
-from hexjet_paper.report.pages import COUNTS, NAMED, counts_table, write_page
+from hexjet_paper.report.pages import COUNTS, NAMED, counts_table
+from hexjet_paper.report.pages import page_parts as paper_parts
 from hexjet_paper.report.result import Identified, Manual, Reproduction
 
 FROZEN = calibration.load()
@@ -392,7 +393,7 @@ def test_the_page_counts_what_the_report_counts(found: Reproduction, tmp_path: P
     assert {name for name in parts if name.startswith("paper: ")} == set(NAMED)
 
 
-def test_what_is_written_into_a_page(found: Reproduction, tmp_path: Path) -> None:
+def test_what_is_written_into_a_page(found: Reproduction) -> None:
     delay = Condition(
         key="baseline-delay", question="", answer="", values={"rate_loop": 11.0, "with_attitude_loop": 7.0}
     )
@@ -401,32 +402,11 @@ def test_what_is_written_into_a_page(found: Reproduction, tmp_path: Path) -> Non
         values={"fitted_gain": 1.2, "flown_gain": 0.9, "paper_growth_percent": 24.1},
     )  # fmt: skip
     whole = replace(found, linear=replace(found.linear, conditions=[delay, sign]))
-    page = tmp_path / "page.md"
-    marks = "".join(f"<!-- measured: {name} -->\n<!-- end -->\n" for name in NAMED)
-    page.write_text("text\n" + marks, encoding="utf-8")
-    write_page(page, whole)
-    parts = parts_of(page.read_text(encoding="utf-8"), page)
+    parts = paper_parts(whole)
+    assert tuple(parts) == NAMED
     assert parts[COUNTS] == counts_table(found.claims)
     assert "alone loses stability with 11" in parts[NAMED[2]]
     assert "lowers it by 10 %" in parts[NAMED[3]]
-    wrong = tmp_path / "wrong.md"
-    wrong.write_text("<!-- measured: paper: counts -->\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"wrong\.md: its marks do not come in pairs"):
-        write_page(wrong, whole)
-
-
-@pytest.mark.parametrize("name", ["absent.md", "unpaired.md"])
-def test_a_page_that_cannot_be_written_is_told_before_the_work(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(reproduce, "_tasks", lambda: pytest.fail("it began to work"))
-    (tmp_path / "unpaired.md").write_text("<!-- end -->\n")
-    with pytest.raises(SystemExit) as ended:
-        main(["paper", "--out", str(tmp_path / "out"), "--page", str(tmp_path / name)])
-    assert ended.value.code == 2
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1
-    assert name in message
 
 
 def test_measured_points_have_the_margins_of_the_computed_loop() -> None:

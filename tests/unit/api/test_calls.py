@@ -35,7 +35,7 @@ from cosim.spec.scenario.changes import Changes
 
 PUBLIC = runpy.run_path(str(DOCS / "api.py"))["MODULES"]
 CALLS = (
-    "compare", "design", "engine_out", "export", "export_controller", "export_vehicle", "failsafes", "faults",
+    "compare", "design", "export", "export_controller", "export_vehicle", "failsafes", "faults",
     "identify", "identify_bench", "identify_log", "margins", "prove", "rare", "replay", "search", "show", "sweep",
     "validate",
 )  # fmt: skip
@@ -89,7 +89,6 @@ def test_a_call_is_typed_and_refuses_a_name_that_is_none(name: str) -> None:
             {"kinds": ["nonesuch"]},
             "no failsafe begins with 'nonesuch'; there are: GNSS lost, ",
         ),
-        ("engine_out", (["quadrotor"],), {}, "aircraft quadrotor: it has no tilting banks"),
         ("sweep", ("hover",), {"out": "a\0b"}, "sweep: out: 'a\\x00b' has a zero in it, and is no name"),
         ("sweep", ("hover",), {"vary": ["vehicle.mass_kg=5:6"], "runs": 2, "workers": 0}, "workers = 0: at least 1"),
         ("show", ("hexjt",), {}, "nothing is called 'hexjt'; did you mean 'hexjet'"),
@@ -160,10 +159,7 @@ WITHOUT = {  # options that a call has no argument of, and why
     "--signal": "of the table in a terminal",
     "--metric": "a key of the scenario",
     "--observer": "a key of the scenario",
-    "--docs": "pages of this repository",
     "--page": "pages of this repository",
-    "--engine-out": "a call of its own",
-    "--designs": "of that",
     "--scenario": "an argument without a name",
 }
 

@@ -1,15 +1,12 @@
-"""What ``hexjet paper`` writes between the marks of docs/paper.md."""
+"""The tables of docs/paper.md, by the marks between which ``docs/paper.py`` writes them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from math import radians
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cosim import InputError
-from cosim.pages import check_marks, table, write_marks
-from cosim.pages import page_parts as marked_parts
+from cosim.pages import table
 from hexjet_paper import numbers
 from hexjet_paper.claims import ClaimRow, Evidence, Judgement
 from hexjet_paper.experiments import Metrics, Result
@@ -27,22 +24,6 @@ READINGS, CONSISTENT, VERIFIED, OFF = (
     "paper: " + part for part in ("readings", "consistency", "verification", "model errors")
 )
 NAMED = (COUNTS, DOUBLET, HELD_CLAIMS, DIFFERS, CONSTRUCTED, TURBOJET, READINGS, CONSISTENT, VERIFIED, OFF)
-
-
-def check_page(path: Path) -> None:
-    """Check a page before the flights: raise InputError if it cannot be written or has no mark of a part."""
-    check_marks(path, ())
-    present = marked_parts(path)
-    if not present.keys() & set(NAMED):
-        allowed = ", ".join(f"<!-- measured: {name} -->" for name in NAMED)
-        raise InputError(f"{path}: it has no mark that this command fills; there are {allowed}")
-
-
-def write_page(path: Path, reproduction: Reproduction) -> None:
-    """Write into the page those of the parts for which it has marks.  Raises InputError as :func:`write_marks`."""
-    parts = page_parts(reproduction)
-    present = marked_parts(path)
-    write_marks(path, {name: text for name, text in parts.items() if name in present})
 
 
 def page_parts(reproduction: Reproduction) -> dict[str, str]:
