@@ -1,4 +1,4 @@
-"""Bounds of a lag that is shorter than the rows tell, by its likelihood's profile."""
+"""Bounds of delay and lags: of a lag that is shorter than the rows tell, and by what the clocks of a log leave open."""
 
 from __future__ import annotations
 
@@ -12,6 +12,21 @@ from cosim.identify.engine_file import DEVIATIONS_95
 SHORT_LAG = 1.0  # rows, below which a lag's bounds are those of its likelihood: there the problem is not linear
 LONGEST_SHORT = 8.0  # rows, to which such a lag may reach
 NEAR = 0.1  # of the end of the bound, to which it is found
+
+
+def widen(problem: Problem, estimate: Estimate, spread: float, clock: float) -> Estimate:
+    """Return an estimate whose delay and lag each may be off by ``spread`` [s], a standard deviation.
+
+    ``clock``: by how much more the delay may be, s; infinite where nothing tells it.
+    """
+    low, high = float(problem.limits(estimate.form)[0][0]), problem.longest_delay
+    deviation = min(float(np.hypot(spread, clock)), high - low)
+    covariance = estimate.covariance.copy()
+    covariance[0, 0] += deviation**2
+    covariance[1, 1] += spread**2
+    below, above = (float(np.hypot(estimate.delay - end, DEVIATIONS_95 * deviation)) for end in estimate.delay_bounds)
+    bounds = max(estimate.delay - below, low), min(estimate.delay + above, high)
+    return replace(estimate, covariance=covariance, delay_bounds=(low, high) if np.isinf(clock) else bounds)
 
 
 def bound_short_lag(problem: Problem, estimate: Estimate) -> Estimate:

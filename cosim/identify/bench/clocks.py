@@ -1,10 +1,9 @@
-"""Clocks of a bench: a load cell's laid on the engine controller's, one whose stamps wander, and how sure that is."""
+"""Two clocks of a bench: a load cell's laid on the engine controller's, and how sure that is."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,14 +36,6 @@ GROWS = 0.9  # share of them that are later than the one before
 LEAST_S = 5.0  # of a log whose clock is to be told
 LAGS_S = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # of an output behind its command, that are tried
 ROOM_S = 0.2  # of delay, where nothing tells it
-ONE_ROW = 1.75  # rows, up to which two stamps are apart with none missing between them
-WANDERS = 10.0  # deviations of a row's length, as which stamps are farther from even rows than jitter takes them
-BLOCKS = 8  # of a log, whose rates are compared
-LEAST_RATES = 2e-3  # by which they differ: less changes no delay
-COARSE = 2.0  # rows a stamp, from which on rows share their stamps
-LEAST_STAMPS = 5
-LEAST_CHANGES = 0.5  # share of the rows with the stamp before's, in which one of the signals has another value
-EVEN = 0.95  # share of the stamps that have as many rows as the others, but for one
 SAME_CLOCK = 0.1  # rows, to which two columns of time of one clock agree
 CLOCKS = frozenset(("time", "t", "timestamp", "clock", "zeit", "temps", "tiempo", "elapsed", "utc", "uptime"))
 
@@ -161,89 +152,6 @@ def _owners(names: Sequence[str], clocks: list[str]) -> dict[str, str] | None:
     if at[0] > min(map(names.index, signals)) or not all(between):
         return None
     return {name: clocks[int(np.searchsorted(at, names.index(name))) - 1] for name in signals}
-
-
-def spread_stamps(log: FlightLog) -> FlightLog:
-    """Return a log whose rows share their stamps, as of whole seconds, with the rows evenly within each.
-
-    Where the stamps have different numbers of rows they stay as they are; a remark says either.
-    """
-    known: dict[int, Array] = {}
-    remarks = list(log.remarks)
-    for channel in log.channels.values():
-        if id(channel.times) not in known and _changes_within(channel):
-            known[id(channel.times)], said = _spread(channel.times)
-            remarks += [said] if said else []
-    channels = {
-        name: channel._replace(times=known.get(id(channel.times), channel.times))
-        for name, channel in log.channels.items()
-    }
-    return replace(log, channels=channels, remarks=tuple(dict.fromkeys(remarks)))
-
-
-def _changes_within(channel: Channel) -> bool:
-    """Return whether values change from row to row of one stamp: else they are the same frame, written again."""
-    same = np.diff(channel.times) == 0.0
-    return bool(same.any() and np.mean(np.diff(channel.values)[same] != 0.0) > LEAST_CHANGES)
-
-
-def _spread(times: Array) -> tuple[Array, str]:
-    """Return times [s] without equal ones where each has as many rows, and what is to be said of that."""
-    good = np.flatnonzero(np.isfinite(times))
-    stamps, place, count = np.unique(times[good], return_inverse=True, return_counts=True)
-    if len(stamps) < LEAST_STAMPS or len(good) < COARSE * len(stamps) or np.any(np.diff(times[good]) < 0.0):
-        return times, ""
-    many, long = float(np.median(count[1:-1])), float(np.median(np.diff(stamps)))
-    words = (
-        f"{len(good) - len(stamps)} of {len(good)} rows have the time of the row before, a stamp each {long:.3g} s; "
-    )
-    if np.mean(np.abs(count[1:-1] - many) <= 1.0) < EVEN:
-        return times, f"{words}left out, as no fixed number of rows has a stamp: stamps as fine as the rows tell more"
-    row = long / many
-    within = np.arange(len(good)) - np.searchsorted(times[good], stamps)[place]
-    of = np.append(np.diff(stamps), long) / np.maximum(count, 1)
-    of[[0, -1]] = row
-    late = within * of[place] + np.where(place == 0, long - count[0] * row, 0.0)
-    spread = times.copy()
-    spread[good] += late
-    return spread, f"{words}they are taken to be even within it, a row each {1e3 * row:.3g} ms"
-
-
-class EvenRows(NamedTuple):
-    """Rows of which the time stamps wander about those of a fixed rate: what the times are by that rate."""
-
-    stamps: Array  # s
-    even: Array  # s
-    size: float  # s, from the farthest behind to the farthest ahead
-    rates: float  # relative, by which the rate of the stamps changes within the log
-
-    def on_rows(self, times: Array) -> Array:
-        """Return stamps [s] as times of rows that follow each other at a fixed rate."""
-        inside = np.clip(times, self.stamps[0], self.stamps[-1])
-        return np.asarray(np.interp(inside, self.stamps, self.even) + times - inside)
-
-
-def find_even_rows(stamps: Array) -> EvenRows | None:
-    """Return when rows would be that come at a fixed rate; None where their stamps [s] say so but for jitter.
-
-    Stamps may wander because the clock does, or because the rows do: they alone do not tell which.
-    """
-    stamps = np.unique(stamps)
-    lengths = np.diff(stamps)
-    if len(lengths) < 2 * BLOCKS:
-        return None
-    row = float(np.median(lengths))
-    rows = np.where(lengths < ONE_ROW * row, 1.0, np.round(lengths / row))
-    number = np.concatenate([[0.0], np.cumsum(rows)])
-    slope, start = np.polyfit(number, stamps, 1)
-    off = stamps - (start + slope * number)
-    rates = [
-        np.polyfit(number[some], stamps[some], 1)[0] / slope for some in np.array_split(np.arange(len(stamps)), BLOCKS)
-    ]
-    size, jitter = float(np.ptp(off)), float(np.std(lengths[rows == 1.0]))
-    if size < WANDERS * jitter or np.ptp(rates) < LEAST_RATES:
-        return None
-    return EvenRows(stamps, start + slope * number, size, float(np.ptp(rates)))
 
 
 def align(speed_times: Array, speed: Array, times: Array, output: Array, where: str) -> Alignment:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 
@@ -13,8 +12,6 @@ LONGEST_EXPONENT = 200.0  # of a block of the recursion: e^200 is far from what 
 MOST_KNOWN = 8  # lags, whose states are kept
 SMOOTH = 1e-4  # of a command's range: straight through so near to its rows it is the same
 LARGEST_RATIO = 0.999  # of two lags: nearer to each other their two answers cancel
-SAME_LAG = 1e-6  # of a lag: two that differ by less are one
-STEEPEST = 600.0  # ratio of a lag's change to the lag, that a double's exponential takes
 NOISE_TURNS = 0.3  # share of the rows at which a command turns back, above which that is noise
 NOISE_SIZE = 0.02  # of its range, up to which it is
 SAME_SLOPE = 1e-9  # of the command's range a row: slopes that differ by less are one
@@ -30,8 +27,7 @@ class Command:
     times: Array
     values: Array
     slopes: Array
-    # states by lag, or by the lags of one that goes with the level, the last few
-    _known: dict[float | tuple[float, float], Array] = field(default_factory=dict, compare=False, repr=False)
+    _known: dict[float, Array] = field(default_factory=dict, compare=False, repr=False)
 
     def lagged(self, lag: float, at: Array) -> Array:
         """Return the answer of ``1 / (lag s + 1)`` at these times [s], from rest at the first value."""
@@ -64,62 +60,6 @@ class Command:
             return first
         return np.asarray((first - ratio * self.lagged_means(ratio * lag, begins, ends)) / (1.0 - ratio))
 
-    def lagged_by_level(self, lags: tuple[float, float], at: Array) -> Array:
-        """Return the answer of ``(a + b y) y' = u - y`` at these times [s], from rest: a lag that goes with the answer.
-
-        ``lags``: at an answer of 0 and of 1, s.  Of a command that is held alone: of ``e = u - y`` and ``c = a + b u``
-        then ``s exp(s)``, ``s = -b e / c``, falls as ``exp(-t / c)``, which Lambert's W undoes.
-        """
-        piece, within = self._pieces(at)
-        return np.asarray(self.values[piece] - self._errors_by_level(lags, piece, within))
-
-    def lagged_by_level_means(self, lags: tuple[float, float], begins: Array, ends: Array) -> Array:
-        """Return the means of :meth:`lagged_by_level` from each of these times [s] to its end.
-
-        Over a piece ``e`` has the integral ``c e - b e^2 / 2``, from its beginning to its end.
-        """
-        base, slope = lags[0], lags[1] - lags[0]
-        first = self._errors_by_level(lags, np.arange(len(self.times)), np.zeros(len(self.times)))
-        h = np.diff(self.times)
-        last = self._errors_by_level(lags, np.arange(len(h)), h)
-
-        def area(piece: NDArray[np.intp], error: Array) -> Array:
-            return np.asarray((base + slope * self.values[piece] - 0.5 * slope * error) * error, np.float64)
-
-        pieces = np.arange(len(h))
-        over: Array = area(pieces, first[:-1]) - area(pieces, last)
-        whole = np.concatenate([[0.0], np.cumsum(over)])
-
-        def missing(at: Array) -> Array:
-            piece, within = self._pieces(at)
-            error = self._errors_by_level(lags, piece, within)
-            return np.asarray(whole[piece] + area(piece, first[piece]) - area(piece, error))
-
-        seconds = ends - begins
-        command = (self._integral(ends) - self._integral(begins)) / seconds
-        return np.asarray(command - (missing(ends) - missing(begins)) / seconds)
-
-    def _pieces(self, at: Array) -> tuple[NDArray[np.intp], Array]:
-        """Return the pieces in which these times [s] are, and the seconds since they began; 0 before the first."""
-        piece = np.maximum(np.searchsorted(self.times, at, side="right") - 1, 0)
-        return piece, np.maximum(at - self.times[piece], 0.0)
-
-    def _errors_by_level(self, lags: tuple[float, float], piece: NDArray[np.intp], within: Array) -> Array:
-        """Return command less answer so many seconds into these pieces."""
-        settled = lags[0] + (lags[1] - lags[0]) * self.values[piece]
-        return _fade_by_level(_slope(lags), self._states_by_level(lags)[piece], settled, within)
-
-    def _states_by_level(self, lags: tuple[float, float]) -> Array:
-        """Return command less answer where each piece begins."""
-        if lags in self._known:
-            return self._known[lags]
-        slope, settled = _slope(lags), lags[0] + (lags[1] - lags[0]) * self.values
-        state, h = np.zeros(len(self.times)), np.diff(self.times)
-        for k in range(1, len(state)):
-            left = _fade_by_level(slope, state[k - 1], settled[k - 1], h[k - 1])
-            state[k] = left + self.values[k] - self.values[k - 1]
-        return self._keep(lags, state)
-
     def _integral(self, at: Array) -> Array:
         """Return the command's integral from its first time to these times [s]."""
         h = np.diff(self.times)
@@ -144,27 +84,10 @@ class Command:
                 state[begin] = np.exp(-h[begin - 1] / lag) * state[begin - 1] + forced[begin - 1]
             grown = np.exp(since[begin + 1 : end] - since[begin])
             state[begin + 1 : end] = (state[begin] + np.cumsum(grown * forced[begin : end - 1])) / grown
-        return self._keep(lag, state)
-
-    def _keep(self, lag: float | tuple[float, float], state: Array) -> Array:
         if len(self._known) >= MOST_KNOWN:
             self._known.clear()
         self._known[lag] = state
         return state
-
-
-def _slope(lags: tuple[float, float]) -> float:
-    """Return by how much a lag grows with the answer, not quite 0 where it does not."""
-    slope, least = lags[1] - lags[0], SAME_LAG * max(lags)
-    return least if abs(slope) < least else slope
-
-
-def _fade_by_level(slope: float, error: Array, settled: Array, seconds: Array) -> Array:
-    """Return what is left of these errors after so many seconds, where the lag is ``settled`` s without an error."""
-    from scipy.special import lambertw
-
-    start = np.clip(-slope * error / settled, -1.0, STEEPEST)
-    return np.asarray(lambertw(start * np.exp(start - seconds / settled)).real * settled / -slope)
 
 
 def _over(lag: float, seconds: Array, state: Array, value: Array, slope: Array) -> Array:

@@ -22,7 +22,6 @@ ROW_SIZE = 0.1  # and of the command's row over delay and lags: when within its 
 ACTIVE = 3.0  # delay and lags, for which the output is on its way after a movement
 LEAST_QUIET = 5.0  # blocks at rest that are as good as independent, to know the noise by
 LARGE = 0.1  # of the output's swing, that noise which remembers itself as long as delay and lags take may have (rms)
-ALTERNATES = -0.5  # correlation from row to row, below which rows are not of one source
 LEAST_ROWS = 10  # behind each end of a part that is held back, and of a movement
 LEAST_MOVEMENTS = 4  # from which on every second one is held back, and not the second half of them
 REST = 2.0  # delay and lags, for which a command stands before what counts as another movement
@@ -75,9 +74,9 @@ def test_residuals(parts: Sequence[Part], residual: Array, delay: float, total: 
 
     ``delay`` and ``total``, the delay and all lags together, are the model's, in s.
 
-    Four tests: whether they alternate from row to row; whether they are large and remember themselves as long as the
-    answer takes; whether they follow the command's past, its square, or the way in which it moved; and whether they are
-    larger while the output is on its way than at rest.  The one that fails, or the last.
+    Three tests: whether they are large and remember themselves as long as the answer takes; whether they follow the
+    command's past, its square, or the way in which it moved; and whether they are larger while the output is on its way
+    than at rest.  The one that fails, or the last.
     """
     strange = _find_no_noise(parts, residual, total)
     if strange is not None:
@@ -95,21 +94,29 @@ def test_residuals(parts: Sequence[Part], residual: Array, delay: float, total: 
             signals.append((features[1:] - memory * features[:-1])[PAST - 1 :])
         moving.append(means[active])
         quiet.append(means[~active])
-    row = max(float(np.median(np.diff(part.command_times))) for part in parts)
+    unknown = max(map(_unknown_time, parts))
     swing = output_swing(parts)
-    least = max(LEAST_SIZE, ROW_SIZE * row / total)
+    least = max(LEAST_SIZE, unknown / total)
     grown = _compare_noise(np.concatenate(moving), np.concatenate(quiet), swing)._replace(least_size=least)
     if grown.failed or not blocks:
         return grown
     return _regress(np.concatenate(blocks), np.concatenate(signals), swing, residual)._replace(least_size=least)
 
 
+def _unknown_time(part: Part) -> float:
+    """Return by how much a command's movements may be earlier or later than they are taken for, s (rms).
+
+    A part of a row, and half of the rows that are lost where it moves, in whose middle a held one is taken to move.
+    """
+    rows = np.diff(part.command_times)
+    row = float(np.median(rows))
+    lost = np.maximum(rows[np.diff(part.command) != 0.0] - row, 0.0)
+    return float(np.hypot(ROW_SIZE * row, 0.0 if part.straight else _rms(lost)))
+
+
 def _find_no_noise(parts: Sequence[Part], residual: Array, total: float) -> Misfit | None:
     """Return what is left over where it is no noise, whatever it follows; else None."""
     size = _rms(residual) / output_swing(parts)
-    power = max(float(residual @ residual), 1e-300)
-    if size > LEAST_SIZE and float(residual[1:] @ residual[:-1]) < ALTERNATES * power:
-        return Misfit(0.0, 1.0, size, cause="alternates from row to row: rows of two engines, or of two sensors")
     memory = Problem(parts, 0.0).memory_of(residual)
     seconds = min(part.step for part in parts) / max(-float(np.log(max(memory, 1e-300))), 1e-12)
     if size > LARGE and seconds > total:
@@ -417,21 +424,9 @@ def predict_held_back(problem: Problem, estimate: Estimate) -> HeldBack | None:
 
     def foretell(use: list[NDArray[np.bool_]]) -> Array:
         parts = [part.chosen(rows) for part, rows in zip(problem.parts, use, strict=True)]
-        half = Problem(parts, problem.longest_delay, problem.drift)
+        half = Problem(parts, problem.longest_delay)
         fitted = fit(half, estimate.form, estimate)
         linear = half.shares(fitted.form, fitted.x, fitted.memory)[0]
-        return np.asarray(_columns_from(problem, use, fitted) @ linear)
+        return np.asarray(problem.regressors(fitted.form, fitted.x) @ linear)
 
     return hold_back(problem.parts, estimate.total[0], foretell)
-
-
-def _columns_from(problem: Problem, early: list[NDArray[np.bool_]], fitted: Estimate) -> Array:
-    """Return the columns that were fitted for all rows: a drift counts from the middle of those that were fitted."""
-    columns = problem.regressors(fitted.form, fitted.x)
-    if problem.drift:
-        count, begin = len(problem.parts), 0
-        for n, (part, use) in enumerate(zip(problem.parts, early, strict=True)):
-            rows = slice(begin, begin + len(part.times))
-            columns[rows, 1 + 2 * count + n] = part.times - part.times[use].mean()
-            begin = rows.stop
-    return columns

@@ -35,26 +35,20 @@ SMALLEST_SHARE = 1e-12  # of the largest column, that one has to have of its own
 
 
 class Form(NamedTuple):
-    """What is fitted: one lag or two, the static curve straight or with an exponent; or a lag that goes with the level.
-
-    That one is a straight line over the answer, from the lag where it is 0 to the one at full throttle.
-    """
+    """What is fitted: one lag or two, the static curve straight or with an exponent."""
 
     lags: int = 1
     curve: bool = False
-    by_level: bool = False  # with one lag and a straight curve alone
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters that are searched for."""
-        more = (self.lags == 2, "ratio"), (self.curve, "exponent"), (self.by_level, "lag_full_s")
+        more = (self.lags == 2, "ratio"), (self.curve, "exponent")
         return ("delay_s", "lag_s", *(name for there, name in more if there))
 
     @property
     def label(self) -> str:
         """The form in words."""
-        if self.by_level:
-            return "delay and a lag by the level"
         return ("delay and one lag" if self.lags == 1 else "delay and two lags") + (", curve" if self.curve else "")
 
     def split(self, x: Array) -> tuple[float, float, float, float]:
@@ -71,7 +65,6 @@ class Estimate:
     x: Array
     gain: float
     offsets: Array
-    drifts: Array  # output's unit a second; 0 where none is looked for
     covariance: Array
     memory: float
     loss: float
@@ -96,10 +89,8 @@ class Estimate:
 
     @property
     def lags(self) -> tuple[float, ...]:
-        """Lags, s, the longer first; of one that goes with the level that at half of it."""
+        """Lags, s, the longer first."""
         _, lag, ratio, _ = self.form.split(self.x)
-        if self.form.by_level:
-            return (0.5 * (lag + float(self.x[2])),)
         return (lag, ratio * lag) if self.form.lags == 2 else (lag,)
 
     @property
@@ -110,8 +101,6 @@ class Estimate:
         slope[:2] = 1.0, 1.0 + ratio
         if self.form.lags == 2:
             slope[2] = lag
-        if self.form.by_level:
-            slope[1:3] = 0.5
         return self.delay + sum(self.lags), float(np.sqrt(max(float(slope @ self.covariance @ slope), 0.0)))
 
 
@@ -126,7 +115,6 @@ class Part:
     step: float
     straight: bool
     width: float = 0.0  # s, over which each row is a mean
-    loose: Array = field(default_factory=lambda: np.zeros(0))  # s, by which each row of the command may be off, if any
 
     def answer(self, exponent: float, lag: float, ratio: float, delay: float) -> Array:
         """Return the delayed command behind the static curve and the lags, averaged as the rows are."""
@@ -135,13 +123,6 @@ class Part:
             begins, ends = at - 0.5 * self.width, at + 0.5 * self.width
             return command.twice_lagged_means(lag, ratio, begins, ends)
         return command.twice_lagged(lag, ratio, at)
-
-    def answer_by_level(self, lags: tuple[float, float], delay: float) -> Array:
-        """Return the delayed command behind a lag that goes with the level, averaged as the rows are."""
-        command, at = self.piecewise(1.0), self.times - delay
-        if self.width > 0.0:
-            return command.lagged_by_level_means(lags, at - 0.5 * self.width, at + 0.5 * self.width)
-        return command.lagged_by_level(lags, at)
 
     def piecewise(self, exponent: float) -> Command:
         """Return the command behind the static curve."""
@@ -179,9 +160,8 @@ def make_part(record: BenchRecord, limits: tuple[float, float], straight: bool) 
     """Return a log with its command as a share of a range."""
     low, high = limits
     command = (record.command - low) / (high - low)
-    loose = np.zeros(0) if straight else _lost_before(record.command_times, command)
-    times = record.command_times - loose if loose.any() else record.command_times
-    return Part(times, command, record.times, record.output, record.step, straight, record.width, loose)
+    times = record.command_times if straight else record.command_times - _lost_before(record.command_times, command)
+    return Part(times, command, record.times, record.output, record.step, straight, record.width)
 
 
 def _lost_before(times: Array, command: Array) -> Array:
@@ -201,7 +181,6 @@ class Problem:
 
     parts: Sequence[Part]
     longest_delay: float
-    drift: bool = False
     _spans: list[slice] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -219,19 +198,14 @@ class Problem:
         return len(self.output) * (SMALLEST_NOISE * max(float(np.ptp(self.output)), 1e-300)) ** 2
 
     def regressors(self, form: Form, x: Array) -> Array:
-        """Return the columns that gain, offsets, starts and drifts multiply; rows as ``output``."""
+        """Return the columns that gain, offsets and starts multiply; rows as ``output``."""
         delay, lag, ratio, exponent = form.split(x)
         count = len(self.parts)
-        columns = np.zeros((len(self.output), 1 + (3 if self.drift else 2) * count))
+        columns = np.zeros((len(self.output), 1 + 2 * count))
         for n, (part, span) in enumerate(zip(self.parts, self._spans, strict=True)):
-            if form.by_level:
-                columns[span, 0] = part.answer_by_level((lag, float(x[2])), delay)
-            else:
-                columns[span, 0] = part.answer(exponent, lag, ratio, delay)
+            columns[span, 0] = part.answer(exponent, lag, ratio, delay)
             columns[span, 1 + n] = 1.0
             columns[span, 1 + count + n] = np.exp(-(part.times - part.times[0]) / lag)
-            if self.drift:
-                columns[span, 1 + 2 * count + n] = part.times - part.times.mean()
         return columns
 
     def whiten(self, rows: Array, memory: float) -> Array:
@@ -286,8 +260,6 @@ class Problem:
             low, high = [*low, 0.0], [*high, LARGEST_RATIO]
         if form.curve:
             low, high = [*low, EXPONENTS[0]], [*high, EXPONENTS[1]]
-        if form.by_level:
-            low, high = [*low, low[1]], [*high, high[1]]
         return np.array(low), np.array(high)
 
 
@@ -304,7 +276,8 @@ def fit(problem: Problem, form: Form, near: Estimate | None = None) -> Estimate:
     start = _start(problem) if near is None else near.x[:2]
     memory = 0.0 if near is None else near.memory
     best, loss = solve(problem, form, _complete(form, start), memory)
-    for other in _other_starts(form, best):
+    if form.lags == 2:  # a longer second lag may be better
+        other = np.array([max(best[0] - 0.3 * best[1], 0.0), 0.7 * best[1], 0.5, *best[3:]])
         found = solve(problem, form, other, memory)
         best, loss = found if found[1] < loss else (best, loss)
     for _ in range(ROUNDS):
@@ -317,25 +290,15 @@ def fit(problem: Problem, form: Form, near: Estimate | None = None) -> Estimate:
 
 
 def _complete(form: Form, start: Array) -> Array:
-    more = (form.lags == 2, 0.2), (form.curve, 1.0), (form.by_level, start[1])
+    more = (form.lags == 2, 0.2), (form.curve, 1.0)
     return np.array([*start[:2], *(value for there, value in more if there)])
-
-
-def _other_starts(form: Form, best: Array) -> list[Array]:
-    """Return where else to begin: a longer second lag, or a lag that goes the other ways with the level."""
-    if form.lags == 2:
-        return [np.array([max(best[0] - 0.3 * best[1], 0.0), 0.7 * best[1], 0.5, *best[3:]])]
-    if form.by_level:
-        lag = 0.5 * (best[1] + best[2])
-        return [np.array([best[0], 1.6 * lag, 0.4 * lag]), np.array([best[0], 0.4 * lag, 1.6 * lag])]
-    return []
 
 
 def _start(problem: Problem) -> Array:
     """Return the delay and lag with which the rows, thinned, are best explained."""
     every = max(1, len(problem.output) // COARSE_ROWS)
     thin = [part.chosen(np.arange(0, len(part.times), every)) for part in problem.parts]
-    coarse = Problem(thin, problem.longest_delay, problem.drift)
+    coarse = Problem(thin, problem.longest_delay)
     low, high = problem.limits(Form())
     lags = np.geomspace(max(low[1], 2e-3), 0.5 * high[1], COARSE_LAGS)
     delays = np.concatenate([[0.0], np.geomspace(0.02 * high[0], 0.95 * high[0], COARSE_DELAYS)])
@@ -404,9 +367,8 @@ def _estimate(problem: Problem, form: Form, x: Array, memory: float) -> Estimate
     keep = np.arange(len(x) + 1 + count)
     parameters = jacobian.shape[1] + 2
     deviance = rows * float(np.log(loss / rows)) + problem.scales(memory)
-    drifts = linear[1 + 2 * count :] if problem.drift else np.zeros(count)
     return Estimate(
-        form, x, float(linear[0]), linear[1 : 1 + count], drifts, covariance[np.ix_(keep, keep)],
+        form, x, float(linear[0]), linear[1 : 1 + count], covariance[np.ix_(keep, keep)],
         memory, loss, rows, deviance, parameters,
     )  # fmt: skip
 
@@ -445,8 +407,6 @@ def _delayed(form: Form, x: Array, delay: float) -> Array:
     second = ratio * lag + float(x[0]) - delay
     y = x.copy()
     y[0] = delay
-    if form.by_level:
-        y[1:3] = np.maximum(x[1:3] + float(x[0]) - delay, 0.1 * x[1:3])
     if form.lags == 2:
         y[2] = min(max(second, 0.0) / lag, LARGEST_BEGUN)
         y[1] = max(lag + min(second, 0.0), 0.1 * lag)
@@ -456,7 +416,7 @@ def _delayed(form: Form, x: Array, delay: float) -> Array:
 def bound_delay(problem: Problem, estimate: Estimate, has_second: bool) -> tuple[float, float]:
     """Return 95 % bounds of the delay [s] by its profile likelihood, between 0 and the longest that is looked for.
 
-    ``estimate`` has two lags or one that goes with the level; ``has_second``: the second is told by the log.
+    ``estimate`` has two lags; ``has_second``: the second is told by the log.
     """
     wanted = float(np.sqrt(CHI2_95 if has_second else MIXED_95)) * plain_factor(problem, estimate)
     low, high = problem.limits(estimate.form)

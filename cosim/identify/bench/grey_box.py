@@ -25,9 +25,7 @@ from cosim.identify.bench.fit import Part, Problem
 from cosim.identify.bench.grey_model import EngineModel, GreyChoices, make_model, make_parts, output_unit
 from cosim.identify.bench.missing_evidence import describe_small_movements
 from cosim.identify.bench.record import BenchRecord
-from cosim.identify.bench.timing import lost_rows
-from cosim.identify.bench.timing.readings import Followed, Model, Reading, choose_clock, follow_clock
-from cosim.identify.bench.timing.stretches import Answered, model_delays
+from cosim.identify.bench.stretches import Answered, Spread, measure_spread
 from cosim.identify.engine_file import DEVIATIONS_95
 from cosim.identify.robust import invert, memory_rows, robust_factor
 from cosim.identify.verdict import Judgement, judge_model, shared_record
@@ -39,7 +37,6 @@ CLOSE = 0.015  # of the output's range (rms), to which movements have to be fore
 LEAST_PART = 0.05  # of a value, that is left of it at an end of its bounds
 BEGINNING_S = 0.5  # of a log, in which an engine that rests does not move
 NOT_AT_REST = 0.05  # of the output's range, by which an engine at rest may be off there
-STRETCHED = 1.01  # times as long, to see what a clock's rate does
 SMALL_DELAY_S = 1e-3  # to see what a delay does
 HORIZON_S = 3.0  # for which the output counts as on its way after a movement
 
@@ -133,19 +130,17 @@ def fit_engine(records: Sequence[BenchRecord], choices: GreyChoices, is_strict: 
     do not tell what is asked.
     """
     model = make_model(records, choices)
-    clock: list[str] = []
-    reading = choose_clock(
-        records, _fit_settled(model, records), lambda fit: fit.bic, lambda rows: _fit_settled(model, rows), clock
-    )
-    followed = _follow(model, reading.fitted, clock, is_strict)
-    parts, (values, residual) = followed.problem.parts, followed.fitted[:2]
-    covariance = _widen(model, reading, followed)
-    covariance[0, 0] += min(max(record.clock_deviation for record in records), choices.longest_delay) ** 2
-    _check_told(records[0], choices, values, covariance, clock)
+    parts = make_parts(records, choices)
+    fitted = _fit(model, parts)
+    values, residual, covariance = fitted.values, fitted.residual, fitted.covariance
+    apart = _measure_spread(model, parts, fitted)
+    clock = float(np.hypot(apart.deviation, max(record.clock_deviation for record in records)))
+    covariance[0, 0] += min(clock, choices.longest_delay) ** 2
+    _check_told(records[0], choices, values, covariance)
     misfit = test_residuals(parts, residual, float(values[0]), HORIZON_S)
     held_back, halves = (None, []) if is_strict and misfit.failed else _predict(model, parts, values)
     swing = output_swing(parts)
-    notes = [*dict.fromkeys(note for record in records for note in record.notes), *clock]
+    notes = [*dict.fromkeys(note for record in records for note in record.notes), *apart.notes]
     notes += _at_the_ends(model, values)
     notes += describe_beginning(records, parts, residual, swing)
     if model.speed:
@@ -162,67 +157,23 @@ def fit_engine(records: Sequence[BenchRecord], choices: GreyChoices, is_strict: 
         notes.append(describe_lack(parts, residual))
     if held_back is not None and held_back.others > POOR_PREDICTION * held_back.fitted:
         notes.append(describe_held_back(held_back, output_unit(records[0]), swing))
-    untold = (
-        []
-        if is_strict
-        else _untold(model, reading.records, parts, residual, _ends_of_bounds(model, values, covariance))
-    )
+    untold = [] if is_strict else _untold(model, records, parts, residual, _ends_of_bounds(model, values, covariance))
     return GreyIdentification(
         tuple(records), choices, model.with_values(values[1:]), values, covariance, residual, tuple(parts),
         misfit, held_back, tuple(notes), tuple(untold),
     )  # fmt: skip
 
 
-def _follow(model: EngineModel, fitted: _Fit, clock: list[str], is_strict: bool) -> Followed[_Fit]:
-    """Return logs whose stretches are answered alike.  Raises NotIdentifiedError for such, where ``is_strict``."""
-
-    def answer(problem: Problem, fit: _Fit) -> Answered:
-        step = SMALL_DELAY_S * np.eye(1, len(fit.values))[0]
-        early, late = (model.answer(fit.values + sign * step, problem.parts) for sign in (-1.0, 1.0))
-        slope = (late - early) / (2.0 * SMALL_DELAY_S)
-        return Answered(fit.residual, slope, fit.memory, model.lateness(fit.values, problem.parts))
-
-    def judge(problem: Problem, fit: _Fit) -> Misfit:
-        return test_residuals(problem.parts, fit.residual, float(fit.values[0]), HORIZON_S)
-
-    problem = Problem(fitted.parts, model.choices.longest_delay)
-    if not is_strict:
-        return follow_clock(
-            problem, fitted, Model(answer, lambda moved, fit: _refit(model, moved, fit), judge), clock,
-            lambda fit: fit.bic,
-        )  # fmt: skip
-    delays, _ = model_delays(problem, answer(problem, fitted))
-    if delays is not None and delays.differ:
-        raise NotIdentifiedError("stretches of the log are answered at different times")
-    return Followed(problem, fitted)
+def _measure_spread(model: EngineModel, parts: Sequence[Part], fitted: _Fit) -> Spread:
+    """Return how far apart in time the stretches of logs are answered."""
+    step = SMALL_DELAY_S * np.eye(1, len(fitted.values))[0]
+    early, late = (model.answer(fitted.values + sign * step, parts) for sign in (-1.0, 1.0))
+    slope = (late - early) / (2.0 * SMALL_DELAY_S)
+    answered = Answered(fitted.residual, slope, fitted.memory, HORIZON_S)
+    return measure_spread(Problem(parts, model.choices.longest_delay), answered)
 
 
-def _widen(model: EngineModel, reading: Reading[_Fit], followed: Followed[_Fit]) -> Array:
-    """Return the covariance with what a clock leaves in doubt: its rate, which of its readings is true, its wobble.
-
-    A rate stretches all times: parameters move as far as the fit follows that.
-    """
-    fitted, covariance = followed.fitted, followed.fitted.covariance.copy()
-    covariance[0, 0] += followed.spread**2
-    moves = [fitted.values - one.values for one in (reading.fitted, reading.other) if one is not None]
-    if reading.rates > 0.0:
-        longer = [
-            replace(part, times=STRETCHED * part.times, command_times=STRETCHED * part.command_times)
-            for part in fitted.parts
-        ]
-        change = model.answer(fitted.values, longer) - model.answer(fitted.values, fitted.parts)
-        white = Problem(fitted.parts, 0.0).whiten(change, fitted.memory)
-        moves.append(
-            reading.rates
-            / (STRETCHED - 1.0)
-            * (invert(fitted.jacobian.T @ fitted.jacobian) @ (fitted.jacobian.T @ white))
-        )
-    return covariance + sum(np.outer(one, one) for one in moves)
-
-
-def _check_told(
-    record: BenchRecord, choices: GreyChoices, values: Array, covariance: Array, clock: Sequence[str]
-) -> None:
+def _check_told(record: BenchRecord, choices: GreyChoices, values: Array, covariance: Array) -> None:
     """Raise NotIdentifiedError for parameters whose bounds exceed their value."""
     deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unknown = [
@@ -231,10 +182,9 @@ def _check_told(
         if not DEVIATIONS_95 * one <= abs(value)
     ]
     if unknown:
-        why = "".join(f"; {note}" for note in clock)
         raise NotIdentifiedError(
             f"{record.path}: the log does not tell {' and '.join(unknown)} of {choices.engine}: the 95 % bounds exceed "
-            f"the value; leave out --fit {unknown[0]}, or log steps over the whole range, up and down{why}"
+            f"the value; leave out --fit {unknown[0]}, or log steps over the whole range, up and down"
         )
 
 
@@ -263,15 +213,12 @@ def _untold(
 
 
 class _Fit(NamedTuple):
-    """Delay and parameters as fitted; ``jacobian``: how what is left over, made white, changes with them."""
+    """Delay and parameters as fitted, what they leave over, and how much a row of that keeps of the row before."""
 
     values: Array
     residual: Array
     covariance: Array
-    parts: Sequence[Part]
     memory: float
-    jacobian: Array
-    bic: float
 
 
 def _fit(model: EngineModel, parts: Sequence[Part]) -> _Fit:
@@ -309,28 +256,7 @@ def _fit(model: EngineModel, parts: Sequence[Part]) -> _Fit:
     covariance = covariance * np.outer(wider, wider)
     silent = np.flatnonzero(~np.any(jacobian != 0.0, axis=0))  # parameters that change nothing
     covariance[silent, silent] = np.inf
-    rows = len(white)
-    bic = rows * float(np.log(loss / rows)) + problem.scales(memory) + len(values) * float(np.log(rows))
-    return _Fit(values, residual, covariance, parts, memory, jacobian, bic)
-
-
-def _refit(model: EngineModel, moved: Problem, fit: _Fit) -> _Fit:
-    return _fit(replace(model, start=fit.values), moved.parts)
-
-
-def _fit_settled(model: EngineModel, records: Sequence[BenchRecord]) -> _Fit:
-    """Fit logs whose commands move behind lost rows when the engine says."""
-    parts = make_parts(records, model.choices)
-    lost: lost_rows.Model[_Fit] = lost_rows.Model(
-        lambda moved, fit: moved.output - model.answer(fit.values, moved.parts),
-        lambda fit: fit.memory,
-        lambda _, fit: fit.jacobian,
-        lambda moved, fit: _refit(model, moved, fit),
-    )
-    problem = Problem(parts, model.choices.longest_delay)
-    _, fit, unsure = lost_rows.settle_moves(problem, _fit(model, parts), lost)
-    fit.covariance[0, 0] += unsure**2
-    return fit
+    return _Fit(values, residual, covariance, memory)
 
 
 def _slopes(problem: Problem, left: Any, x: Array, memory: float) -> Array:

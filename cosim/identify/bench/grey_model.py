@@ -21,7 +21,6 @@ UNIT_DELAY_S = 0.1  # of the delay among parameters that are all near 1
 WIDEST = 1e3  # times a parameter's nominal value, up and down, that it is looked for
 RPM = 60.0 / (2.0 * np.pi)
 LEVELS = 41  # at which the engine's speed at rest is taken
-HOLD_S = 10.0  # of a step up and one down, that show how long the answer takes
 
 
 class GreyChoices(NamedTuple):
@@ -65,19 +64,6 @@ class EngineModel:
         """Return the output of all logs with these parameters, from rest at each log's first command."""
         with make_bank([self.with_values(values[1:])], self.step) as bank:
             return np.concatenate([self._run(bank, part, float(values[0])) for part in parts])
-
-    def lateness(self, values: Array, parts: Sequence[Part]) -> float:
-        """Return how long after its command the output is on its way, s: of a lag the delay and that.
-
-        It is the area above the answer to a step over the logs' range, or below that back, over its height.
-        """
-        ends = [end(part.command) for part in parts for end in (np.min, np.max)]
-        command = np.array([min(ends), max(ends), min(ends)])
-        times: Array = np.asarray(STEP_S * np.arange(2 * round(HOLD_S / STEP_S)), np.float64)
-        steps = Part(np.array([-1.0, 0.0, HOLD_S]), command, times, times, STEP_S, False)
-        answer = self.answer(values, [steps]).reshape(2, -1)
-        height = np.maximum(np.abs(answer[:, -1] - answer[:, 0]), 1e-300)
-        return float(np.max(np.abs(answer - answer[:, -1:]).sum(axis=1) / height)) * STEP_S
 
     def with_values(self, values: Array) -> EngineSpec:
         """Return the engine with these values of what is fitted."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, NotIdentifiedError
-from cosim.identify.bench.bounds import bound_short_lag
+from cosim.identify.bench.bounds import bound_short_lag, widen
 from cosim.identify.bench.command import is_noisy, moves_on
 from cosim.identify.bench.evidence import (
     HeldBack,
@@ -25,10 +25,7 @@ from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, 
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
 from cosim.identify.bench.running import SPEED_UNITS
-from cosim.identify.bench.timing.lead import BOTH_WAYS, find_lead
-from cosim.identify.bench.timing.lost_rows import LAGS, settle_moves
-from cosim.identify.bench.timing.readings import CLEAR, Model, choose_clock, follow_clock
-from cosim.identify.bench.timing.stretches import answer_lags, clock_moves, fit_alone, hold_both_halves, widen
+from cosim.identify.bench.stretches import answer_lags, measure_spread
 from cosim.identify.verdict import Judgement, judge_model, shared_record
 
 LONGEST_DELAY_S = 2.0
@@ -41,7 +38,6 @@ MOST_PERCENT = 100.0 * UNIT_RANGE  # of a throttle that is said to be in percent
 NO_UNITS = ("", "1", "-", "0..1", "0-1", "0/1")  # of a throttle
 ENOUGH_ROWS = 4000  # of all logs; more are averaged where they are fine enough
 SHORT = 0.04  # of delay and lags together: over so long rows may be averaged
-BY_LEVEL = Form(by_level=True)
 ECU_RAMP = ("fuel_integral", "fuel_fall")  # of an ECU's fuel by error
 POOR_PREDICTION = 1.5  # times the residual of what was fitted, above which the part held back is ill explained
 
@@ -156,93 +152,39 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
     notes = list(dict.fromkeys(note for record in records for note in record.notes))
     limits, known = throttle_limits(records, choices.limits, notes)
     straight = is_straight(records, choices.between, notes)
-
-    def fit_forms(records: Sequence[BenchRecord]) -> tuple[Problem, tuple[Estimate, ...], float]:
-        return _fit_forms(records, limits, straight, choices.longest_delay)
-
-    given = records
-    records, (problem, estimates, unsure), rates, other = choose_clock(
-        records, fit_forms(records), lambda fitted: fitted[1][0].bic, fit_forms, notes
-    )
-    others = () if other is None else other[1]
-    if problem.drift:
-        drifts = ", ".join(f"{value:.3g}" for value in estimates[0].drifts)
-        notes.append(f"the zero drifts, {drifts} a second; taken out")
-    before = estimates
-    problem, estimates, wobble = _follow(problem, estimates, records, notes)
-    others = (*others, *(() if estimates is before else before))
+    problem, estimates = _fit_forms(records, limits, straight, choices.longest_delay)
     bounded = replace(estimates[0], delay_bounds=_delay_bounds(problem, estimates))
     estimates = (bound_short_lag(problem, bounded), *estimates[1:])
+    apart = measure_spread(problem, answer_lags(problem, estimates[0]))
     clock = max(record.clock_deviation for record in records)
-    deviation = float(np.linalg.norm([clock, wobble, unsure]))
     if straight and choices.between == "auto" and any(is_noisy(record.command) for record in records):
-        deviation = float(np.hypot(deviation, _half_a_row(records)))  # held between its rows, for all that is known
-    estimates = tuple(widen(problem, one, clock_moves(one, rates, wobble, others), deviation) for one in estimates)
+        clock = float(np.hypot(clock, _half_a_row(records)))  # held between its rows, for all that is known
+    estimates = tuple(widen(problem, one, apart.deviation, clock) for one in estimates)
     chosen = estimates[0]
     spread, doubts = _compare_logs(problem, chosen, records)
-    chosen, changed = hold_both_halves(problem, chosen)
-    estimates, doubts = (chosen, *estimates[1:]), [*doubts, *changed]
     left_over = problem.residual(chosen)
-    misfit = _test_lead(problem, chosen, _judge(problem, chosen), left_over)
+    misfit = test_residuals(problem.parts, left_over, chosen.delay, chosen.total[0])
     lacks = _lacks(problem, left_over, records[0]) if misfit.failed else []
     held_back = predict_held_back(problem, chosen)
     doubts += _doubt_zero(chosen, records[0], limits)
+    doubts += _doubts(chosen, misfit, held_back, records[0], output_swing(problem.parts))
     found = BenchIdentification(
-        tuple(given), problem, limits, known, straight, estimates, misfit, held_back, spread,
-        (*notes, *doubts, *_doubts(chosen, misfit, held_back, records[0], output_swing(problem.parts)), *lacks), (),
+        tuple(records), problem, limits, known, straight, estimates, misfit, held_back, spread,
+        (*notes, *apart.notes, *doubts, *lacks), (),
     )  # fmt: skip
     untold = describe_missing_evidence(chosen, records, limits, problem.longest_delay, straight, found.is_explained)
     return replace(found, untold=tuple(untold))
 
 
-def _test_lead(problem: Problem, chosen: Estimate, misfit: Misfit, left_over: Array) -> Misfit:
-    """Return that an output leads its command, where no delay is told or nothing explains the logs, else as it is."""
-    if not misfit.failed and chosen.delay_bounds[0] > 0.0:
-        return misfit
-    lead = find_lead(problem, chosen.deviance, left_over, chosen.form.curve)
-    if lead == 0.0:
-        return misfit
-    size = float(np.sqrt(np.mean(left_over**2))) / output_swing(problem.parts)
-    return Misfit(0.0, 1.0, size, 0.0, f"is less where the output leads the command, by {lead:.2g} s: {BOTH_WAYS}")
-
-
 def _fit_forms(
     records: Sequence[BenchRecord], limits: tuple[float, float], straight: bool, longest_delay: float
-) -> tuple[Problem, tuple[Estimate, ...], float]:
-    """Return logs, averaged and with a zero that drifts where they are so, and all forms, the likeliest first.
-
-    And how unsure lost rows make the delay, s.
-    """
+) -> tuple[Problem, tuple[Estimate, ...]]:
+    """Return logs, averaged where they are far finer than the answer, and all forms, the likeliest first."""
     parts = [make_part(record, limits, straight) for record in records]
     problem = Problem(parts, _longest(records, longest_delay))
-    problem, base, unsure = settle_moves(problem, fit(problem, Form()), LAGS)
-    problem, base = _average(problem, base)
+    problem, base = _average(problem, fit(problem, Form()))
     _check_answer(problem, base, ", ".join(str(record.path) for record in records))
-    estimates = _choose(problem, base, records)
-    drifting = Problem(problem.parts, problem.longest_delay, True)
-    other = fit(drifting, estimates[0].form, estimates[0])
-    if other.bic < estimates[0].bic - CLEAR:
-        return drifting, _choose(drifting, fit(drifting, Form(), base), records), unsure
-    return problem, estimates, unsure
-
-
-def _follow(
-    problem: Problem, estimates: tuple[Estimate, ...], records: Sequence[BenchRecord], notes: list[str]
-) -> tuple[Problem, tuple[Estimate, ...], float]:
-    """Return logs whose stretches are answered alike, all forms, and the spread [s]; not where halves differ."""
-    chosen = estimates[0]
-    if hold_both_halves(problem, chosen)[1]:
-        return problem, estimates, 0.0
-    model = Model(answer_lags, lambda moved, one: fit(moved, one.form, one), _judge)
-    followed = follow_clock(problem, chosen, model, notes)
-    if not followed.is_moved:
-        return problem, estimates, followed.spread
-    moved = followed.problem
-    return moved, _choose(moved, fit(moved, Form(), followed.fitted), records), followed.spread
-
-
-def _judge(problem: Problem, chosen: Estimate) -> Misfit:
-    return test_residuals(problem.parts, problem.residual(chosen), chosen.delay, chosen.total[0])
+    return problem, _choose(problem, base, records)
 
 
 def _check_moves(record: BenchRecord) -> None:
@@ -333,7 +275,7 @@ def _average(problem: Problem, base: Estimate) -> tuple[Problem, Estimate]:
     if len(problem.output) <= ENOUGH_ROWS:
         return problem, base
     parts = [part.averaged(SHORT * base.total[0]) for part in problem.parts]
-    fewer = Problem(parts, problem.longest_delay, problem.drift)
+    fewer = Problem(parts, problem.longest_delay)
     return fewer, fit(fewer, Form(), base)
 
 
@@ -347,8 +289,6 @@ def _check_answer(problem: Problem, base: Estimate, where: str) -> None:
     without = len(white) * float(np.log(max(float(white @ white), problem.floor) / len(white)))
     fall = without + problem.scales(memory) - base.deviance
     if not fall >= LEAST_DEVIANCE_FALL:
-        if lead := find_lead(problem, without + problem.scales(memory), left):
-            raise NotIdentifiedError(f"{where}: the output leads the command, by {lead:.2g} s: {BOTH_WAYS}")
         raise NotIdentifiedError(
             f"{where}: the output does not show the command (it lowers the deviance by {fall:.1f}, "
             f"{LEAST_DEVIANCE_FALL:g} are needed); step it farther, or look at other columns"
@@ -362,27 +302,14 @@ def _choose(problem: Problem, base: Estimate, records: Sequence[BenchRecord]) ->
     if len(levels) >= LEAST_LEVELS:
         curve = fit(problem, Form(1, True), base)
         estimates += [curve, fit(problem, Form(2, True), curve)]
-    if not any(part.straight for part in problem.parts):
-        estimates.append(fit(problem, BY_LEVEL, base))
-    likeliest = sorted(estimates, key=lambda one: one.bic)
-    if likeliest[0].form == BY_LEVEL and len(levels) < LEAST_LEVELS:  # one step does not tell it from two lags
-        likeliest.insert(1, likeliest.pop(0))
-    return tuple(likeliest)
+    return tuple(sorted(estimates, key=lambda one: one.bic))
 
 
 def _delay_bounds(problem: Problem, estimates: Sequence[Estimate]) -> tuple[float, float]:
-    """Return bounds of the delay, s, that hold it in each form which the logs do not refute.
-
-    They are those of the form with two lags, which contains that with one; and of a lag that goes with the level.
-    """
-    lags, curve, by_level = estimates[0].form
+    """Return bounds of the delay, s: those of the form with two lags, which contains that with one."""
+    lags, curve = estimates[0].form
     two = next(one for one in estimates if one.form == Form(2, curve))
-    level = next((one for one in estimates if one.form == BY_LEVEL), None)
-    least = min(one.bic for one in estimates) + CLEAR
-    bounds = [] if by_level and two.bic > least else [bound_delay(problem, two, lags == 2)]
-    if level is not None and level.bic <= least:
-        bounds.append(bound_delay(problem, level, True))
-    return min(low for low, _ in bounds), max(high for _, high in bounds)
+    return bound_delay(problem, two, lags == 2)
 
 
 def _compare_logs(
@@ -392,7 +319,7 @@ def _compare_logs(
     if len(problem.parts) < 2:
         return {}, []
     spread, doubts = {}, []
-    for name, values, deviations in fit_alone(problem, problem.parts, chosen):
+    for name, values, deviations in _fit_alone(problem, chosen):
         more = float(np.var(values, ddof=1) - np.mean(deviations**2))
         spread[name] = float(np.sqrt(max(more, 0.0)))
         order = np.argsort(values)
@@ -403,6 +330,16 @@ def _compare_logs(
                 f"{records[last].path.name}, farther apart than noise: two engines, or another day; the spread is kept"
             )
     return spread, doubts
+
+
+def _fit_alone(problem: Problem, chosen: Estimate) -> list[tuple[str, Array, Array]]:
+    """Fit a form to each log alone: of each parameter, the gain last, its name, values and standard deviations."""
+    fits = [fit(Problem([part], problem.longest_delay), chosen.form, chosen) for part in problem.parts]
+    values = np.array([[*one.x, one.gain] for one in fits]).T
+    return [
+        (name, values[i], np.array([one.deviation(i) for one in fits]))
+        for i, name in enumerate((*chosen.form.names, "gain"))
+    ]
 
 
 def _doubt_zero(chosen: Estimate, record: BenchRecord, limits: tuple[float, float]) -> list[str]:
@@ -443,5 +380,8 @@ def _doubts(
     if held_back is not None and held_back.others > POOR_PREDICTION * held_back.fitted:
         doubts.append(describe_held_back(held_back, record.output_unit, swing))
     if chosen.delay_bounds[0] == 0.0:
-        doubts.append("no delay at all is within the bounds")
+        doubts.append(
+            "no delay at all is within the bounds: an engine without one, or an output that moves before its command, "
+            "as where columns are swapped or clocks are apart"
+        )
     return doubts

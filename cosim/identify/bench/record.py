@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.identify.bench.clocks import EvenRows, align, align_by_command, find_even_rows, split_clocks, spread_stamps
-from cosim.identify.bench.command import moves_on
+from cosim.identify.bench.clocks import align, align_by_command, split_clocks
 from cosim.identify.bench.running import SLOW_ROWS_S, describe_adrift, find_running, find_speed
 from cosim.identify.logs.flight_log import Channel, FlightLog, unit_of
 from cosim.identify.logs.read import is_table, read_columns, read_flight_log
@@ -37,16 +36,12 @@ NEWTONS = {
 }
 NEWTONS |= {"lb": NEWTONS["lbf"], "lbs": NEWTONS["lbf"]}  # of a thrust a kilogram or a pound is its weight
 CLIPPED = re.compile(r"(.*[_ ])?clip(ped|s)?", re.IGNORECASE)
+# Share of an output's rows that may have the time stamp of the row before and another value.  They are left out, and
+# with more of them the command would seem to move later than it does.
+MAX_SHARED_STAMPS = 0.1
 LEAST_CLIPPED = 5  # equal values in a row at the end of an output's range, where its noise repeats no other value
 NOISY = 0.5  # share of an output's values that differ from all others, from which on it is no row of a few levels
 FINE = 20.0  # smallest steps of an output in its usual change: of one that is coarser, values repeat by themselves
-LEAST_REPEATED = 0.005  # share of the rows that repeat the one before, from which on that is no chance
-STRAY = 12.0  # times the usual size of a turn from row to row to row, above which that is no noise
-STRAY_RANGE = 0.05  # of the output's range, and above that
-MOST_STRAYS = 0.03  # share of the rows: of more no one stands alone
-QUICK_ROWS = 4.0  # from one movement of a held command to the next, within which an output may turn back too
-COARSE_S = 0.05  # from row to row
-OVERSHOOT_S = 3.0  # behind a movement, for which rows so coarse are left alone
 LONGEST_GAP = 4.0  # rows: what is missing longer is said
 QUICKEST_ROWS_S = 1e-5  # and less than that it is not
 
@@ -80,19 +75,11 @@ class BenchRecord:
     notes: tuple[str, ...] = ()
     width: float = 0.0  # s, over which each row of the output is a mean
     clock_deviation: float = 0.0  # s, of the output's clock on the command's; infinite where nothing tells it
-    even: EvenRows | None = None  # where the time stamps wander about rows of a fixed rate
 
     @property
     def newtons(self) -> float | None:
         """Newtons in the output's unit, or None where it is no thrust."""
         return NEWTONS.get(self.output_unit)
-
-    def on_even_rows(self) -> BenchRecord:
-        """Return it with times of rows at a fixed rate, where its stamps wander about them."""
-        if self.even is None:
-            return self
-        clock = self.even.on_rows
-        return replace(self, command_times=clock(self.command_times), times=clock(self.times))
 
 
 def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[BenchRecord]:
@@ -125,11 +112,11 @@ def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[
 def _read_logs(path: Path, columns: Columns) -> list[FlightLog]:
     """Read a file: a log, or of a table of several clocks that with the command and that with the output behind it."""
     if columns.time is not None or not is_table(path):
-        return [spread_stamps(read_flight_log(path, columns.time, columns.time_unit))]
+        return [read_flight_log(path, columns.time, columns.time_unit)]
     table = read_columns(path)
     clocks = split_clocks(path, table, columns.time_unit)
     if not clocks:
-        return [spread_stamps(make_log(path, table, None, columns.time_unit))]
+        return [make_log(path, table, None, columns.time_unit)]
     first = next((log for log in clocks if not _has_no_command(log, columns)), None)
     every = FlightLog(path, "table", {name: channel for log in clocks for name, channel in log.channels.items()})
     output = columns.output or _find(every, OUTPUTS, NO_OUTPUT, "--output")
@@ -254,28 +241,23 @@ def _clean(
     path: Path, command: tuple[str, Channel], output: tuple[str, Channel], flagged: Array, notes: list[str],
     clock_deviation: float,
 ) -> BenchRecord:  # fmt: skip
-    """Return a record without repeated frames and clipped rows, averaged where there are very many."""
+    """Return a record without repeated times and clipped rows, averaged where there are very many."""
     (command_name, given), (output_name, measured) = command, output
     _check(path, output_name, measured)
     fresh = np.diff(given.times, prepend=-np.inf) > 0.0
     commands = given.times[fresh], given.values[fresh]
     times, values = measured.times, measured.values
-    even = find_even_rows(times) if clock_deviation == 0.0 else None
     use = np.diff(times, prepend=-np.inf) > 0.0
-    strays = find_strays(times, values, *commands)
-    if strays.any():
-        notes.append(f"{output_name}: {int(strays.sum())} rows are far from both of those beside them; left out")
-        use &= ~strays
-    if _is_fine(values):
-        repeated = use & (np.diff(values, prepend=np.nan) == 0.0)
-        clipped = _at_the_stop(values)
-        repeated &= ~clipped & (repeated.mean() > LEAST_REPEATED)
-        use &= ~repeated & ~clipped
-        if repeated.any():
-            notes.append(f"{output_name}: {int(repeated.sum())} rows repeat the one before; left out")
-        if clipped.any():
-            where = "at the end of its range (clipped) or next to such"
-            notes.append(f"{output_name}: {int(clipped.sum())} rows are {where}; left out")
+    shared = int(np.count_nonzero(~use[1:] & (np.diff(values) != 0.0)))
+    if shared > MAX_SHARED_STAMPS * len(times):
+        raise InputError(
+            f"{path}: {shared} of {len(times)} rows of {output_name} have the time of the row before and another "
+            "value; allowed: a time for each row, as fine as the rows are"
+        )
+    if _is_fine(values) and (clipped := _at_the_stop(values)).any():
+        use &= ~clipped
+        where = "at the end of its range (clipped) or next to such"
+        notes.append(f"{output_name}: {int(clipped.sum())} rows are {where}; left out")
     if flagged.size:
         marked = np.isin(times, flagged)
         notes.append(f"{output_name}: {int(marked.sum())} rows are marked as clipped; left out")
@@ -299,33 +281,8 @@ def _clean(
     unit = unit_of(output_name, measured.unit)
     return BenchRecord(
         path, command_name, output_name, unit_of(command_name, given.unit), unit,
-        *commands, times, values, step, lost, tuple(notes), width, clock_deviation, even,
+        *commands, times, values, step, lost, tuple(notes), width, clock_deviation,
     )  # fmt: skip
-
-
-def find_strays(times: Array, values: Array, command_times: Array, command: Array) -> NDArray[np.bool_]:
-    """Return which rows stand alone, far from both neighbours, as spikes and codes of an error do.
-
-    None of a held command that moves twice within a few rows, which an output may follow, nor where they are many.
-    """
-    strays = np.zeros(len(values), bool)
-    moved = command_times[1:][np.diff(command) != 0.0]
-    row, is_held = float(np.median(np.diff(times))), not moves_on(command)
-    if is_held and np.min(np.diff(moved), initial=np.inf) < QUICK_ROWS * row:
-        return strays
-    steps = np.diff(values)
-    jump = np.where(steps[:-1] * steps[1:] < 0.0, np.minimum(np.abs(steps[:-1]), np.abs(steps[1:])), 0.0)
-    if not jump.any():
-        return strays
-    swing, usual = float(np.ptp(np.percentile(values, (1.0, 99.0)))), float(np.percentile(np.abs(steps), 95.0))
-    strays[1:-1] = jump > max(STRAY * float(np.median(jump[jump > 0.0])), STRAY_RANGE * swing, 2.0 * usual)
-    if is_held and row > COARSE_S:  # where an overshoot may be one row long
-        last = np.append(-np.inf, moved)[np.searchsorted(moved, times, side="right")]
-        strays &= times - last > OVERSHOOT_S
-    codes, count = np.unique(values[strays], return_counts=True)
-    ends = codes[(count > 1) & np.isin(codes, (values.min(), values.max()))]
-    strays |= np.isin(values, ends)
-    return strays if strays.mean() < MOST_STRAYS else np.zeros(len(values), bool)
 
 
 def _is_fine(values: Array) -> bool:

@@ -29,8 +29,8 @@ from cosim.results.report.plot import BLUE, GREY, HOVER, panels, trace
 
 BOUNDS = (
     "The first model is the one that is written: the least of Schwarz' criterion. The delay's bounds are those of its "
-    "profile likelihood with two lags, and with a lag by the level where the log does not refute that; the others are "
-    "1.96 standard deviations. They hold where the model explains the log."
+    "profile likelihood with two lags, wider by the spread of its stretches; the others are 1.96 standard deviations. "
+    "They hold where the model explains the log."
 )
 TOLD = "delay, lags, gain and curve within its range are told"
 NO_LONGER = "they no longer follow the command"
@@ -129,7 +129,6 @@ def engine_table(result: BenchIdentification) -> dict[str, object]:
     }
     parameters |= {"lag_2": ratio * lag} if chosen.form.lags == 2 else {}
     parameters |= {"exponent": exponent} if chosen.form.curve else {}
-    parameters |= {"lag_full": float(chosen.x[2])} if chosen.form.by_level else {}
     return {
         "fmu": "engine.fmu",
         "title": f"Engine fitted to {', '.join(record.path.name for record in result.records)}",
@@ -154,9 +153,6 @@ def uncertainty(result: BenchIdentification) -> dict[str, object]:
     if chosen.form.curve:
         names.append("exponent")
         slope.append(np.eye(1, len(chosen.covariance), len(chosen.x) - 1)[0])
-    if chosen.form.by_level:
-        names.append("lag_full")
-        slope.append(np.eye(1, len(chosen.covariance), 2)[0])
     names += ["gain", "offset"]
     count = len(result.records)
     slope.append(unit * np.eye(1, len(chosen.covariance), len(chosen.x))[0])
@@ -187,7 +183,6 @@ def _spread_of(result: BenchIdentification, name: str) -> float:
         "lag": known["lag_s"],
         "lag_2": float(np.hypot(ratio * known["lag_s"], lag * known.get("ratio", 0.0))),
         "exponent": known.get("exponent", 0.0),
-        "lag_full": known.get("lag_full_s", 0.0),
         "gain": unit * known["gain"],
         "offset": unit * float(np.std(result.chosen.offsets, ddof=1)),
     }
@@ -243,7 +238,6 @@ def rows(result: BenchIdentification) -> list[list[str]]:
         ["delay, ms", *(_delay(estimate) for estimate in estimates)],
         ["lag, ms", *(_about(1e3 * one.x[1], 1e3 * one.deviation(1)) for one in estimates)],
         ["second lag, ms", *(_second(one) for one in estimates)],
-        ["lag at full throttle, ms", *(_full_lag(one) for one in estimates)],
         ["delay and lags together, ms", *(_about(1e3 * v, 1e3 * s) for v, s in (one.total for one in estimates))],
         [
             f"gain, {unit} from {low:g} to {high:g}",
@@ -268,10 +262,6 @@ def _second(estimate: Estimate) -> str:
     slope = np.zeros(len(estimate.covariance))
     slope[1], slope[2] = ratio, lag
     return _about(1e3 * ratio * lag, 1e3 * float(np.sqrt(max(float(slope @ estimate.covariance @ slope), 0.0))))
-
-
-def _full_lag(estimate: Estimate) -> str:
-    return _about(1e3 * estimate.x[2], 1e3 * estimate.deviation(2)) if estimate.form.by_level else ""
 
 
 def _exponent(estimate: Estimate) -> str:

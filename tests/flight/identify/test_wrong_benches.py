@@ -12,7 +12,6 @@ from cosim.identify.bench import BenchIdentification, Columns, identify_bench, r
 from cosim.identify.bench.clocks import align
 from cosim.identify.bench.command import make_command
 from cosim.identify.bench.identify import throttle_limits
-from cosim.identify.bench.record import find_strays
 
 TRUTH = Truth()  # 0.1 s of delay, a lag of 0.4 s
 
@@ -32,31 +31,21 @@ def holds(found: BenchIdentification) -> bool:
 
 
 @pytest.mark.parametrize("stamp", [1.0, 0.5, 0.1])
-def test_rows_that_share_the_stamp_of_a_whole_second_are_even_within_it(tmp_path: Path, stamp: float) -> None:
+def test_rows_that_share_the_stamp_of_a_whole_second_are_refused(tmp_path: Path, stamp: float) -> None:
+    """All but one row of each would be left out, and the command would move up to a stamp later than it does."""
     times, command, thrust, _ = bench_log("stairs of 5 s", 50.0, TRUTH)
-    coarse = stamp * np.floor((times + 0.3) / stamp + 1e-9)
-    (record,) = read_records([write(tmp_path / "bench.csv", coarse, command, thrust)])
-    assert len(record.times) == len(times)
-    assert np.ptp(record.times - times) < 1e-6 + 1.0 / 50.0
-    assert any("they are taken to be even within it, a row each 20 ms" in note for note in record.notes)
-    found = identify_bench([record])
-    assert holds(found)
-    assert np.ptp(found.chosen.delay_bounds) < 0.1
+    path = write(tmp_path / "bench.csv", stamp * np.floor((times + 0.3) / stamp + 1e-9), command, thrust)
+    shared = len(times) - len(np.unique(np.floor((times + 0.3) / stamp + 1e-9)))
+    with pytest.raises(
+        InputError, match=rf"bench.csv: {shared} of 3000 rows of thrust_N have the time of the row before"
+    ):
+        read_records([path])
 
 
 def test_frames_that_are_written_twice_are_no_rows_within_a_stamp(tmp_path: Path) -> None:
     times, command, thrust, _ = bench_log("ramp", 20.0, TRUTH)
     (record,) = read_records([write(tmp_path / "bench.csv", *(np.repeat(one, 2) for one in (times, command, thrust)))])
     assert np.array_equal(record.times, np.unique(times))
-    assert not any("even within it" in note for note in record.notes)
-
-
-def test_stamps_with_rows_of_any_number_stay_and_that_is_said(tmp_path: Path) -> None:
-    times, command, thrust, _ = bench_log("stairs of 5 s", 50.0, TRUTH)
-    kept = np.random.default_rng(1).random(len(times)) < 0.5
-    (record,) = read_records([write(tmp_path / "bench.csv", np.floor(times[kept]), command[kept], thrust[kept])])
-    assert np.array_equal(record.times, np.unique(np.floor(times[kept])))
-    assert any("no fixed number of rows has a stamp" in note for note in record.notes)
 
 
 def test_a_time_in_days_is_asked_for_and_can_be_said(tmp_path: Path) -> None:
@@ -159,53 +148,24 @@ def test_a_lag_shorter_than_a_row_has_bounds_that_hold_it_and_that_can_be_drawn_
 
 
 @pytest.mark.parametrize("kind", ["step", "stairs of 5 s", "prbs"])
-def test_an_output_that_moves_before_its_command_is_refused_by_how_much(tmp_path: Path, kind: str) -> None:
+def test_an_output_that_moves_before_its_command_is_not_explained(tmp_path: Path, kind: str) -> None:
     times, command, thrust, _ = bench_log(kind, 20.0, TRUTH)
     ahead = np.interp(times + 0.5, times, thrust)  # 0.4 s before the command: the delay is 0.1 s
-    found = identify_bench(read_records([write(tmp_path / "bench.csv", times, command, ahead)]))
-    assert found.misfit.failed
-    assert "is less where the output leads the command, by 0.4 s" in found.misfit.words
+    assert not identify_bench(read_records([write(tmp_path / "bench.csv", times, command, ahead)])).is_explained
 
 
-def test_columns_that_are_swapped_are_told_as_such(tmp_path: Path) -> None:
+def test_columns_that_are_swapped_are_refused_with_a_word_on_columns(tmp_path: Path) -> None:
     times, command, thrust, _ = bench_log("stairs of 5 s", 20.0, TRUTH)
     noise = np.random.default_rng(0).normal(0.0, 1.0, len(times))
     swapped = write(tmp_path / "bench.csv", times, thrust / 200.0, 200.0 * command + noise)
-    with pytest.raises(NotIdentifiedError, match=r"the output leads the command, by 0.* s: columns that are swapped"):
+    with pytest.raises(NotIdentifiedError, match=r"the output does not show the command.*or look at other columns"):
         identify_bench(read_records([swapped]))
 
 
 @pytest.mark.parametrize("kind", ["step", "stairs of 5 s"])
-def test_an_engine_without_a_delay_leads_nothing(tmp_path: Path, kind: str) -> None:
+def test_an_engine_without_a_delay_is_explained_and_doubted(tmp_path: Path, kind: str) -> None:
     times, command, thrust, _ = bench_log(kind, 20.0, Truth(delay=0.0))
     found = identify_bench(read_records([write(tmp_path / "bench.csv", times, command, thrust)]))
     assert found.chosen.delay_bounds[0] == 0.0
     assert found.is_explained
-
-
-@pytest.mark.parametrize("kind", ["stairs of 5 s", "chirp"])
-@pytest.mark.parametrize("code", [-9999.0, 0.0])
-def test_spikes_and_codes_of_an_error_are_left_out_and_said(tmp_path: Path, kind: str, code: float) -> None:
-    times, command, thrust, _ = bench_log(kind, 50.0, TRUTH)
-    rng = np.random.default_rng(3)
-    rows = np.flatnonzero(rng.random(len(times) - 2) < 0.004) + 1
-    odd = thrust.copy()
-    odd[rows] = code if code else odd[rows] + rng.choice([-60.0, 60.0], len(rows))
-    (record,) = read_records([write(tmp_path / "bench.csv", times, command, odd)])
-    assert np.count_nonzero(np.isin(times[rows], record.times)) == 0
-    assert len(record.times) >= len(times) - len(rows) - 1
-    assert any("rows are far from both of those beside them; left out" in note for note in record.notes)
-    assert holds(identify_bench([record]))
-
-
-def test_an_answer_of_one_row_to_a_command_of_one_row_is_no_spike() -> None:
-    times = np.arange(0.0, 60.0, 0.2)
-    command = np.where((times > 29.9) & (times < 30.1), 1.0, 0.2)
-    thrust = 100.0 * np.roll(command, 1) + np.random.default_rng(0).normal(0.0, 0.5, len(times))
-    assert not find_strays(times, thrust, times, command).any()
-    assert np.flatnonzero(find_strays(times, thrust, times, np.where(times < 20.0, 0.2, 0.3))).tolist() == [151]
-    overshoot = np.where(times < 29.9, 0.2, 0.3)
-    assert not find_strays(times, thrust, times, overshoot).any()
-    quick = 0.5 + 0.4 * np.sin(2.0 * np.pi * times * np.linspace(0.02, 0.6, len(times)))  # to 2 rows a half turn
-    assert not find_strays(times, 100.0 * quick + thrust, times, quick).any()
-    assert not find_strays(times, np.random.default_rng(0).normal(0.0, 1.0, len(times)), times, command).any()
+    assert any("an output that moves before its command, as where columns are swapped" in note for note in found.notes)

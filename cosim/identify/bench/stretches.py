@@ -1,0 +1,97 @@
+"""How far apart in time the stretches of a log are answered: what a model's delay, and its lags, owe to that."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array
+from cosim.identify.bench.fit import Estimate, Part, Problem, slopes
+
+MAX_P = 1e-3  # with which noise alone spreads the delays of stretches that differ
+MIN_STRETCHES = 3
+MAX_STRETCHES = 12  # of a log; each has as much of what the log tells of the delay
+MIN_LENGTH = 2.0  # of a stretch, in delays and lags together
+
+
+class Answered(NamedTuple):
+    """What a model leaves over of logs, and by how much that changes with the delay; rows as ``Problem.output``."""
+
+    residual: Array  # output's unit
+    slope: Array  # of the model over the delay, output's unit a second
+    memory: float  # of the noise, from one row to the next
+    total: float  # s, delay and lags together
+
+
+class Spread(NamedTuple):
+    """By how much stretches are answered earlier and later than their log."""
+
+    deviation: float = 0.0  # s, of the delay: all of the spread where it is more than noise, else that of its mean
+    apart: float = 0.0  # s, from the earliest to the latest where they differ by more than noise, else 0
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be said of it."""
+        if self.apart == 0.0:
+            return []
+        return [
+            f"stretches of the log are answered {1e3 * self.apart:.3g} ms apart, by more than noise: a clock that "
+            "wobbles, lost rows, an ECU that reads at intervals, or what the model lacks; the bounds of delay and lag "
+            "hold it"
+        ]
+
+
+def answer_lags(problem: Problem, estimate: Estimate) -> Answered:
+    """Return how a form as fitted answers logs."""
+    slope = slopes(problem, estimate)[:, 0]
+    return Answered(problem.residual(estimate), slope, estimate.memory, estimate.total[0])
+
+
+def measure_spread(problem: Problem, answered: Answered) -> Spread:
+    """Return how far apart the stretches of logs are answered, beside a model as fitted.
+
+    A stretch's own delay is that of least squares with all else held; none is told of a log with few movements.
+    """
+    from scipy.special import fdtrc
+
+    slope, white = (problem.whiten(rows, answered.memory) for rows in (answered.slope, answered.residual))
+    delays, weights, begin = [], [], 0
+    for part in problem.parts:
+        rows = slice(begin, begin + len(part.times))
+        begin = rows.stop
+        told = np.concatenate([[0.0], np.cumsum(slope[rows] ** 2)])
+        cuts = _cut(part, told, MIN_LENGTH * answered.total)
+        if len(cuts) > MIN_STRETCHES:
+            power = np.maximum(np.diff(told[cuts]), 1e-300)
+            own = np.add.reduceat(slope[rows] * white[rows], cuts[:-1]) / power
+            delays.append(own - np.average(own, weights=power))
+            weights.append(power)
+    if not delays:
+        return Spread()
+    late, power, free = np.concatenate(delays), np.concatenate(weights), len(white) - sum(map(len, delays))
+    explained, count = float(power @ late**2), len(late) - len(delays)
+    variance = max(float(white @ white) - explained, 1e-300) / max(free, 1)
+    beyond = float(np.sqrt(max(float(np.mean(late**2) - np.mean(variance / power)), 0.0)))
+    if fdtrc(count, max(free, 1), explained / count / variance) >= MAX_P:
+        return Spread(beyond / float(np.sqrt(len(late))))
+    return Spread(beyond, float(np.ptp(late)))
+
+
+def _cut(part: Part, told: Array, shortest: float) -> NDArray[np.intp]:
+    """Return the first row of each stretch of a log, s apart by ``shortest`` at least, and the row behind the last.
+
+    A command that is held is cut where it moves, another anywhere; ``told``: what the rows before each tell.
+    """
+    moved = part.command_times[1:][np.diff(part.command) != 0.0]
+    at = np.arange(part.times[0], part.times[-1], shortest) if part.straight else moved
+    enough, cuts = float(told[-1]) / MAX_STRETCHES, [0]
+    for row in np.unique(np.searchsorted(part.times, at)).tolist():
+        if row == len(part.times):
+            break
+        if part.times[row] - part.times[cuts[-1]] >= shortest and told[row] - told[cuts[-1]] >= enough:
+            cuts.append(row)
+    if len(cuts) > 1 and told[-1] - told[cuts[-1]] < enough:
+        cuts.pop()
+    return np.array([*cuts, len(part.times)])
