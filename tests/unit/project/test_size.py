@@ -12,16 +12,16 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 5_500,
-    "cosim": 103_900,
+    "cosim": 103_150,
     "docs": 6_500,
-    "tests": 77_100,
+    "tests": 76_800,
     "tools/hexjet_laws": 650,
     "tools/hexjet_paper": 4_550,
 }
 # Lines of the package and of the tools that begin with a name in capitals and have a number.
 MAX_CONSTANTS = 1_150
 # Words of README.md and the pages in docs/, and of the tables in docs/tables/.
-MAX_PAGE_WORDS = 82_350
+MAX_PAGE_WORDS = 82_200
 MAX_TABLE_WORDS = 48_450
 
 _CONSTANT = re.compile(r"^[_A-Z][A-Z0-9_]* *(: *[^=]+)?= *-?[0-9.]")
