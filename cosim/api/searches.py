@@ -43,7 +43,7 @@ class SearchResult(Result):
 
     def lines(self) -> list[str]:
         """Return what was flown, what counts as broken, and what was found."""
-        from cosim.campaign.search.page import describe_resolution, joint_lines
+        from cosim.campaign.search.page import describe_resolution, together_lines
         from cosim.campaign.search.result import SavedSearch
 
         found = self.searched
@@ -57,7 +57,7 @@ class SearchResult(Result):
             first,
             result.criterion,
             *notes,
-            *joint_lines(result),
+            *together_lines(result),
             *map(describe_resolution, result.plan.spans),
         ]
 
@@ -149,7 +149,7 @@ def search(
     name : str or Path
         A scenario; with ``worst`` and ``likely`` a study or the controller file of a design, too.
     vary : sequence of str or mapping
-        What is searched, ``KEY=LO:HI``: each key alone, then all together.
+        What is searched, ``KEY=LO:HI``: each key alone; ``likely`` searches several together.
     worst : bool
         Whether the flight of least margin over all keys at once is searched.
     likely : bool
@@ -169,7 +169,7 @@ def search(
     success : sequence of str
         What a completed flight must keep too, ``METRIC<=X``.
     budget : int
-        Flights for keys together, of each controller.
+        With ``worst`` and ``likely``: flights of each controller.
     aircraft : str or Path or None
         In place of the scenario's, with the engine that it is made for.
     engine : str or Path or None
@@ -221,7 +221,7 @@ def search(
         "success": success,
         "nominal_engine": nominal_engine,
     }
-    sought: dict[str, Any] = {"seeds": seeds, "budget": budget, "seed": seed}
+    sought: dict[str, Any] = {"seeds": seeds, "seed": seed}
     fleet = (workers, cluster, time_limit_s)
     if not worst and not likely:
         if within is not None:
@@ -232,12 +232,12 @@ def search(
     _check_worst(worst and likely, over=over, tolerance=tolerance, share=share)
     designed = find_design(Path(name))
     if designed is None:
-        study, worst_plan = resolve_worst(str(name), likely=likely, within=within, **sought, **options)
+        study, worst_plan = resolve_worst(str(name), likely=likely, within=within, budget=budget, **sought, **options)
     else:
         study = design_study(designed, "", 1, **options)
         if within is None and not likely and not any(entry.uncertainty for entry in study.vary):
             within = RANGES
-        study, worst_plan = resolve_worst(study, likely=likely, within=within, **sought)
+        study, worst_plan = resolve_worst(study, likely=likely, within=within, budget=budget, **sought)
     kind = "likely" if likely else "worst"
     with _searching(out, resume, f"{kind}-{study.name}", "search", fleet, progress) as (folder, tell, flying):
         return SearchResult(run_worst(study, worst_plan, folder, flying, resume, tell))

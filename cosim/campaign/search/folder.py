@@ -17,7 +17,7 @@ from cosim.campaign.search.page import write_page
 from cosim.campaign.search.probe import Point, Prober
 from cosim.campaign.search.question import Words, empty_cases, fly_row_again, open_question
 from cosim.campaign.search.result import Case, SavedSearch
-from cosim.campaign.search.search import Edge, JointResult, Plan, SearchResult, SecondKey, search
+from cosim.campaign.search.search import Edge, Plan, SearchResult, SecondKey, search
 from cosim.campaign.search.span import span
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_number, parse_vary
 from cosim.campaign.study.engine_draw import default_draw, engine_draw
@@ -40,7 +40,6 @@ def resolve_search(
     tolerance: Sequence[str] = (),
     seeds: int = 1,
     share: float = 0.0,
-    budget: int = 1000,
     seed: int | None = None,
     **options: Any,
 ) -> tuple[Study, Plan]:
@@ -77,7 +76,6 @@ def resolve_search(
         over=None if over_key is None else SecondKey(over_key, tuple(levels(over_entries[0], over_key))),
         seeds=point_seeds(study, seed, seeds),
         share=share,
-        budget=budget,
         draws_engine=seeds > 1 and default_draw(study.base(), study.nominal_engine, keys)[0] is not None,
     )
     if over_entries:
@@ -165,7 +163,7 @@ def _first_success(result: SearchResult, prober: Prober, point: Point) -> Row:
 def _points_to_record(result: SearchResult) -> Iterator[tuple[str, Point, bool]]:
     """Yield the points whose flights get a folder, with name and whether the vehicle breaks there.
 
-    These are the edges, of a curve the nearest on each side, and what breaks together.
+    These are the edges, and of a curve the nearest on each side.
     """
     for controller in result.study.controller_names:
         label = short_name(controller)
@@ -175,11 +173,6 @@ def _points_to_record(result: SearchResult) -> Iterator[tuple[str, Point, bool]]
                 if value is not None:
                     point = result.plan.point(controller, {edge.key: value}, edge.level)
                     yield f"{where}-{'breaks' if breaks else 'holds'}", point, breaks
-        for joint in result.joints:
-            if joint.controller == controller and _is_joint(joint):
-                for breaks, values in ((True, joint.breaks), (False, joint.holds)):
-                    point = result.plan.point(controller, values)
-                    yield f"{label}-together-{'breaks' if breaks else 'holds'}", point, breaks
 
 
 def _edges(result: SearchResult, controller: str) -> list[Edge]:
@@ -189,7 +182,3 @@ def _edges(result: SearchResult, controller: str) -> list[Edge]:
     broken = [edge for edge in edges if edge.deviation is not None]
     nearest = {edge.side: edge for edge in sorted(broken, key=lambda edge: abs(edge.deviation or 0.0), reverse=True)}
     return list(nearest.values())
-
-
-def _is_joint(joint: JointResult) -> bool:
-    return sum(value != 0.0 for value in joint.deviations.values()) > 1

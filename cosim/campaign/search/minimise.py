@@ -29,7 +29,6 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.campaign.search.line_search import run_walks, scan_outward
-from cosim.campaign.search.probe import BudgetSpentError
 
 Evaluate = Callable[[Array], Array]  # the margins of points, a row each; not a number where there is no such point
 
@@ -41,6 +40,10 @@ STALLED = 12  # generations in a row that are no better than those before: it is
 SLIGHT = 0.001  # of the largest difference of margins in a generation: what is less is no better
 CORNERS = 4  # over the budget: the corners of a box are evaluated first, if they are no more than that
 RAY_POINTS = 4  # points of a way to a failure that are evaluated at a time
+
+
+class BudgetSpentError(Exception):
+    """None of the allowed flights is left."""
 
 
 class Region(Protocol):

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from math import cos, log10, pi, sin
+from math import log10
 from pathlib import Path
 from typing import Any
 
-from cosim.campaign.search.probe import Point
 from cosim.campaign.search.question import case_rows
 from cosim.campaign.search.result import SavedSearch
-from cosim.campaign.search.search import Edge, JointResult, Plan, SearchResult
+from cosim.campaign.search.search import Edge, SearchResult
 from cosim.campaign.search.span import Span
 from cosim.campaign.study.key import Value
 from cosim.results.report.page import render
-from cosim.results.report.plot import GREEN, GREY, RED, bars, closest, dotted, run_colour
+from cosim.results.report.plot import GREEN, GREY, RED, closest, dotted, run_colour
 from cosim.spec.controller_name import short_name
 from cosim.spec.scenario import flown_parameters, list_changes
 
@@ -22,7 +21,6 @@ Figure = dict[str, Any]
 TEMPLATE = Path(__file__).parent / "templates" / "search.html"
 
 ROW_PX = 44
-MAX_POINTS = 1500  # most points of a controller in a figure
 
 
 MOST_ANSWERS = 4  # at the top of a page; the table below has all
@@ -42,12 +40,11 @@ def write_page(searched: SavedSearch, path: Path) -> None:
         base=base,
         title="" if list_changes(base, flown_parameters(base)) else base.title,
         controllers=[short_name(name) for name in result.study.controller_names],
-        labels={name: short_name(name) for name in result.study.controller_names},
         answers=[_answer(result, edge) for edge in result.edges[:MOST_ANSWERS]],
         columns=columns,
         rows=rows,
         fine=[describe_resolution(span) for span in result.plan.spans],
-        together=joint_lines(result),
+        together=together_lines(result),
         cases=case_rows(searched, path),
         text=str,
     )
@@ -128,48 +125,21 @@ def describe_resolution(span: Span) -> str:
     )
 
 
-def joint_lines(result: SearchResult) -> list[str]:
-    """Return a line for each result of several keys varied together."""
-    return [_joint(result, joint) for joint in result.joints]
-
-
-def _joint(result: SearchResult, joint: JointResult) -> str:
-    name = short_name(joint.controller)
-    effort = f"{joint.rays} directions, {joint.flights} flights" + (", all that were allowed" if joint.spent else "")
-    if joint.distance is None:
-        return f"{name}, together: nothing found that breaks it ({effort}), which does not show that nothing does"
-    if joint.distance == 0.0:
-        return f"{name}, together: breaks where the search starts"
-    keys = [key for key, deviation in joint.deviations.items() if deviation]
-    if len(keys) == 1:
-        return (
-            f"{name}, together: nothing nearer found than {keys[0]} alone, {joint.distance:.4g} of its range away "
-            f"({effort}); there may be something nearer"
-        )
-    units = {span.key.path: span.key.unit for span in result.plan.spans}
-    values = ", ".join(f"{key} = {text(value, units[key])}" for key, value in joint.breaks.items())
-    alone = "" if joint.alone is None else f" (a single key alone: {joint.alone:.4g})"
-    return (
-        f"{name}, together: breaks at {values}; {joint.distance:.4g} of the ranges away{alone}.  The smallest found in "
-        f"{effort}: an upper bound, there may be a smaller one"
-    )
+def together_lines(result: SearchResult) -> list[str]:
+    """Return what searches several keys together, in a line, where there are several."""
+    if len(result.plan.spans) == 1:
+        return []
+    return ["each key was searched alone; hexjet search --likely searches all of them together"]
 
 
 # ---- figures
 
 
 def figures(result: SearchResult) -> dict[str, Figure]:
-    """Return Plotly figures by name: ``curve`` or ``key0``, ``key1``, ..., and ``pair0``, ... for two keys together."""
+    """Return Plotly figures by name: ``curve``, or ``key0``, ``key1``, ..."""
     if result.plan.over:
         return {"curve": _curve(result)}
-    drawn = {f"key{number}": _bands(result, span) for number, span in enumerate(result.plan.spans)}
-    if len(result.plan.spans) == 2:
-        for number, joint in enumerate(result.joints):
-            looked = [entry for entry in result.points if entry[0].controller == joint.controller]
-            drawn[f"pair{number}"] = _pair(result.plan, joint, looked)
-    elif len(result.plan.spans) > 2:
-        drawn["shares"] = _deviations(result)
-    return drawn
+    return {f"key{number}": _bands(result, span) for number, span in enumerate(result.plan.spans)}
 
 
 def _bands(result: SearchResult, span: Span) -> Figure:
@@ -262,78 +232,6 @@ def _branch(edges: list[Edge], colour: str, name: str, first: bool) -> list[Figu
         "hovertemplate": f"{name}, %{{x}}: holds to the end, %{{y}}<extra></extra>",
     }
     return [line, free] if ends else [line]
-
-
-def _pair(plan: Plan, joint: JointResult, looked: list[tuple[Point, bool]]) -> Figure:
-    """Return the figure of every flown point of two keys, the smallest that breaks, and the circle of its deviation."""
-    first, second = plan.spans
-    data: list[Figure] = []
-    for breaks, colour, name in ((False, GREEN, "holds"), (True, RED, "breaks")):
-        chosen = [dict(point.values) for point, broken in looked if broken == breaks][:MAX_POINTS]
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": name,
-                "x": [values[first.key.path] for values in chosen],
-                "y": [values[second.key.path] for values in chosen],
-                "marker": {"color": colour, "size": 5, "opacity": 0.6},
-            }
-        )
-    if joint.distance:
-        turns = [2.0 * pi * k / 180 for k in range(181)]
-        near = [(joint.distance * cos(t), joint.distance * sin(t)) for t in turns]
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "name": "as far from the start",
-                "x": [_value_at(first, x) for x, _ in near],
-                "y": [_value_at(second, y) for _, y in near],
-                "line": {"color": GREY, "width": 1.2, "dash": "dot"},
-                "hoverinfo": "skip",
-            }
-        )
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": "nearest that breaks",
-                "x": [joint.breaks[first.key.path]],
-                "y": [joint.breaks[second.key.path]],
-                "marker": {"color": RED, "size": 13, "symbol": "x"},
-            }
-        )
-    layout = closest(520)
-    layout["xaxis"] = {"title": {"text": _title(first)}, "type": "log" if first.logarithmic else "linear"}
-    layout["yaxis"] = {"title": {"text": _title(second)}, "type": "log" if second.logarithmic else "linear"}
-    return {"data": data, "layout": layout}
-
-
-def _value_at(span: Span, deviation: float) -> float | None:
-    """Return the value at a deviation on the unit circle; None where the range ends before it."""
-    if abs(deviation) > 1.0 or (1 if deviation > 0.0 else -1) not in span.sides:
-        return None if abs(deviation) > 1e-9 else span.start
-    return span.number_at(deviation)
-
-
-def _deviations(result: SearchResult) -> Figure:
-    """Return the figure of each key's deviation, as a fraction of its range, in the nearest point that breaks."""
-    data = [
-        bars(
-            short_name(joint.controller),
-            list(joint.deviations),
-            [100.0 * deviation for deviation in joint.deviations.values()],
-            marker={"color": run_colour(number)},
-            hovertemplate=f"{short_name(joint.controller)}: %{{y}} %{{x:+.3g}} %<extra></extra>",
-        )
-        for number, joint in enumerate(result.joints)
-        if joint.distance is not None
-    ]
-    layout = closest(130 + ROW_PX * len(result.plan.spans))
-    layout["xaxis"] = {"title": {"text": "of the way to the end of the range [%]"}}
-    layout["yaxis"] = {"automargin": True, "autorange": "reversed"}
-    return {"data": data, "layout": layout}
 
 
 def _title(span: Span) -> str:

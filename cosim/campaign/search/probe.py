@@ -43,10 +43,6 @@ class PointResult:
     worst: Row  # row of the first seed that broke, or else of the first seed
 
 
-class BudgetSpentError(Exception):
-    """None of the allowed flights is left."""
-
-
 def count_needed(fraction: float, flights: int) -> int:
     """Return how many of a point's flights have to break before it does."""
     return max(1, ceil(fraction * flights - 1e-9))
@@ -100,7 +96,6 @@ class Prober:
         self.study = study
         self.seeds = tuple(seeds)
         self.needed = count_needed(fraction, len(self.seeds))
-        self.remaining: int | None = None  # flights that are still allowed; None: as many as it takes
         self._flown = FlownRows(study, workers, journal, progress)
         self._requests: dict[tuple[Point, int], None] = {}  # keys are in the order of the requests
 
@@ -109,13 +104,8 @@ class Prober:
         """How many flights were asked for."""
         return len(self._requests)
 
-    @property
-    def points(self) -> list[Point]:
-        """Every point that was flown, in order."""
-        return list(dict.fromkeys(point for point, _ in self._requests))
-
     def evaluate(self, points: Sequence[Point]) -> list[bool]:
-        """Return whether each point breaks.  Raises SpentError if that takes more flights than are allowed."""
+        """Return whether each point breaks."""
         self._fly(points)
         return [self.result(point).breaks for point in points]
 
@@ -137,12 +127,6 @@ class Prober:
 
     def _fly(self, points: Sequence[Point]) -> None:
         new = [(p, seed) for p in dict.fromkeys(points) for seed in self.seeds if (p, seed) not in self._requests]
-        if self.remaining is not None:
-            # what is known from before counts too: a search that is taken up again goes the way of one that was not
-            # interrupted
-            self.remaining -= len(new)
-            if self.remaining < 0:
-                raise BudgetSpentError
         self._requests.update(dict.fromkeys(new))
         self._flown.fly(new, self.flight)
 

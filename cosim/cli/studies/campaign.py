@@ -134,7 +134,7 @@ class Search(CampaignOptions):
         "--vary",
         "KEY=LO:HI[:N]",
         "Search this key between LO and HI, scanned in N points; *= and += as in hexjet sweep, log(LO:HI) too.  Of "
-        "several, each alone and then all together.  With --worst and --likely anything that hexjet sweep draws.",
+        "several, each alone.  With --worst and --likely all together, and anything that hexjet sweep draws.",
     )
     worst = opt.flag(
         "--worst", "Search the flight of least margin over all keys at once; of a design's file, in its tolerances."
@@ -157,7 +157,7 @@ class Search(CampaignOptions):
         help="Share of a point's flights that have to break before it does.  [default: any of them]",
     )
     success = opt.words("--success", "METRIC<=X", "What a completed flight must keep too.")
-    budget = opt.whole("--budget", None, "Flights for keys together, of each controller.", min=1, default=1000)
+    budget = opt.whole("--budget", None, "With --worst and --likely: flights of each controller.", min=1, default=1000)
     aircraft, engine, nominal_engine = _AIRCRAFT, _ENGINE, opt.NOMINAL_ENGINE
     settings, metrics, wind = opt.SETTINGS, _METRICS, _WIND
     seed = opt.whole("--seed", None, "Seed of the first flight of a point.  [default: the scenario's]")
@@ -331,7 +331,7 @@ def print_found(found: SearchResult) -> None:
 
 def print_search(searched: SavedSearch) -> None:
     """Print where each controller breaks, when that counts as broken, how closely was looked, and the files."""
-    from cosim.campaign.search.page import describe_resolution, joint_lines
+    from cosim.campaign.search.page import describe_resolution, together_lines
     from cosim.campaign.search.page import table as edges
 
     result = searched.result
@@ -340,7 +340,7 @@ def print_search(searched: SavedSearch) -> None:
     for text in (result.criterion, *([result.engine_note] if result.engine_note else [])):
         say(text, wrap=False)
     show_table(*edges(result), plain=True, pad_edge=False)
-    for line in [*joint_lines(result), *map(describe_resolution, result.plan.spans)]:
+    for line in [*together_lines(result), *map(describe_resolution, result.plan.spans)]:
         say(line, wrap=False)
     for case in searched.cases:
         if not case.same:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -18,9 +17,8 @@ from hypothesis import strategies as st
 from cosim.base.errors import InputError
 from cosim.campaign.search.folder import resolve_search, run_search
 from cosim.campaign.search.line_search import run_walks, scan_outward
-from cosim.campaign.search.page import describe_resolution
+from cosim.campaign.search.page import describe_resolution, together_lines
 from cosim.campaign.search.probe import (
-    BudgetSpentError,
     Journal,
     Point,
     Prober,
@@ -224,61 +222,18 @@ def test_a_walk_asks_for_nothing_twice() -> None:
     assert 1.0 not in asked or asked.index(1.0) < 4  # nothing beyond the chunk with the first change
 
 
-# ---- several keys together
+# ---- several keys
 
 
-def share(values: Values, key: str, start: float, reach: float) -> float:
-    return (values[key] - start) / reach
-
-
-def test_the_nearest_of_a_half_plane() -> None:
-    """x + 2 y >= 1 in ranges: 1 / sqrt(5) away at (1, 2) / 5, while the nearer key alone takes 1/2."""
-    rule = Rule(lambda values, controller, seed: share(values, X, 0, 10) + 2.0 * share(values, Y, 0, 4) >= 1.0)
-    (joint,) = found(rule, [f"{X}=-10:10", f"{Y}=-4:4"]).joints
-    assert joint.distance is not None
-    # a ray is followed to 1/200; a direction off by e costs 1 - cos e
-    assert 1.0 / math.sqrt(5.0) <= joint.distance < 1.0 / math.sqrt(5.0) + 0.015
-    assert joint.alone == pytest.approx(0.5, abs=0.01)
-    assert joint.deviations[X] == pytest.approx(0.2, abs=0.1)
-    assert joint.deviations[Y] == pytest.approx(0.4, abs=0.05)
-    assert rule.breaks(joint.breaks, "", 0)
-    assert not rule.breaks(joint.holds, "", 0)
-
-
-def test_the_nearest_of_an_island_off_the_axes_in_three_keys() -> None:
-    """A ball of radius 0.2 in ranges around (0.3, 0.4, 0.5) is nearest at |centre| - 0.2; no key alone meets it."""
-    centre = (0.3, 0.4, 0.5)
-
-    def breaks(values: Values, controller: str, seed: int) -> bool:
-        place = (share(values, X, 0, 10), share(values, Y, 0, 4), share(values, Z, 0, 20))
-        return math.dist(place, centre) <= 0.2
-
-    (joint,) = found(Rule(breaks), [f"{X}=-10:10", f"{Y}=-4:4", f"{Z}=-20:20"], budget=6000).joints
-    nearest = math.hypot(*centre) - 0.2
-    assert joint.distance is not None
-    assert nearest <= joint.distance < nearest + 0.02
-    assert joint.alone is None
-
-
-def test_one_key_alone_may_be_the_nearest() -> None:
-    rule = Rule(lambda values, controller, seed: values[X] >= 5.0)
-    (joint,) = found(rule, [f"{X}=-10:10", f"{Y}=-4:4"]).joints
-    assert joint.distance == pytest.approx(0.5, abs=0.01)
-    assert joint.breaks[X] == pytest.approx(5.0, abs=0.1)
-    assert rule.breaks(joint.breaks, "", 0)
-
-
-def test_flights_end_at_the_budget_and_nothing_found_is_said_so() -> None:
-    rule = Rule(lambda values, controller, seed: False)
-    result = found(rule, [f"{X}=-10:10", f"{Y}=-4:4"], budget=50)
-    (joint,) = result.joints
-    assert joint.distance is None
-    assert joint.spent
-    assert joint.flights <= 50
-    assert len(rule.flown) == result.flights
-    broken = Rule(lambda values, controller, seed: True)
-    (at_once,) = found(broken, [f"{X}=-10:10", f"{Y}=-4:4"]).joints
-    assert at_once.distance == 0.0
+def test_several_keys_are_searched_each_alone_and_the_answer_names_what_searches_them_together() -> None:
+    rule = Rule(lambda values, controller, seed: values[X] >= 5.0 or values[X] + values[Y] >= 6.0)
+    result = found(rule, [f"{X}=0:10", f"{Y}=0:4"])
+    assert [(edge.key, edge.breaks is None) for edge in result.edges] == [(X, False), (Y, True)]
+    assert all(flight.values[X] == 0.0 or flight.values[Y] == 0.0 for flight in rule.flown)
+    assert together_lines(result) == [
+        "each key was searched alone; hexjet search --likely searches all of them together"
+    ]
+    assert together_lines(found(Rule(lambda values, controller, seed: False), [f"{X}=0:10"])) == []
 
 
 def test_flights_that_are_known_cost_nothing_and_count_once() -> None:
@@ -286,19 +241,17 @@ def test_flights_that_are_known_cost_nothing_and_count_once() -> None:
     rule = Rule(lambda values, controller, seed: False)
     prober = Prober(study, plan.seeds, plan.share, rule)
     one, two, three = (plan.point("smith", {X: value}) for value in (1.0, 2.0, 3.0))
-    prober.remaining = 4
     for _ in range(3):
         assert prober.evaluate([one, two, one]) == [False, False, False]
     assert len(rule.flown) == prober.flights == 4
-    with pytest.raises(BudgetSpentError):
-        prober.evaluate([one, three])
-    assert len(rule.flown) == 4
+    assert prober.evaluate([one, three]) == [False, False]
+    assert len(rule.flown) == prober.flights == 6
 
 
 def test_the_same_search_goes_the_same_way() -> None:
     def once() -> list[tuple[Any, ...]]:
         rule = Rule(lambda values, controller, seed: values[X] * values[Y] >= 8.0)
-        found(rule, [f"{X}=-10:10", f"{Y}=-4:4"], budget=300)
+        found(rule, [f"{X}=-10:10", f"{Y}=-4:4"])
         return sorted(tuple(sorted(flight.values.items())) for flight in rule.flown)
 
     assert once() == once()

@@ -81,7 +81,9 @@ def test_a_command_is_one(words: list[str]) -> None:
             drawn = {option: value for option, value in stated.items() if option not in OF_ONE_KEY}
             resolve_worst(name if designed is None else design_study(designed, "", 1), **drawn)
         else:
-            searches.resolve_search(name, **{key: stated[key] for key in stated if key not in ("likely", "within")})
+            searches.resolve_search(
+                name, **{key: stated[key] for key in stated if key not in ("likely", "within", "budget")}
+            )
 
 
 @pytest.mark.parametrize("command", ["sweep", "search"])

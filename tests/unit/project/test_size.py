@@ -12,9 +12,9 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 5_500,
-    "cosim": 103_150,
+    "cosim": 102_800,
     "docs": 6_500,
-    "tests": 76_800,
+    "tests": 76_750,
     "tools/hexjet_laws": 650,
     "tools/hexjet_paper": 4_550,
 }
