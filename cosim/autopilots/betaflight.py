@@ -380,6 +380,17 @@ def compute_gain_units(vehicle: Vehicle) -> dict[str, tuple[float, float, float,
     }
 
 
+def make_gyro_settings(vehicle: Vehicle) -> list[str]:
+    """Return console lines that make a board's raw gyro as late as the vehicle's; none where that has no filter.
+
+    Betaflight's first low-pass is of first order, as the vehicle's gyro filter is.
+    """
+    filter_s = vehicle.sensors.gyro.filter_s
+    if filter_s <= 0.0:
+        return []
+    return ["set gyro_lpf1_type = PT1", f"set gyro_lpf1_static_hz = {round(1.0 / (2.0 * pi * filter_s))}"]
+
+
 def make_gain_settings(vehicle: Vehicle) -> list[str]:
     """Return the vehicle's attitude and rate gains as console lines, rounded to Betaflight's whole numbers.
 

@@ -7,6 +7,7 @@ from cosim.autopilots.betaflight import (
     compute_torque_scale,
     make_base_settings,
     make_gain_settings,
+    make_gyro_settings,
     make_mixer_settings,
 )
 from cosim.autopilots.parameters import (
@@ -29,11 +30,21 @@ from cosim.spec.vehicle import Vehicle
 
 # The files of a design: of each the target, and what follows the stem of the controller file's name.
 DESIGN_FILES: dict[str, dict[str, tuple[str, str]]] = {
-    "betaflight": {"parameters": ("sitl", ".txt")},
+    "betaflight": {"board_parameters": ("board", ".board.txt"), "stand_parameters": ("sitl", ".stand.txt")},
     "px4": {"board_parameters": ("board", ".board.params"), "stand_parameters": ("sitl", ".stand.params")},
     "ardupilot": {"board_parameters": ("board", ".board.parm"), "stand_parameters": ("sitl", ".stand.parm")},
 }
 TARGET_NOTES = {
+    "betaflight": {
+        "sitl": (
+            "For the stand, hexjet sitl betaflight, and for no board: arming checks are off, switches are mapped.",
+        ),
+        "board": (
+            "For a board that flies: mixer and gains; its receiver, switches and checks stay as they are.",
+            "gyro_lpf1_static_hz makes its raw gyro as late as the vehicle's, with which the gains were designed;",
+            "where it is not here the vehicle states no filter.",
+        ),
+    },
     "px4": {
         "sitl": ("For the stand, hexjet sitl px4, and for no board: it has the radio's mapping and all flight modes.",),
         "hil": ("For a board in the loop, and for none that flies: it has the radio's mapping and all flight modes.",),
@@ -110,8 +121,9 @@ def format_firmware_parameters(
     vehicle = vehicle_in_throttle(scenario)
     if autopilot == "betaflight":
         lines = [
+            *(f"# {note}" for note in TARGET_NOTES[autopilot][target]),
             *make_mixer_settings(vehicle, vehicle.control.allocation.throttle_min),
-            *make_base_settings(vehicle),
+            *(make_gyro_settings(vehicle) if target == "board" else make_base_settings(vehicle)),
             *make_gain_settings(vehicle),
             "save",
         ]

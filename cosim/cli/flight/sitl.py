@@ -291,7 +291,7 @@ def params(options: Parameters) -> int:
     from cosim.autopilots.parameters import ARDUPILOT_TARGETS, PX4_TARGETS
 
     autopilot, target = options.autopilot, options.target
-    targets = {"px4": PX4_TARGETS, "ardupilot": ARDUPILOT_TARGETS}.get(autopilot, ("sitl",))
+    targets = {"px4": PX4_TARGETS, "ardupilot": ARDUPILOT_TARGETS}.get(autopilot, ("sitl", "board"))
     if target not in targets:
         raise InputError(f"--target {target}: allowed for {autopilot}: {', '.join(targets)}")
     if options.script and autopilot != "ardupilot":

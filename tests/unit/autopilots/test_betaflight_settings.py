@@ -120,3 +120,18 @@ def test_wrong_gains_are_one_line(hexjet: Hexjet) -> None:
     done = hexjet("sitl", "betaflight", "--gains", "mine")
     assert done.status == 2
     assert done.err == "hexjet: --gains mine: must be designed, vehicle, stock, or a file of hexjet design (.toml)\n"
+
+
+def test_a_file_for_a_board_has_mixer_and_gains_and_nothing_of_the_stand(hexjet: Hexjet) -> None:
+    """Its receiver, switches and arming checks stay, and its gyro is filtered as late as the vehicle's."""
+    done = hexjet("sitl", "params", "betaflight", "--target", "board")
+    stand = hexjet("sitl", "params", "betaflight").out.splitlines()
+    board = done.out.splitlines()
+    assert done.status == 0
+    assert board[0] == "# For a board that flies: mixer and gains; its receiver, switches and checks stay as they are."
+    foreign = ("aux ", "feature ", "set small_angle", "set acc_", "set runaway_", "set angle_limit", "set rates_type")
+    assert not [line for line in board if line.startswith(foreign)]
+    assert [line for line in stand if line.startswith(foreign)]
+    assert "set gyro_lpf1_static_hz = 18" in board  # 9 ms, first order
+    assert set(make_gain_settings(vehicle("hexjet"))) < set(board)
+    assert board[-1] == "save"
