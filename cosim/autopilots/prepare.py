@@ -31,7 +31,7 @@ from cosim.autopilots.run import AutopilotRun, fly_autopilot
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Vector3
-from cosim.base.trust import code_of, need_trust
+from cosim.base.trust import Code, need_trust
 from cosim.simulation.controllers.models import make_scenario_belief
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario, SensorBias, SensorDropout
@@ -164,7 +164,7 @@ def require_program(name: str, binary: Path | None) -> Path:
     """
     program = find_program(name, binary)
     if binary is not None:
-        need_trust([code_of(binary)], name)
+        need_trust([Code(binary)], name)
     if program is None:
         raise InputError(
             f"{name}: no program is named; allowed: binary in the table [autopilot], {VARIABLES[name]}, or "

@@ -143,7 +143,7 @@ class Px4(Sitl):
             environment = {"PX4_SYS_AUTOSTART": "10016", "PX4_SIM_MODEL": "none_iris", "HEADLESS": "1"}
             # Nine digits are as many as its single precision tells apart.
             environment |= {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in self._parameters.items()}
-            startup = str(self._binary.parent.parent / "etc")
+            startup = str(self._binary.resolve().parent.parent / "etc")
             # The folder is absolute: it is started there, and would look for a relative one below it.
             folder = str(self._folder.absolute())
             # An older PX4 reads this file from the path and not the environment; this line of it says so, as an error.

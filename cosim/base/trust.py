@@ -1,9 +1,10 @@
-"""Trust in code: what the user named, accepted or has flown before is run, and nothing else.
+"""Trust in code, by its folder: what the user named, accepted or has flown before is run, and nothing else.
 
 A scenario, a study, a campaign, a vehicle or a run names code: files of Python, FMUs, programs.  Whatever loads such a
-file says so here first (:func:`need_trust`).  It is run if the user named it himself (on the command line, in his
-program), if it is shipped, or if the very same bytes were run before with his consent: their SHA-256 is in the file
-``trusted`` of his settings.  Of anything else he is asked on a terminal, and without one it is refused.
+file says so here first (:func:`need_trust`).  It is run if it is shipped, if the user named it or other code of its
+folder himself (on the command line, in his program), or if its folder is as it was when he let it run: one hash over
+the names and contents of its files is in the file ``trusted`` of his settings.  Of any other folder he is asked on a
+terminal, and without one it is refused.
 
 While something is only looked at (:func:`without_code`), no code is run, whoever trusts it.
 """
@@ -13,24 +14,31 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+import sys
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 
 from cosim.base.errors import InputError
 from cosim.base.storage.files import read_file
 from cosim.base.storage.paths import data_folder
-from cosim.base.storage.user import settings_folder
-from cosim.base.wording import printable
+from cosim.base.storage.user import cache_folder, settings_folder
+from cosim.base.wording import printable_line
 
 ENVIRONMENT = "HEXJET_TRUST"  # set to 1, it says --trust to every command and program
-REMEMBERED = "trusted"  # file in the settings folder: lines as sha256sum writes them
+REMEMBERED = "trusted"  # file in the settings folder: lines as sha256sum writes them, of folders
+MAX_FILES = 50_000  # a folder with more below it is not remembered: to look through them takes half a second
+MAX_BYTES = 2**28  # nor is one with more to hash, a quarter of a second
+# What hexjet reads or writes and never runs does not count, or each edit of a scenario and each flight would ask again.
+_DATA = re.compile(
+    r".*\.(arrows|bbl|bfl|bin|csv|html|jpg|json|jsonl|log|mat|mcap|md|parquet|png|svg|tlog|toml|ulg|xml)", re.IGNORECASE
+)
+_LEFT_OUT = ("__pycache__", "runs")  # compiled copies, which are never read there, and results
 _SHIPPED = ("aircraft", "engines", "fmus", "scenarios", "studies")
-_MOST_NAMED = 4  # files in a refusal
-_HASH = re.compile(r"[0-9a-f]{64}")
+_MOST_NAMED = 4  # files of a folder in a refusal
+_HASH = re.compile(r"[0-9a-f]{64}(?=  )")
 _CODE = (".py", ".fmu")  # endings of files that are code by their names
 _ENGINES = ("--engine", "--engine=")  # behind which a mapping file is an engine
 _BETWEEN = re.compile(r"[\s\"'\[\],=]+")  # names on a command line, also within KEY=["NAME"]
@@ -42,76 +50,91 @@ class CodeRefusedError(InputError):
 
 @dataclass(frozen=True)
 class Code:
-    """A file that is to be run: where it is, and the SHA-256 of what is run of it.
+    """A file that is to be run, or a package.
 
-    ``named_by``: what the user names when he means it, such as the mapping file of an FMU; nothing: the file itself.
+    ``names``: what else the user names when he means it, such as the mapping file of an FMU.  ``arguments``: of a
+    program, with the leading blank.  ``top``: the folder in which Python finds it, by default the file's own.
     """
 
     path: Path
-    sha256: str
-    named_by: tuple[Path | str, ...] = ()
-    arguments: str = ""  # arguments of a program, with the leading blank
+    names: tuple[Path | str, ...] = ()
+    arguments: str = ""
+    top: Path | None = None
 
-    def __str__(self) -> str:
-        """Return the file with its arguments in one line, with nothing in it that a terminal would obey."""
-        return printable(f"{self.path}{self.arguments}").replace("\n", "\\n")
+    @property
+    def folder(self) -> Path:
+        """The folder that has to be trusted; of a program ``bin/x`` the one above it, where it has its files."""
+        folder = (self.top or self.path.resolve().parent).resolve()
+        has_files = folder.name == "bin" and any((folder.parent / name).is_dir() for name in ("etc", "lib", "share"))
+        return folder.parent if has_files and self.top is None else folder
 
 
 @dataclass(frozen=True)
 class Decision:
     """What may be run in this process beside what is remembered: handed to the processes that work for it."""
 
-    places: frozenset[Path] = frozenset()  # files and folders with all that is below them
+    places: frozenset[Path] = frozenset()  # folders with all that is below them
     named: frozenset[Path | str] = frozenset()  # files, modules, programs with their arguments, by the user
-    hashes: frozenset[str] = frozenset()  # what was accepted, or is made here
+    accepted: frozenset[tuple[Path, Path, str]] = frozenset()  # what is decided on: folder, file, arguments
+    hashes: frozenset[str] = frozenset()  # of folders that were accepted or are made here
+    contents: frozenset[str] = frozenset()  # entries of these folders
     by_program: bool = True  # a program names code when it changes a scenario; a command names it in its arguments
 
 
-_hashes_by_file: dict[Path, tuple[tuple[int, int], frozenset[str]]] = {}  # hash by file, with the file's size and time
 _decision = Decision()
-_ask: Callable[[Sequence[Code]], bool] | None = None  # on a terminal
+_ask: Callable[[Sequence[str]], bool] | None = None  # on a terminal
 _code_forbidden: ContextVar[bool] = ContextVar("code_forbidden", default=False)
 
 
-def code_of(path: Path, *named_by: Path | str, arguments: str = "") -> Code:
-    """Return a file as code; ``arguments`` are part of what is run.  Raises InputError."""
-    content = read_file(path) + (b"\0" + arguments.encode() if arguments else b"")
-    return Code(path, hashlib.sha256(content).hexdigest(), named_by, arguments)
-
-
 def need_trust(code: Iterable[Code], what: str) -> None:
-    """Refuse code that nobody trusts, and remember what is run; on a terminal the user is asked.
+    """Refuse code in a folder that nobody trusts, and remember what is run; on a terminal the user is asked.
 
-    ``what`` wants to run it, in words.  Raises CodeRefusedError: one line with the files, and what to do.
+    ``what`` wants to run it, in words.  Raises CodeRefusedError: one line with folders and files, and what to do.
     """
-    files = list(code)
-    if not files:
-        return
-    if _code_forbidden.get():
-        names = _list_files(files)
+    wanted = {(item.folder, item.path.resolve(), item.arguments): item for item in code}
+    if wanted and _code_forbidden.get():
+        names = "; ".join(_list_folders(wanted.values(), {}))
         raise CodeRefusedError(f"{what}: {names}: is code, and nothing is run to look at something")
-    unshipped = {file.sha256: file for file in files if not _is_shipped(file.path)}
-    for sha256 in unshipped.keys() & _read_remembered():
-        del unshipped[sha256]
-    unknown = [file for file in unshipped.values() if not _is_accepted(file)]
-    if unknown and not (_ask and _ask(unknown)):
-        names = _list_files(unknown)
-        how = "cosim.trust" if _decision.by_program else "--trust"
-        raise CodeRefusedError(
-            f"{what}: {names}: is code that you have not flown before; look at it, then {how} runs it and remembers it"
-        )
-    remember(unshipped.values())
+    unsettled = [item for key, item in wanted.items() if key not in _decision.accepted and not _is_shipped(key[1])]
+    entries = {item.folder: _entries(item.folder) for item in unsettled}
+    hashes = {item: _hash(item, entries[item.folder]) for item in unsettled}
+    known = _read_remembered() | _decision.hashes
+    unknown = [item for item, value in hashes.items() if value not in known and not _is_accepted(item)]
+    if unknown:
+        folders = _list_folders(unknown, hashes)
+        if not (_ask and _ask(folders)):
+            how = "cosim.trust" if _decision.by_program else "--trust"
+            raise CodeRefusedError(
+                f"{what}: {'; '.join(folders)}: is code that you have not flown before; look at the folder, then {how} "
+                "runs what is in it and remembers it"
+            )
+    _add(accepted=wanted.keys(), contents={entry for found in entries.values() for entry in found or ()})
+    _note({value: f"{item.folder}{item.arguments}" for item, value in hashes.items() if value})
+
+
+def remember_written(folder: Path, made: Collection[Path] = ()) -> None:
+    """Leave a folder as trusted as it was before this program wrote into it.
+
+    It wrote the code ``made``, and copies of code that is trusted here; a folder with any other code in it is trusted
+    only if it was without them.
+    """
+    entries = _entries(folder.resolve()) or set()
+    own = {_entry(path) for path in made}
+    for arguments in {"", *(key[-1] for key in _decision.accepted)} if entries else ():
+        was_trusted = _digest(entries - own, arguments) in _read_remembered() | _decision.hashes
+        if was_trusted or entries <= own | _decision.contents:
+            _note({_digest(entries, arguments): f"{folder.resolve()}{arguments}"})
 
 
 def trust(*places: Path | str) -> None:
-    """Accept the code in these files and folders, in this process and, once it was run, from then on.
+    """Accept the code in these folders, in this process and, once it was run, from then on.
 
     What a program names or hands over itself needs no such word; what a file names does, unless it was flown before.
 
     Parameters
     ----------
     *places : Path or str
-        Files, and folders with all that is below them, now or later.
+        Folders with all that is below them, now or later; a file stands for the folder that it is in.
 
     Raises
     ------
@@ -121,7 +144,8 @@ def trust(*places: Path | str) -> None:
     for place in places:
         if not Path(place).exists():
             raise InputError(f"trust: {place}: is not there")
-    _add(places=frozenset(Path(place).resolve() for place in places))
+    paths = [Path(place).resolve() for place in places]
+    _add(places=[path if path.is_dir() else path.parent for path in paths])
 
 
 def mention(choices: Iterable[Path | str | None], folder: Path) -> None:
@@ -132,73 +156,35 @@ def mention(choices: Iterable[Path | str | None], folder: Path) -> None:
     """
     if _decision.by_program:
         texts = [str(choice) for choice in choices if choice]
-        _add(named=frozenset(name for text in texts for name in (*_names(text, folder), *_mapping(text, folder))))
+        _add(named=[name for text in texts for name in _names(text, folder, is_engine=True)])
 
 
-def process_name(path: Path, arguments: str) -> str:
-    """Return the name of a program with its arguments: with others it does something else."""
-    return f"process:{path.resolve()}{arguments}"
+def program_code(path: Path, arguments: str) -> Code:
+    """Return a program as code, which is named with its arguments: with others it does something else."""
+    return Code(path, (f"process:{path.resolve()}{arguments}",), arguments)
 
 
-def _names(text: str, folder: Path) -> Iterator[Path | str]:
+def _names(text: str, folder: Path, is_engine: bool) -> Iterator[Path | str]:
     """Yield the code that a text names: files of Python and engines by path, programs, and what may be modules.
 
-    What is data is never taken for code, whatever else names it.
+    What is data is never taken for code, whatever else names it, but for the mapping file of an engine or a controller.
     """
+    endings = (*_CODE, ".toml" if is_engine else ".fmu.toml")
     for setting in (text, text.partition("=")[2]):
         if setting.startswith("process:"):
             program, blank, arguments = setting.removeprefix("process:").partition(" ")
-            yield process_name(folder / program, blank + arguments)
+            yield from program_code(folder / program, blank + arguments).names
     for chunk in (text, text.partition("=")[2], *_BETWEEN.split(text)):
         for word in (chunk, chunk.rpartition(":")[0]):
-            if word.lower().endswith(_CODE):
-                yield (folder / word).resolve()
-            elif word:
-                yield word
-
-
-def _mapping(text: str, folder: Path) -> Iterator[Path]:
-    """Yield the mapping file that a text names as an engine or a controller, which names its FMU."""
-    for word in (text, text.partition("=")[2]):
-        if word.lower().endswith(".toml"):
-            yield (folder / word).resolve()
+            if word:
+                yield (folder / word).resolve() if word.lower().endswith(endings) else word
 
 
 def _named_in(arguments: Sequence[str]) -> Iterator[Path | str]:
     """Yield the code that the arguments of a command name."""
     for before, text in zip(["", *arguments], arguments, strict=False):
-        yield from _names(text, Path())
-        engine = text.startswith(_ENGINES) or before in _ENGINES or arguments[0] in ("fmu", "identify")
-        if engine or text.lower().endswith(".fmu.toml"):
-            yield from _mapping(text.removeprefix("--engine="), Path())
-
-
-def remember(code: Collection[Code]) -> None:
-    """Note in the user's settings that this code is run; a folder that cannot be written to forgets it.
-
-    What was made here is noted when it is made.
-    """
-    new = {entry.sha256: entry for entry in code}
-    if not new:
-        return
-    _add(hashes=frozenset(new))
-    known = _read_remembered()
-    lines = [
-        f"{sha256}  {replace(entry, path=entry.path.resolve())}\n"
-        for sha256, entry in new.items()
-        if sha256 not in known
-    ]
-    with suppress(OSError, RuntimeError):  # a user without a home has no settings
-        if lines:
-            file_path = settings_folder() / REMEMBERED
-            file_path.parent.mkdir(parents=True, exist_ok=True)
-            file = os.open(file_path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
-            try:
-                os.write(
-                    file, "".join(lines).encode(errors="replace")
-                )  # in one write, safe against concurrent processes
-            finally:
-                os.close(file)
+        is_engine = text.startswith(_ENGINES) or before in _ENGINES or arguments[0] in ("fmu", "identify")
+        yield from _names(text.removeprefix("--engine="), Path(), is_engine)
 
 
 @contextmanager
@@ -217,13 +203,13 @@ def is_code_forbidden() -> bool:
 
 
 @contextmanager
-def at_a_command(ask: Callable[[Sequence[Code]], bool] | None, arguments: Sequence[str]) -> Iterator[None]:
-    """Decide anew for one command: what its arguments name is the user's, and ``ask`` asks him of the rest."""
+def at_a_command(ask: Callable[[Sequence[str]], bool] | None, arguments: Sequence[str]) -> Iterator[None]:
+    """Decide anew for one command: what its arguments name is the user's, and ``ask`` asks him of other folders."""
     global _ask, _decision
     before, previous = (_ask, _decision), os.environ.get(ENVIRONMENT)
     _ask, _decision = ask, Decision(by_program=False)
     try:
-        _add(named=frozenset(_named_in(arguments)))
+        _add(named=_named_in(arguments))
         yield
     finally:
         _ask, _decision = before
@@ -248,51 +234,111 @@ def inherit(decided: Decision) -> None:
     _decision = replace(decided, by_program=False)
 
 
-def _add(
-    places: frozenset[Path] = frozenset(),
-    named: frozenset[Path | str] = frozenset(),
-    hashes: frozenset[str] = frozenset(),
-) -> None:
+def _add(**more: Iterable[object]) -> None:
     global _decision
-    current = _decision
-    _decision = replace(
-        current, places=current.places | places, named=current.named | named, hashes=current.hashes | hashes
-    )
-
-
-@cache
-def _shipped() -> list[Path]:
-    return [data_folder(name).resolve() for name in _SHIPPED]
+    _decision = replace(_decision, **{key: getattr(_decision, key) | set(values) for key, values in more.items()})
 
 
 def _is_shipped(path: Path) -> bool:
-    resolved = path.resolve()
-    return any(resolved.is_relative_to(folder) for folder in _shipped())
+    return any(path.is_relative_to(data_folder(name).resolve()) for name in _SHIPPED)
 
 
-def _is_accepted(file: Code) -> bool:
-    if os.environ.get(ENVIRONMENT) == "1" or file.sha256 in _decision.hashes:
-        return True
-    path = file.path.resolve()
-    itself = (path,) if path.name.lower().endswith(_CODE) else ()
-    names = {name.resolve() if isinstance(name, Path) else name for name in file.named_by or itself}
-    return bool(names & _decision.named) or any(place in _decision.places for place in (path, *path.parents))
+def _is_accepted(code: Code) -> bool:
+    """Return whether the user named the code, or without arguments other code of its folder, or trusts its place."""
+    names = {name.resolve() if isinstance(name, Path) else name for name in code.names or (code.path,)}
+    named_folders = {name.parent for name in _decision.named if isinstance(name, Path)}
+    return (
+        os.environ.get(ENVIRONMENT) == "1"
+        or bool(names & _decision.named)
+        or (not code.arguments and code.folder in named_folders)
+        or any(place in _decision.places for place in (code.folder, *code.folder.parents))
+    )
+
+
+def _entries(folder: Path) -> set[str] | None:
+    """Return hash and name of each file below a folder that counts; None where there is too much, or no leave to read.
+
+    Links are followed.  Left out are folders whose names begin with a dot, those of _LEFT_OUT, the Python that runs
+    this program, and its settings and caches.
+    """
+    counted, seen, size = list[Path](), 0, 0
+    visited = {os.path.realpath(sys.prefix)}
+    with suppress(RuntimeError):  # a user without a home has no settings
+        visited |= {os.path.realpath(place) for place in (settings_folder(), cache_folder())}
+    try:
+        for current, inner, names in os.walk(folder, followlinks=True):
+            if (real := os.path.realpath(current)) in visited:
+                inner.clear()
+                continue
+            visited.add(real)
+            inner[:] = [name for name in inner if name[0] != "." and name not in _LEFT_OUT]
+            seen += len(names)
+            files = [Path(current, name) for name in names if not _DATA.fullmatch(name)]
+            counted += [path for path in files if path.is_file()]
+            size += sum(path.stat().st_size for path in files if path.is_file())
+            if seen > MAX_FILES or size > MAX_BYTES:
+                return None
+        return set(map(_entry, counted))
+    except (OSError, InputError):
+        return None
+
+
+def _entry(path: Path) -> str:
+    return f"{hashlib.sha256(read_file(path)).hexdigest()} {path.name}"
+
+
+def _digest(entries: Collection[str], arguments: str) -> str:
+    return hashlib.sha256(os.fsencode("\n".join(sorted(entries)) + f"\0{arguments}")).hexdigest()
+
+
+def _hash(code: Code, entries: set[str] | None) -> str | None:
+    """Return the hash of a folder and of how code in it is run; None where it cannot be remembered.
+
+    The code itself counts whatever its name is, and so do the files beside it that its arguments name.
+    """
+    if entries is None:
+        return None
+    named = [code.path, *(code.path.parent / word for word in code.arguments.split())]
+    with suppress(InputError):
+        return _digest(entries | {_entry(path) for path in named if path.is_file()}, code.arguments)
+    return None
+
+
+def _note(folders: dict[str, str]) -> None:
+    """Write hashes with folder and arguments into the user's settings, where he has a place for them."""
+    _add(hashes=folders)
+    known = _read_remembered()
+    lines = [f"{value}  {printable_line(text)}\n" for value, text in folders.items() if value not in known]
+    with suppress(OSError, RuntimeError):  # a user without a home has no settings
+        if lines:
+            file_path = settings_folder() / REMEMBERED
+            file_path.parent.mkdir(parents=True, exist_ok=True)
+            file = os.open(file_path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+            try:
+                # One write is safe against concurrent processes.
+                os.write(file, "".join(lines).encode(errors="replace"))
+            finally:
+                os.close(file)
 
 
 def _read_remembered() -> frozenset[str]:
-    """Return the hashes in the user's settings; a line that is no hash is skipped."""
+    """Return the hashes in the user's settings; a line that has none is skipped."""
     try:
-        file = settings_folder() / REMEMBERED
-        status = file.stat()
-        stamp = status.st_size, status.st_mtime_ns
-        if _hashes_by_file.get(file, (None,))[0] != stamp:
-            lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
-            _hashes_by_file[file] = stamp, frozenset(line[:64] for line in lines if _HASH.match(line))
+        lines = (settings_folder() / REMEMBERED).read_text(encoding="utf-8", errors="replace").splitlines()
     except (OSError, RuntimeError):
         return frozenset()
-    return _hashes_by_file[file][1]
+    return frozenset(line[:64] for line in lines if _HASH.match(line))
 
 
-def _list_files(files: Sequence[Code]) -> str:
-    rest = len(files) - _MOST_NAMED
-    return ", ".join(map(str, files[:_MOST_NAMED])) + (f" and {rest} more" if rest > 0 else "")
+def _list_folders(code: Collection[Code], hashes: Mapping[Code, str | None]) -> list[str]:
+    """Return each folder with the names of its files that are to be run, in lines that no terminal obeys."""
+    files: dict[Path, list[str]] = {}
+    for item in code:
+        files.setdefault(item.folder, []).append(f"{item.path.name}{item.arguments}")
+    lines = []
+    for folder, names in files.items():
+        rest = len(names) - _MOST_NAMED
+        line = f"{folder} ({', '.join(names[:_MOST_NAMED])}{f' and {rest} more' if rest > 0 else ''}"
+        large = any(item.folder == folder and hashes.get(item, "") is None for item in code)
+        lines.append(printable_line(line + ("; too large to be remembered)" if large else ")")))
+    return lines

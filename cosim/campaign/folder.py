@@ -15,6 +15,7 @@ from typing import Any
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import read_file, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
+from cosim.base.trust import remember_written
 from cosim.campaign.installed import FILES, installed_versions
 from cosim.campaign.study.distributions import Vary
 from cosim.campaign.study.keys import with_values
@@ -56,6 +57,7 @@ class FrozenStudy:
         write_whole(folder / SCENARIO, toml_text(self.scenario).encode())
         write_whole(folder / RECORD, toml_text(self.asked | {"installed": installed_versions()}).encode())
         write_whole(folder / STUDY, toml_text(self.study, multiline=True).encode())
+        remember_written(folder)
 
     @property
     def asked(self) -> dict[str, Any]:

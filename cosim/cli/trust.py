@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-from cosim.base.trust import Code, trust_everything, without_code
+from cosim.base.trust import trust_everything, without_code
 from cosim.cli.console import echo, without_bars
 
 R = TypeVar("R")
@@ -17,7 +17,7 @@ RUN_NONE = (  # commands that run nothing of what a file or a folder of the user
     "aircraft new", "bench", "fmu build", "fmu map", "list", "open", "paper", "report", "show",
     "sitl params",
 )  # fmt: skip
-_HELP = "Run what files name though you never flew it, Python, FMUs and programs, and remember it."
+_HELP = "Run code though you never flew what is in its folder, Python, FMUs and programs, and remember it."
 
 
 def display_only(command: Callable[..., R]) -> Callable[..., R]:
@@ -47,14 +47,14 @@ def _trust(context: click.Context, parameter: click.Parameter, is_set: bool) -> 
         trust_everything()
 
 
-def trust_prompt() -> Callable[[Sequence[Code]], bool] | None:
-    """Return what asks the user whether files are run; None where nobody is at a terminal."""
+def trust_prompt() -> Callable[[Sequence[str]], bool] | None:
+    """Return what asks the user whether folders are run; None where nobody is at a terminal."""
     return _ask_for_trust if all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr)) else None
 
 
-def _ask_for_trust(files: Sequence[Code]) -> bool:
+def _ask_for_trust(folders: Sequence[str]) -> bool:
     with without_bars():
-        echo("Code that you have not flown before:", err=True)
-        for file in files:
-            echo(f"  {file}", err=True)
-        return click.confirm("Run it, with your rights, and remember it?", err=True)
+        echo("Code that you have not flown before, or that has changed:", err=True)
+        for folder in folders:
+            echo(f"  {folder}", err=True)
+        return click.confirm("Run what is in there, with your rights, and remember it?", err=True)

@@ -11,7 +11,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import Vector3
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.scratch import temporary
-from cosim.base.trust import code_of, remember
+from cosim.base.trust import remember_written
 from cosim.codegen.adapters import PROGRAM_LICENCES, render_adapter
 from cosim.codegen.files import NO_LICENCE, Labels, render, render_sources
 from cosim.codegen.form import make_form
@@ -87,7 +87,7 @@ def export_controller(
         archives, reason = _build_fmus(form, vectors, labels, sources, folder) if fmus else ([], "left out, as asked")
         readme = _readme(form, vectors, labels, measurements, archives, [*(inside or {})])
         (folder / "README.md").write_text(readme, encoding="utf-8")
-        remember([code_of(folder / archive) for archive in archives])
+        remember_written(folder, [folder / archive for archive in archives])
     except OSError as error:
         raise FlightError(f"{folder}: {error.strerror or error}") from error
     return ExportedController(

@@ -15,7 +15,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import read_file
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.scratch import scratch, temporary
-from cosim.base.trust import code_of, remember
+from cosim.base.trust import remember_written
 from cosim.codegen.files import TEMPLATES, Labels
 from cosim.codegen.quantity import define_variables
 from cosim.codegen.ssp import write_ssp
@@ -105,7 +105,7 @@ def export_vehicle(
                 else:
                     shutil.copyfile(fmu, target)
             files.append(target.name)
-            remember([code_of(target)])
+            remember_written(folder, [target])
     except BuildError as error:
         raise InputError(f"export vehicle: {error}") from error
     except OSError as error:

@@ -254,7 +254,7 @@ class EngineSource:
     def code(self) -> list[Code]:
         """Code that the engine runs: its archive, unless it is one of the library."""
         archive = self.archive
-        return [Code(archive.path, archive.sha256, (self.path, archive.path))] if self.engine is None else []
+        return [Code(archive.path, (self.path, archive.path))] if self.engine is None else []
 
 
 def _refuse_misspelt_file(path: Path) -> None:

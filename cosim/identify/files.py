@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError
 from cosim.base.storage.files import check_results_folder, map_os_errors, write_files
-from cosim.base.trust import code_of, remember
+from cosim.base.trust import remember_written
 from cosim.identify.picture import draw_picture
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def write_identification(
             (folder / name).unlink(missing_ok=True)
     write_files(files)
     if archive is not None:
-        remember([code_of(folder / f"engine{archive.suffix}")])
+        remember_written(folder, [folder / f"engine{archive.suffix}"])
     paths["report"] = folder / "report.html"
     page.write(paths["report"])
     return paths

@@ -20,6 +20,7 @@ from cosim.base.outcomes import Outcome
 from cosim.base.protocols import Column
 from cosim.base.storage.files import lock_file, read_file, read_text, write_whole
 from cosim.base.storage.toml import toml_text
+from cosim.base.trust import remember_written
 from cosim.results.log.arrow import ParquetLog, StreamSink, read_note, stream_to_parquet
 from cosim.results.log.columns import COLUMNS
 from cosim.results.log.recorder import BackgroundSink, KeepingSink, Log, MemorySink, Recorder
@@ -220,6 +221,7 @@ def begin_run(
         for name, source in (files or {}).items():
             write_whole(folder / name, source if isinstance(source, bytes) else read_file(source), FlightError)
         write_whole(folder / SCENARIO, scenario_toml(scenario), FlightError)
+        remember_written(folder)
     except (OSError, FlightError) as error:
         stream.close()
         stream.path.unlink(missing_ok=True)

@@ -6,9 +6,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.base.plugins.execute import program_code, python_code
 from cosim.base.storage.toml import read_toml
-from cosim.base.trust import Code, code_of, need_trust
+from cosim.base.trust import Code, need_trust, program_code
 from cosim.engine.make.controller_fmu import MAPPING
 from cosim.engine.spec import find_source
 from cosim.spec.controller_name import file_name
@@ -58,15 +57,13 @@ def list_block_code(name: str, folder: Path) -> list[Code]:
     parsed = file_name(name)
     if parsed is None:
         return []
-    path = Path(parsed.seen_from(folder).file)
-    with suppress(InputError, OSError, KeyError, TypeError):
-        if parsed.before:
-            return program_code(path, parsed.after)
-        if parsed.after:
-            return python_code(path)
-        if path.name.lower().endswith(MAPPING):
+    path, code = Path(parsed.seen_from(folder).file), list[Code]()
+    if parsed.before:
+        code = [program_code(path, parsed.after)]
+    elif parsed.after or path.suffix.lower() == ".fmu":
+        code = [Code(path)]
+    elif path.name.lower().endswith(MAPPING):
+        with suppress(InputError, OSError, KeyError, TypeError):
             fmu = path.parent / read_toml(path)["fmu"]
-            return [code_of(fmu, path, fmu)]
-        if path.suffix.lower() == ".fmu":
-            return [code_of(path)]
-    return []
+            code = [Code(fmu, (path, fmu))]
+    return [item for item in code if item.path.is_file()]

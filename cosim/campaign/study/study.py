@@ -7,7 +7,6 @@ with every controller of the study, so that controllers are compared on the same
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from math import pi, prod, sin
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,7 +18,7 @@ from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.storage.files import write_whole
 from cosim.base.storage.paths import data_folder, files_in
 from cosim.base.storage.toml import Model, read_toml, set_path, split_key, toml_text, validate
-from cosim.base.trust import Code, code_of, is_code_forbidden, need_trust
+from cosim.base.trust import Code, is_code_forbidden, need_trust
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_vary, vary_tables
 from cosim.campaign.study.engine_draw import EngineDraw, brings_engine, default_draw, engine_draw
@@ -374,8 +373,7 @@ def study_code(study: Study) -> list[Code]:
             elif kind == "aircraft":
                 code += list_aircraft_code(value, base.folder, with_engine=True)
     if study.autopilot is not None and (program := study.autopilot.program(study.folder)):
-        with suppress(InputError):
-            code.append(code_of(program))
+        code.append(Code(program))
     return list(dict.fromkeys(code))
 
 

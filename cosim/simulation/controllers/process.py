@@ -17,7 +17,9 @@ from pathlib import Path
 from typing import IO, Any
 
 from cosim.base import controller_wire as wire
+from cosim.base.compiled import child_environment
 from cosim.base.errors import FlightError, InputError
+from cosim.base.plugins.execute import compiled_copies
 from cosim.base.protocols import Column
 from cosim.base.runtime.processes import Child
 from cosim.base.signals import ControlSignals
@@ -38,7 +40,9 @@ class Connection:
 
     def __init__(self, command: Sequence[str], folder: Path, errors: IO[bytes] | None = None) -> None:
         try:
-            self._process, self._pipes = Child.open_program(command, stderr=errors, cwd=folder)
+            # Compiled copies that lie beside a program in Python are not read, nor are any left there.
+            environ = child_environment() | {"PYTHONPYCACHEPREFIX": compiled_copies()}
+            self._process, self._pipes = Child.open_program(command, environ=environ, stderr=errors, cwd=folder)
         except OSError as error:
             raise InputError(f"cannot be started: {error.strerror or error}") from error
 
@@ -253,7 +257,7 @@ def make_program_command(path: Path, arguments: str) -> Command:
 
     def command() -> Sequence[str]:
         if path.suffix == ".py":
-            return [sys.executable, "-B", str(path), *words]  # what it imports is not compiled into somebody's folder
+            return [sys.executable, str(path), *words]
         if os.access(path, os.X_OK):
             return [str(path), *words]
         folder = Path(

@@ -26,11 +26,11 @@ from typing import Any
 from cosim.base.controller_wire import EXTRAS
 from cosim.base.errors import InputError, describe_error, nearest
 from cosim.base.plugins.entry_points import describe_entry, find_entries, load_entry
-from cosim.base.plugins.execute import execute_file, import_installed, program_code
+from cosim.base.plugins.execute import execute_file, import_installed
 from cosim.base.protocols import Column, Parameter
 from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.files import read_file
-from cosim.base.trust import Code, CodeRefusedError, code_of, need_trust
+from cosim.base.trust import Code, CodeRefusedError, need_trust, program_code
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.simulation.controllers import recorded
 from cosim.simulation.controllers.guard import columns_from
@@ -259,9 +259,8 @@ def _from_file(kind: str, name: str, path: Path, attribute: str) -> Source:
     where = f"{kind} {name}"
     if not path.is_file():
         raise InputError(f"{where}: {path}: no such file")
+    need_trust([Code(path)], where)
     file_hashes = [(file, _sha256(file)) for file in _files_by_path.get(path, [path]) if file.is_file()]
-    if path in _files_by_path:  # else it is run now, which shows what it imports
-        need_trust([Code(file, sha256, (path,)) for file, sha256 in file_hashes], where)
 
     def load() -> Source:
         module, neighbours = execute_file(path, where)
@@ -276,7 +275,7 @@ _files_by_path: dict[Path, list[Path]] = {}  # the files that a file was made of
 
 
 def _from_process(controller: str, path: Path, arguments: str) -> Source:
-    need_trust(program_code(path, arguments), f"controller {label_of(controller)}")
+    need_trust([program_code(path, arguments)], f"controller {label_of(controller)}")
     command = make_program_command(path, arguments)
     key = (controller, str(path), _sha256(path))
 
@@ -294,7 +293,7 @@ def _from_fmu(controller: str, path: Path) -> Source:
         fmu = read_controller_fmu(path)
     except InputError as error:
         raise InputError(f"controller {controller}: {error}") from error
-    need_trust([code_of(fmu.path, path, fmu.path)], f"controller {label_of(controller)}")
+    need_trust([Code(fmu.path, (path, fmu.path))], f"controller {label_of(controller)}")
     key = (controller, str(path), *[_sha256(file) for file in fmu.files.values()])
     command_line = make_command(path)
     return _sources.get(
