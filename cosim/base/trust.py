@@ -25,7 +25,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.files import read_file
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.user import cache_folder, settings_folder
-from cosim.base.wording import printable_line
+from cosim.base.wording import printable
 
 ENVIRONMENT = "HEXJET_TRUST"  # set to 1, it says --trust to every command and program
 REMEMBERED = "trusted"  # file in the settings folder: lines as sha256sum writes them, of folders
@@ -308,7 +308,7 @@ def _note(folders: dict[str, str]) -> None:
     """Write hashes with folder and arguments into the user's settings, where he has a place for them."""
     _add(hashes=folders)
     known = _read_remembered()
-    lines = [f"{value}  {printable_line(text)}\n" for value, text in folders.items() if value not in known]
+    lines = [f"{value}  {_one_line(text)}\n" for value, text in folders.items() if value not in known]
     with suppress(OSError, RuntimeError):  # a user without a home has no settings
         if lines:
             file_path = settings_folder() / REMEMBERED
@@ -340,5 +340,9 @@ def _list_folders(code: Collection[Code], hashes: Mapping[Code, str | None]) -> 
         rest = len(names) - _MOST_NAMED
         line = f"{folder} ({', '.join(names[:_MOST_NAMED])}{f' and {rest} more' if rest > 0 else ''}"
         large = any(item.folder == folder and hashes.get(item, "") is None for item in code)
-        lines.append(printable_line(line + ("; too large to be remembered)" if large else ")")))
+        lines.append(_one_line(line + ("; too large to be remembered)" if large else ")")))
     return lines
+
+
+def _one_line(text: str) -> str:
+    return printable(text).replace("\n", "\\n")

@@ -154,7 +154,7 @@ def _is_installed(path: Path, top: str) -> bool:
     paths = absolute, absolute.resolve()
     if any(candidate.is_relative_to(folder) for candidate in paths for folder in (*_installed_folders(), PACKAGE)):
         return True
-    starts = [folder / inner / top for folder in _editable_folders(top) for inner in ("", "src")]
+    starts = [folder / inner / top for folder in _editable_folders(top) for inner in ("", "src", "tools")]
     return any(paths[1].is_relative_to(start) or paths[1] == start.with_suffix(".py") for start in starts)
 
 
