@@ -29,8 +29,6 @@ from cosim.base.wording import printable
 
 ENVIRONMENT = "HEXJET_TRUST"  # set to 1, it says --trust to every command and program
 REMEMBERED = "trusted"  # file in the settings folder: lines as sha256sum writes them, of folders
-MAX_FILES = 50_000  # a folder with more below it is not remembered: to look through them takes half a second
-MAX_BYTES = 2**28  # nor is one with more to hash, a quarter of a second
 # What hexjet reads or writes and never runs does not count, or each edit of a scenario and each flight would ask again.
 _DATA = re.compile(
     r".*\.(arrows|bbl|bfl|bin|csv|html|jpg|json|jsonl|log|mat|mcap|md|parquet|png|svg|tlog|toml|ulg|xml)", re.IGNORECASE
@@ -255,8 +253,11 @@ def _is_accepted(code: Code) -> bool:
     )
 
 
-def _entries(folder: Path) -> set[str] | None:
-    """Return hash and name of each file below a folder that counts; None where there is too much, or no leave to read.
+def _entries(folder: Path, *, max_files: int = 50_000, max_mb: float = 256.0) -> set[str] | None:
+    """Return hash and name of each file below a folder that counts; None where there is no leave to read.
+
+    None too where there are more files than ``max_files``, of all kinds, or more than ``max_mb`` (of 2**20 bytes) to
+    hash: that takes half a second.
 
     Links are followed.  Left out are folders whose names begin with a dot, those of _LEFT_OUT, the Python that runs
     this program, and its settings and caches.
@@ -276,7 +277,7 @@ def _entries(folder: Path) -> set[str] | None:
             files = [Path(current, name) for name in names if not _DATA.fullmatch(name)]
             counted += [path for path in files if path.is_file()]
             size += sum(path.stat().st_size for path in files if path.is_file())
-            if seen > MAX_FILES or size > MAX_BYTES:
+            if seen > max_files or size > max_mb * 2**20:
                 return None
         return set(map(_entry, counted))
     except (OSError, InputError):

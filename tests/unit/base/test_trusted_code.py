@@ -141,9 +141,9 @@ def test_a_program_in_bin_brings_the_folder_above(tmp_path: Path) -> None:
     assert not runs(code, "fly", forget=False)
 
 
-@pytest.mark.parametrize("limit", ["MAX_FILES", "MAX_BYTES"])
+@pytest.mark.parametrize("limit", ["max_files", "max_mb"])
 def test_a_folder_that_is_too_large_is_not_remembered(limit: str, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trust, limit, 0)
+    monkeypatch.setitem(trust._entries.__kwdefaults__, limit, 0)
     assert runs(Code(file), "fly", "mine.py")
     with pytest.raises(InputError, match=r"\(mine\.py; too large to be remembered\): is code"):
         trust.need_trust([Code(file)], "test")
