@@ -370,14 +370,6 @@ def test_the_same_program_mailed_with_one_more_file_is_asked_for(
         (mailed / name).unlink()
 
 
-def test_arguments_of_a_program_are_code(theirs: Path, hexjet: Hexjet) -> None:
-    assert hexjet("fly", str(theirs / "process.toml"), "--trust").status == 0
-    (theirs / "process.toml").write_text(HOVER.replace("baseline", "process:program.py --erase"))
-    done = hexjet("fly", str(theirs / "process.toml"))
-    assert done.status == 2
-    assert f"(program.py --erase): {REFUSED}" in done.err
-
-
 @pytest.mark.parametrize("itself", ["twice.toml", "table.csv"])
 def test_data_on_the_command_line_is_no_code(
     itself: str, theirs: Path, mark: Path, hexjet: Hexjet, tmp_path: Path
@@ -427,13 +419,6 @@ def test_a_program_names_its_own_code_and_not_that_of_files(theirs: Path, mark: 
     assert fly(path).outcome == "completed"  # what was flown is remembered
     with pytest.raises(InputError, match=r"trust: .*absent: is not there"):
         cosim.trust(tmp_path / "absent")
-
-
-def test_a_program_trusts_a_folder(theirs: Path) -> None:
-    cosim.trust(theirs)
-    assert fly(theirs / "scenario.toml").outcome == "completed"
-    (theirs / "law.py").write_text((theirs / "law.py").read_text() + "\n")
-    assert fly(theirs / "scenario.toml").outcome == "completed"
 
 
 def test_the_environment_trusts(theirs: Path, hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
