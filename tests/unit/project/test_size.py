@@ -14,7 +14,7 @@ MAX_LINES = {
     "benchmarks": 5_500,
     "cosim": 102_800,
     "docs": 6_500,
-    "tests": 76_750,
+    "tests": 76_850,
     "tools/hexjet_laws": 650,
     "tools/hexjet_paper": 4_550,
 }
