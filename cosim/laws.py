@@ -2,6 +2,8 @@
 
 A package that states a law as ``"controller.mine" = "mine:Mine"`` in the entry points ``hexjet.plugins`` derives it
 from :class:`RateLaw`; ``tools/hexjet_laws`` has six such laws.  Rates are rad/s, times s, commands the axis' own.
+``PREDICTORS`` is every predictor that flies, a mapping from its name to its ``PredictorSpec``; ``Array`` is an array of
+numbers in double precision.
 
 Examples
 --------

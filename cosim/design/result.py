@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from math import degrees, exp, inf, isfinite
 from pathlib import Path
 from typing import Any
@@ -149,7 +149,8 @@ def _proof_record(proof: Proof) -> dict[str, Any]:
 def _assessment_dict(assessment: Assessment | None) -> dict[str, Any] | None:
     if assessment is None:
         return None
-    values = asdict(assessment)
+    values = {field.name: getattr(assessment, field.name) for field in fields(assessment)}
+    values["margins"] = None if assessment.margins is None else asdict(assessment.margins)
     tuning = assessment.tuning
     values["tuning"] = {
         "attitude_gain_1_s": tuning.angle_gain,

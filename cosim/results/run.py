@@ -222,7 +222,7 @@ def begin_run(
             write_whole(folder / name, source if isinstance(source, bytes) else read_file(source), FlightError)
         write_whole(folder / SCENARIO, scenario_toml(scenario), FlightError)
         remember_written(folder)
-    except (OSError, FlightError) as error:
+    except (OSError, FlightError, InputError) as error:
         stream.close()
         stream.path.unlink(missing_ok=True)
         raise InputError(str(error)) from error

@@ -7,9 +7,8 @@ delay of ``N`` steps):
 
     H = q^N b(q) / a(q),  G = H T/2 (1 + q) / (1 - q)          to the angle; T the step
     T_i = q^(N + l) t                                          complementary sensitivity at the plant's input
-    angle / set-point = q^(N + s) (1 + q) / 2 y
+    angle / set-point = q^(N + s) (1 + q) / 2 y,  angle / load = G (1 - T_i)
     command / set-point = a / b (1 - q) / T y,  command / gyro noise = -a / b (t - q^(m + s - l) (1 + q) / 2 y)
-    angle / load = G (1 - T_i)
 
 ``l`` and ``m`` are the steps by which rate and angle are measured late, ``s = max(l - m, 0)``; zeros of ``b`` on or
 outside the unit circle stay in ``t`` and ``y``.  At rest both are 1, and where the rate has a pole at 1 the ramp that
@@ -21,8 +20,7 @@ the least from above.  So that the optimum is no fragile one, an error ``|e| <= 
 
     |S| + 2 M w |T_i| <= 2 M,   w = max |1 - exp(-j theta e)|   sufficient for a peak below 2 M at every such delay
 
-which is a little pessimistic: what it finds is then at most too high.  The programme is solved by Clarabel
-(P. J. Goulart and Y. Chen, 2024): ``pip install 'hexjet-cosim[limit]'``.
+which is a little pessimistic: what it finds is then at most too high.  Clarabel solves it (Goulart and Chen, 2024).
 """
 
 from __future__ import annotations

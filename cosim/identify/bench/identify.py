@@ -10,7 +10,6 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, NotIdentifiedError
-from cosim.identify.bench.bounds import bound_short_lag, widen
 from cosim.identify.bench.command import is_noisy, moves_on
 from cosim.identify.bench.evidence import (
     HeldBack,
@@ -25,7 +24,7 @@ from cosim.identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, 
 from cosim.identify.bench.missing_evidence import describe_missing_evidence
 from cosim.identify.bench.record import BenchRecord
 from cosim.identify.bench.running import SPEED_UNITS
-from cosim.identify.bench.stretches import answer_lags, measure_spread
+from cosim.identify.bench.stretches import answer_lags, bound_short_lag, measure_spread, widen
 from cosim.identify.verdict import Judgement, judge_model, shared_record
 
 LONGEST_DELAY_S = 2.0

@@ -467,18 +467,15 @@ def test_two_engines_mixed_are_named_and_their_bounds_wide(tmp_path: Path) -> No
     assert result.chosen.deviation(len(result.chosen.x)) > 1.0
 
 
-def test_two_engines_in_one_file_are_named_and_the_bounds_hold_both(tmp_path: Path) -> None:
-    """The form explains the whole by a mean of both; its bounds alone would hold neither."""
+def test_two_engines_in_one_file_are_told_as_stretches_whose_delays_the_bounds_hold(tmp_path: Path) -> None:
+    """The form explains the whole by a mean of both."""
     times, command, first, _ = bench_log("stairs of 5 s", 10.0, seed=1)
     other = Truth(delay=0.15, lags=(0.6,), gain=130.0)
     _, _, second, _ = bench_log("stairs of 5 s", 10.0, other, seed=2)
     columns = np.tile(command, 2), np.concatenate([first, second]), np.concatenate([times, times + times[-1] + 0.1])
     (record,) = read_records([write(tmp_path / "two.csv", *columns)])
     result = identify_bench([record])
-    assert sum("the log's halves, before" in note and "the bounds hold both" in note for note in result.notes) == 1
-    gain = 1.96 * result.chosen.deviation(len(result.chosen.x))
-    assert abs(result.chosen.gain - 100.0) < gain
-    assert abs(result.chosen.gain - 130.0) < gain
+    assert sum(note.startswith("stretches of the log are answered") for note in result.notes) == 1
     assert result.chosen.delay_bounds[0] < 0.1
     assert result.chosen.delay_bounds[1] > 0.145
 

@@ -329,7 +329,7 @@ def test_a_model_is_laid_beside_another_flight(hexjet: Hexjet, tmp_path: Path, l
     assert wrong.to_dict()["found"] is False
     refused = hexjet("validate", "1.csv", "0.csv")
     assert refused.status == 2
-    assert "no identification.json" in refused.err
+    assert "1.csv: not JSON" in refused.err
 
 
 @pytest.mark.long

@@ -255,7 +255,10 @@ def test_each_engine_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"stations": {"3": {}}}, r"stations\.3: give engine, parameters or both"),
         ({"stations": {"3": {"engin": "edf"}}}, r"unknown key 'stations\.3\.engin'; did you mean 'engine'\?"),
         ({"stations": {"3": {"engine": "edfs"}}}, r"unknown engine 'edfs'; did you mean 'edf'\?"),
-        ({"stations": {"3": {"parameters": {"thrust": 1.0}}}}, r"thrust: no such parameter; allowed: .*gain"),
+        (
+            {"stations": {"3": {"parameters": {"thrust": 1.0}}}},
+            r"thrust is of causality output, and no parameter; allowed: .*gain",
+        ),
         (
             {"stations": {str(jet): {"parameters": {"gain": 0.07}} for jet in range(1, 7)}},
             r"stations: the engines give at most 32\.9 N together; hexjet \(5\.525 kg\) weighs 54\.2 N",
@@ -305,7 +308,7 @@ def test_a_run_with_foreign_engines_flies_again_from_its_folder(foreign: Path, t
     assert {path.name for path in first.folder.glob("*.fmu")} == {"engine.fmu", "2-engine.fmu"}
     assert first.summary.engine == "fan"
     stations = first.summary.stations
-    assert [station.engine for station in stations] == ["fan", "engine", "fan", "edf", "fan", "fan"]
+    assert [station.engine for station in stations] == ["fan", "jets", "fan", "edf", "fan", "fan"]
     assert len({station.sha256 for station in stations}) == 3
     assert set(first.summary.sha256) >= {"fan.toml", "engine.fmu", "edf.fmu"}
     assert sum(name.endswith("engine.fmu") for name in first.summary.sha256) == 2

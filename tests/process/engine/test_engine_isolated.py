@@ -324,8 +324,8 @@ def test_no_library_of_an_isolated_engine_is_loaded_here(tmp_path: Path, monkeyp
     def loaded(*_: object) -> None:
         raise AssertionError("loaded in this process")
 
-    monkeypatch.setattr(bank, "make_instance", loaded)
-    monkeypatch.setattr(measure, "make_instance", loaded)
+    monkeypatch.setattr(bank, "FmuInstance", loaded)
+    monkeypatch.setattr(measure, "FmuInstance", loaded)
     rows = [lever(), force(), ("rho", "density", "input", 'unit="kg/m3" start="1.225"')]
     path = foreign(tmp_path, "lagging", "lag=0.1", rows)
     hover = Scenario.load("hover").replace(

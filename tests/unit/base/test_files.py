@@ -95,9 +95,8 @@ def test_a_link_to_a_device_is_refused_and_stays(tmp_path: Path) -> None:
 def _readers() -> dict[str, Callable[[Path], object]]:
     """What reads a file that a scenario, a command line or a folder names."""
     from cosim.autopilots.parameters import read_parameters
-    from cosim.base.plugins.execute import execute_file, program_code
+    from cosim.base.plugins.execute import execute_file
     from cosim.base.storage.toml import read_toml
-    from cosim.base.trust import code_of
     from cosim.groundstation.mavlink.wire.signing import read_key
     from cosim.identify.logs import read_flight_log
     from cosim.identify.prediction_error.validate import read_model
@@ -110,8 +109,6 @@ def _readers() -> dict[str, Callable[[Path], object]]:
     return {
         "mapping": read_toml,
         "python": lambda path: execute_file(path, "controller"),
-        "program": lambda path: program_code(path, ""),
-        "controller FMU": code_of,
         "wind": lambda path: read_columns(path, ("north_m_s",), "wind"),
         "commands": lambda path: read_rows(path, "controller"),
         "requests": read_requests,

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cosim.identify.bench.bounds import widen
 from cosim.identify.bench.fit import Estimate, Form, Part, Problem
-from cosim.identify.bench.stretches import Answered, measure_spread
+from cosim.identify.bench.stretches import Answered, measure_spread, widen
 
 LATE_S = np.array([-0.03, -0.04, 0.1, 0.0, -0.03])  # of five stretches
 STEP_S, STRETCH_S = 0.1, 20.0

@@ -130,7 +130,7 @@ def test_a_session_goes_on_with_the_design_that_it_was_given(design: Path, tmp_p
 @pytest.mark.parametrize(
     ("file", "content", "said"),
     [
-        ("/dev/zero", None, "is no file"),
+        ("/dev/zero", None, "is a device or a pipe"),
         ("a\0b.toml", None, "null"),
         ("x.toml", b"\xff\xfe", "not valid TOML"),
         ("x.toml", b"= 3", "not valid TOML"),
