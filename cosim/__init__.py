@@ -163,4 +163,8 @@ def __getattr__(name: str) -> Any:
         return import_module(f"{__name__}.{name}")
     if name in _WHERE:
         return getattr(import_module(_WHERE[name]), name)
+    if name in __all__:
+        from cosim.base.plugins.entry_points import load_tool_member
+
+        return load_tool_member(name)
     raise AttributeError(f"module 'cosim' has no attribute {name!r}")

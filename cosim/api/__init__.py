@@ -87,4 +87,8 @@ def __getattr__(name: str) -> Any:
         from importlib import import_module
 
         return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
+    if name in __all__:
+        from cosim.base.plugins.entry_points import load_tool_member
+
+        return load_tool_member(name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import click
 
 from cosim.base.removed import describe_removed
+from cosim.cli.added import find_added, load_added
+from cosim.cli.trust import with_trust
 
 GROUPS = {
     "Fly": {
@@ -49,7 +51,20 @@ _WHOLE = 1000  # letters: no first sentence is longer
 
 
 class Group(click.Group):
-    """A group of commands, whose help has the whole first sentence of each."""
+    """A group of commands, those that tools add to it among them; its help has the whole first sentence of each."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return all names, those of installed packages among them."""
+        prefix = f"{self.name}."
+        added = (name.removeprefix(prefix) for name in find_added(ctx).names if name.startswith(prefix))
+        return sorted({*super().list_commands(ctx), *added})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return the command, or None; one of a tool is imported for it."""
+        if (command := super().get_command(ctx, cmd_name)) is not None:
+            return command
+        added = load_added(ctx, f"{self.name}.{cmd_name}")
+        return None if added is None else with_trust(added, f"{self.name} {cmd_name}")
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

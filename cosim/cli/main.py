@@ -7,10 +7,10 @@ import os
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from importlib import import_module
 from io import TextIOWrapper
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -26,14 +26,12 @@ from cosim.base.errors import (
 from cosim.base.removed import describe_removed
 from cosim.base.trust import at_a_command
 from cosim.base.wording import printable_line
+from cosim.cli.added import find_added, is_here, load_added, note_taken_names
 from cosim.cli.complete import SHELLS, install
 from cosim.cli.console import echo, note
 from cosim.cli.groups import GROUPS, OTHERS
 from cosim.cli.options import DONE, FLIGHT_FAILED, REPORTED, WRONG_INPUT, Terminated, treat_sigterm_as_interrupt
 from cosim.cli.trust import trust_prompt, with_trust
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint, EntryPoints
 
 INTERRUPTED, TERMINATED = 130, 143  # the exit statuses that shells use
 COMMANDS = {  # module of each command: only the one that runs is imported
@@ -61,7 +59,6 @@ COMMANDS = {  # module of each command: only the one that runs is imported
     "validate": "controllers.validate:validate",
 }
 _LINE = 60  # letters of a command's line
-ADDED = "hexjet.commands"  # entry points: commands that live outside this package
 
 
 class Commands(click.Group):
@@ -69,13 +66,13 @@ class Commands(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return all names, those of installed packages among them."""
-        _note_taken_names(ctx, *COMMANDS)
-        return sorted({*COMMANDS, *_added(ctx).names})
+        note_taken_names(ctx, *COMMANDS)
+        return sorted({*COMMANDS, *(name for name in find_added(ctx).names if "." not in name)})
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands in groups; what another package adds is imported for its line."""
         sections = {
-            title: [(name, text) for name, text in commands.items() if name in COMMANDS or _is_here(ctx, name)]
+            title: [(name, text) for name, text in commands.items() if name in COMMANDS or is_here(ctx, name)]
             for title, commands in GROUPS.items()
         }
         known = {name for commands in GROUPS.values() for name in commands}
@@ -104,73 +101,11 @@ class Commands(click.Group):
         """Return the command, or None; nothing but its own module is imported for it."""
         if cmd_name in COMMANDS:
             if sys.stderr.isatty():  # to read what is installed takes time, which nobody else has to pay
-                _note_taken_names(ctx, cmd_name)
+                note_taken_names(ctx, cmd_name)
             module, _, name = COMMANDS[cmd_name].partition(":")
             command: click.Command = getattr(import_module(f"cosim.cli.{module}"), name)
             return with_trust(command, cmd_name)
-        entries = tuple(_added(ctx).select(name=cmd_name))
-        return with_trust(_load_added(entries), cmd_name) if entries else None
-
-
-def _added(ctx: click.Context) -> EntryPoints:
-    """Return the commands of installed packages, whose metadata are read once a call, and only if they are needed."""
-    if ADDED not in ctx.meta:
-        from importlib.metadata import entry_points
-
-        ctx.meta[ADDED] = entry_points(group=ADDED)
-    added: EntryPoints = ctx.meta[ADDED]
-    return added
-
-
-def _is_here(ctx: click.Context, name: str) -> bool:
-    """Return whether a command of a package is there; a wheel leaves out some of the sources.  Nothing is imported."""
-    from importlib.util import find_spec
-
-    entries = tuple(_added(ctx).select(name=name))
-    return any(find_spec(entry.module.partition(".")[0]) is not None for entry in entries)
-
-
-def _note_taken_names(ctx: click.Context, *names: str) -> None:
-    """Say once which installed packages add a command of a name that is taken: theirs is not reached."""
-    noted: set[str] = ctx.meta.setdefault(f"{ADDED}.noted", set())
-    for entry in _added(ctx):
-        if entry.name in names and entry.name not in noted:
-            noted.add(entry.name)
-            echo(f"hexjet: note: {entry.name} of {_package(entry)} is not reached: hexjet has that command", err=True)
-
-
-def _load_added(entries: Sequence[EntryPoint]) -> click.Command:
-    """Return the command that an installed package adds; one that cannot be loaded says so when it is called."""
-    entry, *others = entries
-    if others:
-        return _unavailable(entry.name, f"{' and '.join(map(_package, entries))} both add it; uninstall all but one")
-    try:
-        command = entry.load()
-        if isinstance(command, click.Command):
-            return command
-        return _unavailable(entry.name, f"{entry.value} of {_package(entry)} is no command of click")
-    except Exception as error:  # whatever the module of somebody else does
-        package = _package(entry)
-        if isinstance(error, ModuleNotFoundError) and error.name == entry.module.partition(".")[0]:
-            reason = f"needs {error.name!r}, which is not installed; the sources of {package} have it"
-            return _unavailable(entry.name, reason, hidden=True)
-        reason = f"{entry.value} of {package} cannot be loaded: {type(error).__name__}: {error}"
-        return _unavailable(entry.name, reason.partition("\n")[0])
-
-
-def _package(entry: EntryPoint) -> str:
-    """Return the name of the package that has an entry point."""
-    return entry.dist.name if entry.dist else "an installed package"
-
-
-def _unavailable(name: str, reason: str, hidden: bool = False) -> click.Command:
-    """Return a command that says why it cannot run; ``hidden``: which the help leaves out."""
-
-    def complain() -> None:
-        raise InputError(f"{name}: {reason}")
-
-    anything = {"ignore_unknown_options": True, "allow_extra_args": True}
-    return click.Command(name, context_settings=anything, callback=complain, help=f"Not here: {reason}.", hidden=hidden)
+        return None if (added := load_added(ctx, cmd_name)) is None else with_trust(added, cmd_name)
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from itertools import chain
 from typing import Any
 
@@ -15,6 +16,7 @@ from cosim.base.plugins.execute import import_trusted
 from cosim.base.trust import CodeRefusedError
 
 GROUP = "hexjet.plugins"
+API = "hexjet.api"
 GROUPS = {  # by kind, groups of one kind each, which may be stated instead
     "predictor": "hexjet.predictors",
     "controller": "hexjet.controllers",
@@ -41,6 +43,17 @@ def find_entries(kind: str) -> dict[str, EntryPoint]:
                     f"{describe_entry(first)} is {first.value}, {describe_entry(entry)} is {entry.value}"
                 )
     return found
+
+
+def load_tool_member(name: str) -> Any:
+    """Return the function or the result of a tool that ``cosim`` and ``cosim.api`` name.
+
+    Raises ImportError where no installed package has it.
+    """
+    entry = next(iter(entry_points(group=API, name=name)), None)
+    if entry is None or find_spec(entry.module.partition(".")[0]) is None:
+        raise ImportError(f"cosim.{name}: none of the tools that are installed has it", name=f"cosim.{name}")
+    return entry.load()
 
 
 def entry_name(entry: EntryPoint) -> str:

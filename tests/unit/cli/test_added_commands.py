@@ -10,7 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from cosim.base.errors import InputError
-from cosim.cli.main import ADDED, cli
+from cosim.cli.added import ADDED
+from cosim.cli.main import cli
 
 POINTS = f"""[{ADDED}]
 added = added_commands:greet
@@ -18,6 +19,7 @@ absent = module_that_nobody_has.command:run
 broken = added_commands:nothing
 number = added_commands:NUMBER
 fly = added_commands:greet
+identify.added = added_commands:greet
 """
 SOURCE = """import click
 NUMBER = 1
@@ -44,6 +46,10 @@ def test_it_is_listed_and_runs() -> None:
     assert listed.exit_code == 0
     assert "Greet whoever calls." in listed.output
     done = CliRunner().invoke(cli, ["added"])
+    assert (done.exit_code, done.output) == (0, "hello\n")
+    listed = CliRunner().invoke(cli, ["identify", "--help"])
+    assert "Greet whoever calls." in listed.output
+    done = CliRunner().invoke(cli, ["identify", "added"])
     assert (done.exit_code, done.output) == (0, "hello\n")
 
 
