@@ -38,11 +38,13 @@ def execute_file(path: Path, where: str) -> tuple[ModuleType, list[Path]]:
     need_trust([Code(path)], where)
     module = ModuleType(f"{_PREFIX}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}")
     module.__file__ = str(path)
+    source = read_file(path)
     sys.modules[module.__name__] = module
     try:
         with _importing_from(folder) as imported:
-            exec(compile(read_file(path), str(path), "exec"), module.__dict__)
+            exec(compile(source, str(path), "exec"), module.__dict__)
     except Exception as error:
+        del sys.modules[module.__name__]
         line = f", line {error.lineno}" if isinstance(error, SyntaxError) else ""
         raise InputError(f"{where}: {path}{line}: {describe_error(error)}") from error
     deep = [file for file in imported if file.parent != folder]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
@@ -139,6 +140,8 @@ def test_what_is_no_ordinary_file_is_refused_at_once(tmp_path: Path, name: str, 
     assert said in str(refused.value)
     assert str(path) in str(refused.value)
     assert "\n" not in str(refused.value)
+    # Whoever reads the sources of the modules that are loaded would wait for such a pipe for ever.
+    assert not [module for module in sys.modules.values() if getattr(module, "__file__", None) == str(path)]
 
 
 @pytest.mark.parametrize(
