@@ -5,12 +5,12 @@ the unit circle, an array of complex numbers, and a response is an array as long
 that flies, a mapping from its name to its ``PredictorSpec``.
 """
 
+from cosim.control.frequency import Margins, grid, impulse_response, margins, pid_response, zeros_outside
 from cosim.control.predictors.linear import delayed_response, model_response
 from cosim.control.predictors.registry import PREDICTORS, PredictorSpec
 from cosim.control.predictors.smith import DelayedModel, DelayLine, rate_model
 from cosim.control.predictors.state import DoubleIntegratorObserver, StateModel, StatePredictor
 from cosim.control.rate import RateAxis
-from cosim.design.loop.frequency import Margins, grid, impulse_response, margins, pid_response, zeros_outside
 from cosim.results.metrics import overshoot, settling_time
 from cosim.spec.vehicle import PredictorTuning, RateGains, RateModel
 

@@ -17,6 +17,7 @@ from cosim.base.trust import CodeRefusedError
 
 GROUP = "hexjet.plugins"
 API = "hexjet.api"
+HOOKS = "hexjet.hooks"
 GROUPS = {  # by kind, groups of one kind each, which may be stated instead
     "predictor": "hexjet.predictors",
     "controller": "hexjet.controllers",
@@ -50,9 +51,21 @@ def load_tool_member(name: str) -> Any:
 
     Raises ImportError where no installed package has it.
     """
-    entry = next(iter(entry_points(group=API, name=name)), None)
-    if entry is None or find_spec(entry.module.partition(".")[0]) is None:
+    member = _load_member(API, name)
+    if member is None:
         raise ImportError(f"cosim.{name}: none of the tools that are installed has it", name=f"cosim.{name}")
+    return member
+
+
+def load_hook(name: str) -> Any | None:
+    """Return what a tool does for a part of ``cosim`` that is complete without it; None where it is not installed."""
+    return _load_member(HOOKS, name)
+
+
+def _load_member(group: str, name: str) -> Any | None:
+    entry = next(iter(entry_points(group=group, name=name)), None)
+    if entry is None or find_spec(entry.module.partition(".")[0]) is None:
+        return None
     return entry.load()
 
 

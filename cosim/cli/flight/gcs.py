@@ -11,7 +11,7 @@ import click
 
 from cosim.base.wording import printable
 from cosim.cli import opt
-from cosim.cli.console import echo, output_to_stderr
+from cosim.cli.console import echo, note, output_to_stderr
 from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def gcs(options: Gcs) -> int:
     repeats it without a ground station.  Status as of hexjet fly, for the last flight: 0 completed within its
     limits; 1 it failed or went beyond them; 2 wrong input.
     """
-    from cosim.design.measured.judge import LoopJudge
+    from cosim.base.plugins.entry_points import load_hook
     from cosim.groundstation.links import Links
     from cosim.groundstation.parameter_store import find_default_file, make_vehicle_key
     from cosim.groundstation.session import RecordOptions, Session, parse_place, stop_on_signals
@@ -123,7 +123,10 @@ def gcs(options: Gcs) -> int:
             on_begin=opened.begin,
             on_end=opened.end,
         )
-        session.set_stability_checker(LoopJudge(session.scenario))
+        if (make_checker := load_hook("stability_checker")) is None:
+            note("changes of parameters are not judged: hexjet_design is not installed")
+        else:
+            session.set_stability_checker(make_checker(session.scenario))
         print_gcs(session, opened, options.log_limit, to_stderr=as_json)
         with stop_on_signals(session), live_line(opened, quiet=as_json):
             runs = session.run()

@@ -22,9 +22,10 @@ from math import ceil, inf, log2, nan, pi
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
+from cosim.control.frequency import pid_response, zeros_outside
 from cosim.control.lead import lead_polynomials
 from cosim.design.loop.channel import Channel, angles
-from cosim.design.loop.frequency import LoopMargins, loop_margins, pid_response, zeros_outside
+from cosim.design.loop.frequency import LoopMargins, loop_margins
 from cosim.design.loop.state_space import Space, Steps
 from cosim.design.loop.tuning import Tuning
 

@@ -37,13 +37,13 @@ from cosim.design.loop.actuator import Actuator
 from cosim.design.loop.channel import Channel, channels, remove_instant_dynamics
 from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from cosim.design.loop.dynamics import make_lag_dynamics
-from cosim.design.loop.frequency import (
-    grid,
-    impulse_response,
-)
 from cosim.design.loop.tuning import Tuning, candidates
 from cosim.engine import load_engine
 from cosim.flight import fly
+from cosim.loops import (
+    grid,
+    impulse_response,
+)
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import (
     NO_PROOF,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.design.loop.frequency import margins
+from cosim.loops import margins
 from cosim.spec.vehicle import RateGains
 from hexjet_paper import (
     calibration,

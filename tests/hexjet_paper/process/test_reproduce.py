@@ -25,8 +25,8 @@ from pydantic import TypeAdapter
 
 from cosim.base.errors import InputError
 from cosim.cli.main import main
-from cosim.design.loop.frequency import margins
 from cosim.flight import fly
+from cosim.loops import margins
 from cosim.results.report.marks import page_parts
 from cosim.results.report.page import figure_json
 from cosim.spec.scenario import Scenario

@@ -27,7 +27,7 @@ from cosim.control.predictors.smith import (
 )
 from cosim.control.predictors.state import StateModel, StatePredictor
 from cosim.control.rate import RateAxis
-from cosim.design.loop.frequency import pid_response
+from cosim.loops import pid_response
 from cosim.spec.vehicle import EngineLead, RateGains, RateModel
 
 PAGE = (DOCS / "theory.md").read_text(encoding="utf-8")

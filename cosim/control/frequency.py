@@ -1,0 +1,145 @@
+"""A sampled loop from its response on the unit circle: predictors, rate PID, margins, poles outside the circle.
+
+Nothing here knows a vehicle.  ``z`` are points on the upper half of the unit circle; ``y`` is the measured rate, ``u``
+the command, ``y^`` the predicted rate, ``T`` the control step:
+
+    y^ = P_y y + P_u u
+    C_e = p + i T / (1 - z^-1),  D = d s (1 - z^-1) / (T (1 - (1 - s) z^-1)),  s = T / (T_f + T)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import pi
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.errors import InputError
+from cosim.base.protocols import Predictor
+from cosim.control.predictors.linear import Pair, PairResponse
+from cosim.spec.vehicle import RateGains, RateModel
+
+_TAPS = 20_000
+_ENDED = 1e-13  # an impulse response that stays below this has ended
+
+
+class Margins(BaseModel):
+    """The margins of an open loop; of several crossings, those of the one with the smallest margin.
+
+    ``cutoff`` is the first frequency [Hz] at which the gain falls below 1, ``gain_margin`` in dB, ``phase_margin`` in
+    deg; None where there is no crossing.
+    """
+
+    model_config = ConfigDict(frozen=True, defer_build=True)
+
+    cutoff: float | None
+    gain_margin: float | None
+    phase_margin: float | None
+
+
+def grid(points: int = 3000, lowest: float = 1e-4) -> Complex:
+    """Return points of the upper half of the unit circle, dense at low frequency; ``lowest`` in rad per sample."""
+    angles = np.union1d(np.geomspace(lowest, pi, points // 2), np.linspace(pi / points, pi, points // 2))
+    return np.asarray(np.exp(1j * angles))
+
+
+def impulse_response(predictor: Callable[[], Predictor], model: RateModel) -> PairResponse:
+    """Return ``P_y`` and ``P_u`` as a function of z, from the impulse responses of the predictor, which must end.
+
+    Those of a state predictor do, being finite sums over past commands and a fast observer; so the transform is exact.
+    Raises InputError for one whose response does not end.
+    """
+    of_rate = _impulse(predictor(), model, (1.0, 0.0))
+    of_command = _impulse(predictor(), model, (0.0, 1.0))
+    # the predictor is told the command of the step before: its first answer to it belongs to u / z
+    return lambda z: (_transform(of_rate, z), _transform(of_command, z) / z)
+
+
+def _impulse(predictor: Predictor, model: RateModel, unit: tuple[float, float]) -> Array:
+    values = [predictor.update(*unit)]
+    wait = int(model.delay_samples) + 2  # nothing may come before that
+    ended = 0
+    while ended <= wait:
+        values.append(predictor.update(0.0, 0.0))
+        ended = ended + 1 if abs(values[-1]) < _ENDED else 0
+        if len(values) > _TAPS:
+            raise InputError(f"{type(predictor).__name__}: its impulse response does not end; it must be stable alone")
+    return np.array(values)
+
+
+def _transform(taps: Array, z: Complex) -> Complex:
+    """Compute ``sum_k h_k z^-k``: by powers for a few points, by Horner's rule for many."""
+    inverse = 1.0 / z
+    if z.size < 8:
+        return np.asarray(inverse[:, None] ** np.arange(len(taps)) @ taps)
+    total = np.zeros_like(z)
+    for tap in taps[::-1]:
+        total = total * inverse + tap
+    return total
+
+
+def pid_response(gains: RateGains, step: float, z: Complex) -> Pair:
+    """Return ``C_e`` (set-point and feedback) and ``D`` (feedback alone) of the rate PID at ``z``; ``step`` in s."""
+    weight = step / (gains.d_filter_s + step)
+    difference = 1.0 - 1.0 / z
+    of_slope = gains.d * weight * difference / (step * (1.0 - (1.0 - weight) / z))
+    return np.asarray(gains.p + gains.i * step / difference), np.asarray(of_slope)
+
+
+def zeros_outside(values: Complex) -> int:
+    """Count the zeros outside the unit circle of a function that is analytic there and constant at infinity.
+
+    ``values`` along the upper half circle, closely spaced: the function's turns about 0 count its zeros.
+    """
+    turn = np.unwrap(np.angle(values))
+    return -round(float(turn[-1] - turn[0]) / pi)
+
+
+def margins(response: Callable[[Complex], Complex], step: float, low: float = 0.05, points: int = 4000) -> Margins:
+    """Return the margins of a sampled open loop from its response on the unit circle.
+
+    ``step`` is the sample time [s]; from ``low`` Hz to half the sample rate, at ``points`` frequencies.
+    """
+    frequencies = np.geomspace(low, 0.5 / step * (1.0 - 1e-9), points)
+    values = response(np.exp(2j * pi * frequencies * step))
+
+    def at(frequency: float) -> complex:
+        return complex(response(np.exp(np.array([2j * pi * frequency * step])))[0])
+
+    gains, falls, phases = [], [], []
+    size = np.abs(values) - 1.0
+    for k in np.flatnonzero(np.sign(size[:-1]) != np.sign(size[1:])):
+        crossing = _bisect(lambda f: abs(at(f)) - 1.0, frequencies[k], frequencies[k + 1])
+        phases.append(wrap_degrees(float(np.degrees(np.angle(at(crossing)))) + 180.0))
+        if size[k] > 0.0:
+            falls.append(crossing)
+    turns = (np.sign(values.imag[:-1]) != np.sign(values.imag[1:])) & (values.real[:-1] < 0.0)
+    for k in np.flatnonzero(turns):
+        crossing = _bisect(lambda f: at(f).imag, frequencies[k], frequencies[k + 1])
+        gains.append(-20.0 * float(np.log10(abs(at(crossing)))))
+    last = complex(response(np.array([-1.0 + 0.0j]))[0]).real  # at half the sampling rate the loop is real
+    if last < 0.0:
+        gains.append(-20.0 * float(np.log10(-last)))
+    return Margins(
+        cutoff=falls[0] if falls else None,
+        gain_margin=min(gains, key=abs, default=None),
+        phase_margin=min(phases, key=abs, default=None),
+    )
+
+
+def _bisect(function: Callable[[float], float], low: float, high: float) -> float:
+    sign = function(low)
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        if (function(middle) > 0.0) == (sign > 0.0):
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def wrap_degrees(degrees: float) -> float:
+    """Return the same angle between -180 and 180 degrees."""
+    return (degrees + 180.0) % 360.0 - 180.0
