@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cosim.api.checks import check_aircraft, check_engine, map_engine
     from cosim.api.compare import compare
     from cosim.api.design import design
-    from cosim.api.export import export, export_controller, export_vehicle
+    from cosim.api.export import export
     from cosim.api.identify import identify, identify_bench
     from cosim.api.logs import identify_log, validate
     from cosim.api.margins import margins
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
     from cosim.spec.vehicle import load_vehicle
     from cosim.stepper import Snapshot, Stepper
+    from hexjet_export.api import export_controller, export_vehicle
 
 __all__ = [
     "Command",
@@ -90,8 +91,6 @@ _WHERE = {
     "check_engine": "cosim.api.checks",
     "compare": "cosim.api.compare",
     "export": "cosim.api.export",
-    "export_controller": "cosim.api.export",
-    "export_vehicle": "cosim.api.export",
     "failsafes": "cosim.api.surveys",
     "faults": "cosim.api.surveys",
     "fly": "cosim.flight",

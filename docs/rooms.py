@@ -33,12 +33,11 @@ DUTY = {
     "identify": "from data to a model",
     "groundstation": "MAVLink, local page",
     "autopilots": "others' autopilots in lockstep",
-    "codegen": "a controller as C and as FMUs",
     "campaign": "many flights",
     "shelf": "the folder of runs as a page",
     "cli": "one file a command",
 }
-PUBLIC = {"commands", "files", "loops", "pages"}  # names handed on to programs outside
+PUBLIC = {"commands", "files", "logs", "loops", "pages"}  # names handed on to programs outside
 BLUE, GREY, INK = "#2a78d6", "#8a939b", "#1c2733"
 
 

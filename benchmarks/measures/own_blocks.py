@@ -16,8 +16,8 @@ from cosim import Scenario, trust
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Applied
 from cosim.base.signals import Command, Measured, Vector3
-from cosim.codegen.export import export_controller
 from cosim.control.belief import Belief
+from hexjet_export.controller.export import export_controller
 
 SUBSTEPS = 1  # what they cost is the same with more
 BASELINE = "ours: no predictor, engines in this process"

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from cosim.api.checks import AircraftCheckResult, EngineCheckResult, MappingResult
     from cosim.api.compare import CompareResult
     from cosim.api.design import DesignResult
-    from cosim.api.export import ControllerExport, VehicleExport
     from cosim.api.identify import BenchIdentifyResult, IdentifyResult
     from cosim.api.logs import LogIdentifyResult, ValidateResult
     from cosim.api.margins import MarginsResult
@@ -27,12 +26,12 @@ if TYPE_CHECKING:
     from cosim.api.show import ShowResult
     from cosim.api.studies import SweepResult
     from cosim.api.surveys import FailsafesResult, FaultsResult
+    from hexjet_export.api import ControllerExport, VehicleExport
 
 _WHERE = {
     "AircraftCheckResult": "checks",
     "BenchIdentifyResult": "identify",
     "CompareResult": "compare",
-    "ControllerExport": "export",
     "DesignResult": "design",
     "EngineCheckResult": "checks",
     "FailsafesResult": "surveys",
@@ -51,7 +50,6 @@ _WHERE = {
     "SweepResult": "studies",
     "Table": "call",
     "ValidateResult": "logs",
-    "VehicleExport": "export",
 }
 
 __all__ = [

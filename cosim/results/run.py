@@ -345,4 +345,5 @@ def _refuse_if_used(folder: Path, files: Mapping[str, Path | bytes]) -> None:
 
 
 def scenario_toml(scenario: Scenario) -> bytes:
+    """Return a scenario as the text of a TOML file."""
     return toml_text(scenario.model_dump(mode="json", exclude_none=True)).encode()

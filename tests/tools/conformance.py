@@ -9,7 +9,6 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.local import LocalWorkers
-from cosim.codegen.vehicle_ports import _ControllerOutside, _EnginesOutside, _PilotOutside
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.autopilot.autopilot import Autopilot
@@ -28,6 +27,7 @@ from cosim.simulation.guided_pilot import GuidedPilot
 from cosim.simulation.plugins import GuardedObserver, WindTable
 from cosim.simulation.script.disturbance_script import DisturbanceScript
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
+from hexjet_export.vehicle.ports import _ControllerOutside, _EnginesOutside, _PilotOutside
 
 METRICS: list[protocols.Metric] = [metrics.flight_metrics]
 

@@ -9,11 +9,11 @@ from typing import Any
 
 from cosim.base.protocols import EngineState
 from cosim.base.signals import ZERO3, Command, Disturbance, EngineOutput, Measured
-from cosim.codegen import measure
-from cosim.codegen.files import Labels, render_sources
-from cosim.codegen.vectors import RecordedFlight, RecordingController
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
+from hexjet_export.controller import measure
+from hexjet_export.controller.files import Labels, render_sources
+from hexjet_export.controller.vectors import RecordedFlight, RecordingController
 
 CC = measure.find_compiler()
 STRICT = (

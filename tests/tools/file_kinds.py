@@ -137,19 +137,19 @@ def _run(folder: Path) -> Path:
 
 
 def _ulog(folder: Path) -> Path:
-    from cosim.results.export.ulog import export_ulog
+    from cosim.results.export import export_log
 
     run = _run(folder)
-    export_ulog(run, folder / "flight.ulg")
+    export_log("ulog", run, folder / "flight.ulg")
     shutil.rmtree(run)
     return folder / "flight.ulg"
 
 
 def _mat(folder: Path) -> Path:
-    from cosim.results.export.mat import export_mat
+    from cosim.results.export import export_log
 
     run = _run(folder)
-    export_mat(run, folder / "flight.mat")
+    export_log("mat", run, folder / "flight.mat")
     shutil.rmtree(run)
     return folder / "flight.mat"
 

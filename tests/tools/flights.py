@@ -22,7 +22,7 @@ from cosim.base.signals import (
     State,
     Unallocated,
 )
-from cosim.results.export.ulog import export_ulog
+from cosim.results.export import export_log
 from cosim.results.summary import DelayRow, Setup
 from cosim.spec.scenario import Expectation, Range, Scenario
 
@@ -33,7 +33,7 @@ SILENT = (nan,) * 6  # engines that report nothing but their thrust
 def exported(folder: Path | None, path: Path) -> ULog:
     """The ULog of a run, written to ``path`` and read back."""
     assert folder is not None
-    export_ulog(folder, path)
+    export_log("ulog", folder, path)
     log = ULog(str(path))
     assert not log.file_corruption
     return log

@@ -60,7 +60,6 @@ def mistakes(scenario: Scenario) -> None:
     sweep("hover", runs="4")  # type: ignore[arg-type]
     sweep("hover", controller=["smith"])  # type: ignore[call-arg]
     identify("rol")  # type: ignore[arg-type]
-    export("runs/a", "csvv")  # type: ignore[arg-type]
     faults("hexjet", kind=["flame-out"])  # type: ignore[call-arg]
     identify_log("a.ulg", "rol")  # type: ignore[arg-type]
     check_engine("edf").is_ok  # type: ignore[attr-defined]  # noqa: B018

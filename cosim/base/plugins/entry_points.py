@@ -46,6 +46,11 @@ def find_entries(kind: str) -> dict[str, EntryPoint]:
     return found
 
 
+def list_tools(group: str) -> list[EntryPoint]:
+    """Return the entry points of a group whose package is there: a wheel or a checkout may lack it."""
+    return [each for each in entry_points(group=group) if find_spec(each.module.partition(".")[0]) is not None]
+
+
 def load_tool_member(name: str) -> Any:
     """Return the function or the result of a tool that ``cosim`` and ``cosim.api`` name.
 
@@ -63,10 +68,7 @@ def load_hook(name: str) -> Any | None:
 
 
 def _load_member(group: str, name: str) -> Any | None:
-    entry = next(iter(entry_points(group=group, name=name)), None)
-    if entry is None or find_spec(entry.module.partition(".")[0]) is None:
-        return None
-    return entry.load()
+    return next((each.load() for each in list_tools(group) if each.name == name), None)
 
 
 def entry_name(entry: EntryPoint) -> str:

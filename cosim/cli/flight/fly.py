@@ -158,14 +158,15 @@ def _open_links(links: Sequence[str]) -> Iterator[Any]:
 
 @contextmanager
 def _open_flightgear(scenario: Scenario, flightgear: str | None) -> Iterator[Sequence[Observer]]:
-    """Yield FlightGear as an observer, where it is asked for."""
+    """Yield FlightGear as an observer, where it is asked for; a tool has it by an entry point."""
     if flightgear is None:
         yield ()
         return
-    from cosim.results.export.flightgear import FlightGear
+    from cosim.base.plugins.entry_points import load_hook
 
-    environment = scenario.environment
-    viewer = FlightGear(flightgear, environment.latitude_deg, environment.longitude_deg, environment.ground_m)
+    if (viewer_of := load_hook("flightgear")) is None:
+        raise InputError("--flightgear: none of the tools that are installed sends to FlightGear")
+    viewer = viewer_of(flightgear, scenario.environment)
     try:
         yield (viewer,)
     finally:

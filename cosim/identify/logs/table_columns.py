@@ -89,10 +89,43 @@ def _number(text: str) -> float:
 
 
 def read_mcap(path: Path) -> TableColumns:
-    """Read a run's log that was exported as MCAP.  Raises InputError for MCAP of another tool."""
-    from cosim.results.export.mcap_file import read_mcap_columns
+    """Read a run's log that was exported as MCAP.  Raises InputError for MCAP of another tool.
 
-    columns = read_mcap_columns(path)
+    A message of ours is one row of a channel: of each field its tag, of two bytes from the sixteenth field on, and a
+    float64.  All messages of a channel are as long.
+    """
+    try:
+        from google.protobuf.descriptor_pb2 import FileDescriptorSet
+        from mcap.exceptions import McapError
+        from mcap.reader import make_reader
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"{path}: MCAP needs {error.name}, which is not installed: pip install 'hexjet-cosim[export]'"
+        ) from None
+    rows: dict[str, list[bytes]] = {}
+    names: dict[str, list[str]] = {}
+    try:
+        with path.open("rb") as file:
+            for schema, channel, message in make_reader(file).iter_messages():
+                if schema is None or not schema.name.startswith("hexjet."):
+                    continue
+                if channel.topic not in names:
+                    (described,) = FileDescriptorSet.FromString(schema.data).file
+                    names[channel.topic] = [field.name for field in described.message_type[0].field]
+                rows.setdefault(channel.topic, []).append(message.data)
+    except (McapError, ValueError, OSError) as error:
+        raise InputError(f"{path}: cannot be read as MCAP: {one_line(error)}") from error
+    if not rows:
+        raise InputError(f"{path}: is MCAP of another tool; export the flight as ULog or CSV")
+    columns: dict[str, Array] = {}
+    for topic, messages in rows.items():
+        tags = (("u1", (1 if number < 16 else 2,)) for number in range(1, len(names[topic]) + 1))
+        fields = [part for n, tag in enumerate(tags) for part in ((f"tag{n}", *tag), (f"value{n}", "<f8"))]
+        kind = np.dtype(fields)
+        if any(len(message) != kind.itemsize for message in messages):
+            raise InputError(f"{path}: its messages are not as hexjet export writes them")
+        table = np.frombuffer(b"".join(messages), kind)
+        columns |= {name: table[f"value{n}"] for n, name in enumerate(names[topic])}
     return _of_export(path, {TIME: columns[TIME]} | columns)
 
 

@@ -22,10 +22,10 @@ from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.session import make_ground_scenario
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.autopilot.request_log import RequestLog
-from cosim.results.export.ulog import export_ulog
-from cosim.results.export.ulog_autopilot import NAV_STATE
-from cosim.results.export.ulog_topics import EVERY_S, TOPICS
+from cosim.results.export import export_log
 from cosim.results.run import AUTOPILOT, REQUESTS
+from hexjet_export.logs.ulog_autopilot import NAV_STATE
+from hexjet_export.logs.ulog_topics import EVERY_S, TOPICS
 
 SECONDS = 24.0
 ASKED = [
@@ -161,7 +161,7 @@ def test_messages_and_parameters(piloted: Run, ulog: ULog) -> None:
 def test_at_px4s_rates_a_log_is_a_tenth(piloted: Run, tmp_path: Path) -> None:
     """A download at 225 kB/s takes a tenth of the flight."""
     assert piloted.folder is not None
-    export_ulog(piloted.folder, tmp_path / "small.ulg", rates="px4")
+    export_log("ulog", piloted.folder, tmp_path / "small.ulg", rates="px4")
     log = ULog(str(tmp_path / "small.ulg"))
     assert not log.file_corruption
     fixed = 8_000  # formats and parameters, whatever the flight's length
@@ -217,7 +217,7 @@ def test_so_is_a_log_of_a_long_flight_on_turbines(tmp_path: Path) -> None:
     run = fly(scenario, tmp_path / "run", report=False)
     assert run.outcome == "completed"
     assert run.folder is not None
-    export_ulog(run.folder, tmp_path / "long.ulg", rates="px4")
+    export_log("ulog", run.folder, tmp_path / "long.ulg", rates="px4")
     fixed = 8_000
     assert (tmp_path / "long.ulg").stat().st_size < fixed + 22_500 * seconds
     assert not ULog(str(tmp_path / "long.ulg")).file_corruption

@@ -13,7 +13,6 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.campaign.study.keys import with_values
-from cosim.codegen.form import make_form
 from cosim.control.laws.optimal import Optimal
 from cosim.design import design as designs
 from cosim.design.assessment import AxisDesign, assess, predictor_model, shipped_tuning
@@ -30,6 +29,7 @@ from cosim.design.result import answer_lines, detail_lines, to_dict
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import Requirements, apply_controller
 from cosim.spec.scenario import Scenario
+from hexjet_export.controller.form import make_form
 
 pytest.importorskip("clarabel", reason="Clarabel is not installed")
 

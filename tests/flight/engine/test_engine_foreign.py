@@ -35,8 +35,6 @@ from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient
 from cosim.base.storage.toml import parse_setting
 from cosim.cli.main import main
-from cosim.codegen.vectors import record_vectors
-from cosim.codegen.vehicle_ports import ExportedFlight, VehicleContents
 from cosim.control.autopilot import requests as rq
 from cosim.engine import EngineBank, EngineSpec, check_fmu, load_engine
 from cosim.engine.fmu.air import Air
@@ -47,6 +45,8 @@ from cosim.results.log.digest import log_digest
 from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import LedgerRow, make_delay_ledger, select_axis
 from cosim.spec.vehicle import load_vehicle
+from hexjet_export.controller.vectors import record_vectors
+from hexjet_export.vehicle.ports import ExportedFlight, VehicleContents
 
 
 @pytest.fixture(scope="module")

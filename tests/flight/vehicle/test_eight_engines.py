@@ -22,8 +22,7 @@ from cosim.campaign.surveys.survey import measure_flight
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.flight import fly
 from cosim.results.events import list_events
-from cosim.results.export.csv_file import export_csv
-from cosim.results.export.ulog import export_ulog
+from cosim.results.export import export_log
 from cosim.results.metrics import activity, fuel_burnt
 from cosim.results.report.flight_figures import run_figures
 from cosim.results.report.panels import jet_rows
@@ -135,10 +134,10 @@ def test_a_studys_row_is_the_same_flight(run: Run) -> None:
 def test_files_and_figures_have_all_of_them(run: Run, tmp_path: Path) -> None:
     folder = run.folder
     assert folder is not None
-    export_csv(folder, tmp_path / "log.csv")
+    export_log("csv", folder, tmp_path / "log.csv")
     with (tmp_path / "log.csv").open() as file:
         assert {"throttle_8", "fault_jet_8", "thrust_8_N"} <= set(next(csv.reader(file)))
-    export_ulog(folder, tmp_path / "log.ulg")
+    export_log("ulog", folder, tmp_path / "log.ulg")
     topics = {topic.name: topic.data for topic in ULog(str(tmp_path / "log.ulg")).data_list}
     assert "hexjet_own" not in topics
     for n in range(8):

@@ -128,7 +128,7 @@ def test_no_interpreter_is_started_that_looks_into_the_current_folder() -> None:
     assert len(found) >= 5
     scripts = {"__file__", "str(HERE)", "str(path)"}
     assert {where: flag for where, flag in found.items() if flag not in {"'-P'", "'-I'", *scripts}} == {}
-    assert 'flags[] = "-EP"' in (ROOT / "cosim" / "codegen" / "templates" / "process.c").read_text()
+    assert 'flags[] = "-EP"' in (ROOT / "tools" / "hexjet_export" / "vehicle" / "process.c").read_text()
 
 
 def test_processes_of_multiprocessing_do_not_either() -> None:

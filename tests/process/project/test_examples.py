@@ -11,7 +11,7 @@ import pytest
 from places import ROOT
 
 from cosim import Scenario, fly, open_run
-from cosim.codegen import measure
+from hexjet_export.controller import measure
 
 EXAMPLES = ROOT / "examples"
 SAYS = {

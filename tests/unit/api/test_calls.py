@@ -181,8 +181,8 @@ WITHOUT = {  # options that a call has no argument of, and why
         ("faults", "studies.faults:Faults"),
         ("failsafes", "studies.faults:FailsafeOptions"),
         ("compare", "results.compare:Compare"),
-        ("export_vehicle", "results.export:ExportVehicle"),
-        ("export_controller", "results.export:ExportController"),
+        ("export_vehicle", "hexjet_export.command:ExportVehicle"),
+        ("export_controller", "hexjet_export.command:ExportController"),
         ("check_engine", "engine:Check"),
         ("map_engine", "engine:Map"),
         ("check_aircraft", "aircraft:Check"),
@@ -191,7 +191,7 @@ WITHOUT = {  # options that a call has no argument of, and why
 def test_a_line_that_names_an_option_names_an_argument_instead(name: str, record: str) -> None:
     """Of every option of the command there is an argument, by which a line of the call names it."""
     parameters = inspect.signature(getattr(cosim, name)).parameters
-    options = resolve_name(f"cosim.cli.{record}").options().values()
+    options = resolve_name(record if record.startswith("hexjet_") else f"cosim.cli.{record}").options().values()
     for option in {each.names[0].partition("/")[0] for each in options if each.names} - WITHOUT.keys():
         assert "--" not in with_arguments(f"so {option} 3", parameters, name), option
 

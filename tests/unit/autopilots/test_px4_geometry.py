@@ -22,10 +22,10 @@ from cosim.autopilots.parameters import (
 from cosim.autopilots.prepare import Setup, prepare
 from cosim.autopilots.px4 import Px4, check_unknown_parameters, invert_yaw_curve
 from cosim.base.errors import InputError
-from cosim.codegen.form import make_form
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Jet, Vehicle, aircraft_names, engine_of, load_vehicle
+from hexjet_export.controller.form import make_form
 
 VEHICLES = [load_vehicle(name)[0] for name in sorted(aircraft_names())]
 TOLD = [vehicle for vehicle in VEHICLES if vehicle.allocation != "effectiveness"]

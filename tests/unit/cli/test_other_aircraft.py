@@ -6,8 +6,8 @@ import pytest
 
 from cosim.base.errors import InputError
 from cosim.cli.options import load_scenario
-from cosim.codegen.form import make_form
 from cosim.simulation.build import build
+from hexjet_export.controller.form import make_form
 
 
 @pytest.mark.parametrize(

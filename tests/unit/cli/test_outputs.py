@@ -9,9 +9,9 @@ import click
 import pytest
 
 from cosim import InputError, fly
-from cosim.api.export import log_path
 from cosim.cli.main import cli
 from cosim.cli.outputs import Out
+from cosim.results.export import log_path
 
 
 def commands(command: click.Command, names: tuple[str, ...], context: click.Context) -> Iterator[tuple[str, Out]]:

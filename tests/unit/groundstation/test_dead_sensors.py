@@ -28,7 +28,7 @@ from cosim.groundstation.session import make_ground_scenario
 from cosim.groundstation.web.feed import describe_state as web_state
 from cosim.results.autopilot.autopilot_record import read_pilot_record
 from cosim.results.autopilot.request_log import RequestLog
-from cosim.results.export.ulog import export_ulog
+from cosim.results.export import export_log
 from cosim.results.run import REQUESTS
 from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
@@ -169,7 +169,7 @@ def test_the_log_has_height_and_climb_as_estimated_and_says_what_is_not_valid(tm
     log.close()
     scenario = Scenario.from_table(waiting.model_dump(mode="json", exclude_none=True), tmp_path, "waiting")
     run = fly(scenario, tmp_path / "run", report=False)
-    export_ulog(run.folder, tmp_path / "flight.ulg")
+    export_log("ulog", run.folder, tmp_path / "flight.ulg")
     data = ULog(str(tmp_path / "flight.ulg")).get_dataset("vehicle_local_position").data
     lost = data["timestamp"] > 10.5e6
     truth = np.asarray(run.log["altitude_m"])
@@ -200,7 +200,7 @@ def test_the_log_has_height_and_climb_as_estimated_and_says_what_is_not_valid(tm
             line.pop(name, None)
         older.append(json.dumps(line) + "\n")
     path.write_text("".join(older), encoding="utf-8")
-    export_ulog(run.folder, tmp_path / "older.ulg")
+    export_log("ulog", run.folder, tmp_path / "older.ulg")
     before = ULog(str(tmp_path / "older.ulg")).get_dataset("vehicle_local_position").data
     np.testing.assert_array_equal(before["z"], -raw.astype(np.float32)[: len(before["z"])])
     assert before["z_valid"].all()

@@ -35,7 +35,7 @@ from cosim.groundstation.mavlink.services.logs import (
 )
 from cosim.groundstation.mavlink.services.metadata import Metadata
 from cosim.groundstation.mavlink.services.service import crc32
-from cosim.results.export.ulog import export_ulog
+from cosim.results.export import export_log
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 
@@ -424,7 +424,7 @@ def test_a_run_is_listed_and_downloaded_as_the_ulog_that_export_writes(
     assert found[2].size == 0  # the broken one; MAVSDK refuses to download it
     for number in (0, 1):
         expected = tmp_path / f"{number}.ulg"
-        export_ulog(runs / f"run{number + 1}", expected, rates="px4")
+        export_log("ulog", runs / f"run{number + 1}", expected, rates="px4")
         assert found[number].size == expected.stat().st_size
         got = download(station, number, found[number].size)
         assert got == expected.read_bytes()

@@ -15,7 +15,7 @@ from cosim.identify.logs.flight_log import Channel, terms
 from cosim.identify.logs.log_columns import ESTIMATED, as_columns
 from cosim.identify.prediction_error.identify_log import _clock
 from cosim.identify.prediction_error.stretches import Clock
-from cosim.results.export.csv_file import export_csv
+from cosim.results.export import export_log
 from cosim.results.run import begin_run, open_run
 
 pytestmark = pytest.mark.usefixtures("logs_read_here")
@@ -156,7 +156,7 @@ def test_a_table_says_its_time(tmp_path: Path) -> None:
 
 def test_a_csv_of_ours_has_our_stamps_and_any_other_its_own(doublet: Path, tmp_path: Path) -> None:
     """A thrust stands in the row of the step at whose end it is there; which stamps a bench's table has is its own."""
-    export_csv(doublet, tmp_path / "flight.csv")
+    export_log("csv", doublet, tmp_path / "flight.csv")
     ours, run = read_flight_log(tmp_path / "flight.csv"), read_flight_log(doublet)
     np.testing.assert_allclose(ours.channels["thrust_2_N"].times, run.channels["thrust_2_N"].times, atol=1e-12)
     assert ours.channels["throttle_2"].times[0] == run.channels["throttle_2"].times[0]

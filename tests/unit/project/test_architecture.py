@@ -43,9 +43,9 @@ HOMES = {
     "pandas": ["results/log/tables.py"],
     "pyulog": ["identify/logs/ulog.py"],
     "nptdms": ["identify/logs/tdms.py"],
-    "mcap": ["results/export/mcap_file.py"],
-    "mcap_protobuf": ["results/export/mcap_file.py", "results/export/scene.py"],
-    "foxglove_schemas_protobuf": ["results/export/mcap_file.py", "results/export/scene.py"],
+    "mcap": ["identify/logs/table_columns.py", "tools/hexjet_export/logs/mcap_file.py"],
+    "mcap_protobuf": ["tools/hexjet_export/logs/mcap_file.py", "tools/hexjet_export/logs/scene.py"],
+    "foxglove_schemas_protobuf": ["tools/hexjet_export/logs/mcap_file.py", "tools/hexjet_export/logs/scene.py"],
 }
 
 # Blocks get values and return values: no files, clocks, environment or global randomness.
@@ -74,7 +74,7 @@ OUR_FILE_READERS = {
 # What somebody else may have made is read by read_file, read_text and read_json of base/storage/files.py: regular files
 # of a limited size.  These read what the package or a process of its own has made.
 READS_BY_ITSELF = [
-    "autopilots/", "base/", "codegen/", "engine/", "identify/logs/", "campaign/installed.py", "design/survey.py",
+    "autopilots/", "base/", "engine/", "identify/logs/", "campaign/installed.py", "design/survey.py",
     "groundstation/mavlink/wire/generate.py", "groundstation/web/server.py", "identify/files.py",
     "results/report/page.py", "shelf/server.py", "simulation/controllers/process.py", "spec/new_aircraft.py",
     "spec/vehicle/sensor_profile.py",

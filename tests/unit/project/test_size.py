@@ -12,11 +12,11 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 5_500,
-    "cosim": 102_800,
+    "cosim": 98_800,
     "docs": 6_500,
     "tests": 76_850,
     "tools/hexjet_design": 50,
-    "tools/hexjet_export": 50,
+    "tools/hexjet_export": 4_100,
     "tools/hexjet_identify": 50,
     "tools/hexjet_laws": 650,
     "tools/hexjet_paper": 4_550,

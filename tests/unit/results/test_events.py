@@ -19,7 +19,7 @@ from cosim.results.events import (
     list_events,
     spans,
 )
-from cosim.results.export.ulog import export_ulog
+from cosim.results.export import export_log
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.report.flight import write_report
 from cosim.results.report.log_reader import Reader
@@ -182,7 +182,7 @@ def test_the_page_tells_of_them(run: Run) -> None:
 
 def test_ulog_carries_them(run: Run, tmp_path: Path) -> None:
     assert run.folder is not None
-    export_ulog(run.folder, tmp_path / "x.ulg")
+    export_log("ulog", run.folder, tmp_path / "x.ulg")
     log = ULog(str(tmp_path / "x.ulg"))
     said = [(message.timestamp, message.message) for message in log.logged_messages]
     assert (1_000_000, "jet 6: flame-out") in said

@@ -16,8 +16,7 @@ from cosim.base.protocols import Column, EngineState
 from cosim.base.signals import Actuation, Command, Disturbance, Measured
 from cosim.flight import record
 from cosim.results import metrics
-from cosim.results.export.csv_file import export_csv
-from cosim.results.export.ulog import export_ulog
+from cosim.results.export import export_log
 from cosim.results.log.columns import NAMES, log_columns
 from cosim.results.log.digest import DigestSink, log_digest
 from cosim.results.report.flight import write_report
@@ -100,9 +99,9 @@ def test_the_log_has_them_last_with_what_they_mean(folder: Path) -> None:
 
 def test_so_have_csv_ulog_and_page(folder: Path, tmp_path: Path) -> None:
     log = open_run(folder).log
-    export_csv(folder, tmp_path / "flight.csv")
+    export_log("csv", folder, tmp_path / "flight.csv")
     assert (tmp_path / "flight.csv").read_text().splitlines()[0].endswith(f",{SURFACE.name},{GAIN.name}")
-    export_ulog(folder, tmp_path / "flight.ulg")
+    export_log("ulog", folder, tmp_path / "flight.ulg")
     ulog = ULog(str(tmp_path / "flight.ulg"))
     data = ulog.get_dataset("hexjet_own").data
     for column in (SURFACE, GAIN):

@@ -37,10 +37,11 @@ DATA = 90  # bytes in a LOG_DATA
 LOG_FOLDER = "log/"
 _CONVERT = """
 import os, pathlib
-from cosim.results.export.ulog import export_ulog
+from cosim.results.export import export_log
 if hasattr(os, "nice"):
     os.nice(10)  # the flight that is under way comes first
-export_ulog(*map(pathlib.Path, sys.argv[1:]), rates="px4")  # small enough to come down in a tenth of the flight's time
+# small enough to come down in a tenth of the flight's time
+export_log("ulog", *map(pathlib.Path, sys.argv[1:]), rates="px4")
 """
 
 

@@ -1,0 +1,107 @@
+"""The constants and the C of the allocation by effectiveness, as an exported controller has them.
+
+The C is the one that flies here, ``cosim/control/allocation/effectiveness.h``: its types go into the controller's
+header and its functions into the controller, with the names that the controller's files have.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import cosim
+from cosim.base.errors import InputError
+from cosim.base.signals import Vector3
+from cosim.control.allocation.effectiveness import FIRST_PASSES, PASSES, EffectivenessAllocator
+from cosim.spec.vehicle import Vehicle
+
+SOURCE = Path(cosim.__file__).parent / "control" / "allocation" / "effectiveness.h"
+_TYPES = ("Vector", "Link", "JetStation", "ServoMover", "RowLevel", "Effectors")
+_SIZES = {
+    "MOST_JETS": "JETS",
+    "MOST_MOVERS": "SERVOS",
+    "MOST_LINKS": "LINKS",
+    "MOST_EFFECTORS": "EFFECTORS",
+    "ROWS": "ROWS",
+}
+
+
+def make_hinged_form(allocator: EffectivenessAllocator, vehicle: Vehicle) -> dict[str, Any]:
+    """Return the constants of the allocation.  Raises InputError for a vehicle with surfaces."""
+    if allocator.surfaces:
+        raise InputError(
+            f"{vehicle.name}: surfaces have no C form; hexjet export controller --loops writes the loops alone, for a "
+            "mixer of your own, hexjet export vehicle the whole vehicle as an FMU"
+        )
+    known, servos = allocator.constants, len(vehicle.actuators)
+    links = max(1, *(len(chain) for _, _, _, chain in known.stations))
+    movers = [
+        {"point": _vector(point), "axis": _vector(axis), "wrench": [0.0] * 6}
+        | {"least": least, "most": most, "step": step, "lead": lead}
+        for point, axis, least, most, step, lead in known.hinges
+    ]
+    effectors: dict[str, Any] = {
+        "jets": str(len(known.stations)),
+        "hinges": str(len(known.hinges)),
+        "movers": str(len(known.hinges)),
+        "jet": [
+            {"place": _vector(place), "axis": _vector(axis), "twist": twist, "links": str(len(chain))}
+            | ({"chain": [_link(*link) for link in chain]} if chain else {})
+            for place, axis, twist, chain in known.stations
+        ],
+    }
+    if movers:
+        effectors["mover"] = movers
+    effectors |= {"scale": known.scales, "norm": list(known.norms), "weight": known.weight, "given": "GIVEN"}
+    reach = [*known.servo_limits, *[(0.0, 0.0)] * (servos - len(known.servo_limits))]
+    return {
+        "kind": "effectiveness",
+        "links": links,
+        "passes": PASSES,
+        "first_passes": FIRST_PASSES,
+        "values": {
+            "effectors": effectors,
+            "levels": str(len(known.levels)),
+            "level": [{"rows": str(len(rows)), "row": [str(row) for row in rows]} for rows in known.levels],
+            "tensor": [list(row) for row in known.tensor],
+            "inverse": [list(row) for row in known.inverse],
+            "share_low": [low for low, _ in known.shares],
+            "share_high": [high for _, high in known.shares],
+            "end_low": [low for low, _ in known.thrust_limits],
+            "end_high": [high for _, high in known.thrust_limits],
+            "preferred": known.preferred,
+            "reach_low": [low for low, _ in reach],
+            "reach_high": [high for _, high in reach],
+            "rest": list(allocator.rest),
+        },
+    }
+
+
+def _vector(value: Vector3) -> dict[str, float]:
+    x, y, z = value
+    return {"x": x, "y": y, "z": z}
+
+
+def _link(hinge: int, effect: float, carries: bool) -> dict[str, Any]:
+    return {"hinge": str(hinge), "effect": effect, "carries": "true" if carries else "false"}
+
+
+def render_solver(name: str) -> tuple[str, str]:
+    """Return the types and the functions of the allocation with the names of a controller's files."""
+    text = SOURCE.read_text(encoding="utf-8")
+    _, _, text = text.partition("#define MOST_EFFECTORS (MOST_JETS + MOST_MOVERS)\n\n")
+    types, _, functions = text.partition("/* --- functions, and what they alone know --- */\n\n")
+    functions, _, _ = functions.rpartition("#endif")
+    for size, here in _SIZES.items():
+        types, functions = (re.sub(rf"\b{size}\b", f"{name.upper()}_{here}", part) for part in (types, functions))
+    for kind in _TYPES:
+        types, functions = (re.sub(rf"\b{kind}\b", f"{name}_{kind}", part) for part in (types, functions))
+    return re.sub(r"\bReal\b", f"{name}_Real", types).rstrip() + "\n", _method() + functions.rstrip() + "\n"
+
+
+def _method() -> str:
+    """Return what the source says of the method and where it is from, as a comment."""
+    head, _, _ = SOURCE.read_text(encoding="utf-8").partition(" */\n")
+    _, _, told = head.partition(" * --- What is solved ---\n *\n")
+    return "/* Allocation.\n *\n" + told.replace(" * --- By priority ---\n *\n", "") + " */\n"

@@ -1,0 +1,177 @@
+"""Test vectors for another implementation of a controller: its inputs and outputs at every step of a flight."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from cosim.base.constants import SERVOS
+from cosim.base.errors import InputError
+from cosim.base.protocols import Controller, Diagnostics, EngineState
+from cosim.base.signals import (
+    AXES,
+    ZERO3,
+    Actuation,
+    Command,
+    ControlSignals,
+    Disturbance,
+    EngineOutput,
+    Measured,
+    PerJet,
+)
+from cosim.simulation.step import Simulation
+from hexjet_export.controller.quantity import Quantity
+
+ENGINES = {EngineState.FLY: 0.0, EngineState.IDLE: 1.0, EngineState.OFF: 2.0}
+INPUT_QUANTITIES = (
+    *(Quantity(f"{axis}_setpoint", "rad", f"Attitude asked for: {axis}") for axis in AXES),
+    Quantity("altitude_setpoint", "m", "Height above the ground asked for"),
+    *(
+        Quantity(f"{axis}_rate_setpoint", "rad/s", f"Body rate asked for where rates_commanded: {axis}")
+        for axis in AXES
+    ),
+    Quantity("collective_setpoint", "1", "Mean throttle asked for where collective_commanded"),
+    Quantity("rates_commanded", "1", "1: body rates are asked for in place of an attitude"),
+    Quantity("collective_commanded", "1", "1: a mean throttle is asked for in place of a height"),
+    Quantity("engines", "1", "0: as the loops ask; 1: idle; 2: off"),
+    *(Quantity(f"{axis}_rate", "rad/s", f"Measured body rate: {axis}") for axis in AXES),
+    Quantity("attitude_w", "1", "Measured attitude, quaternion body to NED: w", 1.0),  # the start value is upright
+    *(Quantity(f"attitude_{part}", "1", f"Measured attitude, quaternion body to NED: {part}") for part in "xyz"),
+    Quantity("velocity_down", "m/s", "Measured velocity downwards"),
+    Quantity("altitude", "m", "Measured height above the ground"),
+    Quantity("fuel_burnt", "kg", "Fuel burnt since the full tank"),
+)
+INPUTS = tuple(quantity.name for quantity in INPUT_QUANTITIES)
+
+
+LOOP_INPUTS = (*INPUTS, *(f"unallocated_{name}" for name in (*AXES, "collective")))
+LOOP_OUTPUTS = (
+    *(f"shown_torque_{axis}" for axis in AXES),
+    "shown_collective",
+    *(f"shown_{what}_{axis}" for what in ("rate_setpoint", "predicted") for axis in AXES),
+)  # inputs of the loops alone
+
+
+def list_output_names(jets: int, servos: Sequence[str] = SERVOS) -> tuple[str, ...]:
+    """Return the names of the controller's outputs in the order of a row."""
+    return (
+        *(f"throttle_{jet}" for jet in range(1, jets + 1)),
+        *(f"tilt_{servo}" for servo in servos),
+        *(f"unallocated_{name}" for name in (*AXES, "collective")),
+        *(f"shown_rate_setpoint_{axis}" for axis in AXES),
+        *(f"shown_predicted_{axis}" for axis in AXES),
+        *(f"shown_torque_{axis}" for axis in AXES),
+        "shown_collective",
+        "shown_allocated",
+        *(f"off_{jet}" for jet in range(1, jets + 1)),
+    )
+
+
+@dataclass
+class RecordedFlight:
+    """A recorded flight: the start, then one row a step, inputs before outputs."""
+
+    on_ground: bool = False
+    burnt: float = 0.0  # kg
+    start: PerJet = ()  # throttles before the first step
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+
+
+def make_loop_rows(vectors: RecordedFlight, jets: int, servos: Sequence[str]) -> list[tuple[float, ...]]:
+    """Return a flight's rows as the loops alone have them: what was not given in the step before is an input."""
+    names = list_output_names(jets, servos)
+    left = [len(INPUTS) + names.index(name) for name in LOOP_INPUTS[len(INPUTS) :]]
+    given = [len(INPUTS) + names.index(name) for name in LOOP_OUTPUTS]
+    before = (0.0,) * len(left)
+    rows = []
+    for row in vectors.rows:
+        rows.append((*row[: len(INPUTS)], *before, *(row[place] for place in given)))
+        before = tuple(row[place] for place in left)
+    return rows
+
+
+class RecordingController:
+    """A controller that delegates to another one and records that one's inputs and outputs."""
+
+    def __init__(self, inner: Controller, vectors: RecordedFlight) -> None:
+        self._inner, self._vectors = inner, vectors
+        self._burnt = 0.0
+
+    @property
+    def signals(self) -> ControlSignals:
+        return self._inner.signals
+
+    @property
+    def lost(self) -> tuple[int, ...]:
+        return self._inner.lost
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostics, Diagnostics, Diagnostics]:
+        return self._inner.diagnostics
+
+    def reset(self, on_ground: bool, burnt: float) -> PerJet:
+        vectors, self._burnt = self._vectors, burnt
+        vectors.on_ground, vectors.burnt = on_ground, burnt
+        vectors.rows.clear()
+        vectors.start = self._inner.reset(on_ground, burnt)
+        return vectors.start
+
+    def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
+        if (injected.torque_command, injected.torque_output) != (ZERO3, ZERO3):
+            raise InputError("the flight adds a signal to the controller's own; choose a scenario without one")
+        if command.ahead is not None:
+            raise InputError("the flight asks for a speed ahead, which is the wing's law, and that is not exported")
+        actuation = self._inner.update(command, measured, injected, engines)
+        if self._inner.lost or (actuation.off and engines is not EngineState.OFF):
+            raise InputError("the flight loses an engine, and plans around lost engines are not exported")
+        row = (
+            *command.attitude,
+            command.altitude,
+            *(command.rate or ZERO3),
+            command.collective or 0.0,
+            0.0 if command.rate is None else 1.0,
+            0.0 if command.collective is None else 1.0,
+            ENGINES[engines],
+            *measured.rate,
+            *measured.attitude,
+            measured.velocity[2],
+            measured.altitude,
+            self._burnt,
+        )
+        signals = self._inner.signals
+        outputs = (
+            *actuation.throttle,
+            *actuation.tilt,
+            *actuation.unallocated,
+            *signals.rate_setpoint,
+            *signals.rate_predicted,
+            *signals.torque,
+            signals.collective,
+            signals.allocated,
+            *(1.0 if jet in actuation.off else 0.0 for jet in range(len(actuation.throttle))),
+        )
+        self._vectors.rows.append((*row, *outputs))
+        return actuation
+
+    def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
+        self._burnt = burnt
+        return self._inner.watch(engines, burnt)
+
+    def forgive(self) -> None:
+        self._inner.forgive()
+
+
+def record_vectors(simulation: Simulation) -> RecordedFlight:
+    """Fly a simulation to its end and write down its controller's inputs and outputs.
+
+    Raises InputError for a flight that loses an engine, adds signals to the controller's or fails.
+    """
+    if simulation.starting:
+        raise InputError("the flight starts its engines on the way, which is not exported; leave engine_start out")
+    vectors = RecordedFlight()
+    simulation.controller = RecordingController(simulation.controller, vectors)
+    simulation.reset()
+    ending = simulation.run()
+    if ending.outcome == "failed":
+        raise InputError(f"the flight for the test vectors {ending.outcome}: {ending.reason}")
+    return vectors

@@ -1,0 +1,127 @@
+"""What the formats share: what was said when, the numbers of what flew, and quaternions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cosim import FlightError, InputError, Run, Scenario
+from cosim.base.arrays import Array
+from cosim.base.outcomes import Verdict
+from cosim.logs import Column, list_events, read_pilot_record
+
+Block = dict[str, Array]
+Line = dict[str, Any]  # of the autopilot's record
+Timed = tuple[int, int, int, bytes]  # of MCAP: step, time [ns], channel, message
+
+INFO, ERROR = 6, 3  # severities as in syslog
+
+
+class LogLine(NamedTuple):
+    """A line of text about a flight: its step, its time, its severity as in syslog, and what it is of."""
+
+    k: int
+    time_s: float
+    severity: int
+    kind: str
+    text: str
+
+
+def read_pilot(run: Run) -> list[Line]:
+    """Return what the autopilot of a run recorded; nothing where none flew."""
+    return [] if run.folder is None else read_pilot_record(run.folder)
+
+
+def log_lines(run: Run, lines: Sequence[Line]) -> list[LogLine]:
+    """Return faults, verdicts, disturbances and contacts, their ends, the autopilot's messages, and the outcome."""
+    step, summary = run.summary.step_s, run.summary
+    texts = [LogLine(k, k * step, severity, "pilot", text) for k, severity, text in messages(lines)]
+    texts += [LogLine(k, k * step, INFO, "pilot", text) for k, text in mode_changes(lines)]
+    level = INFO if summary.outcome == "completed" else ERROR
+    end, last = summary.steps, summary.duration_s
+    worth = "" if summary.verdict in (None, Verdict.NOT_COMPLETED) else f"; {summary.verdict}"
+    texts.append(LogLine(end, last, level, "outcome", f"{summary.outcome}: {summary.reason}{worth}"))
+    texts += [LogLine(end, last, ERROR, "limit", f"beyond its limit: {text}") for text in summary.exceeded]
+    for event in list_events(run):
+        if event.kind != "pilot":
+            texts.append(LogLine(round(event.time_s / step), event.time_s, event.severity, event.kind, event.text))
+            if event.end_s is not None:
+                texts.append(LogLine(round(event.end_s / step), event.end_s, INFO, event.kind, f"over: {event.text}"))
+    return sorted(texts, key=lambda line: line.k)
+
+
+def messages(lines: Sequence[Line]) -> list[tuple[int, int, str]]:
+    """Step, severity as in syslog, text."""
+    return [(max(0, line["k"]), line["severity"], line["text"]) for line in lines if line["kind"] == "message"]
+
+
+def mode_changes(lines: Sequence[Line]) -> list[tuple[int, str]]:
+    """Return changes of mode, arming and failsafe as lines of text, for a log's list of messages."""
+    changes: list[tuple[int, str]] = []
+    before: Line = {}
+    for line in (line_read for line_read in lines if line_read["kind"] == "state"):
+        if before and line["armed"] != before["armed"]:
+            changes.append((line["k"], "armed" if line["armed"] else "disarmed"))
+        if before and line["mode"] != before["mode"]:
+            changes.append((line["k"], f"mode {line['mode']}"))
+        before = line
+    return changes
+
+
+def describe_column(column: Column) -> str:
+    """Return unit, frame and meaning in a line, for formats whose fields have no units."""
+    return f"[{column.unit}] {f'{column.frame}: ' if column.frame else ''}{column.meaning}"
+
+
+def read_flown_scenario(run: Run) -> Scenario | None:
+    """Return the scenario as flown; None where it is of another version or gone, while the log is still there."""
+    try:
+        scenario = run.scenario
+        scenario.resolved_vehicle()
+    except (InputError, FlightError):
+        return None
+    return scenario
+
+
+def list_numbers(scenario: Scenario | None) -> dict[str, float]:
+    """Return every number of the vehicle, with its gains, and of the scenario: under its key, parted by ``/``.
+
+    Of the identified models only that of the engine that is flown.  What is whole is whole, truth is 0 or 1.
+    """
+    if scenario is None:
+        return {}
+    table = scenario.model_dump(mode="json", exclude={"vehicle", "expect"})
+    vehicle = scenario.resolved_vehicle()[0].model_dump(mode="json")
+    family = Path(scenario.engine).name.removesuffix("-fmi2")  # what a model is filed under, in either FMI version
+    vehicle["identified"] = {name: models for name, models in vehicle["identified"].items() if name == family}
+    return dict([*_leaves("vehicle", vehicle), *_leaves("scenario", table)])
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, float]]:
+    if isinstance(value, Mapping):
+        for key, part in value.items():
+            yield from _leaves(f"{name}/{key}", part)
+    elif isinstance(value, list | tuple):
+        for number, part in enumerate(value):
+            yield from _leaves(f"{name}/{number}", part)
+    elif isinstance(value, bool):
+        yield name, int(value)
+    elif isinstance(value, int | float):
+        yield name, value
+
+
+def quaternions(roll: Array, pitch: Array, yaw: Array) -> Array:
+    """Return quaternions w, x, y, z, shape (n, 4), of the yaw-pitch-roll sequence (rad): body to NED."""
+    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(0.5 * angle), np.sin(0.5 * angle)) for angle in (roll, pitch, yaw))
+    return np.stack(
+        (
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ),
+        axis=1,
+    )

@@ -1,0 +1,221 @@
+"""A run's log as ULog, for PlotJuggler and PX4's Flight Review.
+
+ULog follows PX4's "ULog File Format", version 1.  Topics have PX4's names and fields where a quantity is the same thing
+in the same frame and unit (FRD body, NED, quaternions from body to NED); ``vehicle_*`` is what the sensors say,
+``*_groundtruth`` is what is so, and ``wind`` is the true wind.  What PX4 has no topic for is in topics that begin with
+``hexjet_``, and what blocks show of their own in ``hexjet_own``.  Values are float32, as PX4 logs them; the CSV has
+every digit.  Parameters are the autopilot's, and the vehicle's and the scenario's numbers under their keys, with ``/``
+where a key has a point, which a ULog's name must not have.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim import Run
+from cosim.logs import Summary, custom_columns, logged_vehicle_of, run_properties
+from hexjet_export.logs import ulog_autopilot
+from hexjet_export.logs.contents import (
+    Block,
+    Line,
+    describe_column,
+    list_numbers,
+    log_lines,
+    read_flown_scenario,
+    read_pilot,
+)
+from hexjet_export.logs.ulog_topics import BY_AUTOPILOT, CUSTOM, EVERY_S, STATES, Field, column, topics
+
+Rates = Literal["all", "px4"]
+_STRUCT = {"float": "f", "bool": "B", "uint8_t": "B", "int32_t": "i", "uint64_t": "Q"}
+_TYPES = {"float": "<f4", "bool": "<u1", "uint8_t": "<u1", "int32_t": "<i4", "uint64_t": "<u8"}
+_LONGEST = 240  # bytes of a parameter's name, which shares 255 with its type
+_INTEGER_LIMIT = 2**31  # beyond it an integer is no parameter
+
+
+def export_ulog(run: Run, path: Path, rates: Rates = "all") -> None:
+    """Write a run's log as ULog, with what its autopilot did if one flew it.
+
+    ``rates``: ``all`` writes every step, ``px4`` each topic about as often as PX4's default profile does
+    (:data:`EVERY_S`), which is a tenth of it, and at the last step.  Raises InputError if there is no run or the file
+    cannot be written.
+    """
+    step, lines = run.summary.step_s, read_pilot(run)
+    custom = custom_columns(run.log.described)
+    topics_by_name = dict(_of(lines, run.log.columns)) | (
+        {CUSTOM: [column("float", c.name, c.name) for c in custom]} if custom else {}
+    )
+    topics_held = {
+        name: _topic(fields, step if rates == "all" else EVERY_S[name], step) for name, fields in topics_by_name.items()
+    }
+    pilot = ulog_autopilot.states(lines, run.summary.steps, step)
+    at_start, changes = ulog_autopilot.parameters(lines)
+    at_start = _by_parameter_name(list_numbers(read_flown_scenario(run))) | at_start
+    with open(path, "wb") as file:
+        file.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0))
+        file.write(_message(b"B", bytes(40)))
+        file.writelines(_message(b"I", _info(key, value)) for key, value in _properties(run.summary).items())
+        file.writelines(_message(b"I", _info(f"{CUSTOM}_{column.name}", describe_column(column))) for column in custom)
+        file.writelines(_message(b"P", ulog_autopilot.parameter(name, value)) for name, value in at_start.items())
+        file.writelines(_message(b"F", _format(name, topic.fields)) for name, topic in topics_held.items())
+        file.writelines(_message(b"F", _series_format(name, series)) for name, series in pilot.items())
+        file.writelines(
+            _message(b"A", struct.pack("<BH", 0, number) + name.encode())
+            for number, name in enumerate([*topics_held, *pilot])
+        )
+        events = [
+            *_series_messages(pilot, len(topics_held), step),
+            *((line.k, _log_message(line.severity, line.time_s, line.text)) for line in log_lines(run, lines)),
+            *((k, _message(b"P", ulog_autopilot.parameter(name, value))) for k, name, value in changes),
+        ]
+        events.sort(key=lambda event: event[0])
+        done, first = 0, 0
+        estimates, last = ulog_autopilot.estimates(lines), len(run.log) - 1
+        for block in run.log.blocks(run.log.columns):
+            if estimates is not None:
+                block = block | _hold_estimates(estimates, first, len(block["time_s"]))
+            messages = [
+                message
+                for n, topic in enumerate(topics_held.values())
+                for message in _messages(topic, n, block, first, last)
+            ]
+            first += len(block["time_s"])
+            while done < len(events) and events[done][0] < first:
+                messages.append(events[done])
+                done += 1
+            messages.sort(key=lambda message: message[0])
+            file.writelines(content for _, content in messages)
+        file.writelines(content for _, content in events[done:])
+
+
+# ---- ULog
+
+
+class _Topic(NamedTuple):
+    """A topic of the rows: what is in it, and every how many rows."""
+
+    fields: list[Field]
+    every: int
+    kind: np.dtype[np.void]
+
+
+_Timed = tuple[int, bytes]  # a message and its step
+
+
+def _of(lines: Sequence[Line], names: Sequence[str]) -> list[tuple[str, list[Field]]]:
+    """Return the topics of the rows: those of an autopilot replace what follows from the loops."""
+    rows = topics(logged_vehicle_of(names))
+    if not any(line["kind"] == "state" for line in lines):
+        return list(rows.items())
+    return [(name, fields) for name, fields in (rows | BY_AUTOPILOT).items() if name not in STATES]
+
+
+def _topic(fields: list[Field], seconds: float, step: float) -> _Topic:
+    return _Topic(fields, max(1, round(seconds / step)), _message_type(fields))
+
+
+def _messages(topic: _Topic, number: int, block: Block, first: int, last: int) -> Iterator[_Timed]:
+    """Yield the data messages of a topic in a block from step ``first`` on; that of the ``last`` step always."""
+    count = len(block["time_s"])
+    steps = [*range(first + -first % topic.every, first + count, topic.every)]
+    if first <= last < first + count and last % topic.every:
+        steps.append(last)
+    rows = {name: values[np.array(steps, dtype=np.intp) - first] for name, values in block.items()}
+    messages = np.zeros(len(steps), dtype=topic.kind)
+    _fill(messages, number, topic.fields, rows)
+    content, size = messages.tobytes(), topic.kind.itemsize
+    for n, k in enumerate(steps):
+        yield k, content[n * size : (n + 1) * size]
+
+
+def _hold_estimates(estimates: ulog_autopilot.Series, first: int, count: int) -> Block:
+    """Return the autopilot's estimates as columns of a block: each holds until the next."""
+    at = np.searchsorted(estimates.k, np.arange(first, first + count), side="right") - 1
+    return {
+        f"autopilot_{name}": np.where(at < 0, np.nan, values[np.maximum(at, 0)])
+        for name, values in estimates.values.items()
+    }
+
+
+def _series_format(name: str, series: ulog_autopilot.Series) -> bytes:
+    fields = "".join(f"{ulog_autopilot.TYPES.get(field, 'float')} {field};" for field in series.values)
+    return f"{name}:uint64_t timestamp;{fields}".encode()
+
+
+def _series_messages(pilot: Mapping[str, ulog_autopilot.Series], number: int, step: float) -> Iterator[_Timed]:
+    for series in pilot.values():
+        packing = "<HQ" + "".join(_STRUCT[ulog_autopilot.TYPES.get(field, "float")] for field in series.values)
+        for n, k in enumerate(series.k.tolist()):
+            values = (values[n] for values in series.values.values())
+            kinds = (ulog_autopilot.TYPES.get(field, "float") for field in series.values)
+            row = [float(v) if kind == "float" else int(v) for v, kind in zip(values, kinds, strict=True)]
+            yield k, _message(b"D", struct.pack(packing, number, _microseconds(k * step), *row))
+        number += 1
+
+
+def _by_parameter_name(numbers: Mapping[str, float]) -> dict[str, float]:
+    """Return the numbers that a parameter can hold, by names of the characters that a ULog's name may have."""
+    named = {re.sub(r"[^A-Za-z0-9_/-]", "_", name): value for name, value in numbers.items()}
+    return {
+        name: value
+        for name, value in named.items()
+        if len(name) <= _LONGEST and not (isinstance(value, int) and not -_INTEGER_LIMIT <= value < _INTEGER_LIMIT)
+    }
+
+
+def _log_message(severity: int, time: float, text: str) -> bytes:
+    level = str(severity).encode()
+    return _message(b"L", level + struct.pack("<Q", _microseconds(time)) + text.encode()[:60_000])
+
+
+def _fill(message: NDArray[np.void], number: int, fields: Iterable[Field], block: Block) -> None:
+    """Write one data message a row."""
+    message["size"] = message.dtype.itemsize - 3  # without its header: size and type
+    message["type"] = ord("D")
+    message["id"] = number
+    message["timestamp"] = np.rint(1e6 * block["time_s"])
+    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite
+        for field in fields:
+            message[field.name] = field.values(block)
+
+
+def _message_type(fields: Iterable[Field]) -> np.dtype[np.void]:
+    head = [("size", "<u2"), ("type", "u1"), ("id", "<u2"), ("timestamp", "<u8")]
+    return np.dtype(head + [(f.name, _TYPES[f.kind], (f.length,) if f.length else ()) for f in fields])
+
+
+def _format(name: str, fields: Iterable[Field]) -> bytes:
+    declarations = (f"{f.kind}[{f.length}] {f.name};" if f.length else f"{f.kind} {f.name};" for f in fields)
+    return f"{name}:uint64_t timestamp;{''.join(declarations)}".encode()
+
+
+def _info(key: str, value: str) -> bytes:
+    content = value.encode()[:60_000]
+    full_key = f"char[{len(content)}] {key}".encode()
+    return bytes([len(full_key)]) + full_key + content
+
+
+def _message(kind: bytes, content: bytes) -> bytes:
+    return struct.pack("<H", len(content)) + kind + content
+
+
+def _properties(summary: Summary) -> dict[str, str]:
+    values = run_properties(summary)
+    names = ("scenario", "engine", "controller", "seed", "outcome", "reason")
+    return {
+        "sys_name": "hexjet-cosim",
+        "ver_sw": values["version"],
+        "ver_hw": summary.aircraft,
+        **{f"hexjet_{name}": values[name] for name in names},
+    }
+
+
+def _microseconds(seconds: float) -> int:
+    return round(1e6 * seconds)

@@ -1,0 +1,282 @@
+"""The topics of a ULog and what each field of theirs holds: rows of a log to PX4's names, frames and units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.constants import SENSORS
+from cosim.base.signals import AXES
+from cosim.logs import HEXJET, RATES, LoggedVehicle, jets_in
+from hexjet_export.logs.contents import Block, quaternions
+
+MOTORS = 12  # of PX4's actuator_motors
+_XYZ, _NED = ("x", "y", "z"), ("north", "east", "down")
+
+# PX4's vehicle_status: armed, and the flight mode that is nearest
+_ARMED, _ALTITUDE_MODE, _STABILIZED_MODE, _ACRO_MODE = 2, 1, 15, 10
+
+
+class Field(NamedTuple):
+    """One field of a topic: ``length`` values of a ULog type, 0 for a scalar, and where they come from."""
+
+    kind: str
+    name: str
+    length: int
+    values: Callable[[Block], Array]
+
+
+def _columns(kind: str, name: str, *columns: str) -> Field:
+    """Return an array field of columns as they are."""
+    return Field(kind, name, len(columns), lambda block: np.stack([block[column] for column in columns], axis=1))
+
+
+def column(kind: str, name: str, column: str, factor: float = 1.0) -> Field:
+    """Return a scalar field: a column times a factor."""
+    return Field(kind, name, 0, lambda block: factor * block[column])
+
+
+def _optional(kind: str, name: str, *columns: str, length: int = 0) -> Field:
+    """Return a field of columns as they are, NaN for those that an older log has not."""
+
+    def values(block: Block) -> Array:
+        missing = np.full(len(block["time_s"]), np.nan)
+        blocks = [block.get(column, missing) for column in columns]
+        return np.stack(blocks, axis=1) if length else blocks[0]
+
+    return Field(kind, name, length, values)
+
+
+def _constant(kind: str, name: str, value: float) -> Field:
+    return Field(kind, name, 0, lambda block: np.full(len(block["time_s"]), value))
+
+
+def _sample_time() -> Field:
+    """Return the field of the sample's time: there is no delay between sampling and publishing."""
+    return Field("uint64_t", "timestamp_sample", 0, lambda block: np.rint(1e6 * block["time_s"]))
+
+
+def _quaternion(name: str, pattern: str) -> Field:
+    """Return the quaternion field, body to NED, of three columns of angles."""
+    return Field("float", name, 4, lambda block: quaternions(*(block[pattern.format(axis)] for axis in AXES)))
+
+
+def _thrust_body(block: Block) -> Array:
+    """Return the collective as PX4 has it: along -z, 0 to 1."""
+    still = np.zeros_like(block["collective"])
+    return np.stack((still, still, -block["collective"]), axis=1)
+
+
+def _accelerometer(block: Block) -> Array:
+    """Return the accelerometer's output; the true specific force where a log is older than the sensor's model."""
+    names = [f"specific_force_{axis}_measured_m_s2" for axis in _XYZ]
+    if names[0] not in block:
+        names = [f"specific_force_{axis}_m_s2" for axis in _XYZ]
+    return np.stack([block[name] for name in names], axis=1)
+
+
+def _motors(block: Block) -> Array:
+    """Return the throttles of as many motors as the message has, NaN of those that do not exist."""
+    control = np.full((len(block["time_s"]), MOTORS), np.nan)
+    for jet in range(min(jets_in(block), MOTORS)):  # throttles of all are in hexjet_throttle
+        control[:, jet] = block[f"throttle_{jet + 1}"]
+    return control
+
+
+def _mode(block: Block) -> Array:
+    """Return PX4's mode by the loops that are closed: rates only, attitude, attitude and height."""
+    mode = np.where(np.isnan(block["altitude_setpoint_m"]), _STABILIZED_MODE, _ALTITUDE_MODE)
+    return np.where(np.isnan(block["roll_setpoint_rad"]), _ACRO_MODE, mode).astype(float)
+
+
+def _estimated_position() -> list[Field]:
+    """Return PX4's vehicle_local_position as the autopilot estimates it, with its validity and deviations.
+
+    Not valid before the autopilot's first word.  An older record has no height, climb and heading of its own: then they
+    are as measured.
+    """
+
+    def field(name: str) -> Field:
+        return Field("bool", name, 0, lambda block: np.nan_to_num(block[f"autopilot_{name}"]))
+
+    def estimate(name: str, column: str, factor: float = 1.0) -> Field:
+        def values(block: Block) -> Array:
+            estimates = block[f"autopilot_{name}"]
+            return np.where(np.isnan(estimates), factor * block[column], estimates)
+
+        return Field("float", name, 0, values)
+
+    return [
+        _sample_time(),
+        *(field(name) for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")),
+        *(column("float", name, f"autopilot_{name}") for name in ("x", "y")),
+        estimate("z", "altitude_measured_m", -1.0),
+        *(column("float", name, f"autopilot_{name}") for name in ("vx", "vy")),
+        estimate("vz", "velocity_down_measured_m_s"),
+        estimate("heading", "yaw_measured_rad"),
+        *(column("float", name, f"autopilot_{name}") for name in ("eph", "epv", "evh", "evv")),
+        Field("bool", "dead_reckoning", 0, lambda block: block["autopilot_xy_valid"] == 0.0),
+    ]
+
+
+def _local_position(suffix: str) -> list[Field]:
+    """Return PX4's vehicle_local_position of the true columns, or with ``_measured`` of the measured ones."""
+    names = zip(_XYZ, _NED, strict=True)
+    pairs = [(xyz, f"{ned}{suffix}_m", f"velocity_{ned}{suffix}_m_s") for xyz, ned in names]
+    return [
+        _sample_time(),
+        *(_constant("bool", name, 1.0) for name in ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")),
+        *(column("float", xyz, axis) for xyz, axis, _ in pairs),
+        *(column("float", f"v{xyz}", speed) for xyz, _, speed in pairs),
+        column("float", "heading", f"yaw{suffix}_rad"),
+    ]
+
+
+def _rates(suffix: str) -> list[str]:
+    return [f"rate_{rate}{suffix}_rad_s" for rate in RATES]
+
+
+def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
+    """Return the fields of each topic, for the log of such a vehicle."""
+    jets, servos, surfaces, _ = vehicle
+    moved = [*servos, *surfaces]
+
+    def of_jets(pattern: str) -> list[str]:
+        return [pattern.format(jet) for jet in range(1, jets + 1)]
+
+    return {
+        "vehicle_attitude": [_sample_time(), _quaternion("q", "{}_measured_rad")],
+        "vehicle_attitude_groundtruth": [_sample_time(), _quaternion("q", "{}_rad")],
+        "vehicle_attitude_setpoint": [
+            _quaternion("q_d", "{}_setpoint_rad"),
+            Field("float", "thrust_body", 3, _thrust_body),
+        ],
+        "vehicle_angular_velocity": [_sample_time(), _columns("float", "xyz", *_rates("_measured"))],
+        "vehicle_angular_velocity_groundtruth": [_sample_time(), _columns("float", "xyz", *_rates(""))],
+        "vehicle_rates_setpoint": [
+            *(column("float", axis, rate) for axis, rate in zip(AXES, _rates("_setpoint"), strict=True)),
+            Field("float", "thrust_body", 3, _thrust_body),
+        ],
+        "vehicle_local_position": _local_position("_measured"),
+        "vehicle_local_position_groundtruth": _local_position(""),
+        "vehicle_local_position_setpoint": [
+            *(_optional("float", xy, f"{direction}_setpoint_m") for xy, direction in (("x", "north"), ("y", "east"))),
+            column("float", "z", "altitude_setpoint_m", -1.0),
+            *(_constant("float", name, np.nan) for name in ("vx", "vy", "vz", "yaw")),
+        ],
+        "sensor_combined": [
+            _columns("float", "gyro_rad", *_rates("_measured")),
+            _constant("int32_t", "accelerometer_timestamp_relative", 0.0),
+            Field("float", "accelerometer_m_s2", 3, _accelerometer),
+        ],
+        "actuator_motors": [_sample_time(), Field("float", "control", MOTORS, _motors)],
+        "vehicle_status": [
+            _constant("uint8_t", "arming_state", _ARMED),
+            Field("uint8_t", "nav_state", 0, _mode),
+        ],
+        "vehicle_land_detected": [
+            column("bool", "landed", "on_ground"),
+            column("bool", "maybe_landed", "on_ground"),
+            column("bool", "ground_contact", "on_ground"),
+        ],
+        "wind": [
+            _sample_time(),
+            column("float", "windspeed_north", "wind_north_m_s"),
+            column("float", "windspeed_east", "wind_east_m_s"),
+        ],
+        "hexjet_height": [  # above the ground, where PX4's barometric height is above the sea
+            column("float", "true_m", "altitude_m"),
+            column("float", "measured_m", "altitude_measured_m"),
+            column("float", "setpoint_m", "altitude_setpoint_m"),
+        ],
+        "hexjet_thrust": [_columns("float", "newton", *of_jets("thrust_{}_N"))],
+        "hexjet_engine": [  # NaN where an engine does not say
+            _columns("float", "spool_speed_rad_s", *of_jets("spool_speed_{}_rad_s")),
+            _columns("float", "exhaust_temperature_k", *of_jets("exhaust_temperature_{}_K")),
+            _columns("float", "fuel_flow_kg_s", *of_jets("fuel_flow_{}_kg_s")),
+            column("float", "fuel_kg", "fuel_kg"),
+            _columns("float", "spool_moment_n_m", *(f"spool_moment_{axis}_N_m" for axis in _XYZ)),
+        ],
+        "hexjet_rate_predicted": [_columns("float", "xyz", *_rates("_predicted"))],
+        **({"hexjet_throttle": [_columns("float", "throttle", *of_jets("throttle_{}"))]} if jets > MOTORS else {}),
+        **(
+            {
+                "hexjet_tilt": [
+                    _columns("float", "actual_rad", *(f"tilt_{name}_rad" for name in servos)),
+                    _columns("float", "command_rad", *(f"tilt_{name}_command_rad" for name in servos)),
+                ]
+            }
+            if servos
+            else {}
+        ),
+        **(
+            {
+                "hexjet_deflection": [
+                    _columns("float", "actual", *(f"deflection_{name}" for name in surfaces)),
+                    _columns("float", "command", *(f"deflection_{name}_command" for name in surfaces)),
+                ]
+            }
+            if surfaces
+            else {}
+        ),
+        "hexjet_control": [
+            _columns("float", "torque", *(f"torque_{axis}" for axis in AXES)),
+            _columns("float", "refused", *(f"refused_{axis}" for axis in AXES)),
+            column("float", "collective", "collective"),
+            column("float", "refused_collective", "refused_collective"),
+        ],
+        "hexjet_disturbance": [
+            _columns("float", "force_n", *(f"disturbance_force_{axis}_N" for axis in _XYZ)),
+            _columns("float", "moment_n_m", *(f"disturbance_moment_{axis}_N_m" for axis in _XYZ)),
+            _columns("float", "torque", *(f"disturbance_torque_{axis}" for axis in AXES)),
+            column("float", "payload_kg", "payload_kg"),
+            column("float", "mass_kg", "mass_kg"),
+            _optional("float", "air_rate_rad_s", *(f"air_rate_{rate}_rad_s" for rate in RATES), length=len(RATES)),
+        ],
+        "hexjet_fault": [  # 1 where a fault acts; and what the engine monitor believes of each jet, 1 for healthy
+            _optional("float", "jet", *of_jets("fault_jet_{}"), length=jets),
+            _optional("float", "servo", *(f"fault_servo_{name}" for name in moved), length=len(moved)),
+            _optional("float", "sensor", *(f"fault_{name}" for name in SENSORS), length=len(SENSORS)),
+            _optional("float", "health", *of_jets("health_{}"), length=jets),
+        ],
+    }
+
+
+TOPICS = topics(HEXJET)
+
+CUSTOM = "hexjet_own"  # what the flight's blocks show of their own; an info message of the file describes each
+
+# What an autopilot says better than the rows do, and what it adds.
+STATES = ("vehicle_status", "vehicle_land_detected")
+BY_AUTOPILOT: dict[str, list[Field]] = {
+    "vehicle_local_position": _estimated_position(),
+    "vehicle_local_position_setpoint": [
+        *(column("float", name, f"autopilot_{name}_sp") for name in ("x", "y", "z")),
+        *(_constant("float", name, np.nan) for name in ("vx", "vy", "vz")),
+        column("float", "yaw", "autopilot_yaw_sp"),
+    ],
+    "hexjet_gnss": _local_position("_measured"),  # as received
+}
+# Seconds between two messages of a topic: about PX4's default profile (its logged_topics.cpp), ours by their like.
+EVERY_S = dict.fromkeys((*TOPICS, *BY_AUTOPILOT, CUSTOM), 0.2) | {
+    "vehicle_attitude": 0.05,
+    "vehicle_attitude_groundtruth": 0.1,
+    "vehicle_attitude_setpoint": 0.05,
+    "vehicle_angular_velocity": 0.02,
+    "vehicle_angular_velocity_groundtruth": 0.1,
+    "vehicle_rates_setpoint": 0.02,
+    "vehicle_local_position": 0.1,
+    "vehicle_local_position_setpoint": 0.1,
+    "sensor_combined": 0.1,
+    "actuator_motors": 0.1,
+    "vehicle_status": 0.2,
+    "hexjet_thrust": 0.1,
+    "hexjet_rate_predicted": 0.02,
+    "hexjet_tilt": 0.1,
+    "hexjet_throttle": 0.1,
+    "hexjet_deflection": 0.1,
+    "hexjet_control": 0.05,
+}
