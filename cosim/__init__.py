@@ -22,11 +22,9 @@ from cosim.base.runtime.kernels import load_with_reference
 if TYPE_CHECKING:
     from cosim.api.checks import check_aircraft, check_engine, map_engine
     from cosim.api.compare import compare
-    from cosim.api.design import design
     from cosim.api.export import export
     from cosim.api.identify import identify, identify_bench
     from cosim.api.logs import identify_log, validate
-    from cosim.api.margins import margins
     from cosim.api.prove import prove
     from cosim.api.replay import replay
     from cosim.api.searches import rare, search
@@ -42,6 +40,8 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
     from cosim.spec.vehicle import load_vehicle
     from cosim.stepper import Snapshot, Stepper
+    from hexjet_design.api import design
+    from hexjet_design.measured.api import margins
     from hexjet_export.api import export_controller, export_vehicle
 
 __all__ = [
@@ -97,7 +97,6 @@ _WHERE = {
     "identify_bench": "cosim.api.identify",
     "identify_log": "cosim.api.logs",
     "map_engine": "cosim.api.checks",
-    "margins": "cosim.api.margins",
     "load_vehicle": "cosim.spec.vehicle",
     "Run": "cosim.results.run",
     "open_run": "cosim.results.run",
@@ -113,11 +112,11 @@ _WHERE = {
     "versions": "cosim.results.summary",
 }
 
-_ROOMS = ("design", "identify")  # packages that are called, too
+_ROOMS = ("identify",)  # packages that are called, too
 
 
 class _Room(ModuleType):
-    """A package that is called like the function of its name in ``cosim.api``: ``cosim.design(...)`` designs."""
+    """A package that is called like the function of its name in ``cosim.api``: ``cosim.identify(...)`` identifies."""
 
     @property
     def __signature__(self) -> Any:

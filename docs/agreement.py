@@ -24,8 +24,6 @@ import numpy as np  # noqa: E402
 from cosim.base.errors import InputError  # noqa: E402
 from cosim.base.signals import AXES  # noqa: E402
 from cosim.control.predictors.registry import BASELINE  # noqa: E402
-from cosim.design.measured import measure_margins  # noqa: E402
-from cosim.design.measured.computed import make_plants  # noqa: E402
 from cosim.identify.sweep import identify_axis  # noqa: E402
 from cosim.identify.sweep.fit import fit  # noqa: E402
 from cosim.identify.sweep.response import FrequencyResponse  # noqa: E402
@@ -43,6 +41,8 @@ from cosim.simulation.build import build  # noqa: E402
 from cosim.simulation.delay_ledger import select_axis  # noqa: E402
 from cosim.spec.scenario import Scenario  # noqa: E402
 from cosim.spec.vehicle import aircraft_names, engine_of, load_vehicle  # noqa: E402
+from hexjet_design.measured.computed import make_plants  # noqa: E402
+from hexjet_design.measured.margins import measure_margins  # noqa: E402
 
 PAGE = Path(__file__).parent / "identification.md"
 OFF = {"phase_deg": 0.1, "gain_db": 0.15}  # what measured margins may be off the computed, as a share; of gains factors

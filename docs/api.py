@@ -86,7 +86,7 @@ def _about(name: str, each: Any) -> str:
             continue
         if isinstance(found, property):
             shown += f"\n**`{name}.{member}`** {_prose(inspect.getdoc(found) or '')}\n"
-        elif inspect.isroutine(found) and str(getattr(found, "__module__", "")).startswith("cosim"):
+        elif inspect.isroutine(found) and str(getattr(found, "__module__", "")).startswith(("cosim", "hexjet_")):
             shown += f"\n{_signature(f'{name}.{member}', found)}{_body(found)}"
     return shown
 

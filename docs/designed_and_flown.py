@@ -13,19 +13,19 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.api.design import firmware_for
 from cosim.base.arrays import Array
 from cosim.base.storage.toml import merge
-from cosim.design.assessment import shipped_tuning
-from cosim.design.design import identify_there, make_dynamics
-from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.channel import channels
-from cosim.design.loop.closed_loop import steps_by_response
 from cosim.engine import load_engine
 from cosim.results.metrics import axis_metrics, find_steps, overshoot, settling_time
 from cosim.results.run import Run
 from cosim.simulation.controllers.controller_file import read_controller
 from cosim.spec.vehicle import load_vehicle
+from hexjet_design.api import firmware_for
+from hexjet_design.assessment import shipped_tuning
+from hexjet_design.design import identify_there, make_dynamics
+from hexjet_design.loop.actuator import Actuator
+from hexjet_design.loop.channel import channels
+from hexjet_design.loop.closed_loop import steps_by_response
 
 LEVEL_S = 0.5  # at the end of a side, over which the angle that it has come to is taken
 SMALL_DEG = {"roll": 4.0, "yaw": 8.0}

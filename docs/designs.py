@@ -28,20 +28,20 @@ from typing import Any
 from cosim import Scenario, fly
 from cosim.base.storage.files import write_files
 from cosim.base.storage.toml import toml_text
-from cosim.design import design as make
-from cosim.design.controller_table import make_controller_table, make_proof_record
-from cosim.design.design import Design
-from cosim.design.levels import DESIGNED, THRUST_AXES, tunings_at
-from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.channel import channels
-from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.loop.criteria import FINE
-from cosim.design.proof import NOT_KEPT, prove
-from cosim.design.shipped_comparison import WORSE
 from cosim.engine import load_engine
 from cosim.results.report.marks import table, write_marks
 from cosim.simulation.controllers.controller_file import ProofRecord, apply_controller, read_controller
 from cosim.spec.vehicle import load_vehicle
+from hexjet_design import design as make
+from hexjet_design.controller_table import make_controller_table, make_proof_record
+from hexjet_design.design import Design
+from hexjet_design.levels import DESIGNED, THRUST_AXES, tunings_at
+from hexjet_design.loop.actuator import Actuator
+from hexjet_design.loop.channel import channels
+from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from hexjet_design.loop.criteria import FINE
+from hexjet_design.proof.comparison import WORSE
+from hexjet_design.proof.run import NOT_KEPT, prove
 
 ROOT = Path(__file__).parent.parent
 DESIGNS = ROOT / "tests" / "designs"

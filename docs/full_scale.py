@@ -25,10 +25,10 @@ from cosim import Scenario, fly
 from cosim.base.runtime.threads import one_thread
 from cosim.base.storage.files import write_files
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.design.controller_table import make_controller_table
-from cosim.design.design import design
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.simulation.controllers.controller_file import NOISE_SHARE, Requirements, read_controller
+from hexjet_design.controller_table import make_controller_table
+from hexjet_design.design import design
 
 AIRCRAFT = "hexjet-p220"
 PAGE = Path(__file__).parent / "full-scale.md"
@@ -79,16 +79,16 @@ CYCLE_S = 10.0  # of a hover, its last part, in which a limit cycle stands
 
 def searched(case: Case, out: Path) -> dict[str, Any]:
     """What each of TRIED reaches on roll, as ``hexjet design`` searches for it, and what limits the best."""
-    from cosim.design.design import (
+    from cosim.engine import load_engine
+    from hexjet_design.design import (
         _axis,
         _AxisInputs,
         _scenario,
         identify_there,
         make_dynamics,
     )
-    from cosim.design.loop.actuator import Actuator
-    from cosim.design.loop.channel import channels
-    from cosim.engine import load_engine
+    from hexjet_design.loop.actuator import Actuator
+    from hexjet_design.loop.channel import channels
 
     need = Requirements(noise_share=case.noise_share)
     flight, vehicle = _scenario(case.name, AIRCRAFT, ())
@@ -215,12 +215,12 @@ def dead_band(amplitude: float, samples: int = 4000) -> complex:
 
 def predicted(engine: str, out: Path) -> dict[str, Any]:
     """Amplitude in dead bands and frequency [Hz] of the limit cycle: where the roll loop times that function is -1."""
-    from cosim.design.assessment import shipped_tuning
-    from cosim.design.design import _scenario, identify_there, make_dynamics
-    from cosim.design.loop.actuator import Actuator
-    from cosim.design.loop.channel import channels
-    from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
     from cosim.engine import load_engine
+    from hexjet_design.assessment import shipped_tuning
+    from hexjet_design.design import _scenario, identify_there, make_dynamics
+    from hexjet_design.loop.actuator import Actuator
+    from hexjet_design.loop.channel import channels
+    from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 
     flight, vehicle = _scenario(engine, AIRCRAFT, ())
     spec = load_engine(engine, {}, flight.step_s)

@@ -25,11 +25,11 @@ from cosim.base.errors import InputError
 from cosim.base.protocols import RateLoop
 from cosim.base.signals import AXES, Vector3
 from cosim.control.predictors.linear import cascade
-from cosim.design.loop.channel import Channel
-from cosim.design.loop.closed_loop import WINDOW
-from cosim.design.loop.limit import tolerated_error
-from cosim.design.tune import SEED, UNSTABLE
 from cosim.simulation.controllers.controller_file import STEP_RAD
+from hexjet_design.loop.channel import Channel
+from hexjet_design.loop.closed_loop import WINDOW
+from hexjet_design.loop.limit import tolerated_error
+from hexjet_design.tune import SEED, UNSTABLE
 
 SMALL = 1e-3  # rad, rad/s, and of the command: what the impulses are
 FILTERS_S = (0.02, 0.1, 0.5)  # lags from which a set-point filter is searched, with half as much lead and with more
@@ -139,7 +139,7 @@ class SetpointFilter:
 
 
 class LawLoop:
-    """A channel closed with a rate law, as :class:`cosim.design.loop.closed_loop.ClosedLoop` is with the built-in one.
+    """A channel closed with a rate law, as :class:`hexjet_design.loop.closed_loop.ClosedLoop` is with the built-in one.
 
     ``seconds``: how long impulses are followed; 0: as long as a design looks.  Raises ArithmeticError for a loop that
     runs away.

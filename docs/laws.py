@@ -29,16 +29,16 @@ from cosim.campaign.analysis.statistics import count_pairs, newcombe
 from cosim.campaign.analysis.summary import common_draws, controller_indices, success_fractions
 from cosim.campaign.analysis.table import FlightTable, read_flight_table
 from cosim.control.laws.axis import Axis
-from cosim.design import design as make
-from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.channel import Channel, channels
-from cosim.design.loop.limit import Bounds, Limit, find_limit
-from cosim.design.loop.low_order import free_weights, reduce_limit
 from cosim.engine import load_engine
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.simulation.controllers.controller_file import NOISE_SHARE
 from cosim.simulation.controllers.models import make_scenario_belief
 from cosim.simulation.controllers.source import find_controller_source
+from hexjet_design import design as make
+from hexjet_design.loop.actuator import Actuator
+from hexjet_design.loop.channel import Channel, channels
+from hexjet_design.loop.limit import Bounds, Limit, find_limit
+from hexjet_design.loop.low_order import free_weights, reduce_limit
 from studies import DELAY, LATE, lost, run
 
 mpl.use("Agg")

@@ -29,8 +29,8 @@ from cosim.campaign.search.worst_folder import run_worst
 from cosim.campaign.study.normal_space import NormalSpace
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.local import LocalWorkers
-from cosim.design.proof_flights import ENGINE_SPREAD
 from cosim.results.report.marks import table, write_marks
+from hexjet_design.proof.flights import ENGINE_SPREAD
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "control-design.md"

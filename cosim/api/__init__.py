@@ -16,30 +16,28 @@ if TYPE_CHECKING:
     from cosim.api.call import Progress, Result, Table
     from cosim.api.checks import AircraftCheckResult, EngineCheckResult, MappingResult
     from cosim.api.compare import CompareResult
-    from cosim.api.design import DesignResult
     from cosim.api.identify import BenchIdentifyResult, IdentifyResult
     from cosim.api.logs import LogIdentifyResult, ValidateResult
-    from cosim.api.margins import MarginsResult
     from cosim.api.prove import ProofResult
     from cosim.api.replay import ReplayResult
     from cosim.api.searches import RareResult, SearchResult
     from cosim.api.show import ShowResult
     from cosim.api.studies import SweepResult
     from cosim.api.surveys import FailsafesResult, FaultsResult
+    from hexjet_design.api import DesignResult
+    from hexjet_design.measured.api import MarginsResult
     from hexjet_export.api import ControllerExport, VehicleExport
 
 _WHERE = {
     "AircraftCheckResult": "checks",
     "BenchIdentifyResult": "identify",
     "CompareResult": "compare",
-    "DesignResult": "design",
     "EngineCheckResult": "checks",
     "FailsafesResult": "surveys",
     "FaultsResult": "surveys",
     "IdentifyResult": "identify",
     "LogIdentifyResult": "logs",
     "MappingResult": "checks",
-    "MarginsResult": "margins",
     "Progress": "call",
     "ProofResult": "prove",
     "RareResult": "searches",

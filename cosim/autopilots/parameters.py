@@ -380,7 +380,7 @@ def ardupilot_parameters(
     names = [f"ATC_ANG_{axis}_P" for axis in ("RLL", "PIT", "YAW")]
     parameters |= dict(zip(names, control.attitude.gain_1_s, strict=True))
     # Without shaping and feed-forward it is the attitude gain alone, and without limits of acceleration large errors
-    # count as small ones do: cosim.design.loop.firmware.
+    # count as small ones do: hexjet_design.loop.firmware.
     parameters |= {"ATC_RATE_FF_ENAB": 0} | {f"ATC_ACC_{axis}_MAX": 0 for axis in "RPY"}
     parameters |= {"MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_THST_EXPO": 0.0, "MOT_SPIN_MAX": 1.0}
     parameters |= {"MOT_SPIN_MIN": throttle_min, "MOT_SPIN_ARM": throttle_min}

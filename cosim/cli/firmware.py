@@ -20,14 +20,13 @@ def search_gains(autopilot: Autopilot, scenario: Scenario, settings: Sequence[st
     As ``hexjet design --for`` does, with its defaults; the file is ``out``, its page beside it.  Raises InputError
     where no gains keep the requirements.
     """
-    from cosim.api.design import design
+    from cosim import design
     from cosim.cli.console import CommandProgress, part_progress
-    from cosim.design.result import write
 
     with part_progress(f"gains for {autopilot}", quiet=quiet) as show:
         progress = CommandProgress(show)
         made = design(scenario.engine, scenario.aircraft, autopilot=autopilot, settings=settings, progress=progress)
-    paths = write(made.designed, out)
+    paths = made.write(out).files
     if not made.ok:
         raise InputError(
             f"{autopilot}: no gains of its own loops keep the requirements of a design for {scenario.aircraft} with "

@@ -37,7 +37,6 @@ INTERRUPTED, TERMINATED = 130, 143  # the exit statuses that shells use
 COMMANDS = {  # module of each command: only the one that runs is imported
     "aircraft": "aircraft:aircraft",
     "compare": "results.compare:compare",
-    "design": "controllers.design:design",
     "export": "results.export:export",
     "failsafes": "studies.faults:failsafes",
     "faults": "studies.faults:faults",
@@ -46,7 +45,6 @@ COMMANDS = {  # module of each command: only the one that runs is imported
     "gcs": "flight.gcs:gcs",
     "identify": "controllers.identify:identify",
     "list": "results.runs:list_",
-    "margins": "controllers.margins:margins",
     "open": "results.open:open_",
     "prove": "studies.prove:prove",
     "rare": "studies.campaign:rare",

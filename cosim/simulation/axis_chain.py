@@ -2,7 +2,7 @@
 
 From the places of the jets, the moments of inertia and the allocation; the engines come in by their thrust, and by the
 momentum of their rotors.
-The designs' channels (:mod:`cosim.design.loop.channel`) are made of this.
+The designs' channels (:mod:`hexjet_design.loop.channel`) are made of this.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ from math import inf
 
 from cosim.base.signals import Vector3
 from cosim.control.laws.optimal import Target, make_predictor
-from cosim.design.loop.channel import Channel
+from hexjet_design.loop.channel import Channel
 
 
 class Behind:

@@ -1,6 +1,6 @@
 """A second way to the loop that ``hexjet design`` closes: one step of it, written out, with every delay as states.
 
-Nothing here knows :mod:`cosim.design`: the plant is stepped as the simulation steps it, JSBSim run by JSBSim run, and
+Nothing here knows :mod:`hexjet_design`: the plant is stepped as the simulation steps it, JSBSim run by JSBSim run, and
 the predictors are textbook realisations in companion form.  The step is linear, so unit vectors give its matrices.
 """
 

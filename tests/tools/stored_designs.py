@@ -9,9 +9,9 @@ import numpy as np
 from places import DESIGNS
 from state_space import Engine, realised
 
-from cosim.design.design import throttle_for
 from cosim.engine import EngineBank, load_engine
 from cosim.spec.vehicle import load_vehicle
+from hexjet_design.design import throttle_for
 
 # pole and delay of G(z) as the engines' pages state them, thrust at full throttle [N], and who flies them
 LINEAR = {
@@ -29,7 +29,7 @@ def stored(name: str) -> dict[str, Any]:
 def small_step(engine: str, aircraft: str, samples: int = 4000) -> tuple[Engine, float]:
     """An engine around hover from its answer to 1e-4 of throttle, and the thrust [N] between its throttles 0 and 1.
 
-    That is a hundredth of what :mod:`cosim.design` sweeps with, in time and not in frequency; what a limit on its
+    That is a hundredth of what :mod:`hexjet_design` sweeps with, in time and not in frequency; what a limit on its
     acceleration does to the sweep is not in it.
     """
     spec, step, change = load_engine(engine, {}, 0.004), 0.004, 1e-4

@@ -2,3 +2,4 @@
 
 from cosim.api.call.arguments import Limits, checked
 from cosim.api.call.result import FolderResult, Progress, Result, Table
+from cosim.base.wording import says_arguments

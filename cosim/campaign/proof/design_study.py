@@ -3,7 +3,7 @@
 An engine that states its uncertainty is drawn by it.  Any other one has the box that ``hexjet design`` proves at the
 corners of: the gain of the axes by their moments of inertia, all alike, as much less as more, and a later answer up to
 the tolerance of the delay, both evenly.  What a flight may do is what it may do at a corner
-(:mod:`cosim.design.proof_flights`).
+(:mod:`hexjet_design.proof.flights`).
 """
 
 from __future__ import annotations
@@ -19,8 +19,6 @@ from cosim.base.storage.toml import parse_setting, read_toml, set_path
 from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study, flatten_settings
-from cosim.design.loop.criteria import CORNER, OVERSHOOT
-from cosim.design.proof_flights import HEIGHT_M, STILL_DEG, lean_of, side_s
 from cosim.engine import list_engine_names
 from cosim.engine.library import FMI2_SUFFIX
 from cosim.simulation.build import build
@@ -28,6 +26,8 @@ from cosim.simulation.controllers.controller_file import Purpose, apply_controll
 from cosim.simulation.delay_ledger import sum_transport_samples
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import aircraft_name
+from hexjet_design.loop.criteria import CORNER, OVERSHOOT
+from hexjet_design.proof.flights import HEIGHT_M, STILL_DEG, lean_of, side_s
 
 CONTROLLER = "controller.toml"  # in the folder that hexjet design leaves
 SCENARIO = "roll-doublet"

@@ -7,14 +7,14 @@ from collections.abc import Callable
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.design.loop.channel import Channel
-from cosim.design.loop.criteria import fine_loop
-from cosim.design.loop.limit import AxisLimit, need_solver
-from cosim.design.loop.tuning import Tuning
-from cosim.design.measured.computed import find_loop_limit, find_tunings, make_plants
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import LAW
 from cosim.spec.scenario import Scenario
+from hexjet_design.loop.channel import Channel
+from hexjet_design.loop.criteria import fine_loop
+from hexjet_design.loop.limit import AxisLimit, need_solver
+from hexjet_design.loop.tuning import Tuning
+from hexjet_design.measured.computed import find_loop_limit, find_tunings, make_plants
 
 
 def flown_limits(scenario: Scenario, say: Callable[[str], None] = lambda text: None) -> dict[str, AxisLimit | str]:

@@ -10,7 +10,7 @@ from typing import Any
 from cosim.campaign.analysis.claim import ClaimResult, format_bound
 from cosim.campaign.proof.credibility import Factor
 from cosim.campaign.study.sequential import Decision, Verdict
-from cosim.design.loop.limit import AxisLimit
+from hexjet_design.loop.limit import AxisLimit
 
 FORMAT = 1  # of proof.json
 LEAST, NEAREST = "smallest margin", "fails nearest to the middle of the draws"  # why a flight is flown again

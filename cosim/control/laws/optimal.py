@@ -8,7 +8,7 @@ Youla, H. A. Jabr and J. J. Bongiorno, IEEE Trans. Automatic Control 21 (1976) 3
 
 with ``t`` and ``y`` stable, 1 at rest, and ``1 - T_i`` 0 where angle and rate have their slow poles; twice at rest, so
 that no load leaves a lean.  ``y`` is a lag of third order.  ``t`` is a sum of orthonormal functions with few poles
-(S. Takenaka 1925, F. Malmquist 1926), found by :mod:`cosim.design.loop.low_order`: the least error after a load that
+(S. Takenaka 1925, F. Malmquist 1926), found by :mod:`hexjet_design.loop.low_order`: the least error after a load that
 poles of this number leave, with a peak sensitivity, a noise and a tolerance of the delay.  Its weights are moved by the
 least that makes ``T_i`` exact at rest with the model at hand.
 

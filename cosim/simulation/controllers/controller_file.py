@@ -74,7 +74,7 @@ class LevelRecord(Model):
 class FlownRecord(Model):
     """One flight of the proof with the gains that ship and with the designed ones, measured; a flight does not read it.
 
-    By the keys of :data:`cosim.design.shipped_comparison.MEASURES`; what a flight does not tell is left out.
+    By the keys of :data:`hexjet_design.proof.comparison.MEASURES`; what a flight does not tell is left out.
     """
 
     flight: str  # what was flown: hover, the doublet, the doublet to the full lean

@@ -29,15 +29,15 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.cli.main import main
-from cosim.design.assessment import shipped_tuning
-from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.channel import channels
-from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.loop.dynamics import make_lag_dynamics
 from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
+from hexjet_design.assessment import shipped_tuning
+from hexjet_design.loop.actuator import Actuator
+from hexjet_design.loop.channel import channels
+from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from hexjet_design.loop.dynamics import make_lag_dynamics
 
 Values = Mapping[str, Any]
 X, Y, Z = "disturbance.0.velocity_ned_m_s.0", "disturbance.0.velocity_ned_m_s.2", "environment.wind_ned_m_s.2"

@@ -9,7 +9,6 @@ import pytest
 from places import ROOT
 
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.design.measured.computed import make_plants
 from cosim.engine import load_engine
 from cosim.identify.sweep import Identification, identify_axis
 from cosim.identify.sweep.result import low_frequency_delay
@@ -17,6 +16,7 @@ from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import explain_unknown, select_axis, sum_samples
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import engine_of
+from hexjet_design.measured.computed import make_plants
 
 WITHIN = 0.5  # samples
 WITH_OTHERS = 1.0  # samples, where engines give a small part of an axis beside its servos

@@ -12,9 +12,6 @@ import pytest
 from cosim import Scenario, fly
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.channel import channels
-from cosim.design.loop.dynamics import make_lag_dynamics
 from cosim.engine import load_engine
 from cosim.results.report.flight_figures import run_figures
 from cosim.simulation.build import build
@@ -22,6 +19,9 @@ from cosim.spec.scenario import Environment
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.stepper import Stepper
 from cosim.vehicle.airframe import Airframe
+from hexjet_design.loop.actuator import Actuator
+from hexjet_design.loop.channel import channels
+from hexjet_design.loop.dynamics import make_lag_dynamics
 
 # pitch moment -0.5 m^3 times pressure times the elevator's position, which a lag of 0.05 s brings to its command
 WING = """<fdm_config>

@@ -27,16 +27,16 @@ from cosim.control.laws.axis import Actuators, Axis
 from cosim.control.laws.optimal import ModelForm, Optimal, Target, fit_weights, make_predictor
 from cosim.control.predictors.linear import model_response
 from cosim.control.rate import RateController
-from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.channel import Channel, channels
-from cosim.design.loop.closed_loop import WINDOW, ClosedLoop, FrequencyGrid
-from cosim.design.loop.dynamics import make_lag_dynamics
-from cosim.design.loop.tuning import Tuning
 from cosim.engine import EngineSpec, load_engine
 from cosim.results.report.marks import page_parts
 from cosim.simulation.build import build
 from cosim.simulation.controllers.models import make_predictors, make_scenario_belief
 from cosim.spec.vehicle import Vehicle
+from hexjet_design.loop.actuator import Actuator
+from hexjet_design.loop.channel import Channel, channels
+from hexjet_design.loop.closed_loop import WINDOW, ClosedLoop, FrequencyGrid
+from hexjet_design.loop.dynamics import make_lag_dynamics
+from hexjet_design.loop.tuning import Tuning
 from hexjet_laws.adrc import AdrcAxis
 from hexjet_laws.indi import DAMPING, IndiAxis, SecondOrder
 from hexjet_laws.lqg import KalmanFilter, add_delay, discrete_model, regulator

@@ -23,17 +23,17 @@ from cosim.autopilots.lockstep import SensorFrame, StickPositions
 from cosim.autopilots.run import LOCKSTEP, AutopilotRun, fly_autopilot
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Sample
-from cosim.design.assessment import margins
-from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.channel import channels
-from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.loop.dynamics import make_lag_dynamics
-from cosim.design.loop.firmware import Firmware, matrices
-from cosim.design.loop.tuning import Tuning
 from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.identify.logs import read_flight_log
 from cosim.spec.scenario import Scenario
+from hexjet_design.assessment import margins
+from hexjet_design.loop.actuator import Actuator
+from hexjet_design.loop.channel import channels
+from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from hexjet_design.loop.dynamics import make_lag_dynamics
+from hexjet_design.loop.firmware import Firmware, matrices
+from hexjet_design.loop.tuning import Tuning
 
 try:
     BINARY: Path | None = theirs.find_program(None)

@@ -11,8 +11,8 @@ from foreign_engines import foreign
 from places import ROOT
 
 from cosim.cli.main import main
-from cosim.design import design as making
-from cosim.design import tune as search
+from hexjet_design import design as making
+from hexjet_design import tune as search
 
 PAGE = ROOT / "docs" / "own-engine.md"
 

@@ -17,13 +17,13 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Mode
 from cosim.control.autopilot.parameters import Caution
 from cosim.control.autopilot.requests import Answer, Result
-from cosim.design.measured.judge import LoopJudge
 from cosim.flight import fly
 from cosim.groundstation.exchange import Exchange, Restart
 from cosim.groundstation.session import RecordOptions, Session
 from cosim.results.autopilot.request_log import read_requests
 from cosim.results.run import REQUESTS
 from cosim.spec.scenario import Scenario
+from hexjet_design.measured.judge import LoopJudge
 
 SCENARIO = Scenario.load("hover").replace(name="gcs")
 

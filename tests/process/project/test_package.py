@@ -400,7 +400,7 @@ def test_a_flight_needs_nothing_but_the_core(tmp_path: Path) -> None:
     code = f"""
 import sys
 sys.modules.update(dict.fromkeys({hidden!r}))
-import cosim.groundstation.session, cosim.design.design, hexjet_paper.reproduce, cosim.campaign.run
+import cosim.groundstation.session, hexjet_design.design, hexjet_paper.reproduce, cosim.campaign.run
 from cosim.cli.main import main
 main(["fly", "hover", "--set", "duration_s=0.1", "--out", "flight"])
 """

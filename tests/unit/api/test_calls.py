@@ -119,6 +119,11 @@ def test_failsafes_without_winds_are_those_of_the_table(monkeypatch: pytest.Monk
     assert winds == [WINDS_M_S, WINDS_M_S, (3.0,)]
 
 
+def resolve(name: str, package: str) -> Any:
+    """An object by its name in the package, or in a tool."""
+    return resolve_name(name if name.startswith("hexjet_") else f"{package}.{name}")
+
+
 OTHERWISE = {"inertia_tolerance": "inertia", "mass_tolerance": "mass", "thrust_tolerance": "thrust", "seed": "drawn"}
 
 
@@ -128,8 +133,8 @@ OTHERWISE = {"inertia_tolerance": "inertia", "mass_tolerance": "mass", "thrust_t
         ("api.searches:search", "cli.studies.campaign:Search", 1.0),
         ("api.searches:rare", "cli.studies.campaign:Rare", 1.0),
         ("api.prove:prove", "cli.studies.prove:Prove", 1.0),
-        ("api.design:design", "cli.controllers.design:DesignOptions", 1.0),
-        ("api.margins:margins", "cli.controllers.margins:Margins", 1.0),
+        ("hexjet_design.api:design", "hexjet_design.command:DesignOptions", 1.0),
+        ("hexjet_design.measured.api:margins", "hexjet_design.measured.command:Margins", 1.0),
         ("api.identify:identify", "cli.controllers.identify:SweptEngine", 1.0),
         ("api.replay:replay", "cli.controllers.replay:Replayed", 0.01),
         ("api.identify:identify_bench", "cli.controllers.bench:Bench", 1.0),
@@ -140,8 +145,8 @@ OTHERWISE = {"inertia_tolerance": "inertia", "mass_tolerance": "mass", "thrust_t
 )
 def test_numbers_have_the_limits_of_their_options(call: str, record: str, shares: float) -> None:
     """``shares``: of the unit of an option that is called otherwise, a percentage."""
-    limits = vars(resolve_name(f"cosim.{call}"))["limits"]
-    options = resolve_name(f"cosim.{record}").options()
+    limits = vars(resolve(call, "cosim"))["limits"]
+    options = resolve(record, "cosim").options()
     assert limits
     for name, allowed in limits.items():
         kind = options[OTHERWISE.get(name, name) if "replay" in call else name].attributes["type"]
@@ -171,8 +176,8 @@ WITHOUT = {  # options that a call has no argument of, and why
         ("rare", "studies.campaign:Rare"),
         ("sweep", "studies.campaign:Sweep"),
         ("prove", "studies.prove:Prove"),
-        ("design", "controllers.design:DesignOptions"),
-        ("margins", "controllers.margins:Margins"),
+        ("design", "hexjet_design.command:DesignOptions"),
+        ("margins", "hexjet_design.measured.command:Margins"),
         ("identify", "controllers.identify:SweptAxis"),
         ("identify_log", "controllers.identify:FromLog"),
         ("identify_bench", "controllers.bench:Bench"),
@@ -191,7 +196,7 @@ WITHOUT = {  # options that a call has no argument of, and why
 def test_a_line_that_names_an_option_names_an_argument_instead(name: str, record: str) -> None:
     """Of every option of the command there is an argument, by which a line of the call names it."""
     parameters = inspect.signature(getattr(cosim, name)).parameters
-    options = resolve_name(record if record.startswith("hexjet_") else f"cosim.cli.{record}").options().values()
+    options = resolve(record, "cosim.cli").options().values()
     for option in {each.names[0].partition("/")[0] for each in options if each.names} - WITHOUT.keys():
         assert "--" not in with_arguments(f"so {option} 3", parameters, name), option
 

@@ -13,24 +13,24 @@ import pytest
 from click.testing import CliRunner
 from places import script
 
-from cosim.api.design import firmware_for
 from cosim.autopilots.betaflight import compute_gain_units, make_gain_settings
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
-from cosim.cli.controllers.design import design
-from cosim.design.assessment import assess
-from cosim.design.design import _AxisInputs, _design_axes, _firmware_on_axis
-from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.channel import Channel, channels
-from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid
-from cosim.design.loop.dynamics import make_lag_dynamics
-from cosim.design.loop.firmware import Firmware
-from cosim.design.loop.tuning import Tuning
-from cosim.design.tune import settle
 from cosim.engine import load_engine
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import RateGains, Vehicle, load_vehicle
+from hexjet_design.assessment import assess
+from hexjet_design.command import design
+from hexjet_design.design import _AxisInputs, _design_axes, _firmware_on_axis
+from hexjet_design.loop.actuator import Actuator
+from hexjet_design.loop.channel import Channel, channels
+from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from hexjet_design.loop.dynamics import make_lag_dynamics
+from hexjet_design.loop.firmware import Firmware
+from hexjet_design.loop.tuning import Tuning
+from hexjet_design.tune import settle
+from hexjet_sitl.design_loops import find_loops as firmware_for
 
 LawLoop = script("law_loop").LawLoop
 
@@ -172,7 +172,7 @@ def test_where_pitch_does_not_take_rolls_attitude_gain_both_have_that_of_pitch(
         fails = channel == "pitch" and (gain > pitch_takes or gain == 0.0)
         return SimpleNamespace(after=None if fails else SimpleNamespace(tuning=tuning))
 
-    monkeypatch.setattr("cosim.design.design._axis", axis)
+    monkeypatch.setattr("hexjet_design.design._axis", axis)
     inputs = _AxisInputs(*[None] * 6, Firmware("betaflight", common_angle=True), print)  # type: ignore[arg-type]
     plants: Any = {name: name for name in ("roll", "pitch", "yaw", "altitude")}
     axes, used = _design_axes(plants, inputs, None)

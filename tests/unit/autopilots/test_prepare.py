@@ -10,7 +10,6 @@ import pytest
 from command_tools import Hexjet
 from places import DESIGNS
 
-from cosim.api.design import write_parameters
 from cosim.autopilots import ardupilot, betaflight, px4
 from cosim.autopilots import prepare as preparation
 from cosim.autopilots.firmware_parameters import TARGET_NOTES
@@ -28,6 +27,7 @@ from cosim.base.storage.toml import parse_numbers, validate
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.simulation.controllers.controller_file import apply_controller
 from cosim.spec.scenario import Scenario
+from hexjet_sitl.design_loops import write_parameters
 
 PROGRAM = Path("/bin/true").resolve()  # is never started here
 HOVER = Scenario.load("hover")

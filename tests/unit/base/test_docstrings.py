@@ -38,7 +38,7 @@ def documented() -> Iterator[tuple[str, Any]]:
                 if not member.startswith("_") and member != "model_config":
                     found = value.__func__ if isinstance(value, classmethod) else value
                     if isinstance(found, property) or (
-                        inspect.isfunction(found) and found.__module__.startswith("cosim")
+                        inspect.isfunction(found) and found.__module__.startswith(("cosim", "hexjet_"))
                     ):
                         yield f"{name}.{member}", found
 

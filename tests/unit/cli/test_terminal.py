@@ -17,9 +17,9 @@ from places import ROOT, TESTS
 
 from cosim.base.wording import printable_line
 from cosim.cli import main as command
-from cosim.cli.controllers.design import fly_command
 from cosim.cli.flight.fly import print_run
 from cosim.results.run import open_run
+from hexjet_design.command import fly_command
 
 RUN = sorted((TESTS / "older").iterdir())[0] / "run"
 

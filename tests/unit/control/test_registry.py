@@ -20,13 +20,13 @@ from cosim.campaign.workers.flight_row import fly_one
 from cosim.control.autopilot.parameters import Parameters, table
 from cosim.control.predictors.registry import PREDICTORS, PredictorSpec, TuningParameter
 from cosim.control.predictors.smith import FilteredSmithPredictor, NoPredictor, robustness_filter
-from cosim.design.loop.channel import Channel
-from cosim.design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response
-from cosim.design.loop.criteria import excess, objective
-from cosim.design.loop.tuning import Tuning, candidates
-from cosim.design.tune import TuningBounds
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import load_vehicle
+from hexjet_design.loop.channel import Channel
+from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response
+from hexjet_design.loop.criteria import excess, objective
+from hexjet_design.loop.tuning import Tuning, candidates
+from hexjet_design.tune import TuningBounds
 
 FIXED = {"baseline": 0, "smith": 1, "filtered-smith": 2, "state": 3, "state-model": 4, "state-disturbance": 5}
 TAU = TuningParameter("tau_s", "s", "time constant of its filter", 0.0, 2.0, (0.05, 5.0), 0.15, mavlink="HJ_PRED_MINE")
@@ -120,7 +120,7 @@ def test_what_it_lacks_is_said_in_one_line(mine: PredictorSpec, plain: Predictor
         InputError, match=r"controller 'mine' needs an identified model of hexjet with engine 'turbojet'"
     ):
         roll("mine", engine="turbojet")
-    from cosim.design.design import design
+    from hexjet_design.design import design
 
     with pytest.raises(
         InputError, match=r"--controller plain: states no frequency response, which a design needs; allowed: auto, "
@@ -186,11 +186,11 @@ def test_a_ground_station_is_offered_it(mine: PredictorSpec) -> None:
 @pytest.fixture(scope="module")
 def loop() -> tuple[Channel, Tuning]:
     """The roll channel with EDF engines, and the aircraft's own gains on it."""
-    from cosim.design.assessment import predictor_model, shipped_tuning
-    from cosim.design.design import _scenario, identify_there, make_dynamics
-    from cosim.design.loop.actuator import Actuator
-    from cosim.design.loop.channel import channels
     from cosim.engine import load_engine
+    from hexjet_design.assessment import predictor_model, shipped_tuning
+    from hexjet_design.design import _scenario, identify_there, make_dynamics
+    from hexjet_design.loop.actuator import Actuator
+    from hexjet_design.loop.channel import channels
 
     scenario, vehicle = _scenario("edf", "hexjet", [])
     spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)

@@ -36,7 +36,6 @@ HOMES = {
     "pymavlink": ["groundstation/mavlink/"],
     "plotly": ["results/report/page.py"],
     "pyarrow": ["results/log/arrow.py"],
-    "control": ["design/"],
     "websockets": ["groundstation/web/", "shelf/server.py"],
     "distributed": ["campaign/workers/cluster.py"],
     "gymnasium": ["gym.py"],
@@ -74,7 +73,7 @@ OUR_FILE_READERS = {
 # What somebody else may have made is read by read_file, read_text and read_json of base/storage/files.py: regular files
 # of a limited size.  These read what the package or a process of its own has made.
 READS_BY_ITSELF = [
-    "autopilots/", "base/", "engine/", "identify/logs/", "campaign/installed.py", "design/survey.py",
+    "autopilots/", "base/", "engine/", "identify/logs/", "campaign/installed.py",
     "groundstation/mavlink/wire/generate.py", "groundstation/web/server.py", "identify/files.py",
     "results/report/page.py", "shelf/server.py", "simulation/controllers/process.py", "spec/new_aircraft.py",
     "spec/vehicle/sensor_profile.py",

@@ -12,16 +12,16 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 5_500,
-    "cosim": 98_800,
+    "cosim": 90_700,
     "docs": 6_500,
     "tests": 76_850,
-    "tools/hexjet_design": 50,
+    "tools/hexjet_design": 8_150,
     "tools/hexjet_export": 4_100,
     "tools/hexjet_identify": 50,
     "tools/hexjet_laws": 650,
     "tools/hexjet_paper": 4_550,
     "tools/hexjet_prove": 50,
-    "tools/hexjet_sitl": 50,
+    "tools/hexjet_sitl": 100,
 }
 # Lines of the package and of the tools that begin with a name in capitals and have a number.
 MAX_CONSTANTS = 1_150

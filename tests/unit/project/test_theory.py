@@ -63,12 +63,12 @@ def now(stated_model: RateModel) -> np.ndarray:
 
 def test_every_formula_names_a_function_that_exists() -> None:
     formulas = re.findall(r"^\$\$$", PAGE, re.MULTILINE)
-    named = re.findall(r"`(cosim/[\w/]+\.py):([\w.]+)`", PAGE)
+    named = re.findall(r"`((?:cosim|tools)/[\w/]+\.py):([\w.]+)`", PAGE)
     assert len(formulas) % 2 == 0
     assert len(formulas) // 2 >= 20
     assert [f"{file}:{name}" for file, name in named if name not in defined(ROOT / file)] == []
     parts = re.split(r"^## ", PAGE, flags=re.MULTILINE)[1:]
-    assert all("`cosim/" in part for part in parts if "$$" in part)
+    assert all("`cosim/" in part or "`tools/" in part for part in parts if "$$" in part)
 
 
 def told(values: np.ndarray) -> np.ndarray:

@@ -227,7 +227,7 @@ def test_an_older_summary_opens(design: Path, tmp_path: Path) -> None:
 
 @pytest.mark.unit
 def test_margins_name_the_design(design: Path) -> None:
-    from cosim.design.measured.margins import MeasuredMargins
+    from hexjet_design.measured.margins import MeasuredMargins
 
     margins = MeasuredMargins(apply_controller("hover", design), None, {}, "")
     (given,) = margins.to_dict()["parameter_files"]

@@ -396,7 +396,7 @@ def test_an_expectation_is_of_one_aircraft() -> None:
 
 @pytest.mark.parametrize(("aircraft", "engine"), [("hexjet-p220", "p220"), ("hexjet-100", "turbine-100")])
 def test_the_shipped_gains_are_what_the_design_wrote(aircraft: str, engine: str) -> None:
-    """Gains, leads, predictor and model, to the last digit; which keep the margins, tests/flight/design/test_design.py shows."""
+    """Gains, leads, predictor and model, to the last digit; which keep the margins, tests/hexjet_design/flight/test_design.py shows."""
     vehicle, _ = load_vehicle(aircraft)
     written, _ = load_vehicle(aircraft, read_toml(DESIGNS / f"{engine}.toml")["vehicle"])
     ours, theirs = vehicle.control.model_dump(), written.control.model_dump()

@@ -17,9 +17,6 @@ from cosim.base.signals import (
     State,
     Vector3,
 )
-from cosim.design.loop.actuator import Actuator
-from cosim.design.loop.channel import Channel, channels
-from cosim.design.loop.dynamics import make_lag_dynamics
 from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.identify.sweep import identify_axis
@@ -28,6 +25,9 @@ from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle.airframe import Airframe
 from cosim.vehicle.effects.banks import Banks
+from hexjet_design.loop.actuator import Actuator
+from hexjet_design.loop.channel import Channel, channels
+from hexjet_design.loop.dynamics import make_lag_dynamics
 
 STEP = 0.004
 NO_AERO = {"drag_area_m2": [0.0, 0.0, 0.0], "damping_n_m_s": [0.0, 0.0, 0.0]}

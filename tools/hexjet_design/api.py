@@ -1,0 +1,287 @@
+"""A controller for an engine: what ``hexjet design`` calls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from cosim.api.call import Limits, Progress, Result, Table, checked, says_arguments
+from cosim.api.call.choices import as_settings, engine_for
+from cosim.base.errors import InputError
+from cosim.base.plugins.entry_points import load_hook
+from cosim.base.storage.files import read_text
+from cosim.base.trust import mention
+
+if TYPE_CHECKING:
+    from hexjet_design.design import Design
+    from hexjet_design.loop.firmware import Firmware
+
+
+class DesignResult(Result):
+    """A controller with its predictor, model and gains, their margins, and the proof flown with them.
+
+    Attributes
+    ----------
+    designed : Design
+        Everything.
+    """
+
+    def __init__(self, designed: Design, autopilot: str | None = None) -> None:
+        self.designed = designed
+        self.files = {}
+        self._autopilot = autopilot
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is a design that keeps the requirements, and its proof held."""
+        return self.designed.ok
+
+    @property
+    def controller(self) -> Path | None:
+        """The controller file, for :func:`cosim.fly`, of a design not proved too; None where none was written."""
+        return self.files.get("controller")
+
+    @says_arguments
+    def write(self, file: Path | str | None = None) -> DesignResult:
+        """Write the controller file, where there is a design, and the page beside it.
+
+        Parameters
+        ----------
+        file : Path or str or None
+            Its name ends in ``.toml``; None: in a new folder in ``runs/``.
+
+        Returns
+        -------
+        DesignResult
+            This one, which has the files now.
+
+        Raises
+        ------
+        InputError
+            For a name that is no file of a design.
+        FlightError
+            If a file cannot be written.
+        """
+        from hexjet_design.result import write
+
+        path = None if file is None else Path(file)
+        if path is not None:
+            prepare(path)
+        self.files = write(self.designed, path)
+        if self._autopilot is not None and self.ok:
+            scenario = self.designed.scenario
+            write_parameters = _ask_autopilots("autopilot_parameters", self._autopilot)
+            self.files |= write_parameters(self._autopilot, scenario, self.files["controller"])
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet design --json`` prints."""
+        from hexjet_design.result import to_dict
+
+        return to_dict(self.designed, self.files)
+
+    def lines(self) -> list[str]:
+        """Return the answer, and what it rests on."""
+        from hexjet_design.result import summary_lines
+
+        return [f"{self.designed.vehicle.name} with engine {self.designed.engine.name}", *summary_lines(self.designed)]
+
+    def tables(self) -> list[Table]:
+        """Return the margins of the linear loops, and the proof's flights beside those with the gains that ship."""
+        from hexjet_design.proof.comparison import comparison_columns, comparison_rows
+        from hexjet_design.result import COLUMNS, rows
+
+        proof = self.designed.proof
+        tables = [Table("", COLUMNS, rows(self.designed))]
+        if proof is not None and proof.compared:
+            tables.append(Table("", comparison_columns(proof.compared), comparison_rows(proof.compared)))
+        return tables
+
+    def _figures(self) -> Mapping[str, Any]:
+        from hexjet_design.figures import design_figures
+
+        return design_figures(self.designed)
+
+
+@checked(
+    amplitude=Limits(0.0, 0.5, is_open=True),
+    max_sensitivity=Limits(1.05, 10.0),
+    delay_tolerance=Limits(0.0, 1.0),
+    gain_tolerance=Limits(0.0, 0.95),
+    engine_spread=Limits(0.0, 0.95),
+    min_bandwidth_hz=Limits(0.0),
+    noise_share=Limits(0.0, 1.0, is_open=True),
+)
+def design(
+    engine: str | Path | None = None,
+    aircraft: str | Path = "hexjet",
+    *,
+    controller: str = "auto",
+    model: str | Path | None = None,
+    amplitude: float | None = None,
+    max_sensitivity: float = 1.7,
+    delay_tolerance: float | None = None,
+    gain_tolerance: float | None = None,
+    engine_spread: float | None = None,
+    min_bandwidth_hz: float = 0.16,
+    noise_share: float = 0.0833,
+    autopilot: Literal["betaflight", "px4", "ardupilot"] | None = None,
+    lead: bool = True,
+    scheduled: bool = True,
+    start: str | Path | None = None,
+    proof: bool = True,
+    limit: bool = False,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    out: str | Path | None = None,
+    progress: Progress | None = None,
+) -> DesignResult:
+    """Design a controller for an engine on an aircraft: predictor, its model, and the gains of all axes.
+
+    A design ends with its proof: hover, gust and doublets flown with noise at the corners of the tolerances and with
+    one engine off.
+
+    Parameters
+    ----------
+    engine : str or Path or None
+        A name, an FMU or its mapping file; None: the aircraft's own.
+    aircraft : str or Path
+        A name or a folder.
+    controller : str
+        One of the predictors, ``auto`` for the best of them, or ``optimal``: the controller at the limit of
+        performance, of low order.
+    model : str or Path or None
+        A file with identified models, taken instead of what engine and airframe make together.
+    amplitude : float or None
+        Amplitude of the engine's sweep, in throttle; None: 0.005.
+    max_sensitivity : float
+        The largest peak of |S|.
+    delay_tolerance : float or None
+        Share of the delay that it may be off, both ways; None: as the engine's uncertainty, or 0.3.
+    gain_tolerance : float or None
+        Share of the gain that it may be off, both ways; None: as of the delay.
+    engine_spread : float or None
+        Share of gain and lag by which one engine is off in the proof.
+    min_bandwidth_hz : float
+        Least bandwidth of roll and pitch [Hz].
+    noise_share : float
+        One standard deviation of sensor noise in a command, as a share of its room.
+    autopilot : str or None
+        ``betaflight``, ``px4`` or ``ardupilot``: gains for that autopilot's own loops.
+    lead : bool
+        Whether a lead against the engine's lag is tried.
+    scheduled : bool
+        Whether gains may follow the thrust where fuel burns.
+    start : str or Path or None
+        A controller file: the search begins at its gains, for its candidate alone.
+    proof : bool
+        Whether the design ends with its proof.
+    limit : bool
+        Whether each axis is compared with the best that any linear controller could do.
+    settings : sequence of str or mapping
+        Written over a plain hover.
+    out : str or Path or None
+        The controller file, ``.toml``; without it nothing is written.
+    progress : Progress or None
+        Hears what is being done.
+
+    Returns
+    -------
+    DesignResult
+        Whether there is one, its margins and its proof.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, a vehicle that the engines do not lift, or an engine that does not answer.
+    """
+    from cosim.simulation.controllers.controller_file import LAW, Requirements
+    from hexjet_design.design import add_limits
+    from hexjet_design.design import design as make
+    from hexjet_design.loop.limit import need_solver
+    from hexjet_design.proof.run import add_proof
+
+    hears, texts = progress or Progress(), as_settings(settings)
+    mention([*texts, engine], Path())
+    if out is not None:  # before minutes of searching
+        prepare(Path(out))
+    limit = limit or controller == LAW
+    if limit:
+        need_solver()
+    name, vehicle = engine_for(str(aircraft), None if engine is None else str(engine)), str(aircraft)
+    firmware: Firmware | None = None
+    if autopilot is not None:
+        firmware, controller = _loops_of(autopilot, vehicle, texts, controller, start)
+        lead = scheduled = proof = False
+    spans = {"delay_tolerance": delay_tolerance, "gain_tolerance": gain_tolerance, "engine_spread": engine_spread}
+    need = Requirements(
+        **{key: value for key, value in spans.items() if value is not None},
+        max_sensitivity=max_sensitivity,
+        min_bandwidth_hz=min_bandwidth_hz,
+        noise_share=noise_share,
+    )
+
+    def tell(text: str) -> None:
+        hears.update(text, 0, 1)
+
+    seek = partial(
+        make,
+        name,
+        vehicle,
+        controller=controller,
+        need=need,
+        settings=texts,
+        model=None if model is None else Path(model),
+        amplitude=amplitude,
+        lead=lead,
+        scheduled=scheduled,
+        start=None if start is None else Path(start),
+        firmware=firmware,
+        say=tell,
+    )
+    designed = seek()
+    if proof:
+        designed = add_proof(designed, tell, lambda unsure: seek(unsure=unsure))
+    if limit and designed.is_written:
+        designed = add_limits(designed, tell)
+    result = DesignResult(designed, autopilot)
+    return result if out is None else result.write(out)
+
+
+def _loops_of(
+    autopilot: str, aircraft: str, settings: Sequence[str], controller: str, start: str | Path | None
+) -> tuple[Firmware, str]:
+    """Return an autopilot's own loops, and the controller that is designed for them.  Raises InputError."""
+    from cosim.control.predictors.registry import BASELINE
+
+    if controller not in ("auto", BASELINE.name) or start is not None:
+        raise InputError(f"--for {autopilot}: it has no predictor of ours: leave --controller and --start out")
+    return _ask_autopilots("autopilot_loops", autopilot)(autopilot, aircraft, settings), BASELINE.name
+
+
+def _ask_autopilots(hook: str, autopilot: str) -> Any:
+    """Return a function of the tool that knows the autopilots.  Raises InputError where it is not installed."""
+    if (function := load_hook(hook)) is None:
+        raise InputError(f"--for {autopilot}: hexjet_sitl is not installed, which knows its loops and parameters")
+    return function
+
+
+def prepare(out: Path) -> None:
+    """Make the folder of a controller file.
+
+    Raises InputError for a name that is none, where it cannot be made, and for a file that no design left there.
+    """
+    if out.suffix.lower() != ".toml":
+        raise InputError(f"--out {out}: must end in .toml, by which --controller knows it")
+    from cosim.base.storage.toml import read_toml
+
+    page = out.with_suffix(".html")
+    if out.exists() and not {"controller", "design"} <= read_toml(out).keys():
+        raise InputError(f"--out {out}: is there already, and is no file of hexjet design; choose another name")
+    if page.exists() and " control design</title>" not in read_text(page)[:4096]:
+        raise InputError(f"--out {out}: {page} is there already, and is no page of hexjet design; choose another name")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--out {out}: cannot be written to: {error.strerror or error}") from error

@@ -1,0 +1,261 @@
+"""The law at the limit of performance, designed for requirements: the answer to a load by a convex programme.
+
+:func:`hexjet_design.loop.low_order.reduce_limit` has the least load error within a peak sensitivity, a noise and an
+error of the delay, with the loop of the controller's model.  A design asks for more than that: tolerances of delay and
+gain at once, a step that does not saturate, a bandwidth, and for the loop with the engine, which may be off its model.
+So the programme's bounds are drawn closer by what that loop misses, until it keeps everything:
+
+1. The answer to a set-point: its three lags are as short as a step of the stated size leaves room for; longer ones
+   where the noise of a short one costs more after a load than it gains.
+2. The programme's bounds, drawn closer; its condition for an error of the delay is sufficient, not necessary.
+3. The weights that are free are moved by a simplex, for what the loop itself asks: a third less error after a load.
+
+Where nothing keeps the requirements, each is relaxed by itself, to see which would have to be, and by how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import exp, floor, inf, pi, sqrt
+
+import numpy as np
+from scipy.optimize import minimize
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.control.laws.axis import low_frequency_delay
+from cosim.control.laws.optimal import LAGS, PredictorBases, Target, filter_response, polynomial
+from cosim.simulation.controllers.controller_file import Requirements
+from cosim.spec.vehicle import RateModel
+from hexjet_design.loop.channel import Channel
+from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from hexjet_design.loop.criteria import CORNER, OVERSHOOT, excesses, fine_loop, is_acceptable, objective
+from hexjet_design.loop.limit import Bounds, need_solver
+from hexjet_design.loop.low_order import COARSE, START, free_weights, reduce_limit
+from hexjet_design.loop.tuning import Tuning, round_gain
+
+Pairs = Sequence[tuple[float, float]]
+
+SPARE = 0.004  # by which the search stays inside the requirements, for what lies between its points
+CORNER_SPARE = 0.1  # of what a flight at a corner may overshoot by, for noise
+ROUGH = 100  # points of the circle where responses in time are looked at alone
+CLOSE = 1500  # points of the circle while bounds are drawn closer
+TURNS = 12  # of drawing them closer
+FREE_STEP = 100.0  # step error that the programme may have, s: the lags alone say it
+SLOWER = (1.0, 0.7, 0.5, 0.35)  # times the poles of START, where a search may begin: of an engine that is slow itself
+LONGER = (1.0, 1.3, 1.7, 2.4, 3.5)  # times the shortest lag
+FIRST_ERROR = 0.3  # of the delay's tolerance: the first error of the delay that is asked of the programme
+FIRST, FIRST_LAG = 0.02, 0.2  # of the simplex, as a part of the weights' length, and in the logarithm of the lag
+ROUNDS = 300  # of the simplex
+PENALTY, UNSTABLE = 100.0, 1e3  # what missing a requirement by 100 % costs in the objective, and no loop
+RELAXED = (1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)  # times a requirement
+WAYS = (  # a requirement in words, its keys, and whether more of it asks for less
+    ("a peak sensitivity of {max_sensitivity:.3g}", ("max_sensitivity",), True),
+    (
+        "tolerances of {delay_tolerance:.2g} of the delay and {gain_tolerance:.2g} of the gain",
+        ("delay_tolerance", "gain_tolerance"),
+        False,
+    ),
+    ("noise of {noise_share:.3g} of the room", ("noise_share",), True),
+    ("a bandwidth of {min_bandwidth_hz:.2g} Hz", ("min_bandwidth_hz",), False),
+)
+THREE_DB = sqrt(10.0 ** (0.3 / LAGS) - 1.0)  # rad: frequency times lag at which so many lags have lost 3 dB
+
+
+@dataclass(frozen=True)
+class LimitTuning:
+    """The law with the least objective that keeps the requirements, or in words why there is none."""
+
+    tuning: Tuning | None
+    objective: float  # infinite where there is none
+    why_not: str = ""
+
+
+class _Search:
+    """The law on one channel, for requirements."""
+
+    def __init__(self, channel: Channel, model: RateModel, fixed: Tuning, need: Requirements) -> None:
+        self.channel, self.model, self.fixed, self.need = channel, model, fixed, need
+        self.points = FrequencyGrid(channel, close=CLOSE)
+        # a delay between two steps is the nearest whole one to the law
+        self.believed = model.model_copy(update={"delay_samples": float(round(model.delay_samples))})
+        self.delay = low_frequency_delay(model)
+        self.corners = [FrequencyGrid(corner, close=ROUGH) for corner in _late_corners(channel, need)]
+
+    def missed(self, closed: ClosedLoop, flown: bool = True) -> dict[str, float]:
+        """Return the relative parts by which requirements are missed, those that are.
+
+        ``flown``: with what a proof flies, the overshoot of a step at a corner of the tolerances.
+        """
+        if closed.unstable_poles:
+            return {"tolerances": 1.0}
+        parts = excesses(closed, self.need, SPARE)
+        if flown:
+            allowed = CORNER * (OVERSHOOT + closed.overshoot) * (1.0 - CORNER_SPARE)
+            worst = max((ClosedLoop(corner, closed.tuning).overshoot for corner in self.corners), default=0.0)
+            parts["corners"] = min(worst / allowed - 1.0, 10.0)
+        return {name: part for name, part in parts.items() if part > 0.0}
+
+    def tuning(self, target: Target, bases: PredictorBases | None = None) -> Tuning:
+        """Return the law with this target, its parameters as they are written down."""
+        values = {name: round_gain(value) for name, value in target.to_values(self.delay).items()}
+        return Tuning.of_law(values, self.model, self.fixed, bases)
+
+    def lags(self) -> list[float]:
+        """Return lags of the answer to a set-point, s, between what the step's size and the bandwidth allow."""
+        need = self.need
+        longest = THREE_DB / (2.0 * pi * need.min_bandwidth_hz) if need.min_bandwidth_hz else inf
+        low, high = self.channel.step, 50.0 * self.delay
+        for _ in range(30):
+            middle = sqrt(low * high)
+            low, high = (low, middle) if self._first_command(middle) * need.step_rad <= self._room else (middle, high)
+        return [lag for lag in (factor * high for factor in LONGER) if lag <= longest]
+
+    @property
+    def _room(self) -> float:
+        return self.channel.room * (1.0 - SPARE)
+
+    def _first_command(self, lag: float) -> float:
+        """Return the largest command after a unit step of the set-point: ``a / (b T)`` of the lags' answer.
+
+        Zeros that cannot be inverted stay in the answer, as much as is 1 at rest.
+        """
+        model, step = self.believed, self.channel.step
+        impulse = np.zeros(round(12.0 * lag / step) + 8)
+        impulse[0] = 1.0
+        pole = float(np.exp(-step / lag))
+        answer = filter_response([(1.0 - pole) ** LAGS], polynomial([pole] * LAGS), impulse)
+        kept = polynomial([zero for zero in model.all_zeros if abs(zero) >= 1.0])
+        inside = polynomial([zero for zero in model.all_zeros if abs(zero) < 1.0])
+        command: Array = filter_response(polynomial(model.all_poles), inside, answer)
+        return float(np.abs(command).max()) / (abs(model.gain * float(kept.sum())) * step)
+
+    def draw_closer(self, lag: float, pairs: Pairs) -> Tuning | None:
+        """Return the law that keeps the requirements with this lag and these poles, or None."""
+        need, noise = self.need, self.need.noise_share * self.channel.room
+        bounds = Bounds(need.max_sensitivity * (1.0 - SPARE), noise * (1.0 - SPARE), FREE_STEP)
+        wide = need.delay_samples(self.channel.transport_samples)
+        for _ in range(TURNS):
+            try:
+                low = reduce_limit(self.channel, self.believed, bounds, lag, pairs, rounds=0, frequencies=COARSE)
+                tuning = self.tuning(low.target)
+            except InputError:
+                return None
+            missed = self.missed(ClosedLoop(self.points, tuning), flown=False)
+            if not missed:
+                return tuning
+            error = bounds.delay_error
+            if "tolerances" in missed:
+                error = min(max(FIRST_ERROR * wide, error * (1.0 + missed["tolerances"]) + 0.25), 2.0 * wide)
+            peak = bounds.peak_sensitivity / (1.0 + min(missed.get("peak sensitivity", 0.0), 1.0))
+            closer = Bounds(peak, bounds.noise / (1.0 + missed.get("noise", 0.0)), FREE_STEP, error)
+            if closer == bounds:  # what is missed is the lag's
+                return None
+            bounds = closer
+        return None
+
+    def find_start(self) -> Tuning | None:
+        """Return the law of the least objective whose weights are the programme's, or None."""
+        best: tuple[float, Tuning] | None = None
+        for slower in SLOWER:
+            pairs = [(slower * natural, damping) for natural, damping in START]
+            for lag in self.lags():
+                tuning = self.draw_closer(lag, pairs)
+                if tuning is not None:
+                    value = objective(ClosedLoop(self.points, tuning))
+                    if best is not None and value >= best[0]:
+                        break
+                    best = (value, tuning)
+            if best is not None:
+                return best[1]
+        return None
+
+    def move_weights(self, start: Tuning) -> Tuning:
+        """Return the law with its lag and the weights that are free moved to the least objective."""
+        assert start.law is not None
+        target = Target.of(start.law, self.delay)
+        bases, points = PredictorBases.of(self.model, target), FrequencyGrid(self.channel)
+        weights = np.array(target.weights)
+        free = float(np.linalg.norm(weights)) * free_weights(self.model, target)
+
+        def at(x: Array) -> Tuning:
+            moved = tuple((weights + free @ x[1:]).tolist())
+            return self.tuning(replace(target, lag_s=target.lag_s * exp(x[0]), weights=moved), bases)
+
+        def cost(x: Array) -> float:
+            try:
+                closed = ClosedLoop(points, at(x))
+                if closed.unstable_poles:
+                    return UNSTABLE
+                return objective(closed) + PENALTY * sum(self.missed(closed).values())
+            except (InputError, ArithmeticError):
+                return UNSTABLE
+
+        size = 1 + free.shape[1]
+        simplex = np.vstack([np.zeros(size), np.diag([FIRST_LAG, *[FIRST] * (size - 1)])])
+        options = {"maxfev": ROUNDS, "xatol": 1e-4, "fatol": 1e-4, "initial_simplex": simplex}
+        found = minimize(cost, np.zeros(size), method="Nelder-Mead", options=options)
+        return at(found.x)
+
+
+def _late_corners(channel: Channel, need: Requirements) -> list[Channel]:
+    """Return the channel at the corners of its tolerances that are flown in a proof with the delay longer."""
+    if not (need.delay_tolerance or need.gain_tolerance):
+        return []
+    late = channel.with_delay(channel.actuator_delay + floor(need.delay_samples(channel.transport_samples)))
+    corners = []
+    for gain in (1.0 - need.gain_tolerance, 1.0 + need.gain_tolerance):
+        known = late.identified
+        other = None if known is None else known.model_copy(update={"gain": gain * known.gain})
+        corners.append(replace(late, gain=gain * late.gain, identified=other))
+    return corners
+
+
+def tune_at_limit(channel: Channel, model: RateModel, fixed: Tuning, need: Requirements) -> LimitTuning:
+    """Find the law at the limit for the requirements of a channel.
+
+    Parameters
+    ----------
+    channel : Channel
+        What it flies.
+    model : RateModel
+        What it believes of that, with the delay that the controller adds.
+    fixed : Tuning
+        What the law leaves as it is.
+    need : Requirements
+        Peak sensitivity, tolerances, noise, size of a step and bandwidth.
+
+    Returns
+    -------
+    LimitTuning
+        The law, or which requirement would have to be another.
+
+    Raises
+    ------
+    InputError
+        Where the solver is not installed.
+    """
+    need_solver()
+    search = _Search(channel, model, fixed, need)
+    start = search.find_start()
+    if start is None:
+        return LimitTuning(None, inf, _explain(search))
+    tuning = search.move_weights(start)
+    closed = fine_loop(channel, tuning)
+    if not is_acceptable(closed, need):
+        return LimitTuning(None, inf, "a requirement is missed between the frequencies that were searched at")
+    return LimitTuning(tuning, objective(closed))
+
+
+def _explain(search: _Search) -> str:
+    """Return which requirement, each by itself, would have to be relaxed and to what."""
+    ways = []
+    for text, names, grows in WAYS:
+        for factor in RELAXED:
+            changed = {name: getattr(search.need, name) * (factor if grows else 1.0 / factor) for name in names}
+            relaxed = search.need.model_copy(update=changed)
+            if _Search(search.channel, search.model, search.fixed, relaxed).find_start() is not None:
+                ways.append(text.format(**changed))
+                break
+    return f"it would take {', or '.join(ways)}" if ways else "none of them alone is what stands in the way"

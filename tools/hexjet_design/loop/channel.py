@@ -1,0 +1,456 @@
+"""A channel: everything between a command and what the controller measures of it, as it is flown.
+
+For roll: share of thrust ``u`` -> engine -> moment -> rate -> gyro.  In steps of ``T`` with ``m`` JSBSim runs each,
+
+    thrust   G_e(z) = b(z) / a(z) z^-d        the thrust of the step's end acts over the whole step
+    rate     K T f z / (z - p)                    held over the step, exactly;  K = moment per command / inertia
+    gyro     (1 - c) z / (z - c), then its latency
+    angle    T / 2 (z + 1) / (z - 1) of the rate, without the gyro
+
+What tilts pushes back, and rotors that are turned or sped up lead: :attr:`Channel.shape`.
+
+``p = exp(-D T)`` with the damping ``D``, and ``f = (1 - p) / (D T)``.  With one or two runs a step JSBSim's method
+shows: see :attr:`Channel.turning`.  The delay ledger lists the same elements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf, log
+
+import numpy as np
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.base.signals import AXES
+from cosim.control.predictors.linear import delayed_response
+from cosim.engine import EngineSpec
+from cosim.simulation.axis_chain import (
+    AxisPart,
+    axis_gain,
+    axis_moment,
+    bank_reaction,
+    discretise_rate,
+    filter_pole,
+    is_turned_by_throttle,
+    list_hinged_parts,
+    measurement_response,
+    rate_response,
+    thrust_momentum_lead,
+)
+from cosim.simulation.controllers.allocators import make_effectiveness
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import EngineLead, Hinge, RateModel, Sensors, Servo, Vehicle
+from hexjet_design.loop.actuator import SERVO, STILL, Actuator, make_hinge_actuator, servo_actuator
+from hexjet_design.loop.dynamics import CARRIED
+
+OTHERS_POINTS = 160  # frequencies at which what others add to an axis is computed: 4 % apart, more counts below than is
+MET = 0.5  # of all delay at low frequency or of the pace: as far may the two be apart; one lag alone has 0.64
+SECOND_POLE_WITHIN = 5.0  # times the slowest pole: up to here a lead takes the second one with it
+LED_WITHIN = 3.0  # times the channel's pace: slower poles of an engine with a zero beside one are not led
+SLOWEST = 1e-5  # rad/s, from where the first radian is looked for: a day
+TURNS = 400  # frequencies until then, 5 % apart
+INSTANT = 1e-9  # a pole in z below which a lag is over within a step: a 20th of one; chosen by us, far below what acts
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One axis, or the height, of a vehicle with its actuators."""
+
+    name: str  # "roll", "pitch", "yaw", "altitude"
+    unit: str  # of the command
+    actuator: Actuator
+    gain: float  # rad/s^2 per unit of the command at rest; for the height 1: the command is an acceleration
+    damping_1_s: float
+    step: float
+    substeps: int
+    room: float  # either way, that the command has at hover; of a servo, what it can follow without its rate limit
+    rate_filter_s: float = 0.0
+    rate_latency: int = 0
+    rate_hold: int = 1  # steps for which a measurement is kept
+    rate_noise: float = 0.0  # one standard deviation of the measured rate
+    angle_latency: int = 0
+    angle_noise: float = 0.0
+    angle_from_gyro: bool = False  # an estimator's, which integrates the measured rate
+    added_delay: int = 0
+    # the moment, of the actuator's answers of this step and of those before: what tilts pushes back, what spins leads
+    shape: tuple[float, ...] = STILL
+    hinged: tuple[AxisPart, ...] = ()  # what hinges give, of which actuator and shape are made
+    identified: RateModel | None = None  # command to measured rate, taken as it is instead of the chain
+
+    @property
+    def gyro_pole(self) -> float:
+        """Pole in z of the gyro's low-pass."""
+        return filter_pole(self.rate_filter_s, self.step)
+
+    @property
+    def rate_dynamics(self) -> tuple[tuple[float, ...], float]:
+        """Weights of a moment and the rate's pole over one step, as :func:`.axis_chain.discretise_rate` has them."""
+        return discretise_rate(self.damping_1_s, self.step, self.substeps, self.shape)
+
+    @property
+    def transport_samples(self) -> float:
+        """Pure delay from command to measured rate, without hold and lags: what a tolerance of the delay is of."""
+        if self.identified is not None:
+            return self.identified.delay_samples + self.added_delay
+        return self.actuator.model.delay_samples + self.added_delay + self.rate_latency + 0.5 * (self.substeps == 1)
+
+    @property
+    def lag_s(self) -> float:
+        """Sum of the lags, the gyro's and a hold's included, s."""
+        if self.identified is not None:
+            return sum(-self.step / log(pole) for pole in self.identified.poles if 0.0 < pole < 0.998)
+        acting = self.actuator.dynamics.lag_s - self.lead_s
+        if len(self.hinged) > 1:  # each by its share
+            late = sum([part.fraction * part.servos[0].lag_s for part in self.hinged])
+            acting = late / sum([part.fraction for part in self.hinged]) - self.lead_s
+        return acting + self.rate_filter_s + 0.5 * (self.rate_hold - 1) * self.step
+
+    @property
+    def lead_s(self) -> float:
+        """By how much the momentum of rotors that hinges turn acts sooner than the hinges do, s; 0 without hinges."""
+        if not self.hinged:
+            return 0.0
+        return sum([part.lead_s for part in self.hinged]) / sum([part.fraction for part in self.hinged])
+
+    @property
+    def slowness_s(self) -> float:
+        """All delay at low frequency, s: half a step of hold, transport and lags; below 0 where leads are more."""
+        return (0.5 + self.transport_samples) * self.step + self.lag_s
+
+    @cached_property
+    def pace_s(self) -> float:
+        """Return the time, s, above 0, that a loop around it is fast or slow against, by which a search is scaled.
+
+        That is all delay at low frequency, where this is what a crossover meets.  It is not where a slow pole has a
+        zero beside it: thrust that overshoots and comes back slowly leads at low frequency and is late all the same,
+        and thrust that creeps up its last part is late at low frequency alone; nor where rotors lead.  There it is the
+        time of the frequency at which the actuator that gives most has turned the phase by 1 rad, as a delay of one
+        over it does.
+        """
+        turned = self._turned_s() if self.identified is None else self.slowness_s
+        return self.slowness_s if MET < turned / max(self.slowness_s, INSTANT) < 1.0 / MET else turned
+
+    @property
+    def paced_gain(self) -> float:
+        """Return the gain that a loop at its pace meets, in the unit of the gain at rest.
+
+        That is the gain at rest itself where the lags are all that is between the two.
+        """
+        if self.pace_s == self.slowness_s:
+            return self.gain
+        s, gain = 1j / self.pace_s, self.gain
+        for pole in self.actuator.dynamics.poles:
+            gain /= abs(1.0 - s / pole)
+        for zero in self.actuator.dynamics.zeros:
+            gain *= abs(1.0 - s / zero)
+        return gain
+
+    @property
+    def longest_s(self) -> float:
+        """Return the longest time in which it answers, s: its slowest pole's, where that is longer than its pace."""
+        if self.pace_s == self.slowness_s:
+            return self.pace_s
+        return max([self.pace_s, *(1.0 / abs(pole) for pole in self.actuator.dynamics.poles)])
+
+    def _turned_s(self) -> float:
+        """Return one over the least frequency, rad/s, at which command to rate, less its integral, is 1 rad late."""
+        dynamics = self.actuator.dynamics
+        omega = np.geomspace(SLOWEST, 4.0 / self.step, TURNS)  # at its end half a step of hold alone has turned by 2
+        late = (0.5 + self.transport_samples) * self.step + 0.5 * (self.rate_hold - 1) * self.step
+        turned = late * omega + np.arctan(self.rate_filter_s * omega)
+        for pole in dynamics.poles:
+            turned += np.angle(1.0 - 1j * omega / pole)
+        for zero in dynamics.zeros:
+            turned -= np.angle(1.0 - 1j * omega / zero)
+        first = int(np.argmax(turned > 1.0))
+        part = slice(max(first - 1, 0), first + 1)
+        return 1.0 / float(np.exp(np.interp(1.0, turned[part], np.log(omega[part]))))
+
+    def model(self, source: str) -> RateModel:
+        """Return the model from command to measured rate for a predictor, exact where the delay is whole samples.
+
+        A delay that the controller adds itself is not in it: the flight adds that to the predictor's model.
+        """
+        if self.identified is not None:
+            return self.identified
+        body = self.actuator.model
+        weights, pole = self.rate_dynamics
+        first = next(weight for weight in weights if weight)
+        gain = body.gain * self.gain * self.step * (1.0 - self.gyro_pole) * first
+        zeros, poles, pairs = [*body.zeros], [*body.poles, pole], [*body.zero_pairs]
+        if any(weights[1:]):
+            acting = np.trim_zeros(weights, "b")
+            poles += [0.0] * (len(acting) - 2)
+            roots = np.roots(acting)
+            zeros += [float(root.real) for root in roots if not root.imag]
+            pairs += [(float(root.real), float(root.imag)) for root in roots if root.imag > 0.0]
+        else:
+            zeros.append(0.0)
+        delay = body.delay_samples + self.rate_latency
+        if self.gyro_pole:
+            zeros.append(0.0)
+            poles.append(self.gyro_pole)
+        poles, zeros, more = remove_instant_dynamics(poles, zeros)
+        delay += more
+        return RateModel(
+            gain=gain,
+            zeros=zeros,
+            zero_pairs=pairs,
+            poles=sorted(poles, reverse=True),
+            pole_pairs=body.pole_pairs,
+            delay_samples=delay,
+            sample_time_s=self.step,
+            source=source,
+        )
+
+    def responses(self, z: Complex) -> tuple[Complex, Complex, Complex]:
+        """Return the responses from command to measured rate, to measured angle, and to the angle itself."""
+        integral = 0.5 * self.step * (z + 1.0) / (z - 1.0)
+        late = z ** -float(self.added_delay)
+        if self.identified is not None:
+            rate = delayed_response(self.identified, z) * late
+            return rate, rate * integral * z**-self.angle_latency, rate * integral
+        weights, pole = self.rate_dynamics
+        body = rate_response(z, weights, pole)
+        rate = self.gain * self.step * delayed_response(self.actuator.model, z) * body * late
+        measured = rate * self.measurement_response(z)
+        angle = measured * integral if self.angle_from_gyro else rate * integral * z**-self.angle_latency
+        return np.asarray(measured), np.asarray(angle), np.asarray(rate * integral)
+
+    def measurement_response(self, z: Complex) -> Complex:
+        """Return the response from rate to measured rate: low-pass, latency, and the mean effect of a hold."""
+        return measurement_response(z, self.gyro_pole, self.rate_latency, self.rate_hold)
+
+    # ---- the same channel, changed
+
+    def with_delay(self, samples: float) -> Channel:
+        """Return the channel with another delay of the actuator, samples (of all where it was identified whole)."""
+        if self.identified is not None:
+            return replace(self, identified=self.identified.model_copy(update={"delay_samples": samples}))
+        return replace(self, actuator=self.actuator.with_delay(samples))
+
+    def with_lags(self, factor: float) -> Channel:
+        """Return the channel with the actuator's lags times a factor; 0 takes them away, but for what no step shows."""
+        if self.identified is not None:
+            raise InputError("a response given as a whole does not say which of its lags are the engine's")
+        if not self.hinged:
+            return replace(self, actuator=Actuator.of(self.actuator.name, self.actuator.dynamics.slower(factor)))
+        actuator, shape = make_hinge_actuator(self.hinged, self.step, factor)
+        dynamics = replace(actuator.dynamics, unsure=self.actuator.dynamics.unsure)
+        actuator = replace(actuator, dynamics=dynamics).with_delay(self.actuator_delay)
+        return replace(self, actuator=actuator, shape=shape)
+
+    @property
+    def is_by_servo(self) -> bool:
+        """Whether its command tilts thrusts and leaves their size."""
+        return self.actuator.name == SERVO
+
+    @property
+    def actuator_delay(self) -> float:
+        """Delay that :meth:`with_delay` replaces, samples."""
+        return (self.identified or self.actuator.model).delay_samples
+
+
+def thrust_span(engine: EngineSpec) -> float:
+    """Return the thrust that a command of 1 (a fraction of the engine's range) adds at rest, N."""
+    return engine.curve.thrust[-1] - engine.curve.thrust[0]
+
+
+def hover_fraction(vehicle: Vehicle, engine: EngineSpec) -> float:
+    """Return the fraction of its range at which each engine carries its part of the weight."""
+    thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
+    return (thrust - engine.curve.thrust[0]) / thrust_span(engine)
+
+
+def channels(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> dict[str, Channel]:
+    """Return the channels of roll, pitch, yaw and altitude at hover, with engines of these dynamics."""
+    by_axis = {axis: _axis(axis, scenario, vehicle, engine, dynamics) for axis in AXES}
+    by_axis["altitude"] = _altitude(scenario, vehicle, engine, dynamics)
+    return by_axis
+
+
+def _axis(axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
+    index = AXES.index(axis)
+    if vehicle.allocation == "effectiveness":
+        return _by_effectiveness(axis, scenario, vehicle, engine, dynamics)
+    inertia, span = vehicle.inertia_kg_m2[index], thrust_span(engine)
+    thrusts, moment = is_turned_by_throttle(vehicle, index), axis_moment(vehicle, index, span)
+    kick = bank_reaction(vehicle, index, moment, scenario.step_s)
+    early = thrust_momentum_lead(vehicle, engine, index, scenario.step_s)
+    room = _room(vehicle, engine) if thrusts else _servo_room(vehicle.servo)
+    return Channel(
+        axis,
+        "share" if thrusts else "rad",
+        dynamics if thrusts else servo_actuator(vehicle.servo, scenario.step_s),  # type: ignore[arg-type]
+        axis_gain(vehicle, index, span),
+        vehicle.aero.damping_n_m_s[index] / inertia,
+        scenario.step_s,
+        scenario.substeps,
+        room,
+        **_gyro(vehicle.sensors),  # type: ignore[arg-type]
+        added_delay=scenario.added_delay_samples if axis == "roll" else 0,
+        shape=(1.0 + early + kick, -early - 2.0 * kick, kick),
+    )
+
+
+def _by_effectiveness(
+    axis: str, scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator
+) -> Channel:
+    """Return the channel of an angular acceleration, rad/s^2, by what gives most of it in hover: thrusts or hinges.
+
+    What the other gives of it is carried as an uncertainty: :func:`_with_others`.
+    """
+    index = AXES.index(axis)
+    allocator, step = make_effectiveness(scenario, vehicle, engine), scenario.step_s
+    room = allocator.acceleration_limit(index)
+    engines, *hinges = list_hinged_parts(vehicle, allocator, index, engine, step)
+    hinged = tuple([part for part in hinges if any(part.compute_weights(step))])
+    main, shape, others = dynamics, STILL, hinged
+    if sum([part.fraction for part in hinged]) > engines.fraction:
+        main, shape = make_hinge_actuator(hinged, step)
+        others = (engines,)
+        # no step of the command may ask more of a hinge than its servo follows
+        follows = [
+            _servo_room(hinge) / abs(move)
+            for part in hinged
+            for hinge, move in zip(part.servos, part.moves, strict=True)
+            if move
+        ]
+        room = min([room, *follows])
+    return Channel(
+        axis,
+        "rad/s^2",
+        _with_others(main, shape, others, dynamics, step),
+        1.0,
+        vehicle.aero.damping_n_m_s[index] / vehicle.inertia_kg_m2[index],
+        step,
+        scenario.substeps,
+        room,
+        **_gyro(vehicle.sensors),  # type: ignore[arg-type]
+        added_delay=scenario.added_delay_samples if axis == "roll" else 0,
+        shape=shape,
+        hinged=() if main is dynamics else hinged,
+    )
+
+
+def _with_others(
+    main: Actuator, shape: Sequence[float], others: Sequence[AxisPart], engine: Actuator, step: float
+) -> Actuator:
+    """Return the actuator that gives most of an axis; what others do beside it is carried as an uncertainty.
+
+    With ``W A`` of this one, by its ``shape``, and ``W_i A_i`` of ``others``, of shares ``w_i``, the axis is
+    ``(1 - sum w_i) W A + sum W_i A_i``: at every frequency that is known, and so is how far ``W A`` alone is off it.  A
+    design that stands all that are as far off stands this one.  ``engine`` answers where another has no servos.
+    """
+    hertz = np.geomspace(1e-3, 0.49, OTHERS_POINTS) / step
+    z = np.exp(2j * np.pi * hertz * step)
+    main_response = np.polyval(shape[::-1], 1.0 / z) * delayed_response(main.model, z)
+    deviation = np.full(len(z), -sum([part.fraction for part in others]), complex)
+    for part in others:
+        answer = servo_actuator(part.servos[0], step) if part.servos else engine
+        deviation += (
+            np.polyval(part.compute_weights(step)[::-1], 1.0 / z) * delayed_response(answer.model, z) / main_response
+        )
+    off = np.abs(deviation)
+    if float(off.max()) < CARRIED:
+        return main
+    if main.dynamics.unsure:  # what its own model leaves comes on top
+        at, gap = np.array(main.dynamics.unsure).T
+        off += np.interp(np.log(hertz), np.log(at), gap)
+    unsure = tuple((float(f), float(gap_there)) for f, gap_there in zip(hertz, off, strict=True))
+    return replace(main, dynamics=replace(main.dynamics, unsure=unsure))
+
+
+def _gyro(sensors: Sensors) -> dict[str, float | int]:
+    gyro, attitude = sensors.gyro, sensors.attitude
+    return {
+        "rate_filter_s": gyro.filter_s,
+        "rate_latency": gyro.latency_samples,
+        "rate_noise": gyro.noise_rad_s,
+        "angle_latency": attitude.latency_samples,
+        "angle_noise": attitude.noise_rad,
+    }
+
+
+def _room(vehicle: Vehicle, engine: EngineSpec) -> float:
+    limits, thrust_fraction = vehicle.control.allocation, hover_fraction(vehicle, engine)
+    return min(thrust_fraction - limits.throttle_min, limits.throttle_max - thrust_fraction)
+
+
+def _servo_room(servo: Servo | Hinge | None) -> float:
+    """Return the largest step, rad, that neither range nor rate limit cuts: a lag sets out at step / lag."""
+    if servo is None:
+        return inf
+    if isinstance(servo, Hinge):
+        least, most = servo.angle_limits
+        reach = min(most - servo.rest_rad, servo.rest_rad - least)
+    else:
+        reach = servo.range_rad
+    return min(reach, servo.rate_limit_rad_s * servo.lag_s) if servo.lag_s else reach
+
+
+def _altitude(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, dynamics: Actuator) -> Channel:
+    """Return the channel of vertical acceleration, by all engines, to climb rate (GNSS) and height (barometer)."""
+    gnss, barometer = vehicle.sensors.gnss, vehicle.sensors.barometer
+    authority = len(vehicle.jets) * thrust_span(engine) / vehicle.mass_kg  # m/s^2 per unit of share
+    return Channel(
+        "altitude",
+        "m/s^2",
+        dynamics,
+        1.0,
+        0.0,
+        scenario.step_s,
+        scenario.substeps,
+        authority * _room(vehicle, engine),
+        rate_latency=gnss.latency_samples,
+        rate_hold=gnss.period_samples,
+        rate_noise=gnss.velocity_noise_m_s,
+        angle_latency=barometer.latency_samples,
+        angle_noise=barometer.noise_m,
+    )
+
+
+def engine_lead(channel: Channel) -> EngineLead | None:
+    """Return a lead for the engines' slowest lag, or for their slowest two poles; None where no engine answers.
+
+    Its own poles are where the engine's are, for the search to move.
+    """
+    if channel.identified is not None or channel.is_by_servo:
+        return None
+    poles = sorted(channel.actuator.dynamics.poles, key=abs)
+    if channel.pace_s != channel.slowness_s:  # a zero beside a slow pole leaves nothing of it to be led
+        poles = [pole for pole in poles if abs(pole) * channel.pace_s * LED_WITHIN >= 1.0]
+    if not poles:
+        return None
+    slowest, *others = poles
+    w = abs(slowest)
+    # a slow lag beside two poles that swing stands alone
+    if others and (slowest.imag or (not others[0].imag and abs(others[0]) < SECOND_POLE_WITHIN * w)):
+        natural = float(np.sqrt(w * abs(others[0])))
+        damping = float(-(slowest + others[0]).real / (2.0 * natural))
+        return EngineLead(natural_rad_s=natural, damping=damping, pole_rad_s=natural)
+    return EngineLead(natural_rad_s=w, pole_rad_s=w)
+
+
+def angles(z: Complex) -> Array:
+    """Return the frequency of points on the unit circle, rad per sample."""
+    return np.asarray(np.angle(z), np.float64)
+
+
+def remove_instant_dynamics(poles: Sequence[float], zeros: Sequence[float]) -> tuple[list[float], list[float], int]:
+    """Return poles and zeros in z without lags that are over within a step, and the samples of delay that these leave.
+
+    ``1 / (z - p)`` with ``p`` below :data:`INSTANT` is a delay of a sample to rounding, which a zero at 0 takes back.
+    An observer would have such a state corrected by ``1 / p``, and double precision does not place its poles.
+    """
+    acting, remaining, delay = [pole for pole in poles if not 0.0 < pole < INSTANT], [*zeros], 0
+    for _ in range(len(poles) - len(acting)):
+        if 0.0 in remaining:
+            remaining.remove(0.0)
+        else:
+            delay += 1
+    return acting, remaining, delay

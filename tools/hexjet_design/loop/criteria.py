@@ -1,0 +1,60 @@
+"""By what a tuning of a channel is judged: the objective of a search, and the requirements that its loop must keep."""
+
+from __future__ import annotations
+
+from math import log1p
+
+import numpy as np
+
+from cosim.simulation.controllers.controller_file import Requirements
+from hexjet_design.loop.channel import Channel
+from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from hexjet_design.loop.tuning import Tuning
+
+STEP_M = 1.0
+OVERSHOOT = 0.10  # in a proof's flights, more than promised, for noise and what is not linear
+CORNER = 2.0  # times what a proof allows, at a corner of the tolerances, where stability alone is promised
+FINE = 4000  # points of the circle with which a tuning is checked
+
+
+def objective(closed: ClosedLoop) -> float:
+    """Return ``ln`` of the integrated absolute error of a set-point step, plus a third of that of a load step.
+
+    The logarithm needs no units and no sizes of the steps.  At a bandwidth w the first goes with 1/w, the second with
+    1/w^3, so the third makes both count as bandwidth.
+    """
+    return float(np.log(closed.step_error) + np.log(closed.load_error) / 3.0)
+
+
+def excess(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> float:
+    """Return by how much the requirements are missed, as a sum of relative parts; 0 where all are kept."""
+    return sum(max(part, 0.0) for part in excesses(closed, need, spare).values())
+
+
+def excesses(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> dict[str, float]:
+    """Return the relative part by which each requirement is missed; below 0 where it is kept with some to spare."""
+    channel = closed.points.channel
+    step = STEP_M if channel.name == "altitude" else need.step_rad
+    tolerated = closed.compute_tolerance(need.delay_samples(channel.transport_samples), need.gain_tolerance)
+    largest = need.max_sensitivity * (1.0 - spare)
+    return {
+        # far from robust against a misfit there is no sensitivity, and a search still needs a slope
+        "peak sensitivity": closed.peak_sensitivity / largest - 1.0
+        if closed.points.unsure is None
+        else 1.0 - max(0.0, closed.distance) * largest + log1p(max(0.0, closed.beyond_stability)),
+        "tolerances": (1.0 + spare) - tolerated if need.delay_tolerance or need.gain_tolerance else 0.0,
+        "noise": closed.noise / (need.noise_share * channel.room * (1.0 - spare)) - 1.0,
+        "overshoot": closed.overshoot / (need.max_overshoot * (1.0 - spare)) - 1.0,
+        "step size": closed.step_peak * step / (channel.room * (1.0 - spare)) - 1.0,
+        "bandwidth": 1.0 + spare - closed.bandwidth / need.min_bandwidth_hz if need.min_bandwidth_hz else 0.0,
+    }
+
+
+def is_acceptable(closed: ClosedLoop, need: Requirements) -> bool:
+    """Return whether a loop is stable and within the requirements."""
+    return closed.unstable_poles == 0 and excess(closed, need) == 0.0
+
+
+def fine_loop(channel: Channel, tuning: Tuning) -> ClosedLoop:
+    """Return a channel closed with a tuning, at the :data:`FINE` points with which a tuning is checked."""
+    return ClosedLoop(FrequencyGrid(channel, close=FINE), tuning)

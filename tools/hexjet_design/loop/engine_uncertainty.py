@@ -1,0 +1,218 @@
+"""What an engine's ``[uncertainty]`` comes to in a loop: standard deviations of its gain and of its delay.
+
+At a frequency ``w`` the engine's answer to a small change of throttle around the thrust of hover is ``G(jw)``.  Each
+parameter is moved by a standard deviation either way, and the answers are compared: ``|G|`` is the gain, relative to
+the mean of both, ``-arg G / w`` the delay, lags in it included.  Of parameters with the covariance ``D R D`` and a
+spread ``s`` the two have, to first order, the covariance ``J D R D J' + J s^2 J'``: of one engine of the vehicle.  The
+first part is that of all engines together, the second that of one beside the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import ceil, inf, log, pi
+from typing import NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.engine import EngineSpec, load_engine
+from cosim.engine.fmu.uncertainty import CUT, Uncertainty, cut_normal
+from cosim.engine.fmu.variables import INTEGERS
+from cosim.simulation.controllers.controller_file import Requirements
+from cosim.simulation.engine_reference import measure_small_steps
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle
+from hexjet_design.loop.channel import Channel
+
+SECANT = 0.02  # of throttle, over which the static curve's slope is taken: a step of its measured points
+UNKNOWN_SPREAD = 0.3  # of gain and lag between engines of which one alone was measured, as without a table; ours
+DRAWS = 200  # of an engine, of which a margin's 95 % range leaves out five at either end
+MOST = {"gain_tolerance": 0.95, "delay_tolerance": 1.0}  # as the command line takes them
+
+
+class LoopUncertainty(NamedTuple):
+    """One standard deviation of an engine's gain, relative, and of its delay, s, at a frequency."""
+
+    gain: float
+    delay_s: float
+
+
+class EngineSensitivity:
+    """The answers of an engine with each of its uncertain parameters moved either way."""
+
+    def __init__(self, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> None:
+        """Load the engine once more for each.  ``spec`` states its uncertainty.  Raises InputError as a flight."""
+        assert spec.uncertainty is not None
+        self.table, self._step = spec.uncertainty, scenario.step_s
+        self._thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
+        self._moved: list[tuple[float, EngineSpec, EngineSpec] | None] = []
+        widths = zip(self.table.parameters, self.table.deviation, self.table.spreads, strict=True)
+        for name, deviation, spread in widths:
+            low, high = _moved(spec, name, max(deviation, spread))
+            ends = [
+                load_engine(
+                    str(spec.mapping) if spec.mapping else spec.name,
+                    {**scenario.engine_parameters, name: value},
+                    scenario.step_s,
+                    unchecked=True,
+                    air=spec.air,
+                    isolated=spec.isolated,
+                )
+                for value in (low, high)
+            ]
+            self._moved.append((high - low, ends[0], ends[1]) if high > low else None)
+
+    def at(self, hertz: float) -> LoopUncertainty:
+        """Return the standard deviations at a frequency.  Raises InputError where the engine does not answer."""
+        common, single = self.covariances(hertz)
+        gain, delay_s = np.sqrt(np.diag(common + single))
+        return LoopUncertainty(float(gain), float(delay_s))
+
+    def covariances(self, hertz: float) -> tuple[Array, Array]:
+        """Return the covariances of gain and delay, 2 by 2: of all engines together, and of one beside the others.
+
+        Raises InputError where the engine does not answer.
+        """
+        derivatives = np.zeros((len(self._moved), 2))
+        for row, moved in enumerate(self._moved):
+            if moved is not None:
+                width, low, high = moved
+                ratio = self._answer(high, hertz) / self._answer(low, hertz)
+                gain = 2.0 * (abs(ratio) - 1.0) / (abs(ratio) + 1.0)  # the difference over the mean
+                delay = -float(np.angle(ratio)) / (2.0 * pi * hertz)
+                derivatives[row] = np.array([gain, delay]) / width
+        common = (derivatives.T * np.array(self.table.deviation)) @ np.array(self.table.factor)
+        single = derivatives.T * np.array(self.table.spreads)
+        return common @ common.T, single @ single.T
+
+    def draw_ratios(self, hertz: Array) -> Complex:
+        """Return :data:`DRAWS` engines' answers over the nominal one's, a row each, at rising frequencies.
+
+        Parameters are drawn as flights draw them, the same draws always; the logarithm of the answer goes straight with
+        each of them.  Raises InputError where the engine does not answer.
+        """
+        logs = np.zeros((len(self._moved), len(hertz)), np.complex128)
+        for row, moved in enumerate(self._moved):
+            if moved is not None:
+                width, low, high = moved
+                ratio = self._answers(high, hertz) / self._answers(low, hertz)
+                logs[row] = (np.log(np.abs(ratio)) + 1j * np.unwrap(np.angle(ratio))) / width
+        from scipy.special import ndtr
+
+        normal, nominal = np.random.default_rng(0).standard_normal((2, DRAWS, len(logs))), np.zeros(DRAWS)
+        each = zip(
+            self.table.quantiles(normal[0]), ndtr(normal[1].T), self.table.deviation, self.table.spreads, strict=True
+        )
+        deviations = [
+            cut_normal(common, nominal, deviation) + cut_normal(single, nominal, spread)
+            for common, single, deviation, spread in each
+        ]
+        return np.asarray(np.exp(np.column_stack(deviations) @ logs))
+
+    def _answer(self, spec: EngineSpec, hertz: float) -> complex:
+        return complex(self._answers(spec, np.array([hertz]))[0])
+
+    def _answers(self, spec: EngineSpec, hertz: Array) -> Complex:
+        """Return N per throttle at frequencies, late by one control step less than it is."""
+        curve = spec.rising_curve
+        throttle = float(np.interp(self._thrust, curve.thrust, curve.throttle))
+        course = measure_small_steps(spec, throttle, self._step).response
+        if not course:
+            raise InputError(f"engine {spec.name}: does not answer a small step around throttle {throttle:.2f}")
+        low, high = max(0.0, throttle - SECANT), min(1.0, throttle + SECANT)
+        slope = (spec.thrust_at(high) - spec.thrust_at(low)) / (high - low)
+        increments: Array = np.diff(np.array([0.0, *course]))
+        turns = np.exp(-2j * pi * self._step * np.outer(hertz, np.arange(len(increments))))
+        return np.asarray(slope * (turns * increments).sum(axis=1))
+
+
+def _moved(spec: EngineSpec, name: str, width: float) -> tuple[float, float]:
+    """Return a parameter moved by ``width`` either way, within the FMU's limits; by one at least where it counts."""
+    variable = next(v for v in spec.archive.parameters if v.name == name)
+    value = spec.parameters[name]
+    least = -inf if variable.min is None else variable.min
+    most = inf if variable.max is None else variable.max
+    width = max(1.0, float(round(width))) if variable.type in INTEGERS and width else width
+    return max(value - width, least), min(value + width, most)
+
+
+@dataclass(frozen=True)
+class EngineTolerances:
+    """Tolerances of a design that an engine's uncertainty gives, and the words for where they are from."""
+
+    need: Requirements
+    words: str = ""  # empty where none is from there
+
+
+def engine_tolerances(
+    need: Requirements, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, plants: Iterable[Channel]
+) -> EngineTolerances:
+    """Return the requirements with the tolerances that are not stated in them as the engine's uncertainty has them.
+
+    They are :data:`~cosim.engine.fmu.uncertainty.CUT` standard deviations at the frequency of each channel's pace, the
+    largest of the channels that thrust turns: the box around the ellipsoid of gain and delay.  Without a table, or with
+    all stated, the requirements are as they were.  Raises InputError as a flight.
+    """
+    unstated = [name for name in MOST if name not in need.model_fields_set]
+    acting = [plant for plant in plants if not plant.is_by_servo]
+    if spec.uncertainty is None or not unstated or not acting:
+        return EngineTolerances(need)
+    sensitivity = EngineSensitivity(scenario, vehicle, spec)
+    found = [(plant, *sensitivity.covariances(1.0 / (2.0 * pi * plant.pace_s))) for plant in acting]
+    of_one = [(plant, CUT * np.sqrt(np.diag(common + single)), common + single) for plant, common, single in found]
+    gain, delay_s = np.max([deviations for _, deviations, _ in of_one], axis=0)
+    relative = max(both[1] / (max(1.0, plant.transport_samples) * plant.step) for plant, both, _ in of_one)
+    values = {"gain_tolerance": float(gain), "delay_tolerance": float(relative)}
+    said = {"gain_tolerance": f"gain {100.0 * gain:.3g} %", "delay_tolerance": f"delay {1e3 * delay_s:.3g} ms"}
+    parts = [
+        said[name] + (f", of which {100.0 * most:.0f} % are taken" if values[name] > most else "")
+        for name, most in MOST.items()
+        if name in unstated
+    ]
+    if len(parts) > 1:
+        both = of_one[0][2]
+        parts.append(
+            f"the box around their ellipsoid of correlation {both[0, 1] / np.sqrt(both[0, 0] * both[1, 1]):.2g}"
+        )
+    options = " and ".join(f"--{name.replace('_', '-')}" for name in unstated)
+    taken = {name: min(ceil(1e4 * values[name]) * 1e-4, MOST[name]) for name in unstated}
+    spread, uneven = _engine_spread(need, spec.uncertainty, found)
+    words = (
+        f"tolerances from the engine's uncertainty, {CUT:g} standard deviations of its parameters: {', '.join(parts)}; "
+        f"source: {spec.uncertainty.source or 'not stated'}; {options} would state others{uneven}"
+    )
+    return EngineTolerances(need.model_copy(update=taken | spread), words)
+
+
+def _engine_spread(
+    need: Requirements, table: Uncertainty, found: Sequence[tuple[Channel, Array, Array]]
+) -> tuple[dict[str, float], str]:
+    """Return by how much one engine of the proof is off, where nobody states it, and the words for that.
+
+    It is the table's spread, in gain or in delay over the channel's pace; a table that states none was made of one
+    engine, which says nothing of six.
+    """
+    if "engine_spread" in need.model_fields_set or "gain_tolerance" in need.model_fields_set:
+        return {}, ""
+    if not any(table.spreads):
+        return {"engine_spread": UNKNOWN_SPREAD}, (
+            f"; it states no spread between engines, so one is off by {100.0 * UNKNOWN_SPREAD:.0f} % of gain and lag "
+            "in the proof: --engine-spread would state it"
+        )
+    ends = [CUT * np.sqrt(np.diag(single)) / (1.0, plant.pace_s) for plant, _, single in found]
+    spread = min(ceil(1e4 * float(np.max(ends))) * 1e-4, MOST["gain_tolerance"])
+    return {"engine_spread": spread}, f"; by its spread one engine is off by {100.0 * spread:.3g} % in the proof"
+
+
+def gain_deviations(deviation: LoopUncertainty, gain_db: float | None) -> float | None:
+    """Return a gain margin, as ``ln`` of its factor, in standard deviations of the gain; None without either."""
+    return None if gain_db is None or not deviation.gain else abs(gain_db) * log(10.0) / 20.0 / deviation.gain
+
+
+def delay_deviations(deviation: LoopUncertainty, delay_s: float | None) -> float | None:
+    """Return a delay margin in standard deviations of the delay; None without either."""
+    return None if delay_s is None or not deviation.delay_s else delay_s / deviation.delay_s

@@ -1,0 +1,133 @@
+"""The controller at the limit of performance, of low order: what :mod:`cosim.control.laws.optimal` is tuned with.
+
+The programme of the limit, with few orthonormal functions in place of splines: their poles are searched, and with given
+poles the weights of the least load error within all bounds are the solution of a convex programme.  So a controller of
+low order keeps the peak sensitivity, the noise and the tolerance of the delay as the limit does, by construction, and
+what its order costs is the load error alone.  The answer to a set-point is a lag of third order, as slow as is wanted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import exp, sqrt
+
+import numpy as np
+from scipy.linalg import null_space
+from scipy.optimize import minimize
+from scipy.signal import lfilter
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.control.laws.optimal import LAGS, ModelForm, Target, fit_weights
+from cosim.spec.vehicle import RateModel
+from hexjet_design.loop.channel import Channel
+from hexjet_design.loop.closed_loop import window_s
+from hexjet_design.loop.limit import FREQUENCIES, Bounds, Cone, Limit, Plant, Programme, need_solver
+
+# where a search of poles begins: natural frequency times the delay at low frequency, and damping
+START = ((0.6246, 0.37), (0.594, 0.827), (1.458, 1.4), (5.7, 1.07))
+COARSE = 160  # frequencies at which a search looks
+ROUNDS = 130  # of the search
+FIRST = 0.12  # of its simplex, in logarithms
+NONE = 1e6  # times the delay: the load error of poles that keep no bounds
+
+
+@dataclass(frozen=True)
+class LowOrder:
+    """A target of low order, and the loop that it makes of the model that it was found with."""
+
+    target: Target
+    loop: Limit
+
+
+class _LowOrderProgramme(Programme):
+    """The programme with other bases, whose ``T_i`` is exact at rest and at the slow pole of the rate."""
+
+    def __init__(
+        self, plant: Plant, form: ModelForm, bounds: Bounds, basis: tuple[Array, Array], frequencies: int
+    ) -> None:
+        super().__init__(plant, bounds, basis, frequencies)
+        self._rows_at_rest, self._values = form.interpolation(basis[0])
+
+    def _at_rest(self) -> list[Cone]:
+        return [
+            Cone("zero", self._rows(t=self._rows_at_rest), self._values),
+            Cone("zero", self._rows(y=self.of_y.sum(0)[None]), np.ones(1)),
+        ]
+
+
+def free_weights(model: RateModel, target: Target) -> Array:
+    """Return, a column each, the changes of a target's weights that leave ``T_i`` exact at rest."""
+    return np.asarray(null_space(ModelForm.of(model, target).interpolation(target.basis(model.sample_time_s))[0]))
+
+
+def reduce_limit(
+    channel: Channel,
+    model: RateModel,
+    bounds: Bounds,
+    lag_s: float,
+    start: Sequence[tuple[float, float]] = START,
+    rounds: int = ROUNDS,
+    frequencies: int = FREQUENCIES,
+) -> LowOrder:
+    """Return the target of the least load error within ``bounds`` that poles of this number reach.
+
+    Parameters
+    ----------
+    channel : Channel
+        Whose noise is counted.
+    model : RateModel
+        What the controller believes of it, with the delay that it adds itself.
+    bounds : Bounds
+        What is kept by the loop of the model.
+    lag_s : float
+        Each of the three lags of the answer to a set-point, s.
+    start : sequence of pairs
+        Natural frequency times the delay at low frequency, and damping, from which the poles are searched.
+    rounds : int
+        Of the search; 0: the poles are those of ``start``.
+    frequencies : int
+        At which the peak sensitivity is kept at last.
+
+    Raises
+    ------
+    InputError
+        Where the solver is not installed, or no such poles keep the bounds.
+    """
+    need_solver()
+    identified = replace(channel, identified=model, added_delay=0)  # the model has it
+    delay, step = identified.slowness_s, channel.step
+    plant = Plant(identified, round(window_s(identified) / step))
+    longest = plant.length - len(plant.kept) + 1
+    pole = exp(-step / lag_s)
+    impulse = np.zeros(longest)
+    impulse[0] = (1.0 - pole) ** LAGS
+    of_y = np.asarray(lfilter([1.0], np.atleast_1d(np.poly([pole] * LAGS)), impulse))[:, None]
+
+    def at(x: Array) -> Target:
+        pairs = [(exp(natural) / delay, exp(damping)) for natural, damping in x.reshape(-1, 2)]
+        return Target(lag_s, tuple(pairs), (0.0,) * (2 * len(pairs)))
+
+    def solve(target: Target, frequencies: int) -> LowOrder:
+        basis, form = target.basis(step), ModelForm.of(model, target)
+        inside = np.pad(basis, ((0, max(longest - len(basis), 0)), (0, 0)))[:longest]
+        t, y = _LowOrderProgramme(plant, form, bounds, (inside, of_y), frequencies).solve()
+        found = np.linalg.lstsq(plant.keep(inside), t, rcond=None)[0]
+        weights = fit_weights(form, basis, np.asarray(found, np.float64))
+        return LowOrder(
+            replace(target, weights=tuple((weights / sqrt(step)).tolist())),
+            plant.evaluate(bounds, plant.keep(inside) @ weights, y),
+        )
+
+    def cost(x: Array) -> float:
+        try:
+            return solve(at(x), COARSE).loop.load_error
+        except InputError:
+            return NONE * delay
+
+    x = np.log(np.array(start, np.float64)).ravel()
+    if rounds:
+        simplex = np.vstack([x, x + FIRST * np.eye(len(x))])
+        x = minimize(cost, x, method="Nelder-Mead", options={"maxfev": rounds, "initial_simplex": simplex}).x
+    return solve(at(x), frequencies)

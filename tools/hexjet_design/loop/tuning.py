@@ -1,0 +1,97 @@
+"""A controller with everything that can be chosen about it on one channel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from cosim.base.errors import InputError, nearest
+from cosim.control.laws.axis import low_frequency_delay
+from cosim.control.laws.optimal import PredictorBases, Target, make_predictor
+from cosim.control.predictors.linear import LinearSpace, PairResponse, PredictorSpace, linear_response
+from cosim.control.predictors.registry import PREDICTORS, PredictorSpec
+from cosim.control.predictors.state import LinearPredictor
+from cosim.simulation.controllers.controller_file import LAW
+from cosim.spec.vehicle import EngineLead, PredictorTuning, RateGains, RateModel
+from hexjet_design.loop.firmware import Firmware
+
+
+def candidates() -> tuple[str, ...]:
+    """Return the names of the predictors that a design chooses from, the simplest first."""
+    return tuple(name for name, spec in PREDICTORS.items() if spec.automatic)
+
+
+def designable(name: str, where: str, others: Iterable[str] = ()) -> PredictorSpec:
+    """Return the predictor of a name that a design can use; ``others`` are further names that an error line offers.
+
+    Raises InputError for an unknown one, and for one that states no frequency response.
+    """
+    allowed = [*others, *(name_of for name_of, spec in PREDICTORS.items() if spec.response)]
+    if name in PREDICTORS and name not in allowed:
+        raise InputError(f"{where}: states no frequency response, which a design needs; {nearest(name, allowed)}")
+    if name not in allowed:
+        raise InputError(f"{where}: {nearest(name, allowed)}")
+    return PREDICTORS[name]
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """A controller on one channel with all parameters that a design chooses."""
+
+    controller: str
+    angle_gain: float  # 1/s
+    gains: RateGains
+    predictor: PredictorTuning
+    model: RateModel  # what the predictor believes
+    lead: EngineLead | None = None
+    firmware: Firmware | None = None  # whose loop has these gains; None: ours
+    law: Mapping[str, float] | None = None  # parameters of the law at the limit, which says the gains; None: no law
+    matrices: LinearPredictor | None = field(default=None, repr=False, compare=False)  # of the law's predictor
+
+    @classmethod
+    def of_law(
+        cls, values: Mapping[str, float], model: RateModel, fixed: Tuning, bases: PredictorBases | None = None
+    ) -> Tuning:
+        """Return the law at the limit with these parameters; ``fixed`` has what it leaves as it is.
+
+        ``bases`` are those of the poles, where they are known.  Raises InputError where the parameters ask for more
+        than the model can be.
+        """
+        predictor, gain, attitude = make_predictor(model, Target.of(values, low_frequency_delay(model)), bases)
+        gains = fixed.gains.model_copy(update={"p": gain, "i": 0.0, "d": 0.0})
+        return cls(LAW, attitude, gains, fixed.predictor, model, law=values, matrices=predictor)
+
+    @property
+    def needs_model(self) -> bool:
+        """Whether it flies with a model of the engine."""
+        return self.law is not None or PREDICTORS[self.controller].needs_model
+
+    @property
+    def is_integrating(self) -> bool:
+        """Whether it has a part that takes away what a load that lasts does."""
+        return self.law is not None or bool(self.gains.i)
+
+    def answer(self) -> PairResponse:
+        """Return the responses ``P_y`` and ``P_u`` of the predictor.  Raises InputError for one that states none."""
+        if self.matrices is not None:
+            return linear_response(self.matrices)
+        spec = designable(self.controller, f"controller {self.controller!r}")
+        assert spec.response is not None
+        return spec.response(self.model, spec.own(self.predictor))
+
+    def space(self) -> PredictorSpace | None:
+        """Return the predictor in state space; None for one that states its frequency response alone."""
+        if self.matrices is not None:
+            return LinearSpace(self.matrices)
+        spec = designable(self.controller, f"controller {self.controller!r}")
+        return None if spec.space is None else spec.space(self.model, spec.own(self.predictor))
+
+    @property
+    def has_space(self) -> bool:
+        """Whether the predictor has a state space."""
+        return self.law is not None or PREDICTORS[self.controller].space is not None
+
+
+def round_gain(value: float) -> float:
+    """Round to six significant digits, which is as exact as a gain is meant."""
+    return float(f"{value:.6g}")

@@ -1,0 +1,1 @@
+"""Margins of any controller, measured in flight."""

@@ -1,0 +1,67 @@
+"""The margins of one axis: measured, computed, and over an engine's uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hexjet_design.loop.engine_uncertainty import LoopUncertainty, delay_deviations, gain_deviations
+from hexjet_design.loop.limit import AxisLimit
+from hexjet_design.measured.computed import Computed
+from hexjet_design.measured.engine_range import EngineRange
+from hexjet_design.measured.estimate import Response, relative_difference
+from hexjet_design.measured.excitation import Multisine
+
+NYQUIST_HZ = 0.5  # over the control step
+
+
+@dataclass(frozen=True)
+class AxisMargins:
+    """One axis: measured, computed where that can be, and at half the amplitude."""
+
+    axis: str
+    unit: str
+    sine: Multisine
+    amplitude: float
+    periods: int
+    response: Response
+    half: Response
+    computed: Computed | None
+    notes: tuple[str, ...]
+    uncertainty: LoopUncertainty | None = None  # of the engine at the crossover; None: not stated, or it does not turn
+    over_engine: EngineRange | None = None  # the margins over that uncertainty; None: as above
+    transport_s: float | None = None  # that the vehicle has from command to measured rate; None: not known
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether it was measured up to half the control rate, above which a sampled loop has nothing."""
+        return self.band_hz[1] * self.sine.step >= NYQUIST_HZ * (1.0 - 1e-9)
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """The lowest and the highest line that stands out of the noise."""
+        heard = self.response.hertz[self.response.used]
+        return float(heard[0]), float(heard[-1])
+
+    def in_deviations(self) -> tuple[float | None, float | None]:
+        """Return the margins of gain, the nearer of both, and of more delay in the engine's standard deviations."""
+        if self.uncertainty is None:
+            return None, None
+        gains = [self._margin(name) for name in ("gain_db", "gain_down_db")]
+        gain_db = min([abs(value) for value in gains if value is not None], default=None)
+        delay_s = self._margin("delay_s")
+        return gain_deviations(self.uncertainty, gain_db), delay_deviations(self.uncertainty, delay_s)
+
+    def _margin(self, name: str) -> float | None:
+        return self.response.margins[name].value if name in self.response.margins else None
+
+    @property
+    def limit(self) -> AxisLimit | str | None:
+        """The computed loop beside the limit of performance, or why it has none; None where it was not asked for."""
+        return None if self.computed is None else self.computed.limit
+
+    def off(self, name: str) -> float | None:
+        """Return how far the measured number is off the computed, relative (of gains by factors); None without both."""
+        if self.computed is None or name not in self.response.margins:
+            return None
+        value, reference = self.response.margins[name].value, getattr(self.computed.margins, name)
+        return relative_difference(name, value, reference) if reference else None

@@ -1,0 +1,122 @@
+"""hexjet margins: how much gain, phase and delay a controller's loops have left, measured in flight."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from cosim.base.signals import AXES
+from cosim.cli import opt
+from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table
+from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, warn_of_fmu_defects
+
+if TYPE_CHECKING:
+    from hexjet_design.measured.margins import MeasuredMargins
+
+BANDS = ("enough", "narrow")  # that may be asked for
+
+
+class Margins(Flight, opt.Output):
+    """Options of ``hexjet margins``."""
+
+    scenario = opt.argument(default="hover")
+    controller = opt.word(
+        "--controller", "NAME|FILE", "As in hexjet fly: built in, a design's file, or one of yours in any way."
+    )
+    aircraft = opt.word(
+        "--aircraft",
+        "NAME|DIR",
+        "Overrides the scenario's, with the engine that it is made for; see: hexjet list aircraft.",
+    )
+    engines = opt.ENGINES
+    axes = opt.choices("--axis", AXES, "Axis that is measured; may be repeated.  [default: all]")
+    amplitude = opt.number("--amplitude", "A", "Peak of the multisine: share of thrust, rad of tilt or rad/s^2.")
+    from_hz = opt.positive("--from-hz", "HZ", "Lowest frequency.  [default: two periods]")
+    to_hz = opt.positive("--to-hz", "HZ", "Highest frequency.  [default: a tenth of the control rate]")
+    period_s = opt.positive("--period", "S", "Period of the multisine.  [default: 20, or 60 for a slow loop]")
+    periods = opt.whole("--periods", None, "Periods that are measured.", min=3, default=5)
+    limit = opt.flag("--limit", "Compare each computed loop with the best that any linear controller could do.")
+    at_least = opt.choice(
+        "--at-least", BANDS, "Status 1 where a margin is worse; narrow: for a well-known engine alone."
+    )
+    seed = opt.whole("--seed", None, "Seed of sensor noise and turbulence.")
+    settings = opt.SETTINGS
+    out = opt.OUT
+    as_json = opt.JSON
+
+
+@click.command(epilog=example("hexjet margins --controller mine.py:Mine --axis roll"))
+@opt.takes(Margins)
+def margins(options: Margins) -> int:
+    """Measure gain, phase and delay margins, both ways, and peak sensitivity of any controller in flight.
+
+    A multisine is added between the controller and its actuators while the vehicle of SCENARIO holds still; what passes
+    before and behind gives the open loop, with 95 % bounds, beside the computed one where the controller is built in.
+    The last line judges every margin by docs/judging.md and names the worst.  Status 0: measured, whatever the margins;
+    1: with --at-least, a margin is worse; or the vehicle does not stay in the air.
+    """
+    from cosim.base.runtime.threads import one_thread
+
+    one_thread()
+    from cosim.spec.controller_name import folder_name
+    from hexjet_design.measured.api import WRITTEN
+    from hexjet_design.measured.api import margins as measure
+
+    options.check_out(*WRITTEN)
+    loaded, axes = options.load(), options.axes or AXES
+    warn_of_fmu_defects(loaded.engine, folder=loaded.folder)
+    chosen = options.chosen("amplitude", "from_hz", "to_hz", "period_s", "periods", "limit", "at_least")
+    with output_to_stderr(options.as_json), part_progress("margins", options.as_json) as show:
+        result = measure(loaded, axes, progress=CommandProgress(show), **chosen)
+    name = f"margins-{folder_name(result.measured.controller)}"
+    paths = result.write(options.run_folder(name)).files
+    options.answer(result.to_dict, lambda: print_margins(result.measured, paths))
+    return FLIGHT_FAILED if result.kept is False else DONE
+
+
+def print_margins(margins: MeasuredMargins, paths: dict[str, Path]) -> None:
+    """Print a table an axis, what is to be said about it, where the page is, and the judgement last."""
+    from hexjet_design.measured.judgement import COLUMNS as JUDGED_COLUMNS
+    from hexjet_design.measured.judgement import judgement_line
+    from hexjet_design.measured.page import (
+        ENGINE_COLUMNS,
+        columns,
+        engine_rows,
+        heading,
+        judged_rows,
+        limit_line,
+        rows,
+        uncertainty_line,
+    )
+
+    scenario = margins.scenario
+    say(f"[bold]{margins.controller_shown}[/bold] on {scenario.aircraft}, engine {scenario.engine}", marked=True)
+    for measured in margins.axes.values():
+        heads = columns(measured)
+        show_table(
+            heads, rows(measured), range(len(heads)), title=heading(measured), title_justify="left", title_style=""
+        )
+        for line in (uncertainty_line(measured), limit_line(measured)):
+            if line is not None:
+                say(line)
+        for note in measured.notes:
+            say(f"note: {measured.axis}: {note}")
+    if margins.uncertainty_source is not None:
+        say(f"uncertainty of the engine: {margins.uncertainty_source or 'of no stated source'}", wrap=False)
+        show_table(ENGINE_COLUMNS, engine_rows(margins.engine_ranges), [1, 2, 3])
+    if margins.uncomputed:
+        say(f"not computed: {margins.uncomputed}")
+    judged = judged_rows(margins)
+    show_table(
+        JUDGED_COLUMNS,
+        judged,
+        (2, 3),
+        title="beside their limits",
+        title_justify="left",
+        title_style="",
+        pad_edge=False,
+    )
+    say(f"report: {paths['report']}", wrap=False)
+    say(judgement_line(margins.judged))

@@ -1,0 +1,120 @@
+"""The same margins of a built-in controller from its gains, its predictor's model and the engine as it is swept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.base.arrays import Array, Complex
+from cosim.base.errors import InputError
+from cosim.control.laws.optimal import Optimal
+from cosim.control.predictors.registry import BASELINE, PREDICTORS
+from cosim.engine import EngineSpec
+from cosim.simulation.controllers.controller_file import LAW
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle
+from hexjet_design.assessment import shipped_tuning
+from hexjet_design.design import identify_there, make_dynamics
+from hexjet_design.levels import THRUST_AXES, tunings_at
+from hexjet_design.loop.actuator import Actuator
+from hexjet_design.loop.channel import Channel, channels, hover_fraction
+from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from hexjet_design.loop.criteria import FINE
+from hexjet_design.loop.frequency import LoopMargins
+from hexjet_design.loop.limit import AxisLimit, axis_limit
+from hexjet_design.loop.tuning import Tuning
+
+
+@dataclass(frozen=True)
+class Computed:
+    """A loop as computed, broken at the plant's input."""
+
+    margins: LoopMargins
+    hertz: Array
+    loop: Complex
+    limit: AxisLimit | str | None = None  # of performance; or why there is none; None: it was not asked for
+
+
+@dataclass(frozen=True)
+class Plants:
+    """A vehicle's channels in hover, with its engine as it is swept there."""
+
+    channels: Mapping[str, Channel]
+    spec: EngineSpec
+    thrust_fraction: float  # of the engines' range, at which it hovers
+
+
+def make_plants(scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Plants | str:
+    """Return the channels of a scenario's vehicle with the fuel that it begins with; or why there are none."""
+    if scenario.controller not in (*PREDICTORS, LAW):
+        return "a controller from outside: there is nothing to compute from"
+    if scenario.stations:
+        return "the engines are not all the same"
+    fuel = scenario.initial.fuel
+    there = vehicle if fuel == 1.0 else vehicle.with_fuel(fuel)
+    try:
+        engine = Actuator.of(spec.name, make_dynamics(identify_there(scenario, there, spec, None)))
+        return Plants(channels(scenario, there, spec, engine), spec, hover_fraction(there, spec))
+    except InputError as error:
+        return str(error)
+
+
+def find_tunings(plants: Plants, scenario: Scenario, vehicle: Vehicle, axes: Sequence[str]) -> dict[str, Tuning]:
+    """Return what flies on the axes, with the schedule's gains where the vehicle has one."""
+    tunings = {axis: _tuning(plants.channels[axis], scenario, vehicle, plants.spec) for axis in (*THRUST_AXES, *axes)}
+    plan = vehicle.control.schedule
+    if plan:
+        levelled = {axis: tunings[axis] for axis in THRUST_AXES}
+        tunings |= tunings_at(plan, levelled, plants.thrust_fraction, scenario.step_s)
+    return tunings
+
+
+def compute_margins(
+    scenario: Scenario, vehicle: Vehicle, spec: EngineSpec, axes: list[str], limit: bool = False
+) -> dict[str, Computed] | str:
+    """Compute the margins by axis, or say why that fails.  What the scenario's mismatch changes is not in them.
+
+    The engine is swept around the thrust that the vehicle hovers with.  ``limit``: with the limit of performance.
+    """
+    chosen = PREDICTORS.get(scenario.controller)
+    if chosen is not None and chosen.response is None:
+        return f"controller {chosen.name} states no frequency response"
+    plants = make_plants(scenario, vehicle, spec)
+    if isinstance(plants, str):
+        return plants
+    tunings, step = find_tunings(plants, scenario, vehicle, axes), scenario.step_s
+    margins = {}
+    for axis in axes:
+        closed = ClosedLoop(FrequencyGrid(plants.channels[axis], close=FINE), tunings[axis])
+        if closed.unstable_poles:
+            return f"{axis}: the linear loop is not stable"
+        hertz = closed.points.theta / (2.0 * np.pi * step)
+        margins[axis] = Computed(closed.margins, hertz, closed.open_loop, find_loop_limit(closed) if limit else None)
+    return margins
+
+
+def find_loop_limit(closed: ClosedLoop) -> AxisLimit | str:
+    """Return a loop beside the limit of performance, or why it has none."""
+    try:
+        return axis_limit(closed, closed.load_error)
+    except InputError as error:
+        return str(error)
+
+
+def _tuning(channel: Channel, scenario: Scenario, vehicle: Vehicle, spec: EngineSpec) -> Tuning:
+    """Return what flies on a channel, with the predictor of :func:`.controllers.models.make_predictors`."""
+    tuning = shipped_tuning(channel, vehicle, spec)
+    if channel.name == "altitude":
+        return tuning
+    modelled = tuning.controller != BASELINE.name
+    if scenario.controller == LAW:
+        if not modelled:
+            return tuning
+        stated = {parameter.name: parameter.default for parameter in Optimal.parameters}
+        return Tuning.of_law(stated | scenario.controller_parameters, tuning.model, tuning)
+    chosen = PREDICTORS[scenario.controller]
+    predicted = modelled if chosen.needs_model else channel.name == "roll" or vehicle.allocation == "rotors"
+    name = scenario.controller if predicted else BASELINE.name
+    return Tuning(name, tuning.angle_gain, tuning.gains, tuning.predictor, tuning.model, tuning.lead)

@@ -1,0 +1,72 @@
+"""Margins over an engine's uncertainty: the measured loop with the answer of each drawn engine in place of the nominal.
+
+Where thrust turns an axis, the engine's answer is a factor of the loop, whatever controller is in it: ``L`` of a drawn
+engine is the measured one times the ratio of the two answers.  So nothing is flown for it.  Whether a drawn loop is
+stable is told by Nyquist's criterion: the measured one is, so ``(1 + L) / (1 + L0)`` may not turn about 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, isfinite
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Complex
+from hexjet_design.loop.frequency import loop_margins
+from hexjet_design.measured.estimate import QUANTITIES, Response, fill
+
+SHARES = (2.5, 97.5)  # percent of the draws, below and above which a 95 % range ends
+NO_MARGIN = {name: -inf if name == "gain_down_db" else inf for name in QUANTITIES}  # in the numbers' order
+
+
+@dataclass(frozen=True)
+class EngineRange:
+    """The 95 % range of each margin over the draws, infinite where there is none; a lost loop counts as without any."""
+
+    ranges: Mapping[str, tuple[float, float]]
+    draws: int
+    unstable: int  # of them
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return ranges and counts for JSON; null where there is no such margin."""
+
+        def number(value: float) -> float | None:
+            return float(value) if isfinite(value) else None
+
+        ranges = {name: {"low": number(low), "high": number(high)} for name, (low, high) in self.ranges.items()}
+        return {"margins_95": ranges, "draws": self.draws, "unstable_draws": self.unstable}
+
+
+def range_over_engines(response: Response, ratios: Complex, step: float, transport_s: float | None) -> EngineRange:
+    """Return the ranges of a measured loop's margins where the engine's answer is each of these times the nominal.
+
+    ``ratios``: a row a draw, a column a used line of the response.  ``step`` [s] and ``transport_s``: see
+    :func:`hexjet_design.loop.frequency.loop_margins`.
+    """
+    lines = response.hertz[response.used]
+    loop, hertz = fill(response.loop[response.used], lines)
+    found: dict[str, list[float]] = {name: [] for name in response.margins}
+    unstable = 0
+    for ratio in ratios:
+        drawn = loop * fill(ratio, lines)[0]
+        stable = stays_stable(loop, drawn)
+        unstable += not stable
+        margins = vars(loop_margins(drawn, hertz, step, transport_s))
+        for name, values in found.items():
+            value = margins[name]
+            lost = inf if name == "peak_sensitivity" else 0.0
+            values.append((NO_MARGIN[name] if value is None else value) if stable or name == "crossover_hz" else lost)
+    ranges = {}
+    for name, values in found.items():
+        low, high = np.percentile(values, SHARES, method="nearest")
+        ranges[name] = (float(low), float(high))
+    return EngineRange(ranges, len(ratios), unstable)
+
+
+def stays_stable(reference: Complex, loop: Complex) -> bool:
+    """Return whether a loop is stable beside a stable one that is the same at both ends of the band, or nearly so."""
+    turn = np.unwrap(np.angle((1.0 + loop) / (1.0 + reference)))
+    return abs(float(turn[-1] - turn[0])) < 0.5 * np.pi

@@ -1,0 +1,150 @@
+"""What a change of the autopilot's parameters does to the loops that they tune: stable or not, and with which margins.
+
+The loops are those of :mod:`hexjet_design.measured.computed`: the vehicle's own channels with the engine as it is
+swept, once, in a second or two; a change then costs some milliseconds.  What is not linear, a limit of the
+throttle or of a rate, is not in it: a loop that is called unstable leaves its rest, how far is not said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from math import inf
+from threading import Lock
+from typing import TYPE_CHECKING, NamedTuple
+
+from cosim.base.errors import InputError
+from cosim.base.signals import AXES
+from cosim.control.autopilot.parameters import Caution
+from cosim.control.autopilot.tuning import control_of, controller_of
+from cosim.control.predictors.registry import BASELINE, PREDICTORS
+from cosim.spec.scenario import Scenario
+
+if TYPE_CHECKING:  # a session begins without the mathematics of designs: most are never asked for it
+    from hexjet_design.loop.closed_loop import FrequencyGrid
+    from hexjet_design.loop.tuning import Tuning
+    from hexjet_design.measured.computed import Plants
+
+CHANNELS = (*AXES, "altitude")
+POINTS = 1500  # of the circle: half of what a report takes
+# Margins below these are told, where they are less than before; chosen by us: half of the usual 6 dB and 40 deg.
+LEAST_DB, LEAST_DEG = 3.0, 20.0
+_OF_AXIS = {axis: (f"HJ_{axis.upper()}_", f"HJ_ATT_{axis.upper()}", "HJ_PRED_") for axis in AXES}
+_NAMES = {**_OF_AXIS, "altitude": ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_I")}
+
+
+class _Loop(NamedTuple):
+    """Stability and margins of one loop."""
+
+    stable: bool
+    bound_ratio: float  # of the least margin that is not told, 1 at the bound; infinite where nothing is crossed
+    text: str  # its margins that are less, or why it is not stable
+
+
+_UNKNOWN = _Loop(True, inf, "")  # what flew on a predictor that cannot be computed: taken as good
+
+
+class LoopJudge:
+    """Judges the parameters of one vehicle with its engine; may be asked from any thread."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._vehicle, _ = scenario.resolved_vehicle()
+        self._built_in = scenario.controller in PREDICTORS  # one from outside leaves us the height alone
+        self._plants: Plants | str | None = None
+        self._points: dict[str, FrequencyGrid] = {}
+        self._lock = Lock()
+
+    def prepare(self) -> None:
+        """Sweep the engine, which every verdict needs; an error is met again, and reported, by the first verdict."""
+        with self._lock, suppress(InputError, ValueError, ArithmeticError):
+            self._known_plants()
+
+    def tunes_loop(self, name: str) -> bool:
+        """Return whether a parameter tunes a loop that can be computed."""
+        return not isinstance(self._plants, str) and any(name.startswith(_NAMES[axis]) for axis in self._channels)
+
+    @property
+    def _channels(self) -> tuple[str, ...]:
+        return CHANNELS if self._built_in else ("altitude",)
+
+    def find_cautions(self, before: Mapping[str, float], after: Mapping[str, float]) -> list[Caution]:
+        """Return what is to be said of every loop that a change makes worse; nothing where it cannot be computed."""
+        changed = [name for name, value in after.items() if value != before[name]]
+        axes = [axis for axis in self._channels if any(name.startswith(_NAMES[axis]) for name in changed)]
+        if not axes:
+            return []
+        with self._lock:
+            try:
+                old, new = self._loops(before, axes), self._loops(after, axes)
+            except (InputError, ValueError, ArithmeticError):
+                return []
+        cautions = []
+        for axis, now in new.items():
+            then = old.get(axis, _UNKNOWN)
+            if not now.stable:
+                cautions.append(Caution(axis, True, then.stable, f"{axis}: {now.text}"))
+            elif now.bound_ratio < min(1.0, then.bound_ratio):
+                cautions.append(Caution(axis, False, False, f"{axis}: {now.text}"))
+        return cautions
+
+    def _loops(self, values: Mapping[str, float], axes: list[str]) -> dict[str, _Loop]:
+        """Return the loops of the axes, but not of those whose predictor states no frequency response."""
+        from hexjet_design.measured.computed import find_tunings
+
+        plants = self._known_plants()
+        if isinstance(plants, str):
+            return {}
+        scenario = self._with(controller_of(values) or BASELINE.name)
+        family = plants.spec.family
+        vehicle = self._vehicle.model_copy(update={"control": control_of(self._vehicle.control, values)})
+        models = dict(plants.spec.models_in(vehicle.identified))
+        if "roll" in models:  # what the controller adds itself is in the parameter, and comes on top again
+            samples = values["HJ_PRED_DELAY"] - scenario.added_delay_samples
+            models["roll"] = models["roll"].model_copy(update={"delay_samples": max(0.0, samples)})
+            vehicle = vehicle.model_copy(update={"identified": {**vehicle.identified, family: models}})
+        tunings = find_tunings(plants, scenario, vehicle, axes)
+        linear = [axis for axis in axes if PREDICTORS[tunings[axis].controller].response is not None]
+        return {axis: self._loop(plants, axis, tunings[axis]) for axis in linear}
+
+    def _with(self, controller: str) -> Scenario:
+        return self._scenario.replace(controller=controller, controller_parameters={})
+
+    def _known_plants(self) -> Plants | str:
+        from cosim.engine import load_engine
+        from hexjet_design.measured.computed import make_plants
+
+        if self._plants is None:
+            scenario = self._scenario if self._built_in else self._with(BASELINE.name)
+            engine, unchecked, apart = scenario.engine, scenario.engine_unchecked, scenario.engine_isolated
+            spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
+            self._plants = make_plants(scenario, self._vehicle, spec)
+        return self._plants
+
+    def _loop(self, plants: Plants, axis: str, tuning: Tuning) -> _Loop:
+        from hexjet_design.assessment import margins
+        from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
+
+        if axis not in self._points:
+            self._points[axis] = FrequencyGrid(plants.channels[axis], close=POINTS)
+        closed = ClosedLoop(self._points[axis], tuning)
+        if closed.unstable_poles:
+            return _Loop(False, 0.0, "the loop is unstable")
+        if not tuning.angle_gain:  # its pole stays at 1
+            return _Loop(False, 0.0, "a gain of 0: nothing brings it back")
+        loop = margins(closed)
+        up, down, phase = loop.gain_db, loop.gain_down_db, loop.phase_deg
+        sizes = [
+            (_fraction_of_bound(up, LEAST_DB), f"gain margin {_size(up)} dB"),
+            (_fraction_of_bound(down, LEAST_DB), f"gain margin {_size(down)} dB downwards"),
+            (_fraction_of_bound(phase, LEAST_DEG), f"phase margin {_size(phase)} deg"),
+        ]
+        return _Loop(True, min(sizes)[0], ", ".join(text for ratio, text in sizes if ratio < 1.0))
+
+
+def _fraction_of_bound(margin: float | None, bound: float) -> float:
+    return inf if margin is None else abs(margin) / bound
+
+
+def _size(margin: float | None) -> str:
+    return "none" if margin is None else f"{abs(margin):.1f}"

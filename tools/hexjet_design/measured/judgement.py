@@ -1,0 +1,175 @@
+"""Whether measured margins are enough to fly: each beside its limit, as ``docs/judging.md`` has them, and the worst.
+
+A number is judged by the worse end of its 95 % bounds.  Gain and phase have the limits that the two limits of the peak
+sensitivity guarantee upwards, ``|S| / (|S| - 1)`` and ``2 asin(1 / (2 |S|))``; six decibels are those of MIL-F-9490D
+too, which has them either way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from math import asin, degrees, inf, isfinite, log10
+from typing import Any, NamedTuple
+
+from cosim.simulation.controllers.controller_file import Requirements
+from hexjet_design.measured.axis_margins import AxisMargins
+from hexjet_design.measured.estimate import Bounded
+
+# narrow: with a well-known engine alone; not told: the band that was measured does not show it
+ENOUGH, NARROW, NOT_TOLD, TOO_LITTLE = BANDS = ("enough", "narrow", "not told", "too little")
+VERDICTS = {
+    ENOUGH: "every margin is enough",
+    NARROW: "fly it only with a well-known engine",
+    NOT_TOLD: "the margins are not told",
+    TOO_LITTLE: "do not fly on it",
+}
+PEAK, KNOWN_PEAK = 2.0, 2.5  # of |S|: usual, and with a well-known engine
+DEVIATIONS = 3.0  # of an engine's delay, where its file states its uncertainty
+CROSSOVER = "crossover_hz"  # judged only where there is none
+UNSTABLE = "unstable_engines"  # of those that are drawn from its uncertainty
+JUDGED = {  # quantity: what it is called, its unit on a screen, the factor to it, digits
+    "gain_db": ("gain up", "dB", 1.0, 1),
+    "gain_down_db": ("gain down", "dB", 1.0, 1),
+    "phase_deg": ("phase, lag", "deg", 1.0, 1),
+    "phase_lead_deg": ("phase, lead", "deg", 1.0, 1),
+    "delay_s": ("delay, more", "ms", 1e3, 0),
+    "delay_less_s": ("delay, less", "ms", 1e3, 0),
+    "peak_sensitivity": ("peak |S|", "", 1.0, 2),
+    UNSTABLE: ("lost draws", "", 1.0, 0),
+    CROSSOVER: ("crossover", "Hz", 1.0, 3),
+}
+AT_MOST = ("peak_sensitivity", UNSTABLE)  # the others are to be at least their limit, in size
+COLUMNS = ("axis", "margin", "at worst", "limit (narrow)", "judgement", "from")
+
+
+def guaranteed_gain_db(peak: float) -> float:
+    """Return the gain margin upwards, dB, that a peak sensitivity guarantees."""
+    return 20.0 * log10(peak / (peak - 1.0))
+
+
+def guaranteed_phase_deg(peak: float) -> float:
+    """Return the phase margin, deg, that a peak sensitivity guarantees."""
+    return degrees(2.0 * asin(0.5 / peak))
+
+
+class Judged(NamedTuple):
+    """One margin beside its limit."""
+
+    axis: str
+    margin: str  # of JUDGED
+    value: float | None  # measured; None: there is none in the band
+    worst: float | None  # the worse end of its 95 % bounds, which is judged
+    limit: float | None  # None: nothing is known to ask for
+    known_limit: float | None  # with a well-known engine; None: the same
+    band: str | None  # of BANDS; None without a limit
+    source: str  # of the limit, or why there is none
+
+    @property
+    def severity(self) -> tuple[int, float]:
+        """What is greater is worse: the band, then the limit over the number."""
+        if self.band is None or self.limit is None or self.worst is None:
+            return -1 if self.band is None else BANDS.index(self.band), 0.0
+        larger, smaller = abs(self.limit), abs(self.worst)
+        if self.margin in AT_MOST:
+            larger, smaller = smaller, larger
+        return BANDS.index(self.band), larger / smaller if smaller else inf * larger if larger else 0.0
+
+    def describe(self) -> str:
+        """Return name, value and limit: ``roll peak |S| 3.79, limit 2.00 (2.50 with a well-known engine)``."""
+        known = "" if self.known_limit is None else f" ({self.format(self.known_limit)} with a well-known engine)"
+        limit = "" if self.limit is None else f", limit {self.format(self.limit)}{known}"
+        end = self.format(self.worst)
+        bound = "" if end == self.format(self.value) else f", by its bounds {end}"
+        return f"{self.axis} {JUDGED[self.margin][0]} {self.format(self.value)}{bound}{limit}"
+
+    def format(self, value: float | None) -> str:
+        """Return a value in the unit of a screen."""
+        if value is None:
+            return "none"
+        _, unit, factor, digits = JUDGED[self.margin]
+        return f"{factor * value:.{digits}f} {unit}".strip()
+
+    def cells(self) -> list[str]:
+        """Return a row of texts, as :data:`COLUMNS` head them."""
+        limit = "-" if self.limit is None else self.format(self.limit)
+        limit += "" if self.known_limit is None else f" ({self.format(self.known_limit).partition(' ')[0]})"
+        name = JUDGED[self.margin][0]
+        return [self.axis, name, self.format(self.worst), limit, self.band or "not judged", self.source]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it for JSON, SI but dB and deg."""
+        return {name: value for name, value in self._asdict().items() if name != "axis"}
+
+
+def judge_axis(measured: AxisMargins) -> list[Judged]:
+    """Return the margins that an axis has beside their limits."""
+    found = measured.response.margins
+    rows = []
+    if CROSSOVER not in found:
+        rows.append(Judged(measured.axis, CROSSOVER, None, None, None, None, NOT_TOLD, "widen the band"))
+    for name in JUDGED:
+        if name in found and name != CROSSOVER:
+            rows.append(_judged(measured, name, found[name].value, _worse_end(name, found[name])))
+    over = measured.over_engine
+    return rows if over is None else [*rows, _judged(measured, UNSTABLE, over.unstable, over.unstable)]
+
+
+def find_worst(rows: Iterable[Judged]) -> Judged:
+    """Return the margin that decides; the peak sensitivity is always one of them."""
+    return max(rows, key=lambda row: row.severity)
+
+
+def falls_below(rows: Iterable[Judged], band: str) -> bool:
+    """Return whether a margin is worse than a band."""
+    return BANDS.index(find_worst(rows).band or ENOUGH) > BANDS.index(band)
+
+
+def judgement_line(rows: Sequence[Judged]) -> str:
+    """Return what the worst of all margins comes to, which it is, and how many others are as bad."""
+    worst = find_worst(rows)
+    others = sum(row.band == worst.band for row in rows) - 1
+    more = "" if worst.band in (None, ENOUGH) or not others else f", and {others} more {worst.band}"
+    return f"judgement: {VERDICTS[worst.band or ENOUGH]}; worst: {worst.describe()}{more}: docs/judging.md"
+
+
+def _worse_end(name: str, bounded: Bounded) -> float:
+    """Return the end of a margin's bounds that is judged, its value without bounds; one beyond 0 leaves no margin."""
+    if name == "peak_sensitivity":
+        end = bounded.high
+    else:
+        end = min(bounded.high, 0.0) if name == "gain_down_db" else max(bounded.low, 0.0)
+    return end if isfinite(bounded.low) else bounded.value
+
+
+def _judged(measured: AxisMargins, name: str, value: float, worst: float) -> Judged:
+    limit, known, source = _limit(name, measured)
+    band = None
+    if limit is not None:
+        sign = -1.0 if name in AT_MOST else 1.0
+        is_kept = [sign * (abs(worst) - abs(each)) >= 0.0 for each in (limit, limit if known is None else known)]
+        band = ENOUGH if is_kept[0] else NARROW if is_kept[1] else TOO_LITTLE
+    return Judged(measured.axis, name, value, worst, limit, known, band, source)
+
+
+def _limit(name: str, measured: AxisMargins) -> tuple[float | None, float | None, str]:
+    """Return the limit, the one with a well-known engine where that is another, and where they are from."""
+    if name == "peak_sensitivity":
+        return PEAK, KNOWN_PEAK, "usual"
+    if name in ("gain_db", "gain_down_db"):
+        sign = -1.0 if name == "gain_down_db" else 1.0
+        limits = [sign * round(guaranteed_gain_db(peak), 1) for peak in (PEAK, KNOWN_PEAK)]
+        return limits[0], limits[1], "MIL-F-9490D"
+    if name in ("phase_deg", "phase_lead_deg"):
+        return guaranteed_phase_deg(PEAK), guaranteed_phase_deg(KNOWN_PEAK), f"max |S| {PEAK}"
+    if name == UNSTABLE:
+        assert measured.over_engine is not None
+        return 0.0, None, f"of {measured.over_engine.draws} engines"
+    if measured.uncertainty is not None:
+        return DEVIATIONS * measured.uncertainty.delay_s, None, "3 deviations"
+    if measured.transport_s is None:
+        return None, None, "delay not known"
+    need = Requirements()
+    step = measured.sine.step
+    late = need.delay_samples(measured.transport_s / step) * step
+    part = f"{100.0 * need.delay_tolerance:.0f} % of {1e3 * measured.transport_s:.0f} ms"
+    return late, None, part if late > step else "a control step"

@@ -1,0 +1,238 @@
+"""What measured margins leave in a folder: numbers, curves and a page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+
+from cosim.base.storage.files import write_files
+from cosim.engine.fmu.uncertainty import ParameterRange
+from cosim.results.report.page import render
+from cosim.results.report.plot import BLUE, GREY, ORANGE, RED, Figure, beneath, panels, trace
+from hexjet_design.figures import FAR, Curve, bode
+from hexjet_design.measured.axis_margins import AxisMargins
+from hexjet_design.measured.engine_range import EngineRange
+from hexjet_design.measured.judgement import COLUMNS as JUDGED_COLUMNS
+from hexjet_design.measured.judgement import judgement_line
+from hexjet_design.measured.margins import MeasuredMargins
+
+TEMPLATE = Path(__file__).parent / "templates" / "margins.html"
+COLUMNS = ("quantity", "measured", "95 % bounds", "computed", "off")
+OVER_ENGINE = "over the engine's uncertainty, 95 %"
+ENGINE_COLUMNS = ("parameter", "nominal", "95 % range", "deviation between engines")
+QUANTITIES = (  # quantity, what it is called, and its numbers
+    ("gain_db", "gain up", "{:+.2f} dB"),
+    ("gain_down_db", "gain down", "{:+.2f} dB"),
+    ("phase_deg", "phase, lag", "{:.1f} deg"),
+    ("phase_lead_deg", "phase, lead", "{:.1f} deg"),
+    ("delay_s", "delay, more", "{:.4f} s"),
+    ("delay_less_s", "delay, less", "{:.4f} s"),
+    ("peak_sensitivity", "peak |S|", "{:.3f}"),
+    ("crossover_hz", "crossover", "{:.3f} Hz"),
+)
+
+
+def columns(measured: AxisMargins) -> tuple[str, ...]:
+    """Return what heads the cells of :func:`rows`: :data:`COLUMNS`, and the engine's range where it is known."""
+    return COLUMNS if measured.over_engine is None else (*COLUMNS, OVER_ENGINE)
+
+
+def rows(measured: AxisMargins) -> list[list[str]]:
+    """Return a row of cells for each quantity, as :func:`columns` heads them."""
+    lines = []
+    for name, title, form in QUANTITIES:
+        estimate = measured.response.margins.get(name)
+        computed = None if measured.computed is None else getattr(measured.computed.margins, name)
+        value, bounds = _none(name, measured), ""
+        if estimate is not None:
+            value = form.format(estimate.value)
+            low, high = form.split(" ")[0].format(estimate.low), form.format(estimate.high)
+            bounds = f"{low} to {high}" if isfinite(estimate.low) else "-"
+        difference = measured.off(name)
+        off = "" if difference is None else f"{100.0 * difference:+.1f} %"
+        other = "none" if computed is None else form.format(computed)
+        line = [title, value, bounds, "-" if measured.computed is None else other, off]
+        lines.append(line if measured.over_engine is None else [*line, _over_engine(name, form, measured.over_engine)])
+    return lines
+
+
+def judged_rows(margins: MeasuredMargins) -> list[list[str]]:
+    """Return a row of cells for each margin beside its limit, as :data:`JUDGED_COLUMNS` head them."""
+    return [row.cells() for row in margins.judged]
+
+
+def answer(measured: AxisMargins) -> str:
+    """Return the measured margins of an axis in one sentence."""
+    found = measured.response.margins
+    parts = [f"{title} {form.format(found[name].value)}" for name, title, form in QUANTITIES if name in found]
+    return f"{measured.axis.capitalize()}: {', '.join(parts) or 'no margin in the frequencies that were measured'}."
+
+
+def _over_engine(name: str, form: str, over: EngineRange) -> str:
+    if name not in over.ranges:
+        return ""
+    ends = [form.split(" ")[0].format(end) if isfinite(end) else "none" for end in over.ranges[name]]
+    return " to ".join(dict.fromkeys(ends))
+
+
+def engine_rows(ranges: Sequence[ParameterRange]) -> list[list[str]]:
+    """Return a row of cells for each uncertain parameter of an engine, as :data:`ENGINE_COLUMNS` head them."""
+    return [
+        [row.name, f"{row.nominal:.4g}", f"{row.low:.4g} to {row.high:.4g}", f"{row.spread:.3g}" if row.spread else ""]
+        for row in ranges
+    ]
+
+
+def _none(name: str, measured: AxisMargins) -> str:
+    """Say that there is no such margin, and in what band; of lead and less delay the crossovers settle it."""
+    if name in ("phase_lead_deg", "delay_less_s") and "crossover_hz" in measured.response.margins:
+        return "none"
+    least, most = measured.band_hz
+    low, high = f"{least:.3g} Hz", f"{most:.4g} Hz"
+    if name == "gain_db":
+        return "none" if measured.is_complete else f"none up to {high}"
+    return f"none from {low} on" if name == "gain_down_db" or measured.is_complete else f"none from {low} to {high}"
+
+
+def heading(measured: AxisMargins) -> str:
+    """Describe the excitation of an axis: band, lines, periods, peak, and above what frequency nothing was measured."""
+    sine = measured.sine
+    band = f"{measured.axis.capitalize()}: {sine.hertz[0]:.3g} to {sine.hertz[-1]:.3g} Hz"
+    heard = measured.band_hz[1]
+    why = "noise hides all" if heard < sine.hertz[-1] else "nothing was measured"
+    above = "" if measured.is_complete else f"; above {heard:.4g} Hz {why}"
+    return (
+        f"{band}, {len(sine.bins)} lines, {measured.periods} "
+        f"periods of {sine.period * sine.step:g} s, peak {measured.amplitude:g} {measured.unit}{above}"
+    )
+
+
+def uncertainty_line(measured: AxisMargins) -> str | None:
+    """Describe how well the engine is known, and the margins in multiples of that; None where it states nothing."""
+    if measured.uncertainty is None:
+        return None
+    gain, delay_s = measured.uncertainty
+    margins = zip(
+        (f"gain {100.0 * gain:.3g} %", f"delay {1e3 * delay_s:.3g} ms"), measured.in_deviations(), strict=True
+    )
+    parts = [text if count is None else f"{text}, the margin is {count:.3g} times that" for text, count in margins]
+    line = f"engine, one standard deviation at the crossover: {'; '.join(parts)}"
+    over = measured.over_engine
+    lost = "" if over is None or not over.unstable else f"; {over.unstable} of {over.draws} drawn engines lose the loop"
+    return line + lost
+
+
+def limit_line(measured: AxisMargins) -> str | None:
+    """Compare the computed loop with the limit of performance, or say why it has none; None where nobody asked."""
+    limit = measured.limit
+    if limit is None:
+        return None
+    return f"no limit of performance: {limit}" if isinstance(limit, str) else f"{measured.axis}: {limit.describe()}"
+
+
+def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
+    """Write ``margins.json``, ``response.csv`` and ``report.html``.  Raises FlightError if a file cannot be written."""
+    paths = {"json": folder / "margins.json", "response": folder / "response.csv", "report": folder / "report.html"}
+    data = json.dumps(margins.to_dict(), indent=2, allow_nan=False) + "\n"
+    write_files({paths["json"]: data, paths["response"]: _csv(margins)})
+    tables = [
+        (
+            axis,
+            heading(measured),
+            columns(measured),
+            rows(measured),
+            measured.notes,
+            [uncertainty_line(measured), limit_line(measured)],
+        )
+        for axis, measured in margins.axes.items()
+    ]
+    engine = engine_rows(margins.engine_ranges)
+    render(
+        TEMPLATE,
+        paths["report"],
+        figures(margins),
+        found=margins,
+        answers=[answer(measured) for measured in margins.axes.values()],
+        tables=tables,
+        engine=(ENGINE_COLUMNS, engine),
+        judgement=(judgement_line(margins.judged), JUDGED_COLUMNS, judged_rows(margins)),
+    )
+    return paths
+
+
+def figures(margins: MeasuredMargins) -> dict[str, Figure]:
+    """Return the figures of the page by their names, three an axis."""
+    drawn: dict[str, Figure] = {}
+    for axis, measured in margins.axes.items():
+        drawn |= {
+            f"bode_{axis}": _bode(measured),
+            f"nyquist_{axis}": _nyquist(measured),
+            f"peak_{axis}": _peak(measured),
+        }
+    return drawn
+
+
+def _csv(margins: MeasuredMargins) -> str:
+    lines = [
+        "axis,frequency_hz,loop_real,loop_imaginary,sensitivity_real,sensitivity_imaginary,sensitivity_spread,coherence"
+    ]
+    for axis, measured in margins.axes.items():
+        r = measured.response
+        columns = (r.hertz, r.loop.real, r.loop.imag, r.sensitivity.real, r.sensitivity.imag, r.spread, r.coherence)
+        lines += [f"{axis}," + ",".join(f"{value:.9g}" for value in row) for row in zip(*columns, strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def _curves(measured: AxisMargins) -> list[Curve]:
+    """Return the computed and the measured curve."""
+    curves = []
+    hertz = measured.sine.hertz
+    if measured.computed is not None:
+        inside = (measured.computed.hertz >= hertz[0]) & (measured.computed.hertz <= hertz[-1])
+        near, loop = measured.computed.hertz[inside], measured.computed.loop[inside]
+        curves.append(Curve("computed", ORANGE, near, loop, beneath(ORANGE)))
+    dots = {"mode": "markers", "marker": {"size": 5, "color": BLUE}}
+    return [*curves, Curve("measured", BLUE, hertz, measured.response.loop, dots)]
+
+
+def _bode(measured: AxisMargins) -> Figure:
+    figure = bode(_curves(measured), 560, ["coherence"])
+    coherence = trace("coherence", GREY, measured.sine.hertz, measured.response.coherence, 2)
+    figure["data"].append(coherence | {"showlegend": True})
+    figure["layout"]["yaxis3"]["range"] = [0.0, 1.05]
+    return figure
+
+
+def _nyquist(measured: AxisMargins) -> Figure:
+    turn = np.linspace(0.0, 2.0 * np.pi, 200)
+    peak = measured.response.margins["peak_sensitivity"].value
+    circle = trace(f"|S| = {peak:.2f}", RED, np.cos(turn) / peak - 1.0, np.sin(turn) / peak)
+    data = [circle]
+    for label, colour, _, loop, style in _curves(measured):
+        near = np.abs(loop) < 2.0 * FAR
+        data.append(trace(label, colour, loop.real[near], loop.imag[near], **style))
+    layout = panels(560, "real part of L", ["imaginary part of L"], False)
+    layout["xaxis"]["range"] = [-FAR, 1.0]
+    layout["yaxis"] |= {"range": [-FAR / 2.0 - 0.5, FAR / 2.0 + 0.5], "scaleanchor": "x"}
+    return {"data": data, "layout": layout}
+
+
+def _peak(measured: AxisMargins) -> Figure:
+    data: list[Figure] = []
+    for label, colour, hertz, loop, style in _curves(measured):
+        more = dict(style)
+        if label == "measured":
+            wide = _wide(measured)
+            more["error_y"] = {"type": "data", "array": wide, "thickness": 1, "width": 0}
+        data.append(trace(label, colour, hertz, np.abs(1.0 / (1.0 + loop)), **more))
+    return {"data": data, "layout": panels(320, "frequency [Hz]", ["|S|, with 95 % bounds"], True)}
+
+
+def _wide(measured: AxisMargins) -> Sequence[float]:
+    from scipy.special import stdtrit
+
+    return np.asarray(float(stdtrit(measured.periods - 1, 0.975)) * measured.response.spread, np.float64)  # type: ignore[return-value]

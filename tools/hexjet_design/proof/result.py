@@ -1,0 +1,75 @@
+"""What the proof of a design came to: see :mod:`hexjet_design.proof.run`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import isfinite
+
+from hexjet_design.proof.comparison import FlownMeasures, FlownPair
+
+
+@dataclass(frozen=True)
+class ProofFlight:
+    """One flight of a proof.
+
+    ``flown``: what was measured of it; None where nothing was.
+    """
+
+    scenario: str
+    gain: float  # times that of roll, pitch and yaw
+    later: int  # control steps
+    fault: str  # what it did that was not promised; empty where it kept it
+    engine: str = ""  # which engine was off, and by how much; empty where all are the same
+    flown: FlownMeasures | None = None
+
+    @property
+    def words(self) -> str:
+        """Description of the flight in words."""
+        corner = f"gain {self.gain:.2f}, {self.later} steps later"
+        where = "as designed" if self.is_as_designed else corner
+        return f"{self.scenario}, {self.engine or where}"
+
+    @property
+    def is_as_designed(self) -> bool:
+        """Whether vehicle and engines were those of the design."""
+        return (self.gain, self.later) == (1.0, 0) and not self.engine
+
+
+@dataclass(frozen=True)
+class Proof:
+    """The checks of a design against the engine and in flight; ``reason`` says why they failed, or is empty."""
+
+    reason: str
+    measured_hz: float  # up to where the engine was measured
+    stability_fraction: float  # of what stability allows, that the measured response takes: max |T (r - 1)|
+    sensitivity: float  # the greatest of the measured loops
+    above: float  # greatest loop gain where nothing was measured
+    flights: Sequence[ProofFlight]
+    unsure: tuple[tuple[float, float], ...] = ()  # (Hz, share): how far the measured response was off; where it fails
+    compared: Sequence[FlownPair] = ()  # with the gains that ship; empty where nothing was flown
+    lean_deg: float = 0.0  # to which the doublets went; 0 where nothing was flown
+    allowing: Mapping[str, float] = field(default_factory=dict)  # the requirement with which what failed would keep it
+
+    def lines(self) -> list[str]:
+        """Describe the proof by flights and the one by measured response, in a sentence each."""
+        lines = []
+        if self.flights:
+            passed = sum(not flight.fault for flight in self.flights)
+            lines.append(
+                f"flown in six degrees of freedom with noise and the engine itself: {passed} of {len(self.flights)} "
+                f"flights kept what was promised ({self._flown_words()})"
+            )
+        if isfinite(self.measured_hz):
+            lines.append(
+                f"measured to {self.measured_hz:.3g} Hz: the engine's own response takes "
+                f"{100.0 * self.stability_fraction:.0f} % of what stability leaves it, peak |S| {self.sensitivity:.2f}"
+                f"; beyond, the loop's gain is at most "
+                f"{self.above:.2g}"
+            )
+        return lines
+
+    def _flown_words(self) -> str:
+        names = ", ".join(dict.fromkeys(flight.scenario for flight in self.flights if not flight.engine))
+        odd = "; one engine off" if any(flight.engine for flight in self.flights) else ""
+        return f"{names}: as designed and at the tolerances' corners{odd}"

@@ -1,0 +1,178 @@
+"""A design is believed when it has been flown: the loop against what was measured, then six degrees of freedom.
+
+A design rests on a linear model of the engine around hover.  What such a model does not see makes the unsafe ones: a
+response that it does not follow, a light mode above the band that was swept, an engine's controller that samples its
+throttle, a limit on its acceleration, dead times that differ up and down.  So every design ends here:
+
+1. What the model leaves of the response is in the search already (:func:`hexjet_design.loop.dynamics.with_misfit`);
+   beyond :data:`MOST_MISFIT` it is no model.
+2. The engine is swept once more, to three times the highest crossover of its loops and to where their gain stays below
+   :data:`ABOVE`, and the measured response takes the model's place.  With ``T = L / (1 + L)`` and ``r`` measured over
+   model, the loop keeps its number of unstable poles while ``|T (r - 1)| < 1`` (the small gain theorem), and its
+   sensitivity is ``1 / (1 + r L)``.
+3. Hover, roll doublets and gust are flown with noise and the engine itself, as designed, at the corners of the
+   tolerances, and with one engine off (:mod:`hexjet_design.proof.flights`); the doublets to the lean that the pilot may
+   ask for.
+4. Hover and doublets are flown with the gains that ship too, to compare (:mod:`hexjet_design.proof.comparison`).
+
+An FMU cannot be made to answer earlier than it does: the earlier half of the delay's tolerance is left to the linear
+loop, unless the engine states a parameter for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import EngineError, InputError
+from cosim.identify.sweep.engine import fly_sweep
+from cosim.identify.sweep.result import Sweep, suitable_duration
+from hexjet_design.design import Design, throttle_for
+from hexjet_design.limits import Say
+from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
+from hexjet_design.loop.dynamics import Dynamics, bounds
+from hexjet_design.proof.flights import HOVER, compare_with_shipped, find_allowing, fly_all, lean_of
+from hexjet_design.proof.result import Proof, ProofFlight
+
+MOST_MISFIT = 0.50  # of the response, half of it or 29 deg; chosen by us: a predictor is told nothing by such a model
+PAST = 3.0  # times the crossover, up to where the engine is measured
+MOST_HZ = 0.4  # over the control step: the highest that is swept
+SHARE_LEFT = 0.8  # of what stability allows, |T (r - 1)| at most
+WORSE = 1.25  # times the sensitivity asked for, that of the measured loop at most
+NOT_KEPT = "flown with the engine itself it does not keep what it promises"
+LESS = 0.125  # of the noise, that is proposed where it moves a hover
+LESS_NOISE = "; where noise takes the engine to its limits, less of it may do: --noise-share {:.2g}"
+ABOVE = 0.5  # loop gain where nothing was measured, at most: the engine may answer twice as much as its model
+
+Again = Callable[[tuple[tuple[float, float], ...]], Design]
+
+
+def add_proof(design: Design, say: Say = lambda text: None, again: Again | None = None) -> Design:
+    """Check a design against the engine's own response and fly it; it is not acceptable where one of these fails.
+
+    ``again`` makes another one for an engine that differs from its model by shares at frequencies
+    (:attr:`hexjet_design.loop.dynamics.Dynamics.unsure`): where the measured response is too far from the model, one is
+    searched for that stands it, once.
+
+    Raises InputError if a flight cannot be set up at all.
+    """
+    if not design.ok:
+        return design
+    proof = prove(design, say)
+    if not proof.unsure or again is None:
+        return replace(design, proof=proof, reason=proof.reason, allowing=proof.allowing)
+    say("again, for an engine that differs from its model as measured")
+    other = again(proof.unsure)
+    if not other.ok:
+        return replace(other, proof=proof, reason=f"{proof.reason}; with that in the search, {other.reason}")
+    proof = prove(other, say)
+    return replace(other, proof=proof, reason=proof.reason, allowing=proof.allowing)
+
+
+def prove(design: Design, say: Say = lambda text: None) -> Proof:
+    """Check a design against the engine's measured response and fly it.
+
+    Raises InputError if a flight cannot be set up at all.
+    """
+    proof = Proof("", np.nan, 0.0, 0.0, 0.0, ())
+    if design.identification is not None:
+        dynamics = design.engine_dynamics
+        if dynamics.misfit > MOST_MISFIT:
+            why = (
+                f"no model follows the engine: the best one is {100.0 * dynamics.misfit:.0f} % off its response, and "
+                f"{100.0 * MOST_MISFIT:.0f} % is the most that a design rests on"
+            )
+            return replace(proof, reason=why)
+        say("the engine past the crossover")
+        proof = _check_measured(design, dynamics)
+        if proof.reason:
+            return proof
+    flights = fly_all(design, say)
+    bad = [flight for flight in flights if flight.fault]
+    reason = ""
+    if bad:
+        more = f" (and {len(bad) - 1} of {len(flights)} flights more)" if len(bad) > 1 else ""
+        hint = LESS_NOISE.format(LESS * design.need.noise_share) if _is_moved_by_noise(bad[0]) else ""
+        reason = f"{NOT_KEPT}: {bad[0].words}: {bad[0].fault}{more}{hint}"
+    compared = compare_with_shipped(design, flights, say)
+    allowing = find_allowing(design, flights, say) if bad else {}
+    lean = lean_of(design.vehicle)
+    return replace(proof, reason=reason, flights=flights, compared=compared, lean_deg=lean, allowing=allowing)
+
+
+def _is_moved_by_noise(flight: ProofFlight) -> bool:
+    """Return whether a hover of a stable loop, in which nothing else moves, swings."""
+    return flight.is_as_designed and flight.scenario == HOVER and "swings" in flight.fault
+
+
+# ---- the loop, with what was measured in place of the model
+
+
+def _check_measured(design: Design, dynamics: Dynamics) -> Proof:
+    step = design.scenario.step_s
+    loops = {
+        axis: (axis_design.channel, axis_design.after.tuning)
+        for axis, axis_design in design.axes.items()
+        if axis_design.after is not None
+        and not axis_design.channel.is_by_servo
+        and axis_design.channel.identified is None
+    }
+    wide = {axis: ClosedLoop(FrequencyGrid(channel), tuning) for axis, (channel, tuning) in loops.items()}
+    crossing = max(_crossover(closed) for closed in wide.values())
+    identification = design.identification
+    assert identification is not None
+    swept = identification.response
+    reach = max(_crossover(closed, ABOVE) for closed in wide.values())  # a lead may hold the gain up far behind it
+    end = min(max(PAST * crossing, 1.1 * reach, float(swept.hertz[-1])), MOST_HZ / step)
+    low = min(float(swept.hertz[-1]), crossing) / 4.0
+    size = identification.sweep.amplitude
+    try:
+        record = fly_sweep(
+            design.engine,
+            throttle_for(design.engine, design.vehicle),
+            Sweep(low, end, size, suitable_duration(low)),
+            step,
+        )
+    except EngineError as error:
+        raise InputError(f"sweep of {design.engine.name}: {error}") from error
+    hertz: Array = np.asarray(np.fft.rfftfreq(len(record.output), step), np.float64)
+    use = (hertz >= low) & (hertz <= end)
+    hertz = hertz[use]
+    # from rest to rest: the transforms leak nothing, and every bin is a point, so that no narrow mode is averaged away
+    value = (np.fft.rfft(record.output)[use]) / (np.fft.rfft(record.injected)[use])
+    good = np.abs(swept.value) > 0.0
+    gain = float(np.exp(np.mean(np.log(np.abs(swept.value[good] / dynamics.hold_response(swept.hertz[good]))))))
+    ratio = value / (gain * dynamics.hold_response(hertz))
+    largest, peak, above, worst = 0.0, 0.0, 0.0, ("", 0.0)
+    for axis, (channel, tuning) in loops.items():
+        own = ClosedLoop(FrequencyGrid(channel, z=np.exp(2j * pi * hertz * step)), tuning)
+        loop = own.open_loop
+        off = np.abs(loop / (1.0 + loop) * (ratio - 1.0))
+        if float(off.max()) > largest:
+            largest, worst = float(off.max()), (axis, float(hertz[int(off.argmax())]))
+        peak = max(peak, float(np.max(1.0 / np.abs(1.0 + ratio * loop))))
+        beyond = wide[axis].points.theta / (2.0 * pi * step) > end
+        if beyond.any():
+            above = max(above, float(np.abs(wide[axis].open_loop[beyond]).max()))
+    reason = ""
+    unsure = bounds(hertz, np.asarray(np.abs(ratio - 1.0)))
+    if largest > SHARE_LEFT:
+        reason = (
+            f"{worst[0]}: around {worst[1]:.2g} Hz the engine's own response is so far from its model that the "
+            f"loop may be unstable ({largest:.2f} of what the small gain theorem allows, {SHARE_LEFT:g} at most)"
+        )
+    elif peak > WORSE * design.need.max_sensitivity:
+        reason = f"with the engine's own response peak |S| is {peak:.2f}, {design.need.max_sensitivity:g} was asked for"
+    elif above > ABOVE:
+        reason = f"beyond {end:.3g} Hz, where nothing is measured, the loop's gain is up to {above:.2g}"
+    return Proof(reason, end, largest, peak, above, (), unsure if reason else ())
+
+
+def _crossover(closed: ClosedLoop, gain: float = 1.0) -> float:
+    """Return the highest frequency, Hz, at which the loop has this gain."""
+    above = np.flatnonzero(np.abs(closed.open_loop) >= gain)
+    return float(closed.points.theta[above[-1]] / (2.0 * pi * closed.points.channel.step)) if len(above) else 0.0
