@@ -23,14 +23,14 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.timing import Clocked, Job, clock
 from cosim import Scenario
-from cosim.autopilots import px4
-from cosim.autopilots.ardupilot import ArduPilot, LaunchOptions
-from cosim.autopilots.lockstep import Autopilot, SensorFrame, StickPositions
-from cosim.autopilots.px4 import Px4
 from cosim.base.frames import from_euler
 from cosim.base.geodesy import Geodesy
 from cosim.files import scratch
 from cosim.pages import table, write_marks
+from hexjet_sitl import px4
+from hexjet_sitl.ardupilot import ArduPilot, LaunchOptions
+from hexjet_sitl.lockstep import Autopilot, SensorFrame, StickPositions
+from hexjet_sitl.px4 import Px4
 
 MARK = "lockstep"
 HOVER = Scenario.load("hover").replace(engine="edf")

@@ -27,7 +27,6 @@ from typing import Any
 import numpy as np
 from designed_and_flown import about_ends, agrees, as_measured, predict, still_doublet
 
-from cosim.autopilots.prepare import find_program
 from cosim.campaign import open_campaign
 from cosim.cli.main import main as hexjet
 from cosim.flight import fly
@@ -35,6 +34,7 @@ from cosim.results.log.digest import log_digest
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.results.run import open_run
 from cosim.results.wording import metric
+from hexjet_sitl.prepare import find_program
 
 PAGE = Path(__file__).parent / "autopilots.md"
 STOPPED = 128  # statuses above it are a signal's

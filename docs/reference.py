@@ -26,6 +26,7 @@ from pydantic_core import PydanticUndefined
 from cosim.base.signals import JETS, MOST_JETS
 from cosim.base.storage.paths import data_folder, files_in
 from cosim.base.storage.toml import read_toml
+from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.key import unit_of
 from cosim.campaign.study.study import Study
 from cosim.cli.main import INTERRUPTED, TERMINATED, cli
@@ -36,6 +37,7 @@ from cosim.results.metrics import Metrics
 from cosim.simulation.controllers.controller_file import ControllerFile
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
+from hexjet_sitl.study import AutopilotTable
 
 # --- tables -----------------------------------------------------------------------------------------------------------
 
@@ -344,6 +346,9 @@ MEANING = {
     "Purpose.*": "with which it was designed", "Requirements.*": "what it must keep",
 }  # fmt: skip
 
+# Tables that a tool reads.
+OF_TOOLS: dict[type, type[BaseModel]] = {StudyAutopilot: AutopilotTable}
+
 
 def tables(model: type[BaseModel], table: str = "") -> Iterator[tuple[str, type[BaseModel]]]:
     """Every table of a file by its heading, with its model; one that may be of several kinds comes once for each."""
@@ -383,6 +388,7 @@ def keys_page(model: type[BaseModel], head: str) -> str:
 
 def _models(kind: Any) -> Iterator[type[BaseModel]]:
     if inspect.isclass(kind) and get_origin(kind) is None:
+        kind = OF_TOOLS.get(kind, kind)
         if issubclass(kind, BaseModel):
             yield kind
         return
@@ -441,7 +447,7 @@ def _word(kind: Any) -> str:
         return f"list: {_word(arguments[0])}"
     if origin is dict:
         return f"table: {_word(arguments[1])} by name"
-    if inspect.isclass(kind) and issubclass(kind, BaseModel):
+    if inspect.isclass(kind) and issubclass(OF_TOOLS.get(kind, kind), BaseModel):
         return "table"
     return {float: "number", int: "whole number", bool: "true, false", str: "text", Any: "any"}.get(kind, "text")
 

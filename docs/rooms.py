@@ -32,7 +32,6 @@ DUTY = {
     "design": "controllers for a channel",
     "identify": "from data to a model",
     "groundstation": "MAVLink, local page",
-    "autopilots": "others' autopilots in lockstep",
     "campaign": "many flights",
     "shelf": "the folder of runs as a page",
     "cli": "one file a command",

@@ -8,9 +8,10 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 
-from cosim.base.plugins.entry_points import GROUP
+from cosim.base.plugins.entry_points import GROUP, HOOKS
 from cosim.base.storage.paths import data_folder
 from cosim.results.summary import versions
 
@@ -44,8 +45,9 @@ def _files() -> str:
 
 
 def _list_files() -> list[tuple[str, Path]]:
-    """Return the shipped files that determine a flight's numbers, of packages that add controllers too, with names."""
-    adding = [entry for entry in entry_points(group=GROUP) if entry.dist and entry.dist.name == PACKAGES[0]]
+    """Return the shipped files that determine a flight's numbers, with names, of tools that add to a flight too."""
+    entries = chain(entry_points(group=GROUP), entry_points(group=HOOKS))
+    adding = [entry for entry in entries if entry.dist and entry.dist.name == PACKAGES[0]]
     specs = [find_spec(name) for name in {"cosim", *(entry.module.partition(".")[0] for entry in adding)}]
     packages = [Path(spec.origin).parent for spec in specs if spec and spec.origin]
     roots = [*packages, data_folder("aircraft"), data_folder("engines")]

@@ -110,10 +110,7 @@ def _check_autopilot(study: Study, autopilot: StudyAutopilot, workers: Workers |
     """Raise InputError for an autopilot that is not here, or flights that it cannot fly, or not here."""
     if not (workers is None or isinstance(workers, (int, LocalWorkers))):
         raise InputError(f"study {study.name}: autopilot {autopilot.name} flies on this machine; leave out --cluster")
-    from cosim.autopilots.prepare import check_faults, require_program
-
-    check_faults(autopilot.name, study.base())
-    require_program(autopilot.name, autopilot.program(study.folder))
+    autopilot.check(study.base(), study.folder)
 
 
 def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) -> tuple[Study | None, Path]:

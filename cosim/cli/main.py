@@ -52,7 +52,6 @@ COMMANDS = {  # module of each command: only the one that runs is imported
     "report": "results.runs:report",
     "search": "studies.campaign:search",
     "show": "results.show:show",
-    "sitl": "flight.sitl:sitl",
     "sweep": "studies.campaign:sweep",
     "validate": "controllers.validate:validate",
 }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from cosim.autopilots.block import AutopilotBlock
 from cosim.base import protocols
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
@@ -28,6 +27,7 @@ from cosim.simulation.plugins import GuardedObserver, WindTable
 from cosim.simulation.script.disturbance_script import DisturbanceScript
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
 from hexjet_export.vehicle.ports import _ControllerOutside, _EnginesOutside, _PilotOutside
+from hexjet_sitl.block import AutopilotBlock
 
 METRICS: list[protocols.Metric] = [metrics.flight_metrics]
 

@@ -141,8 +141,8 @@ def export_controller(
     InputError
         For what has no C form, for a folder that is not empty, and for a flight that fails.
     """
-    from cosim.autopilots.firmware_parameters import find_torque_scale
     from hexjet_export.controller.export import export_controller as write
+    from hexjet_sitl.firmware_parameters import find_torque_scale
 
     hears = progress or Progress()
     flown = choose(scenario, controller, aircraft, engine, settings, note=hears.note)

@@ -123,14 +123,14 @@ def toml_text(table: Mapping[str, Any], multiline: bool = False) -> str:
 
 
 def validate(model: type[M], data: Mapping[str, Any], where: str) -> M:
-    """Turn a TOML table into ``model``, one of pydantic's; ``where`` names its source in the error.
+    """Turn a TOML table into ``model``, one of pydantic's; ``where`` names its source in the error, unless empty.
 
     Raises InputError: one line with the key, the value and what is allowed.
     """
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"{where}: {_describe_error(model, error)}") from error
+        raise InputError(f"{where}: {_describe_error(model, error)}".removeprefix(": ")) from error
 
 
 def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator, PrivateAttr, model_validator
 
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.storage.files import write_whole
 from cosim.base.storage.paths import data_folder, files_in
 from cosim.base.storage.toml import Model, read_toml, set_path, split_key, toml_text, validate
 from cosim.base.trust import Code, is_code_forbidden, need_trust
-from cosim.campaign.study.autopilot import StudyAutopilot
+from cosim.campaign.study.autopilot import StudyAutopilot, read_autopilot
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_vary, vary_tables
 from cosim.campaign.study.engine_draw import EngineDraw, brings_engine, default_draw, engine_draw
 from cosim.campaign.study.key import Key
@@ -91,7 +91,8 @@ class Study(Model):
         default_factory=list
     )  # what each flight is to keep, beside the scenario's own
     until: str | None = None  # the claim that ends the study when it is shown or refuted: 99.9%@95%
-    autopilot: StudyAutopilot | None = None  # flies in the place of the controller, whose gains go into it
+    # It flies in the place of the controller, whose gains go into it.
+    autopilot: Annotated[StudyAutopilot, PlainValidator(read_autopilot)] | None = None
 
     _folder: Path = PrivateAttr(default_factory=Path)
     _where: str = PrivateAttr(default="study")

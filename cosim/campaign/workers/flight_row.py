@@ -111,31 +111,16 @@ def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = 
     What it was made from is the scenario as the study has it: the record of the autopilot's commands is of the flight.
     Raises InputError and FlightError.
     """
-    from cosim.autopilots.prepare import Setup, prepare, require_program, reserve_instance
-
-    settings = study.autopilot
-    assert settings is not None
-    with reserve_instance() as instance:
-        setup = Setup(
-            instance,
-            settings.timeout_s,
-            gains=settings.gains,
-            lines=settings.lines,
-            parameters=settings.parameters,
-            channels=settings.channels,
-        )
-        program = require_program(settings.name, settings.program(study.folder))
-        autopilot = prepare(settings.name, scenario, folder, program, setup)
-        flight = autopilot.fly(scenario, folder, page)
-    run, counts = flight.run, flight.counts
+    assert study.autopilot is not None
+    run, frames, missing = study.autopilot.fly(scenario, study.folder, folder, page)
     digest = hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
     row = _outcome_row(study, run, log_digest(run.log)) | {
         "controller_sha256": None,
         "controller_repeatable": None,
         "inputs_sha256": digest,
-        "autopilot": settings.name,
-        "autopilot_frames": counts.frames,
-        "autopilot_missing": counts.frames - counts.boot - counts.answers,
+        "autopilot": study.autopilot.name,
+        "autopilot_frames": frames,
+        "autopilot_missing": missing,
     }
     return row, run
 

@@ -18,10 +18,6 @@ from places import TOOLS
 from scipy.optimize import brentq
 from stated_figures import stated
 
-from cosim.autopilots import betaflight as theirs
-from cosim.autopilots.block import AutopilotBlock
-from cosim.autopilots.firmware_parameters import find_torque_scale
-from cosim.autopilots.run import fly_autopilot
 from cosim.base.errors import InputError
 from cosim.base.protocols import EngineState
 from cosim.base.signals import ZERO3, Command, Disturbance, EngineOutput, Measured
@@ -32,6 +28,10 @@ from hexjet_export.controller import measure
 from hexjet_export.controller.adapters import render_adapter
 from hexjet_export.controller.files import Labels
 from hexjet_export.controller.form import make_form
+from hexjet_sitl import betaflight as theirs
+from hexjet_sitl.block import AutopilotBlock
+from hexjet_sitl.firmware_parameters import find_torque_scale
+from hexjet_sitl.run import fly_autopilot
 
 CC = measure.find_compiler()
 STUBS = TOOLS / "stubs"

@@ -108,6 +108,6 @@ def test_a_longer_study_is_what_is_asked_from_then_on(tmp_path: Path, hexjet: He
 
 def test_the_program_is_all_code_that_a_flight_s_numbers_come_from() -> None:
     names = {name for name, _ in installed._list_files()}
-    code = {"cosim/engine/_bank.c", "cosim/simulation/step.py", "hexjet_laws/mpc.py"}
+    code = {"cosim/engine/_bank.c", "cosim/simulation/step.py", "hexjet_laws/mpc.py", "hexjet_sitl/px4.py"}
     data = {"aircraft/hexjet/vehicle.toml", "engines/turbojet/engine.toml"}
     assert code | data <= names

@@ -52,7 +52,7 @@ def by_number(rows: Iterator[Row]) -> list[Row]:
     return sorted(map(without_chance, rows), key=lambda row: row["flight"])  # type: ignore[arg-type, return-value]
 
 
-NEEDLESS = ("scipy.stats", "scipy.optimize", "pandas", "cosim.autopilots.prepare")
+NEEDLESS = ("scipy.stats", "scipy.optimize", "pandas", "hexjet_sitl.prepare")
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from patience import PATIENCE
 from places import ROOT
 
 from benchmarks.measures.process import start_python
-from cosim.autopilots.lockstep import Program
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.campaign.study.plan import flights
@@ -26,6 +25,7 @@ from cosim.flight import fly
 from cosim.groundstation.mavlink.services.logs import LogStore
 from cosim.simulation.controllers.process import request_description
 from cosim.spec.scenario import Scenario
+from hexjet_sitl.lockstep import Program
 
 STEP = 0.004
 TRAPS = ("cosim/__init__.py", "numpy.py", "pickle.py", "json.py", "socket.py", "ctypes.py", "fmpy.py", "struct.py")

@@ -95,7 +95,6 @@ def test_a_link_to_a_device_is_refused_and_stays(tmp_path: Path) -> None:
 
 def _readers() -> dict[str, Callable[[Path], object]]:
     """What reads a file that a scenario, a command line or a folder names."""
-    from cosim.autopilots.parameters import read_parameters
     from cosim.base.plugins.execute import execute_file
     from cosim.base.storage.toml import read_toml
     from cosim.groundstation.mavlink.wire.signing import read_key
@@ -106,6 +105,7 @@ def _readers() -> dict[str, Callable[[Path], object]]:
     from cosim.simulation.script.command_script import read_columns
     from cosim.spec.scenario.parameter_file import read_whole
     from cosim.vehicle.model_file import read_model as read_airframe
+    from hexjet_sitl.parameters import read_parameters
 
     return {
         "mapping": read_toml,

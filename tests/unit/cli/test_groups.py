@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,8 @@ from click.testing import CliRunner
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
-from cosim.cli.added import ADDED
 from cosim.cli.groups import GROUPS
-from cosim.cli.main import COMMANDS, cli, main
+from cosim.cli.main import cli, main
 from cosim.simulation.controllers.controller_file import read_controller
 from cosim.spec.file_kind import AIRCRAFT, ENGINE, SCENARIO, STUDY, FileKind, find_kind
 from cosim.spec.scenario import Scenario
@@ -25,11 +23,11 @@ from cosim.spec.scenario import Scenario
 def test_every_command_has_a_group_and_its_line_fits_eighty_columns() -> None:
     names = [name for commands in GROUPS.values() for name in commands]
     assert len(names) == len(set(names))
-    assert set(COMMANDS) <= set(names) <= {*COMMANDS, *entry_points(group=ADDED).names}
+    assert set(names) == set(cli.list_commands(click.Context(cli)))
     listed = CliRunner(env={"COLUMNS": "80"}).invoke(cli, ["--help"]).output
     assert "..." not in listed.partition("Fly:")[2]
     assert max(map(len, listed.splitlines())) <= 80
-    for name in COMMANDS:
+    for name in names:
         assert f"\n  {name} " in listed, name
 
 
@@ -170,17 +168,12 @@ def test_a_scenario_is_no_controller() -> None:
 def leaves(command: click.Command, name: str) -> list[tuple[str, click.Command]]:
     """A command and those below it."""
     context = click.Context(command)
-    names = command.list_commands(context) if isinstance(command, click.Group) and command is not cli else ()
-    below = ((inner, command.get_command(context, inner) or cli) for inner in names)
+    inner = command.list_commands(context) if isinstance(command, click.Group) else ()
+    below = [(each, command.get_command(context, each) or cli) for each in inner]
     return [(name, command), *(each for inner, found in below for each in leaves(found, f"{name} {inner}"))]
 
 
-CONTEXT = click.Context(cli)
-ALL = [
-    each
-    for name in cli.list_commands(CONTEXT)
-    for each in leaves(cli.get_command(CONTEXT, name) or cli, f"hexjet {name}")
-]
+ALL = leaves(cli, "hexjet")
 
 
 def test_no_line_of_a_help_is_cut_or_longer_than_eighty_columns() -> None:

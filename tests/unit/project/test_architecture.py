@@ -73,10 +73,10 @@ OUR_FILE_READERS = {
 # What somebody else may have made is read by read_file, read_text and read_json of base/storage/files.py: regular files
 # of a limited size.  These read what the package or a process of its own has made.
 READS_BY_ITSELF = [
-    "autopilots/", "base/", "engine/", "identify/logs/", "campaign/installed.py",
+    "base/", "engine/", "identify/logs/", "campaign/installed.py",
     "groundstation/mavlink/wire/generate.py", "groundstation/web/server.py", "identify/files.py",
     "results/report/page.py", "shelf/server.py", "simulation/controllers/process.py", "spec/new_aircraft.py",
-    "spec/vehicle/sensor_profile.py",
+    "spec/vehicle/sensor_profile.py", "tools/hexjet_sitl/",
 ]  # fmt: skip
 
 # An engine is a file before it flies and none while it flies: loading reads, stepping does not.

@@ -102,7 +102,9 @@ def test_every_column_and_metric(made: dict[str, str]) -> None:
 
 def test_every_name_in_the_environment(reference: dict[str, Any]) -> None:
     """What the package, its build and its tests ask of the environment is in the table."""
-    ours = [path for path in (ROOT / "cosim").rglob("*.py") if path.name != "_messages.py"]  # the rest is generated
+    ours = [
+        path for folder in ("cosim", "tools") for path in (ROOT / folder).rglob("*.py") if path.name != "_messages.py"
+    ]
     sources = [*ours, ROOT / "setup.py", ROOT / "tests" / "conftest.py"]
     text = "\n".join(path.read_text(encoding="utf-8") for path in sources)
     asked = set(re.findall(r"environ(?:\.get\(|\[)\"([A-Z_]+)\"(?!\] = )", text)) | set(

@@ -1,0 +1,349 @@
+"""ArduPilot's SITL over its JSON backend: servo packets on UDP, answered with one line of JSON each.
+
+Protocol (``libraries/SITL/examples/JSON/readme.md``, ``SIM_JSON.cpp``): the physics listens on UDP 9002, ten more for
+each instance, and answers to whoever sent.  ArduPilot stands still until it is answered, and the answer's timestamp is
+its time.  Without one for a second it sends the same packet again, with the same frame count: that is answered again,
+and not stepped.  Sticks go to UDP 5501 before the state, as 16 pulses.
+
+Its serial ports are switched off when it is started here: by itself it waits for a ground station on the first, and
+listens on TCP on every network interface.  Where it listens for the sticks is every interface too (``SITL_State.cpp``),
+and no option changes that.
+"""
+
+from __future__ import annotations
+
+import re
+import socket
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import cos, radians
+from pathlib import Path
+from struct import Struct
+from time import monotonic
+from typing import NamedTuple
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.geodesy import Geodesy
+from cosim.base.limits import clamp, clip
+from cosim.identify.logs.dataflash import read_notes
+from cosim.spec.vehicle import Vehicle
+from hexjet_sitl.lockstep import (
+    LOCAL,
+    STICKS_S,
+    ActuatorOutputs,
+    AnswerTimer,
+    FirmwareReport,
+    Program,
+    SensorFrame,
+    Sitl,
+    StartTiming,
+    StickPositions,
+    describe_unknown,
+    listen,
+    to_pulse,
+)
+
+PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10
+# Its estimator takes to GNSS some 44 s after its start, and only then has a level and a place: 60 s chosen by us.  It
+# holds its motors for 2 s (ARMING_DELAY_SEC) after it was armed, and lets them go within 1 s (twice MOT_SPOOL_TIME)
+# once throttle is raised.  Full stick: ATC_ANGLE_MAX, and PILOT_Y_RATE as it ships.
+HANDLING = StartTiming(before_s=60.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0, turns_target=True)
+HOVER = 0.35  # default of MOT_THST_HOVER; ArduPilot learns it in modes that hold the height, not in Stabilize
+_SERIALS = (0, 1, 2, 5, 6, 7, 8)  # serial ports that are TCP ports by default; 3 and 4 are the simulated GNSS receivers
+_SPEEDUP = 100  # upper limit of its speed over real time; the lockstep sets the pace
+# Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.
+_RATE_SETTLING = 2400
+GNSS_CHANNEL = 16  # raised where the vehicle's GNSS is out: RC16_OPTION 65, with which ArduPilot has no fix
+MOST_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7, GNSS_CHANNEL)  # 5 chooses the mode, 7 arms
+HOLD_PULSE = 2000  # of the fifth channel: the sixth mode, FLTMODE6; the fourth before
+_SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by their magic: frame rate, frame count, pulses [us]
+_STICKS = Struct("<16H")
+# One line between two ends of lines; its parser wants no blank behind a colon, and one behind a comma.
+_STATE = (
+    b'\n{"timestamp":%.6f,"imu":{"gyro":[%.9g, %.9g, %.9g],"accel_body":[%.9g, %.9g, %.9g]},'
+    b'"position":[%.9g, %.9g, %.9g],"quaternion":[%.9g, %.9g, %.9g, %.9g],"velocity":[%.9g, %.9g, %.9g]}\n'
+)
+_START_S = 60.0  # time limit for its first packet, s
+# A packet that comes again this soon after it was answered was sent before that.  It is not answered again: ArduPilot
+# would take the second answer for that to its next packet, and be a step late from there on.  It waits for a second.
+_REPEAT_S = 0.5
+_INFO = 6  # severity as in syslog
+_LONGEST_STEP_S = 0.1  # s; a longer step does not advance its clock
+
+
+Release = tuple[int, int]
+NEWEST: Release = (4, 8)
+FLOWN: tuple[Release, ...] = ((4, 6), (4, 8))  # as 4.6.0-dev of October 2024 and 4.8.0-dev of April 2026
+_TITLE = re.compile(rb"ArduCopter V(\d{1,2})\.(\d{1,2})\.\d{1,2}[-\w]{0,12}")
+
+
+def read_release(program: Path | None) -> tuple[Release, str]:
+    """Return the release of a program, which is among its texts, and a remark on one that was not flown, or "".
+
+    The newest for one that states none, or is started by hand.
+    """
+    if program is None:
+        return NEWEST, ""
+    named = f"parameters are named as of {NEWEST[0]}.{NEWEST[1]}"
+    title = _TITLE.search(program.read_bytes())
+    if title is None:
+        return NEWEST, f"{program}: states no version of ArduCopter: its {named}"
+    release = int(title[1]), int(title[2])
+    flown = " and ".join(f"{major}.{minor}" for major, minor in FLOWN)
+    return release, "" if release in FLOWN else f"{title[0].decode()} was not flown here; {flown} were"
+
+
+class TransmitterChannel(NamedTuple):
+    """One transmitter channel beside the sticks, such as a switch."""
+
+    number: int
+    pulse: int  # us
+    since_s: float | None = None  # of the flight, low before; None: from the autopilot's first frame on
+
+
+def parse_channel(text: str, where: str) -> TransmitterChannel:
+    """Return the channel that ``NUMBER=PULSE`` or ``NUMBER=PULSE@SECONDS`` states.  Raises InputError."""
+    match = re.fullmatch(r"(\d{1,2})=(\d{3,4})(?:@(\d+(?:\.\d+)?))?", text.strip())
+    if match:
+        number, delay = int(match[1]), None if match[3] is None else float(match[3])
+        if number in range(1, MOST_CHANNELS + 1) and number not in STICK_CHANNELS and 800 <= int(match[2]) <= 2200:
+            return TransmitterChannel(number, int(match[2]), delay)
+    free = [number for number in range(1, MOST_CHANNELS + 1) if number not in STICK_CHANNELS]
+    raise InputError(
+        f"{where} {text}: must be a channel, its pulse of 800 to 2200 us and perhaps the second of the flight from "
+        f"which on, such as 8=2000 or 8=2000@2.5; allowed channels: {', '.join(map(str, free))}"
+    )
+
+
+@dataclass(frozen=True)
+class LaunchOptions:
+    """Start-up options of an ArduPilot: instance, parameters, and transmitter channels beside the sticks."""
+
+    instance: int = 0
+    limit_s: float = 5.0  # wall-clock time limit of an answer
+    parameters: Mapping[str, float] = field(default_factory=dict)  # those that it flies with, as far as they are known
+    defaults: Path | None = None  # parameter file that it is started with
+    channels: Sequence[TransmitterChannel] = ()
+    station: int | None = None  # local UDP port that it sends MAVLink to; None: it sends none
+
+
+class ArduPilot(Sitl):
+    """One ArduPilot SITL, started here or by hand.  Raises InputError for a step that its clock does not follow."""
+
+    name = "ardupilot"
+    log_pattern = "logs/*.BIN"
+
+    def __init__(
+        self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: LaunchOptions
+    ) -> None:
+        if step >= _LONGEST_STEP_S:
+            raise InputError(f"ardupilot: step_s = {step:g}: its clock is moved by steps below {_LONGEST_STEP_S:g} s")
+        super().__init__(binary, folder, vehicle, step, launch.limit_s)
+        self.repeat_delay = _REPEAT_S
+        self._place, self._launch = place, launch
+        self._transmitter = Transmitter(launch.parameters, launch.channels, step)
+        self._socket: socket.socket | None = None
+        self._out = self._open_sender()
+        self._peer: tuple[str, int] | None = None
+        self._pulses: list[int] = []
+        self._sticks_every = max(1, round(STICKS_S / step))
+        self._count = -1  # frame count of the last packet, answered or about to be
+        self._is_restarted = False  # whether its frame count has restarted
+
+    @property
+    def sticks_port(self) -> int:
+        """UDP port at which it listens for the sticks."""
+        return RC_PORT + PORT_SPACING * self._launch.instance
+
+    def start(self) -> None:
+        """Listen, start it, and wait for its first packet.  Raises InputError or FlightError."""
+        port = PORT + PORT_SPACING * self._launch.instance
+        self._socket = self._begin(socket.SOCK_DGRAM, port)
+        log = self._folder / "ardupilot.log"
+        if self._binary is not None:
+            # it would not say that it hears no sticks
+            listen(socket.SOCK_DGRAM, self.sticks_port, self.name, self.port_option).close()
+            self._program = Program(self._command(), self._folder, log, {})
+        timer = AnswerTimer(self.name, _START_S, self._program, f"sent nothing to port {port}")
+        while self._peer is None:
+            try:
+                packet, sender = timer.receive_packet(self._socket)
+            except FlightError as error:
+                raise self._describe_start(error, log, "ArduCopter's SITL") from None
+            if (servos := self._servos(packet)) is None:
+                raise FlightError(f"what sends to ardupilot's port is no servo packet: it said {packet[:16]!r}")
+            self._peer, self._count = sender, servos[2]
+
+    def _command(self) -> list[str]:
+        """Return the command line that starts it."""
+        place, launch = self._place, self._launch
+        home = f"{place.latitude_deg!r},{place.longitude_deg!r},{place.ground!r},0"
+        command = [str(self._binary), "--model", f"JSON:{LOCAL}", "--home", home, f"-I{launch.instance}", "--wipe"]
+        command += ["--speedup", str(_SPEEDUP)]
+        for serial in _SERIALS:
+            has_station = serial == 0 and launch.station is not None
+            command += [f"--serial{serial}", f"udpclient:{LOCAL}:{launch.station}" if has_station else "none:"]
+        return command + (["--defaults", str(launch.defaults.absolute())] if launch.defaults is not None else [])
+
+    def _check_rate(self, rate: int) -> None:
+        """Refuse a frame rate that is not the flight's once it has had the time to become what it is set to."""
+        if self.counts.frames == _RATE_SETTLING and abs(rate * self._step - 1.0) > 0.01:
+            raise FlightError(
+                f"ardupilot asks for {rate} frames a second, and the flight has {1.0 / self._step:g}: set SIM_RATE_HZ "
+                f"to that, and SCHED_LOOP_RATE to no more, or fly with step_s = {1.0 / rate if rate else 0.0025:g}"
+            )
+
+    def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
+        """See :class:`hexjet_sitl.lockstep.Autopilot`."""
+        assert self._socket is not None
+        assert self._peer is not None
+        counts, sock, peer = self.counts, self._socket, self._peer
+        state = self._state(frame)
+        pulses = self._transmitter.compute_pulses(frame)
+        if pulses != self._pulses or counts.frames % self._sticks_every == 0:
+            self._pulses = pulses
+            self._out.sendto(_STICKS.pack(*pulses), (LOCAL, self.sticks_port))
+        sock.sendto(state, peer)
+        sent_at = monotonic()
+        counts.frames += 1
+        timer = AnswerTimer(self.name, self.limit, self._program)
+        while True:
+            packet, sender = self._receive(timer, sock)
+            servos = self._servos(packet)
+            if servos is None:
+                counts.foreign += 1
+                continue
+            count = servos[2]
+            if sender != peer:  # a second or restarted program gets no answer, so it stands still
+                counts.foreign += 1
+                self._is_restarted = self._is_restarted or count < self._count
+                continue
+            if count == self._count:
+                counts.repeated += 1
+                if monotonic() - sent_at > self.repeat_delay:  # the answer was lost, because it still waits
+                    sock.sendto(state, peer)
+                    sent_at = monotonic()
+                continue
+            if count < self._count:
+                counts.repeated += 1  # a late copy, or it began anew and will not go on, which the error then says
+                self._is_restarted = True
+                continue
+            if count != self._count + 1:
+                raise FlightError(f"ardupilot went on from frame {self._count} to {count}: frames between were lost")
+            self._count, self._is_restarted = count, False
+            self._count_answer(timer)
+            self._check_rate(servos[1])
+            return self._answer(servos[3:])
+
+    def _receive(self, timer: AnswerTimer, sock: socket.socket) -> tuple[bytes, tuple[str, int]]:
+        try:
+            return timer.receive_packet(sock)
+        except FlightError as error:
+            if not self._is_restarted:
+                raise
+            raise FlightError(f"{error}; its frame count began anew: was it restarted?") from None
+
+    def _servos(self, packet: bytes) -> tuple[int, ...] | None:
+        if len(packet) < 2:
+            return None
+        form = _SERVOS.get(packet[0] | packet[1] << 8)
+        return form.unpack(packet) if form is not None and form.size == len(packet) else None
+
+    def _answer(self, pulses: tuple[int, ...]) -> ActuatorOutputs:
+        jets = self._jets
+        throttle = tuple([clip((pulse - 1000.0) / 1000.0, 0.0, 1.0) for pulse in pulses[:jets]])
+        tilt = (0.0, 0.0)
+        if self._range:
+            left, right = (
+                self._range * clamp((pulse - 1500.0) / 500.0, 1.0) if pulse else 0.0
+                for pulse in pulses[jets : jets + 2]
+            )
+            tilt = (left, right)
+        return ActuatorOutputs(throttle, tilt, max(throttle) > 0.0)
+
+    def _state(self, frame: SensorFrame) -> bytes:
+        """Return the state's line; of its height its simulation makes the barometer, by which the estimator flies."""
+        return _STATE % (
+            frame.time, *frame.rate, *frame.force, *frame.position[:2], -frame.altitude, *frame.attitude,
+            *frame.velocity,
+        )  # fmt: skip
+
+    def check_parameters(self) -> str:
+        """See :class:`hexjet_sitl.lockstep.Autopilot`.
+
+        It says nothing of a name that it does not have; but when it is armed it begins a log, with all that it has.
+        What belongs to a group that is switched off is not among them: it would do nothing either.
+        """
+        if self._program is None or self._launch.defaults is None or self.counts.answers == 0:
+            return ""
+        folder = self._folder / "logs"
+        known_names = next(
+            (known for path in self._new_logs() if (known := read_notes(path).parameters) is not None), None
+        )
+        if known_names is None:
+            return f"the names of its parameters were not checked: no log in {folder} has all of them"
+        if unknown := [name for name in self._launch.parameters if name not in known_names]:
+            text = describe_unknown(unknown, known_names, "ArduCopter")
+            raise FlightError(f"ardupilot: {text} (--param, --defaults; {folder})")
+        return ""
+
+    def report(self) -> FirmwareReport:
+        """See :class:`hexjet_sitl.lockstep.Autopilot`; from its newest log.
+
+        It logs no severity of what it says.
+        """
+        logs = self._new_logs()
+        if not logs:
+            return FirmwareReport()
+        notes = read_notes(logs[-1])
+        return FirmwareReport(notes.version, notes.parameters or {}, [(at, _INFO, text) for at, text in notes.messages])
+
+
+class Transmitter:
+    """Sticks and switches as pulses [us], for an ArduCopter in Stabilize with these parameters.
+
+    Its throttle stick is no throttle: what it does with it is undone here, so that the mean throttle of the engines is
+    what the sticks state.  The stick is bent so that its middle is MOT_THST_HOVER, enlarged for the lean that is asked
+    for (ATC_ANGLE_BOOST), and put between MOT_SPIN_MIN and MOT_SPIN_MAX (``Mode::get_pilot_desired_throttle``,
+    ``AC_AttitudeControl_Multi::get_throttle_boosted``, ``AP_Motors_Thrust_Linearization``).
+    """
+
+    def __init__(self, parameters: Mapping[str, float], channels: Sequence[TransmitterChannel], step: float) -> None:
+        self._least, most = parameters.get("MOT_SPIN_MIN", 0.15), parameters.get("MOT_SPIN_MAX", 0.95)
+        self._span = max(most - self._least, 0.01)
+        self._is_boosted = parameters.get("ATC_ANGLE_BOOST", 1.0) != 0.0
+        expo = clip((0.5 - parameters.get("MOT_THST_HOVER", HOVER)) / 0.375, -0.5, 1.0)
+        self._curve = [(1.0 - expo) * stick + expo * stick**3 for stick in (k / 1000.0 for k in range(1001))]
+        self._channels, self._half_step = channels, 0.5 * step
+
+    def compute_pulses(self, frame: SensorFrame) -> list[int]:
+        """Return the sixteen channels at an instant."""
+        sticks = frame.sticks
+        pulses = [
+            to_pulse(sticks.roll),
+            to_pulse(-sticks.pitch),  # stick forward, a lower pulse, is nose down
+            self._throttle(sticks),
+            to_pulse(sticks.yaw),
+        ]
+        mode = HOLD_PULSE if sticks.holds_place else 1500
+        pulses += [mode, 1500, 2000 if sticks.armed else 1000, *[1500] * 9]
+        for channel in self._channels:
+            begins = 0.0 if channel.since_s is None else HANDLING.before_s + channel.since_s
+            pulses[channel.number - 1] = channel.pulse if frame.time > begins - self._half_step else 1000
+        pulses[GNSS_CHANNEL - 1] = 2000 if "gnss" in frame.silent else 1000
+        return pulses
+
+    def _throttle(self, sticks: StickPositions) -> int:
+        if sticks.throttle <= 0.0:
+            return 1000
+        if sticks.holds_place:  # a climb, in proportion
+            return round(1000.0 + 1000.0 * clip(sticks.throttle, 0.0, 1.0))
+        fraction = clip((sticks.throttle - self._least) / self._span, 0.0, 1.0)
+        if self._is_boosted:
+            full = radians(HANDLING.lean_deg)
+            fraction *= cos(full * clamp(sticks.roll, 1.0)) * cos(full * clamp(sticks.pitch, 1.0))
+        nearest = bisect_left(self._curve, fraction)
+        if nearest > 0 and fraction - self._curve[nearest - 1] <= self._curve[nearest] - fraction:
+            nearest -= 1
+        return 1000 + max(nearest, 1)  # a pulse of 1000 is a closed throttle, at which the motors idle

@@ -1,0 +1,204 @@
+"""A vehicle's parameters as text for one of the autopilots, its own loops, and the scale of its torques."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cosim.api.call.choices import load_scenario
+from cosim.base.errors import FlightError, InputError
+from cosim.base.signals import AXES, Vector3
+from cosim.base.storage.files import map_os_errors
+from cosim.simulation.axis_chain import is_turned_by_throttle
+from cosim.simulation.controllers.controller_file import apply_controller
+from cosim.simulation.controllers.models import make_scenario_belief
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle
+from hexjet_sitl.ardupilot import NEWEST, Release
+from hexjet_sitl.betaflight import (
+    MOST_GAIN,
+    compute_gain_units,
+    compute_torque_scale,
+    make_base_settings,
+    make_gain_settings,
+    make_gyro_settings,
+    make_mixer_settings,
+)
+from hexjet_sitl.parameters import (
+    ardupilot_parameters,
+    ardupilot_script,
+    ardupilot_torque_scale,
+    parameter_file,
+    px4_hover,
+    px4_target,
+    px4_torque_scale,
+    refuse_effectiveness,
+)
+from hexjet_sitl.pilot import find_hover_throttle
+
+if TYPE_CHECKING:
+    from hexjet_design.loop.firmware import Firmware
+
+# The files of a design: of each the target, and what follows the stem of the controller file's name.
+DESIGN_FILES: dict[str, dict[str, tuple[str, str]]] = {
+    "betaflight": {"board_parameters": ("board", ".board.txt"), "stand_parameters": ("sitl", ".stand.txt")},
+    "px4": {"board_parameters": ("board", ".board.params"), "stand_parameters": ("sitl", ".stand.params")},
+    "ardupilot": {"board_parameters": ("board", ".board.parm"), "stand_parameters": ("sitl", ".stand.parm")},
+}
+TARGET_NOTES = {
+    "betaflight": {
+        "sitl": (
+            "For the stand, hexjet sitl betaflight, and for no board: arming checks are off, switches are mapped.",
+        ),
+        "board": (
+            "For a board that flies: mixer and gains; its receiver, switches and checks stay as they are.",
+            "gyro_lpf1_static_hz makes its raw gyro as late as the vehicle's, with which the gains were designed;",
+            "where it is not here the vehicle states no filter.",
+        ),
+    },
+    "px4": {
+        "sitl": ("For the stand, hexjet sitl px4, and for no board: it has the radio's mapping and all flight modes.",),
+        "hil": ("For a board in the loop, and for none that flies: it has the radio's mapping and all flight modes.",),
+        "board": (
+            "For a board that flies: its radio, modes and checks stay as they are. IMU_GYRO_CUTOFF makes its raw gyro",
+            "as late as the vehicle's, with which the gains were designed; where it is not here the vehicle states no",
+            "filter.",
+        ),
+    },
+    # ArduPilot reads lines of 98 characters.
+    "ardupilot": {
+        "sitl": ("For the stand, hexjet sitl ardupilot, and for no board: arming checks and gyro filter are off.",),
+        "board": (
+            "For a board that flies: its radio, modes and arming checks stay as they are. INS_GYRO_FILTER",
+            "makes its raw gyro as late as the vehicle's, with which the gains were designed; where it is",
+            "not here the vehicle states no filter.",
+        ),
+    },
+}
+_AROUND_HOVER = 0.03  # of thrust, either way, over which a throttle's slope is taken; chosen by us
+
+
+def vehicle_in_throttle(scenario: Scenario) -> Vehicle:
+    """Return a scenario's vehicle with rate gains in throttle, where ours ask for shares of thrust.
+
+    An autopilot's torque is throttle, and nothing bends it as our allocation does: what a throttle gives around hover
+    is the slope of the engine's curve.  A straight curve leaves the vehicle as it is.
+    """
+    vehicle, belief = scenario.resolved_vehicle()[0], make_scenario_belief(scenario, {})
+    if belief.thrust_map.identity:
+        return vehicle
+    jets, hover = len(vehicle.jets), belief.hover
+    more, less = (belief.thrust_map.throttle((hover + way,) * jets) for way in (_AROUND_HOVER, -_AROUND_HOVER))
+    slope = (sum(more) - sum(less)) / (2.0 * _AROUND_HOVER * jets)
+    rate = vehicle.control.rate
+    changed = {}
+    for index, axis in enumerate(AXES):
+        if is_turned_by_throttle(vehicle, index):
+            gains = getattr(rate, axis)
+            scaled = {name: slope * getattr(gains, name) for name in ("p", "i", "d", "integral_limit")}
+            changed[axis] = gains.model_copy(update=scaled)
+    control = vehicle.control.model_copy(update={"rate": rate.model_copy(update=changed)})
+    return vehicle.model_copy(update={"control": control})
+
+
+def list_px4_parameters(scenario: Scenario, step: float, target: str = "sitl") -> dict[str, float]:
+    """Return PX4's parameters of a scenario's vehicle with its engines, for a flight of ``step`` [s].
+
+    ``target``: see :func:`hexjet_sitl.parameters.px4_target`.  Raises InputError for a vehicle that it has no
+    parameters for.
+    """
+    parameters = px4_target(vehicle_in_throttle(scenario), step, target)
+    return parameters | px4_hover(find_hover_throttle(make_scenario_belief(scenario, {})))
+
+
+def check_vehicle(autopilot: str, vehicle: Vehicle, step: float) -> None:
+    """Raise InputError for a vehicle that an autopilot has no parameters for."""
+    if autopilot == "betaflight":
+        make_mixer_settings(vehicle, vehicle.control.allocation.throttle_min)
+    elif autopilot == "px4":
+        px4_target(vehicle, step, "sitl")
+    else:
+        ardupilot_parameters(vehicle, step)
+
+
+def format_firmware_parameters(
+    autopilot: str, scenario: Scenario, step: float, target: str = "sitl", release: Release = NEWEST
+) -> str:
+    """Return lines for Betaflight's console, or a file of ``px4`` or ``ardupilot``, for a scenario's vehicle.
+
+    ``target``: see :func:`hexjet_sitl.parameters.px4_target` and ``ardupilot_parameters``; ``release``: of
+    ArduPilot, whose names and units they have.  Raises InputError for a vehicle that it has no parameters for.
+    """
+    vehicle = vehicle_in_throttle(scenario)
+    if autopilot == "betaflight":
+        lines = [
+            *(f"# {note}" for note in TARGET_NOTES[autopilot][target]),
+            *make_mixer_settings(vehicle, vehicle.control.allocation.throttle_min),
+            *(make_gyro_settings(vehicle) if target == "board" else make_base_settings(vehicle)),
+            *make_gain_settings(vehicle),
+            "save",
+        ]
+        return "\n".join(lines) + "\n"
+    notes = TARGET_NOTES[autopilot][target]
+    if autopilot == "px4":
+        return parameter_file(autopilot, list_px4_parameters(scenario, step, target), notes)
+    names = "since ArduCopter 4.7" if release > (4, 6) else "until ArduCopter 4.6"
+    parameters = ardupilot_parameters(vehicle, step, release, target)
+    return parameter_file(autopilot, parameters, (*notes, f"Names and units are those {names}."))
+
+
+def format_mixer_script(vehicle: Vehicle) -> str:
+    """Return the Lua script that is ArduPilot's mixer of the vehicle.
+
+    Raises InputError for a vehicle that is a frame of ArduCopter and needs none.
+    """
+    script = ardupilot_script(vehicle)
+    if script is None:
+        raise InputError(f"--script: {vehicle.name}: has no tilting banks; its frame needs no script")
+    return script
+
+
+def find_torque_scale(autopilot: str, vehicle: Vehicle) -> Vector3:
+    """Return what a torque of 1 is to an autopilot: throttle about roll, rad of tilt (or throttle) about the others.
+
+    Raises InputError for a vehicle that is flown by effectiveness.
+    """
+    refuse_effectiveness(autopilot, vehicle)
+    if autopilot == "betaflight":
+        return compute_torque_scale(vehicle)
+    return px4_torque_scale(vehicle) if autopilot == "px4" else ardupilot_torque_scale(vehicle)
+
+
+def find_loops(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firmware:
+    """Return the loops in the units of the aircraft.  Raises InputError where the autopilot lacks parameters for it."""
+    from hexjet_design.loop.firmware import Firmware
+
+    scenario = load_scenario("hover", None, (), None, tuple(settings), aircraft=aircraft)
+    vehicle, _ = scenario.resolved_vehicle()
+    check_vehicle(autopilot, vehicle, scenario.step_s)  # before minutes of searching
+    if autopilot == "betaflight":
+        return Firmware(
+            autopilot, units=compute_gain_units(vehicle), max_gain=MOST_GAIN, common_filter=True, common_angle=True
+        )
+    if autopilot == "px4":
+        return Firmware(autopilot, common_filter=True)
+    # what its mixer of tilting banks gives out is sent in the next loop (AP_MotorsMatrix_6DoF_Scripting)
+    return Firmware(autopilot, output_delay=0 if vehicle.servo is None else 1)
+
+
+def write_parameters(autopilot: str, scenario: Scenario, controller: Path) -> dict[str, Path]:
+    """Write the parameter files beside the controller file that was designed for a scenario, and return their paths.
+
+    For ArduPilot the mixer of tilting banks, a script, is written beside them.  Raises FlightError.
+    """
+    flown = apply_controller(scenario, controller)
+    vehicle, _ = flown.resolved_vehicle()
+    files = DESIGN_FILES[autopilot]
+    paths = {name: controller.with_suffix(suffix) for name, (_, suffix) in files.items()}
+    with map_os_errors(FlightError, controller):
+        for name, (target, _) in files.items():
+            paths[name].write_text(format_firmware_parameters(autopilot, flown, flown.step_s, target))
+        if autopilot == "ardupilot" and vehicle.servo is not None:
+            controller.with_suffix(".lua").write_text(format_mixer_script(vehicle))
+    return paths

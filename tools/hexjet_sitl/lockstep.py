@@ -1,0 +1,363 @@
+"""The lockstep between a flight and an autopilot: frames and answers, their counts, and the program that answers."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import socket
+import subprocess
+import sys
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from struct import Struct
+from time import monotonic
+from typing import ClassVar, NamedTuple, Protocol
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.limits import clamp
+from cosim.base.runtime.processes import Child
+from cosim.base.signals import PerJet, Quaternion, State, Vector3
+from cosim.spec.vehicle import Vehicle
+
+LOCAL = "127.0.0.1"
+_TIMEVAL = Struct("@ll")  # seconds and microseconds
+CHECK_S = 0.25  # chosen by us: the longest wait between two checks of the program
+
+
+class StickPositions(NamedTuple):
+    """A pilot's transmitter: lean and turn as fractions of full stick, throttle from 0 to 1, and two switches."""
+
+    roll: float = 0.0  # 1: right
+    pitch: float = 0.0  # 1: forward, nose down
+    yaw: float = 0.0  # 1: nose right
+    throttle: float = 0.0
+    armed: bool = False
+    holds_place: bool = False  # the mode switch: the autopilot holds place and height, the sticks ask for speeds
+
+
+STICKS_S = 0.02  # longest time between two messages of the sticks: as often as a receiver sends them
+
+
+def to_pulse(fraction: float) -> int:
+    """Return a stick's pulse [us] for a fraction of full stick."""
+    return round(1500.0 + 500.0 * clamp(fraction, 1.0))
+
+
+class SensorFrame(NamedTuple):
+    """The sensors and sticks of one instant, as an autopilot gets them; see :mod:`hexjet_sitl.instruments`."""
+
+    time: float  # s; that of the autopilot, which began before the flight
+    rate: Vector3  # rad/s, body
+    force: Vector3  # m/s^2, body, specific force
+    attitude: Quaternion
+    position: Vector3  # m, NED
+    velocity: Vector3  # m/s, NED
+    altitude: float  # m above the ground, by the barometer
+    sticks: StickPositions
+    spool: PerJet = ()  # rad/s, where the engines report it
+    truth: State | None = None  # true state for the autopilot's log; no estimator reads it
+    silent: Collection[str] = ()  # sensors that are out: what stands above of them is what they said last
+
+
+class ActuatorOutputs(NamedTuple):
+    """An autopilot's actuator commands for the step that begins at its last frame."""
+
+    throttle: PerJet  # 0 to 1, jet 1 first
+    tilt: tuple[float, float]  # rad, left and right servo
+    armed: bool
+
+
+@dataclass
+class LockstepCounts:
+    """The counts of a lockstep: with none missing, every step had one answer, and that one was to its own frame."""
+
+    frames: int = 0  # sent
+    answers: int = 0  # received
+    repeated: int = 0  # packets that requested a frame again: sent again, not stepped
+    foreign: int = 0  # packets from another sender than the autopilot, or of no known kind: ignored
+    boot: int = 0  # frames before the first answer
+    longest_s: float = 0.0  # of the clock, that the autopilot took for an answer
+
+    @property
+    def missing(self) -> int:
+        """Answers that never came."""
+        return self.frames - self.boot - self.answers
+
+
+@dataclass(frozen=True)
+class StartTiming:
+    """Timing of an autopilot before its flight, and its full stick; each autopilot's module has its own.
+
+    The vehicle stands in a stand for ``before_s``.  The autopilot is armed with the throttle closed ``arming_s`` before
+    the flight, and the throttle goes to that of hover ``throttle_s`` before it: early enough for all that it holds back
+    after either.
+    """
+
+    before_s: float  # from the autopilot's first frame to the flight's first step
+    arming_s: float
+    throttle_s: float
+    lean_deg: float  # at full stick
+    turn_deg_s: float  # at full stick
+    unarmed: str = ""  # end of the message where the autopilot did not arm
+    turns_target: bool = False  # whether the stick turns a heading that it holds by itself at the same time
+
+
+class FirmwareReport(NamedTuple):
+    """What an autopilot's own log says of it, where it keeps one that is read here."""
+
+    version: str = ""  # its release and revision; empty: not known
+    parameters: Mapping[str, float] = {}  # all that it flew with
+    messages: Sequence[tuple[float, int, str]] = ()  # time from its first frame s, severity as in syslog, text
+
+
+class Autopilot(Protocol):
+    """One autopilot and the connection to it."""
+
+    counts: LockstepCounts
+
+    def start(self) -> None:
+        """Let it begin, and wait until it can take the first frame.  Raises InputError or FlightError."""
+
+    def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
+        """Send it one frame and wait for its answer to that.  Raises FlightError where none comes."""
+
+    def check_parameters(self) -> str:
+        """Check, when it has flown and is closed, for names of parameters that it was given and does not have.
+
+        Return why that cannot be done, in words; "" where it was done, now or before the flight, or no name was given.
+        Raises FlightError with the names.
+        """
+
+    def report(self) -> FirmwareReport:
+        """Return what its own log says, when it has flown and is closed."""
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+
+
+# Of PX4 (PARAM_NAME_MAX of its generator) and of ArduPilot (AP_MAX_NAME_SIZE): sixteen characters.  What is in a name
+# goes into environments, scripts and files of other programs.
+PARAMETER_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
+
+
+def check_words(parameters: Iterable[str], lines: Iterable[str]) -> None:
+    """Raise InputError for a name that no parameter can have, and for a console's line that is more than one."""
+    for name in parameters:
+        if not PARAMETER_NAME.fullmatch(name):
+            allowed = "a capital letter, then capital letters, digits and _, sixteen characters at most"
+            raise InputError(f"parameter {name[:80]!r}: is no name of one; allowed: {allowed}")
+    for line in lines:
+        if not line.isprintable():
+            raise InputError(f"line {line[:80]!r}: has control characters; allowed: one line of the console")
+
+
+def describe_unknown(names: Sequence[str], existing: Collection[str], program: str) -> str:
+    """Return the words that refuse names of parameters that a program does not have, with the nearest that exists."""
+    closest = get_close_matches(names[0], sorted(existing), n=1)
+    suggestion = f"; did you mean {closest[0]}?" if closest else ""
+    return f"parameter {', '.join(names)}: this {program} has none of that name{suggestion}"
+
+
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # of a terminal
+# Linux ends the program with the thread that started it, however that goes; 1 is PR_SET_PDEATHSIG of <sys/prctl.h>.
+_TIED = "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9); os.execv(sys.argv[1], sys.argv[1:])"
+
+
+class Program:
+    """A process that is started for a flight, with its output in a file; ended with all that it started."""
+
+    def __init__(self, command: Sequence[str], folder: Path, log: Path, environment: dict[str, str]) -> None:
+        self.name = Path(command[0]).name
+        if sys.platform == "linux":
+            command = [sys.executable, "-I", "-S", "-c", _TIED, *command]
+        try:
+            with log.open("ab") as output:
+                self.process = Child(
+                    command,
+                    os.environ | environment,
+                    cwd=folder,
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                )
+        except OSError as error:
+            raise InputError(f"{command[0]}: cannot be started: {error.strerror or error}") from error
+
+    @property
+    def end_description(self) -> str:
+        """How the process ended, in words; empty while it runs."""
+        return self.describe_end(0.0)
+
+    def describe_end(self, wait: float) -> str:
+        """Return how the process ended, in words, within ``wait`` s of the clock; empty if it still runs."""
+        return self.process.describe_end(wait, "was ended by {}", "ended with status {}")
+
+    def close(self, patience: float = 0.0) -> None:
+        """End it; may be called twice.  Where it has ``patience`` s to write down what it has, it is asked to first."""
+        if patience and self.process.poll() is None:
+            self.process.terminate()
+        self.process.end(patience)
+
+
+def find_configured_program(binary: Path | None, variable: str) -> Path | None:
+    """Return the program of ``--binary``, or that this environment variable names; None if neither does.
+
+    Raises InputError for what is no program.
+    """
+    if binary is not None:
+        return check_program(binary, "--binary")
+    variable_path = os.environ.get(variable)
+    return check_program(Path(variable_path), variable) if variable_path else None
+
+
+def check_program(path: Path, where: str) -> Path:
+    """Return the program itself, behind links: its files stand beside it.  Raises InputError for what is no program."""
+    if not path.is_file():
+        raise InputError(f"{where}: {path}: no such file")
+    if not os.access(path, os.X_OK):
+        raise InputError(f"{where}: {path}: is no program: it may not be executed")
+    return path.resolve()
+
+
+def listen(kind: socket.SocketKind, port: int, what: str, option: str) -> socket.socket:
+    """Return a loopback socket at a port, with a time-out for datagrams.
+
+    Raises InputError where it is taken; ``option`` states another.
+    """
+    sock = socket.socket(socket.AF_INET, kind)
+    try:
+        if kind == socket.SOCK_STREAM:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((LOCAL, port))
+        if kind == socket.SOCK_STREAM:
+            sock.listen(4)
+    except OSError as error:
+        sock.close()
+        if error.errno == errno.EADDRINUSE:
+            raise InputError(f"{what}: port {port} is in use; another flight or autopilot has it ({option})") from None
+        raise InputError(f"{what}: port {port}: {error.strerror or error}") from error
+    return set_receive_timeout(sock) if kind == socket.SOCK_DGRAM else sock
+
+
+class AnswerTimer:
+    """A time-out for one answer that watches the program meanwhile, and says in one line what did not come."""
+
+    def __init__(self, name: str, limit: float, program: Program | None, failure: str = "did not answer") -> None:
+        self._name, self._limit, self._program, self._failure = name, limit, program, failure
+        self._started = monotonic()
+        self._has_checked = False
+
+    def remaining(self) -> float:
+        """Return the seconds until the next check.  Raises FlightError where the autopilot is gone, or hangs."""
+        if self._program is not None and (ended := self._program.end_description):
+            raise FlightError(f"{self._name} {ended}")
+        remaining = self._started + self._limit - monotonic()
+        if remaining <= 0.0:
+            raise FlightError(f"{self._name} {self._failure} within {self._limit:g} s")
+        return min(remaining, CHECK_S)
+
+    def receive_packet(self, sock: socket.socket) -> tuple[bytes, tuple[str, int]]:
+        """Return the next packet and its sender's address.  Raises FlightError as :meth:`left`."""
+        while True:
+            if self._has_checked:  # skip the check before the first wait, because most frames take only one
+                self.remaining()
+            self._has_checked = True
+            with suppress(BlockingIOError):
+                return sock.recvfrom(1024)
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the wait began."""
+        return monotonic() - self._started
+
+
+def set_receive_timeout(sock: socket.socket) -> socket.socket:
+    """Make a socket wait for :data:`SLICE_S` and then raise BlockingIOError, and return it.
+
+    It is one system call, where a time-out of Python's takes three.
+    """
+    sock.setblocking(True)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(CHECK_S), round(1e6 * (CHECK_S % 1.0))))
+    return sock
+
+
+class Sitl:
+    """Common state of the autopilots that run as programs: counts, program, sockets, and the vehicle's outputs."""
+
+    name: ClassVar[str]
+    port_option: ClassVar[str] = "--instance"  # that states another port
+    log_pattern: ClassVar[str] = ""  # of its own logs in its folder; empty: none is read
+    patience_s = 0.0  # that it has to end by itself once it is asked to
+
+    def __init__(self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, limit: float) -> None:
+        self.counts = LockstepCounts()
+        self.limit = limit  # wall-clock time limit of an answer, s
+        self._binary, self._folder, self._step = binary, folder, step
+        self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
+        self._program: Program | None = None
+        self._sockets: list[socket.socket] = []
+        self._earlier_logs: set[tuple[int, Path]] = set()  # of other flights in the same folder
+
+    def check_parameters(self) -> str:
+        """Return nothing: an autopilot that refuses a parameter ends the flight before it begins."""
+        return ""
+
+    def close(self) -> None:
+        """End it; may be called twice."""
+        if self._program is not None:
+            self._program.close(self.patience_s)
+        for sock in reversed(self._sockets):
+            sock.close()
+
+    def _begin(self, kind: socket.SocketKind, port: int) -> socket.socket:
+        """Make its folder, and return a socket that listens at a port of this machine.  Raises InputError."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._earlier_logs = self._find_logs()
+        return self._own(listen(kind, port, self.name, self.port_option))
+
+    def _describe_start(self, error: FlightError, log: Path, title: str) -> FlightError:
+        """Return why it did not begin: with what it printed last, and whether it is the right program at all."""
+        lines = log.read_text(errors="replace").split("\n") if log.is_file() else []
+        last = next((line for line in reversed(lines) if line.strip()), "")
+        printed = f"; the last that it printed: {COLOUR.sub('', last).strip()} ({log})" if last else ""
+        return FlightError(f"{error}; is {self._binary} {title}?{printed}" if self._binary else f"{error}{printed}")
+
+    def _find_logs(self) -> set[tuple[int, Path]]:
+        """Return the logs in its folder, each with the time at which it was last written [ns]."""
+        paths = self._folder.glob(self.log_pattern) if self.log_pattern else ()
+        return {(path.stat().st_mtime_ns, path) for path in paths}
+
+    def _new_logs(self) -> list[Path]:
+        """Return the logs that it wrote since it began, the newest last; none of a program that was not started here.
+
+        One of that name may have been there before.
+        """
+        return [] if self._program is None else [path for _, path in sorted(self._find_logs() - self._earlier_logs)]
+
+    def _own(self, sock: socket.socket) -> socket.socket:
+        """Return a socket that is closed with the autopilot."""
+        self._sockets.append(sock)
+        return sock
+
+    def _open_sender(self) -> socket.socket:
+        """Return a socket for datagrams to the autopilot."""
+        sock = self._own(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        sock.bind((LOCAL, 0))
+        return sock
+
+    def _count_answer(self, timer: AnswerTimer) -> None:
+        self.counts.answers += 1
+        self.counts.longest_s = max(self.counts.longest_s, timer.elapsed)
+
+
+def discard_packets(sock: socket.socket) -> None:
+    """Throw away the packets that wait."""
+    sock.setblocking(False)
+    with suppress(BlockingIOError):
+        while True:
+            sock.recv(65536)
+    sock.setblocking(True)

@@ -1,0 +1,126 @@
+"""The pilot at the transmitter, who turns a scenario's commands into sticks."""
+
+from __future__ import annotations
+
+from math import inf
+
+from cosim.base.errors import FlightError
+from cosim.base.frames import heading_of
+from cosim.base.limits import clip
+from cosim.base.signals import Command, Measured, PerJet, Unallocated
+from cosim.control.allocation.thrust_map import ThrustMap
+from cosim.control.altitude import AltitudeController
+from cosim.control.autopilot.geometry import wrap
+from cosim.control.belief import Belief
+from hexjet_sitl.lockstep import STICKS_S, StickPositions
+
+# Chosen by us: a vehicle commanded below the ground that has been this still for this long has landed, if its height is
+# below its span.  A hover is as still, where the autopilot holds a height of its own.
+STILL_SPEED, STILL_TIME = 0.1, 1.0
+# Where the autopilot holds place and height: climb that full throttle stick asks for, and the fraction of a stick below
+# which a pilot lets go of it, which is the autopilots' own dead zone.
+CLIMB, LET_GO = 3.0, 0.1
+
+TARGET_TIME = 5.0  # s in which a pilot sees that the autopilot holds another heading
+
+
+def find_hover_throttle(belief: Belief) -> float:
+    """Return the mean throttle of the engines at which the vehicle hovers, as it begins the flight."""
+    return _mean_throttle(belief.thrust_map, belief.hover, len(belief.vehicle.jets))
+
+
+def _mean_throttle(thrust_map: ThrustMap, fraction: float, jets: int) -> float:
+    throttle: PerJet = thrust_map.throttle((clip(fraction, 0.0, 1.0),) * jets)
+    return sum(throttle) / len(throttle)
+
+
+def let_go(fraction: float) -> float:
+    """Return the fraction of a stick, or 0 where it is within the autopilot's dead zone."""
+    return fraction if abs(fraction) > LET_GO else 0.0
+
+
+class StickPilot:
+    """A pilot who passes lean on to the sticks, and holds height and heading.
+
+    The autopilot flies the attitude that the sticks ask for, of full stick ``lean`` [rad] and ``turn`` [rad/s].  Height
+    is held with the altitude loop of ``vehicle.toml`` and becomes a throttle: what the autopilot does with it is its
+    own.  Heading is held by a turn in proportion to its error, with the yaw gain of the vehicle's attitude loop.
+    Once a height below the ground is asked for and the vehicle stands still near it, it is disarmed, and stays so.
+    Where the stick ``turns_target``, the heading that the autopilot holds by itself, that loop is closed around this
+    heading: around the vehicle's there would be two loops about one error, which overshoot.  The stick moves as often
+    as a receiver sends it, so that the turn is what was sent, whenever the autopilot hears it.
+    From ``hold_from`` [s] of the flight on the autopilot holds place and height: the sticks are let go of, but for a
+    height or a heading that is off by more than the autopilot's dead zone.
+    """
+
+    def __init__(
+        self, belief: Belief, lean: float, turn: float, hold_from: float = inf, turns_target: bool = False
+    ) -> None:
+        gains, vehicle = belief.vehicle.control, belief.vehicle
+        self._map, self._jets = belief.thrust_map, len(vehicle.jets)
+        self._altitude = AltitudeController(gains.altitude, vehicle.mass_kg, self._map.collective, belief.step_s)
+        self._heading = gains.attitude.gain_1_s[2]
+        self._lean, self._turn, self._climb = lean, turn, gains.altitude.position_1_s / CLIMB
+        self._step, self._hold_from, self._steps = belief.step_s, hold_from, 0
+        self._span = vehicle.aero.span_m
+        self._turns_target, self._turned = turns_target, 0.0
+        self._held_steps = max(1, round(STICKS_S / belief.step_s))
+        # headings, rad: that the autopilot holds, as the sticks have turned it, and that its loop has turned to by now
+        self._target: tuple[float, float] | None = None
+        self._still_needed, self._still = round(STILL_TIME / belief.step_s), 0
+        self.hover = find_hover_throttle(belief)
+
+    def reset(self) -> None:
+        """Reset the height loop, and forget a landing."""
+        self._altitude.reset()
+        self._still, self._steps, self._turned = 0, 0, 0.0
+        self._target = None
+
+    def update(self, command: Command, measured: Measured, burnt: float) -> StickPositions:
+        """Return the sticks for a command.  Raises FlightError for one of body rates, which they cannot state."""
+        if command.rate is not None:
+            raise FlightError("the scenario asks for body rates; its sticks ask for angles: roll, pitch, yaw, altitude")
+        now, self._steps = self._steps * self._step, self._steps + 1
+        if self._landed(command.altitude, measured):
+            return StickPositions()
+        roll, pitch, yaw = command.attitude
+        turn = self._turn_stick(yaw, heading_of(measured.attitude))
+        if now >= self._hold_from:
+            if roll or pitch:
+                raise FlightError(
+                    "the scenario asks for a lean; where the autopilot holds the place its sticks ask for speed"
+                )
+            climb = clip(self._climb * (command.altitude - measured.altitude), -1.0, 1.0)
+            return StickPositions(yaw=let_go(turn), throttle=0.5 + 0.5 * let_go(climb), armed=True, holds_place=True)
+        collective = self._altitude.update(command, measured, Unallocated(), burnt)
+        return StickPositions(
+            roll / self._lean,
+            -pitch / self._lean,
+            turn,
+            self._throttle(collective),
+            True,
+        )
+
+    def _turn_stick(self, yaw: float, heading: float) -> float:
+        """Return the yaw stick for a commanded heading [rad] at a measured one."""
+        if not self._turns_target:
+            return self._heading * wrap(yaw - heading) / self._turn
+        target, expected = self._target or (heading, heading)
+        if self._steps % self._held_steps == 1 or self._held_steps == 1:
+            self._turned = clip(self._heading * wrap(yaw - target) / self._turn, -1.0, 1.0)
+        # What is held may be another than what is believed to be: by how far the vehicle is from where it should have
+        # turned to tells, slowly; by how far it is from what is held would be a second loop while it turns.
+        off = wrap(heading - expected) / TARGET_TIME
+        expected += self._step * (off + self._heading * wrap(target - expected))
+        self._target = target + self._step * (self._turned * self._turn + off), expected
+        return self._turned
+
+    def _landed(self, height: float, measured: Measured) -> bool:
+        """Return whether it has stood still near the ground for long, asked for a ``height`` [m] below it."""
+        if self._still < self._still_needed:
+            is_still = abs(measured.velocity[2]) < STILL_SPEED and measured.altitude < self._span
+            self._still = self._still + 1 if height < 0.0 and is_still else 0
+        return self._still >= self._still_needed
+
+    def _throttle(self, fraction: float) -> float:
+        return _mean_throttle(self._map, fraction, self._jets)

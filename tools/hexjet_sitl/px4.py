@@ -1,0 +1,337 @@
+"""PX4's SITL over its simulator link: MAVLink on TCP, sensors one way, actuators the other, matched by their time.
+
+Protocol (PX4 ``docs/en/simulation``, ``SimulatorMavlink.cpp``): the simulator is the server, port 4560 and one more
+for each instance.  HIL_SENSOR with id 0 is PX4's clock; one HIL_ACTUATOR_CONTROLS comes back for each, with its time.
+Until the first of these PX4 starts up, and frames are sent without waiting for answers.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import select
+import socket
+from collections.abc import Collection, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from math import asinh, atan2, degrees, hypot, pi, sinh, sqrt
+from pathlib import Path
+
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import FlightError, InputError
+from cosim.base.geodesy import Geodesy
+from cosim.base.limits import clamp, clip
+from cosim.base.signals import Vector3
+from cosim.identify.logs.ulog import read_notes
+from cosim.spec.vehicle import Vehicle
+from cosim.vehicle.atmosphere import standard_air
+from hexjet_sitl import hil
+from hexjet_sitl.instruments import compute_earth_field, to_body_field
+from hexjet_sitl.lockstep import (
+    COLOUR,
+    STICKS_S,
+    ActuatorOutputs,
+    AnswerTimer,
+    FirmwareReport,
+    Program,
+    SensorFrame,
+    Sitl,
+    StartTiming,
+    StickPositions,
+    describe_unknown,
+    set_receive_timeout,
+    to_pulse,
+)
+
+PORT = 4560
+# EKF2 wants some 10 s of GNSS, and arming looks at 10 s of health: 30 s chosen by us.  After it was armed it holds the
+# throttle down for 1 s (COM_SPOOLUP_TIME), and then lets it up by half of its range in a second: 3 s to full throttle.
+# Full stick: MPC_MAN_TILT_MAX and MPC_MAN_Y_MAX as they ship.
+HANDLING = StartTiming(
+    before_s=30.0,
+    arming_s=4.0,
+    throttle_s=0.5,
+    lean_deg=35.0,
+    turn_deg_s=150.0,
+    unarmed="; one that you start needs the parameters of hexjet sitl params px4, and says why in its log",
+)
+_IMU, _MAG, _BARO = 7 | 56, 448, 6656  # fields_updated
+_MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
+_ARMED = 128  # flag in the mode field
+_START_S = 60.0  # time limit of its connection, for a start on a busy machine
+_MOST_NOISE = 64  # bytes without MAVLink after which the connection is refused as no PX4
+_ACCEPT_EVERY = 16  # frames between two checks for a second connection
+_UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
+_SINCE_1_17 = "MAN_DEADZONE"  # is told to every PX4
+_KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver_sw_release; 255: a release
+_END_S = 0.5  # wall-clock time that a process may take to end behind its connection
+_BOOT_TIMEOUT = 0.02  # s of the clock for an answer before there was one
+
+
+def invert_yaw_curve(turn: float) -> float:
+    """Return the stick at which PX4 turns by this fraction of its full rate: it bends yaw by ``0.4 x + 0.6 x^3``."""
+    # the one real root of x^3 + p x = q with p > 0
+    p, q = 0.4 / 0.6, clamp(turn, 1.0) / 0.6
+    return 2.0 * sqrt(p / 3.0) * sinh(asinh(1.5 * q / p * sqrt(3.0 / p)) / 3.0)
+
+
+def check_unknown_parameters(log: Path, parameters: Collection[str], optional: Collection[str] = ()) -> None:
+    """Refuse parameters of ours that PX4 does not have, by what it printed.  Raises InputError that names them.
+
+    Its own scripts ask for parameters of modules that it was built without, and print the same of these.  Those that
+    are ``optional`` need not be there.
+    """
+    printed = dict.fromkeys(_UNKNOWN.findall(log.read_text(errors="replace")))
+    unknown = [name for name in printed if name in parameters and name not in optional]
+    if unknown:
+        words = describe_unknown(unknown, set(parameters) - set(unknown), "PX4")
+        raise InputError(f"px4: {words} (--param; {log}); the first PX4 that is flown is 1.17")
+
+
+def describe_version(facts: Mapping[str, str | int]) -> str:
+    """Return the release and the revision that PX4 states in its log, such as ``1.17.0 (3fa4bc0a)``."""
+    release, revision = facts.get("ver_sw_release"), facts.get("ver_sw")
+    words = []
+    if isinstance(release, int):
+        kind = _KINDS.get(release & 0xFF, "")
+        words.append(f"{release >> 24}.{release >> 16 & 0xFF}.{release >> 8 & 0xFF}{kind}")
+    if isinstance(revision, str):
+        words.append(f"({revision[:8]})" if words else revision[:8])
+    return " ".join(words)
+
+
+@dataclass(frozen=True)
+class LaunchOptions:
+    """Start-up options of a PX4."""
+
+    instance: int = 0
+    limit_s: float = 5.0  # wall-clock time limit of an answer
+    parameters: Mapping[str, float] = field(default_factory=dict)  # over its airframe's, as PX4_PARAM_<NAME>
+    magnetic_field: Vector3 | None = None  # gauss, NED; None: the Earth's at the place
+    optional: Collection[str] = ()  # of the parameters, which its release need not have
+
+
+class Px4(Sitl):
+    """One PX4 SITL, started here or by hand."""
+
+    name = "px4"
+    log_pattern = "log/**/*.ulg"
+    patience_s = 1.0  # what it printed and logged last is in its buffers until it is asked to end
+
+    def __init__(
+        self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: LaunchOptions
+    ) -> None:
+        super().__init__(binary, folder, vehicle, step, launch.limit_s)
+        self.field = launch.magnetic_field or compute_earth_field(place.latitude_deg, place.longitude_deg)
+        self._place, self._instance = place, launch.instance
+        self._parameters, self.optional = launch.parameters, launch.optional
+        self._fix_every = vehicle.sensors.gnss.period_samples
+        self._accuracy = max(1, round(100.0 * max(vehicle.sensors.gnss.position_noise_m, 0.3)))  # cm
+        self._mag_every = max(1, round(_MAG_EVERY / step))
+        self._baro_every = max(1, round(_BARO_EVERY / step))
+        self._last_sticks, self._sticks_every = StickPositions(), max(1, round(STICKS_S / step))
+        self._writer, self._reader = hil.FrameWriter(), hil.FrameReader()
+        self._server: socket.socket | None = None
+        self._link: socket.socket | None = None
+
+    def start(self) -> None:
+        """Listen, start it, and wait until it connects.  Raises InputError or FlightError."""
+        port = PORT + self._instance
+        log = self._folder / "px4.log"
+        self._server = self._begin(socket.SOCK_STREAM, port)
+        if self._binary is not None:
+            environment = {"PX4_SYS_AUTOSTART": "10016", "PX4_SIM_MODEL": "none_iris", "HEADLESS": "1"}
+            # Nine digits are as many as its single precision tells apart.
+            environment |= {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in self._parameters.items()}
+            startup = str(self._binary.resolve().parent.parent / "etc")
+            # The folder is absolute: it is started there, and would look for a relative one below it.
+            folder = str(self._folder.absolute())
+            # An older PX4 reads this file from the path and not the environment; this line of it says so, as an error.
+            (self._folder / "px4-rc.params").write_text(f"param set {_SINCE_1_17} 0\n")
+            environment["PATH"] = f"{os.environ.get('PATH', os.defpath)}{os.pathsep}{folder}"
+            command = [str(self._binary), "-d", "-i", str(self._instance), "-w", folder, startup]
+            self._program = Program(command, self._folder, log, environment)
+        timer = AnswerTimer(self.name, _START_S, self._program, f"did not connect to port {port}")
+        while self._link is None:
+            try:
+                self._server.settimeout(timer.remaining())
+            except FlightError as error:
+                raise self._describe_start(error, log, "PX4's SITL") from None
+            with suppress(TimeoutError):
+                self._link = self._own(self._server.accept()[0])
+        if self._program is not None:
+            check_unknown_parameters(log, self._parameters, self.optional)  # its parameters are set before it connects
+        self._server.setblocking(False)
+        set_receive_timeout(self._link).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
+        """See :class:`hexjet_sitl.lockstep.Autopilot`."""
+        assert self._link is not None
+        counts = self.counts
+        now = round(1e6 * frame.time) + 1  # 0 would be no time
+        self._send(self._messages(frame, now))
+        counts.frames += 1
+        booting = counts.answers == 0
+        timer = AnswerTimer(self.name, _BOOT_TIMEOUT if booting else self.limit, self._program)
+        if booting or counts.frames % _ACCEPT_EVERY == 0:
+            self._refuse_second()
+        has_waited = booting  # not before the first answer, which is all that most frames take
+        while True:
+            try:
+                left = timer.remaining() if has_waited else 0.0
+            except FlightError:
+                if not booting or self._ended:
+                    raise
+                counts.boot += 1
+                return ActuatorOutputs((0.0,) * self._jets, (0.0, 0.0), False)
+            has_waited, answer = True, None
+            for values in self._controls(left if booting else None):
+                if values[0] > now:
+                    raise FlightError(f"px4 answered for {values[0] / 1e6:.3f} s and was told of {now / 1e6:.3f} s")
+                if values[0] < now or answer is not None:
+                    counts.repeated += 1  # an answer to an earlier frame: it came late or twice
+                else:
+                    answer = self._answer(values)
+            if answer is not None:
+                self._count_answer(timer)
+                return answer
+
+    def report(self) -> FirmwareReport:
+        """See :class:`hexjet_sitl.lockstep.Autopilot`; from its newest ULog."""
+        logs = self._new_logs()
+        if not logs:
+            return FirmwareReport()
+        notes = read_notes(logs[-1])
+        messages = [(time_s, severity, COLOUR.sub("", text).strip()) for time_s, severity, text in notes.messages]
+        return FirmwareReport(describe_version(notes.facts), notes.parameters, messages)
+
+    @property
+    def _ended(self) -> str:
+        return "" if self._program is None else self._program.end_description
+
+    def _closed(self) -> FlightError:
+        ended = "" if self._program is None else self._program.describe_end(_END_S)  # its sockets close before it ends
+        return FlightError(f"px4 closed its connection and {ended}" if ended else "px4 closed its connection")
+
+    def _answer(self, values: tuple[float, ...]) -> ActuatorOutputs:
+        controls, armed = values[2:18], bool(int(values[18]) & _ARMED)
+        throttle = tuple([clip(value, 0.0, 1.0) for value in controls[: self._jets]])
+        if not self._range:
+            return ActuatorOutputs(throttle, (0.0, 0.0), armed)
+        left, right = (self._range * clamp(value, 1.0) for value in controls[self._jets : self._jets + 2])
+        return ActuatorOutputs(throttle, (left, right), armed)
+
+    def _refuse_second(self) -> None:
+        """Close and count a connection beside that of the PX4 that flies."""
+        assert self._server is not None
+        with suppress(BlockingIOError):
+            second, _ = self._server.accept()
+            second.close()
+            self.counts.foreign += 1
+
+    def _controls(self, left: float | None) -> list[tuple[float, ...]]:
+        """Return the HIL_ACTUATOR_CONTROLS that come within ``left`` s (None: the socket's own time-out).
+
+        Raises FlightError for a link that is none.
+        """
+        link = self._link
+        assert link is not None
+        if left is not None and not select.select([link], [], [], left)[0]:
+            return []
+        try:
+            data = link.recv(65536)
+        except BlockingIOError:
+            self._refuse_second()
+            return []
+        except ConnectionError:
+            data = b""
+        if not data:
+            raise self._closed()
+        messages = self._reader.feed(data)
+        if self._reader.noise >= _MOST_NOISE and not self._reader.frames:
+            raise FlightError(f"what is connected to px4's port speaks no MAVLink: it said {data[:16]!r}")
+        return [values for kind, values in messages if kind is hil.HIL_ACTUATOR_CONTROLS]
+
+    def _send(self, data: bytes) -> None:
+        assert self._link is not None
+        try:
+            self._link.sendall(data)
+        except OSError:
+            raise self._closed() from None
+
+    def _messages(self, frame: SensorFrame, now: int) -> bytes:
+        """Return the messages of one step, HIL_SENSOR last, because it moves PX4's clock."""
+        k = self.counts.frames
+        parts = []
+        if frame.sticks != self._last_sticks or k % self._sticks_every == 0:
+            self._last_sticks = frame.sticks
+            parts.append(self._stick_message(frame))
+        if k % self._fix_every == 0 and "gnss" not in frame.silent:
+            parts.append(self._gnss_message(frame, now))
+        for index, spool in enumerate(frame.spool if k % self._baro_every == 0 else ()):
+            if spool == spool:
+                parts.append(self._writer.pack_frame(hil.RAW_RPM, 60.0 * spool / (2.0 * pi), index))
+        if frame.truth is not None and k % self._mag_every == 0:
+            parts.append(self._truth_message(frame, now))
+        fields = _IMU
+        magnetic: Vector3 = (0.0, 0.0, 0.0)
+        pressure = temperature = 0.0
+        if k % self._mag_every == 0:
+            fields |= _MAG
+            magnetic = to_body_field(self.field, frame.attitude)
+        if k % self._baro_every == 0 and "barometer" not in frame.silent:
+            fields |= _BARO
+            pascal, kelvin = standard_air(self._place.ground + frame.altitude)
+            pressure, temperature = 0.01 * pascal, kelvin - 273.15
+        parts.append(
+            self._writer.pack_frame(
+                hil.HIL_SENSOR,
+                now,
+                *frame.force,
+                *frame.rate,
+                *magnetic,
+                pressure,
+                0.0,
+                self._place.ground + frame.altitude,
+                temperature,
+                fields,
+                0,
+            )
+        )
+        return b"".join(parts)
+
+    def _stick_message(self, frame: SensorFrame) -> bytes:
+        roll, pitch, yaw, throttle, armed, holds_place = frame.sticks
+        pulses = [
+            to_pulse(roll),
+            to_pulse(pitch),  # PX4: a higher pulse is forward
+            round(1000.0 + 1000.0 * clip(throttle, 0.0, 1.0)),
+            to_pulse(invert_yaw_curve(yaw)),
+            2000 if armed else 1000,
+            2000 if holds_place else 1500,
+        ]
+        channels = [*pulses, *[1500] * 2, *[0xFFFF] * 10]
+        return self._writer.pack_frame(hil.RC_CHANNELS, round(1e3 * frame.time), *channels, 8, 255)
+
+    def _gnss_message(self, frame: SensorFrame, now: int) -> bytes:
+        north, east, down = frame.position
+        latitude, longitude, height = self._place.to_geodetic(north, east, -down)
+        vn, ve, vd = frame.velocity
+        course = degrees(atan2(ve, vn)) % 360.0
+        return self._writer.pack_frame(
+            hil.HIL_GPS, now, round(1e7 * latitude), round(1e7 * longitude), round(1e3 * height), self._accuracy,
+            self._accuracy, round(1e2 * hypot(vn, ve)), round(1e2 * vn), round(1e2 * ve), round(1e2 * vd),
+            round(1e2 * course) % 36000, 3, 14, 0, 0,
+        )  # fmt: skip
+
+    def _truth_message(self, frame: SensorFrame, now: int) -> bytes:
+        assert frame.truth is not None
+        state = frame.truth
+        latitude, longitude, height = self._place.to_geodetic(state.position[0], state.position[1], state.altitude)
+        cm = [round(clamp(1e2 * value, 32767.0)) for value in state.velocity]
+        air_speed = round(min(1e2 * hypot(*(v - w for v, w in zip(state.velocity, state.wind, strict=True))), 65535.0))
+        mg = [round(clamp(1e3 * value / GRAVITY, 32767.0)) for value in state.specific_force]
+        return self._writer.pack_frame(
+            hil.HIL_STATE_QUATERNION, now, *state.attitude, *state.rate, round(1e7 * latitude), round(1e7 * longitude),
+            round(1e3 * height), *cm, air_speed, air_speed, *mg,
+        )  # fmt: skip

@@ -1,0 +1,78 @@
+"""The autopilot of others that flies every flight of a study, as the study's table ``[autopilot]`` states it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from cosim.base.storage.toml import Model
+from hexjet_sitl.ardupilot import parse_channel
+from hexjet_sitl.lockstep import check_words
+from hexjet_sitl.prepare import Setup, check_faults, prepare, require_program, reserve_instance, start_timing
+
+if TYPE_CHECKING:
+    from cosim import Run, Scenario
+
+
+class AutopilotTable(Model):
+    """The autopilot that flies in place of the controller; see ``hexjet sitl`` for the options that each takes.
+
+    The gains of the scenario's controller go into it: those of the vehicle, or of a file of ``hexjet design``.
+    The methods are those of ``StudyAutopilot`` in ``cosim/campaign/study/autopilot.py``.
+    """
+
+    name: Literal["betaflight", "px4", "ardupilot"]
+    binary: str = ""  # its program, as seen from the study's folder; none: as found without --binary
+    gains: Literal["vehicle", "stock"] = "vehicle"  # stock: as it ships
+    lines: list[str] = Field(default_factory=list)  # commands for Betaflight's console
+    # Parameters of PX4 and ArduPilot, over those from the vehicle.
+    parameters: dict[str, float] = Field(default_factory=dict)
+    channels: list[str] = Field(default_factory=list)  # channels of ArduPilot's transmitter, as --channel takes them
+    timeout_s: Annotated[float, Field(ge=0.1, le=600.0)] = 30.0  # for an answer, of the clock
+
+    @model_validator(mode="after")
+    def _fits(self) -> AutopilotTable:
+        """Refuse options that the autopilot does not take."""
+        owned = {"lines": ("betaflight",), "parameters": ("px4", "ardupilot"), "channels": ("ardupilot",)}
+        for key, owners in owned.items():
+            if getattr(self, key) and self.name not in owners:
+                raise ValueError(f"{key}: allowed for {' and '.join(owners)}, and this is {self.name}")
+        check_words(self.parameters, self.lines)
+        for text in self.channels:
+            parse_channel(text, "channels")
+        return self
+
+    @property
+    def before_s(self) -> float:
+        """Time from the autopilot's first frame to a flight's first step, s."""
+        return start_timing(self.name).before_s
+
+    def program(self, folder: Path) -> Path | None:
+        """Return the path of its program, as a study in ``folder`` states it; None where it states none."""
+        return Path(self.seen_from(folder).binary) if self.binary else None
+
+    def seen_from(self, folder: Path) -> AutopilotTable:
+        """Return a copy with its program by absolute path."""
+        return self.model_copy(update={"binary": str((folder / self.binary).absolute())}) if self.binary else self
+
+    def check(self, scenario: Scenario, folder: Path) -> None:
+        """Raise InputError for a program that is not here, and for a fault that would not reach the autopilot."""
+        check_faults(self.name, scenario)
+        require_program(self.name, self.program(folder))
+
+    def fly(self, scenario: Scenario, study_folder: Path, folder: Path, page: bool) -> tuple[Run, int, int]:
+        """Fly a scenario into ``folder``; return its run, the states told, and the answers that never came."""
+        with reserve_instance() as instance:
+            setup = Setup(
+                instance,
+                self.timeout_s,
+                gains=self.gains,
+                lines=self.lines,
+                parameters=self.parameters,
+                channels=self.channels,
+            )
+            program = require_program(self.name, self.program(study_folder))
+            flown = prepare(self.name, scenario, folder, program, setup).fly(scenario, folder, page)
+        return flown.run, flown.counts.frames, flown.counts.missing
