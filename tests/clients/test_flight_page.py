@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 from flights import STEP, samples, scenario, setup
 from patience import PATIENCE
-from places import ROOT
 
 from benchmarks.measures.browser import Look
 from cosim.flight import with_page
@@ -21,12 +19,9 @@ from cosim.results.report.comparison import compare_report
 from cosim.results.report.flight import write_report
 from cosim.results.report.flight_figures import strips
 from cosim.results.report.log_reader import Reader
-from cosim.results.report.marks import page_parts
-from cosim.results.report.page import ASSETS, Flights, render
+from cosim.results.report.page import Flights, render
 from cosim.results.report.panels import Panel, Trace
 from cosim.results.report.signals_data import (
-    BITS,
-    MOST_BANDS,
     NOISE_BITS,
     FlightData,
     extremes,
@@ -132,31 +127,6 @@ def test_two_flights_in_one_scene_and_what_one_is_less_the_other(
 def product(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:
     """Of two quaternions, each a scalar and a vector."""
     return a[0] * b[0] - a[1] @ b[1], a[0] * b[1] + b[0] * a[1] + np.cross(a[1], b[1])
-
-
-def test_the_page_of_the_documentation_says_how_exact_and_which_keys() -> None:
-    text = " ".join((ROOT / "docs" / "flight-page.md").read_text(encoding="utf-8").split())
-    assert f"at most 1/{2**BITS:,} of the range between its first and its last percentile" in text
-    assert f"1/{2**NOISE_BITS} of its roughness" in text
-    assert f"At most {MOST_BANDS:,} bands" in text
-    width = re.search(r"PAPER = {.* width: (\d+) }", (ASSETS / "strips.js").read_text(encoding="utf-8"))
-    assert width is not None
-    assert f"{width[1]} pixels" in text
-    script = (ASSETS / "replay.js").read_text(encoding="utf-8")
-    for key in ("ArrowRight", "ArrowLeft", "Home", "End", "n", "p", "a", "b", "c", "k"):
-        assert f"{key}: " in script
-
-
-def test_what_was_measured_of_pages_is_what_is_asked_for() -> None:
-    """The benchmark's page says yes of a flight's page (size, time until it is there, scrolling) and a campaign's."""
-    page = ROOT / "docs" / "benchmarks.md"
-    asked = page_parts(page)["asked"]
-    found = dict(re.findall(r"^\| (the page of .+?) \|.*\| (yes|no) \|$", asked, re.MULTILINE))
-    flights = [f"the page of {seconds} s flown" for seconds in (20, 600)]
-    campaign = "the page of a campaign of 1000 flights"
-    wanted = [f"{name}{what}" for name in flights for what in ("", ", until it is there", ", scrolled")]
-    wanted += ["the page of 60 min flown", campaign, f"{campaign}, until it is there"]
-    assert found == dict.fromkeys(wanted, "yes")
 
 
 @pytest.mark.long

@@ -6,12 +6,9 @@ from math import atan2, hypot, pi
 
 import numpy as np
 import pytest
-from failsafe_flights import Flight as Hover
 from pilot_flights import Flight
-from stated_figures import stated
 
 from cosim.base.signals import State
-from cosim.campaign.surveys.failsafes import TABLED
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.geometry import wrap
 from cosim.control.autopilot.modes import LandedState, Mode
@@ -48,42 +45,6 @@ def test_a_drawn_fence_is_kept_in_flight() -> None:
         assert "outside the fence: 0 m outside the zone to stay in" in flight.pilot.messages[-1].text
         flight.fly(60.0, lambda: flight.pilot.landed is LandedState.ON_GROUND)
         assert flight.away(0.0, 0.0) < 1.5
-
-
-@pytest.mark.long
-def test_the_fence_is_passed_by_the_way_to_stop_that_the_page_states() -> None:
-    fans, slowest, jets = TABLED[:3]
-    stated(
-        "docs/ground-station.md",
-        "From {} m/s hexjet goes {} m on, and hexjet-p220 goes {} m on; against a headwind of {} m/s hexjet-p220 goes "
-        "{} m on and hexjet-100 {} m",
-        *(5.0, passed_by(fans), passed_by(jets), 10.0, passed_by(jets, -10.0), passed_by(slowest, -10.0)),
-    )
-
-
-def passed_by(aircraft: str, wind: float = 0.0) -> float:
-    """How far a fence of 25 m is passed to the east at 5 m/s, in a wind to the east, m."""
-    with Hover(aircraft, 10.0, environment={"wind_ned_m_s": [0.0, wind, 0.0]}) as flight:
-        pilot, simulation = flight.pilot, flight.simulation
-        flight.fly(5.0)
-        setpoint = rq.OffboardVelocity(0.0, 5.0, 0.0)
-        flight.ok(rq.SetParameter("MPC_XY_VEL_MAX", 5.0), rq.SetParameter("HJ_FENCE_RAD", 25.0), setpoint)
-        flight.ok(rq.SetMode("OFFBOARD"))
-        while pilot.mode is Mode.OFFBOARD:
-            flight.ok(setpoint)
-            flight.fly(0.1)
-        assert pilot.failsafe.startswith("outside the fence")
-        furthest = 0.0
-        speed = simulation.state.velocity[1]
-        while simulation.state.velocity[1] > 0.0:
-            flight.fly(0.1)
-            furthest = simulation.state.position[1] - 25.0
-        a, j = pilot.parameters["HJ_ACC_HOR"], pilot.parameters["HJ_JERK_HOR"]
-        way = speed**2 / (2.0 * a) + speed * a / (2.0 * j)
-        assert way < furthest + 1.0
-        if wind == 0.0:
-            assert furthest == pytest.approx(way, abs=2.5)
-        return furthest
 
 
 def test_it_returns_to_the_rally_point_that_is_nearer_than_home() -> None:

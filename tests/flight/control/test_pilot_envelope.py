@@ -12,8 +12,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from long_cases import long_after
 from pilot_flights import Flight
-from places import DOCS, ROOT
-from stated_figures import stated
+from places import ROOT
 
 from cosim.base.frames import from_euler
 from cosim.base.signals import Sample, Vector3
@@ -224,38 +223,6 @@ def test_a_fall_is_caught_before_the_ground(answer: float, weight: float) -> Non
             break
     assert height <= 0.0
     assert 0.0 < sink < 3.0 * end
-
-
-def envelope_rows() -> list[str]:
-    """The table of docs/tables/ground-station.md, computed: one row a vehicle."""
-    rows = []
-    for aircraft in dict.fromkeys(each for each, _ in FLOWN):
-        with in_the_air(aircraft, "baseline", 10.0) as flight:
-            control = flight.simulation.vehicle.control
-            assert control.pilot is not None
-            a, h = flight.pilot._envelope.attitude_limits(), flight.pilot._envelope.height_limits()
-            cells = [
-                f"{degrees(control.pilot.stick_lean_rad):.0f} deg",
-                f"{degrees(a.rate):.0f} deg/s",
-                f"{degrees(a.acceleration):.0f} deg/s²",
-                f"{degrees(a.yaw_rate):.0f} deg/s",
-                f"{degrees(a.yaw_acceleration):.0f} deg/s²",
-                f"{h.acceleration:.1f} m/s²",
-                f"{descent_rate(0.0, h.braking, h.lateness, control.pilot.land_m_s):.2f} m/s",
-                f"{flight.pilot._envelope.floor.allowed_descent(5.0, control.pilot.land_m_s):.1f} m/s",
-                f"{flight.pilot._envelope.floor.allowed_descent(30.0, control.pilot.land_m_s):.1f} m/s",
-            ]
-            rows.append(f"| {aircraft} | " + " | ".join(cells) + " |")
-    return rows
-
-
-def test_the_page_states_the_limits_of_every_vehicle() -> None:
-    """docs/tables/ground-station.md, the table of bounds."""
-    page = (DOCS / "tables" / "ground-station.md").read_text(encoding="utf-8")
-    assert "| near the ground | caught: 5 m up | 30 m up |" in page
-    stated("docs/tables/ground-station.md", "In flight the lean stays below {} L", OVER)
-    for row in envelope_rows():
-        assert row in page
 
 
 # --- flights -----------------------------------------------------------------------------------------------------------

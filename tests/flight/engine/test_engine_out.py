@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import acos, cos, degrees, inf, radians
+from math import inf, radians
 from typing import NamedTuple
 
 import numpy as np
 import pytest
-from failsafe_flights import Flight as Hover
 from places import DESIGNS, DOCS
-from stated_figures import stated
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.campaign.surveys.survey import judge_outcome, load_subject, measure_flight
-from cosim.control.autopilot import requests as rq
-from cosim.engine import load_engine, make_bank
+from cosim.engine import make_bank
 from cosim.engine.wrappers import EngineChain
 from cosim.flight import fly
 from cosim.simulation.build import build
@@ -143,41 +140,6 @@ def least_fall(courses: Courses, mass: float, jets: int, after: int = 0, height:
     raise ValueError("the engines were not followed for long enough to stop the fall")
 
 
-def test_the_least_fall_is_what_the_failsafes_page_says() -> None:
-    """Told at once, level, all four at full throttle; then as late as the monitor tells; then as it is flown."""
-    page, height = "docs/failsafes.md", 3.0
-    lost, legs, noticed, touch, leaning = [], [], [], [], []
-    for aircraft, jet in (("hexjet-p220", 1), ("hexjet-100", 2)):
-        vehicle, _ = load_vehicle(aircraft)
-        scenario = Scenario.load("hover").replace(aircraft=aircraft, engine=vehicle.engine, controller="baseline")
-        with build(scenario) as one:
-            courses = measure_courses(one)
-        legs.append(height - max(each.position_m[2] for each in vehicle.contacts if each.kind == "leg"))
-        lost.append(least_fall(courses, vehicle.mass_kg, len(vehicle.jets)).lost_m)
-        with Hover(aircraft, height) as flight:
-            flight.fly(5.0)
-            flight.ok(rq.InjectFault("flame_out", (jet,)))
-            begin = flight.simulation.k
-            flight.fly(1.0, lambda: flight.pilot.failsafe)
-            after = flight.simulation.k - begin
-            before = state = flight.simulation.state
-            while not state.on_ground:
-                flight.simulation.step()
-                before, state = state, flight.simulation.state
-        late = least_fall(courses, vehicle.mass_kg, len(vehicle.jets), after, legs[-1])
-        assert lost[-1] < late.lost_m
-        assert legs[-1] < late.lost_m
-        assert late.touch_m_s < before.velocity[2]
-        noticed.append(after * STEP_S)
-        touch.append(late.touch_m_s)
-        leaning.append(degrees(acos(cos(before.euler[0]) * cos(before.euler[1]))))
-    stated(page, "no throttles lose less than {} m on hexjet-p220 and {} m on hexjet-100", *lost)
-    stated(page, "From {} m the legs of hexjet-p220 have {} m to fall, those of hexjet-100 {} m.", height, *legs)
-    stated(page, "after {} s on hexjet-p220 and after {} s on hexjet-100", *noticed)
-    stated(page, "the first touches with {} m/s and the second with {} m/s", *touch)
-    stated(page, "leaning by {} to {} deg", *leaning)
-
-
 def test_a_fall_under_engines_that_jump_is_the_closed_form() -> None:
     """Nothing for a tenth of a second, and then twice the weight: it stops in as much height as it fell freely."""
     vehicle, _ = load_vehicle("hexjet")
@@ -269,15 +231,3 @@ def test_a_vehicle_without_opposite_jets_is_refused() -> None:
                 vehicle={"control": {"monitor": {"shut_opposite": True}}, "jets": {"0": {"position_m": {"0": 0.2}}}}
             )
         )
-
-
-def test_the_law_of_a_flame_out_is_the_pages() -> None:
-    """docs/faults.md: the three numbers, and what they leave after a while."""
-    text = (DOCS / "faults.md").read_text(encoding="utf-8")
-    law = load_engine("p220", {}, STEP_S).flame_out
-    assert law is not None
-    for key, value in (("thrust_left", law.thrust_left), ("run_down_s", law.half_speed_s), ("exponent", law.exponent)):
-        assert f"{key} = {value:.2f} " in text
-    assert f"relight_s = {law.relight_s:.1f} " in text
-    left = [100.0 * law.thrust_left * (1.0 + t / law.half_speed_s) ** -law.exponent for t in (0.0, 0.1, 0.25)]
-    assert "{:.0f} % are left at once, {:.0f} % after 0.1 s, {:.0f} % after 0.25 s".format(*left) in text

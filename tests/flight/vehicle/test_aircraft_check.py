@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from math import inf
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_tools import Hexjet
-from places import DOCS, ROOT
 
 from cosim import InputError, Scenario, fly
-from cosim.base.signals import MOST_JETS
-from cosim.campaign.surveys import aircraft_check
 from cosim.campaign.surveys.aircraft_check import AircraftCheck, check_aircraft
-from cosim.control.allocation.authority import Authority, Reach, compute_reach
+from cosim.control.allocation.authority import Reach
 from cosim.results.log.digest import log_digest
-from cosim.simulation.build import build
 from cosim.spec.vehicle import load_vehicle
 
 
@@ -126,34 +121,3 @@ def test_a_wrong_call_is_one_line(hexjet: Hexjet, arguments: tuple[str, ...], sa
     assert done.status == 2
     assert said in done.err
     assert done.err.count("\n") == 1
-
-
-def test_the_page_has_the_commands_and_the_number_of_jets() -> None:
-    page = (DOCS / "own-aircraft.md").read_text()
-    assert "hexjet aircraft new mine\nhexjet aircraft check ./mine\n" in page
-    assert MOST_JETS == 16
-    assert "One to sixteen jets" in page
-
-
-def test_the_quadjets_page_has_what_is_left_without_an_engine() -> None:
-    """aircraft/quadjet/README.md; the first engine stands for all: by symmetry, which the bounds keep."""
-    table = {"name": "check", "aircraft": "quadjet", "engine": "turbine-100", "controller": "baseline"}
-    initial = {"altitude_m": aircraft_check.HEIGHT_M}
-    scenario = Scenario.from_table({**table, "duration_s": 1.0, "initial": initial}, Path(), "test")
-    with build(scenario) as simulation:
-        least, most = aircraft_check._thrust(simulation)
-        found = compute_reach(simulation.vehicle, least.tolist(), most.tolist()).authority([1])
-    roll, pitch, yaw = (found.moment_range(axis) for axis in range(3))
-    assert all(each.is_exact for each in (roll, pitch, yaw))
-    page = " ".join((ROOT / "aircraft" / "quadjet" / "README.md").read_text().split())
-    assert (
-        f"{roll.describe()} N m of roll, {pitch.describe()} N m of pitch and {yaw.describe()} N m of yaw either way"
-        in page
-    )
-    report = AircraftCheck("quadjet", "", "", [], [found, Authority((2,), 0.5, None, inf, (inf,) * 3)], (1.0,) * 3)
-    told = report.to_dict()
-    assert not told["authority_exact"]
-    assert told["authority"][1] | {"moment": None, "moment_at_most": None, "falls": False} == told["authority"][1]
-    assert json.loads(json.dumps(told, allow_nan=False))
-    line = aircraft_check._axes([found, *report.authority], (1.0,) * 3)[-1]
-    assert "without any one of: 1; without 2 nothing was found" in line.text

@@ -90,17 +90,6 @@ def test_its_surfaces_are_drawn_to_the_side_that_they_push_from() -> None:
     assert derivatives["rudder, yaw"] < 0.0 < derivatives["rudder, side"]
 
 
-def test_the_sums_of_its_readme() -> None:
-    assert VEHICLE.mass_kg == pytest.approx(4 * 24.0 / GRAVITY * 5.525 / 12.0, abs=0.005)
-    rest, up = VEHICLE.mass_kg - 1.4, 1.4 * 0.12 / (VEHICLE.mass_kg - 1.4)
-    assert up == pytest.approx(0.054, abs=5e-4)
-    x = 0.7 * (0.22**2 + 0.24**2) + 0.7 * 0.22**2 + 0.6 * 1.27**2 / 12.0 + 1.9 * 0.08**2 / 2.0 + rest * up**2
-    y = 0.7 * (0.3**2 + 0.24**2) + 0.7 * 0.3**2 + 1.9 * 1.2**2 / 12.0 + rest * up**2
-    z = 1.4 * (0.3**2 + 0.22**2) + 0.6 * 1.27**2 / 12.0 + 1.9 * 1.2**2 / 12.0
-    assert VEHICLE.inertia_kg_m2 == pytest.approx((x, y, z), rel=0.02)
-    assert VEHICLE.products_kg_m2[1] == pytest.approx(0.7 * 0.3 * 0.24, abs=1e-6)
-
-
 def balance(speed: float) -> tuple[float, float, float]:
     """Angle of attack [rad], thrust along x at the front and rear hinges' mean [N] and elevator of level flight, where
     JSBSim's forces, written and read as a flight does, leave no acceleration ahead, down and in pitch."""

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from stated_figures import stated
 
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
@@ -116,10 +115,3 @@ def test_vehicles_that_mix_jets_are_refused() -> None:
     spinning_alike = [jet.model_copy(update={"reaction_m": 0.01}) for jet in VEHICLE.jets]
     with pytest.raises(InputError, match="give no yaw moment both ways"):
         RotorAllocator(spinning_alike, LIMITS, 0.3)
-
-
-def test_two_opposite_rotors_carry_what_the_pages_say() -> None:
-    with build(scenario()) as simulation:
-        share = 2.0 * simulation.engine.curve.thrust[-1] / (VEHICLE.mass_kg * 9.80665)
-    stated("docs/faults.md", "can carry {} times its weight", share)
-    stated("docs/failsafes.md", "{} times the weight on two rotors", share)

@@ -25,25 +25,6 @@ TURBOJET_KG, FAN_KG, STEP_S = 0.35, 0.25, 0.004
 TURBOJET_N, FAN_N = 24.0, 9.80665 * 0.2554 / (1.0 - 0.8748)
 
 
-def test_the_sums_of_its_readme() -> None:
-    fuel = VEHICLE.fuel
-    assert fuel is not None
-    assert VEHICLE.mass_kg == pytest.approx((2 * TURBOJET_N + FAN_N) / GRAVITY * 5.525 / 12.0, abs=0.005)
-    across = TURBOJET_KG * (3.0 * 0.03**2 + 0.18**2) / 12.0
-    assert all(hinge.inertia_kg_m2 == pytest.approx(across, rel=0.005) for hinge in VEHICLE.hinges[:2])
-    rest = VEHICLE.mass_kg - 2 * TURBOJET_KG - FAN_KG - fuel.mass_kg
-    parts = [(TURBOJET_KG, np.array(hinge.position_m)) for hinge in VEHICLE.hinges[:2]]
-    parts.append((FAN_KG, np.array(VEHICLE.jets[2].position_m)))
-    parts.append((rest, -sum(mass * place for mass, place in parts) / rest))
-    tensor = np.diag([rest * 0.5**2, rest * 0.7**2, rest * (0.5**2 + 0.7**2)]) / 12.0
-    tensor += np.eye(3) * fuel.mass_kg / 6.0 * 0.1**2
-    tensor += 2.0 * np.diag([across, across, TURBOJET_KG * 0.03**2 / 2.0])
-    for mass, place in parts:
-        tensor += mass * (place @ place * np.eye(3) - np.outer(place, place))
-    assert VEHICLE.inertia_kg_m2 == pytest.approx(np.diag(tensor), abs=5e-5)
-    assert VEHICLE.products_kg_m2 == pytest.approx((0.0, -tensor[0, 2], 0.0), abs=5e-5)
-
-
 def test_the_air_that_its_engines_swallow() -> None:
     fan, jet = VEHICLE.jets[2].airflow, VEHICLE.airflow
     assert fan is not None
@@ -83,32 +64,6 @@ def margin(p: float, i: float, lag: float) -> float:
     loop = (p + i / s) / s * np.exp(-2.0 * STEP_S * s) / ((1.0 + lag * s) * (1.0 + gyro * s))
     at = int(np.argmin(np.abs(np.log(np.abs(loop)))))
     return 180.0 + degrees(np.angle(loop[at]))
-
-
-def test_the_margins_of_its_readme() -> None:
-    rate, hinges = VEHICLE.control.rate, VEHICLE.hinges
-    assert f"has a phase margin of {margin(rate.roll.p, rate.roll.i, hinges[2].lag_s):.0f}°" in PAGE
-    assert f"(tilt, τ = 35 ms) {margin(rate.pitch.p, rate.pitch.i, hinges[0].lag_s):.0f}°" in PAGE
-    assert f"yaw (the same) {margin(rate.yaw.p, rate.yaw.i, hinges[0].lag_s):.0f}°" in PAGE
-
-
-def test_the_notch_and_the_lead_of_its_readme() -> None:
-    """What the hinges' reaction and the spools' gyroscopic moment do, in closed form from the hover."""
-    run = fly(Scenario.load("trijet-hover").replace(expect=[], duration_s=0.1, sensor_noise=False))
-    allocator = build(Scenario.load("trijet-hover")).controller.allocator
-    assert isinstance(allocator, EffectivenessAllocator)
-    still, _ = allocator.solve_hover((0.0, 0.0, 0.0))
-    small = 0.01
-    rolling, _ = allocator.solve_hover((small, 0.0, 0.0))
-    tilting = VEHICLE.hinges[0]
-    # pitch by the tilt a: both turbojets' z T a from the thrust and I a'' from the reaction
-    notch = sqrt(tilting.position_m[2] * still[0] / tilting.inertia_kg_m2) / (2.0 * pi)
-    assert f"cancels what their thrust gives at {notch:.1f} Hz" in PAGE
-    # -d/dt of spin J w e, e tilted forward by a: -spin J w a' about x
-    momentum = 3.7e-6 * float(run.log["spool_speed_1_rad_s"][-1])
-    tilts = [(rolling[k] - still[k]) / small for k in (3, 4)]
-    turning = -sum(jet.spin * momentum * tilt for jet, tilt in zip(VEHICLE.jets, tilts, strict=False))
-    assert f"leads the roll by {1000.0 * turning / VEHICLE.inertia_kg_m2[0]:.0f} ms" in PAGE
 
 
 def test_it_hovers_with_its_hinges_at_rest_and_all_engines_at_the_same_share() -> None:

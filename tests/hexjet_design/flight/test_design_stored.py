@@ -18,7 +18,6 @@ from stored_designs import LINEAR, small_step, stored
 from cosim.base.storage.toml import read_toml
 from cosim.control.predictors.registry import BASELINE
 from cosim.engine import load_engine
-from cosim.results.report.marks import page_parts
 from cosim.simulation.controllers.controller_file import Requirements, read_controller
 from cosim.spec.vehicle import RateModel, load_vehicle
 from hexjet_design.assessment import assess, predictor_model, shipped_tuning
@@ -269,31 +268,3 @@ def test_the_aircraft_ship_what_the_command_wrote() -> None:
         written, _ = load_vehicle(aircraft, read_toml(DESIGNS / f"{name}.toml")["vehicle"])
         assert vehicle.control.schedule == written.control.schedule
         assert vehicle.control.schedule
-
-
-def test_the_pages_state_what_the_designs_do() -> None:
-    """The tables of aircraft/*/README.md, docs/control-design.md and docs/full-scale.md, as docs/designs.py writes them."""
-    page, root = PAGE, PAGE.ROOT
-    for aircraft, name in page.SHIPPED.items():
-        path = root / "aircraft" / aircraft / "README.md"
-        parts = page_parts(path)
-        assert parts["margins"] == page.margins(name)
-        assert parts["fuel"] == page.levels(name)
-        if aircraft == "hexjet-100":
-            assert parts["proof"] == page.proofs([name])
-        if aircraft == "hexjet-p220":
-            assert parts["more inertia"] == page.heavier(name)
-    path = root / "docs" / "control-design.md"
-    parts = page_parts(path)
-    assert parts["designs"] == page.designs()
-    assert parts["designs proved"] == page.proofs()
-    # begun anew: every file, and the one that ships
-    rows = [line.strip("| ").split(" | ") for line in parts["designs anew"].splitlines()[2:]]
-    assert [[name, digest] for name, digest, *_ in rows] == [[name, page.ships(name)] for name in page.COMMANDS]
-    assert sorted(page.COMMANDS) == NAMES
-    for name, _, command, told in rows:
-        assert command.replace("\\", "") == "; then ".join(page.COMMANDS[name])
-        # of the two whose command makes other gains today, the page says so
-        assert told == ("another design" if name in ("turbine-100", "turbine-220") else "what ships, to the bit"), name
-    path = root / "docs" / "full-scale.md"
-    assert page_parts(path)["fuel p220-2025"] == page.levels("p220-2025")

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import re
-import shlex
 from cmath import exp
 from math import log10, radians
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from command_tools import Hexjet
-from long_cases import long_after
 from places import DOCS, script
 from stated_figures import stated
 
 from cosim.base.storage.paths import data_folder
 from cosim.engine import library
-from cosim.results.report.marks import parts_of, row
+from cosim.results.report.marks import parts_of
 from cosim.simulation.controllers.controller_file import Requirements
 from hexjet_design.measured.estimate import Bounded
 from hexjet_design.measured.judgement import (
-    KNOWN_PEAK,
-    PEAK,
     falls_below,
-    guaranteed_gain_db,
-    guaranteed_phase_deg,
     judge_axis,
     judgement_line,
 )
@@ -35,7 +27,6 @@ judging = script("judging")
 PAGE, NAME = DOCS / "judging.md", "docs/judging.md"
 TEXT = PAGE.read_text(encoding="utf-8")
 MARGINS, FLIGHTS, PEAKS = parts_of(TEXT, PAGE).values()
-HASTY = "vehicle.control.attitude.gain_1_s=[5.0, 5.0, 3.0]"
 
 
 def cells(part: str, name: str) -> list[str]:
@@ -45,26 +36,6 @@ def cells(part: str, name: str) -> list[str]:
 
 def number(part: str, name: str, column: int) -> float:
     return float(re.findall(r"-?[\d.]+", cells(part, name)[column])[0])
-
-
-def test_the_first_commands_print_what_the_page_says(hexjet: Hexjet) -> None:
-    lines = re.findall(r"^hexjet .*$", TEXT, re.MULTILINE)
-    assert [HASTY in line for line in lines] == [True, True, True]
-    measured, flown, late = (hexjet(*shlex.split(line)[1:], "--json") for line in lines)
-    assert (measured.status, flown.status, late.status) == (0, 1, 1)
-    answer = json.loads(measured.out)
-    worst, found = answer["worst_margin"], answer["axes"]["roll"]["measured"]
-    assert (worst["axis"], worst["margin"], worst["band"]) == ("roll", "peak_sensitivity", "too little")
-    assert worst["value"] == found["peak_sensitivity"]["value"]
-    values = {name: each["value"] for name, each in found.items() if each}
-    assert row(judging.margins_row("hasty", values)) in MARGINS
-    stated(NAME, "prints a phase margin of {} deg", values["phase_deg"])
-    stated(NAME, "of {} Hz it is worth {} ms", values["crossover_hz"], 1000.0 * values["delay_s"])
-    first, second = (json.loads(done.out)["metrics"]["roll"] for done in (flown, late))
-    stated(NAME, "aircraft overshoots by {} % and settles, a little later", first["overshoot_percent"])
-    assert first["settling_time_s"] > 2.0
-    assert second["settling_time_s"] is None
-    stated(NAME, "Engines that are {} ms later than their model", 10 * judging.STEP_MS)
 
 
 def test_the_arithmetic_of_the_page() -> None:
@@ -149,20 +120,6 @@ def test_the_last_line_judges_every_margin_and_names_the_worst(margins: dict[str
     assert [falls_below(rows, band) for band in bands[:2]] == [worst > 0, worst > 1]
 
 
-def test_the_limits_of_the_margins_are_those_of_the_page() -> None:
-    assert tuple(judging.PEAKS)[1:3] == (PEAK, KNOWN_PEAK)
-    for peak in (PEAK, KNOWN_PEAK):
-        assert judging.guaranteed(peak) == pytest.approx((guaranteed_gain_db(peak), guaranteed_phase_deg(peak)))
-    rows = {
-        row.margin: row for row in judge_axis(an_axis("roll", gain_db=(7.0, 7.0, 7.0), phase_deg=(40.0, 40.0, 40.0)))
-    }
-    gain, phase = rows["gain_db"], rows["phase_deg"]
-    assert gain.limit == 6.0
-    stated(NAME, "on both sides; narrow is {} dB", gain.known_limit)
-    stated(NAME, "Ask for the {} deg that a peak sensitivity of {} guarantees; narrow is {} deg",
-           phase.limit, PEAK, phase.known_limit)  # fmt: skip
-
-
 def test_what_has_no_known_delay_is_not_judged_by_one() -> None:
     axis = an_axis("pitch", delay_s=(0.001, 0.001, 0.001))
     axis.transport_s = None
@@ -181,46 +138,3 @@ def test_a_band_without_a_crossover_tells_no_margins() -> None:
     assert ["yaw", "crossover", "none", "-", "not told", "widen the band"] in [row.cells() for row in rows]
     axis.response.margins["peak_sensitivity"] = Bounded(2.6, 2.6, 2.6)
     assert judgement_line(judge_axis(axis)).startswith("judgement: do not fly on it; worst: yaw peak |S| 2.60")
-
-
-def test_what_the_text_says_of_the_tables() -> None:
-    stated(NAME, "*shipped* overshoots by {} % with {} of its {} ms used.", number(FLIGHTS, "shipped", 2), 40,
-           number(MARGINS, "shipped", 5))  # fmt: skip
-    alike = [number(FLIGHTS, name, 1) for name in ("shipped", "filtered")]
-    settled = [float(cells(FLIGHTS, name)[1].split(", ")[1].removesuffix(" s")) for name in ("shipped", "filtered")]
-    assert alike[0] == alike[1]
-    stated(NAME, "overshoot by {} % and settle within {} s", alike[0], settled[0] - settled[1])
-    stated(NAME, "*filtered* has a gain margin of {} dB and a peak sensitivity of {}.",
-           number(MARGINS, "filtered", 1), number(MARGINS, "filtered", 6))  # fmt: skip
-    assert cells(FLIGHTS, "filtered")[3] == "lost"
-    stated(NAME, "With engines {} ms late it is lost", 20 * judging.STEP_MS)
-    assert max(judging.LOOPS, key=lambda name: number(MARGINS, name, 3)) == "busy"
-    assert min(judging.LOOPS, key=lambda name: number(MARGINS, name, 6)) == "busy"
-    stated(NAME, "phase margin of the five, {} deg, and", number(MARGINS, "busy", 3))
-    stated(NAME, "the gain near 1 up to {} Hz, and there {} ms of delay are enough",
-           number(MARGINS, "busy", 4), number(MARGINS, "busy", 5))  # fmt: skip
-    assert cells(FLIGHTS, "busy")[1].startswith("swings")
-    stated(
-        NAME, "With engines {} ms late and {} % more thrust it swings by {} deg", 40, 20, number(FLIGHTS, "hasty", 5)
-    )
-    assert all("%" in cell for cell in cells(FLIGHTS, "calm")[1:6])
-    stated(NAME, "Its peak sensitivity is {}, its gain margin {} dB and its delay margin {} ms",
-           *(number(MARGINS, "calm", column) for column in (6, 1, 5)))  # fmt: skip
-
-
-@pytest.mark.parametrize("name", long_after(1, judging.LOOPS))
-def test_the_flights_are_what_the_table_says(name: str) -> None:
-    runs = [judging.flown(judging.LOOPS[name], off) for off in judging.OFF.values()]
-    assert row(judging.flights_row(name, runs)) in FLIGHTS
-    if name == "busy":
-        calm, busy = (
-            judging.flown(judging.LOOPS[each], ()).summary.flat_metrics["effort.throttle_1_s"]
-            for each in ("calm", "busy")
-        )
-        stated(NAME, "throttles {} % more than *calm*", 100.0 * (busy / calm - 1.0))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", judging.LOOPS)
-def test_the_margins_are_what_the_table_says(name: str) -> None:
-    assert row(judging.margins_row(name, judging.measured(judging.LOOPS[name]))) in MARGINS

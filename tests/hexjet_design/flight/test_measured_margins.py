@@ -33,9 +33,6 @@ from hexjet_design.measured import margins
 from hexjet_design.measured.computed import compute_margins, find_tunings, make_plants
 from hexjet_design.measured.estimate import measured
 from hexjet_design.measured.excitation import (
-    LINES,
-    USUAL_SHARE,
-    USUAL_TILT,
     Record,
     Tap,
     fly_excitation,
@@ -495,24 +492,6 @@ def test_fuel_does_not_burn_meanwhile_and_commands_are_left_out() -> None:
     record = fly_excitation(held.replace(sensor_noise=False), "roll", multisine(2.0, held.step_s, 1.0, 25.0), 0.005, 1)
     drift = record.behind[0].mean() - record.before[0].mean()
     assert abs(drift) < 1e-12
-
-
-def test_the_page_states_what_is_flown() -> None:
-    page = "docs/margins.md"
-    sine = multisine(margins.PERIOD_S, 0.004, 2.0 / margins.PERIOD_S, margins.TO_HZ / 0.004)
-    stated(
-        page,
-        "The period is {} s; one passes for the loop to come to swing, {} are kept",
-        margins.PERIOD_S,
-        margins.PERIODS,
-    )
-    assert np.diff(np.log(sine.hertz))[-20:].mean() == pytest.approx(np.log(10.0) / LINES, rel=0.05)
-    stated(page, "The lines stand {} % of frequency apart", 100.0 * (10.0 ** (1.0 / LINES) - 1.0))
-    stated(page, "is measured with a period of {} s", margins.LONG_S)
-    stated(page, "a peak of {} of a share of thrust or {} rad of tilt", USUAL_SHARE, USUAL_TILT)
-    stated(page, "by more than its bounds and {} % is named", 100.0 * margins.LINEAR)
-    stated(page, "Tests hold three designs to {} %", 100.0 * CLOSE)
-    stated(page, "Beside them stand {} % bounds", 95)
 
 
 # ---- the command

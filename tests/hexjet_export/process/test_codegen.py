@@ -355,16 +355,6 @@ def test_the_first_lines_of_the_page_run(tmp_path: Path, monkeypatch: pytest.Mon
     assert "100 steps, 0 numbers differ" in done.stdout
 
 
-def test_the_page_has_every_variable_of_the_fmus() -> None:
-    variables = (DOCS / "tables" / "controller-export.md").read_text(encoding="utf-8")
-    named = set(re.findall(r"`(\w+)`", page().partition("## As an FMU")[2] + variables))
-    families = {f"unallocated_{axis}" for axis in ("pitch", "yaw")} | {
-        f"shown_{what}_{axis}" for what in ("rate_setpoint", "predicted", "torque") for axis in ("pitch", "yaw")
-    }
-    assert {"on_ground", *INPUTS, *list_output_names(1)} - families <= named
-    assert not {name for name in named if "_" in name} - {"on_ground", *INPUTS, *list_output_names(1)}
-
-
 def test_every_built_in_predictor_has_a_c_form() -> None:
     """And is among those whose bits are compared."""
     ours = {spec.name for spec in PREDICTORS.values() if spec.make.__module__.startswith("cosim.")}

@@ -17,10 +17,8 @@ import numpy as np
 import pytest
 from command_tools import Hexjet
 from engine_tools import Driven, driven, rewrite
-from places import DOCS
 
 from cosim.base.errors import InputError
-from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
@@ -347,16 +345,3 @@ def test_what_cannot_be_exported_is_one_line(hexjet: Hexjet) -> None:
     fault = {"kind": "stuck_throttle", "jet": 1, "start_s": 0.1}
     with pytest.raises(InputError, match="fault stuck_throttle: acts between controller and engines, and both are out"):
         ExportedFlight(doublet(fault=[fault]), VehicleContents(False, False), lambda: None)
-
-
-def test_the_page_names_every_variable() -> None:
-    """Of docs/tables/export-vehicle.md: a row has each, or the first of a series."""
-    words = set(re.findall(r"`([a-z_0-9]+)`", (DOCS / "tables" / "export-vehicle.md").read_text(encoding="utf-8")))
-    series = {re.sub(r"_(1|x|w|north|roll_rate)$", "", word) for word in words}
-    for parts in (VehicleContents(), VehicleContents(engines=False), VehicleContents(controller=False)):
-        flight = ExportedFlight(doublet(engine="turbojet").replace(controller="baseline"), parts, lambda: None)
-        flight.close()
-        for each in (*flight.inputs, *flight.outputs):
-            stem = re.sub(r"_([1-9]|[wxyz]|north|east|down|roll_rate|pitch_rate|yaw_rate)$", "", each.name)
-            ambient = stem in AMBIENT
-            assert each.name in words or stem in series or ambient, each.name

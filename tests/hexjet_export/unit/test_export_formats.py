@@ -15,7 +15,6 @@ import pytest
 from flights import samples, scenario, setup
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from places import ROOT
 from scipy.io import loadmat
 
 from cosim.base.errors import InputError
@@ -271,9 +270,3 @@ def test_short_flights_and_bad_targets(run: Run, tmp_path: Path, to: str) -> Non
             export_log(to, folder, path)
         assert "\n" not in str(complaint.value)
         assert (run.folder / SCENARIO).read_bytes() == before
-
-
-def test_the_page_lists_the_topics() -> None:
-    page = (ROOT / "docs" / "log-export.md").read_text(encoding="utf-8")
-    for topic in (*SUBJECTS, CUSTOM, TIME, "/tf", "/pose", "/location", "/scene", "/scene/arrows", "/log"):
-        assert f"`{topic}`" in page, topic

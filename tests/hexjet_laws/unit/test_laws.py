@@ -7,7 +7,7 @@ import sys
 import tomllib
 from dataclasses import replace
 from functools import cache
-from math import ceil, cos, exp, pi, radians, sin
+from math import cos, exp, pi, radians, sin
 from typing import Any
 
 import numpy as np
@@ -21,10 +21,9 @@ from stated_figures import last_digit, rows, stated
 from cosim import InputError, Scenario, fly
 from cosim.base.protocols import Parameter
 from cosim.base.signals import Unallocated, Vector3
-from cosim.campaign.study.study import Study
 from cosim.control.belief import Belief
 from cosim.control.laws.axis import Actuators, Axis
-from cosim.control.laws.optimal import ModelForm, Optimal, Target, fit_weights, make_predictor
+from cosim.control.laws.optimal import ModelForm, Optimal, Target, fit_weights
 from cosim.control.predictors.linear import model_response
 from cosim.control.rate import RateController
 from cosim.engine import EngineSpec, load_engine
@@ -41,7 +40,7 @@ from hexjet_laws.adrc import AdrcAxis
 from hexjet_laws.indi import DAMPING, IndiAxis, SecondOrder
 from hexjet_laws.lqg import KalmanFilter, add_delay, discrete_model, regulator
 from hexjet_laws.mpc import MpcAxis
-from hexjet_laws.px4 import ACCELERATION_HZ, FADES, LowPass, Px4Axis
+from hexjet_laws.px4 import FADES, LowPass, Px4Axis
 
 LawLoop, SetpointFilter = script("law_loop").LawLoop, script("law_loop").SetpointFilter
 PAGE = "docs/laws.md"
@@ -191,52 +190,6 @@ def test_the_rank_of_smith_depends_on_the_horizon_as_the_page_says() -> None:
     for cell, window in ((smith[4], WINDOW * channel.slowness_s), (cells[3].split()[0], 7.0)):
         (step, load), (a, b) = (found[name].errors_within(window) for name in ("pid-smith", "pid"))
         assert (step * load / (a * b)) ** 0.5 == pytest.approx(float(cell), abs=0.0051)
-
-
-def test_a_filter_of_the_set_point_is_the_pages() -> None:
-    """One of equal lag and lead is none; the page's keeps the overshoot, and is what its own difference equation says."""
-    vehicle, _, _, channel = place()
-    each = LawLoop(channel, law("pid"), vehicle.control.attitude.gain_1_s[0])
-    assert SetpointFilter.of(each, 0.3, 0.3).step_error == pytest.approx(each.step_error, rel=1e-12)
-    found = SetpointFilter.best(each, channel.room)
-    assert found.overshoot <= each.overshoot + 1e-3
-    assert found.lag_s > 0.95 * STEP
-    part = page_parts(ROOT / PAGE)["filters"]
-    cells = {
-        row[0]: row[1:] for row in ([cell.strip() for cell in line.split("|")[1:]] for line in part.splitlines()[2:])
-    }
-    assert set(cells) == set(TITLES.values())
-    gained = {name: 1.0 - float(cells[title][1]) / float(cells[title][0]) for name, title in TITLES.items()}
-    most = max(gain for name, gain in gained.items() if name.startswith(("pid", "px4")))
-    stated(PAGE, "takes less than {} % off the step error of any law that is a PID", ceil(100.0 * most))
-    assert all(0.12 < gained[name] < 0.18 for name in ("mpc", "optimal"))
-    step, filtered, lead, *_ = cells[TITLES["pid"]]
-    for cell, value in ((step, each.step_error), (filtered, found.step_error), (lead, 1e3 * found.lead_s)):
-        assert abs(float(cell) - value) <= 0.6 * last_digit(cell)
-    after = 1.0 - (1.0 - found.lead_s / found.lag_s) * np.exp(-STEP / found.lag_s) ** np.arange(each.samples)
-    answer = np.convolve(np.diff(after, prepend=0.0), each.angle)[: each.samples]  # of the loop to what the filter says
-    assert float(np.abs(1.0 - answer).sum()) * STEP == pytest.approx(found.step_error, rel=1e-9)
-
-
-def test_what_the_page_says_was_chosen() -> None:
-    """docs/laws.md beside the study, the search and the flights."""
-    stated(PAGE, "tuned to the same peak sensitivity, {}: the", 1.7)
-    stated(
-        PAGE,
-        "integrated absolute errors of the angle, over {} s: after a unit step",
-        round(WINDOW * place()[3].slowness_s),
-    )
-    stated(PAGE, "derivative behind a {} Hz low-pass", ACCELERATION_HZ)
-    stated(PAGE, "errors of the model's {} samples with which the peak stays", roll().model.delay_samples)
-    stated(PAGE, "the model has {} samples", roll().model.delay_samples)
-    stated(PAGE, "engines that answer {} s late", STEP * roll().model.delay_samples)
-    predictor, _, _ = make_predictor(roll().model, optimal_target(roll().delay))
-    stated(PAGE, "behind a linear predictor of {} states and the commands on their way", len(predictor.of_state))
-    tuned = script("laws")
-    stated(PAGE, "a peak below {} at {} samples of error of the delay", 2.0 * tuned.ROBUST, tuned.TOLERATED)
-    study, other = Study.load("equal-sensitivity"), Study.load("predictor-robustness")
-    assert (study.vary, study.success, study.settings) == (other.vary, other.success, other.settings)
-    assert set(study.controllers) == set(LAWS) == set(TITLES)
 
 
 # ---- in flight

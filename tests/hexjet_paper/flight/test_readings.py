@@ -23,7 +23,6 @@ from hexjet_paper.report.readings import (
     judge_reading,
     model_error_table,
     model_errors_in_words,
-    readings_table,
 )
 
 FOUND = load().parameters
@@ -69,39 +68,6 @@ def test_inertia_follows_from_thrust_and_gain() -> None:
             assert changed["inertia_kg_m2"][0] == reading.inertia
             pole = vehicle.aero.damping_n_m_s[0] / vehicle.inertia_kg_m2[0]
             assert changed["aero"]["damping_n_m_s"][0] / reading.inertia == pytest.approx(pole)
-
-
-def test_what_the_page_says_of_the_readings() -> None:
-    jet, fan = numbers.value("turbojet.pole"), numbers.value("edf.pole")
-    lag = {pole: -1e3 * STEP / np.log(pole) for pole in (jet, fan, numbers.value("roll.pole_fast"))}
-    printed = numbers.value("roll.pole_fast")
-    stated(PAGE, "has the turbojet's pole, {} ({} s), and {} of the fans' gain: {} N of thrust per throttle in place of {} N",
-           jet, 1e-3 * lag[jet], FANS.gain, GRAVITY * CORRECTED.thrust_kgf, GRAVITY * DELAY.thrust_kgf)  # fmt: skip
-    stated(PAGE, "{} samples of delay and one fast pole at {} ({} ms). It has none near {}",
-           numbers.value("hexjet.delay"), printed, lag[printed], jet)  # fmt: skip
-    stated(PAGE, "the {} samples were put in, and the lag stayed", numbers.value("hexjet.delay"))
-    stated(PAGE, "J_xx = {} kg m² and every number of the Hex-Jet follow", DELAY.inertia)
-    stated(
-        PAGE,
-        "makes J_xx {} kg m², or still the fans', so that the gain falls to {} of it",
-        CORRECTED.inertia,
-        FANS.gain,
-    )
-    stated(PAGE, "the printed lag is {} ms longer than the fans'", lag[printed] - lag[fan])
-    stated(PAGE, "and {} ms shorter than the turbojet's", lag[jet] - lag[printed])
-    stated(PAGE, "names the delay of {} s and no lag", numbers.value("turbojet.delay"))
-    turned = [np.degrees(np.arctan(2e-3 * np.pi * lag[pole])) for pole in (printed, jet)]
-    stated(PAGE, "(at {} Hz a lag of {} ms turns the phase by {}°, one of {} s by {}°)",
-           1.0, lag[printed], turned[0], 1e-3 * lag[jet], turned[1])  # fmt: skip
-
-
-def test_no_page_states_the_reading_as_a_fact() -> None:
-    """Where the delayed fans are told of, the page on the readings is named beside it."""
-    anchor = "which-model-was-flown-a-reading"
-    for page in ("README.md", "docs/full-scale.md", "docs/identification.md", "aircraft/hexjet/README.md",
-                 "engines/edf-as-flown/README.md", "engines/turbojet/README.md"):  # fmt: skip
-        assert f"paper.md#{anchor}" in (ROOT / page).read_text(encoding="utf-8"), page
-    assert "## Which model was flown: a reading\n" in (ROOT / PAGE).read_text(encoding="utf-8")
 
 
 # --- gains ------------------------------------------------------------------------------------------------------------
@@ -151,11 +117,6 @@ def test_each_reading_has_gains_at_which_the_claims_hold_and_others_at_which_non
     times = [trial.flight.settling_s or 0.0 for trial in (r.trial("fitted", "baseline") for r in results)]
     stated(PAGE, "it is {} s on the first reading and {} s on the others", times[0], times[1])
     assert times[1] == pytest.approx(times[2], rel=1e-3)
-
-
-def test_the_page_has_todays_readings(results: list[ReadingResult]) -> None:
-    said = page_parts(ROOT / PAGE)["paper: readings"]
-    assert said == readings_table(results).markdown()
 
 
 def test_a_slow_swing_is_no_stability(results: list[ReadingResult]) -> None:

@@ -19,7 +19,6 @@ from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.proof.design_study import design_study, find_design
 from cosim.campaign.search import folder as searches
 from cosim.campaign.search.worst_folder import resolve_worst
-from cosim.campaign.study import keys
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study, study_names
 from cosim.cli.main import cli
@@ -37,7 +36,6 @@ COMMANDS = [
 PYTHON = [text for language, text in BLOCKS if language == "python"]
 OF_A_SWEEP = ("vary", "correlate", "success", "settings", "controllers", "design", "runs", "repeats", "seed", "until")
 OF_ONE_KEY = ("over", "tolerance", "share")
-SWING, LEAN = "roll.oscillation_rad", "roll.final_error_rad"
 
 
 def parsed(words: list[str]) -> click.Context:
@@ -86,15 +84,6 @@ def test_a_command_is_one(words: list[str]) -> None:
             )
 
 
-@pytest.mark.parametrize("command", ["sweep", "search"])
-def test_every_option_is_on_the_page(command: str) -> None:
-    made = cli.get_command(click.Context(cli), command)
-    assert made is not None
-    own = [option for parameter in made.params for option in parameter.opts if option.startswith("--")]
-    assert len(own) > 8
-    assert [option for option in own if option not in PAGE] == []
-
-
 def test_the_study_on_the_page_is_one(tmp_path: Path) -> None:
     (text,) = [text for language, text in BLOCKS if language == "toml"]
     (tmp_path / "mine.toml").write_text(text.replace(', "designed.toml"', ""))
@@ -105,22 +94,6 @@ def test_the_study_on_the_page_is_one(tmp_path: Path) -> None:
     assert all(f"`{key} = " in PAGE or f"`{key}`" in PAGE or f"[{key}]" in PAGE for key in unsaid - {"description"})
     for key in unsaid:
         assert key in PAGE
-
-
-def test_the_keys_on_the_page_exist() -> None:
-    """Those that are whole: with a place where the page has a star."""
-    named = {
-        match.replace(".*", ".0")
-        for match in re.findall(r"`((?:vehicle|mismatch|engine_parameters|environment|disturbance|fault|stations)\.[\w.*]+)`", PAGE)
-        if not match.endswith(".toml")
-    }  # fmt: skip
-    fault = {"kind": "slow_spool", "start_s": 0.0, "jet": [1], "lag_s": 0.1}
-    scenario = open_study("payload-drop", vary=["vehicle.mass_kg=5:6"], runs=2).base().replace(fault=[fault])
-    searched = open_study("gust", vary=["vehicle.mass_kg=5:6"], runs=2).base()  # whose keys a table of the page has
-    known = {key.path for each in (scenario, searched) for key in keys.all_keys(each)}
-    tables = {"vehicle.identified.0", "environment.0", "vehicle.aero.0", "vehicle.sensors.0"}
-    assert len(named) > 12
-    assert named - known - tables == set()
 
 
 def test_the_python_on_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -191,31 +164,3 @@ def test_every_mark_has_its_table(writer: Any) -> None:
         assert command in parts[name]
     elsewhere = {"equal-sensitivity", "roll-doublet-claim"}  # pages of their own: docs/laws.md, docs/prove.md
     assert set(writer.PARTS) | elsewhere == {*study_names(), "searches"}
-
-
-def test_shares_and_misses_are_counted(writer: Any) -> None:
-    """By hand: of a three of four succeed and one is lost, of b one of four, one swings and one leans and swings."""
-    kinds = ["success", "success", "success", "diverged", "success", "missed", "missed", "failed"]
-    swing = [0.0, 0.0, 0.0, np.nan, 0.0, 0.2, 0.2, np.nan]
-    lean = [0.0, 0.0, 0.0, np.nan, 0.0, 0.0, 0.3, np.nan]
-    delay = [13.0, 20.0, 21.0, 37.0] * 2
-    flown = of(kinds, [0] * 4 + [1] * 4, {writer.DELAY: delay}, {SWING: swing, LEAN: lean})
-    shared = writer.shared(flown).splitlines()
-    assert shared[2].startswith("| a | 75.0 % | ")
-    assert [line.split(" | ")[-1] for line in shared[2:]] == ["1 |", "1 |"]
-    rows = writer.by_delay(flown).splitlines()
-    assert rows[0] == "| samples | 13 to 20 | 21 to 25 | 26 to 30 | 31 to 37 |"
-    assert rows[2] == "| a | 100 % | 100 % | - | 0 % |"
-    assert rows[3] == "| b | 50 % | 0 % | - | 0 % |"
-    missed = writer.missed(flown, {SWING: 0.1, LEAN: 0.1}).splitlines()
-    assert missed[2:] == ["| a | 1 | 1 | 0 | 0 |", "| b | 3 | 1 | 2 | 1 |"]
-
-
-def test_the_heaviest_load_is_one_below_which_none_is_missed(writer: Any) -> None:
-    load, lever, gust = [0.25, 0.5, 0.75, 0.25, 0.5, 0.75], [-0.02] * 6, [8.0] * 3 + [12.0] * 3
-    keys = {writer.LOAD: load * 2, writer.LEVER: lever * 2, writer.SIDE_GUST: gust * 2}
-    # a misses the middle load in the lesser gust, b the lightest in the stronger one, which is past what is asked
-    kinds = ["success", "missed", "success"] + ["success"] * 3 + ["success"] * 3 + ["missed", "success", "success"]
-    flown = of(kinds, [0] * 6 + [1] * 6, keys, {})
-    assert [row.split(" | ")[-1] for row in writer.envelope(flown).splitlines()[2:]] == ["0.25 kg |", "0.75 kg |"]
-    assert writer.by_lever(flown).splitlines()[2] == "| 0.005 kg m | 2 of 2 | 1 of 2 |"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from math import degrees, exp, log, sqrt
+from math import exp, log, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +24,9 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
 from cosim.cli.main import cli
 from cosim.cli.options import load_scenario
-from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.results.expectations import check_expected, find_expectation
-from cosim.results.report.marks import page_parts
 from cosim.simulation.build import build
-from cosim.simulation.controllers.controller_file import read_controller
 from cosim.spec.scaling import _LAW, length_scale, scale_vehicle
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
@@ -138,38 +135,6 @@ def test_thrust_to_weight_is_the_papers(name: str) -> None:
     vehicle, _ = load_vehicle(name)
     ratio = 6 * SIZES[name] / (vehicle.mass_kg * 9.80665)
     assert ratio == pytest.approx(12.0 / 5.525, rel=2e-4)  # the mass is stated to four digits
-
-
-def test_what_the_readme_says(name: str) -> None:
-    """The table of numbers is the vehicle's, to the digits printed."""
-    vehicle, folder = load_vehicle(name)
-    text = (folder / "README.md").read_text(encoding="utf-8")
-    rows = dict(re.findall(r"^\| ([^|]+) \| ([^|]+) \|", text, re.MULTILINE))
-    lx, ly, lz = vehicle.jets[0].position_m
-    assert vehicle.servo is not None
-    assert vehicle.fuel is not None
-    corners = np.array([contact.position_m for contact in vehicle.contacts])
-    for key, values in {
-        "mass, tank full": [vehicle.mass_kg],
-        "length, width": list(2e3 * abs(corners).max(axis=0)[:2]),
-        "top, feet": [-corners[:, 2].min(), corners[:, 2].max()],
-        "L_x": [lx],
-        "L_y": [ly],
-        "L_z": [lz],
-        "J_xx, J_yy, J_zz": list(vehicle.inertia_kg_m2),
-        "drag areas": list(vehicle.aero.drag_area_m2),
-        "rate damping": list(vehicle.aero.damping_n_m_s),
-        "legs, hull points": [vehicle.contacts[0].spring_n_m, vehicle.contacts[0].damping_n_s_m],
-        "tank": [vehicle.fuel.mass_kg],
-        "servo lag, rate, range": [1e3 * vehicle.servo.lag_s, vehicle.servo.rate_limit_rad_s],
-        "end of flight": [vehicle.limits.tilt_deg, vehicle.limits.rate_deg_s, vehicle.limits.touchdown_m_s],
-    }.items():
-        if key not in rows:
-            assert name != "hexjet-p220", key
-            continue
-        said = re.findall(r"[0-9.]+", rows[key])[: len(values)]
-        for word, value in zip(said, values, strict=True):
-            assert float(word) == pytest.approx(value, abs=0.5001 * 10.0 ** -len(word.partition(".")[2])), key
 
 
 def test_ten_minutes_of_hover_are_in_the_tank() -> None:
@@ -412,51 +377,6 @@ def test_the_shipped_gains_are_what_the_design_wrote(aircraft: str, engine: str)
 # --- two reports of one engine, and what an ECU may add ---------------------------------------------------------------
 
 PAGE, DATA = ((DOCS / name).read_text(encoding="utf-8") for name in ("full-scale.md", "tables/full-scale.md"))
-PARTS = page_parts(DOCS / "full-scale.md")
-
-
-def cells(title: str, part: str) -> list[str]:
-    """A row of one of the page's tables."""
-    found = re.search(rf"^\| {re.escape(title)} \| (.*) \|$", PARTS[part], re.MULTILINE)
-    assert found, title
-    return [cell.strip() for cell in found[1].split("|")]
-
-
-@pytest.mark.parametrize(
-    ("column", "gains", "engine"),
-    [(0, "p220", "p220"), (1, "p220", "p220-2025"), (2, "p220-2025", "p220"), (3, "p220-2025", "p220-2025")],
-)
-def test_either_design_on_either_engine_flies_as_the_page_says(column: int, gains: str, engine: str) -> None:
-    """The doublet: the gains for the engine of 2025 lose that of 2020, the other way round they hold."""
-    file = read_controller(DESIGNS / f"{gains}.toml")
-    flight = Scenario.load("full-scale-roll-doublet").replace(
-        engine=engine, controller=file.controller, vehicle=file.vehicle, expect=[]
-    )
-    run = fly(flight)
-    said = cells("roll-doublet", "two-engines")[column]
-    if run.outcome != "completed":
-        assert (said, gains, engine) == ("lost", "p220-2025", "p220")
-        return
-    # the page has the design as the command writes it today, the files are those that ship
-    assert float(said.rstrip("°")) == pytest.approx(degrees(run.metrics["roll"].max_abs_error_rad), abs=0.3)
-
-
-@pytest.mark.parametrize(("engine", "column"), [("p220", 0), ("p220-2025", 4)])
-@pytest.mark.parametrize(
-    ("limit", "parameters"),
-    [("none, as published", {}), ("48 ms late", {"delay_samples": 12}), ("100 % a second", {"command_rate": 1.0})],
-)
-def test_the_limits_of_an_ecu_cost_what_the_page_says(
-    engine: str, column: int, limit: str, parameters: dict[str, float]
-) -> None:
-    flight = Scenario.load("full-scale-roll-doublet").replace(engine=engine, engine_parameters=parameters, expect=[])
-    run = fly(flight)
-    said = cells(limit, "ecu")[column]
-    assert (said == "lost") == (run.outcome != "completed")
-    if said != "lost":
-        # to rounding, and a tenth of it for a flight that swings
-        found = run.summary.flat_metrics["roll.overshoot_percent"]
-        assert float(said.removesuffix(" %")) == pytest.approx(found, abs=0.6, rel=0.1)
 
 
 def test_the_faster_engine_is_lost_late_and_the_slower_is_not() -> None:
@@ -480,59 +400,6 @@ def rounded(said: float, found: float, digits: int) -> bool:
     return abs(said - found) <= 0.5001 * 10.0**-digits
 
 
-def test_the_verdict_is_that_of_the_tables() -> None:
-    """docs/full-scale.md: what its text says of the designs, the flights and the ECU is in the tables below it."""
-    design = read_toml(DESIGNS / "p220.toml")
-    (natural,) = figures("follows the throttle like two poles at {} rad/s. A predictor")
-    pole, bandwidth = figures("which moves the poles to {} rad/s, gives {} Hz at the same peak sensitivity")
-    lead = design["vehicle"]["control"]["lead"]["roll"]
-    assert rounded(natural, lead["natural_rad_s"], 1)
-    assert rounded(pole, lead["pole_rad_s"], 0)
-    assert rounded(bandwidth, design["design"]["axes"]["roll"]["bandwidth_hz"], 2)
-    for sentence in ("keeps the requirements at {} Hz", '"None" is at the bandwidth that is asked for, {} Hz'):
-        assert figures(sentence) == [design["design"]["requirements"]["min_bandwidth_hz"]]
-    damping, stiffness, omega, zeta = figures(
-        "gives s² + {} s + {}, two poles at {} rad/s with damping {}. ![Roll doublet"
-    )
-    assert rounded(omega, lead["natural_rad_s"], 3)
-    assert rounded(zeta, lead["damping"], 2)
-    assert rounded(stiffness, lead["natural_rad_s"] ** 2, 2)
-    assert rounded(damping, 2.0 * lead["damping"] * lead["natural_rad_s"], 2)
-    (delay,) = figures("with a lead its delay of {} s becomes the limit")
-    assert delay == pytest.approx(load_engine("turbine-220", {}, 0.004).transport_delay)
-    titles = [title.strip() for title in PARTS["gains"].splitlines()[0].strip("|").split("|")]
-    reached = {name: dict(zip(titles[1:], cells(name, "gains"), strict=True)) for name in ("p220", "turbine-220")}
-    plain = [name for name in titles[5:] if not name.endswith("lead")]
-    assert [reached["p220"][name] for name in plain] == ["none"] * len(plain)
-    assert reached["p220"]["baseline + lead"] == "100 %"
-    assert reached["turbine-220"]["state-disturbance + lead"] == "100 %"
-    assert reached["turbine-220"]["smith"] < reached["turbine-220"]["baseline"]  # of two digits each
-    gust, load = figures(
-        "roll leaves its set-point by {}° on the P220; taking up a tenth of the mass off-centre, by {}°"
-    )
-    without, p220, *_ = cells("gust", "flights")
-    assert (without, float(p220.rstrip("°"))) == ("lost", gust)
-    without, p220, *_ = cells("payload-drop", "flights")
-    assert (without, float(p220.rstrip("°"))) == ("lost", load)
-    level, raised = (cells(f"side gust within 10°, intakes {mm} mm up", "flights") for mm in (0, 333))
-    assert float(raised[1].split()[0]) < 0.5 * float(level[1].split()[0])
-    for limit in ("100 ms late", "200 % a second"):
-        said = cells(limit, "ecu")
-        assert (said[0] != "lost", said[4]) == (True, "lost"), limit
-    (rate,) = figures("rate that is published for such engines, {} Hz")
-    period, *over = figures(
-        "Read every {} ms, the shipped gains overshoot the doublet by {} % on `p220` and by {} % on `p220-2025`, "
-        "and neither settles"
-    )
-    assert period == 1e3 / rate
-    slow = cells(f"reads every {period:g} ms", "ecu")
-    assert [slow[0], slow[4]] == [f"{value:.0f} %" for value in over]
-    assert (slow[1], slow[5]) == ("never", "never")
-    # the gains for the slower engine hold on both, those for the faster one lose the slower in every flight
-    flown = {name: cells(name, "two-engines") for name in ("hover", "roll-doublet", "gust", "payload-drop", "manual")}
-    assert all("lost" not in (a, b, d) and c == "lost" for a, b, c, d in flown.values())
-
-
 def test_the_intakes_by_hand() -> None:
     """docs/full-scale.md: m h / J_xx, and the pole of s^3 + k g."""
     vehicle, _ = load_vehicle("hexjet-p220")
@@ -552,20 +419,3 @@ def test_the_intakes_by_hand() -> None:
     assert rounded(height, -lever, 2)
     (rate,) = figures("has s³ + k g = 0, an unstable oscillation of {} rad/s")
     assert rounded(rate, (k * 9.80665) ** (1.0 / 3.0), 1)
-
-
-def test_the_gust_of_the_page_is_the_scenarios() -> None:
-    """docs/full-scale.md, below its flights."""
-    flight = Scenario.load("full-scale-gust")
-    rise, hold, fall, above, step = figures(
-        "in calm air, rise {} s, hold {} s, fall {} s, drag {} cm above the centre of gravity, to {} m/s"
-    )
-    (gust,) = flight.disturbance
-    assert gust.kind == "gust"
-    assert (rise, hold, fall) == (gust.rise_s, gust.hold_s, gust.fall_s)
-    assert above == pytest.approx(-100.0 * flight.vehicle["aero"]["centre_m"][2])
-    assert step == 1.0
-    source = (DOCS / "full_scale.py").read_text(encoding="utf-8")
-    assert "TO = 1.0  # m/s" in source
-    assert "LEAST_PLAIN_HZ = 0.1 " in source
-    assert figures("*without lead* at the {} Hz at which there are any") == [0.1]
