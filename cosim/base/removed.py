@@ -41,6 +41,7 @@ REMOVED: Final[Mapping[str, Removal]] = {
     "hexjet sitl px4 --rates": _RATES,
     "hexjet open --port": Removal("the server of hexjet open", "0.3.0", "the page that hexjet open writes"),
     ".ssp": Removal("a system of FMUs (SSP) as an engine", "0.3.0", "one FMU; OMSimulator and FMPy run systems"),
+    "input clock": Removal("input clocks of FMI 3.0", "0.3.0", "an FMU that samples by itself, once a step"),
     "parameter_set": Removal("a parameter set in a file of its own (SSV)", "0.3.0", "[parameters] of the mapping file"),
     "serial:": Removal("serial links", "0.3.0", "socat, which joins a serial device to a UDP port"),
 }

@@ -323,14 +323,7 @@ def _definition(folder: Path) -> EngineDefinition:
 
 
 def check_whole_steps(archive: Archive, engine: EngineDefinition | None, step: float) -> None:
-    """Raise InputError for a communication step that is no multiple of the engine's clocks and internal step."""
-    for clock in archive.clocks:
-        if clock.count_substeps(step, archive.substeps(step)) is None:
-            raise InputError(
-                f"{archive.path}: its clock {clock.name} ticks every {clock.interval:g} s"
-                + (f" from {clock.shift:g} s on" if clock.shift else "")
-                + f", and a step of {step:g} s is no whole part or multiple of that"
-            )
+    """Raise InputError for a communication step that is no multiple of the engine's internal step."""
     internal = engine.internal_step if engine else archive.internal_step
     if internal is None:
         return

@@ -21,7 +21,7 @@
 enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { THROTTLE = 1, THRUST = 2, PULSE = 3, IGNITION = 4, MODE = 5, SPEED = 6, VALVE = 7, DRAG = 8, GROSS = 9,
        THROTTLES = 10, THRUSTS = 20, ALTITUDE = 30, MACH, DENSITY, TOTAL_PRESSURE, TOTAL_TEMPERATURE, GAIN = 40,
-       FORWARD, RIGHT, TORQUE, CLOCK, RUNS = 50, VALUES = 60 };
+       FORWARD, RIGHT, TORQUE, RUNS = 50, VALUES = 60 };
 enum { LINE = 2048, MOST = 6 };
 #define H 0.001 /* s, of its own step */
 #define FULL 20.0 /* N */
@@ -38,7 +38,7 @@ typedef struct {
     0.0) X(sign, 1.0) X(drag, 0.0) X(crashes, 0.0) X(hangs, 0.0) X(floods, 0.0) X(engines, 1.0) \
     X(over, 0.0) X(over_s, 4.0) X(warm, 0.0) X(warm_s, 45.0) X(more, 0.0) X(more_s, 0.05) X(delta, 0.0) \
     X(prints, 0.0) X(threads, 0.0) X(dies, 0.0) X(leaks, 0.0) X(uneven, 0.0) X(coupled, 0.0) \
-    X(forward, 0.0) X(right, 0.0) X(torque, 0.0) X(clocked, 0.0) X(strict, 0.0) \
+    X(forward, 0.0) X(right, 0.0) X(torque, 0.0) \
     X(surge, 0.0)
 
 typedef struct {
@@ -52,7 +52,6 @@ typedef struct {
     long k;
     uint64_t random;
     int count;
-    bool events, ticking; /* FMI 3.0: in event mode, and its clock is active */
     One one[MOST];
 } Engine;
 
@@ -104,7 +103,7 @@ static void part(Engine *e, One *s, double u)
 {
     const double up = e->of.delay, down = (e->of.delay_down < 0.0 ? up : e->of.delay_down), sampled = e->of.sampled;
     const bool passes = fabs(u - s->held) > e->of.delta || e->of.delta == 0.0; /* a throttle told when it has changed by so much */
-    if (passes && e->of.clocked == 0.0 && (sampled == 0.0 || e->k % lround(sampled / H) == 0))
+    if (passes && (sampled == 0.0 || e->k % lround(sampled / H) == 0))
         s->held = u;
     s->line[e->k % LINE] = s->held;
     const double late = (e->of.delay_full < 0.0 ? up : e->of.delay_full); /* where the dead time goes with the throttle */
@@ -258,11 +257,8 @@ static void destroy(Engine *e)
     int function(Engine *e, const uint32_t r[], size_t n, const type v[] more)              \
     {                                                                                       \
         for (size_t i = 0, j = 0; i < n; i++)                                               \
-            for (size_t k = 0; k < size_of(e, r[i]); k++) {                                 \
-                if (!settable(e, r[i]))                                                     \
-                    return ERROR;                                                           \
+            for (size_t k = 0; k < size_of(e, r[i]); k++)                                   \
                 e->value[r[i] + k] = (double)v[j++];                                        \
-            }                                                                               \
         return OK;                                                                          \
     }
 #define GETTER(function, type, more)                                                        \
@@ -277,7 +273,6 @@ static void destroy(Engine *e)
 #define COUNT , size_t m
 
 #if FMI == 2
-static bool settable(const Engine *e, uint32_t reference) { return (void)e, (void)reference, true; }
 static size_t size_of(const Engine *e, uint32_t reference) { return (void)e, (void)reference, 1; }
 
 void *fmi2Instantiate(const char *name, int kind, const char *token, const char *resources, void *callbacks,
@@ -305,28 +300,6 @@ static size_t size_of(const Engine *e, uint32_t reference)
     return reference == THROTTLES || reference == THRUSTS ? (size_t)e->count : 1;
 }
 
-/* A clock of so many seconds, "clocked=0.02": it takes its throttle at the ticks; "strict=1": it may be set there alone. */
-static bool settable(const Engine *e, uint32_t reference)
-{
-    return e->of.strict == 0.0 || (reference != THROTTLE && reference != THROTTLES) || (e->events && e->ticking);
-}
-
-int fmi3EnterEventMode(Engine *e) { return e->events = true, OK; }
-int fmi3EnterStepMode(Engine *e) { return e->events = false, OK; }
-int fmi3SetClock(Engine *e, const uint32_t r[], size_t n, const bool v[])
-{
-    if (!e->events || n != 1 || r[0] != CLOCK || !v[0] || e->k % lround(e->of.clocked / H))
-        return ERROR;
-    return e->ticking = true, OK;
-}
-int fmi3UpdateDiscreteStates(Engine *e, bool *again, bool *terminate, bool *nominals, bool *states, bool *timed, double *next)
-{
-    *again = *terminate = *nominals = *states = *timed = false, *next = 0.0;
-    for (int i = 0; e->ticking && i < e->count; i++)
-        e->one[i].held = command(e, i);
-    return e->ticking = false, OK;
-}
-
 void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources, bool visible, bool logging,
                                   bool events, bool early, const uint32_t required[], size_t count, void *environment,
                                   void *logger, void *update)
@@ -337,7 +310,7 @@ void *fmi3InstantiateCoSimulation(const char *name, const char *token, const cha
 }
 void fmi3FreeInstance(Engine *e) { destroy(e); }
 int fmi3EnterInitializationMode(Engine *e) { return (void)e, OK; }
-int fmi3ExitInitializationMode(Engine *e) { return outputs(e), e->events = true, OK; }
+int fmi3ExitInitializationMode(Engine *e) { return outputs(e), OK; }
 int fmi3Terminate(Engine *e) { return (void)e, OK; }
 int fmi3Reset(Engine *e) { return reset(e); }
 SETTER(fmi3SetFloat64, double, COUNT)

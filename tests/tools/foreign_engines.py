@@ -19,7 +19,7 @@ FULL = 20.0  # N
 REFERENCE = {
     "throttle": 1, "thrust": 2, "pulse": 3, "ignition": 4, "mode": 5, "speed": 6, "valve": 7, "drag": 8, "gross": 9,
     "throttles": 10, "thrusts": 20, "altitude": 30, "mach": 31, "density": 32, "total_pressure": 33,
-    "total_temperature": 34, "gain": 40, "forward": 41, "right": 42, "torque": 43, "clock": 44, "runs": 50,
+    "total_temperature": 34, "gain": 40, "forward": 41, "right": 42, "torque": 43, "runs": 50,
 }  # fmt: skip
 UNITS = """<UnitDefinitions><Unit name="N"><BaseUnit kg="1" m="1" s="-2"/></Unit>
 <Unit name="m"><BaseUnit m="1"/></Unit><Unit name="kg/m3"><BaseUnit kg="1" m="-3"/></Unit>

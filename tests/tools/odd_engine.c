@@ -1,4 +1,4 @@
-/* An FMI 3.0 engine that uses what ours do not: arrays, Float32, early return and event mode.
+/* An FMI 3.0 engine that uses what ours do not: arrays, Float32 and early return.
  *
  * A lag x' = (u - x) / 0.05 s, integrated exactly however a step is cut.  What it does on the way depends on TROUBLE.
  */
@@ -9,18 +9,18 @@
 #include "fmi3FunctionTypes.h"
 
 #define LAG 0.05
-#define PERIOD 0.0015 /* s between events: no divisor of a step of 4 ms */
+#define PERIOD 0.0015 /* s between early returns: no divisor of a step of 4 ms */
 
 enum { LEVERS = 2, FORCES, SPEED, PRESSURE, GAINS, TROUBLE, EGT, SETS, RUN };
-enum { NOTHING, EARLY, EVENTS, STUCK, ENDLESS, TERMINATE, TINY, DISCARDS, AT_END };
+enum { NOTHING, EARLY, STUCK, TERMINATE, TINY, DISCARDS };
 
 typedef struct {
-    fmi3Boolean events_used, early_allowed, pending, in_events;
+    fmi3Boolean early_allowed;
     double time, x, levers[2], gains[3];
     float pressure;
     fmi3Boolean run;
-    int trouble, rounds, handled, sets;
-    long long count; /* events passed */
+    int trouble, sets;
+    long long count; /* early returns */
 } Engine;
 
 #define S ((Engine *)instance)
@@ -31,9 +31,8 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update)
 {
     (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)required, (void)n, (void)where,
-        (void)log, (void)update;
+        (void)log, (void)update, (void)events;
     Engine *e = calloc(1, sizeof(Engine));
-    e->events_used = events;
     e->early_allowed = early;
     e->levers[0] = 10.0;
     e->levers[1] = 35.0;
@@ -54,42 +53,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean d, fmi
 
 fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
 {
-    S->in_events = S->events_used;
-    return fmi3OK;
-}
-
-fmi3Status fmi3EnterEventMode(fmi3Instance instance)
-{
-    if (!S->events_used || S->in_events)
-        return fmi3Error;
-    S->in_events = fmi3True;
-    S->rounds = 0;
-    return fmi3OK;
-}
-
-fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *again, fmi3Boolean *terminate,
-                                    fmi3Boolean *nominals, fmi3Boolean *states, fmi3Boolean *timed, fmi3Float64 *next)
-{
-    (void)next;
-    *nominals = *states = *timed = fmi3False;
-    if (!S->in_events)
-        return fmi3Error;
-    const int flying = S->time > 0.0;
-    *again = ++S->rounds < 3 || (flying && S->trouble == ENDLESS); /* an event takes three rounds */
-    *terminate = flying && S->trouble == TERMINATE;
-    if (!*again && S->pending) {
-        S->pending = fmi3False;
-        S->handled++;
-    }
-    return fmi3OK;
-}
-
-fmi3Status fmi3EnterStepMode(fmi3Instance instance)
-{
-    if (!S->in_events || S->rounds < 3)
-        return fmi3Error;
-    S->in_events = fmi3False;
-    return fmi3OK;
+    return S ? fmi3OK : fmi3Error;
 }
 
 fmi3Status fmi3Terminate(fmi3Instance instance) { return S ? fmi3OK : fmi3Error; }
@@ -116,7 +80,7 @@ fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference r[], s
             v[k++] = S->run ? S->gains[1] * S->x * (double)S->pressure / 1013.25 : 0.0;
             v[k++] = S->gains[0];
         } else if (r[i] == EGT) {
-            v[k++] = 20.0 + S->handled;
+            v[k++] = 20.0;
         } else if (r[i] == SETS) {
             v[k++] = S->sets;
         } else {
@@ -171,8 +135,9 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 time, fmi3Float64 step,
 {
     (void)no;
     *event = *terminate = *early = fmi3False;
-    if (fabs(time - S->time) > 1e-9 || step <= 0.0 || S->in_events || S->pending)
-        return fmi3Error; /* from elsewhere, or with an event that nobody handled */
+    if (fabs(time - S->time) > 1e-9 || step <= 0.0)
+        return fmi3Error; /* from elsewhere */
+    *terminate = S->time > 0.0 && S->trouble == TERMINATE;
     if (S->trouble == DISCARDS)
         return fmi3Discard;
     if (S->trouble == STUCK || S->trouble == TINY) {
@@ -185,16 +150,13 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 time, fmi3Float64 step,
     double next = (double)(S->count + 1) * PERIOD;
     if (S->trouble == EARLY && next < time + 1e-9) /* at the end of the last step: nothing to return for */
         next = (double)(++S->count + 1) * PERIOD;
-    const int cuts = S->trouble == EARLY || (S->trouble >= EVENTS && S->trouble != AT_END && S->events_used);
-    if (cuts && S->early_allowed && next < end - 1e-9) {
+    if (S->trouble == EARLY && S->early_allowed && next < end - 1e-9) {
         advance(S, next - S->time);
         S->count++;
         *early = fmi3True;
     } else {
         advance(S, end - S->time);
     }
-    if (S->events_used && ((S->trouble != EARLY && *early) || S->trouble == AT_END))
-        *event = S->pending = fmi3True;
     *reached = S->time;
     return fmi3OK;
 }
@@ -206,7 +168,7 @@ const char *fmi3GetVersion(void) { return "3.0"; }
     fmi3Status fmi3##NAME(void) { return fmi3Error; }
 
 STUB(ActivateModelPartition) STUB(CompletedIntegratorStep) STUB(DeserializeFMUState)
-STUB(EnterConfigurationMode) STUB(EnterContinuousTimeMode) STUB(EvaluateDiscreteStates)
+STUB(EnterConfigurationMode) STUB(EnterContinuousTimeMode) STUB(EnterEventMode) STUB(EnterStepMode) STUB(EvaluateDiscreteStates)
 STUB(ExitConfigurationMode) STUB(FreeFMUState) STUB(GetAdjointDerivative) STUB(GetBinary) STUB(GetBoolean)
 STUB(GetClock) STUB(GetContinuousStateDerivatives) STUB(GetContinuousStates) STUB(GetDirectionalDerivative)
 STUB(GetEventIndicators) STUB(GetFMUState) STUB(GetInt16) STUB(GetInt32) STUB(GetInt64) STUB(GetInt8)
@@ -218,4 +180,4 @@ STUB(InstantiateScheduledExecution) STUB(SerializeFMUState) STUB(SerializedFMUSt
 STUB(SetClock) STUB(SetContinuousStates) STUB(SetDebugLogging) STUB(SetFMUState) STUB(SetInt16)
 STUB(SetInt64) STUB(SetInt8) STUB(SetIntervalDecimal) STUB(SetIntervalFraction) STUB(SetShiftDecimal)
 STUB(SetShiftFraction) STUB(SetString) STUB(SetTime) STUB(SetUInt16) STUB(SetUInt32) STUB(SetUInt64)
-STUB(SetUInt8) STUB(Reset)
+STUB(SetUInt8) STUB(Reset) STUB(UpdateDiscreteStates)

@@ -13,8 +13,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from cosim.base.errors import InputError
+from cosim.base.removed import describe_removed
 from cosim.base.storage.cache import RecentCache
-from cosim.engine.fmu.clocks import InputClock, find_clocks
 from cosim.engine.fmu.container import (
     DAMAGE,
     DESCRIPTION,
@@ -65,13 +65,7 @@ class Archive:
     identifier: str = ""
     token: str = ""
     internal_step: float | None = None  # s, where the description states it
-    event_mode: bool = False  # FMI 3.0: it has one, and no input needs it to be set
     returns_early: bool = False  # FMI 3.0: it may return from a step before its end
-    clocks: tuple[InputClock, ...] = ()  # that are ticked; first that of its clocked ports, if any
-
-    def substeps(self, step: float) -> int:
-        """Return into how many substeps a step [s] is divided so that every clock ticks between two of them."""
-        return max([1, *(round(step / clock.interval) for clock in self.clocks)])
 
     @property
     def ports(self) -> Mapping[str, Port]:
@@ -153,18 +147,12 @@ def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Arc
     starting = StartSequence()
     try:
         if port_map is not None:
+            _refuse_input_clocks(root)
             engines, notes = find_engines([*inputs, *outputs, *parameters], port_map)
             starting = resolve_start(port_map, inputs, outputs, label_ports(engines))
             notes += note_unset_inputs(inputs, label_ports(engines), starting)
     except PortError as error:
         raise UnusableError(str(error)) from error
-    without = (
-        "the FMU has no event mode" if not cosimulation.hasEventMode
-        else "an FMU without ports is read without event mode" if port_map is None
-        else None
-    )  # fmt: skip
-    events, clocks, clock_notes = find_clocks(root, without, label_ports(engines))
-    notes += clock_notes
     return Archive(
         path=path,
         sha256=sha256,
@@ -182,11 +170,16 @@ def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Arc
         parameters=parameters,
         internal_step=_positive(cosimulation.fixedInternalStepSize),
         once_per_process=cosimulation.canBeInstantiatedOnlyOncePerProcess,
-        event_mode=events,
         returns_early=cosimulation.mightReturnEarlyFromDoStep,
         starting=starting,
-        clocks=clocks if events else (),
     )
+
+
+def _refuse_input_clocks(root: ElementTree.Element) -> None:
+    """Raise PortError for an input clock: nothing ticks it, so what depends on it would stand still."""
+    clock = root.find("ModelVariables/Clock[@causality='input']")
+    if clock is not None:
+        raise PortError(f"has the input clock {clock.get('name')}: {describe_removed('input clock')}")
 
 
 def hash_equations(data: bytes, root: ElementTree.Element, description: Any) -> str | None:
@@ -330,7 +323,6 @@ def _variable(v: Any, name: str, index: int, starts: list[float | None], bases: 
         items=tuple((item.name, int(item.value)) for item in (declared.items if declared else None) or ()),
         index=index,
         starts=tuple(0.0 if start is None else start for start in starts),
-        clocks=tuple(int(clock.valueReference) for clock in v.clocks or ()),
     )
 
 

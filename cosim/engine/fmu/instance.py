@@ -17,7 +17,6 @@ from typing import Any, Literal
 import cosim.engine._bank as _bank
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive
-from cosim.engine.fmu.clocks import InputClock
 from cosim.engine.fmu.container import to_one_line
 from cosim.engine.fmu.port_kinds import BASE, INPUTS, OUTPUTS
 from cosim.engine.fmu.starting import Ignition, Setting, StartError
@@ -29,9 +28,6 @@ FATAL = 4
 PENDING = 5
 LAST_SUCCESSFUL_TIME = 2  # of fmi2StatusKind
 
-EVENT_FUNCTIONS = ("fmi3EnterEventMode", "fmi3UpdateDiscreteStates", "fmi3EnterStepMode", "fmi3SetClock")
-MOST_UPDATES = 10_000  # of discrete states, before it counts as endless
-
 # Failure codes of the C loop and the messages for them.
 FAULTS = {
     "set": "setting its inputs returned {status}",
@@ -41,11 +37,6 @@ FAULTS = {
     "early": "it returned early from doStep and gets no further",
     "parts": "it does not reach the end of the step",
     "event": "it asked for event handling, for which it has no mode",
-    "enter": "entering event mode returned {status}",
-    "update": "updating its discrete states returned {status}",
-    "leave": "leaving event mode returned {status}",
-    "clock": "ticking its clocks returned {status}",
-    "endless": "its events do not come to an end",
     "nan": "{port} is not finite",
     "input": "{port} is not finite",
 }
@@ -73,7 +64,6 @@ class FmuInstance:
         self._python = _has_python(self._resources, archive.sha256)
         self.log = _bank.Log()
         self._stepping = False
-        self._step = 1.0  # s, of communication, once it is known
         self._dead = False
         self._start_steps = 0  # communication steps that the start took
         self._inputs = [_input_values(0.0, STANDARD_AIR)] * len(archive.engines)  # as set last
@@ -113,8 +103,8 @@ class FmuInstance:
                 resourcePath=f"{resources}{os.sep}".encode(),
                 visible=False,
                 loggingOn=True,
-                eventModeUsed=self.archive.event_mode,
-                earlyReturnAllowed=self.archive.event_mode or self.archive.returns_early,
+                eventModeUsed=False,
+                earlyReturnAllowed=self.archive.returns_early,
                 requiredIntermediateVariables=None,
                 nRequiredIntermediateVariables=0,
                 instanceEnvironment=self.log.address,
@@ -147,7 +137,7 @@ class FmuInstance:
             mean = fmean(air.speed for air in airs)
             airs = tuple(air._replace(speed=mean) for air in airs)
         self._inputs = [_input_values(*values) for values in zip(throttles, airs, strict=True)]
-        self._start_steps, self._step = 0, step
+        self._start_steps = 0
         if self.archive.fmi == 2:
             self.call("setupExperiment", startTime=0.0)
         self.write([*settings, *self.archive.starting.constants])
@@ -157,13 +147,11 @@ class FmuInstance:
                 (ports[name].variable, ports[name].value(x))
                 for ports, inputs in zip(engines, self._inputs, strict=True)
                 for name, x in (*inputs.items(), ("run", 1.0))
-                if name in ports and not (self.archive.clocks and ports[name].variable.clocks)  # those at a tick
+                if name in ports
             ]
         )
         self.call("exitInitializationMode")
         self._stepping = True
-        if self.archive.event_mode:
-            self._handle_events()
         if not cold:
             self._start(step)
         thrusts = [self.output("thrust", slot) for slot in range(len(engines))]
@@ -225,18 +213,6 @@ class FmuInstance:
             kind: type = float if variable.type in REALS else bool if variable.type == "Boolean" else int
             self.call(f"set{self._type(variable)}", [variable.reference], [kind(value) for value in values])
 
-    def _handle_events(self) -> None:
-        """Update discrete states until they are stable, then change from event mode to step mode."""
-        for _ in range(MOST_UPDATES):
-            again, terminate, *_ = self.call("updateDiscreteStates")
-            if terminate:
-                raise InstanceError(self._with_log("it asked to end the simulation at its start"))
-            if not again:
-                break
-        else:
-            raise InstanceError("its events at the start do not come to an end")
-        self.call("enterStepMode")
-
     def call(self, name: str, *args: Any, **kwargs: Any) -> Any:
         """Call one of FMPy's wrappers.  Raises InstanceError if it returns worse than a warning."""
         from fmpy.fmi1 import FMICallException  # type: ignore[import-untyped]
@@ -288,24 +264,18 @@ class FmuInstance:
             archive.fmi,
             self.fmu.component,
             self._address(f"fmi{archive.fmi}DoStep"),
-            tuple(self._address(name) if archive.event_mode else 0 for name in EVENT_FUNCTIONS),
+            (0, 0, 0, 0),
             self._start_steps + done,
             sets,
             gets,
             archive.has_shared_air_speed,
-            archive.substeps(self._step),
-            tuple((clock.reference, *self._tick_grid(clock)) for clock in archive.clocks),
+            1,
+            (),
             tuple(
                 (station, inputs[slot], outputs[slot], tuple(self._inputs[slot][name] for name in BASE))
                 for slot, station in enumerate(stations)
             ),
         )
-
-    def _tick_grid(self, clock: InputClock) -> tuple[int, int]:
-        grid = clock.count_substeps(self._step, self.archive.substeps(self._step))
-        if grid is None:  # a step that check_whole_steps refuses
-            raise InstanceError(f"its clock {clock.name} does not tick at whole parts of a step of {self._step:g} s")
-        return grid
 
     def _address(self, name: str) -> int:
         return ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value or 0
@@ -319,22 +289,17 @@ class FmuInstance:
         """
         engines = self.archive.engines
         ports = {(name, slot): engine[name] for name in names for slot, engine in enumerate(engines) if name in engine}
-        ticked = bool(way == "set" and self.archive.clocks)
-
-        def call_group(v: Variable) -> tuple[str, bool]:
-            return v.type, ticked and bool(v.clocks)
-
-        types = list(dict.fromkeys(call_group(port.variable) for port in ports.values()))
+        types = list(dict.fromkeys(port.variable.type for port in ports.values()))
         # Only the throttles are set in every step: the number of values by reference.
         throttles_by_reference = {v.reference: len(v.starts) for v in (engine[names[0]].variable for engine in engines)}
         blocks: list[_bank.Block] = []
         places: dict[tuple[str, int], _bank.Place] = {}
-        for number, (kind, clocked) in enumerate(types):
+        for number, kind in enumerate(types):
             values: list[float] = []
             first_index: dict[int, int] = {}  # reference: its first value
             for (name, slot), port in ports.items():
                 v = port.variable
-                if call_group(v) != (kind, clocked):
+                if v.type != kind:
                     continue
                 if v.reference not in first_index:
                     first_index[v.reference] = len(values)
@@ -347,7 +312,7 @@ class FmuInstance:
                     places[name, slot] = number, index, port.scale, port.offset, -math.inf, math.inf
             function = self._address(f"fmi{self.archive.fmi}{way.capitalize()}{kind}")
             first = (len(throttles_by_reference), sum(throttles_by_reference.values())) if number == 0 else (0, 0)
-            blocks.append((function, VALUES[kind], tuple(first_index), tuple(values), *first, clocked))
+            blocks.append((function, VALUES[kind], tuple(first_index), tuple(values), *first, False))
         return tuple(blocks), [tuple(places.get((name, slot)) for name in names) for slot in range(len(engines))]
 
     def close(self) -> None:

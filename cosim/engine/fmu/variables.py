@@ -31,7 +31,6 @@ class Variable:
     items: tuple[tuple[str, int], ...] = ()  # of an enumeration
     index: int = 0  # in the array, counted from 0 in the order in which FMI passes it
     starts: tuple[float, ...] = (0.0,)  # of the whole array, 0 where none is stated
-    clocks: tuple[int, ...] = ()  # FMI 3.0: references of the clocks at whose ticks alone it may be set
 
     @property
     def is_array(self) -> bool:

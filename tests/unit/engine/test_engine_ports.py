@@ -615,9 +615,9 @@ def test_a_port_left_unconnected(pythons: Mapping[str, Path], tmp_path: Path) ->
     assert not spec.has_port("spool_speed")
 
 
-# --- arrays, Float32, events, early return: tests/tools/odd_engine.c ------------------------------------------------------
+# --- arrays, Float32, early return: tests/tools/odd_engine.c ------------------------------------------------------
 
-NOTHING, EARLY, EVENTS, STUCK, ENDLESS, TERMINATE, TINY, DISCARDS, AT_END = range(9)
+NOTHING, EARLY, STUCK, TERMINATE, TINY, DISCARDS = range(6)
 
 ODD_DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="odd" instantiationToken="{odd}">
@@ -667,8 +667,6 @@ fuel_flow = "sets" # how often the pressure was set
 fuel_flow = "kg/s"
 """
 
-RUN = '<Boolean name="run" valueReference="10" causality="input" start="true"/>'
-
 
 @pytest.fixture(scope="module")
 def odd(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -689,23 +687,6 @@ def odd(tmp_path_factory: pytest.TempPathFactory) -> Path:
     library.write_archive(contents, folder / "odd.fmu")
     (folder / "odd.toml").write_text(ODD_MAPPING)
     return folder / "odd.toml"
-
-
-@pytest.fixture(scope="module")
-def odd_with_events(odd: Path) -> Path:
-    """The same with its event mode, which no discrete input keeps from being used."""
-
-    def change(contents: dict[str, bytes]) -> None:
-        text = contents["modelDescription.xml"].decode().replace(RUN, "")
-        text = text.replace(
-            'mightReturnEarlyFromDoStep="true"', 'mightReturnEarlyFromDoStep="true" hasEventMode="true"'
-        )
-        contents["modelDescription.xml"] = text.encode()
-
-    rewrite(odd.with_name("odd.fmu"), odd.with_name("events.fmu"), change)
-    path = odd.with_name("events.toml")
-    path.write_text(ODD_MAPPING.replace("odd.fmu", "events.fmu"))
-    return path
 
 
 def fly_odd(path: Path, trouble: int, steps: int = 100) -> list[EngineOutput]:
@@ -805,60 +786,43 @@ def test_an_engine_is_shut_off_and_on_again(odd: Path) -> None:
         assert not bank.set_run(0, False)
 
 
-@pytest.mark.parametrize("events", [False, True])
-def test_a_step_in_parts_is_the_same_step(odd: Path, odd_with_events: Path, events: bool) -> None:
-    """The FMU refuses to step from anywhere but where it returned, and with an event that was not handled."""
-    path = odd_with_events if events else odd
-    whole = fly_odd(path, NOTHING)
-    for trouble in (EARLY, EVENTS, AT_END):
-        parts = fly_odd(path, trouble)
-        np.testing.assert_allclose([o.thrust for o in parts], [o.thrust for o in whole], rtol=0.0, atol=1e-8)
-        assert repr(fly_odd(path, trouble)) == repr(parts)
-
-
-def test_every_event_is_handled(odd: Path, odd_with_events: Path) -> None:
-    """One every 1.5 ms, those at the end of a step included, in 1.2 s of flight."""
-
-    def handled(path: Path, trouble: int) -> float:
-        outputs = fly_odd(path, trouble, steps=301)
-        return outputs[300].exhaust_temperature[0] - outputs[0].exhaust_temperature[0]
-
-    assert handled(odd_with_events, EVENTS) == 800.0
-    assert handled(odd_with_events, AT_END) == 300.0
-    assert handled(odd, EVENTS) == 0.0  # without event mode the FMU keeps them to itself
+def test_a_step_in_parts_is_the_same_step(odd: Path) -> None:
+    """The FMU refuses to step from anywhere but where it returned."""
+    whole, parts = fly_odd(odd, NOTHING), fly_odd(odd, EARLY)
+    np.testing.assert_allclose([o.thrust for o in parts], [o.thrust for o in whole], rtol=0.0, atol=1e-8)
+    assert repr(fly_odd(odd, EARLY)) == repr(parts)
 
 
 IN_TROUBLE = {
     STUCK: "it returned early from doStep and gets no further",
     TINY: "it does not reach the end of the step",
-    ENDLESS: "its events do not come to an end",
     TERMINATE: "it asked to end the simulation",
     DISCARDS: "doStep returned discard",
 }
 
 
 @pytest.mark.parametrize("trouble", IN_TROUBLE)
-def test_an_fmu_that_gets_no_further_is_told_so(odd_with_events: Path, trouble: int) -> None:
+def test_an_fmu_that_gets_no_further_is_told_so(odd: Path, trouble: int) -> None:
     with pytest.raises(InputError) as caught:
-        load(odd_with_events, {"trouble": trouble})
-    fmu = odd_with_events.with_name("events.fmu")
+        load(odd, {"trouble": trouble})
+    fmu = odd.with_name("odd.fmu")
     assert str(caught.value) == f"{fmu}: {IN_TROUBLE[trouble]} while its thrust was measured"
 
 
-def test_a_discrete_input_keeps_event_mode_off(odd: Path, odd_with_events: Path) -> None:
-    """With event mode in use it could be set there only."""
-    assert read_archive(
-        odd_with_events.with_name("events.fmu"), PortMap({"throttle": "levers[1]", "thrust": "forces[2]"})
-    ).event_mode
+def test_an_fmu_with_an_input_clock_is_refused(odd: Path) -> None:
+    """Nothing ticks it, so what depends on it would stand still."""
+    clock = '<Clock name="ecu.tick" valueReference="44" causality="input" intervalVariability="constant"/>'
 
     def change(contents: dict[str, bytes]) -> None:
         text = contents["modelDescription.xml"].decode()
-        contents["modelDescription.xml"] = text.replace("<CoSimulation", '<CoSimulation hasEventMode="true"').encode()
+        contents["modelDescription.xml"] = text.replace("</ModelVariables>", f"{clock}</ModelVariables>").encode()
 
-    path = rewrite(odd.with_name("odd.fmu"), odd.with_name("both.fmu"), change)
-    stated = {"throttle": "levers[1]", "thrust": "forces[2]"}
-    assert not read_archive(path, PortMap(stated)).event_mode
-    assert read_archive(path, PortMap(stated | {"run": ""})).event_mode
+    path = rewrite(odd.with_name("odd.fmu"), odd.with_name("ticks.fmu"), change)
+    ports = PortMap({"throttle": "levers[1]", "thrust": "forces[2]"})
+    with pytest.raises(
+        InputError, match=r"has the input clock ecu\.tick: input clocks of FMI 3\.0 left in version 0\.3\.0"
+    ):
+        read_archive(path, ports)
 
 
 def test_variables_of_two_types_may_share_a_reference(monkeypatch: pytest.MonkeyPatch) -> None:
