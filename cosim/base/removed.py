@@ -42,6 +42,13 @@ REMOVED: Final[Mapping[str, Removal]] = {
     "hexjet open --port": Removal("the server of hexjet open", "0.3.0", "the page that hexjet open writes"),
     ".ssp": Removal("a system of FMUs (SSP) as an engine", "0.3.0", "one FMU; OMSimulator and FMPy run systems"),
     "input clock": Removal("input clocks of FMI 3.0", "0.3.0", "an FMU that samples by itself, once a step"),
+    "several engines": Removal("several engines in one FMU", "0.3.0", "one FMU for each engine"),
+    "sequence": Removal(
+        "the start of an engine in stages", "0.3.0", "[inputs], held from the beginning, and [start] warm_up_s"
+    ),
+    "engine_start": Removal(
+        "the start of engines in flight", "0.3.0", "[start] warm_up_s of the mapping file, before the flight"
+    ),
     "parameter_set": Removal("a parameter set in a file of its own (SSV)", "0.3.0", "[parameters] of the mapping file"),
     "serial:": Removal("serial links", "0.3.0", "socat, which joins a serial device to a UDP port"),
 }

@@ -1,8 +1,8 @@
-"""The engines of a vehicle behind one ``step``: FMU instances, each of one engine or of several."""
+"""The engines of a vehicle behind one ``step``: an FMU instance each."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 
 import cosim.engine._bank as _bank
@@ -12,24 +12,14 @@ from cosim.base.signals import Ambient, EngineOutput, PerJet
 from cosim.engine.fmu.air import Air
 from cosim.engine.fmu.instance import FmuInstance, InstanceError
 from cosim.engine.fmu.port_kinds import AMBIENT, ASIDE
-from cosim.engine.fmu.starting import Ignition, StartError
 from cosim.engine.fmu.unpacked import UnpackedArchive, unpack
 from cosim.engine.response import ResponseError, settle
 from cosim.engine.spec import EngineSpec
 
 
-def make_log_columns(specs: Sequence[EngineSpec], in_flight: bool = False) -> tuple[Column, ...]:
-    """Return the log columns of all engines' further outputs, named by mapping file and engine number.
-
-    With ``in_flight`` they are preceded by a column for each engine that is 1 until its start has ended.
-    """
-    starting = [
-        Column(f"starting_{number}", "0/1", "", f"engine {number}: its start has yet to end")
-        for number, _ in enumerate(specs, start=1)
-        if in_flight
-    ]
+def make_log_columns(specs: Sequence[EngineSpec]) -> tuple[Column, ...]:
+    """Return the log columns of all engines' further outputs, named by mapping file and engine number."""
     return (
-        *starting,
         *(
             Column(f"{name}_{number}", unit, "jet", f"engine {number}: {meaning}, as it gives it")
             for number, spec in enumerate(specs, start=1)
@@ -56,58 +46,18 @@ ASIDE_COLUMNS = {
 }
 
 
-def group_stations(specs: Sequence[EngineSpec]) -> list[list[int]]:
-    """Group stations by FMU instance: for each instance the station of each of its engines, from 0, or -1.
-
-    An FMU that holds several serves as many stations that follow each other, where these have the same engine with the
-    same parameters; what stands there besides has an instance of its own.
-    """
-    groups: dict[Hashable, list[int]] = {}
-    for station, spec in enumerate(specs):
-        count = len(spec.archive.engines)
-        key = (spec.instance_key, station - spec.slot) if count > 1 else station
-        groups.setdefault(key, [-1] * count)[spec.slot] = station
-    return list(groups.values())
-
-
-def _engine_numbers(group: Sequence[int]) -> str:
-    """Return the numbers of an instance's engines for messages, counted from 1."""
-    served = [station + 1 for station in group if station >= 0]
-    if len(served) > 2 and served[-1] - served[0] == len(served) - 1:
-        return f"engines {served[0]} to {served[-1]}"
-    return f"engine{'s' if len(served) > 1 else ''} {', '.join(map(str, served))}"
-
-
 class EngineBank:
     """``count`` engines of one kind, or one per entry of a sequence of specs, stepped by ``step`` seconds.
-
-    Stations whose engines are held by one FMU (:attr:`EngineSpec.slot`) share an instance, as many as it holds; an
-    engine that serves no station has throttle 0, or, where one engine alone is asked for, that of the reset.
-
-    ``in_flight``: engines whose mapping file states a start stand cold after a reset, and go through it over the steps
-    that follow, whatever throttle these ask for; :attr:`starting_engines` says which still do.
 
     Raises InputError if an archive has changed since it was loaded, EngineError if an FMU does not start.
     """
 
-    def __init__(
-        self, spec: EngineSpec | Sequence[EngineSpec], count: int, step: float, in_flight: bool = False
-    ) -> None:
-        if isinstance(spec, EngineSpec):
-            self._specs = (spec,) if count == 1 else tuple(spec.at_station(station) for station in range(count))
-        else:
-            self._specs = tuple(spec)
+    def __init__(self, spec: EngineSpec | Sequence[EngineSpec], count: int, step: float) -> None:
+        self._specs = (spec,) * count if isinstance(spec, EngineSpec) else tuple(spec)
         if len(self._specs) != count:
             raise ValueError(f"{count} engines need as many specs, not {len(self._specs)}")
-        self._groups = group_stations(self._specs)
-        self._instance_index = {
-            station: index for index, group in enumerate(self._groups) for station in group if station >= 0
-        }
         self._step = step
-        self._in_flight = in_flight
-        self._starts: dict[int, Ignition] = {}  # by instance, of those that have yet to start
-        self._cancelled: set[int] = set()  # stations that were shut off before they had started
-        self._instances: list[FmuInstance] = []
+        self._instances: list[FmuInstance] = []  # by station
         self._folders: dict[tuple[str, int], UnpackedArchive] = {}
         self.wants_ambient = any(spec.has_port(port) for spec in self._specs for port in AMBIENT)
         self._native = _bank.Bank((), step, EngineOutput)
@@ -120,27 +70,22 @@ class EngineBank:
             raise
 
     def _instantiate(self) -> None:
-        for index, group in enumerate(self._groups):
-            spec, label = self._first_spec(index), self._label(index)
+        for station, spec in enumerate(self._specs):
             # An FMU that may be instantiated once per process is loaded from copies, each of which is a library.
-            key = spec.sha256, index if spec.archive.once_per_process else -1
+            key = spec.sha256, station if spec.archive.once_per_process else -1
             if key not in self._folders:
                 self._folders[key] = unpack(spec.archive)
             try:
-                self._instances.append(FmuInstance(spec.archive, self._folders[key].path, _engine_numbers(group)))
+                self._instances.append(FmuInstance(spec.archive, self._folders[key].path, f"engine {station + 1}"))
             except InstanceError as error:
-                raise EngineError(f"{label}: {error}") from error
+                raise EngineError(f"{self._label(station)}: {error}") from error
 
     def _make_native(self) -> None:
-        rows = [instance.make_row(0, group) for instance, group in zip(self._instances, self._groups, strict=True)]
+        rows = [instance.make_row(0, station) for station, instance in enumerate(self._instances)]
         self._native = _bank.Bank(tuple(rows), self._step, EngineOutput)
 
-    def _first_spec(self, index: int) -> EngineSpec:
-        """Return the spec of the first station that an instance serves."""
-        return self._specs[self._stations(index)[0]]
-
-    def _label(self, index: int) -> str:
-        return f"{_engine_numbers(self._groups[index])} ({self._first_spec(index).path.name})"
+    def _label(self, station: int) -> str:
+        return f"engine {station + 1} ({self._specs[station].path.name})"
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         """Bring every engine to equilibrium at the throttle, one for all or one each, ready for flight step 0.
@@ -162,45 +107,28 @@ class EngineBank:
             airs = [Air(ambient.pressure, ambient.temperature, speed) for speed in ambient.air_speed]
         if len(throttles) != count or len(airs) != count:
             raise ValueError(f"{count} engines need as many throttles and air speeds")
-        self._starts = {
-            index: Ignition(stages, self._step)
-            for index in range(len(self._groups))
-            if self._in_flight and (stages := self._first_spec(index).archive.starting.stages)
-        }
-        self._cancelled = set()
-        for index, group in enumerate(self._groups):
-            idle = throttles[0] if count == 1 else 0.0
-            at = self._stations(index)[0]
-            self._initialize(
-                index,
-                [throttles[station] if station >= 0 else idle for station in group],
-                [airs[station if station >= 0 else at] for station in group],
-            )
+        for station, air in enumerate(airs):
+            self._initialize(station, throttles[station], air)
         self._make_native()
-        for index in range(len(self._groups)):
-            if self._first_spec(index).start is None and index not in self._starts:
-                for station in self._stations(index):
-                    self._run_up(station, throttles[station])
-        self._advance_starts("at the start")
+        for station, spec in enumerate(self._specs):
+            if spec.start is None:
+                self._run_up(station, throttles[station])
         try:
             self._last_output = self._native.outputs()
             return self._last_output
         except _bank.FailureError as failure:
             raise self._describe_failure(failure, "at the start") from failure
 
-    def _initialize(self, index: int, throttles: Sequence[float], airs: Sequence[Air]) -> None:
-        spec = self._first_spec(index)
+    def _initialize(self, station: int, throttle: float, air: Air) -> None:
+        spec = self._specs[station]
         settings = list(spec.settings)
-        cold = index in self._starts
-        if cold:
-            throttles = [self._starts[index].throttle] * len(throttles)
         if spec.start is not None:
             port = spec.archive.ports["start"]
-            settings.append((port.variable, port.value(throttles[0])))
+            settings.append((port.variable, port.value(throttle)))
         try:
-            self._instances[index].initialize(settings, throttles, airs, step=self._step, cold=cold)
+            self._instances[station].initialize(settings, throttle, air, step=self._step)
         except InstanceError as error:
-            raise EngineError(f"{self._label(index)}: {error}") from error
+            raise EngineError(f"{self._label(station)}: {error}") from error
 
     def _run_up(self, station: int, throttle: float) -> None:
         def hold(constant: float, steps: int) -> list[float]:
@@ -213,7 +141,7 @@ class EngineBank:
         except _bank.FailureError as failure:
             raise self._describe_failure(failure, "before the flight") from failure
         except ResponseError as error:
-            raise EngineError(f"{self._engine_label(station)}: {error}") from error
+            raise EngineError(f"{self._label(station)}: {error}") from error
 
     def run_down(self, seconds: float) -> EngineOutput:
         """Step every engine with its throttle closed before the flight, and return what they report then.
@@ -229,14 +157,9 @@ class EngineBank:
             raise self._describe_failure(failure, "before the flight") from failure
         return self._last_output
 
-    def _engine_label(self, station: int) -> str:
-        return f"engine {station + 1} ({self._specs[station].path.name})"
-
     def _describe_failure(self, failure: _bank.FailureError, moment: str) -> EngineError:
-        station, what, *_ = failure.args
-        index = self._instance_index[station]
-        label = self._engine_label(station) if what in ("nan", "input") else self._label(index)
-        return EngineError(f"{label}: {self._instances[index].explain(failure, moment)}")
+        station = failure.args[0]
+        return EngineError(f"{self._label(station)}: {self._instances[station].explain(failure, moment)}")
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """Advance all engines over flight step ``k``, inputs held, and return what they report at its end.
@@ -246,20 +169,12 @@ class EngineBank:
         Raises EngineError that names engine, step and time if an FMU fails or gives a value that is not finite;
         ValueError if ``k`` is not the next step.
         """
-        if self._starts:
-            throttles = list(throttle)
-            for index, ignition in self._starts.items():
-                for station in self._stations(index):
-                    throttles[station] = 0.0 if station in self._cancelled else ignition.throttle
-            throttle = tuple(throttles)
         if not self._was_reset and self._instances:  # it is the FMU that refuses to step then
             self._make_native()
         try:
             output = self._native.step(k, throttle, ambient)
         except _bank.FailureError as failure:
             raise self._describe_failure(failure, self._moment(k)) from failure
-        if self._starts:
-            self._advance_starts(self._moment(k))
         self._last_output = output
         return output
 
@@ -279,40 +194,15 @@ class EngineBank:
     def _moment(self, k: int) -> str:
         return f"at step {k} ({k * self._step:g} s)"
 
-    def _stations(self, index: int) -> list[int]:
-        return [station for station in self._groups[index] if station >= 0]
-
-    def _advance_starts(self, moment: str) -> None:
-        """Advance every start sequence by one step, and remove those that have ended."""
-        for index in [index for index in self._starts if not self._cancelled.issuperset(self._stations(index))]:
-            instance = self._instances[index]
-            try:
-                more = self._starts[index].advance(instance.write, instance.read)
-            except (InstanceError, StartError) as error:
-                self._native.stop()
-                raise EngineError(f"{self._label(index)}: {error} {moment}") from error
-            if not more:
-                del self._starts[index]
-
-    @property
-    def starting_engines(self) -> tuple[int, ...]:
-        """Numbers of the engines, counted from 1, whose start has yet to end."""
-        return tuple(sorted(station + 1 for index in self._starts for station in self._stations(index)))
-
     @property
     def columns(self) -> tuple[Column, ...]:
         """Further outputs that a mapping file adds to the log: :class:`cosim.base.protocols.Shows`."""
-        return make_log_columns(self._specs, self._in_flight)
+        return make_log_columns(self._specs)
 
     @property
     def shown(self) -> tuple[float, ...]:
         """Present values of :attr:`columns` in the FMU's own units; raises EngineError if the FMU fails."""
         values = [
-            float(self._instance_index[station] in self._starts)
-            for station in range(len(self._specs))
-            if self._in_flight
-        ]
-        values += [
             getattr(self._last_output, port)[station]
             for station, spec in enumerate(self._specs)
             for port in ASIDE
@@ -320,25 +210,22 @@ class EngineBank:
         ]
         for station, spec in enumerate(self._specs):
             try:
-                instance = self._instances[self._instance_index[station]]
-                values += [instance.read(variable) for _, variable in spec.logged_outputs]
+                values += [self._instances[station].read(variable) for _, variable in spec.logged_outputs]
             except InstanceError as error:
                 self._native.stop()
-                raise EngineError(f"{self._engine_label(station)}: {error}") from error
+                raise EngineError(f"{self._label(station)}: {error}") from error
         return tuple(values)
 
     def set_run(self, index: int, on: bool) -> bool:
         """Switch one engine off or on before the next step, and return False if it has no port for that.
 
-        One that is shut off before it has started does not start any more.  Raises EngineError if the FMU refuses.
+        Raises EngineError if the FMU refuses.
         """
-        if self._instance_index[index] in self._starts:
-            self._cancelled.add(index)
         try:
-            return self._instances[self._instance_index[index]].set_run(on, self._specs[index].slot)
+            return self._instances[index].set_run(on)
         except InstanceError as error:
             self._native.stop()
-            raise EngineError(f"{self._engine_label(index)}: {error}") from error
+            raise EngineError(f"{self._label(index)}: {error}") from error
 
     def close(self) -> None:
         """Terminate and free the engines and let go of their files.  May be called again."""

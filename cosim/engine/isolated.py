@@ -41,20 +41,18 @@ class IsolatedBank:
     Raises InputError or EngineError as that does; EngineError too where the child ends by itself or does not answer.
     """
 
-    def __init__(self, specs: Sequence[EngineSpec], step: float, in_flight: bool = False) -> None:
+    def __init__(self, specs: Sequence[EngineSpec], step: float) -> None:
         self._step, self._count = step, len(specs)
         self._names = ", ".join(dict.fromkeys(spec.path.name for spec in specs))
         self.wants_ambient = any(spec.has_port(port) for spec in specs for port in AMBIENT)
-        self._columns = make_log_columns(specs, in_flight)
-        self._in_flight = in_flight
-        self.starting_engines: tuple[int, ...] = ()  # as the bank's; the process is asked as long as there are any
+        self._columns = make_log_columns(specs)
         self._row, self._answer = _frame_formats(self._count)
         size = self._count
         self._parts = [slice(i * size, (i + 1) * size) for i in range(len(EngineOutput._fields))]  # of the answer
         self._no_air = (0.0,) * (3 + self._count)
         self._child, self._pipes = Child.open_pipes(_SERVE)
         try:
-            self._call(("make", tuple(specs), step, in_flight), START_S, "when it was loaded")
+            self._call(("make", tuple(specs), step), START_S, "when it was loaded")
         except BaseException:
             self.close()
             raise
@@ -63,16 +61,7 @@ class IsolatedBank:
         """As the bank's."""
         held = tuple(throttle) if isinstance(throttle, Sequence) else throttle
         air = None if ambient is None else (ambient.pressure, ambient.temperature, tuple(ambient.air_speed))
-        output = self._output(self._request(("reset", held, air), START_S, "before the flight"))
-        self._update_starting(self._in_flight, "before the flight")
-        return output
-
-    def _update_starting(self, ask: bool, moment: str | int) -> None:
-        if ask:
-            starting = self._call(("starting",), HANG_S, moment)
-            if not isinstance(starting, list) or any(number not in range(1, self._count + 1) for number in starting):
-                raise self._invalid_answer()
-            self.starting_engines = tuple(starting)
+        return self._output(self._request(("reset", held, air), START_S, "before the flight"))
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """As the bank's."""
@@ -80,10 +69,7 @@ class IsolatedBank:
             row = self._row.pack(b"s", k, *throttle, *self._no_air)
         else:
             row = self._row.pack(b"s", k, *throttle, 1.0, ambient[0], ambient[1], *ambient[2])
-        output = self._output(self._exchange(row, HANG_S, k))
-        if self.starting_engines:
-            self._update_starting(True, k)
-        return output
+        return self._output(self._exchange(row, HANG_S, k))
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -169,14 +155,14 @@ class IsolatedBank:
         return f"at step {moment} ({moment * self._step:g} s)" if isinstance(moment, int) else moment
 
 
-def make_bank(specs: Sequence[EngineSpec], step: float, in_flight: bool = False) -> EngineBank | IsolatedBank:
+def make_bank(specs: Sequence[EngineSpec], step: float) -> EngineBank | IsolatedBank:
     """Return a bank of engines, in a process of its own where one of them asks for that.
 
     Raises InputError or EngineError as :class:`cosim.engine.EngineBank` does.
     """
     if any(spec.isolated for spec in specs):
-        return IsolatedBank(specs, step, in_flight)
-    return EngineBank(specs, len(specs), step, in_flight)
+        return IsolatedBank(specs, step)
+    return EngineBank(specs, len(specs), step)
 
 
 def _frame_formats(count: int) -> tuple[struct.Struct, struct.Struct]:
@@ -227,10 +213,10 @@ class _Server:
             raise EngineError(f"engines: their process {much}")
         return b"s" + self._doubles.pack(*chain.from_iterable(output))
 
-    def _make(self, specs: Sequence[EngineSpec], step: float, in_flight: bool) -> bytes:
+    def _make(self, specs: Sequence[EngineSpec], step: float) -> bytes:
         self._count = len(specs)
         self._row, self._doubles = _frame_formats(self._count)
-        self.bank = EngineBank(specs, self._count, step, in_flight)
+        self.bank = EngineBank(specs, self._count, step)
         return _json_answer(True, None)
 
     def _other(self, what: str, arguments: Sequence[Any]) -> bytes:
@@ -243,7 +229,7 @@ class _Server:
             return _double_answer(list(chain(*bank.run_down(*arguments))))
         if what == "shown":
             return _double_answer(bank.shown)
-        return _json_answer(True, bank.set_run(*arguments) if what == "run" else bank.starting_engines)
+        return _json_answer(True, bank.set_run(*arguments))
 
 
 def serve(reader: int, writer: int) -> None:

@@ -9,7 +9,6 @@ from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.instance import InstanceError
 from cosim.engine.fmu.mapping import is_mapping
 from cosim.engine.fmu.port_kinds import AMBIENT
-from cosim.engine.fmu.ports import PortError, expand_engine_variables, has_several_engines
 from cosim.engine.fmu.uncertainty import ParameterRange, Uncertainty
 from cosim.engine.fmu.variables import Variable
 from cosim.engine.measure import EngineMeasurement, measure_once
@@ -18,7 +17,6 @@ from cosim.engine.rundown import MODELLED, FlameOutLaw, make_flame_out_law
 from cosim.engine.spec import (
     EngineSource,
     EngineSpec,
-    Sibling,
     check_whole_steps,
     file_label,
     find_source,
@@ -84,45 +82,23 @@ def load_unchecked(
         mapping=source.path if is_mapping(source.path) else None,
         archive=archive,
         settings=settings,
-        settling_window=settling_window(
-            max(measurement.response.delay for measurement in (measured, *measured.others))
-        ),
+        settling_window=settling_window(measured.response.delay),
         quiet=measured.quiet,
         air=air,
         isolated=bool(mapping.isolated),
         small_step=measured.small,
-        logged_outputs=_logged(source, 0),
-        siblings=tuple(
-            Sibling(other.curve, other.small, _logged(source, slot))
-            for slot, other in enumerate(measured.others, start=1)
-        ),
+        logged_outputs=_logged(source),
         uncertainty=uncertainty,
         uncertain_ranges=() if uncertainty is None else _uncertain_ranges(source, uncertainty),
     )
 
 
-def _logged(source: EngineSource, slot: int) -> tuple[tuple[str, Variable], ...]:
-    """Return the outputs that a mapping file adds to the log, by column name.
-
-    With several engines in the FMU, those of engine ``slot``; an output shared by all belongs to the first.
-    """
+def _logged(source: EngineSource) -> tuple[tuple[str, Variable], ...]:
+    """Return the outputs that a mapping file adds to the log, by column name."""
     columns = []
-    count = len(source.archive.engines)
-    for name, variable in source.mapping.log.items():
-        if has_several_engines(variable):
-            try:
-                outputs = expand_engine_variables(f"log.{name}", "output", variable, source.archive.outputs)
-            except PortError as error:
-                raise InputError(f"{source.path}: {error}") from error
-            if len(outputs) != count:
-                raise InputError(f"{source.path}: log.{name} states {len(outputs)} outputs of {count} engines")
-            output = outputs[slot]
-        elif slot == 0:
-            output = str(variable)
-        else:
-            continue
-        matches = [v for v in source.archive.outputs if v.name == output]
+    for name, output in source.mapping.log.items():
         where = f"{source.path}: log.{name} = {output!r}"
+        matches = [v for v in source.archive.outputs if v.name == output]
         if not matches:
             known = [v.name for v in source.archive.outputs]
             raise InputError(f"{where}: no such output; {nearest(output, known)}")

@@ -41,7 +41,6 @@ class EngineMeasurement(NamedTuple):
     start: str | None  # the start parameter, if it does what it should
     quiet: float  # fraction of itself by which the thrust may move at rest
     small: SmallStep | None = None  # None: an engine of the library, or no larger than the movement at rest
-    others: tuple[EngineMeasurement, ...] = ()  # the second and further engines of one FMU
 
 
 _measured: RecentCache[EngineMeasurement] = RecentCache(256)
@@ -71,8 +70,7 @@ def measure(
 ) -> EngineMeasurement:
     """Measure an engine's static curve and step response in ``air``, and test its start parameter.
 
-    ``small``: whether a small step is measured too.  Of several engines in one FMU each is measured, while all of them
-    have the same throttle.
+    ``small``: whether a small step is measured too.
 
     An engine that goes on trembling at rest is measured once more with more patience.  ``report_alive`` is called
     repeatedly meanwhile.
@@ -100,29 +98,25 @@ def _measure(
             instance.initialize(settings, 0.0, air, step=step)
             native = _bank.Bank([instance.make_row()], step)
             rest = archive.starting.rest_n
-            curves = []
-            for slot in range(len(archive.engines)):
 
-                def hold(throttle: float, steps: int, slot: int = slot) -> list[float]:
-                    report_alive()
-                    return native.hold(slot, throttle, steps, True)
+            def hold(throttle: float, steps: int) -> list[float]:
+                report_alive()
+                return native.hold(0, throttle, steps)
 
-                at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet, rest)
-                response = measure_step_response(hold, at_rest, 1.0, step, quiet, rest)
-                curve = measure_static_curve(hold, settling_window(response.delay), step, quiet, rest)
-                span = abs(response.after - response.before)
-                small_step = (
-                    _small_step(hold, settling_window(response.delay), step, quiet, rest, span) if small else None
-                )
-                curves.append(EngineMeasurement(curve, response, None, quiet, small_step))
+            at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet, rest)
+            response = measure_step_response(hold, at_rest, 1.0, step, quiet, rest)
+            window = settling_window(response.delay)
+            curve = measure_static_curve(hold, window, step, quiet, rest)
+            span = abs(response.after - response.before)
+            small_step = _small_step(hold, window, step, quiet, rest, span) if small else None
+            measured = EngineMeasurement(curve, response, None, quiet, small_step)
         except _bank.FailureError as failure:
             raise InstanceError(instance.explain(failure, "while its thrust was measured")) from failure
         finally:
             instance.close()
-        first, *others = curves
-        if start is not None and not _starts_settled(archive, folder, settings, step, first, air):
+        if start is not None and not _starts_settled(archive, folder, settings, step, measured, air):
             start = None
-    return first._replace(start=start, others=tuple(others))
+    return measured._replace(start=start)
 
 
 def _small_step(hold: Hold, window: int, step: float, quiet: float, rest: float, span: float) -> SmallStep | None:

@@ -7,10 +7,10 @@ import math
 import os
 from bisect import bisect_right
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 from cosim.base.errors import InputError, nearest
 from cosim.base.removed import describe_removed
@@ -41,14 +41,6 @@ from cosim.engine.rundown import FlameOutLaw
 
 Axis = TypeVar("Axis")
 Model = TypeVar("Model")
-
-
-class Sibling(NamedTuple):
-    """The data of a further engine in the same FMU."""
-
-    curve: Curve
-    small_step: SmallStep | None
-    logged_outputs: tuple[tuple[str, Variable], ...]
 
 
 @dataclass(frozen=True)
@@ -83,8 +75,6 @@ class EngineSpec:
     isolated: bool = False  # whether it needs a process of its own
     small_step: SmallStep | None = None  # how late it is to a small step, at the control step; None: see Measured
     logged_outputs: tuple[tuple[str, Variable], ...] = ()  # further outputs by their names in the log
-    slot: int = 0  # index of the engine in its FMU, from 0
-    siblings: tuple[Sibling, ...] = field(default=(), repr=False)  # of the first one: those that are held with it
     misbehaviour: str = ""  # reason why a check gave it a process of its own
     uncertainty: Uncertainty | None = field(default=None, repr=False)  # of its parameters, from a mapping file
     uncertain_ranges: tuple[ParameterRange, ...] = field(default=(), repr=False)  # of these, about what the file states
@@ -120,31 +110,9 @@ class EngineSpec:
         return self.path, self.mapping, self.settings
 
     @property
-    def instance_key(self) -> tuple[Hashable, ...]:
-        """Everything besides its inputs that the behaviour of the FMU's instance depends on."""
-        return *make_behaviour_key(self.archive, self.settings, self.air), self.start, self.settling_window, self.quiet
-
-    @property
     def behaviour_key(self) -> tuple[Hashable, ...]:
         """Everything besides its inputs that the behaviour of the engine depends on."""
-        return *self.instance_key, self.slot
-
-    def at_station(self, station: int) -> EngineSpec:
-        """Return the engine of a station, counted from 0; those of a multi-engine FMU alternate."""
-        slot = station % len(self.archive.engines)
-        if slot == self.slot:
-            return self
-        if self.slot:
-            raise ValueError(f"engine {self.slot + 1} of {self.path.name} does not serve station {station + 1}")
-        other = self.siblings[slot - 1]
-        return replace(
-            self,
-            slot=slot,
-            curve=other.curve,
-            small_step=other.small_step,
-            logged_outputs=other.logged_outputs,
-            siblings=(),
-        )
+        return *make_behaviour_key(self.archive, self.settings, self.air), self.start, self.settling_window, self.quiet
 
     @property
     def family(self) -> str:
@@ -168,7 +136,7 @@ class EngineSpec:
     @property
     def ports(self) -> Mapping[str, Port]:
         """The engine's variables with their conversions, by port name."""
-        return self.archive.engines[self.slot]
+        return self.archive.ports
 
     def has_port(self, port: str) -> bool:
         """Return whether the engine has a port, such as ``ambient_pressure``, ``run`` or ``fuel_flow``."""
@@ -230,8 +198,7 @@ _definitions: RecentCache[EngineDefinition] = RecentCache(64)
 def make_behaviour_key(archive: Archive, settings: tuple[Setting, ...], air: Air) -> tuple[Hashable, ...]:
     """Return a key of everything that the response of an FMU with these settings in this air depends on."""
     values = tuple((variable.name, value.hex()) for variable, value in settings)
-    ports = tuple(tuple(sorted(engine_ports.items())) for engine_ports in archive.engines)
-    return archive.sha256, ports, archive.starting, values, air
+    return archive.sha256, tuple(sorted(archive.ports.items())), archive.starting, values, air
 
 
 @dataclass(frozen=True)

@@ -325,7 +325,7 @@ def make_ground_scenario(scenario: Scenario, duration: float | None) -> Scenario
         duration_s=round(LONGEST_S / scenario.step_s) * scenario.step_s if duration is None else duration,
         initial={
             "on_ground": True,
-            "engines": "idle" if scenario.engine_start == "in flight" else "off",
+            "engines": "off",
             "attitude_deg": (0.0, 0.0, heading),
             "velocity_ned_m_s": still,
             "rate_deg_s": still,

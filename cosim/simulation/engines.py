@@ -29,18 +29,9 @@ def load_engines(scenario: Scenario, vehicle: Vehicle) -> list[EngineSpec]:
             raise InputError(f"{where}: {scenario.aircraft_name} has stations 1 to {jets}")
     loader = _Loader(scenario, vehicle)
     engine = loader.load(scenario.engine, scenario.engine_parameters)
-    stated = [
-        engine if station is None else loader.load(*loader.parameters_of(station))
-        for station in list_stations(scenario, vehicle)
-    ]
-    for spec in stated:
-        count = len(spec.archive.engines)
-        if jets % count:
-            raise InputError(
-                f"scenario {scenario.name}: engine {spec.name}: its FMU holds {count} engines, and "
-                f"{scenario.aircraft_name} has {jets} stations, which is no whole multiple"
-            )
-    return [engine, *(spec.at_station(station) for station, spec in enumerate(stated))]
+    stations = list_stations(scenario, vehicle)
+    stated = [engine if station is None else loader.load(*loader.parameters_of(station)) for station in stations]
+    return [engine, *stated]
 
 
 def flown_engines(scenario: Scenario, vehicle: Vehicle, stated: Sequence[EngineSpec]) -> Sequence[EngineSpec]:
@@ -58,7 +49,7 @@ def flown_engines(scenario: Scenario, vehicle: Vehicle, stated: Sequence[EngineS
         unknown = {**unknown, **single.get(str(index + 1), {})}
         spec = stated[index]
         if unknown:  # the archive was tried when the engine that is assumed was loaded
-            spec = loader.load(engine, {**parameters, **unknown}, spec.isolated).at_station(index)
+            spec = loader.load(engine, {**parameters, **unknown}, spec.isolated)
         flown.append(spec)
     return flown
 
@@ -102,25 +93,12 @@ class _Loader:
         return self._loaded[key]
 
 
-def _starts_in_flight(scenario: Scenario, stations: Sequence[EngineSpec]) -> bool:
-    """Return whether starts are flown.  Raises InputError where that is asked for, and no engine has one."""
-    if scenario.engine_start == "before flight":
-        return False
-    if not any(spec.archive.starting.stages for spec in stations):
-        names = ", ".join(dict.fromkeys(spec.name for spec in stations))
-        raise InputError(
-            f'scenario {scenario.name}: engine_start = "in flight": {names} has no start; state one in '
-            "[start] of its mapping file, or leave engine_start out"
-        )
-    return True
-
-
 def make_engines(scenario: Scenario, stations: Sequence[EngineSpec]) -> EngineChain:
     """Return the engines at the stations in the chain that they fly in.  Raises InputError as a flight."""
-    in_flight, step = _starts_in_flight(scenario, stations), scenario.step_s
+    step = scenario.step_s
     factors, delay = compute_engine_mismatch(scenario.mismatch, len(stations))
     return EngineChain(
-        make_bank(stations, step, in_flight),
+        make_bank(stations, step),
         [spec.flame_out for spec in stations],
         lambda jet: make_engine_reference(stations[jet], step).lag,
         step,

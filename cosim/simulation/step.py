@@ -121,8 +121,6 @@ class Simulation:
             self.pilot.reset(self.measured)
         # The blocks with columns of their own in the log are settled here for the whole flight.
         blocks = (self.pilot, self.disturbances, self.controller, propulsion.engines.bank, self.sensors.inner)
-        self.starting = self._engines_to_start() if self.scenario.engine_start == "in flight" else ()
-        self.started = 0  # the step from which on all engines run
         self._logged_blocks = [(cast(Shows, block), columns_of(block)) for block in blocks if columns_of(block)]
 
     def step(self, command: Command | None = None) -> Sample:
@@ -140,7 +138,7 @@ class Simulation:
         self.airframe.prepare_step(propulsion.momentum, propulsion.burnt, propulsion.tilt)
         self.state = self.airframe.step(forces, disturbance, moment)
         self.measured = self.sensors.sample(self.state)
-        self._count()
+        self.k += 1
         return self._sample(k, command, state, measured, actuation, disturbance, health)
 
     def _command(self, k: int, override: Command | None) -> tuple[Command, Measured, EngineState]:
@@ -152,7 +150,7 @@ class Simulation:
             command = self.command_script.at(k)
         else:
             controller = self.controller
-            starting = self.starting or self._restarting(pilot)
+            starting = self._restarting(pilot)
             report = Report(
                 self.state.on_ground,
                 controller.signals.allocated,
@@ -164,8 +162,6 @@ class Simulation:
             measured, engines = pilot.seen, pilot.engines
             if starting and engines is _IDLE:
                 engines = _START
-        if self.starting and engines is not _OFF:
-            engines = _START
         return command, measured, engines
 
     def _restarting(self, pilot: Pilot) -> tuple[int, ...]:
@@ -184,13 +180,6 @@ class Simulation:
             disturbance = self._field.add_wind(k, self.state, disturbance)
             self.propulsion.gusts = self._field.at_jets
         return disturbance
-
-    def _count(self) -> None:
-        """Count the step as done, and note up to which step engines were starting."""
-        self.k += 1
-        if self.starting:
-            self.starting = self._engines_to_start()
-            self.started = self.k
 
     def _sample(
         self,
@@ -221,10 +210,6 @@ class Simulation:
             health,
             self._block_signals() if self._logged_blocks else _NOTHING,
         )
-
-    def _engines_to_start(self) -> tuple[int, ...]:
-        starting: tuple[int, ...] = getattr(self.propulsion.engines.bank, "starting_engines", ())
-        return starting
 
     def _block_signals(self) -> tuple[float, ...]:
         """Return the blocks' own signals.  Raises FlightError for a block that shows more or less than it said."""
@@ -302,7 +287,7 @@ class Simulation:
             if pace:
                 pace.wait(self.k)
         late = f", {pace.missed} of them late" if pace and pace.missed else ""
-        return Ending("completed", f"flew {self.k} steps{late}{self._describe_engine_start()}")
+        return Ending("completed", f"flew {self.k} steps{late}")
 
     def make_failure(self, error: FlightError) -> Ending:
         """Return the ending for an error of the present step; that of an engine says itself when it was."""
@@ -320,16 +305,6 @@ class Simulation:
             for look in observe:
                 look(last)
         return ending
-
-    def _describe_engine_start(self) -> str:
-        """Return what became of engine starts in flight, to follow an ending's reason; or an empty string."""
-        if self.starting:
-            return f"; engine {', '.join(map(str, self.starting))} had not started at the end, and nothing was flown"
-        if not self.started:
-            return ""
-        begun = sum(entry.start_s < self.started * self.dt for entry in self.scenario.command)
-        waited = f", for which {begun} of the script's commands waited" if begun else ""
-        return f"; all engines ran from {self.started * self.dt:.3f} s on{waited}"
 
     def check_repeatable(self) -> bool | None:
         """Whether a controller outside this process answers the same when it is asked the same; None: there is none."""

@@ -1,7 +1,7 @@
 /* An engine as other people's tools write it: what it is made of stands in its token, "foreign:lag=0.3,delay=0.08".
  *
  * A delay, two lags, a zero, a weak mode, a sampler, a limit on the acceleration, noise, a start: each off unless named.
- * FMI 2.0, or 3.0 with -DFMI=3.  Up to six engines in one.  Functions that are not written here the tests add as stubs.
+ * FMI 2.0, or 3.0 with -DFMI=3.  Functions that are not written here the tests add as stubs.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -20,9 +20,9 @@
 
 enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { THROTTLE = 1, THRUST = 2, PULSE = 3, IGNITION = 4, MODE = 5, SPEED = 6, VALVE = 7, DRAG = 8, GROSS = 9,
-       THROTTLES = 10, THRUSTS = 20, ALTITUDE = 30, MACH, DENSITY, TOTAL_PRESSURE, TOTAL_TEMPERATURE, GAIN = 40,
-       FORWARD, RIGHT, TORQUE, RUNS = 50, VALUES = 60 };
-enum { LINE = 2048, MOST = 6 };
+       ALTITUDE = 30, MACH, DENSITY, TOTAL_PRESSURE, TOTAL_TEMPERATURE, GAIN = 40,
+       FORWARD, RIGHT, TORQUE, VALUES = 60 };
+enum { LINE = 2048, SIX = 6 };
 #define H 0.001 /* s, of its own step */
 #define FULL 20.0 /* N */
 #define PI 3.14159265358979323846
@@ -35,9 +35,9 @@ typedef struct {
 #define PARTS(X) X(pulse, 0.0) X(start, 0.0) X(modes, 0.0) X(valve, 0.0) X(delay, 0.0) X(delay_down, -1.0) X(sampled, 0.0) \
     X(delay_full, -1.0) X(lag, 0.1) X(lag2, 0.0) X(accelerates, 0.0) X(zero, 0.0) X(mode, 0.0) X(mode_hz, 9.0) \
     X(damping, 0.01) X(soak, 0.0) X(hunts, 0.0) X(noise, 0.0) X(flat, 1.0) X(exponent, 1.0) X(air, 0.0) X(idle, \
-    0.0) X(sign, 1.0) X(drag, 0.0) X(crashes, 0.0) X(hangs, 0.0) X(floods, 0.0) X(engines, 1.0) \
+    0.0) X(sign, 1.0) X(drag, 0.0) X(crashes, 0.0) X(hangs, 0.0) X(floods, 0.0) \
     X(over, 0.0) X(over_s, 4.0) X(warm, 0.0) X(warm_s, 45.0) X(more, 0.0) X(more_s, 0.05) X(delta, 0.0) \
-    X(prints, 0.0) X(threads, 0.0) X(dies, 0.0) X(leaks, 0.0) X(uneven, 0.0) X(coupled, 0.0) \
+    X(prints, 0.0) X(threads, 0.0) X(dies, 0.0) X(leaks, 0.0) \
     X(forward, 0.0) X(right, 0.0) X(torque, 0.0) \
     X(surge, 0.0)
 
@@ -51,8 +51,7 @@ typedef struct {
     double value[VALUES], time, lit;
     long k;
     uint64_t random;
-    int count;
-    One one[MOST];
+    One one;
 } Engine;
 
 static int alive;
@@ -76,9 +75,9 @@ static double noise(Engine *e)
     return sum - 6.0;
 }
 
-static double command(const Engine *e, int i)
+static double command(const Engine *e)
 {
-    double u = e->count > 1 ? e->value[THROTTLES + i] : e->value[THROTTLE];
+    double u = e->value[THROTTLE];
     if (e->of.pulse > 0.0)
         u = (e->value[PULSE] - 1000.0) / 1000.0;
     return u < 0.0 ? 0.0 : u > 1.0 ? 1.0 : u;
@@ -149,32 +148,24 @@ static void part(Engine *e, One *s, double u)
 static void outputs(Engine *e)
 {
     const double share = e->of.noise;
-    double all = 0.0; /* mean of what they give before they take it from each other */
-    for (int i = 0; i < e->count; i++)
-        all += e->one[i].y / e->count;
-    for (int i = 0; i < e->count; i++) {
-        double y = e->one[i].y, flat = e->of.flat, exponent = e->of.exponent;
-        y = flat == 1.0 ? y : y < flat ? y / flat : 1.0; /* thrust may go beyond what it comes to */
-        y = exponent != 1.0 ? pow(fmax(y, 0.0), exponent) : y;
-        if (e->value[GAIN] > 0.0)
-            y *= e->value[GAIN];
-        if (e->of.air > 0.0) /* thrust as density, lifted by the ram and lowered by Mach */
-            y *= e->value[DENSITY] / 1.225 * (1.0 - 0.3 * e->value[MACH]);
-        double newton = FULL * (y + (share > 0.0 ? share * noise(e) : 0.0));
-        if (e->of.idle > 0.0)
-            newton = FULL * (e->of.idle + (1.0 - e->of.idle) * y);
-        newton *= (1.0 - e->of.uneven * i) * (1.0 - e->of.coupled * all);
-        if (i == 0)
-            e->value[THRUST] = e->of.sign * newton;
-        e->value[THRUSTS + i] = newton;
-    }
+    double y = e->one.y, flat = e->of.flat, exponent = e->of.exponent;
+    y = flat == 1.0 ? y : y < flat ? y / flat : 1.0; /* thrust may go beyond what it comes to */
+    y = exponent != 1.0 ? pow(fmax(y, 0.0), exponent) : y;
+    if (e->value[GAIN] > 0.0)
+        y *= e->value[GAIN];
+    if (e->of.air > 0.0) /* thrust as density, lifted by the ram and lowered by Mach */
+        y *= e->value[DENSITY] / 1.225 * (1.0 - 0.3 * e->value[MACH]);
+    double newton = FULL * (y + (share > 0.0 ? share * noise(e) : 0.0));
+    if (e->of.idle > 0.0)
+        newton = FULL * (e->of.idle + (1.0 - e->of.idle) * y);
+    e->value[THRUST] = e->of.sign * newton;
     e->value[FORWARD] = e->of.forward * e->value[THRUST];
     e->value[RIGHT] = e->of.right * e->value[THRUST];
     e->value[TORQUE] = e->of.torque * e->value[THRUST];
     e->value[DRAG] = e->of.drag;
     e->value[GROSS] = e->value[THRUST] + e->value[DRAG];
     const double takes = e->of.start;
-    e->value[SPEED] = takes > 0.0 ? 5000.0 * e->lit / takes : 5000.0 + 10000.0 * e->one[0].x;
+    e->value[SPEED] = takes > 0.0 ? 5000.0 * e->lit / takes : 5000.0 + 10000.0 * e->one.x;
 }
 
 static int advance(Engine *e, double t, double h)
@@ -184,10 +175,9 @@ static int advance(Engine *e, double t, double h)
     for (long n = 0; n < steps; n++, e->k++) {
         e->time = (double)e->k * H;
         const bool on = running(e);
-        for (int i = 0; i < e->count; i++)
-            part(e, &e->one[i], on && e->value[RUNS + i] != 0.0 ? command(e, i) : 0.0);
+        part(e, &e->one, on ? command(e) : 0.0);
     }
-    if (alive >= MOST && e->time > 3.0) { /* in a flight, and in no trial */
+    if (alive >= SIX && e->time > 3.0) { /* in a flight, and in no trial */
         volatile char *lost = e->of.leaks > 0.0 ? malloc((size_t)(e->of.leaks * 1048576.0)) : NULL; /* MB a step */
         for (size_t at = 0; lost && (double)at < e->of.leaks * 1048576.0; at += 4096)
             lost[at] = 1;
@@ -227,11 +217,8 @@ static Engine *create(const char *token)
         *(volatile int *)0 = 1;
     if (e->of.prints > 0.0)
         puts("a banner");
-    e->count = (int)e->of.engines;
     e->value[PULSE] = 1000.0;
     e->value[DENSITY] = 1.225;
-    for (int i = 0; i < MOST; i++)
-        e->value[RUNS + i] = 1.0;
     alive++;
     return e;
 }
@@ -256,25 +243,21 @@ static void destroy(Engine *e)
 #define SETTER(function, type, more)                                                        \
     int function(Engine *e, const uint32_t r[], size_t n, const type v[] more)              \
     {                                                                                       \
-        for (size_t i = 0, j = 0; i < n; i++)                                               \
-            for (size_t k = 0; k < size_of(e, r[i]); k++)                                   \
-                e->value[r[i] + k] = (double)v[j++];                                        \
+        for (size_t i = 0; i < n; i++)                                                      \
+            e->value[r[i]] = (double)v[i];                                                  \
         return OK;                                                                          \
     }
 #define GETTER(function, type, more)                                                        \
     int function(Engine *e, const uint32_t r[], size_t n, type v[] more)                    \
     {                                                                                       \
-        for (size_t i = 0, j = 0; i < n; i++)                                               \
-            for (size_t k = 0; k < size_of(e, r[i]); k++)                                   \
-                v[j++] = (type)e->value[r[i] + k];                                          \
+        for (size_t i = 0; i < n; i++)                                                      \
+            v[i] = (type)e->value[r[i]];                                                    \
         return OK;                                                                          \
     }
 #define NOTHING
 #define COUNT , size_t m
 
 #if FMI == 2
-static size_t size_of(const Engine *e, uint32_t reference) { return (void)e, (void)reference, 1; }
-
 void *fmi2Instantiate(const char *name, int kind, const char *token, const char *resources, void *callbacks,
                       int visible, int logging)
 {
@@ -294,12 +277,6 @@ GETTER(fmi2GetReal, double, NOTHING)
 GETTER(fmi2GetInteger, int32_t, NOTHING)
 int fmi2DoStep(Engine *e, double t, double h, int no) { return (void)no, advance(e, t, h); }
 #else
-/* a six-in-one has its throttles and thrusts as two arrays */
-static size_t size_of(const Engine *e, uint32_t reference)
-{
-    return reference == THROTTLES || reference == THRUSTS ? (size_t)e->count : 1;
-}
-
 void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *resources, bool visible, bool logging,
                                   bool events, bool early, const uint32_t required[], size_t count, void *environment,
                                   void *logger, void *update)

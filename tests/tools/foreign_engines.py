@@ -18,7 +18,7 @@ SOURCE = Path(__file__).with_name("foreign_engine.c")
 FULL = 20.0  # N
 REFERENCE = {
     "throttle": 1, "thrust": 2, "pulse": 3, "ignition": 4, "mode": 5, "speed": 6, "valve": 7, "drag": 8, "gross": 9,
-    "throttles": 10, "thrusts": 20, "altitude": 30, "mach": 31, "density": 32, "total_pressure": 33,
+    "altitude": 30, "mach": 31, "density": 32, "total_pressure": 33,
     "total_temperature": 34, "gain": 40, "forward": 41, "right": 42, "torque": 43, "runs": 50,
 }  # fmt: skip
 UNITS = """<UnitDefinitions><Unit name="N"><BaseUnit kg="1" m="1" s="-2"/></Unit>
@@ -66,7 +66,7 @@ def description(token: str, rows: list[Row], fmi: int, more: str = "") -> str:
     made = []
     for name, what, causality, attributes in rows:
         kind, rest = _kind(attributes)
-        place = REFERENCE[what.partition("[")[0]] + (int(what.partition("[")[2].rstrip("]")) if "[" in what else 0)
+        place = REFERENCE[what]
         if fmi == 2:
             varies = "" if kind == "Real" else ' variability="discrete"'
             varies = ' variability="fixed"' if causality == "parameter" else varies
@@ -91,7 +91,7 @@ def description(token: str, rows: list[Row], fmi: int, more: str = "") -> str:
         )
         head = f'fmiVersion="2.0" modelName="foreign" guid="{token}"'
     else:
-        at = [REFERENCE[rows[k - 1][1].partition("[")[0]] for k in outputs]
+        at = [REFERENCE[rows[k - 1][1]] for k in outputs]
         structure = (
             "<ModelStructure>" + "".join(f'<Output valueReference="{k}"/>' for k in at)
             + "".join(f'<InitialUnknown valueReference="{k}"/>' for k in at) + "</ModelStructure>"
@@ -145,11 +145,6 @@ MODES = {
 }
 AIR = [("Mn", "mach", "input", 'start="0"'), ("rho", "density", "input", 'unit="kg/m3" start="1"'),
        ("alt", "altitude", "input", 'unit="m" start="0"')]  # fmt: skip
-ARRAYS = [("u", "throttles", "input", 'size="6" start="0 0 0 0 0 0" min="0" max="1"'),
-          ("F", "thrusts", "output", 'size="6" unit="N"')]  # fmt: skip
-SIX = [*((f"u{k}", f"throttles[{k}]", "input", 'min="0" max="1" start="0"') for k in range(6)),
-       *((f"F{k}", f"thrusts[{k}]", "output", 'unit="N"') for k in range(6))]  # fmt: skip
-CRANK = "sequence = [{ set = { mode = 'crank' }, until = 'N1 > 4990' }, { set = { mode = 'run' }, for_s = 1.0 }]"
 WEAK_MODE = "mode=0.01,damping=0.01,mode_hz="
 
 # name: what it is made of, ports, FMI, lines of mapping, a change in the description
@@ -188,17 +183,13 @@ KINDS: dict[str, Engine] = {
     "valve": ("lag=0.1,valve=1", [lever(), force(), VALVE], 2, ("[inputs]", "fuel.valve = 1.0"), NO_CHANGE),
     "power": ("lag=0.1,valve=1", [lever(), force(), POWER], 2, ("[inputs]", "power_available = true"), NO_CHANGE),
     "ignition": ("lag=0.1,start=20", [lever(), force(), IGNITION], 2,
-                 ("[start]", "sequence = [{ set = { ignition = true }, for_s = 20.5 }]"), NO_CHANGE),
-    "crank": ("lag=0.1,start=12,modes=1", [lever(), force(), MODE, SPEED], 2, ("[start]", CRANK), NO_CHANGE),
-    "crank-fmi3": ("lag=0.1,start=12,modes=1", [lever(), force(), MODE, SPEED], 3, ("[start]", CRANK), NO_CHANGE),
+                 ("[inputs]", "ignition = true", "[start]", "warm_up_s = 20.5"), NO_CHANGE),
     "noisy": ("lag=0.1,delay=0.04,noise=0.0025", None, 2, ("[rest]", "thrust = 0.5"), NO_CHANGE),
     "heat": ("lag=0.1,soak=0.02", None, 2, ("[rest]", "thrust = 0.05"), NO_CHANGE),
     "backwards": ("lag=0.1,sign=-1", None, 2, ("[scale]", "thrust = -1.0"), NO_CHANGE),
     "gross": ("lag=0.1,drag=0.5", [lever(), force("Fg", "gross"), force("Fram", "drag")], 2,
               ("[ports]", "thrust = 'Fg'", "ram_drag = 'Fram'"), NO_CHANGE),
     "deck": ("lag=0.1,air=1", [lever(), force(), *AIR], 2, (), NO_CHANGE),
-    "six-in-one": ("lag=0.1,engines=6", SIX, 2, ("[ports]", "throttle = 'u*'", "thrust = 'F*'"), NO_CHANGE),
-    "six-in-arrays": ("lag=0.1,engines=6", ARRAYS, 3, ("[ports]", "throttle = 'u[*]'", "thrust = 'F[*]'"), NO_CHANGE),
 }  # fmt: skip
 
 

@@ -129,10 +129,6 @@ def fly_autopilot(
     """
     autopilot, label = block.autopilot, block.label
     try:
-        if scenario.engine_start == "in flight":
-            raise InputError(
-                f'scenario {scenario.name}: engine_start = "in flight": with an autopilot engines run before the flight'
-            )
         vehicle = scenario.resolved_vehicle()[0]
         if vehicle.allocation == "effectiveness":
             raise InputError(

@@ -52,7 +52,6 @@ NOT_VARIED = (
     "changed",
     "engine_unchecked",
     "engine_isolated",
-    "engine_start",
     "limits",
 )
 CUSTOM_PARAMETERS = "controller_parameters."

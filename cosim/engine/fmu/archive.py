@@ -29,9 +29,8 @@ from cosim.engine.fmu.container import (
 )
 from cosim.engine.fmu.description import pack_descriptions, read_description
 from cosim.engine.fmu.mapping import PortMap
-from cosim.engine.fmu.port_kinds import SPEEDS
-from cosim.engine.fmu.ports import PortError, find_engines
-from cosim.engine.fmu.starting import StartSequence, resolve_start
+from cosim.engine.fmu.ports import PortError, find_ports
+from cosim.engine.fmu.starting import EngineStart, resolve_start
 from cosim.engine.fmu.units import Unit
 from cosim.engine.fmu.variables import INTEGERS, REALS, Port, Variable
 from cosim.engine.library import ADAPTER, ADAPTER_GENERATED, GENERATION_TOOL, platform_folder
@@ -51,33 +50,19 @@ class Archive:
     fmi: int  # 2 or 3
     version: str  # of FMI, as the description says
     model: str
-    engines: tuple[Mapping[str, Port], ...]  # the ports of each engine in it
+    ports: Mapping[str, Port]  # empty where the archive was read without ports
     port_notes: tuple[str, ...]  # what was assumed about the ports
     harmless_violations: tuple[str, ...]  # violations of FMI that stepping does not depend on
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     parameters: tuple[Variable, ...]
     once_per_process: bool
-    starting: StartSequence = field(
-        default_factory=StartSequence
-    )  # what an instance goes through before it gives thrust
+    starting: EngineStart = field(default_factory=EngineStart)
     equations_sha256: str | None = None  # see hash_equations; None if not of the library
     identifier: str = ""
     token: str = ""
     internal_step: float | None = None  # s, where the description states it
     returns_early: bool = False  # FMI 3.0: it may return from a step before its end
-
-    @property
-    def ports(self) -> Mapping[str, Port]:
-        """Ports of the first engine; empty where the archive was read without ports."""
-        return self.engines[0] if self.engines else {}
-
-    @property
-    def has_shared_air_speed(self) -> bool:
-        """Whether several engines share one air-speed input, which is then set to their mean."""
-        return len(self.engines) > 1 and any(
-            self.engines[0][name].variable == self.engines[1][name].variable for name in SPEEDS if name in self.ports
-        )
 
     @property
     def throttle(self) -> Variable:
@@ -91,7 +76,7 @@ class Archive:
 
     @property
     def start(self) -> str | None:
-        """The name of the parameter that starts the first engine in equilibrium at a throttle; None: it has none."""
+        """The name of the parameter that starts the engine in equilibrium at a throttle; None: it has none."""
         return self.ports["start"].variable.name if "start" in self.ports else None
 
 
@@ -142,15 +127,15 @@ def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Arc
     inputs, outputs, parameters = (
         tuple(v for v in elements if v.causality == causality) for causality in ("input", "output", "parameter")
     )
-    engines: tuple[Mapping[str, Port], ...] = ()
+    found: Mapping[str, Port] = {}
     notes: list[str] = []
-    starting = StartSequence()
+    starting = EngineStart()
     try:
         if port_map is not None:
             _refuse_input_clocks(root)
-            engines, notes = find_engines([*inputs, *outputs, *parameters], port_map)
-            starting = resolve_start(port_map, inputs, outputs, label_ports(engines))
-            notes += note_unset_inputs(inputs, label_ports(engines), starting)
+            found, notes = find_ports([*inputs, *outputs, *parameters], port_map)
+            starting = resolve_start(port_map, inputs, found)
+            notes += note_unset_inputs(inputs, found, starting)
     except PortError as error:
         raise UnusableError(str(error)) from error
     return Archive(
@@ -162,7 +147,7 @@ def _read(path: Path, data: bytes, sha256: str, port_map: PortMap | None) -> Arc
         model=description.modelName,
         identifier=cosimulation.modelIdentifier,
         token=description.instantiationToken,
-        engines=engines,
+        ports=found,
         port_notes=tuple(notes),
         harmless_violations=blemishes,
         inputs=inputs,
@@ -212,20 +197,9 @@ def read_engine_sources(data: bytes) -> list[tuple[str, bytes]]:
         raise UnusableError(f"is damaged or truncated: {to_one_line(error)}") from error
 
 
-def label_ports(engines: Sequence[Mapping[str, Port]]) -> dict[str, Port]:
-    """Return the ports of all engines by label; from the second engine on the label names the engine."""
-    return {
-        f"{name} of engine {k}" if k > 1 else name: port
-        for k, ports in enumerate(engines, start=1)
-        for name, port in ports.items()
-    }
-
-
-def note_unset_inputs(inputs: Sequence[Variable], ports: Mapping[str, Port], starting: StartSequence) -> list[str]:
+def note_unset_inputs(inputs: Sequence[Variable], ports: Mapping[str, Port], starting: EngineStart) -> list[str]:
     """Return a note on inputs that nothing sets, or an empty list."""
-    assigned = {port.variable.name for port in ports.values()} | {
-        v.name for settings in (starting.constants, *(stage.settings for stage in starting.stages)) for v, _ in settings
-    }
+    assigned = {port.variable.name for port in ports.values()} | {v.name for v, _ in starting.constants}
     unset = [v for v in inputs if v.name not in assigned and not v.is_array]
     if not unset:
         return []

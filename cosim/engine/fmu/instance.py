@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import lru_cache
 from pathlib import Path
-from statistics import fmean
 from typing import Any, Literal
 
 import cosim.engine._bank as _bank
@@ -19,7 +18,7 @@ from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.archive import Archive
 from cosim.engine.fmu.container import to_one_line
 from cosim.engine.fmu.port_kinds import BASE, INPUTS, OUTPUTS
-from cosim.engine.fmu.starting import Ignition, Setting, StartError
+from cosim.engine.fmu.starting import Setting
 from cosim.engine.fmu.variables import REALS, Variable
 
 STATUS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
@@ -65,8 +64,8 @@ class FmuInstance:
         self.log = _bank.Log()
         self._stepping = False
         self._dead = False
-        self._start_steps = 0  # communication steps that the start took
-        self._inputs = [_input_values(0.0, STANDARD_AIR)] * len(archive.engines)  # as set last
+        self._start_steps = 0  # communication steps that the warm-up took
+        self._inputs = _input_values(0.0, STANDARD_AIR)  # as set last
         self.fmu: Any = load() if load is not None else _load(archive, folder, name)
         try:
             with _isolate_modules(self._resources) if self._python else nullcontext():
@@ -117,26 +116,17 @@ class FmuInstance:
     def initialize(
         self,
         settings: Sequence[Setting],
-        throttle: float | Sequence[float],
-        air: Air | Sequence[Air] = STANDARD_AIR,
+        throttle: float,
+        air: Air = STANDARD_AIR,
         *,
         step: float,
-        cold: bool = False,
     ) -> float:
         """Set parameters and inputs, leave initialization mode at time 0, and return the thrust [N] there.
 
-        Throttle and air are one for all engines that it holds, or one each; the thrust is that of the first.  Where the
-        mapping file states a start, it is gone through in steps of ``step`` seconds, and the thrust is that after it;
-        not if it is to stay ``cold``, for its start to be flown.  Raises InstanceError if the FMU returns an error on
-        the way, or if it does not start.
+        Where the mapping file states a warm-up, it is made in steps of ``step`` seconds, and the thrust is that after
+        it.  Raises InstanceError if the FMU returns an error on the way.
         """
-        engines = self.archive.engines
-        throttles = tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * len(engines)
-        airs = (air,) * len(engines) if isinstance(air, Air) else tuple(air)
-        if self.archive.has_shared_air_speed:
-            mean = fmean(air.speed for air in airs)
-            airs = tuple(air._replace(speed=mean) for air in airs)
-        self._inputs = [_input_values(*values) for values in zip(throttles, airs, strict=True)]
+        self._inputs = _input_values(throttle, air)
         self._start_steps = 0
         if self.archive.fmi == 2:
             self.call("setupExperiment", startTime=0.0)
@@ -144,34 +134,29 @@ class FmuInstance:
         self.call("enterInitializationMode")
         self.write(
             [
-                (ports[name].variable, ports[name].value(x))
-                for ports, inputs in zip(engines, self._inputs, strict=True)
-                for name, x in (*inputs.items(), ("run", 1.0))
-                if name in ports
+                (self.archive.ports[name].variable, self.archive.ports[name].value(x))
+                for name, x in (*self._inputs.items(), ("run", 1.0))
+                if name in self.archive.ports
             ]
         )
         self.call("exitInitializationMode")
         self._stepping = True
-        if not cold:
-            self._start(step)
-        thrusts = [self.output("thrust", slot) for slot in range(len(engines))]
-        if not all(map(math.isfinite, thrusts)):
+        self._warm_up(step)
+        thrust = self.output("thrust")
+        if not math.isfinite(thrust):
             raise InstanceError("thrust is not finite at the start")
-        return thrusts[0]
+        return thrust
 
-    def _start(self, step: float) -> None:
-        """Go through the stages of a start, and count the steps that they take."""
-        ignition = Ignition(self.archive.starting.stages, step)
-        native: _bank.Bank | None = None
+    def _warm_up(self, step: float) -> None:
+        """Run at throttle 0 for as long as the mapping file says, and count the steps."""
+        count = round(self.archive.starting.warm_up_s / step)
+        if not count:
+            return
         try:
-            while ignition.advance(self.write, self.read):
-                native = native or _bank.Bank((self.make_row(),), step)
-                native.hold(0, ignition.throttle, 1, True)
-                self._start_steps += 1
-        except StartError as error:
-            raise InstanceError(str(error)) from error
+            _bank.Bank((self.make_row(),), step).hold(0, 0.0, count)
         except _bank.FailureError as failure:
-            raise InstanceError(self.explain(failure, f"in stage {ignition.stage} of its start")) from failure
+            raise InstanceError(self.explain(failure, "while it was warmed up")) from failure
+        self._start_steps = count
 
     def read(self, variable: Variable) -> float:
         """Return a variable's present value in the FMU's own unit."""
@@ -186,17 +171,17 @@ class FmuInstance:
             return variable.type
         return "Integer" if self.archive.fmi == 2 else "Int64"
 
-    def output(self, name: str, slot: int = 0) -> float:
-        """Return an engine's present value at one of its ports in SI units; ram drag is subtracted from thrust."""
-        ports = self.archive.engines[slot]
+    def output(self, name: str) -> float:
+        """Return the engine's present value at one of its ports in SI units; ram drag is subtracted from thrust."""
+        ports = self.archive.ports
         port = ports[name]
         value = port.scale * self.read(port.variable)
         value = value + port.offset if port.offset else value
-        return value - self.output("ram_drag", slot) if name == "thrust" and "ram_drag" in ports else value
+        return value - self.output("ram_drag") if name == "thrust" and "ram_drag" in ports else value
 
-    def set_run(self, on: bool, slot: int = 0) -> bool:
-        """Set an engine's port ``run`` between two steps; False if it has none."""
-        port = self.archive.engines[slot].get("run")
+    def set_run(self, on: bool) -> bool:
+        """Set the engine's port ``run`` between two steps; False if it has none."""
+        port = self.archive.ports.get("run")
         if port is None:
             return False
         self.write([(port.variable, port.value(float(on)))])
@@ -251,13 +236,12 @@ class FmuInstance:
         reported = status <= 1 and math.isfinite(value.value)
         return f"; it came as far as its own time {value.value:g} s" if reported else ""
 
-    def make_row(self, done: int = 0, stations: Sequence[int] | None = None) -> _bank.Row:
+    def make_row(self, done: int = 0, station: int = 0) -> _bank.Row:
         """Return the C loop's description of this instance, which has made ``done`` communication steps.
 
-        ``stations``: those that its engines serve, counted from 0, -1 for none; by default from 0 on.
+        ``station``: the one that it serves, counted from 0.
         """
         archive = self.archive
-        stations = range(len(archive.engines)) if stations is None else stations
         sets, inputs = self._call_blocks("set", INPUTS)
         gets, outputs = self._call_blocks("get", (*OUTPUTS, "ram_drag"))
         return (
@@ -268,13 +252,10 @@ class FmuInstance:
             self._start_steps + done,
             sets,
             gets,
-            archive.has_shared_air_speed,
+            False,
             1,
             (),
-            tuple(
-                (station, inputs[slot], outputs[slot], tuple(self._inputs[slot][name] for name in BASE))
-                for slot, station in enumerate(stations)
-            ),
+            ((station, inputs, outputs, tuple(self._inputs[name] for name in BASE)),),
         )
 
     def _address(self, name: str) -> int:
@@ -282,22 +263,16 @@ class FmuInstance:
 
     def _call_blocks(
         self, way: Literal["set", "get"], names: Sequence[str]
-    ) -> tuple[tuple[_bank.Block, ...], list[tuple[_bank.Place | None, ...]]]:
-        """Return one FMI call for each type of the ports, the first port's first, and each port's index in its values.
-
-        The indices are by engine; those of the first port of all engines come before those of the second.
-        """
-        engines = self.archive.engines
-        ports = {(name, slot): engine[name] for name in names for slot, engine in enumerate(engines) if name in engine}
+    ) -> tuple[tuple[_bank.Block, ...], tuple[_bank.Place | None, ...]]:
+        """Return one FMI call for each type of the ports, the first port's first, and where each port is in them."""
+        ports = {name: self.archive.ports[name] for name in names if name in self.archive.ports}
         types = list(dict.fromkeys(port.variable.type for port in ports.values()))
-        # Only the throttles are set in every step: the number of values by reference.
-        throttles_by_reference = {v.reference: len(v.starts) for v in (engine[names[0]].variable for engine in engines)}
         blocks: list[_bank.Block] = []
-        places: dict[tuple[str, int], _bank.Place] = {}
+        places: dict[str, _bank.Place] = {}
         for number, kind in enumerate(types):
             values: list[float] = []
             first_index: dict[int, int] = {}  # reference: its first value
-            for (name, slot), port in ports.items():
+            for name, port in ports.items():
                 v = port.variable
                 if v.type != kind:
                     continue
@@ -306,14 +281,15 @@ class FmuInstance:
                     values += v.starts
                 index = first_index[v.reference] + v.index
                 if way == "set":
-                    values[index] = port.value(self._inputs[slot][name])
-                    places[name, slot] = number, index, port.gain, port.bias, port.low, port.high
+                    values[index] = port.value(self._inputs[name])
+                    places[name] = number, index, port.gain, port.bias, port.low, port.high
                 else:
-                    places[name, slot] = number, index, port.scale, port.offset, -math.inf, math.inf
+                    places[name] = number, index, port.scale, port.offset, -math.inf, math.inf
             function = self._address(f"fmi{self.archive.fmi}{way.capitalize()}{kind}")
-            first = (len(throttles_by_reference), sum(throttles_by_reference.values())) if number == 0 else (0, 0)
+            # Of the inputs only the throttle, the first port, is set in every step.
+            first = (1, len(ports[names[0]].variable.starts)) if number == 0 else (0, 0)
             blocks.append((function, VALUES[kind], tuple(first_index), tuple(values), *first, False))
-        return tuple(blocks), [tuple(places.get((name, slot)) for name in names) for slot in range(len(engines))]
+        return tuple(blocks), tuple(places.get(name) for name in names)
 
     def close(self) -> None:
         """Terminate and free the instance, and let go of the library."""

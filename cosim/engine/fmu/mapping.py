@@ -5,7 +5,7 @@ Of these only ``fmu`` is needed; ports that are not stated are found (:mod:`cosi
     fmu = "their.fmu"
     [ports]
     throttle = "PLA"          # an element of an array as "levers[1]"; "" leaves a port unconnected
-    thrust = "Fn"             # ["F1", "F2"] or "F*": the FMU holds several engines, and serves as many stations
+    thrust = "Fn"
     [units]
     thrust = "lbf"            # only where the FMU declares none or the wrong one
     [range]
@@ -14,10 +14,10 @@ Of these only ``fmu`` is needed; ports that are not stated are found (:mod:`cosi
     thrust = -1.0             # the port is so many times the variable
     [parameters]              # numbers, true or false, the name of an enumeration's item
     gain = 1.0
-    [inputs]                  # inputs that are held, in the same way
-    fuel_valve = 1.0
-    [start]                   # what is done with every instance before anything else: see cosim.engine.fmu.starting
-    sequence = [{ set = { ignition = true }, until = "N1 > 30000", at_most_s = 60.0 }]
+    [inputs]                  # inputs that are held from the beginning, in the same way
+    ignition = true
+    [start]                   # how long every instance runs at throttle 0 before anything else
+    warm_up_s = 20.0
     [rest]
     thrust = 0.2              # N, peak to peak: a thrust that moves no more stands still
     [rotor]
@@ -37,7 +37,6 @@ Of these only ``fmu`` is needed; ports that are not stated are found (:mod:`cosi
     spread = [0.01]           # between engines
 """
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import isfinite
@@ -47,6 +46,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, create_model, model_validator
 
 from cosim.base.errors import InputError
+from cosim.base.removed import describe_removed
 from cosim.base.storage.toml import Model, NotNegative, Positive, Scalar, read_toml, validate
 from cosim.engine.fmu.port_kinds import KINDS
 from cosim.engine.fmu.uncertainty import Uncertainty
@@ -54,15 +54,20 @@ from cosim.engine.fmu.units import find_unit
 from cosim.engine.rundown import FlameOutLaw, make_flame_out_law
 from cosim.spec.file_kind import MAPPING, refuse_other_kind
 
-LONGEST_START_S = 600.0  # of one stage: chosen by us; a turbojet is at idle within two minutes
-CONDITION = re.compile(r"\s*(\S+)\s*(>=|<=|>|<)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*")
-VariableName = str | list[str]  # a variable's name; several, or one with a * for a number: an engine each
+# Longest warm-up before a flight, chosen by us: a turbojet is at idle within two minutes.
+MAX_WARM_UP_S = 600.0
 
 
 def _nonzero(value: float) -> float:
     if value == 0.0 or not isfinite(value):
         raise ValueError("must be a finite number other than 0")
     return value
+
+
+def _one_variable(name: object) -> object:
+    if isinstance(name, list) or (isinstance(name, str) and "*" in name):
+        raise ValueError(f"is one variable; {describe_removed('several engines')}")
+    return name
 
 
 if TYPE_CHECKING:
@@ -75,7 +80,7 @@ else:
         """Return the model of a table that may have a value for each of these ports."""
         return create_model(name, __base__=Model, __module__=__name__, **dict.fromkeys(ports, (kind | None, None)))
 
-    _Ports = _table("_Ports", KINDS, VariableName)
+    _Ports = _table("_Ports", KINDS, Annotated[str, BeforeValidator(_one_variable)])
     _Units = _table("_Units", [port for port in KINDS if port not in ("run", "start")], str)
     _Scale = _table(
         "_Scale",
@@ -128,25 +133,8 @@ def flatten(table: object) -> object:
 ConstantValue = Scalar
 
 
-class _Stage(Model):
-    set: Annotated[dict[str, ConstantValue], BeforeValidator(flatten)] = Field(default_factory=dict)
-    throttle: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
-    for_s: Positive | None = None
-    until: str | None = None
-    at_most_s: Annotated[float, Field(gt=0.0, le=LONGEST_START_S)] | None = None
-
-    @model_validator(mode="after")
-    def _has_one_end(self) -> Self:
-        if (self.for_s is None) == (self.until is None):
-            raise ValueError("say how it ends: for_s = 5.0, or until = 'output > number'")
-        if self.until is not None and CONDITION.fullmatch(self.until) is None:
-            raise ValueError("until is an output, one of > < >= <=, and a number: until = 'N1 > 30000'")
-        return self
-
-
 class _Start(Model):
-    sequence: list[_Stage] = Field(default_factory=list)
-    warm_up_s: Annotated[float, Field(ge=0.0, le=LONGEST_START_S)] = 0.0
+    warm_up_s: Annotated[float, Field(ge=0.0, le=MAX_WARM_UP_S)] = 0.0
 
 
 class _Rest(Model):
@@ -175,23 +163,21 @@ class MappingFile(Model):
     flame_out: _FlameOut | None = None
     ledger: _Ledger = Field(default_factory=_Ledger.model_construct)
     uncertainty: Uncertainty | None = None  # how well parameters are known, as identified
-    log: Annotated[dict[str, VariableName], BeforeValidator(flatten)] = Field(default_factory=dict)  # column: output
-
-
-_NO_START = _Start.model_construct()
+    # Further outputs by their column in the log.
+    log: Annotated[dict[str, str], BeforeValidator(flatten)] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class PortMap:
     """Specified ports of an FMU; all others are found by name and unit."""
 
-    ports: Mapping[str, VariableName] = field(default_factory=dict)
+    ports: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     throttle_range: tuple[float, float] | None = None
     search: bool = True  # look for the ports that are not stated
     scale: Mapping[str, float] = field(default_factory=dict)  # the port is so many times the variable
     inputs: Mapping[str, ConstantValue] = field(default_factory=dict)  # that are constant
-    start: _Start = field(default_factory=lambda: _NO_START)
+    warm_up_s: float = 0.0
     rest_n: float = 0.0  # N, peak to peak, within which a thrust stands still
 
 
@@ -226,7 +212,7 @@ def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
             limits,
             scale=_stated_values(file.scale),
             inputs=file.inputs,
-            start=file.start,
+            warm_up_s=file.start.warm_up_s,
             rest_n=file.rest.thrust,
         ),
     )

@@ -28,8 +28,6 @@ ASIDE = ("force_forward", "force_right", "torque")  # loads of an engine on the 
 OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow", *ASIDE)
 AMBIENT = INPUTS[1:]
 NEEDED = ("throttle", "thrust")
-SPEEDS = ("air_speed", "mach", "total_pressure", "total_temperature")  # of the air into one engine's intake
-OWN = ("throttle", *OUTPUTS, "ram_drag", "run", "start")  # that no two engines of one FMU share
 
 
 class PortKind(NamedTuple):

@@ -11,9 +11,8 @@ from dataclasses import replace
 from math import isfinite
 from typing import NamedTuple
 
-from cosim.base.signals import MOST_JETS
-from cosim.engine.fmu.mapping import PortMap, VariableName
-from cosim.engine.fmu.port_kinds import KINDS, NEEDED, OWN, PortKind
+from cosim.engine.fmu.mapping import PortMap
+from cosim.engine.fmu.port_kinds import KINDS, NEEDED, PortKind
 from cosim.engine.fmu.units import (
     FORCE,
     PRESSURE,
@@ -37,83 +36,8 @@ class PortError(ValueError):
     """A port is missing, ambiguous or unfit: one line without the FMU's name, which the caller knows."""
 
 
-def find_engines(variables: Sequence[Variable], port_map: PortMap) -> tuple[tuple[dict[str, Port], ...], list[str]]:
-    """Return the ports of each engine in an FMU, and notes on what was assumed or left out.
-
-    There is one engine unless ports are specified as several variables.  Other ports are shared by all engines.
-    Raises PortError as :func:`find_ports`, and where the engines are not as many everywhere.
-    """
-    members = {name: expand_engine_variables(name, KINDS[name].causality, variable, variables)
-               for name, variable in port_map.ports.items() if has_several_engines(variable)}  # fmt: skip
-    if not members:
-        ports, notes = find_ports(variables, port_map)
-        return (ports,), notes
-    counts = {name: len(names) for name, names in members.items()}
-    unmapped = [name for name in NEEDED if name not in members]
-    if unmapped:
-        raise PortError(f"[ports] states several engines by {', '.join(members)}; their {' and '.join(unmapped)} too "
-                        "must be stated, one for each")  # fmt: skip
-    if len(set(counts.values())) > 1:
-        shown = ", ".join(f"{count} of {name}" for name, count in counts.items())
-        raise PortError(f"[ports] states {shown}: must be as many")
-    count = counts["throttle"]
-    if not 2 <= count <= MOST_JETS:
-        raise PortError(f"[ports] states {count} engines; 2 to {MOST_JETS} may be in one FMU")
-    shared = [name for name in OWN if name not in members and port_map.ports.get(name)]
-    if shared:
-        raise PortError(f"[ports] {shared[0]} is one for {count} engines; state one for each, or an output in [log]")
-    if "start" in members:
-        raise PortError("[ports] start: several engines in one FMU are run up before a flight; leave it out")
-    rest = {name: variable for name, variable in port_map.ports.items() if name not in members}
-    rest |= {name: "" for name in OWN if name not in members}
-    engines = []
-    notes = []
-    for k in range(count):
-        own = {name: names[k] for name, names in members.items()}
-        ports, more = find_ports(variables, replace(port_map, ports={**rest, **own}))
-        engines.append(ports)
-        notes += [note for note in more if note not in notes]
-    _need_distinct_ports(engines)
-    pairs = ", ".join(f"{ports['throttle'].variable.name} and {ports['thrust'].variable.name}" for ports in engines)
-    return tuple(engines), [f"holds {count} engines, stepped as one: {pairs}", *notes]
-
-
-def has_several_engines(name: VariableName) -> bool:
-    """Return whether the variables specified for a port belong to several engines."""
-    return isinstance(name, list) or "*" in name
-
-
-def expand_engine_variables(port: str, causality: str, name: VariableName, variables: Sequence[Variable]) -> list[str]:
-    """Return the variables specified for a port: a list unchanged, a ``*`` as all its numbers in rising order."""
-    if isinstance(name, list):
-        return name
-    pattern = re.compile(re.escape(name).replace(r"\*", r"(\d+)", 1))
-    candidates = [v.name for v in variables if v.causality == causality]
-    matches = sorted((int(match[1]), candidate) for candidate in candidates if (match := pattern.fullmatch(candidate)))
-    if not matches:
-        raise PortError(f"has no {causality} like {name}, with a number for *, for {port} "
-                        f"({_list_names(causality, [v for v in variables if v.causality == causality])})")  # fmt: skip
-    return [match for _, match in matches]
-
-
-def _need_distinct_ports(engines: Sequence[Mapping[str, Port]]) -> None:
-    """Refuse ports that two engines of one FMU must not share, and throttles of different types."""
-    used: dict[tuple[str, str, int, int], str] = {}
-    for k, ports in enumerate(engines, start=1):
-        for name in OWN:
-            if name not in ports:
-                continue
-            v = ports[name].variable
-            other = used.setdefault((v.causality, v.type, v.reference, v.index), f"{name} of engine {k}")
-            if other != f"{name} of engine {k}":
-                raise PortError(f"its {v.name} is both {other} and {name} of engine {k}; each has its own")
-    types = {ports["throttle"].variable.type for ports in engines}
-    if len(types) > 1:
-        raise PortError(f"its throttles are of several types, {', '.join(sorted(types))}; must be of one")
-
-
 def find_ports(variables: Sequence[Variable], port_map: PortMap) -> tuple[dict[str, Port], list[str]]:
-    """Return all specified and detected ports of one engine, and notes on what was assumed or left out.
+    """Return all specified and detected ports of an engine, and notes on what was assumed or left out.
 
     Raises PortError if a needed or specified port is unfit; an unfit optional one is left out with a note.
     """
@@ -121,7 +45,6 @@ def find_ports(variables: Sequence[Variable], port_map: PortMap) -> tuple[dict[s
     notes: list[str] = []
     for name, kind in KINDS.items():
         mapped = port_map.ports.get(name)
-        assert not isinstance(mapped, list)  # of one engine
         is_required = name in NEEDED or mapped or name in port_map.units
         if mapped == "" and name in NEEDED:
             raise PortError(f"its {name} cannot be left unconnected")

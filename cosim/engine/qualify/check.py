@@ -24,7 +24,7 @@ from cosim.base.storage.files import write_if_possible
 from cosim.base.storage.user import cache_folder
 from cosim.base.trust import need_trust
 from cosim.engine.fmu.air import STANDARD_AIR, Air
-from cosim.engine.fmu.archive import Archive, label_ports
+from cosim.engine.fmu.archive import Archive
 from cosim.engine.fmu.container import DAMAGE, Zip
 from cosim.engine.fmu.mapping import ConstantValue
 from cosim.engine.fmu.port_kinds import KINDS
@@ -96,7 +96,7 @@ def _check(
         fmi_version=archive.version,
         sha256=archive.sha256,
         step=step,
-        ports=[_described_port(name, port, source) for name, port in label_ports(archive.engines).items()],
+        ports=[_described_port(name, port, source) for name, port in archive.ports.items()],
         inputs=_described(archive.inputs),
         outputs=_described(archive.outputs),
         parameters=[
@@ -275,7 +275,7 @@ def _notes(archive: Archive, library: bool) -> list[str]:
     notes = [*note_harmless_violations(archive), *archive.port_notes]
     if archive.once_per_process:
         notes.append("may be instantiated once per process: every engine gets a library of its own")
-    if not library and not any("fuel_flow" in ports for ports in archive.engines):
+    if not library and "fuel_flow" not in archive.ports:
         notes.append("reports no fuel flow: the tank of a vehicle stays full with it")
     return notes
 
@@ -345,7 +345,7 @@ def measure_in_child(
     if cached is None and is_fit and (isolated or not read_misbehaviour(source.archive.sha256)):
         measure = measure_unchecked if isolated else _measure_here
         measured = measure(name_or_path, parameters, step, air)
-        _need_no_problems(source, find_all_curve_problems(measured, source.archive.starting.rest_n))
+        _need_no_problems(source, find_curve_problems(measured.curve, measured.quiet, source.archive.starting.rest_n))
         return measured
     measured = cached or _check_and_measure(name_or_path, source, parameters, step, air)
     if cached is None:
@@ -380,14 +380,6 @@ def _measure_here(name_or_path: str, parameters: Mapping[str, float], step: floa
     source = find_source(name_or_path)
     _, settings = resolve_parameters(source, parameters)
     return measure_once(source.archive, settings, source.archive.start, step, air)
-
-
-def find_all_curve_problems(measured: EngineMeasurement, rest: float) -> list[str]:
-    """Return the problems of the static curves of all engines in an FMU."""
-    problems = find_curve_problems(measured.curve, measured.quiet, rest)
-    for slot, other in enumerate(measured.others, start=2):
-        problems += [f"engine {slot}: {text}" for text in find_curve_problems(other.curve, other.quiet, rest)]
-    return problems
 
 
 def _check_and_measure(

@@ -27,7 +27,7 @@ from cosim.engine.fmu.instance import FmuInstance, InstanceError
 from cosim.engine.fmu.unpacked import hash_files, unpack
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import EngineMeasurement, measure
-from cosim.engine.qualify.check import NEEDED, find_all_curve_problems, make_measurement_adapter
+from cosim.engine.qualify.check import NEEDED, make_measurement_adapter
 from cosim.engine.qualify.process_state import (
     count_threads,
     describe_changes,
@@ -42,6 +42,7 @@ from cosim.engine.response import (
     Response,
     ResponseError,
     find_crossing,
+    find_curve_problems,
     measure_step_response,
     note_flat_ends,
     settle,
@@ -280,7 +281,7 @@ def _measure(trial: Trial) -> Findings:
     )
     curve = measurement.curve._asdict()
     measured = make_measurement_adapter().dump_python(measurement, mode="json")
-    problems = find_all_curve_problems(measurement, trial.archive.starting.rest_n)
+    problems = find_curve_problems(measurement.curve, measurement.quiet, trial.archive.starting.rest_n)
     notes = note_flat_ends(measurement.curve, measurement.quiet, trial.archive.starting.rest_n)
     return {**curve, "up": measurement.response._asdict(), "measured": measured, "notes": notes}, problems
 
@@ -347,17 +348,12 @@ def _finding(key: str, is_good: bool, problem: str) -> Findings:
 
 
 def _together(trial: Trial) -> Findings:
-    """Compare one of six engines stepped at once, as in a vehicle, with one stepped alone.
-
-    For an FMU with several engines, compare one of two instances with one stepped alone.
-    """
+    """Compare one of six engines stepped at once, as in a vehicle, with one stepped alone."""
     trial.say({"at": "while several of it were instantiated"})
     memory = measure_resident_bytes()
     spec = _spec(trial)
     runs = []
-    count_per_fmu = len(trial.archive.engines)
-    most = 2 * count_per_fmu if count_per_fmu > 1 else ENGINES
-    for count in (most, count_per_fmu):
+    for count in (ENGINES, 1):
         with EngineBank(spec, count, trial.step) as bank:
             begin = measure_resident_bytes()
             for _ in range(2):  # twice, as two flights of the same bank
@@ -366,12 +362,11 @@ def _together(trial: Trial) -> Findings:
                 trial.say({"at": f"while {count} of it were stepped"})
                 runs.append([bank.step(k, _shifted(k, count)).thrust[-1] for k in range(TRIAL_STEPS)])
         trial.say({"at": f"when {count} of it were freed"})
-        if count == most:
+        if count == ENGINES:
             memory = begin - memory
-    many = "six" if count_per_fmu == 1 else "two"
-    problem = f"{many} of it at once do not answer as one alone: they are not independent"
+    problem = "six of it at once do not answer as one alone: they are not independent"
     findings, problems = _finding("independent", all(run == runs[0] for run in runs), problem)
-    return findings | {"bytes_per_instance": max(0.0, memory) * count_per_fmu / most}, problems
+    return findings | {"bytes_per_instance": max(0.0, memory) / ENGINES}, problems
 
 
 def _shifted(k: int, count: int) -> tuple[float, ...]:

@@ -1,7 +1,7 @@
 """What :meth:`Scenario.replace` takes, for type checkers: every key of a scenario with its type."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, TypedDict
+from typing import Any, TypedDict
 
 Section = Mapping[str, Any]  # merged into the scenario's own; or one as it is, a record of the scenario
 Entries = Sequence[Any]  # tables, or records of a scenario
@@ -35,7 +35,6 @@ class Changes(TypedDict, total=False):
     engine_parameters: Mapping[str, float]
     engine_unchecked: bool
     engine_isolated: bool
-    engine_start: Literal["before flight", "in flight"]
     stations: Mapping[str, Any]
     requests: str | None
     metrics: Sequence[str]

@@ -67,7 +67,6 @@ class Scenario(Model):
     engine_parameters: dict[str, float] = {}
     engine_unchecked: bool = False  # engines that are not of the library fly without having been tried before
     engine_isolated: bool = False  # the engines run in a process of their own
-    engine_start: Literal["before flight", "in flight"] = "before flight"  # of engines with a [start], on the ground
     stations: dict[StationNumber, Station] = {}  # by the number of the jet
     requests: str | None = None  # a file of what is asked of the autopilot, which flies then
     metrics: list[str] = []  # of one's own, beside the built-in ones: FILE.py:Name, package.module:Name, entry points
@@ -89,6 +88,14 @@ class Scenario(Model):
 
     @model_validator(mode="before")
     @classmethod
+    def _leave_out_engine_start(cls, data: Any) -> Any:
+        """Leave out the one start of engines that there is, which files of version 0.2.0 state."""
+        if isinstance(data, dict) and data.get("engine_start") == "before flight":
+            return {key: value for key, value in data.items() if key != "engine_start"}
+        return data
+
+    @model_validator(mode="before")
+    @classmethod
     def _fill_expected_aircraft(cls, data: Any) -> Any:
         """Fill in the file's aircraft in its expectations before overrides apply: they hold for no other aircraft."""
         if not isinstance(data, dict) or not isinstance(data.get("expect"), list):
@@ -100,10 +107,6 @@ class Scenario(Model):
     def _one_flies(self) -> Self:
         if self.requests is not None and self.command:
             raise ValueError("requests: the autopilot flies then, there can be no command")
-        if self.engine_start == "in flight" and not self.initial.on_ground:
-            raise ValueError(
-                'engine_start = "in flight": the engines start on the ground; state initial.on_ground = true'
-            )
         if self.initial.engines == "off":
             self._check_cold_start()
         return self
@@ -114,8 +117,6 @@ class Scenario(Model):
             raise ValueError(
                 'initial.engines = "off": only on the ground, and with an autopilot (requests) that is armed'
             )
-        if self.engine_start == "in flight":
-            raise ValueError('initial.engines = "off": engine_start = "in flight" starts them; leave one out')
 
     def __repr__(self) -> str:
         flown = f"{self.aircraft}, engine {self.engine}, controller {self.controller}"

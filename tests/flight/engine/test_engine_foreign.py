@@ -5,21 +5,19 @@ from __future__ import annotations
 import math
 import re
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from engine_tools import STEP
 from foreign_engines import (
-    CRANK,
     FULL,
+    IGNITION,
     KINDS,
     MODE,
     MODES,
     POWER,
     PULSE,
     PULSE3,
-    SPEED,
     VALVE,
     force,
     foreign,
@@ -27,15 +25,13 @@ from foreign_engines import (
     mapped,
     write_kinds,
 )
-from pilot_flights import Flight
 from places import ROOT
 
 from cosim import Scenario, check_engine, fly
-from cosim.base.errors import EngineError, InputError
+from cosim.base.errors import InputError
 from cosim.base.signals import Ambient
 from cosim.base.storage.toml import parse_setting
 from cosim.cli.main import main
-from cosim.control.autopilot import requests as rq
 from cosim.engine import EngineBank, EngineSpec, check_fmu, load_engine
 from cosim.engine.fmu.air import Air
 from cosim.engine.fmu.archive import read_archive, validate
@@ -226,15 +222,12 @@ def test_states_that_cannot_be_saved_prevent_no_flight(place: Path) -> None:
     assert "serialized state" in report.features
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_an_engine_is_started_before_anything_is_asked_of_it(fmi: int, place: Path) -> None:
-    """Cranked until its speed is there, 12 s, then run: every instance, and the flight begins behind that."""
-    path = foreign(
-        place, f"crank{fmi}", "lag=0.1,start=12,modes=1", [lever(), force(), MODE, SPEED], fmi, types=MODES[fmi]
-    )
+def test_an_engine_is_warmed_up_before_anything_is_asked_of_it(place: Path) -> None:
+    """Ignition held from the beginning lights it within 12 s: every instance, and the flight begins behind that."""
+    path = foreign(place, "lit", "lag=0.1,start=12", [lever(), force(), IGNITION])
     with pytest.raises(InputError, match="does not answer the throttle within 10 s; an engine that has to be started"):
         load(path)
-    spec = load(path, "[start]", CRANK)
+    spec = load(path, "[inputs]", "ignition = true", "[start]", "warm_up_s = 13.0")
     assert spec.curve.thrust[-1] == pytest.approx(FULL)
     assert spec.settling_window < 100  # the start is no dead time
     with EngineBank(spec, 2, STEP) as bank:
@@ -243,126 +236,31 @@ def test_an_engine_is_started_before_anything_is_asked_of_it(fmi: int, place: Pa
     assert up[-1] == pytest.approx((FULL - 12.0 * math.exp(-1.0), 8.0), rel=1e-6)  # 0.1 s after the flight's first step
 
 
-@pytest.fixture(scope="module")
-def quick_crank(place: Path) -> Path:
-    """Cranked for 0.2 s, then run for 0.1 s."""
-    path = foreign(place, "quick-crank", "lag=0.1,start=0.2,modes=1", [lever(), force(), MODE, SPEED], types=MODES[2])
-    return mapped(path, "[start]", CRANK.replace("for_s = 1.0", "for_s = 0.1"))
-
-
-def test_a_start_in_flight_is_that_before_it_step_by_step(quick_crank: Path) -> None:
-    """Cold at first, deaf to throttles until it runs, and from then on the lag from nothing, as its equation says."""
-    spec = load_engine(str(quick_crank), {}, STEP, unchecked=True)
-    known = load_engine("edf", {}, STEP)
-    with EngineBank([spec, known], 2, STEP, in_flight=True) as bank:
-        for _ in range(2):  # a second flight begins cold too
-            cold = bank.reset(0.4)
-            assert cold.thrust[0] == 0.0 < cold.thrust[1]
-            assert (bank.starting_engines, bank.shown) == ((1,), (1.0, 0.0))
-            assert [column.name for column in bank.columns] == ["starting_1", "starting_2"]
-            k = 0
-            while bank.starting_engines:
-                assert bank.step(k, (1.0, 0.4)).thrust == (0.0, cold.thrust[1])  # the other has none, and runs
-                k += 1
-            assert k == pytest.approx(0.3 / STEP, abs=2)
-            assert bank.shown == (0.0, 0.0)
-            up = [bank.step(k + n, (0.5, 0.4)).thrust[0] for n in range(25)]
-            assert up[-1] == pytest.approx(0.5 * FULL * (1.0 - math.exp(-1.0)), rel=1e-6)
-        bank.reset(0.4)
-        bank.set_run(0, False)
-        bank.set_run(0, True)
-        assert {bank.step(k, (1.0, 0.4)).thrust[0] for k in range(200)} == {0.0}
-        assert bank.starting_engines == (1,)  # shut off meanwhile: it does not start any more
-
-
-def on_the_ground(engine: Path | str, duration_s: float, **more: object) -> Scenario:
-    table = {
-        "name": "start", "engine": str(engine), "controller": "baseline", "duration_s": duration_s, "monitor": True,
-        "engine_unchecked": True, "engine_start": "in flight", "initial": {"on_ground": True},
-        "command": [{"kind": "step", "signal": "altitude_m", "start_s": 0.1, "amplitude": 3.0}], **more,
-    }  # fmt: skip
-    return Scenario.from_table(table, ROOT / "scenarios", "test")
-
-
-def test_a_start_is_flown(quick_crank: Path) -> None:
-    """It stands with cold engines, then its script lifts it; the ending and the log say when, here and isolated."""
-    run = fly(on_the_ground(quick_crank, 2.4))
-    started = int((run.log["starting_6"] > 0.0).sum()) + 1  # of the last step its end counts
-    assert started == pytest.approx(0.3 / STEP, abs=2)
-    assert f"all engines ran from {started * STEP:.3f} s on, for which 1 of the script's commands waited" in run.reason
-    assert not run.log["thrust_1_N"][:started].any()
-    assert run.log["thrust_1_N"][-1] > 2.0
-    assert run.log["on_ground"][:started].all()
-    assert not run.log["on_ground"][-1]
-    assert (run.log["health_1"] == 1.0).all()  # a cold engine is not a lost one
-    apart = fly(on_the_ground(quick_crank, 0.4, engine_isolated=True))
-    again = fly(on_the_ground(quick_crank, 0.4))
-    assert log_digest(apart.log) == log_digest(again.log)
-
-
-def test_a_start_that_does_not_come_about_in_flight_names_engine_step_and_time(quick_crank: Path) -> None:
-    spec = load_engine(str(quick_crank), {}, STEP, unchecked=True)
-    stated = spec.archive.starting
-    slow = stated._replace(stages=(stated.stages[0]._replace(seconds=0.1),))
-    slower = replace(spec, archive=replace(spec.archive, starting=slow))
-    with EngineBank([spec, slower], 2, STEP, in_flight=True) as bank:
-        bank.reset(0.0)
-        for k in range(24):
-            bank.step(k, (0.0, 0.0))
-        with pytest.raises(
-            EngineError, match=r"engine 2 \(quick-crank.fmu\): it does not start: N1 > 4990 .* within 0.1 s"
-        ) as told:
-            bank.step(24, (0.0, 0.0))
-    assert str(told.value).endswith("at step 24 (0.096 s)")
-
-
-def test_nothing_takes_off_before_its_engines_run(quick_crank: Path) -> None:
-    asked = {"engine": str(quick_crank), "controller": "baseline", "engine_unchecked": True, "monitor": True}
-    with Flight(engine_start="in flight", **asked) as flight:
-        flight.fly(0.2)
-        assert "engine 1, 2, 3, 4, 5, 6 has yet to start" in flight.pilot.refusals()
-        refused = flight.ask(rq.Arm())
-        assert not refused.accepted
-        assert "has yet to start" in refused.text
-        flight.fly(0.9)
-        assert "all engines run" in [message.text for message in flight.pilot.messages]
-        flight.ok(rq.Arm(), rq.Takeoff(3.0))
-        flight.fly(3.0, lambda: not flight.simulation.state.on_ground)
-    with Flight(engine_start="in flight", **asked) as flight:
-        flight.fly(0.1)
-        flight.ok(rq.Kill())  # in the middle of it: the start is given up
-        flight.fly(1.1)
-        assert flight.pilot.refusals() == ("engine 1, 2, 3, 4, 5, 6 has yet to start",)
-        assert not any(any(sample.engines.thrust) for sample in flight.samples)
-
-
-def test_who_cannot_start_in_flight_is_told(quick_crank: Path) -> None:
-    with pytest.raises(InputError, match="an exported vehicle cannot"):
-        ExportedFlight(on_the_ground(quick_crank, 1.0), VehicleContents(), lambda: None)
-    with build(on_the_ground(quick_crank, 1.0)) as simulation, pytest.raises(InputError, match="is not exported"):
-        record_vectors(simulation)
-    with pytest.raises(InputError, match=r"engine_start.*initial.on_ground = true"):
-        on_the_ground(quick_crank, 1.0, initial={})
-    with pytest.raises(InputError, match=r"edf has no start; state one in \[start\]"):
-        fly(on_the_ground("edf", 1.0))
-
-
-WRONG_STARTS = {
-    "{ set = { mode = 'crank' }, until = 'N1 > 9000', at_most_s = 5.0 }": r"N1 > 9000 does not come about within 5 s of "
-    r"stage 1 of its \[start\]; N1 is 2\d\d\d",
-    "{ set = { mode = 'crank' }, until = 'N2 > 9000' }": r"\[start\] stage 1: no output is called N2",
-    "{ set = { mode = 'crank' } }": "say how it ends: for_s = 5.0, or until",
-    "{ until = 'N1 is high' }": "until is an output, one of > < >= <=",
-    "{ for_s = 6000.0, until = 'N1 > 1' }": "say how it ends",
+WHAT_LEFT = {
+    (
+        "[start]",
+        "sequence = []",
+    ): r"start\.sequence: the start of an engine in stages left in version 0\.3\.0; use \[inputs\]",
+    (
+        "[ports]",
+        "thrust = 'F*'",
+    ): r"ports\.thrust.*several engines in one FMU left in version 0\.3\.0; use one FMU for each",
+    ("[ports]", "thrust = ['F1', 'F2']"): r"ports\.thrust.*several engines in one FMU left in version 0\.3\.0",
 }
 
 
-@pytest.mark.parametrize("stage", WRONG_STARTS)
-def test_a_start_that_does_not_come_about_is_refused(stage: str, place: Path) -> None:
-    path = foreign(place, "crank", "lag=0.1,start=12,modes=1", [lever(), force(), MODE, SPEED], types=MODES[2])
-    with pytest.raises(InputError, match=WRONG_STARTS[stage]) as caught:
-        load(path, "[start]", f"sequence = [{stage}]")
+@pytest.mark.parametrize("lines", WHAT_LEFT)
+def test_a_mapping_that_names_what_left_is_answered_in_one_line(lines: tuple[str, ...], place: Path) -> None:
+    with pytest.raises(InputError, match=WHAT_LEFT[lines]) as caught:
+        load(foreign(place, "left", "lag=0.1"), *lines)
     assert "\n" not in str(caught.value)
+
+
+def test_a_scenario_of_version_0_2_flies_if_its_engines_start_before_the_flight() -> None:
+    table = {"name": "old", "duration_s": 1.0, "engine_start": "before flight"}
+    assert Scenario.from_table(table, ROOT, "test").duration_s == 1.0
+    with pytest.raises(InputError, match=r"engine_start: the start of engines in flight left in version 0\.3\.0"):
+        Scenario.from_table(table | {"engine_start": "in flight"}, ROOT, "test")
 
 
 def test_a_thrust_that_never_stands_still_flies_with_a_stated_rest(place: Path) -> None:
@@ -465,12 +363,12 @@ def test_every_kind_is_read_and_measured_or_refused_in_one_line(tmp_path: Path) 
     assert max(mapping_lines.values()) <= 5  # and the one that names the FMU
 
 
-SIX_LINES = ("undeclared-unit", "power", "pulses", "crank", "noisy", "six-in-one")
+SIX_LINES = ("undeclared-unit", "power", "pulses", "ignition", "noisy")
 
 
 @pytest.mark.parametrize("kind", SIX_LINES)
 def test_six_lines_of_mapping_make_it_fly(kind: str, place: Path) -> None:
-    """Blemished, with a constant input, a throttle in whole numbers, a start, noise, six in one: as each is, and hovers."""
+    """Blemished, with a constant input, a throttle in whole numbers, a warm-up, noise: as each is, and hovers."""
     of, rows, fmi, lines, change = KINDS[kind]
     path = foreign(place, f"flies-{kind}", of, rows, fmi, change, MODES[fmi] if "modes" in of else "")
     path = mapped(path, *lines) if lines else path

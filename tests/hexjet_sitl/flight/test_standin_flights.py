@@ -8,11 +8,9 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-import pytest
 from autopilot_standins import ArduPilotStandIn, Px4StandIn
 from patience import PATIENCE
 
-from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
 from cosim.flight import fly
 from cosim.spec.scenario import Scenario
@@ -92,10 +90,3 @@ def test_one_that_is_not_armed_does_not_fly(tmp_path: Path) -> None:
     flown = fly_it(ours, "ardupilot", tmp_path / "run")
     theirs.close()
     assert (flown.run.outcome, flown.run.reason) == ("failed", "ardupilot was not armed within 2 s, before the flight")
-
-
-def test_engines_that_start_in_flight_are_refused(tmp_path: Path) -> None:
-    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, LaunchOptions())
-    ground = HOVER.replace(engine_start="in flight", initial={"on_ground": True})
-    with pytest.raises(InputError, match="with an autopilot engines run before the flight"):
-        fly_it(ours, "ardupilot", tmp_path / "run", ground)

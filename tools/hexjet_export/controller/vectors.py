@@ -166,8 +166,6 @@ def record_vectors(simulation: Simulation) -> RecordedFlight:
 
     Raises InputError for a flight that loses an engine, adds signals to the controller's or fails.
     """
-    if simulation.starting:
-        raise InputError("the flight starts its engines on the way, which is not exported; leave engine_start out")
     vectors = RecordedFlight()
     simulation.controller = RecordingController(simulation.controller, vectors)
     simulation.reset()

@@ -75,10 +75,6 @@ class ExportedFlight:
     def __init__(self, scenario: Scenario, contents: VehicleContents, exchange: Callable[[], None]) -> None:
         if scenario.requests is not None:
             raise InputError(f"scenario {scenario.name}: is flown by an autopilot's requests; choose one with commands")
-        if scenario.engine_start == "in flight":
-            raise InputError(
-                f'scenario {scenario.name}: engine_start = "in flight": an exported vehicle cannot; leave it out'
-            )
         if not contents.engines and not contents.controller:
             for fault in scenario.fault:
                 if isinstance(fault, EngineFault):

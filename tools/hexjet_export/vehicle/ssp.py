@@ -75,12 +75,10 @@ def _connect(
 
 def _check_engine(jet: int, spec: EngineSpec) -> None:
     where = f"export vehicle --to ssp: engine of jet {jet} ({spec.path.name})"
-    if len(spec.archive.engines) > 1:
-        raise InputError(f"{where}: holds {len(spec.archive.engines)} engines, which are not components of their own")
     if spec.start is None:
         raise InputError(f"{where}: has no parameter that starts it in equilibrium, which a system needs")
-    if spec.archive.starting.stages:
-        raise InputError(f"{where}: is started in stages ([start]), which a system structure does not state")
+    if spec.archive.starting.warm_up_s:
+        raise InputError(f"{where}: has a warm-up ([start]), which a system structure does not state")
     for name in ("throttle", "thrust"):
         if spec.archive.ports[name].variable.type not in REALS or spec.archive.ports[name].variable.is_array:
             raise InputError(f"{where}: its {name} is no real number, which the vehicle's is")
