@@ -189,7 +189,8 @@ KINDS: dict[str, Engine] = {
     "backwards": ("lag=0.1,sign=-1", None, 2, ("[scale]", "thrust = -1.0"), NO_CHANGE),
     "gross": ("lag=0.1,drag=0.5", [lever(), force("Fg", "gross"), force("Fram", "drag")], 2,
               ("[ports]", "thrust = 'Fg'", "ram_drag = 'Fram'"), NO_CHANGE),
-    "deck": ("lag=0.1,air=1", [lever(), force(), *AIR], 2, (), NO_CHANGE),
+    "deck": ("lag=0.1,air=1", [lever(), force(), *AIR], 2,
+             ("[ports]", "mach = 'Mn'", "density = 'rho'", "altitude = 'alt'"), NO_CHANGE),
 }  # fmt: skip
 
 

@@ -1,12 +1,13 @@
 """Assignment of an FMU's variables to an engine's ports, and the conversion of their values.
 
-A port is found by causality, name and unit, or specified in a mapping file (:mod:`cosim.engine.fmu.mapping`).
+A port is found by its own name, and throttle and thrust also where one variable alone can be it by causality and unit;
+all others are specified in a mapping file (:mod:`cosim.engine.fmu.mapping`).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
 from typing import NamedTuple
@@ -25,7 +26,7 @@ from cosim.engine.fmu.units import (
     is_unit_of,
     to_si,
 )
-from cosim.engine.fmu.variables import INTEGERS, LEVERS, REALS, Port, Variable
+from cosim.engine.fmu.variables import INTEGERS, Port, Variable
 
 RANGE_ADVICE = "a mapping file does: [range] throttle = [what 0 is, what 1 is]"
 LEAST_STEPS = 20  # of a throttle in whole numbers, chosen by us: coarser than 5 % it is a switch
@@ -53,7 +54,7 @@ def find_ports(variables: Sequence[Variable], port_map: PortMap) -> tuple[dict[s
         try:
             variable = _find_mapped(name, kind, mapped, variables) if mapped else _search(name, kind, variables, ports)
             if variable is None and is_required:
-                raise PortError(f"has no {kind.causality} that is known as its {name}; {_advise_mapping(name)}")
+                raise PortError(f"has no {kind.causality} called {name}; {_advise_mapping(name)}")
             if variable is not None:
                 ports[name] = _make_port(name, kind, variable, port_map, ports, notes)
         except PortError as error:
@@ -90,6 +91,8 @@ def look_for_ports(variables: Sequence[Variable]) -> Iterator[PortFinding]:
         variable: Variable | None = None
         try:
             variable = _search(name, kind, variables, ports)
+            if variable is None and (candidates := _of_unit(name, kind, variables, ports)):
+                yield PortFinding(name, None, f"may be {', '.join(v.name for v in candidates)}, by the unit")
             if variable is not None and (name != "start" or "throttle" in ports):
                 notes: list[str] = []
                 ports[name] = _make_port(name, kind, variable, PortMap(), ports, notes)
@@ -130,46 +133,48 @@ def _find_mapped(port: str, kind: PortKind, name: str, variables: Sequence[Varia
 
 
 def _search(port: str, kind: PortKind, variables: Sequence[Variable], ports: Mapping[str, Port]) -> Variable | None:
-    """Return a port's variable, found by its usual names or, for a needed port, by its unit alone.
+    """Return the variable that has a port's name or, for throttle and thrust, is the only one that can be it.
 
     None if there is none and the port is not needed.
     """
-    used = {port.variable.name for port in ports.values()}
-    candidates = [v for v in variables if v.causality == kind.causality and v.name not in used and not v.is_array]
-    usable = [v for v in candidates if v.type in kind.types and not _other_quantity(port, kind, v)]
-    reals = [v for v in usable if v.type in REALS]
-    integers = usable if kind.types == LEVERS and len(reals) < len(usable) else []  # of a lever, tried last
-    for tier in (*_tiers(port, kind, reals if integers else usable), *_tiers(port, kind, integers)):
-        if len(tier) == 1:
-            return tier[0]
-        if tier:
-            names = ", ".join(v.name for v in tier)
-            raise PortError(f"has several {kind.causality}s that may be its {port}: {names}; {_advise_mapping(port)}")
-    if port not in NEEDED:
+    names = {normalise_name(port), normalise_name(kind.library_name)}
+    candidates = _list_unused(kind, variables, ports)
+    named = [v for v in candidates if normalise_name(v.name) in names]
+    if len(named) == 1:
+        if named[0].type not in kind.types:
+            raise _wrong_type(named[0], kind)
+        if _other_quantity(port, kind, named[0]):
+            raise _wrong_unit(port, named[0], _unit_complaint(named[0], kind))
+        return named[0]
+    if not named and port not in NEEDED:
         return None
-    unfit = [
-        v for v in candidates if v not in usable and normalise_name(v.name) in kind.usual_names + kind.ambiguous_names
+    others = {normalise_name(each) for each in KINDS}
+    usable = named or [
+        v
+        for v in candidates
+        if v.type in kind.types and not _other_quantity(port, kind, v) and normalise_name(v.name) not in others
     ]
-    if unfit and unfit[0].type not in kind.types:
-        raise _wrong_type(unfit[0], kind)
-    if unfit:
-        raise _wrong_unit(port, unfit[0], _unit_complaint(unfit[0], kind))
-    names = _list_names(kind.causality, [v for v in variables if v.causality == kind.causality])
-    raise PortError(f"has no {kind.causality} that is known as its {port} ({names}); {_advise_mapping(port)}")
+    if port == "thrust" and not named:
+        usable = [v for v in usable if is_unit_of(v.unit, v.base, kind.quantity)]
+    if len(usable) == 1:
+        return usable[0]
+    listed = _list_names(kind.causality, usable or candidates)
+    count = f"several {kind.causality}s" if usable else f"no {kind.causality}"
+    raise PortError(f"has {count} that may be its {port} ({listed}); {_advise_mapping(port)}")
 
 
-def _tiers(port: str, kind: PortKind, usable: Sequence[Variable]) -> Iterable[list[Variable]]:
-    """Yield lists of candidates for a port, the most certain first."""
-    yield [v for v in usable if normalise_name(v.name) == normalise_name(port)]
-    stems = [normalise_name(split_unit(v.name.rpartition(".")[2], kind.quantity)[0]) for v in usable]
-    for names in (kind.usual_names, kind.ambiguous_names):
-        yield [v for v, stem in zip(usable, stems, strict=True) if stem in names or normalise_name(v.name) in names]
-    if port == "thrust":
-        yield [v for v in usable if is_unit_of(v.unit, v.base, kind.quantity)]
-    if port == "throttle":
-        others = [name for other in KINDS.values() if other.causality == kind.causality for name in other.usual_names]
-        rest = [v for v, stem in zip(usable, stems, strict=True) if stem not in others]
-        yield rest if len(rest) == 1 else []
+def _list_unused(kind: PortKind, variables: Sequence[Variable], ports: Mapping[str, Port]) -> list[Variable]:
+    """Return the scalar variables of a port's causality that are no port yet."""
+    used = {port.variable.name for port in ports.values()}
+    return [v for v in variables if v.causality == kind.causality and v.name not in used and not v.is_array]
+
+
+def _of_unit(port: str, kind: PortKind, variables: Sequence[Variable], ports: Mapping[str, Port]) -> list[Variable]:
+    """Return the variables whose declared unit is that of an optional port; none for a ratio, which may be anything."""
+    if port in NEEDED or kind.quantity is RATIO:
+        return []
+    free = _list_unused(kind, variables, ports)
+    return [v for v in free if v.type in kind.types and is_unit_of(v.unit, v.base, kind.quantity)]
 
 
 def _other_quantity(port: str, kind: PortKind, v: Variable) -> bool:
@@ -195,11 +200,11 @@ def _wrong_type(v: Variable, kind: PortKind) -> PortError:
 
 
 def _wrong_unit(port: str, v: Variable, complaint: str) -> PortError:
-    return PortError(f"its {v.name} {complaint}; a mapping file states it: [units] {port} = ...")
+    return PortError(f"its {v.name} {complaint}; hexjet fmu map begins a file that states it: [units] {port} = ...")
 
 
 def _advise_mapping(port: str) -> str:
-    return f'a mapping file states it: [ports] {port} = "..."'
+    return f'hexjet fmu map begins a file that states it: [ports] {port} = "..."'
 
 
 def _list_names(causality: str, variables: Sequence[Variable]) -> str:

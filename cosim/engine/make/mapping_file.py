@@ -123,7 +123,7 @@ def _port_lines(each: PortFinding, archive: Archive, taken: set[str]) -> Iterato
         yield _with_comment(line, about) if is_ready else _with_comment(f"# {line}", each.trouble)
     elif each.trouble:
         yield _open(f'{each.port} = ""', each.trouble)
-        free = [v for v in _of(archive, KINDS[each.port].causality) if v.name not in taken]
+        free = [v for v in _of(archive, KINDS[each.port].causality) if v.name not in taken and each.port in NEEDED]
         yield from (f"#     {_quoted(v.name)}: {_describe(v)}\n" for v in free)
 
 

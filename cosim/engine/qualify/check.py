@@ -223,21 +223,18 @@ def _value(variable: Variable, value: float | None) -> float | str | None:
     return {float(item): name for name, item in variable.items}.get(value, value) if value is not None else None
 
 
-def _described_port(label: str, port: Port, source: EngineSource) -> dict[str, Any]:
+def _described_port(name: str, port: Port, source: EngineSource) -> dict[str, Any]:
     v = port.variable
-    name = label.partition(" ")[0]  # port name without the engine's number
     mapped = source.engine.ports if source.engine else source.mapping.ports.model_dump(exclude_none=True)
     if name in mapped:
         origin = "in engine.toml" if source.engine else "in the mapping file"
-    elif normalise_name(v.name) == normalise_name(name):
+    elif normalise_name(v.name) in {normalise_name(name), normalise_name(KINDS[name].library_name)}:
         origin = "by its name"
-    elif any(normalise_name(text) in KINDS[name].usual_names for text in (v.name, v.name.rpartition(".")[2])):
-        origin = "by a usual name"
     else:
         origin = "by its unit" if name == "thrust" else "as the only one"
     is_lever = KINDS[name].causality == "input" and name in ("throttle",)
     return {
-        "port": label,
+        "port": name,
         "name": v.name,
         "unit": v.unit if name in ("throttle", "run", "start") else _unit(name, source) or v.unit,
         "from": port.value(0.0) if is_lever else None,

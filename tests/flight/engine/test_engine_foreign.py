@@ -307,7 +307,9 @@ def test_the_air_in_other_words(place: Path) -> None:
     assert fast["total_temperature"] == pytest.approx(1.2 * 288.15)
     rows = [lever(), force(), ("Mn", "mach", "input", 'start="0"'), ("rho", "density", "input", 'unit="kg/m3" start="1"'),
             ("alt", "altitude", "input", 'unit="m" start="0"'), ("h", "altitude", "output", 'unit="m"')]  # fmt: skip
-    spec = load(foreign(place, "deck", "lag=0.02,air=1", rows))
+    spec = load(
+        foreign(place, "deck", "lag=0.02,air=1", rows), "[ports]", "mach = 'Mn'", "density = 'rho'", "altitude = 'alt'"
+    )
     assert {"mach", "density", "altitude"} <= set(spec.ports)
     air = Air(79501.4, 275.15, 100.0)
     derived = air.derive()
@@ -415,7 +417,7 @@ def test_further_outputs_are_in_the_log_by_name_and_unit(place: Path) -> None:
     fmu = foreign(
         place, "more", "lag=0.1,drag=0.5", [lever(), force("Fn"), force("Fg", "gross"), force("Fram", "drag")]
     )
-    path = mapped(fmu, "[log]", "gross_N = 'Fg'", "drag_N = 'Fram'")
+    path = mapped(fmu, "[ports]", "thrust = 'Fn'", "[log]", "gross_N = 'Fg'", "drag_N = 'Fram'")
     scenario = Scenario.load("hover").replace(
         engine=str(path), controller="baseline", engine_unchecked=True, duration_s=0.1, expect=[]
     )

@@ -57,7 +57,7 @@ def test_what_is_open_is_said_at_once_and_stated_it_flies(tmp_path: Path) -> Non
     made = map_engine(renamed(tmp_path / "odd.fmu", *ODD))
     assert list(made.open) == ["throttle", "thrust"]
     assert "in deg and states no range" in made.open["throttle"]
-    assert "no output that is known as its thrust (outputs: Schub, T5)" in made.open["thrust"]
+    assert "no output that may be its thrust (outputs: Schub, T5)" in made.open["thrust"]
     text = made.files["mapping"].read_text()
     assert "# throttle = [0.0, 1.0]\n" in text
     assert '#     "Schub": no unit, no range, ' in text
