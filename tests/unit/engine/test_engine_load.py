@@ -358,19 +358,19 @@ BROKEN: dict[str, tuple[Breaker, str]] = {
     ),
     "no throttle": (
         edited('causality="input" variability="continuous"', 'causality="parameter" variability="tunable"'),
-        "has no input that is known as its throttle (inputs: none); a mapping file states it: [ports] throttle = ",
+        "has no input that may be its throttle (inputs: none); hexjet fmu map begins a file that states it: [ports] throttle = ",
     ),
     "no thrust": (
         edited('causality="output"', 'causality="local"'),
-        "has no output that is known as its thrust (outputs: none); a mapping file states it: [ports] thrust = ",
+        "has no output that may be its thrust (outputs: none); hexjet fmu map begins a file that states it: [ports] thrust = ",
     ),
     "pascals": (
         edited('kg="1" m="1" s="-2"', 'kg="1" m="-1" s="-2"'),
-        "its thrust is in N, which the FMU defines as something else than a force; a mapping file states it: [units] ",
+        "its thrust is in N, which the FMU defines as something else than a force; hexjet fmu map begins ",
     ),
     "kilonewtons called N": (
         edited('kg="1" m="1"', 'factor="1000" kg="1" m="1"'),
-        "its thrust is in N, which the FMU defines as 1000 N and which is 1 N; a mapping file states it: ",
+        "its thrust is in N, which the FMU defines as 1000 N and which is 1 N; hexjet fmu map begins ",
     ),
     "throttle without a range": (
         edited('min="0.0" max="1.0" start="0.0"', 'min="0.0" max="0.0" start="0.0"'),
