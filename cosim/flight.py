@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError, InputError, notify
-from cosim.base.wording import says_arguments
 
 if TYPE_CHECKING:
     from cosim.base.protocols import Observer
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
 
 
-@says_arguments
 def fly(
     scenario: Scenario | str | Path,
     out: Path | str | None = None,

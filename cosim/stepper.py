@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 from cosim.base.errors import EngineError, FlightError, InputError
 from cosim.base.protocols import Applied
 from cosim.base.signals import Actuation, Command, Measured, PerJet, PerServo, Sample, State, Unallocated
-from cosim.base.wording import says_arguments
 from cosim.flight import opened, record
 from cosim.results.run import Run
 from cosim.simulation.build import build
@@ -111,7 +110,6 @@ class Stepper:
         As :func:`cosim.fly`; also for a scenario that an autopilot flies.
     """
 
-    @says_arguments
     def __init__(
         self,
         scenario: Scenario | str | Path,

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from cosim.api.call import Progress, Result, Table, checked
 from cosim.base.errors import InputError
 from cosim.base.trust import without_code
-from cosim.base.wording import says_arguments
 from cosim.results.run import Run
 
 if TYPE_CHECKING:
@@ -38,7 +37,6 @@ class CompareResult(Result):
         self.compared = tuple(compared)
         self.files = {}
 
-    @says_arguments
     def write(self, page: Path | str) -> CompareResult:
         """Write the page.
 

@@ -173,7 +173,7 @@ def identify(
     elif name is None:
         raise InputError("identify: engine: name which")
     else:
-        numbers = parse_numbers(tuple(texts), "--set")
+        numbers = parse_numbers(tuple(texts), "settings (--set)")
         result = IdentifyResult(identify_engine(name, numbers, throttle=throttle, step=step_s, **swept))
     return result if out is None else result.write(out)
 
@@ -315,7 +315,7 @@ def identify_bench(
     if not logs:
         raise InputError("identify_bench: logs: name one at least")
     if engine is None and (fit or settings):
-        raise InputError("--fit and --set are for the parameters of an engine: --engine NAME")
+        raise InputError("--fit and settings (--set) are for an engine's parameters; name it with --engine")
     records = read_records([*map(Path, logs)], Columns(command, output, time_column, time_unit, begin, end))
     choices = Choices(throttle_range, between, longest_delay_s)
     found: BenchIdentification | GreyIdentification
@@ -347,7 +347,7 @@ def _fit_engine(
         if not known:
             raise InputError(f"{records[0].path}: what throttle 0 and 1 are is not known: --throttle-range LOW HIGH")
     straight = is_straight(records, choices.between, notes)
-    numbers = parse_numbers(tuple(settings), "--set")
+    numbers = parse_numbers(tuple(settings), "settings (--set)")
     stated = GreyChoices(engine, tuple(fitted), numbers, limits, straight, choices.longest_delay)
     found = fit_engine(records, stated)
     return replace(found, notes=(*found.notes, *notes))

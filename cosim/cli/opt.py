@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, TypeVar, cast, overload
 import click
 
 from cosim.base.errors import nearest
-from cosim.base.wording import at_command_line
 from cosim.cli.complete import complete_by
 from cosim.cli.console import echo
 from cosim.cli.outputs import Out
@@ -183,12 +182,9 @@ def takes(record: type[R]) -> Callable[[Callable[[R], int]], Callable[..., int]]
     """Give a command the options of a record, which it is called with."""
 
     def with_options(command: Callable[[R], int]) -> Callable[..., int]:
-        names = [each.names[0] for each in record.options().values() if each.names]
-
         @wraps(command)
         def call(**values: Any) -> int:
-            with at_command_line(names):
-                return command(record(**values))
+            return command(record(**values))
 
         for field, declared in reversed(record.options().items()):
             attributes = complete_by(field, declared.names) | declared.attributes

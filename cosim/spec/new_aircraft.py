@@ -52,7 +52,7 @@ def new_aircraft(name: str, base: str, folder: Path) -> Path:
     if name in aircraft_names():
         raise InputError(f"{name}: is the name of an aircraft that is shipped; choose another")
     if base not in aircraft_names():
-        raise InputError(f"--from {base}: must be one that is shipped; {nearest(base, aircraft_names())}")
+        raise InputError(f"base (--from) {base}: must be one that is shipped; {nearest(base, aircraft_names())}")
     source = find_aircraft(base)
     original, path = load_vehicle(base)[0], folder / VEHICLE
     text = source.read_text(encoding="utf-8")

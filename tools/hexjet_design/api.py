@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.call import Limits, Progress, Result, Table, checked, says_arguments
+from cosim.api.call import Limits, Progress, Result, Table, checked
 from cosim.api.call.choices import as_settings, engine_for
 from cosim.base.errors import InputError
 from cosim.base.plugins.entry_points import load_hook
@@ -43,7 +43,6 @@ class DesignResult(Result):
         """The controller file, for :func:`cosim.fly`, of a design not proved too; None where none was written."""
         return self.files.get("controller")
 
-    @says_arguments
     def write(self, file: Path | str | None = None) -> DesignResult:
         """Write the controller file, where there is a design, and the page beside it.
 
@@ -256,7 +255,7 @@ def _loops_of(
     from cosim.control.predictors.registry import BASELINE
 
     if controller not in ("auto", BASELINE.name) or start is not None:
-        raise InputError(f"--for {autopilot}: it has no predictor of ours: leave --controller and --start out")
+        raise InputError(f"autopilot (--for) {autopilot}: has no predictor of ours; leave --controller and --start out")
     return _ask_autopilots("autopilot_loops", autopilot)(autopilot, aircraft, settings), BASELINE.name
 
 

@@ -353,10 +353,10 @@ def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scen
     table["engine"] = file_seen_from(engine, Path())
     for text in settings:
         key, value = parse_setting(text)
-        set_path(table, key, value, "design: --set")
+        set_path(table, key, value, "design: settings (--set)")
     scenario = Scenario.from_table(table, Path(), "design")
     if scenario.stations:
-        raise InputError("design: --set stations: a design is for one engine at all stations")
+        raise InputError("design: settings (--set) stations: a design is for one engine at all stations")
     load_vehicle(scenario.aircraft, scenario.vehicle, "design: vehicle")  # a wrong key is the design's
     return scenario, scenario.resolved_vehicle()[0]
 

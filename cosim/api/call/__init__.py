@@ -2,4 +2,3 @@
 
 from cosim.api.call.arguments import Limits, checked
 from cosim.api.call.result import FolderResult, Progress, Result, Table
-from cosim.base.wording import says_arguments

@@ -11,7 +11,6 @@ from types import UnionType
 from typing import Any, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin
 
 from cosim.base.errors import InputError, nearest
-from cosim.base.wording import option_of, says_arguments
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -38,11 +37,10 @@ class Limits(NamedTuple):
 def checked(**limits: Limits) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return what makes a call raise InputError, one line, for arguments that are not of the types annotated.
 
-    And for numbers that are not finite, or not in their ``limits``: those of the option of the same name.
+    And for numbers that are not finite, or not in their ``limits``.
     """
 
     def with_checks(call: Callable[P, R]) -> Callable[P, R]:
-        speaking = says_arguments(call)
         adapters: dict[str, Any] = {}  # made at the first call: importing it costs nothing
 
         @functools.wraps(call)
@@ -62,7 +60,7 @@ def checked(**limits: Limits) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 check = functools.partial(_valid, call, parameter, adapters[name], limits.get(name))
                 several = parameter.kind is inspect.Parameter.VAR_POSITIONAL
                 bound.arguments[name] = tuple(map(check, value)) if several else check(value)
-            return speaking(*bound.args, **bound.kwargs)
+            return call(*bound.args, **bound.kwargs)
 
         vars(with_check)["limits"] = limits
         return with_check
@@ -102,7 +100,7 @@ def _valid(
     """Return an argument as the call takes it.  Raises InputError."""
     from pydantic import ValidationError
 
-    where = option_of(parameter.name) or f"{call.__name__}: {parameter.name}"
+    where = f"{call.__name__}: {parameter.name}"
     try:
         valid = adapter.validate_python(value)
     except ValidationError as error:

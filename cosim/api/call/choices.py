@@ -124,7 +124,7 @@ def _read(scenario: Scenario | str | Path, settings: Sequence[str]) -> Scenario:
     table, where = scenario.stated(), f"scenario {scenario.name}"
     for text in settings:
         key, value = parse_setting(text)
-        set_path(table, key, value, f"{where}: --set")
+        set_path(table, key, value, f"{where}: settings (--set)")
     return Scenario.from_table(table, scenario.folder, where, scenario.origin or scenario)
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from cosim.base.errors import notify
-from cosim.base.wording import says_arguments
 
 
 class Progress:
@@ -156,7 +155,6 @@ class Result:
 class FolderResult(Result):
     """What a call came to, with files that go into one folder."""
 
-    @says_arguments
     def write(self, folder: Path | str) -> Self:
         """Write its files.
 

@@ -119,6 +119,6 @@ def _settings(file: Path, made: Purpose, given: Sequence[str]) -> dict[str, Any]
     }
     for text in given:
         keys, value = parse_setting(text)
-        set_path(settings, keys, value, "--set")
+        set_path(settings, keys, value, "settings (--set)")
     settings["aircraft"] = settings.get("aircraft") or made.find_aircraft(file)
     return {key: value for key, value in settings.items() if value != {}}

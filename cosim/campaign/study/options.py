@@ -87,7 +87,7 @@ def open_study(
         data = {"design": "random", "runs": default_runs(str(data["until"]))} | data
     data.setdefault("design", _default_design(data))
     if data["design"] not in DESIGNS:
-        raise InputError(f"--sampling {data['design']}: {nearest(str(data['design']), DESIGNS)}")
+        raise InputError(f"design (--sampling) {data['design']}: {nearest(str(data['design']), DESIGNS)}")
     return Study.from_table(data, folder, where)
 
 

@@ -97,7 +97,7 @@ def split_clocks(path: Path, columns: TableColumns, time_unit: str | None = None
     if owner is None:
         raise InputError(
             f"{path}: {' and '.join(clocks)} are not one clock, and neither names nor order of the columns say which "
-            "signal is on which: put each before its signals, or --time NAME takes one for all"
+            "signal is on which: put each before its signals, or time_column (--time) takes one for all"
         )
     logs = []
     for clock, times in clocks.items():

@@ -184,7 +184,7 @@ def _check_told(record: BenchRecord, choices: GreyChoices, values: Array, covari
     if unknown:
         raise NotIdentifiedError(
             f"{record.path}: the log does not tell {' and '.join(unknown)} of {choices.engine}: the 95 % bounds exceed "
-            f"the value; leave out --fit {unknown[0]}, or log steps over the whole range, up and down"
+            f"the value; leave {unknown[0]} out of --fit, or log steps over the whole range, up and down"
         )
 
 

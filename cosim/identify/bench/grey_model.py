@@ -133,11 +133,12 @@ def make_model(records: Sequence[BenchRecord], choices: GreyChoices) -> EngineMo
     variables = {variable.name: variable for variable in spec.archive.parameters}
     for name in choices.fitted:
         if name not in spec.parameters:
-            raise InputError(f"--fit {name}: {choices.engine} has no such parameter; {nearest(name, spec.parameters)}")
+            allowed = nearest(name, spec.parameters)
+            raise InputError(f"--fit {name}: {choices.engine} has no such parameter; {allowed}")
         if variables[name].type.startswith(("Int", "UInt", "Bool", "Enum")):
             raise InputError(f"--fit {name}: is no continuous number; the delay is fitted anyway")
         if not spec.parameters[name] > 0.0:
-            raise InputError(f"--fit {name}: is {spec.parameters[name]:g}; set where to begin: --set {name}=...")
+            raise InputError(f"--fit {name}: is {spec.parameters[name]:g}; say where to begin: --set {name}=...")
     late = spec.delay_samples
     if late is not None:  # the delay is fitted before the engine, to any fraction of a step
         spec = load_engine(choices.engine, {**choices.settings, "delay_samples": 0.0}, STEP_S)

@@ -233,7 +233,7 @@ def _scenario(
     data |= {key: value for key, value in given.items() if value is not None}
     for text in settings:
         key, value = parse_setting(text)
-        set_path(data, key, value, f"identify {axis}: --set")
+        set_path(data, key, value, f"identify {axis}: settings (--set)")
     scenario = Scenario.from_table(data, Path(), f"identify {axis}")
     vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle, f"identify {axis}: vehicle")
     changes: dict[str, Any] = {}

@@ -263,7 +263,7 @@ def apply_controller(
     table = merge(table, written | {"parameter_files": parameter_files(known, "design", path)})
     for text in settings:
         keys, value = parse_setting(text)
-        set_path(table, keys, value, f"{where}: --set")
+        set_path(table, keys, value, f"{where}: settings (--set)")
     changed = Scenario.from_table(table, folder, where, original)
     file.check_step(path, changed.step_s)
     return changed

@@ -41,8 +41,6 @@ from cosim.results.log.digest import log_digest
 from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import LedgerRow, make_delay_ledger, select_axis
 from cosim.spec.vehicle import load_vehicle
-from hexjet_export.controller.vectors import record_vectors
-from hexjet_export.vehicle.ports import ExportedFlight, VehicleContents
 
 
 @pytest.fixture(scope="module")

@@ -60,7 +60,9 @@ def test_two_clocks_in_one_file_are_split_and_laid_over_each_other(tmp_path: Pat
 def test_two_clocks_of_which_nothing_tells_which_signal_is_whose_are_asked_about(tmp_path: Path) -> None:
     columns = named(two_clocks(1), "a:time_1_s,b:time_2_s,throttle,rpm,force:thrust_N")
     path = write(tmp_path / "both.csv", columns)
-    with pytest.raises(InputError, match=r"time_1_s and time_2_s are not one clock.*--time NAME takes one for all"):
+    with pytest.raises(
+        InputError, match=r"time_1_s and time_2_s are not one clock.*time_column \(--time\) takes one for all"
+    ):
         read_records([path])
     assert read_records([path], Columns(time="time_1_s"))[0].clock_deviation == 0.0
 

@@ -26,7 +26,6 @@ import cosim
 from cosim import InputError
 from cosim.api import Progress, Result
 from cosim.base.errors import Notice
-from cosim.base.wording import with_arguments
 from cosim.campaign.surveys.failsafes import WINDS_M_S
 from cosim.cli.main import cli
 from cosim.cli.results.show import show as show_command
@@ -63,24 +62,24 @@ def test_a_call_is_typed_and_refuses_a_name_that_is_none(name: str) -> None:
         ("identify", ("rol",), {}, "identify: subject: 'rol': did you mean 'roll'? allowed: engine, pitch, roll, yaw"),
         ("identify", ("engine",), {}, "identify: engine: name which"),
         ("margins", (None,), {}, "margins: scenario: None is a value of type NoneType; allowed: Scenario | str | Path"),
-        ("design", (), {"out": "x.txt"}, "design: out = x.txt: must end in .toml, by which controller knows it"),
+        ("design", (), {"out": "x.txt"}, "--out x.txt: must end in .toml, by which --controller knows it"),
         ("compare", ("a",), {}, "compare: 1 flight; allowed: 2 to 8"),
         ("export", ("runs/a", "csvv"), {}, "export: to: 'csvv': did you mean 'csv'? allowed: csv, mat, mcap, "),
         ("export_vehicle", (), {"outside": ["engine"]}, "export_vehicle: outside: 'engine': did you mean 'engines'?"),
-        ("search", ("hover",), {"within": 3.0}, "search: within: goes with worst=True or likely=True"),
+        ("search", ("hover",), {"within": 3.0}, "--within: goes with --worst or --likely"),
         ("search", ("hover",), {"seeds": 0}, "search: seeds: 0; allowed: at least 1, at most 10000"),
         ("search", ("hover",), {"share": 2}, "search: share: 2; allowed: at least 0, at most 1"),
         ("rare", ("hover",), {"target": 0.0}, "rare: target: 0; allowed: at least 1e-09, at most 0.5"),
         ("prove", ("hover",), {"search": -1}, "prove: search: -1; allowed: at least 0"),
         ("design", (), {"amplitude": 0.0}, "design: amplitude: 0; allowed: above 0, at most 0.5"),
         ("margins", (), {"from_hz": float("nan")}, "margins: from_hz: nan is no finite number"),
-        ("margins", (), {"out": __file__}, f"{__file__}: is a file; name a folder with out"),
+        ("margins", (), {"out": __file__}, f"{__file__}: is a file; name a folder with --out"),
         ("identify", ("engine", "edf"), {"lags": 7}, "identify: lags: 7; allowed: at least 0, at most 2"),
         ("identify", ("roll",), {"lags": 0}, "identify: lags: 0; allowed: at least 1 of an axis"),
-        ("identify_log", ("a.ulg",), {}, "identify log: say axis roll, pitch or yaw, or engine N"),
-        ("identify_log", ("a.ulg", "roll"), {"lags": 0}, "identify_log: lags = 0: an axis has one at least"),
+        ("identify_log", ("a.ulg",), {}, "identify log: say --axis roll, pitch or yaw, or --engine N"),
+        ("identify_log", ("a.ulg", "roll"), {"lags": 0}, "--lags 0: an axis has one at least"),
         ("identify_bench", (), {}, "identify_bench: logs: name one at least"),
-        ("identify_bench", ("a.csv",), {"fit": ["lag"]}, "identify_bench: fit and settings are for the parameters of"),
+        ("identify_bench", ("a.csv",), {"fit": ["lag"]}, "--fit and settings (--set) are for an engine's parameters"),
         ("faults", ("hexjt",), {}, "unknown aircraft 'hexjt'; did you mean 'hexjet'"),
         ("faults", (), {"workers": 0}, "faults: workers: 0; allowed: at least 1, at most 64"),
         (
@@ -153,52 +152,6 @@ def test_numbers_have_the_limits_of_their_options(call: str, record: str, shares
         unit = shares if name.endswith("_tolerance") else 1.0
         most = inf if kind.max is None else unit * kind.max
         assert allowed == (unit * kind.min, most, kind.min_open), name
-
-
-WITHOUT = {  # options that a call has no argument of, and why
-    "--json": "what it gives back is that",
-    "--out": "of failsafes' folder and others: write() has it",
-    "--aircraft": "of replay and margins, which have it",
-    "--channels": "identify log lists channels instead",
-    "--keys": "sweep lists keys instead",
-    "--signal": "of the table in a terminal",
-    "--metric": "a key of the scenario",
-    "--observer": "a key of the scenario",
-    "--page": "pages of this repository",
-    "--scenario": "an argument without a name",
-}
-
-
-@pytest.mark.parametrize(
-    ("name", "record"),
-    [
-        ("search", "studies.campaign:Search"),
-        ("rare", "studies.campaign:Rare"),
-        ("sweep", "studies.campaign:Sweep"),
-        ("prove", "studies.prove:Prove"),
-        ("design", "hexjet_design.command:DesignOptions"),
-        ("margins", "hexjet_design.measured.command:Margins"),
-        ("identify", "controllers.identify:SweptAxis"),
-        ("identify_log", "controllers.identify:FromLog"),
-        ("identify_bench", "controllers.bench:Bench"),
-        ("validate", "controllers.validate:Validate"),
-        ("replay", "controllers.replay:Replayed"),
-        ("faults", "studies.faults:Faults"),
-        ("failsafes", "studies.faults:FailsafeOptions"),
-        ("compare", "results.compare:Compare"),
-        ("export_vehicle", "hexjet_export.command:ExportVehicle"),
-        ("export_controller", "hexjet_export.command:ExportController"),
-        ("check_engine", "engine:Check"),
-        ("map_engine", "engine:Map"),
-        ("check_aircraft", "aircraft:Check"),
-    ],
-)
-def test_a_line_that_names_an_option_names_an_argument_instead(name: str, record: str) -> None:
-    """Of every option of the command there is an argument, by which a line of the call names it."""
-    parameters = inspect.signature(getattr(cosim, name)).parameters
-    options = resolve(record, "cosim.cli").options().values()
-    for option in {each.names[0].partition("/")[0] for each in options if each.names} - WITHOUT.keys():
-        assert "--" not in with_arguments(f"so {option} 3", parameters, name), option
 
 
 def test_a_note_is_a_warning_at_the_line_of_the_caller() -> None:

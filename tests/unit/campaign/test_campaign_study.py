@@ -193,7 +193,7 @@ def test_wrong_correlations_and_criteria_are_refused_in_one_line(read: Any, text
         ([f"{MASS}=1:2"], {"runs": None}, "runs is missing (--runs): how many draws the latin-hypercube has"),
         ([f"{MASS}=1:2"], {"runs": 0}, "runs = 0: should be greater than or equal to 1"),
         ([f"{MASS}=1:2"], {"repeats": 3}, "only a grid is repeated; a latin-hypercube has more runs instead"),
-        ([f"{MASS}=1:2"], {"design": "gird"}, "--sampling gird: did you mean 'grid'?"),
+        ([f"{MASS}=1:2"], {"design": "gird"}, "design (--sampling) gird: did you mean 'grid'?"),
         ([f"{MASS}=1:2"], {"seed": -1}, "seed = -1: should be greater than or equal to 0"),
         ([f"{MASS}=1:2"], {"controllers": ["smth"]}, "unknown controller 'smth'; did you mean 'smith'?"),
         ([f"{MASS}=1:2"], {"controllers": ["smith", "smith"]}, "smith is there twice"),

@@ -124,7 +124,10 @@ def test_a_file_of_another_kind_is_named_as_what_it_is(file: str, what: str) -> 
         (["fmu", "check", "vehicle.toml"], "vehicle.toml: is an aircraft, not the mapping file of an engine; it goes"),
         (["replay", "m.toml"], "m.toml: is the mapping file of an engine, and no log; allowed: "),
         (["aircraft", "check", "./below"], "below/vehicle.toml: is the mapping file of an engine, not an aircraft; it"),
-        (["aircraft", "new", "y", "--from", "quadjt"], "--from quadjt: must be one that is shipped; did you mean 'qu"),
+        (
+            ["aircraft", "new", "y", "--from", "quadjt"],
+            "base (--from) quadjt: must be one that is shipped; did you mean '",
+        ),
     ],
 )
 def test_a_file_goes_where_its_kind_belongs(
