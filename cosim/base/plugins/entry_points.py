@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
-from itertools import chain
 from typing import Any
 
 from cosim.base.errors import InputError, describe_error
@@ -33,9 +32,8 @@ def find_entries(kind: str) -> dict[str, EntryPoint]:
 
     Raises InputError where two have one name: which of them flies would depend on the order of installation.
     """
-    every = entry_points()
     found: dict[str, EntryPoint] = {}
-    for entry in chain(every.select(group=GROUP), every.select(group=GROUPS[kind])):
+    for entry in [*list_tools(GROUP), *list_tools(GROUPS[kind])]:
         if entry.group != GROUP or entry.name.startswith(f"{kind}."):
             first = found.setdefault(entry_name(entry), entry)
             if first.value != entry.value:  # the same object may stand in both groups
