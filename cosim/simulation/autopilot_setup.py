@@ -7,8 +7,8 @@ from typing import Any, get_args
 from cosim.base.errors import InputError
 from cosim.base.protocols import EngineState, Predictor
 from cosim.base.storage.toml import validate
-from cosim.control.autopilot.autopilot import Autopilot, Thrust
-from cosim.control.autopilot.request_handler import FaultCommands
+from cosim.control.autopilot.autopilot import Autopilot
+from cosim.control.autopilot.flight_state import FaultCommands, Thrust
 from cosim.control.autopilot.requests import InjectFault
 from cosim.control.autopilot.tuning import ControlLoops
 from cosim.simulation.controllers.models import make_predictors

@@ -18,7 +18,7 @@ from cosim.base.errors import InputError
 from cosim.base.frames import heading_of
 from cosim.base.protocols import Column, EngineState, Report
 from cosim.base.signals import Command, Measured
-from cosim.control.autopilot.estimation.position import Estimator, Fix
+from cosim.control.autopilot.estimation.position import Fix, PositionEstimator
 from cosim.control.autopilot.geometry import Pair, lean_from_acceleration, wrap
 from cosim.control.autopilot.guidance.descent import descent_rate, height_limits, thrust_margins
 from cosim.control.autopilot.guidance.position_control import PositionController
@@ -78,7 +78,7 @@ class GuidedPilot:
         self._guided.sort(key=lambda aim: aim[0])
         self._starts = [start for start, _, _ in self._guided]
         self._check_commands(where)
-        self._estimator = Estimator(gains, vehicle.sensors.gnss, scenario.step_s)
+        self._estimator = PositionEstimator(gains, vehicle.sensors, scenario.step_s)
         self._tracker = Tracker(settings.acceleration_m_s2, settings.jerk_m_s3, scenario.step_s)
         self._law = PositionController(gains, scenario.step_s)
         altitude, allocation = vehicle.control.altitude, vehicle.control.allocation

@@ -92,7 +92,7 @@ class Arming:
             reasons.append("no home: waiting for the position")
         if landed is not LandedState.ON_GROUND:
             reasons.append("it is in the air")
-        reasons.extend(estimates.senses.failures)
+        reasons.extend(estimates.failures)
         if refusal := self.find_position_refusal(mode):
             reasons.append(refusal)
         return (*reasons, *self._remote.refusals(mode, k))

@@ -1,130 +1,219 @@
-"""The mode and the landed state, and every change of either."""
+"""What the autopilot consists of, its mode and landed state, and every change of either."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
 
-from cosim.base.protocols import Report
+from cosim.base.errors import InputError
+from cosim.base.protocols import EngineState, Report
+from cosim.base.signals import Measured
 from cosim.control.autopilot.arming import Arming
-from cosim.control.autopilot.estimation.estimates import Estimates
+from cosim.control.autopilot.energy import Energy
+from cosim.control.autopilot.estimation.estimator import Estimator
 from cosim.control.autopilot.failsafes import Watch
 from cosim.control.autopilot.guidance.course import Course, Landmarks
 from cosim.control.autopilot.guidance.envelope import Envelope
+from cosim.control.autopilot.guidance.ground_speed import GroundSpeed
+from cosim.control.autopilot.guidance.guide import Guide
+from cosim.control.autopilot.guidance.position_control import PositionController
+from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.ground import Landing, TakeOff
+from cosim.control.autopilot.manoeuvres.mission import Mission
 from cosim.control.autopilot.manoeuvres.mission_flight import MissionFlight
 from cosim.control.autopilot.manoeuvres.remote import Remote
 from cosim.control.autopilot.manoeuvres.return_flight import ReturnFlight
-from cosim.control.autopilot.modes import Home, LandedState, Mode, Severity
-from cosim.control.autopilot.parameters import HOLD, LAND, RETURN, Parameters
-from cosim.control.autopilot.status import Messages
-from cosim.control.autopilot.tuning import LiveTuning
+from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
+from cosim.control.autopilot.modes import Home, LandedState, Message, Mode, Severity
+from cosim.control.autopilot.parameters import HOLD, LAND, RETURN, Parameters, table
+from cosim.control.autopilot.requests import InjectFault
+from cosim.control.autopilot.tuning import Blocks, ControlLoops, LiveTuning
+from cosim.spec.vehicle import PilotSettings, PositionGains, Vehicle
 
-_ACTIONS = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}  # failsafes, the more cautious the later
+# Attitude gain over velocity gain, at least: else the position law is too fast; chosen by us.
+_MIN_GAIN_RATIO = 2.5
+# s of GNSS before its position may become home; chosen by us.
+_HOME_DELAY_S = 1.0
+# s for which hinges that turn engines push the vehicle aside when one is lost: by then throttles have followed.  Taken
+# for wind, the push made it lean when it was over.
+_PUSHED_S = 3.0
+# Messages that are kept; chosen by us.
+_MAX_MESSAGES = 200
+# What failsafes do, the more cautious the later.
+_ACTIONS = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}
 
 
-@dataclass(frozen=True)
-class AutopilotComponents:
-    """Stateful components of the autopilot, shared by :class:`FlightState` and the request handler."""
+class Thrust(NamedTuple):
+    """The nominal thrust of the vehicle."""
 
-    parameters: Parameters
-    live: LiveTuning
-    estimates: Estimates
-    envelope: Envelope
-    landmarks: Landmarks
-    course: Course
-    watch: Watch
-    remote: Remote
-    arming: Arming
-    take_off: TakeOff
-    landing: Landing
-    return_flight: ReturnFlight
-    circle: Circle
-    mission: MissionFlight
+    hover: float  # collective at which it hovers
+    idle: float = 0.0  # thrust of an engine without throttle, as a fraction of what full throttle adds to it
+    answer: tuple[float, float] = (0.2, 0.2)  # delay and lag [s] of the thrust, about hover and the longest
+
+
+class FaultCommands(NamedTuple):
+    """What is called for faults by command, and may raise InputError; None: such commands are not supported."""
+
+    inject: Callable[[InjectFault], None] | None = None
+    clear: Callable[[], None] | None = None
 
 
 class FlightState:
-    """Mode, landed state, acting failsafe and messages, of step ``k`` with its ``report``."""
+    """Mode, landed state, acting failsafe and messages, of step ``k`` with its ``report``; and the parts that fly.
 
-    def __init__(self, components: AutopilotComponents, jets: int, airborne: bool) -> None:
-        self._estimates, self._landmarks, self._course = components.estimates, components.landmarks, components.course
-        self._remote, self._arming, self._take_off = components.remote, components.arming, components.take_off
-        self._landing, self._return_flight, self._mission = (
-            components.landing,
-            components.return_flight,
-            components.mission,
+    ``engines``: at the start; where they fly, it begins in the air, armed, holding.  ``noisy``: the sensors have their
+    noise, which distinguishes a receiver that has stopped from one that stands still.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        step: float,
+        thrust: Thrust,
+        loops: ControlLoops,
+        faults: FaultCommands,
+        engines: EngineState = EngineState.IDLE,
+        noisy: bool = True,
+    ) -> None:
+        hover, idle, answer = thrust
+        gains, settings, slowest = _settings(vehicle)
+        limits = vehicle.control.allocation
+        least_throttle = limits.throttle_min
+        self.parameters = parameters = Parameters(
+            table(vehicle.control, settings, loops.controller, loops.delay, loops.level, vehicle.jets)
         )
-        self._jets, self._airborne = jets, airborne
+        position = PositionController(gains, step)
+        tracker = Tracker(settings.acceleration_m_s2, settings.jerk_m_s3, step)
+        blocks = Blocks(loops.attitude, loops.altitude, loops.rate, position, tracker, loops.predictors)
+        self.live = LiveTuning(parameters, vehicle.control, blocks, step)
+        self.estimates = estimates = Estimator(vehicle.sensors, gains, step, slowest, noisy)
+        self.envelope = Envelope(vehicle, hover, idle, answer, parameters, estimates, step)
+        self.landmarks = landmarks = Landmarks()
+        guide = Guide(tracker, position, parameters, self.envelope.height_limits(), step)
+        self.course = course = Course(parameters, estimates, landmarks, guide)
+        self.energy = Energy(course, GroundSpeed(course, vehicle, gains.catch_up_m_s, step), hover, step)
+        self.watch = watch = Watch(parameters, self.energy, step, self.activate_failsafe)
+        self.remote = Remote(course, limits, hover, step)
+        self.arming = Arming(course, self.remote, watch, step)
+        self.take_off = TakeOff(course, hover, least_throttle, step)
+        touchdown = Touchdown(hover, step, idle, settings.spool_s)
+        self.landing = Landing(course, touchdown, hover, least_throttle, step)
+        self.return_flight = ReturnFlight(course)
+        self.circle = Circle(course, watch)
+        self.mission_flight = MissionFlight(course, self.circle, self.return_flight, step)
+        self.faults = faults
+        self._jets, self._engines, self._airborne = len(vehicle.jets), engines, engines is EngineState.FLY
+        # A flight that begins in the air assumes the ground at height 0, where the vehicle would stand on its legs.
+        legs = (contact.position_m[2] for contact in vehicle.contacts if contact.kind == "leg")
+        self._leg_height = max(legs, default=0.0) if self._airborne else 0.0
+        # whether hinges that turn engines push it aside after a loss, before throttles have followed
+        catch = vehicle.control.monitor is not None and vehicle.control.monitor.catch
+        self._is_pushed_by_hinges = catch and vehicle.layout().moves
+        self._push_steps = round(_PUSHED_S / step)
+        # whether it cannot hold its heading without an engine
+        self._loses_heading = self._is_pushed_by_hinges or vehicle.allocation == "rotors"
+        self._home_delay = round(_HOME_DELAY_S / step)
         self.reset()
 
-    def reset(self) -> None:
-        """Start a flight."""
+    def reset(self, measured: Measured | None = None) -> None:
+        """Start a flight where the sensors read ``measured``; parameters, mission, fence and rally points stay."""
         self.mode = Mode.HOLD
         self.landed = LandedState.IN_AIR if self._airborne else LandedState.ON_GROUND
+        # the reason of the acting failsafe; empty where none acts
         self.failsafe = ""
-        self.messages = Messages()
+        # the last messages to ground stations
+        self.messages: deque[Message] = deque(maxlen=_MAX_MESSAGES)
+        self._message_count = 0
         self.k = -1
         self.report = Report(not self._airborne, 0.0)
+        # the last step with all engines
+        self._last_healthy_step = 0
+        self.estimates.reset(measured)
+        self.landmarks.reset(self._leg_height)
+        self.course.reset()
+        self.remote.reset()
+        self.arming.reset(self._engines)
+        self.take_off.reset()
+        self.landing.reset()
+        self.return_flight.reset()
+        self.circle.reset()
+        self.mission_flight.reset()
+        self.envelope.reset(self._airborne)
+        self.watch.reset()
+
+    @property
+    def armed(self) -> bool:
+        return self.arming.armed
+
+    @property
+    def home(self) -> Home | None:
+        return self.landmarks.home
+
+    @property
+    def mission(self) -> Mission:
+        return self.mission_flight.mission
 
     def refusals(self) -> tuple[str, ...]:
         """Return every reason for which arming would be refused now."""
-        return self._arming.refusals(self.mode, self.landed, self.report, self.k)
+        return self.arming.refusals(self.mode, self.landed, self.report, self.k)
 
     def enter(self, mode: Mode, k: int) -> None:
         """Enter another mode, or the same one from its beginning."""
         if mode is not self.mode:
             self.say(Severity.INFO, f"mode {mode.value}", k)
-            if self.mode is Mode.MISSION and self._arming.armed and (rest := self._mission.mission.describe_rest()):
+            if self.mode is Mode.MISSION and self.armed and (rest := self.mission_flight.mission.describe_rest()):
                 self.say(Severity.WARNING, rest, k)
         self.mode = mode
         # No mode flies without any engine.
         if len(self.report.lost) < self._jets:
             self.failsafe = ""
-        self._landing.abort()
-        self._take_off.reset()
-        self._return_flight.reset()
-        self._mission.abort()
-        self._course.aim(None, None, None)
+        self.landing.abort()
+        self.take_off.reset()
+        self.return_flight.reset()
+        self.mission_flight.abort()
+        self.course.aim(None, None, None)
         if self.landed is LandedState.LANDING:
             self.landed = LandedState.IN_AIR
 
     def hold_here(self, k: int) -> None:
         """Enter HOLD at the present target."""
-        position, height = self._course.position, self._course.height
+        position, height = self.course.position, self.course.height
         self.enter(Mode.HOLD, k)
-        self._course.aim(position, height, None)
+        self.course.aim(position, height, None)
 
     def stand(self, k: int) -> None:
         """Note that the vehicle has come to stand, armed."""
         self.landed = LandedState.ON_GROUND
-        self._arming.stand(k)
-        self._landing.collective = None
-        self._course.guide.reset()
-        if self._arming.flew:
+        self.arming.stand(k)
+        self.landing.collective = None
+        self.course.guide.reset()
+        if self.arming.flew:
             if self.mode is Mode.MISSION:
-                self._mission.advance(flying=False)
+                self.mission_flight.advance(flying=False)
             self.say(Severity.INFO, "landed", k)
 
     def stand_down(self, k: int, text: str) -> None:
         """Disarm the standing vehicle and announce why."""
         self.landed = LandedState.ON_GROUND
-        self._landing.abort()
+        self.landing.abort()
         if self.mode in (Mode.TAKEOFF, Mode.LAND, Mode.RTL, Mode.MISSION):
             self.enter(Mode.HOLD, k)
-        self._arming.disarm()
+        self.arming.disarm()
         self.failsafe = ""
         self.say(Severity.INFO, text, k)
 
     def shut_off(self, k: int) -> None:
         """Switch all engines off at once, in the air too."""
-        self._arming.shut_off()
-        self._landing.collective = None
+        self.arming.shut_off()
+        self.landing.collective = None
         self.say(Severity.CRITICAL, "engines shut off", k)
 
     def activate_failsafe(self, action: int, reason: str) -> None:
         """Take a parameter's action, unless the mode is at least as cautious."""
         self.failsafe = reason
-        if action == RETURN and self._landmarks.home is None:
+        if action == RETURN and self.landmarks.home is None:
             action = LAND
         mode = {HOLD: Mode.HOLD, RETURN: Mode.RTL, LAND: Mode.LAND}.get(action)
         by_caution = list(_ACTIONS)
@@ -138,8 +227,8 @@ class FlightState:
 
     def set_home_here(self) -> None:
         """Set home and the ground to where the vehicle stands."""
-        self._landmarks.home = Home(*self._estimates.fix.position, self._estimates.altitude)
-        self._landmarks.ground = self._estimates.altitude
+        self.landmarks.home = Home(*self.estimates.fix.position, self.estimates.altitude)
+        self.landmarks.ground = self.estimates.altitude
 
     def is_flying(self) -> bool:
         """Return whether the vehicle is in the air, or on its way there."""
@@ -149,9 +238,29 @@ class FlightState:
         """Return whether the vehicle is on the ground, not by the switch alone and whatever the engines do."""
         taking_off = self.landed is LandedState.TAKING_OFF
         return not self.is_flying() or (
-            self._landing.is_still_grounded if taking_off else self._landing.has_weight_on_legs
+            self.landing.is_still_grounded if taking_off else self.landing.has_weight_on_legs
         )
 
     def say(self, severity: Severity, text: str, k: int) -> None:
         """Send a line to the people on the ground."""
-        self.messages.say(k, severity, text)
+        self._message_count += 1
+        self.messages.append(Message(self._message_count, k, severity, text))
+
+
+def _settings(vehicle: Vehicle) -> tuple[PositionGains, PilotSettings, float]:
+    """Return a vehicle's position gains and pilot settings, and the smaller attitude gain of roll and pitch, 1/s.
+
+    Raises InputError where it has none, or a position law that is too fast for its attitude loop.
+    """
+    gains, settings = vehicle.control.position, vehicle.control.pilot
+    if gains is None or settings is None:
+        missing = "position" if gains is None else "pilot"
+        raise InputError(f"vehicle.control.{missing} is missing: {vehicle.name} cannot be flown from a ground station")
+    slowest = min(vehicle.control.attitude.gain_1_s[:2])
+    if gains.velocity_1_s > slowest / _MIN_GAIN_RATIO or gains.position_1_s > gains.velocity_1_s / 2.0:
+        raise InputError(
+            f"vehicle.control.position: velocity_1_s {gains.velocity_1_s:g} and position_1_s "
+            f"{gains.position_1_s:g} are too fast for {vehicle.name}, whose attitude gain is {slowest:g} 1/s: at "
+            f"most {slowest / _MIN_GAIN_RATIO:.3g}, and at most half of velocity_1_s"
+        )
+    return gains, settings, slowest

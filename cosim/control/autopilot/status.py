@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections import deque
 from typing import NamedTuple
 
 from cosim.base.protocols import EngineState
 from cosim.base.signals import Measured
-from cosim.control.autopilot.estimation.estimates import EstimateQuality
+from cosim.control.autopilot.estimation.estimator import EstimateQuality
 from cosim.control.autopilot.estimation.position import Fix
 from cosim.control.autopilot.geometry import Pair
-from cosim.control.autopilot.modes import Home, LandedState, Message, Mode, Severity
+from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.requests import FenceZone, Orbit, RallyPoint
-
-_MOST_MESSAGES = 200
 
 
 class Status(NamedTuple):
@@ -45,17 +42,4 @@ class Status(NamedTuple):
     orbit: Orbit | None = None  # that it flies; ``target`` is its centre
     positioned: bool = True  # fixes of the GNSS come
     seen: Measured | None = None  # attitude, rates, height and climb as estimated
-    trust: EstimateQuality = EstimateQuality()
-
-
-class Messages:
-    """The last messages, numbered from 1 without gaps."""
-
-    def __init__(self) -> None:
-        self.lines: deque[Message] = deque(maxlen=_MOST_MESSAGES)
-        self._count = 0
-
-    def say(self, k: int, severity: Severity, text: str) -> None:
-        """Add a message at step ``k``."""
-        self._count += 1
-        self.lines.append(Message(self._count, k, severity, text))
+    quality: EstimateQuality = EstimateQuality()

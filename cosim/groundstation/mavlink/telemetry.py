@@ -75,17 +75,17 @@ def sys_status(v: TelemetryState) -> list[Message]:
 
 def _unhealthy(v: TelemetryState) -> int:
     """Return the bits of sensors that are not trusted, and of quantities that cannot be controlled without them."""
-    trust = v.status.trust
+    quality = v.status.quality
     return sum(
         bits
         for bits, trusted in (
-            (_GYRO, trust.gyro),
-            (_ACCEL, trust.accelerometer),
-            (_BARO, trust.barometer),
-            (_GPS | _POSITION, trust.gnss),
-            (_MAG | _YAW, trust.attitude_sensor),
-            (_AHRS | _ATTITUDE, trust.attitude),
-            (_HEIGHT, trust.climb),
+            (_GYRO, quality.gyro),
+            (_ACCEL, quality.accelerometer),
+            (_BARO, quality.barometer),
+            (_GPS | _POSITION, quality.gnss),
+            (_MAG | _YAW, quality.attitude_sensor),
+            (_AHRS | _ATTITUDE, quality.attitude),
+            (_HEIGHT, quality.climb),
         )
         if not trusted
     )
@@ -283,18 +283,18 @@ def estimator_status(v: TelemetryState) -> list[Message]:
     A position that is dead-reckoned without fixes counts as relative, as far as its speed is valid.  Where no
     autopilot estimates anything the accuracies are the sensors'.
     """
-    trust, home, vehicle = v.status.trust, v.status.home is not None, v.vehicle
-    position_accuracy = vehicle.position_noise if isnan(trust.position_m) else trust.position_m
-    height_accuracy = vehicle.height_noise if isnan(trust.height_m) else trust.height_m
+    quality, home, vehicle = v.status.quality, v.status.home is not None, v.vehicle
+    position_accuracy = vehicle.position_noise if isnan(quality.position_m) else quality.position_m
+    height_accuracy = vehicle.height_noise if isnan(quality.height_m) else quality.height_m
     flags = sum(
         bits
         for bits, valid in (
-            (1, trust.attitude),
-            (2 | 8, trust.speed),
-            (4, trust.climb),
-            (256, home and trust.speed),
-            (16 | 512, home and trust.position),
-            (32, home and trust.height),
+            (1, quality.attitude),
+            (2 | 8, quality.speed),
+            (4, quality.climb),
+            (256, home and quality.speed),
+            (16 | 512, home and quality.position),
+            (32, home and quality.height),
         )
         if valid
     )

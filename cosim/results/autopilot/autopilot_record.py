@@ -153,22 +153,22 @@ def _lines(path: Path, text: str) -> Iterator[Line]:
 
 
 def _estimate(status: Status) -> Line:
-    fix, ages, trust = status.fix, status.seen, status.trust
+    fix, seen, quality = status.fix, status.seen, status.quality
     deviations = {
-        "place_m": trust.position_m,
-        "speed_m_s": trust.speed_m_s,
-        "height_m": trust.height_m,
-        "climb_m_s": trust.climb_m_s,
-        "attitude_rad": trust.attitude_rad,
+        "place_m": quality.position_m,
+        "speed_m_s": quality.speed_m_s,
+        "height_m": quality.height_m,
+        "climb_m_s": quality.climb_m_s,
+        "attitude_rad": quality.attitude_rad,
     }
-    valid = {name: value for name, value in trust._asdict().items() if isinstance(value, bool)}
+    valid = {name: value for name, value in quality._asdict().items() if isinstance(value, bool)}
     line: Line = (
         {}
-        if ages is None
+        if seen is None
         else {
-            "height": ages.altitude,
-            "climb": -ages.velocity[2],
-            "attitude": list(to_euler(ages.attitude)),
+            "height": seen.altitude,
+            "climb": -seen.velocity[2],
+            "attitude": list(to_euler(seen.attitude)),
             "deviation": {name: value if isfinite(value) else None for name, value in deviations.items()},
             "valid": {"place" if name == "position" else name: value for name, value in valid.items()},
         }

@@ -294,13 +294,13 @@ def test_of_two_who_hold_sticks_the_first_flies_until_it_lets_go(tmp_path: Path)
     for k in range(0, seconds, seconds // 10):
         assert taken("255/190", full, k)
         assert not taken("254/190", centred, k)
-        assert flight.pilot._remote.sticks == full
+        assert flight.pilot.remote.sticks == full
     last = k
     # half a second (HJ_STICK_TIME) later they are free, and then they are the other's
     assert not taken("254/190", centred, last + seconds // 2)
     assert taken("254/190", centred, last + seconds // 2 + 1)
     assert not taken("255/190", full, last + seconds // 2 + 2)
-    assert flight.pilot._remote.sticks == centred
+    assert flight.pilot.remote.sticks == centred
     flight.publish(None, None)
     assert [message.text for message in session.exchange.messages] == [
         *("sticks of 254/190 not taken: 255/190 flies", "sticks of 255/190 not taken: 254/190 flies"),

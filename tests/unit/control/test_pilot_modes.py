@@ -18,11 +18,11 @@ from cosim.base.signals import Command, Measured
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
 from cosim.control.autopilot import requests as rq
-from cosim.control.autopilot.autopilot import Autopilot, Thrust
+from cosim.control.autopilot.autopilot import Autopilot
+from cosim.control.autopilot.flight_state import FaultCommands, Thrust
 from cosim.control.autopilot.manoeuvres.mission import Mission
 from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import LandedState, Mode, Severity
-from cosim.control.autopilot.request_handler import FaultCommands
 from cosim.control.autopilot.requests import MissionItem, Result
 from cosim.control.autopilot.tuning import ControlLoops
 from cosim.control.predictors.smith import NoPredictor
@@ -85,7 +85,7 @@ class World:
         p = self.place
         if {"altitude", "sink", "roll"} & set(changes):
             # put there by hand: what it estimates is taken along
-            self.pilot._estimates.senses.reset(None)
+            self.pilot.estimates.reset(None)
         attitude = from_euler(p["roll"], 0.0, 0.0)
         report = Report(p["legs"], p["collective"], p["lost"], p["remaining"])
         for _ in range(round(duration / DT)):
@@ -846,7 +846,7 @@ def test_after_a_landing_on_the_way_a_failed_engine_ends_the_mission() -> None:
     w = world("armed")
     w.ok(rq.MissionUpload((MissionItem("land"), *POINTS)))
     w.ok(rq.MissionStart())
-    w.pilot._arming.flew = True
+    w.pilot.arming.flew = True
     w.seconds(0.1, lost=(3,))
     assert not w.pilot.armed
     assert w.texts()[-2:] == [
@@ -870,17 +870,17 @@ def test_the_way_home_begins_where_it_stops_and_at_the_usual_speed() -> None:
     w.pilot.energy.hover_burn = 0.001
     w.ok(rq.SetHome(0.0, 0.0, 0.0))
     w.seconds(0.1, north=60.0)
-    energy, fix = w.pilot.energy, w.pilot._estimates.fix
+    energy, fix = w.pilot.energy, w.pilot.estimates.fix
     still = energy.needed_fractions()[0]
     assert still == pytest.approx(0.001 * energy.return_time(fix.position, 10.0), rel=1e-3)
     w.ok(rq.SetSpeed(1.0))
     assert energy.needed_fractions()[0] == still
     # 5 m/s, at 1.5 m/s^2 and 1.5 m/s^3: 3.3 s to stop and 1 s of jerk, half of it at the full speed
     a, j = (w.pilot.parameters[name] for name in ("HJ_ACC_HOR", "HJ_JERK_HOR"))
-    w.pilot._estimates.fix = fix._replace(velocity=(5.0, 0.0))
+    w.pilot.estimates.fix = fix._replace(velocity=(5.0, 0.0))
     stop = 5.0 / a + a / j
     there = (fix.position[0] + 2.5 * stop, fix.position[1])
     assert energy.needed_fractions()[0] == pytest.approx(0.001 * (stop + energy.return_time(there, 10.0)), rel=1e-3)
     w.ok(rq.ReturnHome())
     w.seconds(0.1)
-    assert w.pilot._course.cruise is None
+    assert w.pilot.course.cruise is None

@@ -15,7 +15,7 @@ from scipy.linalg import solve_discrete_are
 from cosim.base.constants import GRAVITY
 from cosim.base.frames import IDENTITY, from_euler, rotate
 from cosim.base.signals import Measured
-from cosim.control.autopilot.estimation.position import Estimator, Fix
+from cosim.control.autopilot.estimation.position import Fix, PositionEstimator
 from cosim.control.autopilot.estimation.position_gains import settling_gains
 from cosim.control.autopilot.geometry import lean_acceleration, lean_from_acceleration, wrap
 from cosim.control.autopilot.guidance.position_control import PositionController
@@ -33,7 +33,8 @@ DT = 0.004
 VEHICLE, _ = load_vehicle("hexjet")
 GAINS = VEHICLE.control.position
 assert GAINS is not None
-SENSOR = VEHICLE.sensors.gnss
+SENSORS = VEHICLE.sensors
+SENSOR = SENSORS.gnss
 
 
 # --- set-points ----------------------------------------------------------------------------------------------------
@@ -169,7 +170,7 @@ def test_a_known_acceleration_is_followed_without_delay() -> None:
     """Constant lean from rest, no noise: the estimate is the present motion although every fix is 0.1 s old."""
     assert GAINS is not None
     a = (1.2, -0.6)
-    estimator = Estimator(GAINS, SENSOR, DT)
+    estimator = PositionEstimator(GAINS, SENSORS, DT)
     late, period = SENSOR.latency_samples, SENSOR.period_samples
     for k in range(1, 1500):
         t = max(0, (k - late) // period * period) * DT
@@ -190,7 +191,7 @@ def test_late_fixes_count_as_if_they_had_come_in_time() -> None:
     sensor = SENSOR.model_copy(update={"latency_samples": 60})  # more than two fixes on their way
     for one in (SENSOR, sensor):
         late = one.latency_samples
-        estimator = Estimator(GAINS, one, DT)
+        estimator = PositionEstimator(GAINS, SENSORS.model_copy(update={"gnss": one}), DT)
         gains = np.array(settling_gains(GAINS, one, DT)[0])
 
         def ahead(x: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
@@ -212,7 +213,7 @@ def test_an_unknown_push_is_found() -> None:
     """Level, yet accelerating: the disturbance estimate goes there, and position and velocity stay right."""
     assert GAINS is not None
     push = 0.36  # m/s^2: wind of 8 m/s on this body
-    estimator = Estimator(GAINS, SENSOR, DT)
+    estimator = PositionEstimator(GAINS, SENSORS, DT)
     late, period = SENSOR.latency_samples, SENSOR.period_samples
     for k in range(1, 10_000):
         t = max(0, (k - late) // period * period) * DT
@@ -229,7 +230,7 @@ def test_a_push_of_its_own_is_not_taken_for_wind() -> None:
     late, period = SENSOR.latency_samples, SENSOR.period_samples
     begin, end = 10_000, 10_000 + round(3.0 / DT)
     for told in (True, False):
-        estimator = Estimator(GAINS, SENSOR, DT)
+        estimator = PositionEstimator(GAINS, SENSORS, DT)
         z = (0.0, 0.0)
         p = v = 0.0
         past = [(0.0, 0.0)] * (late + 1)
@@ -252,7 +253,7 @@ def test_a_push_of_its_own_is_not_taken_for_wind() -> None:
 
 def test_standing_averages_the_position_and_feels_no_push() -> None:
     assert GAINS is not None
-    estimator = Estimator(GAINS, SENSOR, DT)
+    estimator = PositionEstimator(GAINS, SENSORS, DT)
     rng = np.random.default_rng(3)
     z = (0.0, 0.0)
     estimates = []
@@ -388,7 +389,7 @@ def closed_loop(lean_gain: float, extra: int, start: float, steps: int = 25_000)
     assert GAINS is not None
     answer = ct.ss(roll_answer())
     A, B, C = np.asarray(answer.A), np.asarray(answer.B)[:, 0], np.asarray(answer.C)[0]
-    estimator, law = Estimator(GAINS, SENSOR, DT), PositionController(GAINS, DT)
+    estimator, law = PositionEstimator(GAINS, SENSORS, DT), PositionController(GAINS, DT)
     estimator.reset((start, 0.0))
     hold = Track((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
     x, p, v, fix = np.zeros(len(A)), start, 0.0, (start, 0.0)

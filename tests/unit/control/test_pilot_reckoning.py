@@ -10,15 +10,31 @@ import pytest
 from cosim.base.constants import GRAVITY
 from cosim.base.frames import conjugate, from_euler, rotate
 from cosim.base.signals import ZERO3, Measured
-from cosim.control.autopilot.estimation.dead_reckoning import DeadReckoning
-from cosim.control.autopilot.estimation.position import Estimator
-from cosim.spec.vehicle import load_vehicle
+from cosim.control.autopilot.estimation.position import PositionEstimator
+from cosim.spec.vehicle import Sensors, load_vehicle
 
 STEP = 0.004
 VEHICLE = load_vehicle("hexjet")[0]
 SENSORS = VEHICLE.sensors
 EVERY = SENSORS.gnss.period_samples
 LATE = SENSORS.gnss.latency_samples
+
+
+class DeadReckoning:
+    """What predicts position and velocity beside the estimate by the lean."""
+
+    def __init__(self, sensors: Sensors, step: float) -> None:
+        gains = VEHICLE.control.position
+        assert gains is not None
+        self.whole = PositionEstimator(gains, sensors, step, True, reckons=True)
+        self.filter = self.whole.reckoning
+
+    def predict(self, measured: Measured, by_lean: tuple[float, float]) -> None:
+        self.whole._reckon(measured, complex(*by_lean))
+
+    def correct(self, fix: Measured | None, still: bool, lean: float) -> None:
+        p, v = (0j, 0j) if fix is None else (complex(*fix.position[:2]), complex(*fix.velocity[:2]))
+        self.whole._correct_reckoning(p, v, fix is not None, still, lean)
 
 
 class Motion:
@@ -61,22 +77,18 @@ def test_with_perfect_sensors_it_is_the_motion_itself_whatever_the_heading() -> 
     for k in range(5000):
         seen = motion.step(wander(k), 0.4 * k * STEP)
         one.predict(seen, (0.0, 0.0))
-    assert one._p == pytest.approx(complex(*motion.p), abs=1e-9)
-    assert one._v == pytest.approx(complex(*motion.v), abs=1e-9)
+    assert one.filter.p == pytest.approx(complex(*motion.p), abs=1e-9)
+    assert one.filter.v == pytest.approx(complex(*motion.v), abs=1e-9)
 
 
 def test_what_the_accelerometer_is_off_by_is_learnt_while_it_turns_and_then_taken_away() -> None:
     """0.1 m/s^2 would be 3 m/s after half a minute."""
     motion, one = Motion(off=(0.1, -0.06)), DeadReckoning(SENSORS, STEP)
     for k in range(1, 12_500):
-        blind = k > 5000
-        seen = motion.step(wander(k), 0.2 * k * STEP, not blind)
-        one.predict(seen, (0.0, 0.0))
-        if k > LATE and (k - LATE) % EVERY == 0:
-            one.correct(None if blind else seen, False, 0.0)
+        one.whole.update(k, motion.step(wander(k), 0.2 * k * STEP, k <= 5000), False)
         if k == 5000:
-            assert one.bias == pytest.approx(complex(0.1, -0.06), abs=2e-3)
-    assert one._v == pytest.approx(complex(*motion.v), abs=0.1)
+            assert one.filter.u == pytest.approx(complex(0.1, -0.06), abs=2e-3)
+    assert one.filter.v == pytest.approx(complex(*motion.v), abs=0.1)
 
 
 def test_its_gains_are_those_of_a_kalman_filter_in_real_matrices() -> None:
@@ -101,21 +113,19 @@ def test_its_gains_are_those_of_a_kalman_filter_in_real_matrices() -> None:
             x[:2] += STEP * (x[2:4] + 0.5 * STEP * u)
             x[2:4] += STEP * u
         F = np.block([[eye, T * eye, 0.5 * T * T * turn], [zero, eye, T * turn], [zero, zero, eye]])
-        Q = np.block(
-            [
-                [noise * T**3 / 3 * eye, noise * T**2 / 2 * eye, zero],
-                [noise * T**2 / 2 * eye, noise * T * eye, zero],
-                [zero, zero, 1e-6 * T * eye],
-            ]
+        Q = np.array(
+            [[noise * T**3 / 3, noise * T**2 / 2, 0.0], [noise * T**2 / 2, noise * T, 0.0], [0.0, 0.0, 1e-6 * T]]
         )
-        P = F @ P @ F.T + Q
+        P = F @ P @ F.T + np.kron(Q, eye)
         z = np.concatenate([0.3 * rng.standard_normal(2), 0.02 * rng.standard_normal(2)])
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
         x = x + K @ (z - H @ x)
         P = (np.eye(6) - K @ H) @ P @ (np.eye(6) - K @ H).T + K @ R @ K.T
         one.correct(seen._replace(position=(z[0], z[1], 0.0), velocity=(z[2], z[3], 0.0)), False, 0.0)
-        assert one.deviation == pytest.approx(np.sqrt([P[0, 0], P[2, 2]]), rel=1e-9)
-        assert [one._p, one._v, one.bias] == pytest.approx([complex(*x[i : i + 2]) for i in (0, 2, 4)], abs=1e-9)
+        assert one.filter.deviation == pytest.approx(np.sqrt([P[0, 0], P[2, 2]]), rel=1e-9)
+        assert [one.filter.p, one.filter.v, one.filter.u] == pytest.approx(
+            [complex(*x[i : i + 2]) for i in (0, 2, 4)], abs=1e-9
+        )
 
 
 def test_the_deviations_are_those_of_the_errors() -> None:
@@ -124,37 +134,33 @@ def test_the_deviations_are_those_of_the_errors() -> None:
     for seed in range(16):
         motion, one = Motion(off=(0.05, 0.03), seed=seed), DeadReckoning(SENSORS, STEP)
         for k in range(1, 12_501):
-            blind = k > 5000
-            seen = motion.step(wander(k), 0.0, not blind)
-            one.predict(seen, (0.0, 0.0))
-            if k > LATE and (k - LATE) % EVERY == 0:
-                one.correct(None if blind else seen, False, 0.0)
-        places, speeds = motion.p - [one._p.real, one._p.imag], motion.v - [one._v.real, one._v.imag]
+            one.whole.update(k, motion.step(wander(k), 0.0, k <= 5000), False)
+        places, speeds = (
+            motion.p - [one.filter.p.real, one.filter.p.imag],
+            motion.v - [one.filter.v.real, one.filter.v.imag],
+        )
         errors += list(zip(places.tolist(), speeds.tolist(), strict=True))
     place, speed = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert 0.2 * one.deviation[0] < place < one.deviation[0]
-    assert 0.2 * one.deviation[1] < speed < one.deviation[1]
-    assert one.deviation[1] < 0.2
+    assert 0.2 * one.filter.deviation[0] < place < one.filter.deviation[0]
+    assert 0.2 * one.filter.deviation[1] < speed < one.filter.deviation[1]
+    assert one.filter.deviation[1] < 0.2
 
 
 def test_who_stands_knows_that_it_does_not_move() -> None:
     motion, one = Motion(off=(0.1, 0.0)), DeadReckoning(SENSORS, STEP)
     for k in range(1, 5000):
-        one.predict(motion.step(np.zeros(2), 0.0, False), (0.0, 0.0))
-        if k % EVERY == 0:
-            one.correct(None, True, 0.0)
-    assert one.deviation[1] < 0.02
-    assert abs(one._v) < 0.02
-    assert one.bias == pytest.approx(0.1, abs=5e-3)
+        one.whole.update(k, motion.step(np.zeros(2), 0.0, False), still=True)
+    assert one.filter.deviation[1] < 0.02
+    assert abs(one.filter.v) < 0.02
+    assert one.filter.u == pytest.approx(0.1, abs=5e-3)
 
 
 def test_an_attitude_that_gets_worse_makes_it_less_sure_and_none_is_as_good_as_the_lean() -> None:
     motion, one, two = Motion(), DeadReckoning(SENSORS, STEP), DeadReckoning(SENSORS, STEP)
-    nothing = (float("nan"),) * 3
     for k in range(1, 2500):
         seen = motion.step(np.zeros(2), 0.0, False)
         one.predict(seen, (0.0, 0.0))
-        two.predict(seen._replace(specific_force=nothing), (0.3, 0.0))
+        two.predict(seen._replace(specific_force=(float("nan"),) * 3), (0.3, 0.0))
         if k % EVERY == 0:
             one.correct(None, False, 1e-3 * k * STEP)
             two.correct(None, False, 0.0)
@@ -165,11 +171,11 @@ def test_an_attitude_that_gets_worse_makes_it_less_sure_and_none_is_as_good_as_t
             level.correct(None, False, 0.0)
     # a lean deviation c t adds (g c)^2 2 t dt to the variance of the push at t, which is a speed for T - t from there on
     # (the time between two fixes, a hundredth of it all, enters to the fourth power)
-    added = one.deviation[1] ** 2 - level.deviation[1] ** 2
+    added = one.filter.deviation[1] ** 2 - level.filter.deviation[1] ** 2
     assert added == pytest.approx((GRAVITY * 1e-3) ** 2 * (2500 * STEP) ** 4 / 6.0, rel=0.08)
     # without an accelerometer what the lean explains is what it goes by
-    assert two._v.real == pytest.approx(0.3 * 2499 * STEP)
-    assert two.deviation[1] > 1.0
+    assert two.filter.v.real == pytest.approx(0.3 * 2499 * STEP)
+    assert two.filter.deviation[1] > 1.0
 
 
 def test_the_drag_learnt_at_speed_is_no_push_at_rest() -> None:
@@ -180,8 +186,8 @@ def test_the_drag_learnt_at_speed_is_no_push_at_rest() -> None:
     gains = VEHICLE.control.position
     assert gains is not None
     speed, drag = 5.0, 0.04
-    for reckoning, most in ((None, None), (DeadReckoning(SENSORS, STEP), 0.05)):
-        estimator = Estimator(gains, SENSORS.gnss, STEP, True, reckoning)
+    for reckons, most in ((False, None), (True, 0.05)):
+        estimator = PositionEstimator(gains, SENSORS, STEP, True, reckons)
         v = p = 0.0
         told, past = (0.0, 0.0), [(0.0, 0.0)]
         for k in range(1, 10_000):

@@ -19,7 +19,7 @@ from cosim.base.geodesy import Geodesy
 from cosim.campaign.surveys.failsafes import scenario_of
 from cosim.campaign.surveys.survey import load_subject
 from cosim.control.autopilot import requests as rq
-from cosim.control.autopilot.estimation.estimates import LEAN_SURE, SPEED_SURE
+from cosim.control.autopilot.estimation.estimator import LEAN_SURE, SPEED_SURE
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.flight import fly
 from cosim.groundstation.mavlink.streams import STREAMS

@@ -1,22 +1,32 @@
-"""Horizontal position and velocity from the GNSS receiver and the lean, NED.
-
-The estimate is predicted with the measured lean, so neither a limit of the lean nor a slow attitude loop winds
-anything up.
-"""
+"""Horizontal position and velocity from the GNSS receiver and the lean, NED."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Sequence
+from cmath import rect
 from math import hypot, inf
 from typing import NamedTuple
 
 from cosim.base._records import quick
-from cosim.base.signals import Measured, Vector3
-from cosim.control.autopilot.estimation.dead_reckoning import DeadReckoning
+from cosim.base.constants import GRAVITY
+from cosim.base.frames import heading_of, rotate
+from cosim.base.signals import Measured
+from cosim.control.autopilot.estimation.kalman import Kalman
 from cosim.control.autopilot.estimation.position_gains import settling_gains
 from cosim.control.autopilot.geometry import Pair, lean_acceleration
-from cosim.spec.vehicle import PositionGains, PositionSensor
+from cosim.spec.vehicle import PositionGains, Sensors
+
+# Noise below which no sensor is trusted, whatever it states: m, m/s, m/s^2.
+MIN_POSITION_NOISE = 0.1
+MIN_VELOCITY_NOISE = 0.02
+MIN_FORCE_NOISE = 0.05
+# m/s^2: 10 mg of the accelerometer and 1 degree of the attitude, together.
+_BIAS_AT_START = 0.2
+# m/s^2 per root s: the zero of a MEMS accelerometer (0.15 mg/K) that warms by less than 1 K in a second.
+BIAS_WALK = 0.001
+# m/s^2, constant over a second: what the lean does not explain, where no accelerometer senses it; chosen by us.
+_UNSENSED_ACCELERATION = 0.5
+# m/s: the noise of standing still as a reading of the velocity.
+STANDING_NOISE = 0.02
 
 
 @quick
@@ -28,46 +38,47 @@ class Fix(NamedTuple):
     disturbance: Pair
 
 
-class Estimator:
-    """Position, velocity and the acceleration that the attitude does not explain, one Kalman filter per axis.
+class PositionEstimator:
+    """Position, velocity and the acceleration that the attitude does not explain: one Kalman filter, dead-reckoned.
 
-    The model per axis is ``p' = v``, ``v' = a + b + white``, ``b' = white``, with ``a = g tan(lean)`` from the measured
-    attitude (thrust along the body's z axis that holds the weight).  A GNSS epoch is compared with the estimate of the
-    step in which it was taken and its correction carried forward to now, so its latency costs no accuracy and no phase
-    margin.  The gains are those of the sensors' stated noise and of ``acceleration_noise`` and ``disturbance_walk``,
-    computed once; both axes share them.  ``noisy``: the receiver never repeats a fix, standing or not.
+    The acceleration is ``g tan(lean)`` of the measured attitude (thrust along the body's z axis that holds the weight),
+    its bias the disturbance; so neither a limit of the lean nor a slow attitude loop winds anything up.  The gains are
+    those of the receiver's stated noise, of ``acceleration_noise`` and ``disturbance_walk``, computed once.
 
-    ``reckoning`` replaces the receiver where it has nothing new.  Without it the last ``b`` stays, which contains the
-    drag of the speed at which it was estimated, and the velocity is soon wrong.
+    ``reckons``: a second filter, by the accelerometer, replaces a receiver that has nothing new, and says how sure its
+    position is.  What the accelerometer feels has the drag in it, so that nothing learnt at one speed is wrong at
+    another; its bias, and gravity through an attitude that is off, turn with the vehicle.  Without it the last
+    disturbance stays, which contains the drag of the speed of then, and the velocity is soon wrong.
+    ``noisy``: the receiver never repeats a fix, standing or not.
     """
 
     def __init__(
-        self,
-        gains: PositionGains,
-        sensor: PositionSensor,
-        step: float,
-        noisy: bool = False,
-        reckoning: DeadReckoning | None = None,
+        self, gains: PositionGains, sensors: Sensors, step: float, noisy: bool = False, reckons: bool = False
     ) -> None:
-        self._step = step
-        self._noisy = noisy
-        self._reckoning = reckoning
-        self._period, self._latency = sensor.period_samples, sensor.latency_samples
-        self._gains, self._deviations = settling_gains(gains, sensor, step)
+        gnss = sensors.gnss
+        self._step, self._noisy, self._reckons = step, noisy, reckons
+        self._period, self._latency = gnss.period_samples, gnss.latency_samples
+        self._gains, self._deviations = settling_gains(gains, gnss, step)
+        position_noise = max(gnss.position_noise_m, MIN_POSITION_NOISE)
+        velocity_noise = max(gnss.velocity_noise_m_s, MIN_VELOCITY_NOISE)
+        self._position_noise, self._velocity_noise = position_noise**2, velocity_noise**2
+        force_noise = max(sensors.accelerometer.noise_m_s2, MIN_FORCE_NOISE)
+        # white from step to step: its spectral density is the variance times the step
+        self._force_noise = step * (force_noise**2 + (GRAVITY * sensors.attitude.noise_rad) ** 2)
+        self._lean = Kalman(step, self._latency, (0.0, 0.0, 0.0))
+        self.reckoning = Kalman(step, self._latency, (position_noise, velocity_noise, _BIAS_AT_START))
         self.reset((0.0, 0.0))
 
     def reset(self, position: Pair) -> None:
         """Start at rest at ``position``, with the deviation of one epoch of the receiver."""
         self._epoch = 0
         self._last: tuple[float, ...] = ()
-        self.silent = 0.0  # s without a new fix
-        self._p = list(position)
-        self._v = [0.0, 0.0]
-        self._b = [0.0, 0.0]
-        entry = (*position, 0.0, 0.0)
-        self._past: deque[tuple[float, float, float, float]] = deque([entry] * (self._latency + 1))
-        if self._reckoning is not None:
-            self._reckoning.reset(position)
+        # s without a new fix
+        self.silent = 0.0
+        self._lean.reset(complex(*position), 0j)
+        self.reckoning.reset(complex(*position), 0j)
+        self._lean_variance = 0.0
+        self._has_force = True
 
     @property
     def deviation(self) -> tuple[float, float]:
@@ -75,16 +86,16 @@ class Estimator:
         fix_deviation = self._deviations[min(self._epoch, len(self._deviations) - 1)]
         if self.silent == 0.0:
             return fix_deviation
-        if self._reckoning is None:
+        if not self._reckons:
             return inf, inf
-        position_deviation, velocity_deviation = self._reckoning.deviation
+        position_deviation, velocity_deviation = self.reckoning.deviation
         return hypot(fix_deviation[0], position_deviation), hypot(fix_deviation[1], velocity_deviation)
 
     @property
     def fix(self) -> Fix:
         """The estimate at the instant of the last update."""
-        p, v, b = self._p, self._v, self._b
-        return Fix((p[0], p[1]), (v[0], v[1]), (b[0], b[1]))
+        p, v, u = self._lean.p, self._lean.v, self._lean.u
+        return Fix((p.real, p.imag), (v.real, v.imag), (u.real, u.imag))
 
     def update(
         self, k: int, measured: Measured, still: bool, lean_deviation: float = 0.0, is_pushed: bool = False
@@ -94,68 +105,56 @@ class Estimator:
         ``lean_deviation``: of the attitude beyond its sensor's noise, rad; ``is_pushed``: by its own thrust, so that
         the estimated disturbance stays as it is.
         """
-        dt, reckoning = self._step, self._reckoning
-        p, v, b = self._p, self._v, self._b
-        lean = lean_acceleration(measured.attitude)
-        if reckoning is not None:
-            reckoning.predict(measured, (lean[0] + b[0], lean[1] + b[1]))
-        for axis, felt in enumerate([lean[0], lean[1]]):
-            a = felt + b[axis]
-            p[axis] += dt * (v[axis] + 0.5 * dt * a)
-            v[axis] += dt * a
-            if still:
-                v[axis] = b[axis] = 0.0
-        past = self._past
-        past.append((p[0], p[1], v[0], v[1]))
-        past.popleft()
+        acceleration = complex(*lean_acceleration(measured.attitude)) + self._lean.u
+        if self._reckons:
+            self._reckon(measured, acceleration)
+        self._lean.move(acceleration, still)
         if k > self._latency and (k - self._latency) % self._period == 0:
             # a receiver that has nothing new repeats itself to the last bit
             fix = (*measured.position, *measured.velocity[:2])
             fresh = fix != self._last or (still and not self._noisy)
-            self.silent = 0.0 if fresh else self.silent + self._period * dt
+            self.silent = 0.0 if fresh else self.silent + self._period * self._step
             self._last = fix
-            if reckoning is not None:
-                reckoning.correct(measured if fresh else None, still, lean_deviation)
+            p, v = complex(*measured.position[:2]), complex(*measured.velocity[:2])
+            if self._reckons:
+                self._correct_reckoning(p, v, fresh, still, lean_deviation)
             if fresh:
-                self._correct((*measured.position[:2], *measured.velocity[:2]), still, is_pushed)
-            elif reckoning is not None:
-                self._correct(reckoning.delayed, still, is_pushed)
+                self._correct(p, v, still, is_pushed)
+            elif self._reckons:
+                self._correct(*self.reckoning.delayed, still, is_pushed)
         return self.fix
 
-    def _correct(self, fix: tuple[float, float, float, float], still: bool, is_pushed: bool) -> None:
-        """Correct by a position [m] and a velocity [m/s] of ``latency`` samples ago."""
+    def _correct(self, p: complex, v: complex, still: bool, is_pushed: bool) -> None:
+        """Correct by a position and a velocity of ``latency`` samples ago."""
         gains = self._gains
         gain = gains[self._epoch] if self._epoch < len(gains) else gains[-1]
         self._epoch += 1
-        then = self._past[0]
-        p, v, b = self._p, self._v, self._b
-        latency = self._latency * self._step
-        shifts = []
-        for axis in (0, 1):
-            off_p = fix[axis] - then[axis]
-            off_v = fix[2 + axis] - then[2 + axis]
-            dp = gain[0][0] * off_p + gain[0][1] * off_v
-            dv = gain[1][0] * off_p + gain[1][1] * off_v
-            db = gain[2][0] * off_p + gain[2][1] * off_v
-            if still:
-                dv = db = 0.0
-            elif is_pushed:
-                db = 0.0
-            shifts.append((dp, dv, db))
-            p[axis] += dp + latency * (dv + 0.5 * latency * db)
-            v[axis] += dv + latency * db
-            b[axis] += db
-        self._shift_past(shifts)
+        then_p, then_v = self._lean.delayed
+        off_p, off_v = p - then_p, v - then_v
+        dp = gain[0][0] * off_p + gain[0][1] * off_v
+        dv = 0j if still else gain[1][0] * off_p + gain[1][1] * off_v
+        du = 0j if still or is_pushed else gain[2][0] * off_p + gain[2][1] * off_v
+        self._lean.shift(dp, dv, du, self._latency * self._step)
 
-    def _shift_past(self, shifts: Sequence[Vector3]) -> None:
-        """Shift the past estimates, which the next epochs are compared with, by the correction."""
-        (pn, vn, bn), (pe, ve, be) = shifts
-        step = self._step
-        for i, (n, e, un, ue) in enumerate(self._past):
-            t = i * step
-            self._past[i] = (
-                n + pn + t * (vn + 0.5 * t * bn),
-                e + pe + t * (ve + 0.5 * t * be),
-                un + vn + t * bn,
-                ue + ve + t * be,
-            )
+    def _reckon(self, measured: Measured, by_lean: complex) -> None:
+        """Predict one step by the accelerometer, without one by the lean."""
+        force, reckoning = measured.specific_force, self.reckoning
+        self._has_force = force[0] == force[0] and force[1] == force[1] and force[2] == force[2]
+        if self._has_force:
+            north, east, _ = rotate(measured.attitude, force)
+            reckoning.turn = rect(1.0, heading_of(measured.attitude))
+            by_lean = complex(north, east) + reckoning.turn * reckoning.u
+        reckoning.move(by_lean)
+
+    def _correct_reckoning(self, p: complex, v: complex, fresh: bool, still: bool, lean_deviation: float) -> None:
+        """Correct at the end of the time between two fixes."""
+        reckoning, T, lean_variance = self.reckoning, self._period * self._step, lean_deviation**2
+        turn, noise = (reckoning.turn, self._force_noise) if self._has_force else (0j, _UNSENSED_ACCELERATION**2)
+        reckoning.spread(T, turn, noise, BIAS_WALK**2 * T + GRAVITY**2 * max(0.0, lean_variance - self._lean_variance))
+        self._lean_variance = lean_variance
+        if still:
+            reckoning.correct(1, -reckoning.v, STANDING_NOISE**2, 0.0)
+        if fresh:
+            latency = self._latency * self._step
+            reckoning.correct(1, v - reckoning.delayed[1], self._velocity_noise, latency)
+            reckoning.correct(0, p - reckoning.delayed[0], self._position_noise, latency)

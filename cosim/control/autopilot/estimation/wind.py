@@ -9,64 +9,36 @@ from cosim.base.signals import Vector3
 from cosim.control.autopilot.geometry import Pair
 from cosim.spec.vehicle import Vehicle
 
-_LEAN_SHARE = 1.5  # multiple of the largest commanded lean, chosen by us: it overshoots, but hovers still
+# Multiple of the largest commanded lean, chosen by us: it overshoots, but hovers still.
+_LEAN_SHARE = 1.5
 
 
 def estimate_wind(
     vehicle: Vehicle, push: Pair, velocity: Pair, euler: Vector3, thrust: Sequence[float], density: float
 ) -> Pair | None:
-    """Return the wind that would push the vehicle like this, or None where nothing can be told of it.
+    """Return the wind [m/s], north and east, that would push the vehicle like this; None where nothing can be told.
 
     Level in hover, the body's drag and the air that the jets swallow hold the vehicle back with
     ``m b = (rho A |V| / 2 + M) V`` along each of its axes, ``A`` the drag area of the axis and ``M`` the mass flow of
     all jets; ``V`` is that equation's root, and the wind is the vehicle's velocity and ``V``.  The mass is the nominal
     one, so a lighter vehicle is told too much wind.
 
-    Parameters
-    ----------
-    push
-        The acceleration that the attitude does not explain [m/s^2, NED].
-    velocity
-        Of the vehicle over the ground [m/s, NED].
-    euler
-        Roll, pitch and heading [rad].
-    thrust
-        Of every jet, as reported [N].
-    density
-        Of the air [kg/m^3].
-
-    Returns
-    -------
-    North and east component of where the wind blows to [m/s].  None for a vehicle with a wing, whose lift pushes it
-    as well, for one without drag, where no push is estimated, and for one that leans half as far again as it may be
-    asked to: lean and thrust then do not explain how it moves, so that the push is not the air's.
+    ``push``: the acceleration that the attitude does not explain [m/s^2, NED]; ``velocity`` over the ground [m/s, NED];
+    ``euler`` [rad]; ``thrust`` of every jet, as reported [N]; ``density`` of the air [kg/m^3].  Nothing can be told of
+    a vehicle with a wing, whose lift pushes it as well, of one without drag, where no push is estimated, and of one
+    that leans half as far again as it may be asked to: lean and thrust then do not explain how it moves.
     """
-    if vehicle.control.wing is not None:
-        return None
-    if push == (0.0, 0.0):  # nothing is estimated
-        return None
-    if cos(euler[0]) * cos(euler[1]) < _least_upright(vehicle):
-        return None
-    (north, east), heading = push, euler[2]
-    ahead, right = north * cos(heading) + east * sin(heading), east * cos(heading) - north * sin(heading)
+    gains, (forward, side, _) = vehicle.control.position, vehicle.aero.drag_area_m2
+    max_lean = 0.5 * pi if gains is None else min(_LEAN_SHARE * gains.lean_rad, 0.5 * pi)
+    is_tipped = cos(euler[0]) * cos(euler[1]) < cos(max_lean)
     linear, mass = _mass_flow(vehicle, thrust), vehicle.mass_kg
-    forward, side, _ = vehicle.aero.drag_area_m2
-    if linear == 0.0 and min(forward, side) <= 0.0:
+    has_drag = linear != 0.0 or min(forward, side) > 0.0
+    if vehicle.control.wing is not None or push == (0.0, 0.0) or is_tipped or not has_drag:
         return None
-    u, v = (
-        _speed(mass * ahead, 0.5 * density * forward, linear),
-        _speed(mass * right, 0.5 * density * side, linear),
-    )
-    return (
-        velocity[0] + u * cos(heading) - v * sin(heading),
-        velocity[1] + u * sin(heading) + v * cos(heading),
-    )
-
-
-def _least_upright(vehicle: Vehicle) -> float:
-    """Return the cosine of the lean beyond which nothing can be told of the wind."""
-    gains = vehicle.control.position
-    return 0.0 if gains is None else cos(min(_LEAN_SHARE * gains.lean_rad, 0.5 * pi))
+    c, s = cos(euler[2]), sin(euler[2])
+    u = _speed(mass * (push[0] * c + push[1] * s), 0.5 * density * forward, linear)
+    v = _speed(mass * (push[1] * c - push[0] * s), 0.5 * density * side, linear)
+    return velocity[0] + u * c - v * s, velocity[1] + u * s + v * c
 
 
 def drag_limited_speed(vehicle: Vehicle, acceleration: float, thrust: Sequence[float], density: float) -> float | None:

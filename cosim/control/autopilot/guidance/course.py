@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import hypot, inf
 
 from cosim.base.signals import Command
-from cosim.control.autopilot.estimation.estimates import Estimates
+from cosim.control.autopilot.estimation.estimator import Estimator
 from cosim.control.autopilot.geometry import Pair
 from cosim.control.autopilot.guidance.descent import descent_rate
 from cosim.control.autopilot.guidance.guide import Guide
@@ -60,7 +60,7 @@ class Landmarks:
 class Course:
     """The position, height and heading to fly to or hold, and the :class:`Guide` that does it."""
 
-    def __init__(self, parameters: Parameters, estimates: Estimates, landmarks: Landmarks, guide: Guide) -> None:
+    def __init__(self, parameters: Parameters, estimates: Estimator, landmarks: Landmarks, guide: Guide) -> None:
         self.parameters = parameters
         self.estimates = estimates
         self.landmarks = landmarks

@@ -7,7 +7,7 @@ from math import radians
 from cosim.base.frames import upright
 from cosim.base.limits import clip
 from cosim.base.signals import AXES, Command
-from cosim.control.autopilot.estimation.estimates import Estimates
+from cosim.control.autopilot.estimation.estimator import Estimator
 from cosim.control.autopilot.guidance.descent import CollectiveFloor, HeightLimits, height_limits, thrust_margins
 from cosim.control.autopilot.guidance.guide import Guide
 from cosim.control.autopilot.guidance.shaper import AttitudeLimits, Shaper, angular_authority, attitude_limits
@@ -38,7 +38,7 @@ class Envelope:
         idle: float,
         answer: tuple[float, float],
         parameters: Parameters,
-        estimates: Estimates,
+        estimates: Estimator,
         step: float,
     ) -> None:
         limits = vehicle.control.allocation

@@ -113,7 +113,7 @@ class Landing:
     def update(self, report: Report, sure: bool) -> None:
         """Update the contact by one step; ``sure``: it is off the ground, and not about to touch it."""
         estimates, descending = self._estimates, self._course.descending
-        self.touchdown.update(estimates.now.velocity[2], estimates.senses.lift, report, descending, sure)
+        self.touchdown.update(estimates.now.velocity[2], estimates.lift, report, descending, sure)
 
     @property
     def has_lifted(self) -> bool:

@@ -1,0 +1,466 @@
+"""The autopilot's estimates of its own motion: from the sensors where they work, from the others where they do not.
+
+Faults are not reported to it; it detects them in its sensors' readings.  One that repeats itself to the last bit while
+another moves has stopped, one that contradicts the others is implausible.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import exp, inf, nan, radians, sqrt
+from typing import NamedTuple
+
+from cosim.base.constants import GRAVITY
+from cosim.base.frames import conjugate, multiply, normalize, rotate, to_euler
+from cosim.base.signals import ZERO3, Measured, Quaternion, Vector3
+from cosim.control.autopilot.estimation.kalman import Kalman
+from cosim.control.autopilot.estimation.position import (
+    BIAS_WALK,
+    MIN_FORCE_NOISE,
+    MIN_POSITION_NOISE,
+    MIN_VELOCITY_NOISE,
+    STANDING_NOISE,
+    PositionEstimator,
+)
+from cosim.spec.vehicle import PositionGains, Sensors
+
+# Noise below which no sensor is trusted, whatever it states: rad, rad/s, m.
+_MIN_ANGLE_NOISE = 2e-4
+_MIN_RATE_NOISE = 0.002
+_MIN_HEIGHT_NOISE = 0.01
+# The rest is chosen by us, with the reason.
+# rad/s per root s: a MEMS gyro's zero (5 mdeg/s per K) while it warms by some K in a minute.
+_GYRO_BIAS_WALK = 2e-5
+# rad/s: calibrated while it stands; and 17 deg/s, when it turns out that the bias is not what it was.
+_GYRO_BIAS_AT_START, _GYRO_BIAS_UNKNOWN = 0.01, 0.3
+# Times the attitude gain: a rate loop is some four times as fast, and has a tenth of its own time to wait.
+_RATE_BANDWIDTH_RATIO = 30.0
+# The disagreement of gyro and attitude, averaged over so many s, is a surprise from so many standard deviations of the
+# mean and so many rad on (what filters and sampling leave unexplained in a manoeuvre), once in so many s.
+_MEAN_S, _SURPRISE, _MIN_SURPRISE, _BETWEEN_S = 0.1, 8.0, 2e-3, 0.5
+# rad between two samples: the gyro saw nothing of it, and no noise of this sensor does it.
+_JUMP = 0.02
+# Repeated samples of gyro or attitude while the other moves.
+_STOPPED = 5
+# rad/s for so many s: four times the noise of a sample; the controllers would lean by less than a degree.
+_BIASED, _BIASED_S = 0.02, 0.3
+# m/s^2: 10 mg, more than is left after any calibration; and the most that is taken for a bias.
+_BIAS_AT_START, _MAX_BIAS = 0.1, 0.5
+# m/s^2: without an accelerometer any vertical acceleration of a flight is possible.
+_UNSENSED_ACCELERATION = 3.0
+# m/s^2: forces of stiff legs change by as much within a step, so that their samples are off by it.
+_CONTACT_FORCE_NOISE = 2.0
+# Squared normalised error: five standard deviations, passed by chance once in 1.7 million.
+_GATE = 25.0
+# s without news from a barometer or accelerometer that has stopped, and from a receiver.
+_FAILED_S, _SILENT_S = 0.1, 1.0
+# s of contradiction by which a barometer loses trust, and of agreement by which it regains it.
+_IMPLAUSIBLE_S, _AGREEMENT_S = 0.5, 1.0
+# Half a minute over which the receiver's height is compared with the barometer's.
+_OFFSET_EPOCHS = 300
+# s without a fix: the lean alone is off by half a metre by then for a degree that it is wrong.
+_BLIND_S = 1.0
+# m/s, one deviation: a speed that is less sure is not told as valid; as PX4's COM_VEL_FS_EVH.
+SPEED_SURE = 1.0
+# One deviation: a twelfth of the weight pushes sideways unseen.
+LEAN_SURE = radians(5.0)
+
+
+class EstimateQuality(NamedTuple):
+    """How reliable the autopilot's estimates are.
+
+    ``position`` and ``height`` are valid where a sensor measures them; ``speed``, ``climb`` and ``attitude`` where
+    their standard deviation is below 1 m/s and 5 degrees, measured or predicted.  ``gyro`` to ``attitude_sensor``
+    are the trusted sensors.  The rest are the standard deviations: m and m/s per axis, m, m/s, rad.
+    """
+
+    position: bool = True
+    speed: bool = True
+    height: bool = True
+    climb: bool = True
+    attitude: bool = True
+    gyro: bool = True
+    accelerometer: bool = True
+    barometer: bool = True
+    gnss: bool = True
+    attitude_sensor: bool = True
+    position_m: float = nan
+    speed_m_s: float = nan
+    height_m: float = nan
+    climb_m_s: float = nan
+    attitude_rad: float = nan
+
+
+class Estimator:
+    """Attitude and rates, height and climb rate, position and velocity, each from the sensors that work.
+
+    Where all sensors work, attitude and horizontal position are the sensors' own; rates are the gyro's less its bias;
+    height and climb rate are always estimates.
+
+    *Attitude.*  ``theta' = rate - bias + white``, ``bias' = white`` about each axis, with one covariance and the rate
+    before the gyro's own filter, ``r_k = (y_k - (1 - s) y_{k-1}) / s``; the attitude sensor measures ``theta``.  Where
+    the mean disagreement exceeds what noise explains, the bias has changed: its variance is set up, and the new one is
+    found in a fraction of a second.  Without the sensor the attitude goes on by the gyro; without a gyro the rate is
+    found from the attitude, as quickly as the attitude loop needs it.
+
+    *Height.*  ``h' = v``, ``v' = a - b + white``, ``b' = white``, up positive, with ``a`` the specific force turned
+    upright, less gravity.  The barometer is compared every step, GNSS velocity every epoch with the estimate of the
+    instant at which it was taken, GNSS height only while there is no barometer, shifted by what the two were apart
+    before.  While the vehicle stands, ``v = 0`` is a reading too; while its legs touch the ground with engines that
+    fly, the specific force has the noise of the contact.
+
+    *Position.*  :class:`PositionEstimator`.
+
+    ``gain``: of the attitude loop, 1/s, the slowest of roll and pitch.  ``noisy``: the sensors have their noise, by
+    which a receiver that has stopped is told from one that stands.
+    """
+
+    def __init__(self, sensors: Sensors, gains: PositionGains, step: float, gain: float, noisy: bool) -> None:
+        gyro, attitude, gnss = sensors.gyro, sensors.attitude, sensors.gnss
+        self._dt = step
+        self._filter_gain = 1.0 - exp(-step / gyro.filter_s) if gyro.filter_s > 0.0 else 1.0
+        self._attitude_latency = max(0, attitude.latency_samples - gyro.latency_samples)
+        angle_noise = max(attitude.noise_rad, _MIN_ANGLE_NOISE)
+        self._angle_noise = angle_noise**2
+        self._rate_noise = max(gyro.noise_rad_s, _MIN_RATE_NOISE) ** 2
+        # of two integrators behind white noise: the filter's bandwidth squared is walk over measurement noise
+        self._rate_walk = (_RATE_BANDWIDTH_RATIO * gain) ** 2 * sqrt(self._angle_noise * step)
+        self._angle = Kalman(step, 0, (0.0, angle_noise, _GYRO_BIAS_AT_START))
+        self._period, self._latency = gnss.period_samples, gnss.latency_samples
+        height_noise = max(sensors.barometer.noise_m, _MIN_HEIGHT_NOISE)
+        velocity_noise = max(gnss.velocity_noise_m_s, MIN_VELOCITY_NOISE)
+        self._height_noise, self._velocity_noise = height_noise**2, velocity_noise**2
+        self._position_noise = max(gnss.position_noise_m, MIN_POSITION_NOISE) ** 2
+        self._force_noise = max(sensors.accelerometer.noise_m_s2, MIN_FORCE_NOISE) ** 2
+        self.vertical = Kalman(step, self._latency, (height_noise, velocity_noise, _BIAS_AT_START))
+        noisy = noisy and max(gnss.position_noise_m, gnss.velocity_noise_m_s) > 0.0
+        self._position = PositionEstimator(gains, sensors, step, noisy, reckons=True)
+        self.reset(None)
+
+    def reset(self, measured: Measured | None) -> None:
+        """Start as if the vehicle had been at rest as ``measured``; None: as the first measurement says."""
+        # what the loops fly with
+        self.measured = measured
+        self.euler: Vector3 = ZERO3 if measured is None else to_euler(measured.attitude)
+        self._attitude: Quaternion = (1.0, 0.0, 0.0, 0.0) if measured is None else measured.attitude
+        self._last_attitude = self._attitude
+        self._past: deque[Quaternion] = deque([self._attitude] * (self._attitude_latency + 1))
+        self._last_rate = self._raw_rate = ZERO3 if measured is None else measured.rate
+        self.gyro_bias: Vector3 = ZERO3
+        self._angle.reset(0.0, 0.0)
+        self._mean = self._last_error = ZERO3
+        self._quiet_s = self._biased_s = 0.0
+        self._has_jumped = self._gyro_has_failed = False
+        self._rate_repeats = self._attitude_repeats = 0
+        if measured is None:
+            self.vertical.reset(0.0, 0.0)
+        else:
+            self.vertical.reset(measured.altitude, -measured.velocity[2])
+            self._position.reset((measured.position[0], measured.position[1]))
+        # its bias changes too little within the receiver's latency to count
+        self.vertical.turn = 0.0
+        self.fix = self._position.fix
+        self._last_force: Vector3 | None = None
+        self._last_altitude = inf
+        self._last_fix: tuple[float, float] | None = None
+        self._force_age = self._height_age = self._fix_age = 0.0
+        self._refusal_s = self._agreement_s = self._fix_refusal_s = 0.0
+        self._is_implausible = self._is_handed_over = False
+        self._offset, self._epochs = 0.0, 0
+        # m/s^2: the specific force upwards, as last felt
+        self._lift = GRAVITY
+
+    def update(
+        self,
+        k: int,
+        measured: Measured,
+        still: bool,
+        is_grounded: bool = False,
+        is_pushed: bool = False,
+        has_contact: bool = False,
+    ) -> Measured:
+        """Return what step ``k`` is flown with; ``still``: the vehicle stands; ``is_grounded``: or has not lifted off.
+
+        ``is_pushed``: see :meth:`PositionEstimator.update`.  ``has_contact``: its legs touch the ground.
+        """
+        if self.measured is None:
+            self.reset(measured)
+        attitude, rate = self._update_attitude(measured, still)
+        self._update_height(k, measured, attitude, still, has_contact)
+        north, east, _ = measured.velocity
+        velocity = (north, east, -self.vertical.v.real)
+        position, height = measured.position, self.vertical.p.real
+        self.measured = measured = Measured(rate, attitude, position, velocity, height, measured.specific_force)
+        self.euler = to_euler(attitude)
+        lean_deviation = 0.0 if self.has_attitude else sqrt(self._angle.vv)
+        self.fix = self._position.update(k, measured, is_grounded, lean_deviation, is_pushed)
+        return measured
+
+    # --- what there is to see --------------------------------------------------------------------------------------
+
+    @property
+    def now(self) -> Measured:
+        """The measurements, sensed or estimated, that the loops fly with."""
+        assert self.measured is not None
+        return self.measured
+
+    @property
+    def altitude(self) -> float:
+        """The height above the origin, m."""
+        return self.measured.altitude if self.measured is not None else 0.0
+
+    @property
+    def altitude_deviation(self) -> float:
+        """The standard deviation of the height, m."""
+        return sqrt(self.vertical.pp)
+
+    @property
+    def lift(self) -> float | None:
+        """Specific force upwards over gravity; None without an accelerometer."""
+        return (self._lift + self.vertical.u.real) / GRAVITY if self.has_force else None
+
+    @property
+    def has_attitude(self) -> bool:
+        """Whether the attitude sensor is trusted."""
+        return self._attitude_repeats < _STOPPED and not self._has_jumped
+
+    @property
+    def has_rate(self) -> bool:
+        """Whether the gyro is trusted, bias or not."""
+        return self._rate_repeats < _STOPPED
+
+    @property
+    def is_biased(self) -> bool:
+        """Whether the gyro's bias matters."""
+        return self._biased_s >= _BIASED_S
+
+    @property
+    def has_height(self) -> bool:
+        """Whether the barometer is trusted."""
+        return self._height_age < _FAILED_S and not self._is_implausible
+
+    @property
+    def has_fix(self) -> bool:
+        """Whether GNSS gives new fixes that agree with the climb rate."""
+        return self._fix_age < _SILENT_S and self._fix_refusal_s < _SILENT_S
+
+    @property
+    def has_force(self) -> bool:
+        """Whether the accelerometer is trusted."""
+        return self._force_age < _FAILED_S
+
+    @property
+    def has_position(self) -> bool:
+        """Whether GNSS fixes arrive."""
+        return self._position.silent <= _BLIND_S
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """What has failed, in words, the GNSS receiver aside."""
+        failures = (
+            ("attitude lost", not self.has_attitude),
+            ("gyro lost", not self.has_rate),
+            ("gyro biased", self.has_rate and self.is_biased),
+            ("barometer lost", not self.has_height),
+        )
+        return tuple(text for text, has_failed in failures if has_failed)
+
+    @property
+    def quality(self) -> EstimateQuality:
+        """How reliable the estimates are."""
+        (position_deviation, speed), (height, climb) = self._position.deviation, self.vertical.deviation
+        lean, has_position = sqrt(self._angle.vv), self.has_position
+        return EstimateQuality(
+            has_position,
+            has_position or speed < SPEED_SURE,
+            self.has_height or self.has_fix,
+            climb < SPEED_SURE,
+            self.has_attitude or lean < LEAN_SURE,
+            self.has_rate and not self.is_biased,
+            self.has_force,
+            self.has_height,
+            has_position,
+            self.has_attitude,
+            position_deviation,
+            speed,
+            height,
+            climb,
+            lean,
+        )
+
+    # --- attitude and rates ----------------------------------------------------------------------------------------
+
+    def _update_attitude(self, measured: Measured, still: bool) -> tuple[Quaternion, Vector3]:
+        """Return attitude and body rates at this sample; while the vehicle stands, sensors may repeat themselves."""
+        new_rate, new_attitude = measured.rate != self._last_rate, measured.attitude != self._last_attitude
+        self._rate_repeats = 0 if new_rate or still else self._rate_repeats + (1 if new_attitude else 0)
+        self._attitude_repeats = 0 if new_attitude or still else self._attitude_repeats + (1 if new_rate else 0)
+        self._last_attitude = measured.attitude
+        self._turn(measured.rate)
+        if self._attitude_repeats == 0:
+            self._compare_attitude(measured.attitude)
+        is_biased = self.has_rate and _largest(self.gyro_bias) > _BIASED
+        self._biased_s = self._biased_s + self._dt if is_biased else 0.0
+        attitude = measured.attitude if self.has_attitude else self._attitude
+        return attitude, _sum(measured.rate if self.has_rate else ZERO3, self.gyro_bias, -1.0)
+
+    def _turn(self, rate: Vector3) -> None:
+        """Predict one step by the gyro; without one the bias is minus the rate, and may change quickly."""
+        dt, has_rate, angle, raw = self._dt, self.has_rate, self._angle, ZERO3
+        if has_rate:
+            raw = _scale(_sum(rate, self._last_rate, self._filter_gain - 1.0), 1.0 / self._filter_gain)
+        if has_rate is self._gyro_has_failed:
+            # Where the gyro works again the bias was minus the rate, where it stops it becomes that.
+            self.gyro_bias = ZERO3 if has_rate else _sum(self.gyro_bias, self._raw_rate, -1.0)
+            angle.uu = _GYRO_BIAS_UNKNOWN**2
+            if not has_rate:
+                angle.vu = 0.0
+        self._gyro_has_failed = not has_rate
+        # The mean of the rates at both ends, less the bias, as half an angle.
+        mean = _scale(_sum(self._raw_rate, raw), 0.5) if has_rate else ZERO3
+        x, y, z = _scale(_sum(mean, self.gyro_bias, -1.0), 0.5 * dt)
+        self._last_rate, self._raw_rate = rate, raw
+        self._attitude = normalize(multiply(self._attitude, (1.0, x, y, z)))
+        self._past.append(self._attitude)
+        self._past.popleft()
+        walk = _GYRO_BIAS_WALK if has_rate else self._rate_walk
+        angle.spread(dt, -1.0, self._rate_noise * dt if has_rate else 0.0, walk * walk * dt)
+
+    def _compare_attitude(self, attitude: Quaternion) -> None:
+        """Correct attitude and bias by the sensor's attitude less the gyro's of the same instant."""
+        w, x, y, z = multiply(conjugate(self._past[0]), attitude)
+        error = _scale((x, y, z), 2.0 if w >= 0.0 else -2.0)
+        total = self._angle.vv + self._angle_noise
+        if self._has_jumped:
+            self._has_jumped = _largest(error) > 5.0 * sqrt(total)
+            self._last_error = error
+            if self._has_jumped:
+                return
+        jump = _largest(_sum(error, self._last_error, -1.0))
+        if jump > max(_JUMP, 10.0 * sqrt(2.0 * self._angle_noise)) and self.has_rate:
+            self._has_jumped = True
+            return
+        self._detect_new_bias(error, total)
+        _, angle_gain, bias_gain = self._angle.take_reading(1, self._angle_noise)
+        x, y, z = _scale(error, 0.5 * angle_gain.real)
+        self._past = deque([normalize(multiply(past, (1.0, x, y, z))) for past in self._past])
+        self._attitude = self._past[-1]
+        self._last_error = _scale(error, 1.0 - angle_gain.real)
+        self.gyro_bias = _sum(self.gyro_bias, error, bias_gain.real)
+
+    def _detect_new_bias(self, error: Vector3, total: float) -> None:
+        """Open the covariance of the bias where the mean error says that the bias is not what it was."""
+        gain = self._dt / _MEAN_S
+        self._mean = _sum(self._mean, _sum(error, self._mean, -1.0), gain)
+        self._quiet_s = max(0.0, self._quiet_s - self._dt)
+        bound = max(_MIN_SURPRISE, _SURPRISE * sqrt(0.5 * gain * total))
+        if self._quiet_s == 0.0 and _largest(self._mean) > bound:
+            self._angle.uu = max(self._angle.uu, _GYRO_BIAS_UNKNOWN**2)
+            self._quiet_s = _BETWEEN_S
+
+    # --- height and climb rate -------------------------------------------------------------------------------------
+
+    def _update_height(self, k: int, measured: Measured, attitude: Quaternion, still: bool, has_contact: bool) -> None:
+        is_new = self._check_repeats(measured, still)
+        self._predict_height(attitude, measured.specific_force, has_contact and not still)
+        if still:
+            self._correct_height(1, -self.vertical.v, STANDING_NOISE**2)
+        self._take_barometer(measured.altitude, is_new or still)
+        if k > self._latency and (k - self._latency) % self._period == 0:
+            self._take_fix(-measured.position[2], -measured.velocity[2], still)
+
+    def _check_repeats(self, measured: Measured, still: bool) -> bool:
+        """Note which sensors repeat themselves while another moves; return whether the barometer's reading is new."""
+        dt, force = self._dt, measured.specific_force
+        felt = force == force and force[2] == force[2]
+        new_force = felt and force != self._last_force
+        new_height = measured.altitude != self._last_altitude
+        first = self._last_force is None
+        self._last_force, self._last_altitude = force, measured.altitude
+        if new_force or (felt and (first or still)):
+            self._force_age = 0.0
+        elif new_height or not felt:
+            self._force_age += dt
+        if new_height or still:
+            self._height_age = 0.0
+        elif new_force:
+            self._height_age += dt
+        # Where nothing moves, no sensor can be said to have stopped.
+        return new_height or not new_force
+
+    def _predict_height(self, attitude: Quaternion, force: Vector3, has_contact: bool) -> None:
+        dt, vertical = self._dt, self.vertical
+        if self.has_force and force[2] == force[2]:
+            self._lift = -rotate(attitude, force)[2]
+            acceleration = self._lift - GRAVITY + vertical.u.real
+            noise = dt * (max(self._force_noise, _CONTACT_FORCE_NOISE**2) if has_contact else self._force_noise)
+        else:
+            # Constant over a second, not white from step to step.
+            self._lift, acceleration, noise = GRAVITY, 0.0, _UNSENSED_ACCELERATION**2
+        vertical.move(acceleration)
+        vertical.spread(dt, 1.0, noise, BIAS_WALK**2 * dt)
+
+    def _correct_height(self, which: int, error: complex, noise: float, latency: float | None = None) -> None:
+        """Correct by a height (0) or a climb rate (1) of now or of ``latency`` s ago."""
+        self.vertical.correct(which, error, noise, latency)
+        self.vertical.u = max(-_MAX_BIAS, min(_MAX_BIAS, self.vertical.u.real))
+
+    def _take_barometer(self, altitude: float, is_new: bool) -> None:
+        error = altitude - self.vertical.p.real
+        if not is_new or self._height_age >= _FAILED_S:
+            self._agreement_s = 0.0
+            return
+        if error * error > _GATE * (self.vertical.pp + self._height_noise):
+            self._agreement_s = 0.0
+            self._refusal_s += self._dt
+            self._is_implausible = self._is_implausible or self._refusal_s >= _IMPLAUSIBLE_S
+            return
+        self._refusal_s = 0.0
+        self._agreement_s += self._dt
+        self._is_implausible = self._is_implausible and self._agreement_s < _AGREEMENT_S
+        if not self._is_implausible:
+            self._correct_height(0, error, self._height_noise)
+
+    def _take_fix(self, height: float, rate: float, still: bool) -> None:
+        """Correct by a GNSS epoch: velocity always, height where there is no barometer."""
+        vertical, latency = self.vertical, self._latency * self._dt
+        fresh = still or (height, rate) != self._last_fix
+        self._last_fix = (height, rate)
+        between = self._period * self._dt
+        self._fix_age = 0.0 if fresh else self._fix_age + between
+        if not fresh:
+            return
+        error = rate - vertical.delayed[1].real
+        if error * error > _GATE * (vertical.vv + self._velocity_noise):
+            self._fix_refusal_s += between
+            if self._fix_refusal_s < _SILENT_S or self.has_height:
+                return
+            # No other sensor is left: use it again, with the deviation of one reading.
+            vertical.pv = vertical.vu = 0.0
+            vertical.vv += error * error
+        self._fix_refusal_s = 0.0
+        self._correct_height(1, error, self._velocity_noise, latency)
+        apart = height - vertical.delayed[0].real
+        if self.has_height:
+            self._epochs = min(self._epochs + 1, _OFFSET_EPOCHS)
+            self._offset += (apart - self._offset) / self._epochs
+            self._is_handed_over = False
+        elif self._epochs:
+            if not self._is_handed_over:
+                # The receiver's height has the uncertainty of its comparison with the barometer.
+                vertical.pp += self._position_noise / self._epochs
+                self._is_handed_over = True
+            self._correct_height(0, apart - self._offset, self._position_noise, latency)
+
+
+def _sum(a: Vector3, b: Vector3, factor: float = 1.0) -> Vector3:
+    """Return ``a + factor b``."""
+    return (a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2])
+
+
+def _scale(a: Vector3, factor: float) -> Vector3:
+    return (factor * a[0], factor * a[1], factor * a[2])
+
+
+def _largest(a: Vector3) -> float:
+    return max(abs(a[0]), abs(a[1]), abs(a[2]))
