@@ -182,7 +182,6 @@ def _load_flight(letter: str, flight: str | Path | Run, note: Callable[[str], No
     from cosim.identify.logs.log_columns import as_columns, read_log
     from cosim.results.comparison import ComparedFlight
     from cosim.results.run import finish_killed, open_run
-    from cosim.spec.file_kind import describe_path
     from cosim.spec.scenario import Scenario, scenario_names
 
     if isinstance(flight, Run):
@@ -212,7 +211,7 @@ def _load_flight(letter: str, flight: str | Path | Run, note: Callable[[str], No
         return ComparedFlight(label, log, None, name, remarks)
     raise InputError(
         f"{name}: no flight; allowed: the folder of a run, CAMPAIGN:NUMBER, a scenario, a log "
-        "(.csv, .parquet, ULog, DataFlash, Betaflight's blackbox, Crazyflie, .tlog); " + describe_path(path)
+        "(.csv, .parquet, ULog, DataFlash, Betaflight's blackbox, Crazyflie, .tlog)"
     )
 
 

@@ -12,7 +12,7 @@ from cosim.base.errors import InputError, similar
 from cosim.base.storage.paths import data_folder, files_in, names_in
 from cosim.base.trust import without_code
 from cosim.spec.controller_name import is_design
-from cosim.spec.file_kind import AIRCRAFT, MODELS, SCENARIO, STUDY, describe_path, find_kind, nearest_paths
+from cosim.spec.file_kind import AIRCRAFT, SCENARIO, STUDY
 
 if TYPE_CHECKING:
     from cosim.spec.vehicle import Vehicle
@@ -175,11 +175,9 @@ def _entries(name: str, kinds: Sequence[str]) -> list[dict[str, Any]]:
     if not shown:
         path = Path(name)
         if path.exists():
-            raise InputError(
-                f"{name}: cannot be shown; {describe_path(path)}; allowed: a name of hexjet list, {_FILES}"
-            )
+            raise InputError(f"{name}: cannot be shown; allowed: a name of hexjet list, {_FILES}")
         names = {entry["name"] for entries in catalogues.values() for entry in entries}
-        names |= {str(other) for other in nearest_paths(path)}
+        names |= {str(other) for folder in {Path("runs"), path.parent} if folder.is_dir() for other in folder.iterdir()}
         raise InputError(f"nothing is called {name!r}; {similar(name, names)}")
     return shown
 
@@ -221,7 +219,8 @@ def _own_file(name: str) -> dict[str, Any] | None:
     if file.suffix.lower() != ".toml" or not file.is_file():
         return None
     table = read_toml(file)
-    kind = {SCENARIO: "scenarios", STUDY: "studies", AIRCRAFT: "aircraft"}.get(find_kind(table) or MODELS)
+    kinds = {STUDY: "studies", AIRCRAFT: "aircraft", SCENARIO: "scenarios"}
+    kind = next((name for kind, name in kinds.items() if kind.matches(table)), None)
     if kind is None:
         return None
     numbers = {"aircraft": _aircraft(name), "scenarios": _scenario(name, table), "studies": _file_rows(table)}[kind]

@@ -29,7 +29,6 @@ from cosim.simulation.build import build
 from cosim.simulation.controllers.source import find_controller_source
 from cosim.simulation.step import Simulation
 from cosim.spec.controller_name import file_name, is_design
-from cosim.spec.file_kind import describe_path
 from cosim.spec.scenario import Scenario, flown_parameters, list_changes
 from cosim.spec.vehicle import is_aircraft_path, is_file
 
@@ -161,7 +160,7 @@ def load(folder: Path) -> Study:
     """Load the study of a campaign's folder.  Raises InputError if there is none."""
     path = folder.absolute() / STUDY
     if not path.is_file():
-        raise InputError(f"{folder}: no campaign here ({STUDY} is missing); {describe_path(folder)}")
+        raise InputError(f"{folder}: no campaign here ({STUDY} is missing)")
     return Study.load(path)
 
 

@@ -28,7 +28,6 @@ from cosim.results.metrics import AxisMetrics
 from cosim.results.summary import Setup, Summary, summarize, summary_json
 from cosim.simulation.pacing import PaceReport
 from cosim.simulation.plugins import CustomMetric, make_refusing_metric
-from cosim.spec.file_kind import describe_path
 from cosim.spec.scenario import Scenario
 
 SUMMARY, SCENARIO, LOG, STREAM, REPORT = (
@@ -263,7 +262,7 @@ def open_run(folder: Path | str) -> Run:
         _recover(folder)
     for name in (SUMMARY, LOG):
         if not (folder / name).is_file():
-            raise InputError(f"{folder}: no run here ({name} is missing); {describe_path(folder)}")
+            raise InputError(f"{folder}: no run here ({name} is missing)")
     path = folder / SUMMARY
     try:
         summary = Summary.model_validate_json(read_text(path))

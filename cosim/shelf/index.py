@@ -24,7 +24,6 @@ from cosim.results.run import SUMMARY
 from cosim.results.summary import ParametersRecord
 from cosim.results.verdict import read_verdict
 from cosim.spec.controller_name import describe_controller
-from cosim.spec.file_kind import describe_path
 
 INDEX = "index.html"
 GENERATOR = "hexjet open"
@@ -48,7 +47,7 @@ class Entry(NamedTuple):
 def list_entries(folder: Path) -> list[Entry]:
     """Return the entries of a folder, the newest first.  Raises InputError where the folder cannot be read."""
     if not folder.is_dir():
-        raise InputError(f"{folder}: is no folder of runs; {describe_path(folder)}")
+        raise InputError(f"{folder}: is no folder of runs")
     with map_os_errors(InputError, folder), os.scandir(folder) as items:
         found = sorted(filter(_is_candidate, items), key=lambda item: item.stat().st_mtime_ns, reverse=True)
     entries = [read_entry(Path(item.path)) for item in found]

@@ -17,7 +17,7 @@ from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.study.sequential import default_runs, parse_claim
 from cosim.campaign.study.study import DESIGNS, Correlation, Study, flatten_settings, study_names
 from cosim.spec.controller_name import seen_from, short_name
-from cosim.spec.file_kind import SCENARIO, STUDY, describe_path, refuse_other_ending, refuse_other_kind
+from cosim.spec.file_kind import SCENARIO, STUDY, check_kind
 from cosim.spec.scenario import Range, Scenario, scenario_names
 from cosim.spec.vehicle import aircraft_seen_from, file_seen_from
 
@@ -120,23 +120,17 @@ def _read_source(name: str | Path) -> tuple[dict[str, Any], Path, str]:
             path = data_folder("studies") / f"{name}.toml"
         elif str(name) in scenario_names():
             return {"name": str(name), "scenario": str(name)}, Path(), f"scenario {name}"
-        elif len(path.parts) > 1 or path.suffix:
-            raise InputError(
-                f"{path}: no such study or scenario; a .toml file, or a name of hexjet list, is needed; "
-                + describe_path(path)
-            )
-        elif path.exists():
-            raise InputError(f"{path}: is no study or scenario; {describe_path(path)}")
+        elif len(path.parts) > 1 or path.suffix or path.exists():
+            raise InputError(f"{path}: no such study or scenario; a .toml file, or a name of hexjet list, is needed")
         else:
             suggestion = similar(str(name), [*study_names(), *scenario_names()])
             raise InputError(f"unknown study or scenario {str(name)!r}; {suggestion}, or give the path of a .toml file")
     if not path.is_file():
         raise InputError(f"{path}: no such study or scenario file")
-    refuse_other_ending(path, STUDY)
     table = read_toml(path)
-    if "vary" in table or "scenario" in table:
+    if STUDY.matches(table):
         return table, path.parent, str(path)
-    refuse_other_kind(table, path, SCENARIO)
+    check_kind(table, path, SCENARIO)
     scenario = Scenario.from_table(table, path.parent, str(path))
     return {"name": scenario.name, "scenario": str(path.absolute())}, path.parent, str(path)
 

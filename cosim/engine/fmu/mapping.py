@@ -52,7 +52,7 @@ from cosim.engine.fmu.port_kinds import KINDS
 from cosim.engine.fmu.uncertainty import Uncertainty
 from cosim.engine.fmu.units import find_unit
 from cosim.engine.rundown import FlameOutLaw, make_flame_out_law
-from cosim.spec.file_kind import MAPPING, refuse_other_kind
+from cosim.spec.file_kind import MAPPING, check_kind
 
 # Longest warm-up before a flight, chosen by us: a turbojet is at idle within two minutes.
 MAX_WARM_UP_S = 600.0
@@ -192,9 +192,7 @@ def read_mapping(path: Path) -> tuple[MappingFile, Path, PortMap]:
     Raises InputError: one line with file, key and what is allowed.
     """
     data = read_toml(path)
-    refuse_other_kind(data, path, MAPPING)
-    if "fmu" not in data:
-        raise InputError(f'{path}: has no key fmu; a mapping file names its archive: fmu = "their.fmu"')
+    check_kind(data, path, MAPPING)
     file = validate(MappingFile, data, str(path))
     limits = file.range.throttle
     if limits and limits[0] == limits[1]:

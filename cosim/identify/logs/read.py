@@ -126,12 +126,7 @@ def _read(path: Path, number: int | None) -> FlightLog | TableColumns:
     if not head:
         raise InputError(f"{path}: the file is empty")
     if path.suffix.lower() == ".toml":
-        from cosim.base.storage.toml import read_toml
-        from cosim.spec.file_kind import find_kind
-
-        kind = find_kind(read_toml(path))
-        what = f"{kind.name}, and no" if kind else "TOML, and no"
-        raise InputError(f"{path}: is {what} log; allowed: {KINDS}")
+        raise InputError(f"{path}: is TOML, and no log; allowed: {KINDS}")
     if number is not None:
         if blackbox.MARKER in head:
             return read_apart("blackbox.read", path, number)

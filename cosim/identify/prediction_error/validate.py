@@ -25,7 +25,6 @@ from cosim.identify.prediction_error.stretches import Prepared, prepare
 from cosim.identify.sweep.fit import Model as Continuous
 from cosim.identify.sweep.result import MISFIT
 from cosim.identify.verdict import NOT_EXPLAINED, NOT_TOLD, Judgement, judge_model, shared_record
-from cosim.spec.file_kind import describe_path
 from cosim.spec.vehicle import RateModel, read_models
 
 MODELLED = "Measured and modelled"
@@ -151,7 +150,7 @@ def read_model(path: Path, axis: str | None = None) -> StatedModel:
     if file.suffix.lower() == ".toml":
         return _of_model_file(file, axis)
     if not file.exists():
-        raise InputError(f"{path}: no model here; {describe_path(path)}")
+        raise InputError(f"{path}: no model here")
     data = read_json(file)
     try:
         if data.get("kind") == "axis" and (beside := file.parent / "model.toml").is_file():  # of a sweep

@@ -13,7 +13,7 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.storage.toml import Model, NotNegative, merge, parse_setting, read_toml, set_path, validate
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec, load_engine
-from cosim.spec.file_kind import DESIGN, refuse_other_kind
+from cosim.spec.file_kind import DESIGN, check_kind
 from cosim.spec.scenario import FlownParameters, Scenario, find_scenario, parameter_files
 from cosim.spec.scenario.parameter_file import parse_table
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
@@ -171,7 +171,7 @@ def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path
     Raises InputError that names the file and what is wrong with it, also for one that was made for another aircraft.
     """
     table = read_toml(path)
-    refuse_other_kind(table, path, DESIGN)
+    check_kind(table, path, DESIGN)
     file = validate(ControllerFile, table, str(path))
     _check_controller(file, path)
     made_for = file.design.aircraft

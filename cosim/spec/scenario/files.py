@@ -6,7 +6,6 @@ from pathlib import Path
 
 from cosim.base.errors import InputError, similar
 from cosim.base.storage.paths import data_folder
-from cosim.spec.file_kind import describe_path
 
 
 def scenario_names() -> list[str]:
@@ -19,13 +18,13 @@ def find_scenario(name: str | Path) -> Path:
     path = Path(name)
     if path.suffix == ".toml" or path.is_file():
         if not path.is_file():
-            raise InputError(f"{path}: no such scenario file; {describe_path(path)}")
+            raise InputError(f"{path}: no such scenario file")
         return path
     if str(name) not in scenario_names():
         if (path / "scenario.toml").is_file() and not (path / "study.toml").is_file():
             raise InputError(f"{path} is a run's folder; its scenario is {path / 'scenario.toml'}")
         if path.exists() or len(path.parts) > 1:
-            raise InputError(f"{path}: is no scenario; {describe_path(path)}")
+            raise InputError(f"{path}: is no scenario, which is a .toml file or a name of hexjet list")
         raise InputError(
             f"unknown scenario {str(name)!r}; {similar(str(name), scenario_names())}, or give the path of a .toml file"
         )

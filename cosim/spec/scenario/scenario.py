@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import Duration, Model, merge, parse_setting, read_toml, set_path, validate
 from cosim.base.trust import mention
-from cosim.spec.file_kind import SCENARIO, refuse_other_ending, refuse_other_kind
+from cosim.spec.file_kind import SCENARIO, check_kind
 from cosim.spec.scenario.changes import Changes
 from cosim.spec.scenario.commands import CommandEntry
 from cosim.spec.scenario.disturbances import DisturbanceEntry
@@ -289,9 +289,8 @@ class Scenario(Model):
             As :meth:`load`, for all but the vehicle.
         """
         path = find_scenario(name)
-        refuse_other_ending(path, SCENARIO)
         data = read_toml(path)
-        refuse_other_kind(data, path, SCENARIO)
+        check_kind(data, path, SCENARIO)
         origin = cls.as_filed(path) if settings else None
         for text in settings or []:
             key, value = parse_setting(text)

@@ -13,7 +13,7 @@ from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.files import read_file
 from cosim.base.storage.paths import data_folder, names_in
 from cosim.base.storage.toml import Model, Positive, merge, read_toml, validate
-from cosim.spec.file_kind import AIRCRAFT, describe_path, refuse_other_kind
+from cosim.spec.file_kind import AIRCRAFT, check_kind
 from cosim.spec.scaling import scale_vehicle
 from cosim.spec.vehicle.vehicle import Vehicle
 
@@ -83,18 +83,13 @@ def find_aircraft(aircraft: str, folder: Path = Path()) -> Path:
             suggestion = nearest(aircraft, aircraft_names())
             here = f"./{aircraft}" if (folder / aircraft / VEHICLE).is_file() else "the path of a folder"
             if (folder / aircraft).exists() and "./" not in here:
-                raise InputError(
-                    f"{aircraft}: is no aircraft; {describe_path(folder / aircraft)}; {suggestion}, or {here}"
-                )
+                raise InputError(f"{aircraft}: is no aircraft; {suggestion}, or {here}")
             raise InputError(f"unknown aircraft {aircraft!r}; {suggestion}, or {here}")
         return path
     path = folder / aircraft
     path = path / VEHICLE if path.is_dir() else path
     if not path.is_file():
-        raise InputError(
-            f"aircraft {path}: no such file; name a folder with a {VEHICLE}, or such a file; "
-            f"{describe_path(folder / aircraft)}"
-        )
+        raise InputError(f"aircraft {path}: no such file; name a folder with a {VEHICLE}, or such a file")
     return path
 
 
@@ -251,7 +246,7 @@ def _surround_origin(points: list[tuple[float, float]]) -> bool:
 def _read_tables(path: Path) -> dict[str, Any]:
     """Return the tables of a ``vehicle.toml``, merged over those of the aircraft that it scales, if any."""
     tables = read_toml(path)
-    refuse_other_kind(tables, path, AIRCRAFT)
+    check_kind(tables, path, AIRCRAFT)
     if "scaled" not in tables:
         return tables
     where = f"{path}: scaled"

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from cosim.base.storage.toml import Model, Positive, read_toml, validate
-from cosim.spec.file_kind import MODELS, refuse_other_kind
+from cosim.spec.file_kind import MODELS, check_kind
 
 
 def _with_pairs(real: list[float], pairs: list[tuple[float, float]]) -> list[float] | list[complex]:
@@ -62,6 +62,6 @@ class ModelFile(Model):
 def read_models(path: Path) -> dict[str, Any]:
     """Return the table ``identified`` of a model file; raise InputError if it cannot be read or is none."""
     table = read_toml(path)
-    refuse_other_kind(table, path, MODELS)
+    check_kind(table, path, MODELS)
     models: dict[str, Any] = validate(ModelFile, table, str(path)).model_dump(mode="json")["identified"]
     return models

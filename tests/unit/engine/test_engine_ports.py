@@ -536,7 +536,7 @@ def test_an_edf_of_another_exporter_in_pounds_and_percent_flies_like_ours(tmp_pa
 
 
 WRONG_MAPPINGS = {
-    "no fmu": ('title = "x"', 'has no key fmu; a mapping file names its archive: fmu = "their.fmu"'),
+    "no fmu": ('title = "x"', "is not the mapping file of an engine, which has the key fmu"),
     "unknown port": (
         MAPPING.replace('throttle = "PLA"', 'throtle = "PLA"'),
         "unknown key 'ports.throtle'; did you mean 'throttle'? allowed: ",

@@ -92,7 +92,7 @@ def test_a_campaign_has_the_name_of_the_scenario_that_lies_beside_it(tmp_path: P
 
 def test_wrong_folders_and_ports(hexjet: Hexjet, tmp_path: Path) -> None:
     done = hexjet("open", "nowhere")
-    assert (done.status, done.err.splitlines()) == (2, ["hexjet: nowhere: is no folder of runs; nothing is there"])
+    assert (done.status, done.err.splitlines()) == (2, ["hexjet: nowhere: is no folder of runs"])
     done = hexjet("open", str(tmp_path), "--port", "0")
     assert (done.status, done.err.count("\n")) == (2, 1)
     assert "--port: the server of hexjet open left in version 0.3.0" in done.err
