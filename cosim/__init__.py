@@ -25,12 +25,9 @@ if TYPE_CHECKING:
     from cosim.api.export import export
     from cosim.api.identify import identify, identify_bench
     from cosim.api.logs import identify_log, validate
-    from cosim.api.prove import prove
     from cosim.api.replay import replay
-    from cosim.api.searches import rare, search
     from cosim.api.show import show
     from cosim.api.studies import sweep
-    from cosim.api.surveys import failsafes, faults
     from cosim.base.signals import Command
     from cosim.base.trust import trust
     from cosim.flight import fly
@@ -43,6 +40,9 @@ if TYPE_CHECKING:
     from hexjet_design.api import design
     from hexjet_design.measured.api import margins
     from hexjet_export.api import export_controller, export_vehicle
+    from hexjet_prove.api.prove import prove
+    from hexjet_prove.api.searches import rare, search
+    from hexjet_prove.api.surveys import failsafes, faults
 
 __all__ = [
     "Command",
@@ -91,8 +91,6 @@ _WHERE = {
     "check_engine": "cosim.api.checks",
     "compare": "cosim.api.compare",
     "export": "cosim.api.export",
-    "failsafes": "cosim.api.surveys",
-    "faults": "cosim.api.surveys",
     "fly": "cosim.flight",
     "identify_bench": "cosim.api.identify",
     "identify_log": "cosim.api.logs",
@@ -100,11 +98,8 @@ _WHERE = {
     "load_vehicle": "cosim.spec.vehicle",
     "Run": "cosim.results.run",
     "open_run": "cosim.results.run",
-    "prove": "cosim.api.prove",
     "replay": "cosim.api.replay",
     "show": "cosim.api.show",
-    "rare": "cosim.api.searches",
-    "search": "cosim.api.searches",
     "sweep": "cosim.api.studies",
     "plot": "cosim.results.report.time_plot",
     "trust": "cosim.base.trust",

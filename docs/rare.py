@@ -22,9 +22,9 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import norm
 
 from cosim.base.arrays import Array
-from cosim.campaign.rare.estimate import Budget, Estimate, estimate
-from cosim.campaign.rare.repeats import Simulations, simulate_groups
 from cosim.results.report.marks import table, write_marks
+from hexjet_prove.rare.estimate import Budget, Estimate, estimate
+from hexjet_prove.rare.repeats import Simulations, simulate_groups
 
 PAGE = Path(__file__).parent / "tables" / "rare.md"
 MARK = "rare-coverage"

@@ -32,6 +32,7 @@ DUTY = {
     "design": "controllers for a channel",
     "identify": "from data to a model",
     "groundstation": "MAVLink, local page",
+    "aircraft_check": "a vehicle looked over",
     "campaign": "many flights",
     "shelf": "the folder of runs as a page",
     "cli": "one file a command",

@@ -10,11 +10,11 @@ import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from cosim.campaign.surveys.failsafe_table import grid
-from cosim.campaign.surveys.failsafes import HOVER_S, TABLED, Conditions, Failsafes, failsafes
-from cosim.campaign.surveys.faults import SCANS, STARTS, Cell, Limit, Moments, Survival, summary, survival
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.results.report.marks import check_marks, table, write_marks
+from hexjet_prove.surveys.failsafe_table import grid
+from hexjet_prove.surveys.failsafes import HOVER_S, TABLED, Conditions, Failsafes, failsafes
+from hexjet_prove.surveys.faults import SCANS, STARTS, Cell, Limit, Moments, Survival, summary, survival
 
 DOCS = Path(__file__).parent
 FAULT_MARKS = ("faults", "faults-attainable", "faults-moments", "faults-limits")

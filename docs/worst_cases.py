@@ -21,16 +21,16 @@ from pathlib import Path
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.campaign.proof.design_study import design_study
-from cosim.campaign.search.probe import Journal, Point, Prober
-from cosim.campaign.search.question import JOURNAL
-from cosim.campaign.search.worst_case import PlaceMargins, WorstCase, WorstPlan
-from cosim.campaign.search.worst_folder import run_worst
 from cosim.campaign.study.normal_space import NormalSpace
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.results.report.marks import table, write_marks
 from hexjet_design.proof.flights import ENGINE_SPREAD
+from hexjet_prove.proof.design_study import design_study
+from hexjet_prove.search.probe import Journal, Point, Prober
+from hexjet_prove.search.question import JOURNAL
+from hexjet_prove.search.worst_case import PlaceMargins, WorstCase, WorstPlan
+from hexjet_prove.search.worst_folder import run_worst
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "control-design.md"

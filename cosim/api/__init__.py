@@ -18,32 +18,27 @@ if TYPE_CHECKING:
     from cosim.api.compare import CompareResult
     from cosim.api.identify import BenchIdentifyResult, IdentifyResult
     from cosim.api.logs import LogIdentifyResult, ValidateResult
-    from cosim.api.prove import ProofResult
     from cosim.api.replay import ReplayResult
-    from cosim.api.searches import RareResult, SearchResult
     from cosim.api.show import ShowResult
     from cosim.api.studies import SweepResult
-    from cosim.api.surveys import FailsafesResult, FaultsResult
     from hexjet_design.api import DesignResult
     from hexjet_design.measured.api import MarginsResult
     from hexjet_export.api import ControllerExport, VehicleExport
+    from hexjet_prove.api.prove import ProofResult
+    from hexjet_prove.api.searches import RareResult, SearchResult
+    from hexjet_prove.api.surveys import FailsafesResult, FaultsResult
 
 _WHERE = {
     "AircraftCheckResult": "checks",
     "BenchIdentifyResult": "identify",
     "CompareResult": "compare",
     "EngineCheckResult": "checks",
-    "FailsafesResult": "surveys",
-    "FaultsResult": "surveys",
     "IdentifyResult": "identify",
     "LogIdentifyResult": "logs",
     "MappingResult": "checks",
     "Progress": "call",
-    "ProofResult": "prove",
-    "RareResult": "searches",
     "ReplayResult": "replay",
     "Result": "call",
-    "SearchResult": "searches",
     "ShowResult": "show",
     "SweepResult": "studies",
     "Table": "call",

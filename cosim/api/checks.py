@@ -11,7 +11,7 @@ from cosim.api.call.choices import as_settings
 from cosim.base.trust import mention
 
 if TYPE_CHECKING:
-    from cosim.campaign.surveys.aircraft_check import AircraftCheck
+    from cosim.aircraft_check.check import AircraftCheck
     from cosim.engine import CheckReport
     from cosim.engine.make.mapping_file import BegunMapping
 
@@ -256,7 +256,7 @@ def check_aircraft(
     InputError
         For an aircraft or an engine that cannot be read.
     """
-    from cosim.campaign.surveys.aircraft_check import check_aircraft as check
+    from cosim.aircraft_check.check import check_aircraft as check
 
     flown = None if engine is None else str(engine)
     mention([engine], Path())

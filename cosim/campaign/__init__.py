@@ -12,14 +12,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cosim.campaign.proof.prove import prove
-    from cosim.campaign.proof.source import proof_study
     from cosim.campaign.run import fly_again, run_campaign
     from cosim.campaign.store import Campaign, open_campaign
     from cosim.campaign.study.options import open_study
     from cosim.campaign.study.study import Study
     from cosim.campaign.workers.local import LocalWorkers
     from cosim.campaign.workers.tasks import as_finished
+    from hexjet_prove.proof.prove import prove
+    from hexjet_prove.proof.source import proof_study
 
 _WHERE = {
     "Campaign": "store",
@@ -29,8 +29,6 @@ _WHERE = {
     "fly_again": "run",
     "open_campaign": "store",
     "open_study": "study.options",
-    "proof_study": "proof.source",
-    "prove": "proof.prove",
     "run_campaign": "run",
 }
 
@@ -54,4 +52,8 @@ def __getattr__(name: str) -> Any:
         from importlib import import_module
 
         return getattr(import_module(f"{__name__}.{_WHERE[name]}"), name)
+    if name in __all__:
+        from cosim.base.plugins.entry_points import load_tool_member
+
+        return load_tool_member(f"campaign.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -7,9 +7,6 @@ from typing import Any
 
 from pilot_flights import Asked
 
-from cosim.campaign.surveys import failsafe_table as tables
-from cosim.campaign.surveys import failsafes as table
-from cosim.campaign.surveys.survey import load_subject
 from cosim.control.autopilot import requests as rq
 from cosim.flight import fly
 from cosim.results.autopilot.request_log import Entry
@@ -20,6 +17,9 @@ from cosim.results.run import Run
 from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
+from hexjet_prove.surveys import failsafe_table as tables
+from hexjet_prove.surveys import failsafes as table
+from hexjet_prove.surveys.survey import load_subject
 
 
 def again(scenario: Path, digest: str) -> Run:

@@ -50,7 +50,7 @@ def report(options: Report) -> int:
     """
     from cosim.campaign.folder import is_campaign
     from cosim.cli.flight.fly import print_run
-    from cosim.cli.studies.campaign import print_campaign
+    from cosim.cli.sweep import print_campaign
     from cosim.results.report.flight import write_report
     from cosim.results.run import REPORT, open_run
 

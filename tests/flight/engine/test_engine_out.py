@@ -12,7 +12,6 @@ from places import DESIGNS, DOCS
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.campaign.surveys.survey import judge_outcome, load_subject, measure_flight
 from cosim.engine import make_bank
 from cosim.engine.wrappers import EngineChain
 from cosim.flight import fly
@@ -22,6 +21,7 @@ from cosim.simulation.engine_reference import make_engine_reference
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import FlameOut, Scenario
 from cosim.spec.vehicle import load_vehicle
+from hexjet_prove.surveys.survey import judge_outcome, load_subject, measure_flight
 
 STEP_S = 0.004
 HOME = {

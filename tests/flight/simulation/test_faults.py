@@ -19,9 +19,6 @@ from stated_figures import stated
 
 from cosim.base.errors import InputError
 from cosim.base.signals import EngineOutput, PerJet, Sample
-from cosim.campaign.surveys.fault_page import write
-from cosim.campaign.surveys.faults import LOSS, Case, Limit, cases, scenario_of, summary, survival
-from cosim.campaign.surveys.survey import load_subject, measure_flight
 from cosim.control.allocation.engine_monitor import EngineMonitor, EngineReference
 from cosim.engine import EngineBank, load_engine
 from cosim.engine.rundown import ELECTRIC, MODELLED, FlameOutLaw
@@ -46,6 +43,9 @@ from cosim.spec.scenario import (
 )
 from cosim.spec.vehicle import MonitorSettings, load_vehicle
 from cosim.vehicle.servo import TiltServo
+from hexjet_prove.surveys.fault_page import write
+from hexjet_prove.surveys.faults import LOSS, Case, Limit, cases, scenario_of, summary, survival
+from hexjet_prove.surveys.survey import load_subject, measure_flight
 
 STEP = 0.004
 KINDS = {get_args(fault.model_fields["kind"].annotation)[0] for fault in get_args(Fault)}

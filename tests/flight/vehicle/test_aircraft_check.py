@@ -11,7 +11,7 @@ import pytest
 from command_tools import Hexjet
 
 from cosim import InputError, Scenario, fly
-from cosim.campaign.surveys.aircraft_check import AircraftCheck, check_aircraft
+from cosim.aircraft_check.check import AircraftCheck, check_aircraft
 from cosim.control.allocation.authority import Reach
 from cosim.results.log.digest import log_digest
 from cosim.spec.vehicle import load_vehicle
@@ -86,7 +86,7 @@ def altered(*changes: tuple[str, str]) -> dict[str, str]:
 
 
 def test_what_is_wrong_is_found(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cosim.campaign.surveys.aircraft_check.FLIGHT_S", 0.5)
+    monkeypatch.setattr("cosim.aircraft_check.check.FLIGHT_S", 0.5)
     hexjet("aircraft", "new", "mine", "--from", "quadrotor")
     original = Path("mine/vehicle.toml").read_text()
     mass = next(line for line in original.splitlines() if line.startswith("mass_kg"))

@@ -18,7 +18,6 @@ from cosim.base.storage.paths import data_folder
 from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
-from cosim.campaign.surveys.survey import measure_flight
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.flight import fly
 from cosim.results.events import list_events
@@ -30,6 +29,7 @@ from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import files as vehicle_files
+from hexjet_prove.surveys.survey import measure_flight
 
 JETS = [  # on a circle, every other one turning the other way
     {"position_m": [0.11 * cos(at), 0.11 * sin(at), -0.02], "reaction_m": 0.012 * way, "spin": way}

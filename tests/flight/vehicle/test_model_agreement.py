@@ -12,9 +12,9 @@ from command_tools import Hexjet
 from places import DOCS, ROOT
 
 from cosim import Scenario, fly
+from cosim.aircraft_check.check import check_aircraft
 from cosim.campaign.study.model_notes import design_warnings, model_notes
 from cosim.campaign.study.options import open_study
-from cosim.campaign.surveys.aircraft_check import check_aircraft
 from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import sum_samples
 from cosim.simulation.engines import load_engines
@@ -254,7 +254,7 @@ def test_a_study_says_which_design_is_for_another_engine() -> None:
 
 
 def test_an_edit_after_new_is_not_fit_to_fly(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cosim.campaign.surveys.aircraft_check.FLIGHT_S", 0.3)
+    monkeypatch.setattr("cosim.aircraft_check.check.FLIGHT_S", 0.3)
     made = hexjet("aircraft", "new", "mine")
     assert "its identified models are those of hexjet" in made.err
     assert "hexjet aircraft check ./mine compares them" in made.err

@@ -347,7 +347,7 @@ def test_a_terminal_shows_how_far_it_is(monkeypatch: pytest.MonkeyPatch, quiet: 
     """Done of all and successes by controller; what was flown in another session counts for no rate."""
     from cosim.api.studies import tell_tally
     from cosim.campaign.store import Tally
-    from cosim.cli.studies.campaign import sweep_progress
+    from cosim.cli.sweep import sweep_progress
 
     class Terminal(io.StringIO):
         def isatty(self) -> bool:

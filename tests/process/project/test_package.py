@@ -148,7 +148,7 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
         | data
         | code
         | templates
-        | {"cosim/py.typed", "cosim/campaign/proof/evidence.toml"}
+        | {"cosim/py.typed", "tools/hexjet_prove/proof/evidence.toml"}
         | {"hexjet_paper/py.typed", "hexjet_paper/calibration.toml"}
     ) - names == set()
     assert (f"cosim/{STAMP}" in names) == (not UNCOMPILED)

@@ -16,7 +16,6 @@ from cosim import InputError, Scenario, fly
 from cosim.base.frames import conjugate, jet_axis, rotate
 from cosim.base.plugins.entry_points import GROUP, GROUPS
 from cosim.campaign.run import run_campaign
-from cosim.campaign.search.search import describe_flight
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
@@ -24,6 +23,7 @@ from cosim.results.report.comparison import comparison_rows
 from cosim.simulation.build import build
 from cosim.simulation.controllers.source import METHODS
 from cosim.simulation.plugins import WindTable, find_block
+from hexjet_prove.search.search import describe_flight
 
 PAGE = ROOT / "docs" / "own-blocks.md"
 SHORT = Scenario.load("roll-doublet").replace(duration_s=0.2, expect=[])

@@ -23,18 +23,18 @@ from cosim import InputError, Scenario, fly, open_run
 from cosim.base.protocols import Column, Parameter
 from cosim.base.signals import UNKNOWN3, Actuation, Unallocated
 from cosim.campaign.run import choose_workers, fly_again, run_campaign
-from cosim.campaign.search.folder import resolve_search, run_search
 from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
-from cosim.campaign.surveys.fault_page import write as write_survey
-from cosim.campaign.surveys.faults import survival
 from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.control.attitude import AttitudeController
 from cosim.control.rate import RateController
 from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
+from hexjet_prove.search.folder import resolve_search, run_search
+from hexjet_prove.surveys.fault_page import write as write_survey
+from hexjet_prove.surveys.faults import survival
 
 PAGE = ROOT / "docs" / "own-controller.md"
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.2}

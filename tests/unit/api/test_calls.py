@@ -26,11 +26,11 @@ import cosim
 from cosim import InputError
 from cosim.api import Progress, Result
 from cosim.base.errors import Notice
-from cosim.campaign.surveys.failsafes import WINDS_M_S
 from cosim.cli.main import cli
 from cosim.cli.results.show import show as show_command
 from cosim.spec.scenario import Scenario
 from cosim.spec.scenario.changes import Changes
+from hexjet_prove.surveys.failsafes import WINDS_M_S
 
 PUBLIC = runpy.run_path(str(DOCS / "api.py"))["MODULES"]
 CALLS = (
@@ -111,7 +111,7 @@ def test_failsafes_without_winds_are_those_of_the_table(monkeypatch: pytest.Monk
         winds.append(conditions.winds)
         yield None
 
-    monkeypatch.setattr("cosim.campaign.surveys.failsafes.failsafes", fly)
+    monkeypatch.setattr("hexjet_prove.surveys.failsafes.failsafes", fly)
     cosim.failsafes()
     cosim.failsafes(winds=[])
     cosim.failsafes(winds=[3.0])
@@ -129,17 +129,17 @@ OTHERWISE = {"inertia_tolerance": "inertia", "mass_tolerance": "mass", "thrust_t
 @pytest.mark.parametrize(
     ("call", "record", "shares"),
     [
-        ("api.searches:search", "cli.studies.campaign:Search", 1.0),
-        ("api.searches:rare", "cli.studies.campaign:Rare", 1.0),
-        ("api.prove:prove", "cli.studies.prove:Prove", 1.0),
         ("hexjet_design.api:design", "hexjet_design.command:DesignOptions", 1.0),
         ("hexjet_design.measured.api:margins", "hexjet_design.measured.command:Margins", 1.0),
+        ("hexjet_prove.api.searches:search", "hexjet_prove.command.searches:Search", 1.0),
+        ("hexjet_prove.api.searches:rare", "hexjet_prove.command.searches:Rare", 1.0),
+        ("hexjet_prove.api.prove:prove", "hexjet_prove.command.prove:Prove", 1.0),
         ("api.identify:identify", "cli.controllers.identify:SweptEngine", 1.0),
         ("api.replay:replay", "cli.controllers.replay:Replayed", 0.01),
         ("api.identify:identify_bench", "cli.controllers.bench:Bench", 1.0),
         ("api.logs:identify_log", "cli.controllers.identify:FromLog", 1.0),
-        ("api.surveys:failsafes", "cli.studies.faults:FailsafeOptions", 1.0),
-        ("api.surveys:faults", "cli.studies.faults:Faults", 1.0),
+        ("hexjet_prove.api.surveys:failsafes", "hexjet_prove.command.surveys:FailsafeOptions", 1.0),
+        ("hexjet_prove.api.surveys:faults", "hexjet_prove.command.surveys:Faults", 1.0),
     ],
 )
 def test_numbers_have_the_limits_of_their_options(call: str, record: str, shares: float) -> None:

@@ -20,8 +20,8 @@ from cosim.base.storage.files import (
     replace_on_success,
     write_whole,
 )
-from cosim.campaign.search.probe import Journal
 from cosim.results.autopilot.request_log import RequestLog
+from hexjet_prove.search.probe import Journal
 
 
 @pytest.fixture

@@ -16,13 +16,13 @@ from places import ROOT, script
 
 from cosim.campaign import folder
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
-from cosim.campaign.proof.design_study import design_study, find_design
-from cosim.campaign.search import folder as searches
-from cosim.campaign.search.worst_folder import resolve_worst
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study, study_names
 from cosim.cli.main import cli
 from cosim.results.report.marks import page_parts
+from hexjet_prove.proof.design_study import design_study, find_design
+from hexjet_prove.search import folder as searches
+from hexjet_prove.search.worst_folder import resolve_worst
 
 PAGE, TABLES = ((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("campaigns.md", "tables/campaigns.md"))
 BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", PAGE + TABLES, re.MULTILINE | re.DOTALL)

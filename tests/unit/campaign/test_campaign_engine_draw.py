@@ -12,14 +12,14 @@ from scipy import stats
 from uncertain_engines import CORRELATION, NOMINAL, fan
 
 from cosim.base.errors import InputError
-from cosim.campaign.search.folder import resolve_search
-from cosim.campaign.search.probe import Prober
 from cosim.campaign.study.draws import Draws, flight_seed
 from cosim.campaign.study.engine_draw import engine_draw
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights, scenario_of
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.local import LocalWorkers
+from hexjet_prove.search.folder import resolve_search
+from hexjet_prove.search.probe import Prober
 
 DEVIATION, SPREAD = [1.2, 0.006, 0.02], [0.0, 0.002, 0.01]
 RUNS = 6000

@@ -16,8 +16,6 @@ from pyulog import ULog
 
 from cosim.base.frames import to_euler
 from cosim.base.geodesy import Geodesy
-from cosim.campaign.surveys.failsafes import scenario_of
-from cosim.campaign.surveys.survey import load_subject
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.estimation.estimator import LEAN_SURE, SPEED_SURE
 from cosim.control.autopilot.requests import Answer, Result
@@ -33,6 +31,8 @@ from cosim.results.run import REQUESTS
 from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
+from hexjet_prove.surveys.failsafes import scenario_of
+from hexjet_prove.surveys.survey import load_subject
 
 GYRO, ACCEL, MAG, BARO, GPS, AHRS = 1, 2, 4, 8, 32, 1 << 21
 HEIGHT, PLACE = 8192, 16384

@@ -31,7 +31,7 @@ LONGER = {
 HOMES = {
     "jsbsim": ["vehicle/executive.py"],
     "fmpy": ["engine/"],
-    "cmaes": ["campaign/search/minimise.py"],
+    "cmaes": ["tools/hexjet_prove/search/minimise.py"],
     "osqp": ["tools/hexjet_laws/mpc.py"],
     "pymavlink": ["groundstation/mavlink/"],
     "plotly": ["results/report/page.py"],

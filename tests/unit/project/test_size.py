@@ -12,7 +12,7 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 5_500,
-    "cosim": 85_900,
+    "cosim": 78_950,
     "docs": 6_500,
     "tests": 75_100,
     "tools/hexjet_design": 8_150,
@@ -20,7 +20,7 @@ MAX_LINES = {
     "tools/hexjet_identify": 50,
     "tools/hexjet_laws": 650,
     "tools/hexjet_paper": 4_550,
-    "tools/hexjet_prove": 50,
+    "tools/hexjet_prove": 7_300,
     "tools/hexjet_sitl": 3_550,
 }
 # Lines of the package and of the tools that begin with a name in capitals and have a number.

@@ -20,11 +20,8 @@ from cosim.base.outcomes import Verdict
 from cosim.campaign.analysis.page import write_campaign_report
 from cosim.campaign.analysis.summary import unmet_criteria
 from cosim.campaign.analysis.table import read_flight_table
-from cosim.campaign.proof.requirements import proven_requirements
-from cosim.campaign.search.search import describe_flight
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
-from cosim.campaign.surveys.survey import judge_outcome
 from cosim.campaign.workers.flight_row import MARGIN_OF, fly_one, kinds
 from cosim.results.contacts import CONTACTS
 from cosim.results.expectations import check_expected
@@ -49,6 +46,9 @@ from cosim.results.requirements.signals import DERIVED, event_times
 from cosim.results.requirements.units import UNITS
 from cosim.results.run import Run, open_run
 from cosim.spec.scenario import Range
+from hexjet_prove.proof.requirements import proven_requirements
+from hexjet_prove.search.search import describe_flight
+from hexjet_prove.surveys.survey import judge_outcome
 
 PAGE = (DOCS / "requirements.md").read_text(encoding="utf-8")
 STEP = 0.1

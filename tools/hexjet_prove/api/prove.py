@@ -1,0 +1,191 @@
+"""A claim about a study or a design, shown or refuted: what ``hexjet prove`` calls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.api.call import Limits, Progress, Result, Table, checked
+from cosim.api.call.choices import as_settings
+from cosim.api.studies import study_settings, tell_tally
+from cosim.base.errors import InputError
+
+if TYPE_CHECKING:
+    from cosim.campaign.study.sequential import Decision
+    from hexjet_prove.proof.result import Proof
+
+
+class ProofResult(Result):
+    """Whether a vehicle keeps its requirements, with what a review asks beside it.
+
+    Attributes
+    ----------
+    proof : Proof
+        Everything.
+    """
+
+    def __init__(self, proof: Proof) -> None:
+        self.proof = proof
+        self.files = {"report": proof.folder / "proof.html", "json": proof.folder / "proof.json"}
+
+    @property
+    def decision(self) -> Decision:
+        """Whether the claim is ``shown``, ``refuted`` or ``open``."""
+        return self.proof.decision
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet prove --json`` prints."""
+        return self.proof.to_json()
+
+    def lines(self) -> list[str]:
+        """Return the sentence, what belongs to it, what is not covered, and the command that repeats it."""
+        proof = self.proof
+        return [
+            proof.sentence,
+            *(f"{about}: {text}" for about, text in proof.facts.items()),
+            *(f"not covered: {text}" for text in proof.not_covered),
+            f"again: {proof.repeat['command']}",
+        ]
+
+    def tables(self) -> list[Table]:
+        """Return the requirements, and what is on record of the model."""
+        proof = self.proof
+        record = [(one.name, one.evidence) for one in proof.credibility]
+        return [
+            Table("", ("", "requirement", "broken", "smallest margin"), list(proof.requirement_rows())),
+            Table("", ("factor, NASA-STD-7009B", "on record"), record),
+        ]
+
+
+@checked(budget=Limits(1), search=Limits(0))
+def prove(
+    name: str | Path,
+    claim: str | None = None,
+    *,
+    budget: int | None = None,
+    controllers: Sequence[str] = (),
+    aircraft: str | Path | None = None,
+    engine: str | Path | None = None,
+    nominal_engine: bool = False,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    seed: int | None = None,
+    search: int = 500,
+    rare: int = 0,
+    limit: bool = True,
+    replays: Sequence[str | Path] = (),
+    workers: int | None = None,
+    cluster: str | None = None,
+    time_limit_s: float | None = None,
+    out: str | Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> ProofResult:
+    """Show or refute that a vehicle keeps its requirements, with what a review asks beside it.
+
+    Flies until the claim is decided, flies the worst again, compares the controller with the best linear one, and says
+    what is not covered and what is on record of the model.
+
+    Parameters
+    ----------
+    name : str or Path
+        A study, a scenario whose engine states its uncertainty, the controller file of a design or its folder; or the
+        folder of a proof to be resumed.
+    claim : str or None
+        What is to be shown: a probability at a confidence, as ``99.9%@95%``; None: the study's.
+    budget : int or None
+        Flights at most; None: ten times what the claim needs at least.
+    controllers : sequence of str
+        The controller that is meant, of a study with several.
+    aircraft : str or Path or None
+        In place of the scenario's, with the engine that it is made for.
+    engine : str or Path or None
+        In place of the scenario's.
+    nominal_engine : bool
+        Whether the engine flies as it is stated, not drawn by its uncertainty.
+    settings : sequence of str or mapping
+        Written over the scenario's.
+    seed : int or None
+        Seed of the draws.
+    search : int
+        Flights for each search, of the most likely failure and of the worst case; 0: none.
+    rare : int
+        Flights for the probability of failures too rare to count; 0: none.
+    limit : bool
+        Whether the controller is compared with the best that any linear one could do.
+    replays : sequence of str or Path
+        What :func:`replay` left of recorded flights of this vehicle: ``replay.json``, or its folder.
+    workers : int or None
+        Processes; None: one a processor.
+    cluster : str or None
+        The address of a Dask scheduler, or ``local``.
+    time_limit_s : float or None
+        Time of the clock for a flight [s].
+    out : str or Path or None
+        The folder; None: a new one in ``runs/``.
+    resume : bool
+        Whether it goes on with what the folder holds.
+    progress : Progress or None
+        Hears notes and how far it is.
+
+    Returns
+    -------
+    ProofResult
+        The sentence, the requirements and what is on record.
+
+    Raises
+    ------
+    InputError
+        If study, claim or folder is not usable; nothing is overwritten then.
+    FlightError
+        If no more can be flown or written.
+    """
+    from cosim.campaign.folder import is_campaign
+    from cosim.campaign.run import choose_workers, refuse_changes
+    from cosim.flight import new_folder
+    from hexjet_prove.proof.credibility import read_comparison
+    from hexjet_prove.proof.failure import check_flights
+    from hexjet_prove.proof.prove import CAMPAIGN, Request, conclude, fly_study
+    from hexjet_prove.proof.source import proof_study
+
+    hears = progress or Progress()
+    is_begun = is_campaign(Path(name) / CAMPAIGN)
+    if is_begun and not resume:
+        raise InputError(f"{name}: already holds a proof; --resume goes on with it")
+    if is_begun:
+        refuse_changes(
+            f"{name}: is a proof",
+            claim=claim,
+            budget=budget,
+            controllers=controllers,
+            aircraft=aircraft,
+            engine=engine,
+            nominal_engine=nominal_engine,
+            settings=as_settings(settings),
+            seed=seed,
+            out=out,
+        )
+    if rare:
+        check_flights(rare)
+    request = Request(limit, search, rare, tuple(read_comparison(Path(path)) for path in replays))
+    if is_begun:
+        study, folder = None, Path(name)
+    else:
+        if resume and out is None:
+            raise InputError("--resume: give the folder of the proof, as in hexjet prove DIR --resume")
+        study = proof_study(
+            str(name),
+            claim,
+            budget,
+            settings=study_settings(settings, aircraft, engine, (), None),
+            controllers=controllers,
+            seed=seed,
+            nominal_engine=nominal_engine,
+        )
+        folder = Path(out) if out is not None else new_folder(Path("runs"), f"proof-{study.name}")
+    hears.begin(folder)
+    with choose_workers(workers, cluster, time_limit_s) as flying:
+        for text in study.notes() if study is not None else ():
+            hears.note(text)
+        campaign = fly_study(study, folder, flying, resume, tell_tally(hears))
+        return ProofResult(conclude(campaign, folder, request, flying, lambda text: hears.update(text, 0, 0)))

@@ -1,0 +1,382 @@
+"""Searches among flights, and failures too rare to count: what ``hexjet search`` and ``hexjet rare`` call."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.api.call import Limits, Progress, Result, Table, checked
+from cosim.api.call.choices import as_texts
+from cosim.api.studies import study_settings
+from cosim.base.errors import InputError
+
+if TYPE_CHECKING:
+    from cosim.campaign.workers.protocol import Workers
+    from hexjet_prove.rare.simulation import SavedRare
+    from hexjet_prove.search.result import SavedSearch
+    from hexjet_prove.search.worst_folder import SavedWorst
+
+
+class SearchResult(Result):
+    """What a search found: where each controller breaks, and the flights that show it.
+
+    Attributes
+    ----------
+    searched : SavedSearch or SavedWorst
+        Everything; the second of a search of the worst case or of the most likely failure.
+    """
+
+    def __init__(self, searched: SavedSearch | SavedWorst) -> None:
+        self.searched = searched
+        self.files = {"report": searched.folder / "search.html", "json": searched.folder / "search.json"}
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether every flight that shows it came out the same when it was flown again."""
+        return self.searched.confirmed
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet search --json`` prints."""
+        return self.searched.to_json()
+
+    def lines(self) -> list[str]:
+        """Return what was flown, what counts as broken, and what was found."""
+        from hexjet_prove.search.page import describe_resolution, together_lines
+        from hexjet_prove.search.result import SavedSearch
+
+        found = self.searched
+        base = found.result.study.base()
+        first = f"{base.name}: {base.aircraft_name}, engine {base.engine}; {found.result.flights} flights"
+        if not isinstance(found, SavedSearch):
+            return [first, *found.result.lines(), *found.result.notes]
+        result = found.result
+        notes = [result.engine_note] if result.engine_note else []
+        return [
+            first,
+            result.criterion,
+            *notes,
+            *together_lines(result),
+            *map(describe_resolution, result.plan.spans),
+        ]
+
+    def tables(self) -> list[Table]:
+        """Return the edges, or the keys of what was found."""
+        from hexjet_prove.search.page import table
+        from hexjet_prove.search.result import SavedSearch
+        from hexjet_prove.search.worst_page import rows, titles
+
+        found = self.searched
+        if isinstance(found, SavedSearch):
+            heads, lines, *_ = table(found.result)
+            return [Table("", heads, list(lines))]
+        return [Table("", titles(found.result), rows(found.result))]
+
+
+class RareResult(Result):
+    """The probability of a failure that is too rare to be counted, and the most likely failures.
+
+    Attributes
+    ----------
+    simulated : SavedRare
+        Everything.
+    """
+
+    def __init__(self, simulated: SavedRare) -> None:
+        self.simulated = simulated
+        self.files = {"report": simulated.folder / "rare.html", "json": simulated.folder / "rare.json"}
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether every failure came out the same when it was flown again."""
+        return self.simulated.confirmed
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet rare --json`` prints."""
+        return self.simulated.to_json()
+
+    def lines(self) -> list[str]:
+        """Return the probability, how it was made, and what decides."""
+        from hexjet_prove.rare.page import LIMITS, describe_deciders, describe_result
+
+        result = self.simulated.result
+        deciders = [describe_deciders(result)] if result.deciders else []
+        return [*describe_result(result), *deciders, LIMITS]
+
+    def tables(self) -> list[Table]:
+        """Return where the failures lie in what is drawn."""
+        from hexjet_prove.rare.page import shift_rows
+
+        result = self.simulated.result
+        titles = ("key", "mean [standard deviations]", "spread")
+        return [Table("", titles, shift_rows(result))] if result.failures else []
+
+
+@checked(seeds=Limits(1, 10_000), share=Limits(0.0, 1.0), budget=Limits(1))
+def search(
+    name: str | Path,
+    *,
+    vary: Sequence[str] | Mapping[str, str] = (),
+    worst: bool = False,
+    likely: bool = False,
+    within: str | float | None = None,
+    over: str | None = None,
+    controllers: Sequence[str] = (),
+    tolerance: Sequence[str] = (),
+    seeds: int = 1,
+    share: float = 0.0,
+    success: Sequence[str] = (),
+    budget: int = 1000,
+    aircraft: str | Path | None = None,
+    engine: str | Path | None = None,
+    nominal_engine: bool = False,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    metrics: Sequence[str] = (),
+    wind: str | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    cluster: str | None = None,
+    time_limit_s: float | None = None,
+    out: str | Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> SearchResult:
+    """Find the smallest change that breaks a controller, the worst case of a study, or its most likely failure.
+
+    Parameters
+    ----------
+    name : str or Path
+        A scenario; with ``worst`` and ``likely`` a study or the controller file of a design, too.
+    vary : sequence of str or mapping
+        What is searched, ``KEY=LO:HI``: each key alone; ``likely`` searches several together.
+    worst : bool
+        Whether the flight of least margin over all keys at once is searched.
+    likely : bool
+        Whether the failure that is nearest to the middle of what is drawn is searched.
+    within : str or float or None
+        With ``worst`` or ``likely``: at most so many standard deviations from the middle, or ``ranges``.
+    over : str or None
+        A curve: a search at each of these values of a second key, ``KEY=LO:HI:N``.
+    controllers : sequence of str
+        Each is searched.
+    tolerance : sequence of str
+        How near the edge is to be known, ``X`` or ``KEY=X``.
+    seeds : int
+        Flights of every point.
+    share : float
+        Share of a point's flights that have to break before it does; 0: any of them.
+    success : sequence of str
+        What a completed flight must keep too, ``METRIC<=X``.
+    budget : int
+        With ``worst`` and ``likely``: flights of each controller.
+    aircraft : str or Path or None
+        In place of the scenario's, with the engine that it is made for.
+    engine : str or Path or None
+        In place of the scenario's.
+    nominal_engine : bool
+        Whether the engine flies as it is stated, not drawn by its uncertainty.
+    settings : sequence of str or mapping
+        Written over the scenario's.
+    metrics : sequence of str
+        Metrics of your own, beside the built-in ones.
+    wind : str or None
+        A wind of your own, over time and place.
+    seed : int or None
+        Seed of the first flight of a point.
+    workers : int or None
+        Processes; None: one a processor.
+    cluster : str or None
+        The address of a Dask scheduler, or ``local``.
+    time_limit_s : float or None
+        Time of the clock for a flight [s].
+    out : str or Path or None
+        The folder; None: a new one in ``runs/``.
+    resume : bool
+        Whether it goes on with the same search in the folder.
+    progress : Progress or None
+        Hears how far it is.
+
+    Returns
+    -------
+    SearchResult
+        Where each controller breaks, and the flights that show it.
+
+    Raises
+    ------
+    InputError
+        If the question or the folder is not usable; nothing is overwritten then.
+    FlightError
+        If no more can be flown or written.
+    """
+    from hexjet_prove.proof.design_study import design_study, find_design
+    from hexjet_prove.search.folder import resolve_search, run_search
+    from hexjet_prove.search.worst_folder import RANGES, resolve_worst, run_worst
+
+    lasting = study_settings(settings, aircraft, engine, metrics, wind)
+    options: dict[str, Any] = {
+        "settings": lasting,
+        "vary": as_texts(vary),
+        "controllers": controllers,
+        "success": success,
+        "nominal_engine": nominal_engine,
+    }
+    sought: dict[str, Any] = {"seeds": seeds, "seed": seed}
+    fleet = (workers, cluster, time_limit_s)
+    if not worst and not likely:
+        if within is not None:
+            raise InputError("--within: goes with --worst or --likely")
+        study, plan = resolve_search(str(name), over=over, tolerance=tolerance, share=share, **sought, **options)
+        with _searching(out, resume, f"search-{study.name}", "search", fleet, progress) as (folder, tell, flying):
+            return SearchResult(run_search(study, plan, folder, flying, resume, tell))
+    _check_worst(worst and likely, over=over, tolerance=tolerance, share=share)
+    designed = find_design(Path(name))
+    if designed is None:
+        study, worst_plan = resolve_worst(str(name), likely=likely, within=within, budget=budget, **sought, **options)
+    else:
+        study = design_study(designed, "", 1, **options)
+        if within is None and not likely and not any(entry.uncertainty for entry in study.vary):
+            within = RANGES
+        study, worst_plan = resolve_worst(study, likely=likely, within=within, budget=budget, **sought)
+    kind = "likely" if likely else "worst"
+    with _searching(out, resume, f"{kind}-{study.name}", "search", fleet, progress) as (folder, tell, flying):
+        return SearchResult(run_worst(study, worst_plan, folder, flying, resume, tell))
+
+
+def _check_worst(both: bool, **given: Any) -> None:
+    """Raise InputError for what a search over all keys at once has not."""
+    if both:
+        raise InputError("--likely: goes without --worst; each is a search of its own")
+    for option, value in given.items():
+        if value:
+            raise InputError(f"--{option}: is of a search of one key, and goes with neither --worst nor --likely")
+
+
+@contextmanager
+def _searching(
+    out: str | Path | None,
+    resume: bool,
+    name: str,
+    what: str,
+    fleet: tuple[int | None, str | None, float | None],
+    progress: Progress | None,
+) -> Iterator[tuple[Path, Any, Workers]]:
+    """Yield the folder, a function that is told how many flights there are, and the workers."""
+    from cosim.campaign.run import choose_workers
+    from cosim.flight import new_folder
+
+    if resume and out is None:
+        raise InputError(f"--resume: give the folder of the {what} with --out")
+    folder = Path(out) if out is not None else new_folder(Path("runs"), name)
+    hears = progress or Progress()
+    hears.begin(folder)
+
+    def tell(flights: int) -> None:
+        hears.update(f"{flights} flights", flights, 0)
+
+    with choose_workers(*fleet) as flying:
+        yield folder, tell, flying
+
+
+@checked(target=Limits(1e-9, 0.5), budget=Limits(1))
+def rare(
+    name: str | Path,
+    *,
+    vary: Sequence[str] | Mapping[str, str] = (),
+    controllers: Sequence[str] = (),
+    correlate: Sequence[str] = (),
+    success: Sequence[str] = (),
+    target: float = 1e-6,
+    budget: int = 5000,
+    same_seed: bool = False,
+    aircraft: str | Path | None = None,
+    engine: str | Path | None = None,
+    nominal_engine: bool = False,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    metrics: Sequence[str] = (),
+    wind: str | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    cluster: str | None = None,
+    time_limit_s: float | None = None,
+    out: str | Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> RareResult:
+    """Find the probability of a failure that is too rare to be counted, down to one in a million and beyond.
+
+    Parameters
+    ----------
+    name : str or Path
+        A scenario or a study.
+    vary : sequence of str or mapping
+        What varies, as of :func:`sweep`.
+    controllers : sequence of str
+        The one that flies, of a study with several.
+    correlate : sequence of str
+        Rank correlations of what is drawn for two keys, ``KEY,KEY=R``.
+    success : sequence of str
+        What a completed flight must keep to count, ``METRIC<=X``.
+    target : float
+        The smallest probability to look for.
+    budget : int
+        Flights at most.
+    same_seed : bool
+        Whether all fly with one seed: wind and noise are then no part of what varies.
+    aircraft : str or Path or None
+        In place of the scenario's, with the engine that it is made for.
+    engine : str or Path or None
+        In place of the scenario's.
+    nominal_engine : bool
+        Whether the engine flies as it is stated, not drawn by its uncertainty.
+    settings : sequence of str or mapping
+        Written over the scenario's.
+    metrics : sequence of str
+        Metrics of your own, beside the built-in ones.
+    wind : str or None
+        A wind of your own, over time and place.
+    seed : int or None
+        Seed of the draws.
+    workers : int or None
+        Processes; None: one a processor.
+    cluster : str or None
+        The address of a Dask scheduler, or ``local``.
+    time_limit_s : float or None
+        Time of the clock for a flight [s].
+    out : str or Path or None
+        The folder; None: a new one in ``runs/``.
+    resume : bool
+        Whether it goes on with the same simulation in the folder.
+    progress : Progress or None
+        Hears how far it is.
+
+    Returns
+    -------
+    RareResult
+        The probability with its bounds, and the most likely failures.
+
+    Raises
+    ------
+    InputError
+        If the study or the folder is not usable; nothing is overwritten then.
+    FlightError
+        If no more can be flown or written.
+    """
+    from hexjet_prove.rare.folder import resolve_rare, run_rare
+
+    study, plan = resolve_rare(
+        str(name),
+        target=target,
+        budget=budget,
+        same_seed=same_seed,
+        settings=study_settings(settings, aircraft, engine, metrics, wind),
+        vary=as_texts(vary),
+        controllers=controllers,
+        correlate=correlate,
+        success=success,
+        seed=seed,
+        nominal_engine=nominal_engine,
+    )
+    fleet = (workers, cluster, time_limit_s)
+    with _searching(out, resume, f"rare-{study.name}", "simulation", fleet, progress) as (folder, tell, flying):
+        return RareResult(run_rare(study, plan, folder, flying, resume, tell))

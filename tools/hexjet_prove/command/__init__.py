@@ -1,0 +1,1 @@
+"""hexjet search, rare, prove, faults and failsafes."""

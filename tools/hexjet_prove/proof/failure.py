@@ -1,0 +1,116 @@
+"""What is found of failures beside what a proof counts: the worst case, the most likely one, how rare they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.protocol import Workers
+from hexjet_prove.proof.result import Part
+from hexjet_prove.rare.estimate import Budget
+from hexjet_prove.rare.folder import run_rare
+from hexjet_prove.rare.simulation import Plan
+from hexjet_prove.search.question import CASES
+from hexjet_prove.search.worst_case import LIKELY_WITHIN, WORST_WITHIN, WorstCase, WorstPlan, important
+from hexjet_prove.search.worst_folder import SavedWorst, run_worst
+
+NOTED = 3  # keys that are named of a failure
+LIKELY, WORST = "likely", "worst"  # the searches, and their folders within that of the proof's searches
+SAID = {  # of one that was not made
+    LIKELY: "no search for the most likely failure was made",
+    WORST: "no search for the worst case was made",
+}
+TARGET = 1e-6  # the smallest probability that the levels reach: that of hexjet rare by default
+KEPT = (
+    "probability",
+    "low",
+    "high",
+    "method",
+    "flights",
+    "failures",
+    "not_flown",
+    "nearest",
+    "shifts",
+    "contradiction",
+)  # of rare.json
+HINT = "pip install 'hexjet-cosim[worst]'"
+
+
+def search_failures(
+    study: Study, folder: Path, budget: int, workers: Workers, say: Callable[[str], None]
+) -> dict[str, Part]:
+    """Search the most likely failure and the worst case with so many flights each; a search goes on where it was.
+
+    The flights have the noise and turbulence of the scenario's own seed.  Where the package that searches is not
+    installed a part says so.  Raises FlightError if no more can be flown.
+    """
+    if find_spec("cmaes") is None:
+        return {name: Part(None, f"{SAID[name]}: the package cmaes is not installed, {HINT}") for name in SAID}
+    searched = study.changed(until=None, runs=1)
+    parts = {}
+    for name in (LIKELY, WORST):
+        within = LIKELY_WITHIN if name == LIKELY else WORST_WITHIN
+        plan = WorstPlan(name == LIKELY, within, (study.base().seed,), budget, study.seed)
+        place = folder / name
+        saved = run_worst(searched, plan, place, workers, True, lambda flights, name=name: say(f"{name}: {flights}"))  # type: ignore[misc]
+        parts[name] = _part(saved, f"{folder.name}/{name}")
+    return parts
+
+
+def _part(saved: SavedWorst, place: str) -> Part:
+    (found,), (case,) = saved.result.cases, saved.cases
+    run = f"{place}/{CASES}/{case.name}"
+    result = {name: getattr(found, name) for name in ("fails", "margin", "distance", "flights", "reason")} | {
+        "values": dict(found.values),
+        "keys": {effect.name: effect.share for effect in important(found.effects)},
+        "run": run,
+        "is_same": case.same,
+        "says": saved.result.lines()[0],
+        "notes": saved.result.notes,
+    }
+    return Part(result, _describe(found, run, saved.result.plan))
+
+
+def _describe(found: WorstCase, run: str, plan: WorstPlan) -> str:
+    """Return what was found in a clause of the proof's sentence."""
+    moved = [effect for effect in important(found.effects) if effect.share >= 0.01][:NOTED]
+    keys = ", ".join(f"{effect.name} {100.0 * effect.share:.0f} %" for effect in moved)
+    place = f"{found.distance:.2f} standard deviations from the middle ({keys or 'no key'})"
+    effort = f"{found.flights:,} flights that searched"
+    what = f"its {'most likely failure' if plan.likely else 'worst case'} within {plan.where}"
+    if not found.fails:
+        what += " found none; the nearest to one" if plan.likely else " found no failure; it"
+        return f"{effort} for {what} is {run}, margin {found.margin:.3g}, {place}"
+    return f"{what} in {effort} is {run}, margin {found.margin:.3g}, {place}"
+
+
+def check_flights(flights: int) -> None:
+    """Raise InputError for fewer flights than a simulation of rare failures needs."""
+    try:
+        Budget(TARGET, flights).check()
+    except InputError as error:
+        raise InputError(str(error).replace("--budget", "--rare", 1)) from error
+
+
+def simulate_rare(study: Study, folder: Path, flights: int, workers: Workers, say: Callable[[str], None]) -> Part:
+    """Return the probability of failure by subset simulation with so many flights; one that was stopped goes on.
+
+    Seeds of noise and turbulence are part of what varies.  Raises FlightError if no more can be flown.
+    """
+    asked = study.changed(until=None, runs=flights)
+    plan = Plan(Budget(TARGET, flights))
+    saved = run_rare(asked, plan, folder, workers, True, lambda flown: say(f"rare: {flown}"))
+    told = saved.to_json()
+    cases = [
+        {
+            "run": f"{folder.parent.name}/{folder.name}/{CASES}/{case.name}",
+            "distance": case.distance,
+            "is_same": case.same,
+        }
+        for case in saved.cases
+    ]
+    says = "; ".join(filter(None, (saved.result.sentence, saved.result.contradiction)))
+    return Part({key: told[key] for key in KEPT} | {"cases": cases, "is_same": saved.confirmed}, says)

@@ -1,0 +1,272 @@
+"""A proof from a study to a folder: the flights up to where the claim is decided, then what the worst of them are.
+
+The campaign is in ``campaign/``, the searches in ``searches/``, the flights that were flown again in ``worst/``, the
+result in ``proof.json`` and ``proof.html``.  A proof that was stopped goes on with the flights that it has; what
+follows them is done again.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.errors import FlightError, InputError
+from cosim.base.signals import AXES
+from cosim.base.storage.files import write_whole
+from cosim.campaign.analysis.claim import ClaimResult, judge_claim
+from cosim.campaign.analysis.margin import row_margin
+from cosim.campaign.analysis.page import key_rows, write_campaign_report
+from cosim.campaign.analysis.summary import SUCCESS, rank_keys
+from cosim.campaign.analysis.table import FlightTable, read_flight_table
+from cosim.campaign.analysis.worst_cases import eccentricity
+from cosim.campaign.folder import STUDY, is_campaign
+from cosim.campaign.run import Progress, fly_again, open_workers, run_campaign
+from cosim.campaign.store import Campaign
+from cosim.campaign.study.keys import engine_source, with_values
+from cosim.campaign.study.model_notes import design_warnings
+from cosim.campaign.study.study import Study, study_code
+from cosim.campaign.workers.protocol import Workers
+from cosim.results.summary import versions
+from cosim.simulation.engines import load_engines
+from cosim.simulation.model_agreement import compare_flown_models
+from cosim.spec.controller_name import short_name
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import aircraft_names
+from hexjet_prove.proof.credibility import CHOSEN, Evidence, list_evidence
+from hexjet_prove.proof.failure import LIKELY, SAID, search_failures, simulate_rare
+from hexjet_prove.proof.failure import WORST as WORST_CASE
+from hexjet_prove.proof.limit import flown_limits
+from hexjet_prove.proof.page import write_page
+from hexjet_prove.proof.requirements import proven_requirements
+from hexjet_prove.proof.result import LEAST, NEAREST, Part, Proof, WorstFlight
+from hexjet_prove.proof.scope import kinds_not_varied, not_covered
+
+CAMPAIGN, SEARCHES, WORST, RESULT, REPORT = "campaign", "searches", "worst", "proof.json", "proof.html"
+RARE = "rare"
+NOT_RARE = "no method for rare failures was used: what flights that succeed can show is all that is shown"
+LISTED = 3  # flights with the smallest margins that are flown again
+PACKAGE = "hexjet-cosim"
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a proof is to have beside its flights."""
+
+    limit: bool = True  # the distance of the controller to the best
+    search: int = 0  # flights for each search, of the most likely failure and of the worst case; 0: none is made
+    rare: int = 0  # flights for the probability of failures that are too rare to count; 0: none is estimated
+    comparisons: Sequence[dict[str, Any]] = field(default_factory=tuple)  # what replay.json says of recorded flights
+
+
+def prove(
+    study: Study | None,
+    out: Path,
+    workers: Workers | int | None = None,
+    resume: bool = False,
+    request: Request | None = None,
+) -> Proof:
+    """Fly a study until its claim is decided, and leave the proof in the folder ``out``: its page, its JSON, all runs.
+
+    ``study`` is one of ``proof_study``.  ``workers``: how many processes of this machine, by default one a processor,
+    or where else.  ``resume``: go on with what the folder holds, if it holds anything; then ``study`` may be None and
+    is the folder's.  ``request``: what the proof has beside its flights, by default the distance to the best
+    controller and no search.
+
+    Raises InputError if the study or the folder is not usable, and nothing is overwritten then; FlightError if no more
+    can be flown or written.
+    """
+    return conclude(fly_study(study, out, workers, resume), out, request or Request(), workers)
+
+
+def fly_study(
+    study: Study | None,
+    out: Path,
+    workers: Workers | int | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> Campaign:
+    """Fly a study of :func:`hexjet_prove.proof.source.proof_study` until its claim is decided.
+
+    ``study`` None: that of the folder ``out``, to be resumed.  Raises InputError if the study or the folder is not
+    usable, and nothing is overwritten then; FlightError if no more can be flown or written.
+    """
+    folder = out / CAMPAIGN
+    if study is None and not is_campaign(folder):
+        raise InputError(f"{out}: holds no proof; --resume goes on with a proof's folder")
+    if not resume and out.is_dir() and any(out.iterdir()):
+        is_proof = is_campaign(folder)
+        what = "already holds a proof; --resume goes on with it" if is_proof else "is not empty; choose another folder"
+        raise InputError(f"{out}: {what}")
+    return run_campaign(study, folder, workers, resume, progress)
+
+
+def conclude(
+    campaign: Campaign,
+    out: Path,
+    request: Request,
+    workers: Workers | int | None = None,
+    say: Say = lambda text: None,
+) -> Proof:
+    """Find what the flights of :func:`fly_study` show and do not, and write the proof; ``say`` is told what is done.
+
+    ``workers`` fly what is searched for.
+
+    Raises InputError for a campaign without a claim, FlightError if a file cannot be written.
+    """
+    claim = judge_claim(campaign)
+    if claim is None:
+        raise InputError(f"{campaign.folder}: its study has no claim")
+    searched = _search(campaign.study, out, request, workers, say)
+    proof = _conclude(out, campaign, claim, request, searched, say)
+    say("pages")
+    write_campaign_report(campaign)
+    write_whole(out / RESULT, json.dumps(proof.to_json(), indent=1, allow_nan=False) + "\n", FlightError)
+    write_page(proof, out / REPORT)
+    return proof
+
+
+def _search(study: Study, out: Path, request: Request, workers: Workers | int | None, say: Say) -> Mapping[str, Part]:
+    """Search the most likely failure, the worst case and how probable a rare failure is, where that is asked for."""
+    parts = {name: Part(None, text) for name, text in SAID.items()} | {RARE: Part(None, NOT_RARE)}
+    with open_workers(workers) as flying:
+        if request.search:
+            parts |= search_failures(study, out / SEARCHES, request.search, flying, say)
+        if request.rare:
+            parts[RARE] = simulate_rare(study, out / SEARCHES / RARE, request.rare, flying, say)
+    return parts
+
+
+def _conclude(
+    out: Path, campaign: Campaign, claim: ClaimResult, request: Request, searched: Mapping[str, Part], say: Say
+) -> Proof:
+    """Do all that follows the flights."""
+    study, table = campaign.study, read_flight_table(campaign)
+    scenario = with_values(study.base(), {"controller": study.tried[0]})
+    worst = list(_fly_worst(campaign, table, out, say))
+    limits = flown_limits(scenario, say) if request.limit else dict.fromkeys(AXES, "it was left out (--no-limit)")
+    evidence = _evidence(study, table, scenario, worst, request, searched)
+    return Proof(
+        folder=out,
+        study={
+            "name": study.name, "title": study.title, "scenario": scenario.name, "aircraft": scenario.aircraft_name,
+            "engine": scenario.engine, "controller": short_name(study.controller_names[0]), "seed": study.seed,
+            "most_flights": study.draws,
+        },
+        claim=claim,
+        requirements=proven_requirements(campaign),
+        uncertainty=key_rows(study, table),
+        over=_describe_draws(evidence),
+        worst=worst,
+        likely=searched[LIKELY],
+        worst_case=searched[WORST_CASE],
+        rare=searched[RARE],
+        limits=limits,
+        axis=_commanded_axis(scenario),
+        not_covered=not_covered(
+            study,
+            [part.says for part in searched.values() if part.result is None],
+            table.not_flown,
+        ),
+        credibility=list_evidence(evidence),
+        repeat=_repeat(out, campaign, request),
+    )  # fmt: skip
+
+
+def _fly_worst(campaign: Campaign, table: FlightTable, out: Path, say: Say) -> Iterator[WorstFlight]:
+    """Fly those with the smallest margins again, and the failed one that is nearest to the middle of the draws."""
+    shutil.rmtree(out / WORST, ignore_errors=True)  # of a proof that was stopped while it flew them
+    rows = [campaign.row(int(number)) for number in table.flight]
+    margins = np.array([row_margin(row, campaign.study) for row in rows])
+    failed = np.flatnonzero(~table.success)
+    chosen = {int(index): LEAST for index in np.argsort(margins, kind="stable")[:LISTED]}
+    if failed.size:
+        nearest = int(failed[np.argmin(eccentricity(table)[failed])])
+        chosen = {index: why for index, why in chosen.items() if index != nearest} | {nearest: NEAREST}
+    for index, why in chosen.items():
+        number, row = int(table.flight[index]), rows[index]
+        say(f"flight {number} again")
+        run = f"{WORST}/flight-{number:06d}"
+        try:
+            is_same = fly_again(campaign, number, out / run).same
+        except (FlightError, InputError):  # as the first time, which is how it failed
+            run, is_same = "", row["outcome"] == "failed"
+        values = {name: row[name] for name in campaign.study.drawn}
+        reason = str(row["reason"])
+        yield WorstFlight(number, why, str(row["outcome"]), reason, float(margins[index]), values, run, is_same)
+
+
+def _evidence(
+    study: Study,
+    table: FlightTable,
+    scenario: Scenario,
+    worst: Sequence[WorstFlight],
+    request: Request,
+    searched: Mapping[str, Part],
+) -> Evidence:
+    """Return what is on record of the model and of this proof."""
+    source = engine_source(scenario, scenario.engine)
+    uncertainty = source.uncertainty
+    again = [*(one.is_same for one in worst), *(part.result["is_same"] for part in searched.values() if part.result)]
+    rankings = [rank_keys(table, 0, name) for name in (SUCCESS, *(metric.name for metric in table.metrics))]
+    return Evidence(
+        aircraft=scenario.aircraft_name,
+        engine=scenario.engine,
+        is_shipped=scenario.aircraft in aircraft_names() and source.engine is not None,
+        version=versions().get(PACKAGE, ""),
+        own_code=[code.path.name for code in study_code(study)],
+        uncertainty_source=None if uncertainty is None else uncertainty.source,
+        is_engine_drawn=any(vary.uncertainty for vary in study.vary),
+        varied=len(table.keys),
+        not_varied=kinds_not_varied(study),
+        ranked=len({effect.key for ranking in rankings if ranking for effect in ranking.effects}),
+        searched=searched[WORST_CASE].result is not None,
+        warnings=[*design_warnings(study), *_model_warnings(scenario)],
+        replayed=len(again),
+        replayed_same=sum(again),
+        comparisons=request.comparisons,
+    )
+
+
+def _model_warnings(scenario: Scenario) -> list[str]:
+    """Return what is noteworthy of the models that the nominal flight's controller believes, a line each."""
+    vehicle, _ = scenario.resolved_vehicle()
+    agreements = compare_flown_models(scenario, vehicle, load_engines(scenario, vehicle)[0])
+    return [agreement.note for agreement in agreements if agreement.is_noteworthy]
+
+
+def _describe_draws(evidence: Evidence) -> str:
+    """Return in words what a probability is over, and what is known of where that is from."""
+    if not evidence.is_engine_drawn:
+        return f"the {evidence.varied} numbers that are drawn here, as the study states them"
+    source = evidence.uncertainty_source or "of no stated source"
+    known = "" if source.startswith(CHOSEN) or not evidence.uncertainty_source else " identified"
+    return f"this engine's{known} uncertainty ({source})"
+
+
+def _commanded_axis(scenario: Scenario) -> str:
+    """Return the axis that the scenario moves first, roll where it moves none."""
+    signals = [str(getattr(command, "signal", "")).partition("_")[0] for command in scenario.command]
+    return next((signal for signal in signals if signal in AXES), AXES[0])
+
+
+def _repeat(out: Path, campaign: Campaign, request: Request) -> dict[str, Any]:
+    """Return what repeats the proof, and by what it is known to be the same."""
+    study, digest = campaign.study, sha256()
+    columns = [campaign.columns[name] for name in ("flight", "outcome", "success", "log_sha256")]
+    for row in zip(*columns, strict=True):
+        digest.update(f"{row}\n".encode())
+    file = shlex.quote((out / CAMPAIGN / STUDY).as_posix())
+    beside = f" --search {request.search}{f' --rare {request.rare}' if request.rare else ''}"
+    beside += "" if request.limit else " --no-limit"
+    command = f"hexjet prove {file} --claim {study.until} --budget {study.draws}{beside} --out AGAIN"
+    return {"command": command, "rows_sha256": digest.hexdigest(), "versions": versions()}

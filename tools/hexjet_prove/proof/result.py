@@ -1,0 +1,184 @@
+"""What a proof came to, the one sentence of it that a review board reads first, and what belongs to that."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from cosim.campaign.analysis.claim import ClaimResult, format_bound
+from cosim.campaign.study.sequential import Decision, Verdict
+from hexjet_design.loop.limit import AxisLimit
+from hexjet_prove.proof.credibility import Factor
+
+FORMAT = 1  # of proof.json
+LEAST, NEAREST = "smallest margin", "fails nearest to the middle of the draws"  # why a flight is flown again
+
+
+@dataclass(frozen=True)
+class ProvenRequirement:
+    """One requirement on every flight, and how near the flights came to breaking it."""
+
+    label: str  # R1, R2, ...
+    says: str
+    broken: int  # flights that did not keep it, of those that it could be told of
+    told: int
+    margin: float | None  # the smallest of all flights, in ``unit``: positive kept, negative broken; None: not told
+    unit: str
+    flight: int | None  # which had it
+
+
+@dataclass(frozen=True)
+class WorstFlight:
+    """A flight of the campaign that was flown again, recorded in full."""
+
+    flight: int
+    why: str  # it was chosen
+    outcome: str
+    reason: str
+    margin: float  # of the row: below 0 where it failed
+    values: Mapping[str, Any]  # of the drawn keys
+    run: str  # its folder, as seen from the proof's; empty where it could not be flown
+    is_same: bool  # as it was in the campaign, bit for bit
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a proof that another method does, as its result; or why it was not done."""
+
+    result: Mapping[str, Any] | None
+    says: str  # what it came to, or why it was not done, in one sentence
+
+
+@dataclass(frozen=True)
+class Proof:
+    """All of a proof.  ``folder`` has proof.json, proof.html, the campaign and the runs."""
+
+    folder: Path
+    study: Mapping[str, Any]  # name, title, scenario, aircraft, engine, controller, seed
+    claim: ClaimResult
+    requirements: Sequence[ProvenRequirement]
+    uncertainty: Sequence[Mapping[str, Any]]  # key, drawn, nominal, flown, unit, source
+    over: str  # what the probability is over, in words
+    worst: Sequence[WorstFlight]
+    likely: Part  # the most likely failure, searched for
+    worst_case: Part  # the worst case, searched for
+    rare: Part  # the probability of failure by a method for rare ones
+    limits: Mapping[str, AxisLimit | str]  # by axis; or why there is none
+    axis: str  # whose limit the sentence states
+    not_covered: Sequence[str]
+    credibility: Sequence[Factor]
+    repeat: Mapping[str, Any]  # command, rows_sha256, versions
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """What is shown of the claim; None where no flight was counted."""
+        return next(iter(self.claim.verdicts.values()), None)
+
+    @property
+    def decision(self) -> Decision:
+        """Whether the claim is shown, refuted, or open."""
+        return self.verdict.decision if self.verdict is not None and self.claim.is_finished else "open"
+
+    @property
+    def sentence(self) -> str:
+        """The result in one sentence: who keeps what, with which probability, as so many flights show."""
+        return f"{self._shown()}."
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What belongs to the sentence, by what it is about: draws, failures, and the controller beside the best."""
+        return {
+            "probability over": self.over,
+            **({"rare failures": self.rare.says} if self.rare.result else {}),
+            "most likely failure": self._failure(),
+            "controller": self._limit(),
+        }
+
+    def _shown(self) -> str:
+        study = self.study
+        who = f"the vehicle {study['aircraft']} with controller {study['controller']} and engine {study['engine']}"
+        labels = [one.label for one in self.requirements]
+        what = labels[0] if len(labels) == 1 else f"{labels[0]} to {labels[-1]}"
+        verdict, confidence = self.verdict, 100.0 * self.claim.claim.confidence
+        if verdict is None or not self.claim.is_finished:
+            so_far = 0 if verdict is None else verdict.flights
+            return f"Nothing can be said yet of whether {who} keeps {what}: {so_far:,} flights are counted"
+        all_flown = verdict.flights == study["most_flights"]
+        stopped = "all that it was given" if verdict.decision == "open" and all_flown else "stopped by rule"
+        flights = (
+            f"{verdict.flights:,} flight{'s' if verdict.flights != 1 else ''}, {verdict.failures:,} of them failed"
+        )
+        if verdict.not_flown:
+            flights += f" and {verdict.not_flown:,} not flown to a verdict"
+        counted = f"{confidence:g} % confidence, {flights}, {stopped}"
+        text = f"{who} keeps {what} with probability {format_bound(verdict)} ({counted})"
+        if verdict.decision == "shown":
+            return text[0].upper() + text[1:]
+        claimed = f"{100.0 * self.claim.claim.probability:g} %"
+        begin = f"{claimed} is refuted" if verdict.decision == "refuted" else f"{claimed} is neither shown nor refuted"
+        return f"{begin}: {text}"
+
+    def _failure(self) -> str:
+        if self.likely.result is not None:
+            return self.likely.says
+        failed = [one for one in self.worst if one.why == NEAREST]
+        for one in [*failed, *self.worst]:
+            what = (
+                "the failed flight nearest to the middle of what is drawn"
+                if failed
+                else "the flight nearest to failing"
+            )
+            more = "likelier one" if failed else "failure"
+            return f"{what} is {one.run or f'flight {one.flight}'}, and no {more} was searched for"
+        return "no failure was searched for"
+
+    def _limit(self) -> str:
+        limit = self.limits[self.axis]
+        if isinstance(limit, str):
+            return f"how far its controller is from the best is not known: {limit}"
+        tolerant = limit.times_tolerant
+        more = "" if tolerant is None else f", and {tolerant:.2g} times with its tolerance of the delay kept"
+        return (
+            f"its {self.axis} error after a load is {limit.times:.2g} times the least that any linear controller "
+            f"leaves with the same peak sensitivity, noise and step error{more}"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        return {
+            "format": FORMAT,
+            "sentence": self.sentence,
+            "facts": self.facts,
+            "decision": self.decision,
+            "study": dict(self.study),
+            "claim": self.claim.to_dict(),
+            "says": list(self.claim.lines()),
+            "requirements": [asdict(one) for one in self.requirements],
+            "uncertainty": [dict(one) for one in self.uncertainty],
+            "over": self.over,
+            "worst": [asdict(one) for one in self.worst],
+            "most_likely_failure": _part(self.likely),
+            "worst_case": _part(self.worst_case),
+            "rare": _part(self.rare),
+            "limit": {
+                axis: {"done": False, "says": limit} if isinstance(limit, str) else {"done": True, **limit.to_dict()}
+                for axis, limit in self.limits.items()
+            },
+            "not_covered": list(self.not_covered),
+            "credibility": [factor._asdict() for factor in self.credibility],
+            "repeat": dict(self.repeat),
+        }
+
+    def requirement_rows(self) -> Iterator[tuple[str, str, str, str]]:
+        """Yield the requirements as texts: label, what it says, flights that broke it, the smallest margin."""
+        for one in self.requirements:
+            margin = (
+                "" if one.margin is None else f"{one.margin:.3g} {one.unit} (flight {one.flight})".replace("  ", " ")
+            )
+            yield one.label, one.says, f"{one.broken} of {one.told}", margin
+
+
+def _part(part: Part) -> dict[str, Any]:
+    return {**(part.result or {}), "done": part.result is not None, "says": part.says}

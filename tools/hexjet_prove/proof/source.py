@@ -1,0 +1,85 @@
+"""What is proven: a study with one controller, whose draws are independent and which ends at a claim."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from cosim.base.errors import InputError
+from cosim.base.storage.toml import read_toml
+from cosim.campaign.study.options import NothingVariesError, open_study
+from cosim.campaign.study.plan import only_controller
+from cosim.campaign.study.sequential import MAX_TESTED, default_runs, parse_claim
+from cosim.campaign.study.study import Study, find_study, study_names
+from hexjet_prove.proof.design_study import design_study, find_design
+
+
+def proof_study(name: str, claim: str | None, budget: int | None = None, **options: Any) -> Study:
+    """Return the study that proves ``claim`` of what ``name`` is: a study, a scenario, or a design.
+
+    ``claim``: such as ``99.9%@95%``; None: that of the study.  ``budget``: the most flights, by default ten times as
+    many as the claim needs at least.  ``options`` are those of ``open_study``.  Draws of any other design than
+    ``random`` become random ones: a claim counts independent draws.  Raises InputError: one line.
+    """
+    designed = find_design(Path(name))
+    if designed is not None:
+        if claim is None:
+            raise InputError(f"{name}: a design states no claim; --claim says what is to be shown, such as 99.9%@95%")
+        runs = _most_flights(claim, "--claim", budget)
+        return _checked(design_study(designed, claim, runs, **options))
+    table = _study_table(name)
+    stated = table.get("until")
+    if not claim and stated is None:
+        _open(name, **options)  # a name that is not known is reported before
+        raise InputError(f"{name}: states no claim (until); --claim says what is to be shown, such as 99.9%@95%")
+    where = "--claim" if claim else f"{name}: until ="
+    claim = str(claim or stated)
+    runs = _most_flights(claim, where, budget)
+    study = _open(name, until=claim, design="random", runs=runs, **options)
+    if not any(options.get(key) for key in ("settings", "controllers", "vary")):  # what flies is what the title says
+        said = {key: table[key] for key in ("title", "description") if key in table}
+        if "title" in said and stated is not None and claim != str(stated):  # the file's words are of its own claim
+            said = {"title": f"{table['name']}: {claim} in place of the {stated} that its file states"}
+        study = study.changed(**said)
+    return _checked(study)
+
+
+def _open(name: str, **options: Any) -> Study:
+    """Open a study as ``open_study``, whose ``--vary`` no proof has."""
+    try:
+        return open_study(name, **options)
+    except NothingVariesError:
+        what = "a proof is of a study, a .toml file that names the scenario and says in [[vary]] what does"
+        raise InputError(f"{name}: nothing varies; {what}") from None
+
+
+def _most_flights(claim: str, where: str, budget: int | None) -> int:
+    """Return how many flights the proof has at most.
+
+    Raises InputError for a claim that compares controllers, and where so many flights cannot show it.
+    """
+    parsed = parse_claim(claim, where)
+    if parsed.pair is not None:
+        raise InputError(f"{where} {claim}: compares two controllers, which hexjet sweep --until does")
+    needed = parsed.fewest
+    most = budget or default_runs(claim)
+    if most > MAX_TESTED:
+        raise InputError(f"--budget {most}: at most {MAX_TESTED:,}")
+    if most < needed:
+        subject = f"--budget {budget}" if budget else f"{where} {claim}"
+        raise InputError(
+            f"{subject}: {most:,} flights do not show it, even if all succeed; {claim} takes {needed:,} without a "
+            "failure, and more with one"
+        )
+    return most
+
+
+def _study_table(name: str) -> dict[str, Any]:
+    """Return the table of a study's file; empty for a scenario's name."""
+    return read_toml(find_study(name)) if Path(name).is_file() or name in study_names() else {}
+
+
+def _checked(study: Study) -> Study:
+    """Raise InputError for a study with more than one controller."""
+    only_controller(study, "a proof")
+    return study

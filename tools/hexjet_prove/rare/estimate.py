@@ -1,0 +1,246 @@
+"""From the repeats of a subset simulation to a probability, with an interval that is honest about the method.
+
+The usual interval of one subset simulation takes its chains for less correlated than they are, and is too narrow.  Here
+the whole simulation is repeated, each repeat from its own random numbers, and how far the repeats lie apart is what the
+method does not know.  Their probabilities are nearly lognormal, so the interval is Cox's of a lognormal mean with
+Student's t: y + s^2 / 2 +- t sqrt(s^2 / K + s^4 / (2 (K + 1))) with mean y and variance s^2 of K logarithms (X. H. Zhou
+and S. Gao, Statist. Med. 16 (1997) 783-790), the second term with K + 1 because it is unbiased so.  How often it holds
+the truth is measured: docs/rare.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil, exp, log, log10, sqrt
+
+import numpy as np
+
+from cosim.base.errors import InputError
+from cosim.campaign.analysis.statistics import LEVEL, proportion
+from hexjet_prove.rare.subset import LEVEL_FRACTION, Repeat
+
+REPEATS = 8  # chosen by us: t of 7 degrees of freedom, and levels that are not too small
+CONFIDENCE = LEVEL
+SEEDS_DECIDE = 0.5  # of seed_effect: below it noise decides; 0.4 to 0.1 where half of the margin's variance is its
+# Flights a level at least, of one group of requirements (five starts) and of one of several (docs/tables/rare.md), and
+# the part of all flights that several groups leave to the search for the nearest failure.
+SMALLEST_LEVEL, SMALLEST_OF_SEVERAL, SEARCHED = 50, 20, 0.05
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What a simulation may take: ``flights`` at most, for probabilities down to ``target``, in ``repeats``."""
+
+    target: float
+    flights: int
+    repeats: int = REPEATS
+
+    @property
+    def most_levels(self) -> int:
+        """The levels of a repeat at most: one more than the target needs."""
+        return ceil(-log10(self.target) - 1e-9) + 1
+
+    @property
+    def size(self) -> int:
+        """The flights of the first level, in whole tens, and of each other one where there is one group."""
+        return int(self.flights / (self.repeats * (1.0 + self._later_levels)) / 10) * 10
+
+    def size_of(self, groups: int) -> int:
+        """Return the flights of each level after the first of so many groups of requirements."""
+        left = (1.0 - SEARCHED) * self.flights - self.repeats * self.size
+        return self.size if groups == 1 else int(left / (self.repeats * self._later_levels * groups))
+
+    @property
+    def most_groups(self) -> int:
+        """How many groups of requirements have enough flights for a simulation each."""
+        enough = self.size_of(2) * 2 // SMALLEST_OF_SEVERAL
+        return max(1, enough)
+
+    @property
+    def _later_levels(self) -> float:
+        """How many times the flights of a level all levels after the first take."""
+        return (1.0 - LEVEL_FRACTION) * (self.most_levels - 1)
+
+    def check(self) -> None:
+        """Raise InputError where no level would have enough flights."""
+        if self.size < SMALLEST_LEVEL:
+            least = ceil(self.repeats * (1.0 + self._later_levels) * SMALLEST_LEVEL)
+            raise InputError(
+                f"--budget {self.flights}: {self.repeats} repeats of {self.most_levels} levels down to "
+                f"{probability_text(self.target)} take at least {least:,} flights"
+            )
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A probability of failure, and between which two it lies with ``CONFIDENCE``.
+
+    ``probability`` is None where too few repeats met a failure: then ``high`` is an upper bound, at the same
+    confidence, and ``low`` 0.  ``method`` says in words how it was made.
+    """
+
+    probability: float | None
+    low: float
+    high: float
+    method: str
+
+    @property
+    def text(self) -> str:
+        """The estimate in words: ``9.1e-6 (95 %: 4.2e-6 to 2.1e-5)``, or ``below 3.1e-7 (95 %)``."""
+        if self.probability is None:
+            return f"below {probability_text(self.high)} ({CONFIDENCE:.0%})".replace("%", " %")
+        interval = f"{probability_text(self.low)} to {probability_text(self.high)}"
+        return f"{probability_text(self.probability)} ({100.0 * CONFIDENCE:g} %: {interval})"
+
+
+def estimate(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
+    """Return the probability of failure from the repeats of each group's simulation.
+
+    A repeat's probability is the sum of those of all groups.  A group of which most repeats met no failure has a bound
+    alone, which is added to the upper end.
+    """
+    if all(len(repeat.levels) == 1 for repeats in simulations for repeat in repeats):
+        return _counted(simulations)
+    led = [repeats for repeats in simulations if not _leads_nowhere(repeats)]
+    met = [repeats for repeats in led if 2 * _missing(repeats) <= len(repeats)]
+    if not met:
+        return _bound(led)
+    filled = [[_filled(repeat) for repeat in repeats] for repeats in met]
+    low, high = lognormal_interval([float(value) for value in np.log(np.sum(np.exp(filled), axis=0))])
+    missing = sum(map(_missing, met))
+    if missing:
+        high = max(high, sum(_reached_by_all(repeats, CONFIDENCE)[1] for repeats in met if _missing(repeats)))
+    high += sum(_reached_by_all(repeats, CONFIDENCE)[1] for repeats in led if 2 * _missing(repeats) > len(repeats))
+    probability = float(np.mean(np.sum(np.exp(filled), axis=0)))
+    return Estimate(
+        probability, min(low, probability), min(max(high, probability), 1.0), _method(simulations, led, met, missing)
+    )
+
+
+def _method(simulations: Sequence[object], led: Sequence[object], met: Sequence[Sequence[Repeat]], missing: int) -> str:
+    """Return in words how an interval was made."""
+    repeats = len(met[0])
+    if len(simulations) == 1:
+        made = f"{repeats} subset simulations; the interval is that of their mean, by how far they lie apart"
+    else:
+        made = (
+            f"{repeats} subset simulations for each of {len(simulations)} groups of requirements, a flight that breaks "
+            "several counted once; the interval is that of the mean of their sums, by how far these lie apart"
+        )
+    if len(led) > len(met):
+        made += f"; {len(led) - len(met)} of the groups met none in most, and their bounds are added to the upper end"
+    if missing:
+        made += (
+            f"; {missing} of them met none, and count as one of the flights of their last level, and no upper end is "
+            "below what all of them reached"
+        )
+    return made
+
+
+def _leads_nowhere(repeats: Sequence[Repeat]) -> bool:
+    """Return whether no flight of the first level failed, and none of its margins begins a next level."""
+    return all(len(repeat.levels) == 1 and not repeat.levels[0].below for repeat in repeats)
+
+
+def _missing(repeats: Sequence[Repeat]) -> int:
+    return sum(repeat.log_probability is None for repeat in repeats)
+
+
+def _filled(repeat: Repeat) -> float:
+    """Return the logarithm of a repeat's probability; one that met none counts as one flight of its last level."""
+    known = repeat.log_probability
+    return repeat.log_reached - log(repeat.levels[-1].margins.size) if known is None else known
+
+
+def seed_effect(repeats: Sequence[Repeat]) -> float | None:
+    """Return how often a candidate with a new seed is accepted, over how often one with the seed before it is.
+
+    Near 1 where noise and turbulence do not decide.  None where no seed was drawn anew.
+    """
+    (new, of_new), (same, of_same) = (
+        np.sum([getattr(repeat, name) for repeat in repeats], axis=0).tolist() for name in ("redrawn", "kept")
+    )
+    return (new / of_new) / (same / of_same) if of_new and same else None
+
+
+def lognormal_interval(logs: Sequence[float], confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Return Cox's two-sided interval, with Student's t, of the mean of lognormal numbers from their logarithms."""
+    from scipy.special import stdtrit
+
+    count = len(logs)
+    mean, variance = float(np.mean(logs)), float(np.var(logs, ddof=1))
+    reach = float(stdtrit(count - 1, 0.5 + confidence / 2.0))
+    reach *= sqrt(variance / count + variance**2 / (2.0 * (count + 1)))
+    return exp(mean + variance / 2.0 - reach), exp(min(mean + variance / 2.0 + reach, 0.0))
+
+
+def _counted(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
+    """Return what counting says where failures are not rare, or all margins the same: every flight is independent."""
+    failed, flights = _first_level(simulations)
+    if not failed:
+        return _counted_bound(simulations)
+    method = f"{failed:,} of {flights:,} independent flights failed, counted"
+    return Estimate(failed / flights, *proportion(failed, flights).exact, method)
+
+
+def _counted_bound(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
+    """Return the upper bound by counting alone, where margins lead no further."""
+    from scipy.special import betaincinv
+
+    failed, flights = _first_level(simulations)
+    return Estimate(
+        None,
+        0.0,
+        float(betaincinv(failed + 1, flights - failed, CONFIDENCE)),
+        f"{failed:,} of {flights:,} independent flights failed, and their margins lead no further: where all "
+        "are the same, nothing says which flight is nearer to failure; a [success] or a requirement with a margin "
+        "would",
+    )
+
+
+def _first_level(simulations: Sequence[Sequence[Repeat]]) -> tuple[int, int]:
+    """Return how many of the independent flights of all first levels failed, and how many there are."""
+    firsts = [[repeat.levels[0] for repeat in repeats] for repeats in simulations]
+    failed = sum(float(np.sum(level.shares[level.margins < 0.0])) for levels in firsts for level in levels)
+    return round(failed), sum(level.margins.size for level in firsts[0])
+
+
+def _bound(simulations: Sequence[Sequence[Repeat]]) -> Estimate:
+    """Return an upper bound: the probability of a margin that every repeat has reached, which no failure exceeds."""
+    if any(len(repeat.levels) == 1 for repeats in simulations for repeat in repeats if not repeat.levels[-1].below):
+        return _counted_bound(simulations)
+    # each upper end alone is of a confidence that leaves their sum that of the whole
+    confidence = 1.0 - 2.0 * (1.0 - CONFIDENCE) / len(simulations)
+    bounds = [_reached_by_all(repeats, confidence) for repeats in simulations]
+    reached = ", ".join(f"{margin:.3g}" for margin, _ in bounds)
+    several = f" for each of {len(bounds)} groups of requirements" if len(bounds) > 1 else ""
+    return Estimate(
+        None,
+        0.0,
+        min(sum(high for _, high in bounds), 1.0),
+        f"{sum(map(_missing, simulations))} of {sum(map(len, simulations))} subset simulations{several} met no "
+        f"failure; what all of them reached is a margin of {reached}, and a failure is rarer than that",
+    )
+
+
+def _reached_by_all(repeats: Sequence[Repeat], confidence: float) -> tuple[float, float]:
+    """Return a margin that every repeat has reached, and the upper end of the interval of the probability of less."""
+    reached = max(_reached(repeat) for repeat in repeats if repeat.log_probability is None)
+    logs = [value for repeat in repeats if (value := repeat.log_below(reached)) is not None]
+    return reached, lognormal_interval(logs, confidence)[1]
+
+
+def _reached(repeat: Repeat) -> float:
+    """Return the margin that the next level would have begun at, or else the last one did."""
+    last = repeat.levels[-1].margins
+    margin = float(np.sort(last)[round(LEVEL_FRACTION * last.size)])
+    return repeat.levels[-2].threshold if repeat.log_below(margin) is None and len(repeat.levels) > 1 else margin
+
+
+def probability_text(probability: float) -> str:
+    """Format a probability in two digits: ``0.023``, ``9.1e-6``."""
+    if probability >= 1e-3:
+        return f"{probability:.2g}"
+    mantissa, exponent = f"{probability:.1e}".split("e")
+    return f"{mantissa}e{int(exponent)}"

@@ -1,0 +1,103 @@
+"""The nearest failure that a search finds, which an interval of a rare probability is compared with.
+
+A failure at a distance of b standard deviations has all that lies beyond a plane through it behind it where failures go
+on outwards: Phi(-b) of all draws.  An interval that ends below that has missed it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+
+import numpy as np
+from scipy.special import ndtr
+
+from cosim.base.arrays import Array
+from cosim.campaign.analysis.margin import row_margin
+from cosim.campaign.study.draws import flight_seed
+from cosim.campaign.study.key import Value
+from cosim.campaign.study.normal_space import NormalSpace
+from cosim.campaign.study.plan import Flight
+from cosim.campaign.study.study import Study
+from hexjet_prove.rare.estimate import probability_text
+from hexjet_prove.search.minimise import Ball, descend
+from hexjet_prove.search.probe import FlownRows, Point
+from hexjet_prove.search.worst_case import LIKELY_WITHIN
+
+# Flights of the search, of those that the simulations leave, and seeds of noise and turbulence that are tried at the
+# failure where they vary: chosen by us.
+MAX_SEARCHED, MIN_SEARCHED, SEEDS_TRIED = 500, 50, 10
+
+
+@dataclass(frozen=True)
+class NearestSearch:
+    """What a search for the nearest failure found in so many ``flights``; without a ``distance`` it found none.
+
+    ``share`` of the seeds of noise and turbulence that were tried there fail.
+    """
+
+    flights: int = 0
+    distance: float | None = None
+    share: float = 1.0
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+    @property
+    def probability(self) -> float:
+        """The probability of what lies beyond a plane through the failure; 0 without one."""
+        return 0.0 if self.distance is None else self.share * float(ndtr(-self.distance))
+
+    @property
+    def says(self) -> str:
+        """What was found, in words."""
+        if not self.flights:
+            return f"no search for the nearest failure was made: it takes {MIN_SEARCHED} flights, and the package cmaes"
+        if self.distance is None:
+            return f"{self.flights} flights that searched for the nearest failure found none"
+        return f"the nearest failure that {self.flights} flights searched is {self.distance:.2f} sd from the middle"
+
+    def contradict(self, high: float) -> str:
+        """Return how the failure contradicts an interval that ends at ``high``; empty where it does not."""
+        if self.distance is None or self.probability <= high:
+            return ""
+        place = ", ".join(f"{name} = {value:.6g}" for name, value in self.values.items())
+        return (
+            f"contradicted: a search finds a failure {self.distance:.2f} standard deviations out ({place}), and "
+            f"{probability_text(self.probability)} of all draws lie beyond a plane through it, more than the interval "
+            "allows: do not use it; a larger --budget gives each requirement more flights"
+        )
+
+
+def search_nearest(
+    study: Study, space: NormalSpace, controller: str, seed: int | None, left: int, flown: FlownRows
+) -> NearestSearch:
+    """Search the failure nearest to the middle of all draws, with at most ``left`` flights, and try other seeds there.
+
+    All have the ``seed``, or that of the scenario where it varies.  Without enough flights, or without the package that
+    searches, none is made.  Raises FlightError if flights cannot be flown.
+    """
+    budget = min(left - (SEEDS_TRIED if seed is None else 0), MAX_SEARCHED)
+    if budget < MIN_SEARCHED or find_spec("cmaes") is None:
+        return NearestSearch()
+    requested: set[tuple[Point, int]] = set()
+    own_seed = study.base().seed if seed is None else seed
+
+    def keys(places: Array, seeds: list[int]) -> list[tuple[Point, int]]:
+        points = [Point.of(controller, values) for values in space.values(places)]
+        return [(point, each) for point in points for each in seeds]
+
+    def margins(places: Array, seeds: list[int] | None = None) -> Array:
+        asked = keys(places, [own_seed] if seeds is None else seeds)
+        requested.update(asked)
+        flown.fly(asked, lambda point, each, number: Flight(number, number, point.controller, each, dict(point.values)))
+        rows = [flown.rows[key] for key in asked]
+        # what cannot be flown is no failure that a search finds
+        return np.array([np.nan if row["outcome"] == "failed" else row_margin(row, study) for row in rows])
+
+    found = descend(margins, Ball(LIKELY_WITHIN), space.dimension, budget, study.seed, nearest=True)
+    if not found.fails:
+        return NearestSearch(len(requested))
+    place = found.point[None, :]
+    tried = margins(place, [flight_seed(study.seed, number) for number in range(SEEDS_TRIED)]) if seed is None else None
+    share = 1.0 if tried is None else float(np.mean(tried < 0.0))
+    return NearestSearch(len(requested), found.distance, share, space.values(place)[0])

@@ -1,0 +1,64 @@
+"""All simulations of a rare failure side by side: a first level for all requirements, then levels for each group."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from hexjet_prove.rare.estimate import Budget
+from hexjet_prove.rare.groups import Group, group_requirements
+from hexjet_prove.rare.subset import Candidates, Repeat, first_level, subset_simulation
+from hexjet_prove.search.line_search import run_together
+
+Place = tuple[int, int]  # a repeat, and a group of it; the first level is that of group 0
+
+
+@dataclass(frozen=True)
+class Simulations:
+    """The groups of requirements, and the repeats of each group's simulation in the same order."""
+
+    groups: tuple[Group, ...]
+    repeats: tuple[tuple[Repeat, ...], ...]
+
+    @property
+    def counted(self) -> bool:
+        """Whether the first level, whose flights are independent, was all."""
+        return all(len(repeat.levels) == 1 for repeats in self.repeats for repeat in repeats)
+
+    @property
+    def flights(self) -> int:
+        """How many flights they took; the first level is of all groups."""
+        first = sum(repeat.levels[0].margins.size for repeat in self.repeats[0])
+        later = sum(repeat.flights for repeats in self.repeats for repeat in repeats) - first * len(self.groups)
+        return first + later
+
+
+def simulate_groups(
+    dimension: int,
+    budget: Budget,
+    randoms: Sequence[np.random.Generator],
+    fly: Callable[[Mapping[Place, Candidates]], Mapping[Place, Array]],
+    seed: int | None = None,
+) -> Simulations:
+    """Return the simulations of a budget, a repeat for each of ``randoms``.
+
+    ``fly`` returns the margins of candidates, a row a flight and a column a requirement.  All flights have this
+    ``seed``, or one each.
+    """
+    first = {(at, 0): first_level(dimension, budget.size, random, seed) for at, random in enumerate(randoms)}
+    flown = fly(first)
+    groups = group_requirements(np.concatenate([flown[place] for place in first]), budget.most_groups)
+    size = budget.size_of(len(groups))
+    generators = {
+        (at, number): subset_simulation(first[at, 0], flown[at, 0], group, size, budget.most_levels, own_random, seed)
+        for at, random in enumerate(randoms)
+        for number, (group, own_random) in enumerate(zip(groups, [random, *random.spawn(len(groups) - 1)], strict=True))
+    }
+    ended = run_together(generators, fly)
+    return Simulations(
+        tuple(groups),
+        tuple(tuple(ended[at, number] for at in range(len(randoms))) for number in range(len(groups))),
+    )

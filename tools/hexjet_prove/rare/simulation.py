@@ -1,0 +1,339 @@
+"""The flights of subset simulations: from coordinates to rows by any workers, and from rows to a result.
+
+What is flown depends on the study and its seed alone, never on who flies it, in what order, or how often it stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.campaign.analysis.margin import requirement_margins, row_margin
+from cosim.campaign.study.draws import flight_seed
+from cosim.campaign.study.normal_space import NormalSpace
+from cosim.campaign.study.plan import Flight, only_controller
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import Row, describe_not_flown
+from cosim.campaign.workers.protocol import Workers
+from cosim.spec.controller_name import short_name
+from hexjet_prove.rare.estimate import SEEDS_DECIDE, Budget, Estimate, estimate, probability_text, seed_effect
+from hexjet_prove.rare.nearest import NearestSearch, search_nearest
+from hexjet_prove.rare.repeats import Place, Simulations, simulate_groups
+from hexjet_prove.rare.subset import Candidates
+from hexjet_prove.search.probe import FlownRows, Journal, Point
+from hexjet_prove.search.question import Answered
+
+ASKED = "a rare failure"
+REPEAT_STREAMS = 2  # index of the repeats' random streams of a study's seed, beside those of its draws
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is asked: how rare, in how many flights, and whether the seed of noise and turbulence varies too."""
+
+    budget: Budget
+    seeds_vary: bool = True
+
+    def table(self) -> dict[str, Any]:
+        """Return the plan as a table."""
+        return {**asdict(self.budget), "seeds_vary": self.seeds_vary}
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A flight that failed: its number, where it lies in standard deviations, and its part of the probability."""
+
+    number: int
+    point: Array
+    weight: float
+
+    @property
+    def distance(self) -> float:
+        """How many standard deviations it lies from the middle of all draws: |u|."""
+        return float(np.sqrt(np.sum(self.point**2)))
+
+
+@dataclass(frozen=True)
+class KeyShift:
+    """Where one coordinate is in the failures, in standard deviations: mean and spread; 0 and 1 in all flights."""
+
+    name: str
+    mean: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class RareResult:
+    """The result of subset simulations of one controller.
+
+    ``rows`` are all flights in the order in which they were asked for, with ``repeat``, ``group`` and ``level`` of
+    each.  The flights of ``searched`` are no part of them.
+    """
+
+    study: Study
+    plan: Plan
+    controller: str
+    estimate: Estimate
+    simulations: Simulations
+    searched: NearestSearch
+    failures: tuple[Failure, ...]
+    rows: tuple[Row, ...]
+    names: tuple[str, ...]
+    requirements: tuple[str, ...]
+
+    @property
+    def flights(self) -> int:
+        """How many flights it took, with those that searched for the nearest failure."""
+        return len(self.rows) + self.searched.flights
+
+    @property
+    def groups(self) -> list[list[str]]:
+        """The requirements that share a simulation, by their names."""
+        return [[self.requirements[column] for column in group.columns] for group in self.simulations.groups]
+
+    @property
+    def groups_note(self) -> str:
+        """Which requirements share a simulation; empty where there is one requirement."""
+        if len(self.requirements) == 1:
+            return ""
+        return f"simulated on its own: {'; '.join(' with '.join(names) for names in self.groups)}"
+
+    @property
+    def contradiction(self) -> str:
+        """What the search for the nearest failure found that the interval does not allow; empty elsewhere."""
+        return self.searched.contradict(self.estimate.high)
+
+    @property
+    def search_note(self) -> str:
+        """What the search for the nearest failure came to; empty where failures were counted."""
+        return "" if self.simulations.counted else self.searched.says
+
+    @property
+    def not_flown(self) -> list[str]:
+        """Why flights could not be flown at all, which count as failures, a reason each."""
+        return [str(row["reason"]) for row in self.rows if row["outcome"] == "failed" and not row.get("steps")]
+
+    @property
+    def sentence(self) -> str:
+        """The result in one sentence."""
+        vary = "are" if self.plan.seeds_vary else "are not"
+        reasons = self.not_flown
+        not_flown = f"; {describe_not_flown(len(reasons), reasons[0])}" if reasons else ""
+        return (
+            f"{self.study.base().name} with {short_name(self.controller)} fails with a probability of "
+            f"{self.estimate.text} after {self.flights:,} flights; seeds of wind and noise {vary} part of what varies"
+            f"{not_flown}"
+        )
+
+    @property
+    def seed_note(self) -> str:
+        """A warning where noise and turbulence decide, which no chain can lead to failure; empty elsewhere."""
+        effect = seed_effect([repeat for repeats in self.simulations.repeats for repeat in repeats])
+        if effect is None or effect >= SEEDS_DECIDE:
+            return ""
+        return (
+            f"a flight with another seed stays as near to failure {effect:.2f} times as often as with the same one: "
+            "wind and noise decide, no chain leads there, and the interval is wide (docs/rare.md)"
+        )
+
+    @property
+    def shifts(self) -> list[KeyShift]:
+        """Where the failures lie, the coordinate that they are furthest out in first; nothing without a failure."""
+        if not self.failures:
+            return []
+        weights = np.array([failure.weight for failure in self.failures])
+        points = np.array([failure.point for failure in self.failures])
+        means = weights @ points / weights.sum()
+        spreads = np.sqrt(weights @ (points - means) ** 2 / weights.sum())
+        squares = means**2 + spreads**2
+        return [
+            KeyShift(self.names[i], float(means[i]), float(spreads[i])) for i in np.argsort(-squares, kind="stable")
+        ]
+
+    @property
+    def deciders(self) -> dict[str, float]:
+        """The requirements that failures break furthest, each with its part of the failures, the largest first."""
+        parts: dict[str, float] = {}
+        for failure in self.failures:
+            name = str(self.rows[failure.number].get("decided_by") or "")
+            parts[name] = parts.get(name, 0.0) + failure.weight
+        parts.pop("", None)  # of flights that could not be flown
+        return dict(sorted(parts.items(), key=lambda part: (-part[1], part[0])))
+
+    @property
+    def nearest(self) -> Failure | None:
+        """The failure that is most likely of those met: with the smallest |u|."""
+        return min(self.failures, key=lambda failure: failure.distance, default=None)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as a table: what is asked, what came of it, and each repeat's levels."""
+        base, nearest = self.study.base(), self.nearest
+        return {
+            "sentence": self.sentence,
+            "study": self.study.name,
+            "scenario": base.name,
+            "aircraft": base.aircraft_name,
+            "engine": base.engine,
+            "controller": self.controller,
+            "seed": self.study.seed,
+            **self.plan.table(),
+            **asdict(self.estimate),
+            "flights": self.flights,
+            "not_flown": len(self.not_flown),
+            "seed_effect": seed_effect([repeat for repeats in self.simulations.repeats for repeat in repeats]),
+            "failures": len(self.failures),
+            "deciders": self.deciders,
+            "shifts": [asdict(shift) for shift in self.shifts],
+            "nearest": None if nearest is None else self._flight_table(nearest),
+            "search": asdict(self.searched),
+            "contradiction": self.contradiction,
+            "simulations": [
+                {
+                    "requirements": names,
+                    "flights": repeat.flights,
+                    "probability": None if (log := repeat.log_probability) is None else float(np.exp(log)),
+                    "levels": [
+                        {"threshold": level.threshold, "below": level.below, "flights": level.margins.size}
+                        for level in repeat.levels
+                    ],
+                }
+                for names, repeats in zip(self.groups, self.simulations.repeats, strict=True)
+                for repeat in repeats
+            ],
+        }
+
+    def _flight_table(self, failure: Failure) -> dict[str, Any]:
+        row = self.rows[failure.number]
+        return {
+            "flight": failure.number,
+            "seed": row["seed"],
+            "values": {name: row[name] for name in self.study.drawn},
+            "outcome": row["outcome"],
+            "reason": row["reason"],
+            "distance": failure.distance,
+        }
+
+
+@dataclass(frozen=True)
+class RareCase:
+    """A failure flown again from its own scenario file: the folder's name, and whether it is the same bit for bit."""
+
+    name: str
+    flight: int
+    distance: float  # standard deviations
+    seed: int
+    values: dict[str, Any]
+    reason: str
+    same: bool
+
+
+SavedRare = Answered[RareResult, RareCase]
+
+
+def simulate(
+    study: Study,
+    plan: Plan,
+    workers: Workers,
+    journal: Journal | None = None,
+    progress: Callable[[int], None] = lambda flights: None,
+) -> RareResult:
+    """Fly a study's subset simulations.
+
+    Flights that ``journal`` has are not flown again.  Raises InputError for a study with more controllers than one or
+    a budget that is too small, FlightError if flights cannot be flown.
+    """
+    controller = only_controller(study, ASKED)
+    plan.budget.check()
+    space = NormalSpace(study)
+    flyer = _Flyer(study, space, controller, workers, journal, progress)
+    seed = None if plan.seeds_vary else flight_seed(study.seed, 0)
+    streams = np.random.SeedSequence(study.seed, spawn_key=(REPEAT_STREAMS,)).spawn(plan.budget.repeats)
+    simulations = simulate_groups(
+        space.dimension, plan.budget, [np.random.default_rng(stream) for stream in streams], flyer.margins, seed
+    )
+    left = 0 if simulations.counted else plan.budget.flights - len(flyer.rows)
+    searched = search_nearest(study, space, controller, seed, left, flyer.flown)
+    return RareResult(
+        study, plan, controller, estimate(simulations.repeats), simulations, searched,
+        tuple(flyer.failures(simulations)), tuple(flyer.rows), tuple(space.names), tuple(flyer.requirements),
+    )  # fmt: skip
+
+
+class _Flyer:
+    """Flies candidates, each once, and numbers them in the order in which they were asked for."""
+
+    def __init__(
+        self,
+        study: Study,
+        space: NormalSpace,
+        controller: str,
+        workers: Workers,
+        journal: Journal | None,
+        progress: Callable[[int], None],
+    ) -> None:
+        self._study, self._space, self._controller = study, space, controller
+        self.flown = FlownRows(study, workers, journal, progress)
+        self.requirements, self._margins_of = requirement_margins(study)
+        self.rows: list[Row] = []
+        self._points: list[Array] = []
+        self._numbers: dict[Place, list[int]] = {}  # of each simulation's own flights
+
+    def margins(self, asked: Mapping[Place, Candidates]) -> dict[Place, Array]:
+        """Return the margins of candidates, a column a requirement.  Raises FlightError if flights cannot be flown."""
+        requests: list[tuple[Place, int, tuple[Point, int]]] = []  # whose, level, what is flown
+        for place, candidates in asked.items():
+            self._points += list(candidates.points)
+            for values, seed in zip(self._space.values(candidates.points), candidates.seeds, strict=True):
+                requests.append((place, candidates.level, (Point.of(self._controller, values), seed)))
+        self.flown.fly([key for *_, key in requests], _flight)
+        margins: dict[Place, list[list[float]]] = {place: [] for place in asked}
+        for place, level, key in requests:
+            row = self.flown.rows[key]
+            number = len(self.rows)
+            self.rows.append(
+                {
+                    **row,
+                    "flight": number,
+                    "draw": number,
+                    "repeat": place[0],
+                    "group": place[1],
+                    "level": level,
+                    "margin": row_margin(row, self._study),
+                }
+            )
+            self._numbers.setdefault(place, []).append(number)
+            margins[place].append(self._margins_of(row))
+        return {place: np.array(values) for place, values in margins.items()}
+
+    def failures(self, simulations: Simulations) -> list[Failure]:
+        """Return the failed flights of the last levels, each with its part of the probability."""
+        weights: dict[int, float] = {}
+        for group, repeats in enumerate(simulations.repeats):
+            for at, repeat in enumerate(repeats):
+                first, last = repeat.levels[0].margins.size, repeat.levels[-1]
+                numbers = self._numbers[at, 0][:first] + self._numbers.get((at, group), [])[0 if group else first :]
+                each = float(np.exp(repeat.log_reached)) / last.margins.size
+                for state in np.flatnonzero(last.margins < 0.0):
+                    number = numbers[last.numbers[state]]
+                    weights[number] = weights.get(number, 0.0) + each * float(last.shares[state])
+        total = sum(weights.values()) or 1.0
+        return [Failure(number, self._points[number], weight / total) for number, weight in sorted(weights.items())]
+
+
+def _flight(point: Point, seed: int, number: int) -> Flight:
+    return Flight(number, number, point.controller, seed, dict(point.values))
+
+
+def describe_plan(plan: Plan, groups: int) -> str:
+    """Return what is simulated for so many groups of requirements, in words."""
+    budget = plan.budget
+    several = "" if groups == 1 else f"in the first, and {budget.size_of(groups)} in every other of each group"
+    return (
+        f"{budget.repeats} subset simulations of at most {budget.most_levels} levels with {budget.size} flights "
+        f"{several or 'each'}, for probabilities down to {probability_text(budget.target)}: {budget.flights:,} flights "
+        "at most"
+    )

@@ -1,0 +1,246 @@
+"""The smallest change of one key that breaks a controller, alone or over another key.
+
+A key is scanned from its value in the scenario outwards, both ways, and the first change is bisected: what is said is
+between which two flown values it lies.  Several keys together are what the search of the most likely failure is for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from cosim.campaign.study.engine_draw import default_draw
+from cosim.campaign.study.key import Key, Value
+from cosim.campaign.study.keys import with_values
+from cosim.campaign.study.study import Study
+from cosim.campaign.workers.flight_row import MARGIN_OF, Row
+from cosim.results.metrics import check_expectations
+from cosim.results.wording import metric
+from cosim.simulation.controllers.external_controller import find_controller
+from cosim.spec.controller_name import is_design
+from cosim.spec.scenario import Scenario
+from hexjet_prove.search.line_search import Scan, run_walks, scan_outward
+from hexjet_prove.search.probe import Point, Prober, count_needed
+from hexjet_prove.search.span import Span
+
+Side = Literal["up", "down"]
+SIDES: dict[int, Side] = {1: "up", -1: "down"}
+
+
+@dataclass(frozen=True)
+class SecondKey:
+    """A second key, and its values at which the first one is searched."""
+
+    key: Key
+    levels: tuple[Value, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is searched: a study says how a flight is made and judged, this where."""
+
+    spans: tuple[Span, ...]
+    over: SecondKey | None = None
+    seeds: tuple[int, ...] = (1,)
+    share: float = 0.0  # fraction of the flights of a point that have to break; 0: any of them
+    draws_engine: bool = False  # by its uncertainty, in all flights of a point but the first
+
+    def point(self, controller: str, changed: Mapping[str, Value], level: Value | None = None) -> Point:
+        """Return the point where every key is at its start but the ``changed`` ones; ``level``: of the second key."""
+        values = {span.key.path: span.value_at(0.0) for span in self.spans} | dict(changed)
+        if self.over and level is not None:
+            values[self.over.key.path] = level
+        return Point.of(controller, values)
+
+    def table(self) -> dict[str, Any]:
+        """Return the plan as a table of TOML."""
+        keys = [
+            {"key": span.key.path, "unit": span.key.unit}
+            | {name: getattr(span, name) for name in ("low", "high", "start", "points", "tolerance", "logarithmic")}
+            for span in self.spans
+        ]
+        table: dict[str, Any] = {"seeds": list(self.seeds), "share": self.share, "keys": keys}
+        if self.draws_engine:
+            table["draws_engine"] = True
+        if self.over:
+            table["over"] = {"key": self.over.key.path, "unit": self.over.key.unit, "levels": list(self.over.levels)}
+        return table
+
+
+@dataclass(frozen=True)
+class Edge:
+    """The smallest change of one key that breaks one controller, on one side of where the search starts."""
+
+    controller: str
+    key: str
+    unit: str
+    side: Side
+    level: Value | None  # of the second key
+    start: Value
+    start_breaks: bool
+    holds: Value | None  # the last before ``breaks``; of a start that breaks, the first further out
+    breaks: Value | None  # the first value that breaks; None: none up to the end
+    end: Value
+    deviation: float | None  # deviation of ``breaks``, as a fraction of the way to the end
+    bands: tuple[tuple[Value, Value, bool], ...]  # first and last value, and whether it breaks there
+    flown: int
+    broken: int  # number of flights that broke at the breaking point
+    outcome: str
+    reason: str  # reason of the first of them
+
+    @property
+    def comes_back(self) -> bool:
+        """Whether it holds again further out than it breaks."""
+        first = next((number for number, (_, _, breaks) in enumerate(self.bands) if breaks), len(self.bands))
+        return any(not breaks for _, _, breaks in self.bands[first:])
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """The result of a search."""
+
+    study: Study
+    plan: Plan
+    edges: tuple[Edge, ...]
+    flights: int
+
+    @property
+    def criterion(self) -> str:
+        """The condition on which a point breaks, in words."""
+        metrics = []
+        for name, span in self.study.success.items():
+            metrics += [f"{name} is below {span.min:g}"] if span.min is not None else []
+            metrics += [f"{name} is above {span.max:g}"] if span.max is not None else []
+        condition = " or ".join(["it does not end completed within its limits", *metrics])
+        count = len(self.plan.seeds)
+        if count == 1:
+            return f"the flight breaks if {condition}"
+        needed = count_needed(self.plan.share, count)
+        some = "any" if needed == 1 else "all" if needed == count else f"at least {needed}"
+        do = "does" if needed == 1 else "do"
+        return f"a flight breaks if {condition}; a point if {some} of its {count} flights {do}"
+
+    @property
+    def engine_note(self) -> str:
+        """Whether the engine is drawn by its uncertainty, in words; empty where it states none."""
+        over = [] if self.plan.over is None else [self.plan.over.key.path]
+        keys = [*(span.key.path for span in self.plan.spans), *over]
+        draw, text = default_draw(self.study.base(), self.study.nominal_engine, keys)
+        if draw is None:
+            return text
+        where = f"{draw.description} in all flights of a point but the first"
+        if self.plan.draws_engine:
+            return f"the engine is {where}; --nominal-engine flies it as it is stated"
+        return f"the engine flies as it is stated; with --seeds N it is {where}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the result as a table of plain values, as ``search.json`` holds it."""
+        base = self.study.base()
+        return {
+            "scenario": base.name,
+            "aircraft": base.aircraft_name,
+            "engine": base.engine,
+            "controllers": self.study.controller_names,
+            "controller_sha256": {name: _sha256(base, name) for name in self.study.controller_names},
+            "criterion": self.criterion,
+            **({"engine_note": self.engine_note} if self.engine_note else {}),
+            **self.plan.table(),
+            "flights": self.flights,
+            "alone": [asdict(edge) | {"comes_back": edge.comes_back} for edge in self.edges],
+        }
+
+
+def _sha256(base: Scenario, controller: str) -> str | None:
+    """Return the hash of a user-supplied controller."""
+    if is_design(controller):
+        return None
+    source = find_controller(with_values(base, {"controller": controller}))
+    return None if source is None else source.sha256
+
+
+def search(plan: Plan, prober: Prober) -> SearchResult:
+    """Search every controller of the study.  Raises FlightError if flights cannot be flown."""
+    study = prober.study
+    edges = search_singly(plan, prober, study.controller_names)
+    return SearchResult(study, plan, tuple(edges), prober.flights)
+
+
+def describe_flight(study: Study, row: Row) -> str:
+    """Describe how a flight ended, and for a completed one which metrics were out of range."""
+    if row["outcome"] == "failed" and not row.get("steps"):
+        return f"not flown: {row['reason']}"
+    metrics = {name: row.get(name) for name in study.success}
+    above = [f"beyond its limit of {metric(name).label}" for name in str(row.get("beyond") or "").split()]
+    required = [entry.name for entry in study.base().require] if row["outcome"] == "completed" else []
+    margins = {name: row.get(MARGIN_OF + name) for name in required}
+    above += [f"requirement {name} broken" for name, margin in margins.items() if margin is None or not margin >= 0.0]  # type: ignore[operator]
+    missed = check_expectations(metrics, study.success) if row["outcome"] == "completed" else []  # type: ignore[arg-type]
+    return f"{row['outcome']}, {'; '.join([*above, *missed]) or row['reason']}"
+
+
+# ---- one key
+
+
+@dataclass(frozen=True)
+class _Line:
+    """One walk: which controller, which key, which way, at which level of the second key."""
+
+    controller: str
+    span: int
+    side: int
+    level: int
+
+    def point(self, plan: Plan, position: float) -> Point:
+        span = plan.spans[self.span]
+        level = plan.over.levels[self.level] if plan.over else None
+        return plan.point(self.controller, {span.key.path: span.value_at(self.side * position)}, level)
+
+
+def search_singly(plan: Plan, prober: Prober, controllers: Sequence[str]) -> list[Edge]:
+    """Search every key by itself, for every controller, side and level, all side by side."""
+    lines = [
+        _Line(controller, number, side, level)
+        for controller in controllers
+        for number, span in enumerate(plan.spans)
+        for side in span.sides
+        for level in range(len(plan.over.levels) if plan.over else 1)
+    ]
+    walks = {
+        line: scan_outward(plan.spans[line.span].positions(line.side), plan.spans[line.span].bisector(line.side))
+        for line in lines
+    }
+    scans = run_walks(
+        walks, lambda requests: prober.evaluate([line.point(plan, position) for line, position in requests])
+    )
+    return [_edge(plan, prober, line, scan) for line, scan in scans.items()]
+
+
+def _edge(plan: Plan, prober: Prober, line: _Line, scan: Scan) -> Edge:
+    span, side = plan.spans[line.span], line.side
+    near, far = scan.change or (None, None)
+    broken, holds = (0.0, far) if scan.start_breaks else (far, near)
+
+    def at(position: float | None) -> Value | None:
+        return None if position is None else span.value_at(side * position)
+
+    flown = prober.result(line.point(plan, scan.positions[-1] if broken is None else broken))
+    value = at(broken)
+    return Edge(
+        controller=line.controller,
+        key=span.key.path,
+        unit=span.key.unit,
+        side=SIDES[side],
+        level=plan.over.levels[line.level] if plan.over else None,
+        start=span.value_at(0.0),
+        start_breaks=scan.start_breaks,
+        holds=at(holds),
+        breaks=value,
+        end=span.end_value(side),
+        deviation=None if value is None else span.deviation(float(value)),
+        bands=tuple((span.value_at(side * a), span.value_at(side * b), breaks) for a, b, breaks in scan.bands),
+        flown=flown.flights,
+        broken=flown.broken,
+        outcome=str(flown.worst["outcome"]),
+        reason=describe_flight(prober.study, flown.worst),
+    )

@@ -1,0 +1,93 @@
+"""How fast over the ground a vehicle may touch down before it tips over its legs: measured by flights.
+
+The vehicle is set down level at hover thrust, on legs that catch (a coefficient of friction of 100), and its throttles
+are closed.  A fan's thrust is gone at once, a turbine's carries most of the weight for seconds, in which little holds
+the vehicle down.  With the ground's own friction the legs slide, and it tips later or never.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from math import acos, cos, inf, radians, sin
+from typing import Any
+
+from cosim.base.signals import Actuation
+from cosim.control.predictors.registry import BASELINE
+from cosim.simulation.build import build
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import load_vehicle
+from hexjet_prove.surveys.survey import Subject
+
+# Chosen by us.
+FRICTION = 100.0  # legs that hold the ground whatever the load on them
+ABOVE_M = 0.005  # the lowest leg at the start
+HEADINGS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)  # directions of motion relative to the nose
+FASTEST_M_S = 8.0  # no faster is tried
+WITHIN_M_S = 0.02  # the speed is found to this
+LONGEST_S = 8.0  # in which it tips or stands; a turbine needs 3 to 5 s to come down to idle
+TIPPED = radians(60.0)  # past every vehicle's centre of gravity above its legs
+
+
+class _ClosedThrottles:
+    """The built-in controller with every throttle closed and every servo held where its first step puts it."""
+
+    def __init__(self, controller: Any) -> None:
+        self._controller = controller
+        self._tilt: tuple[float, ...] | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._controller, name)
+
+    def update(self, *arguments: Any) -> Actuation:
+        """Return the actuation of one step."""
+        demand = self._controller.update(*arguments)
+        self._tilt = demand.tilt if self._tilt is None else self._tilt
+        return Actuation((0.0,) * len(demand.throttle), self._tilt, demand.unallocated)
+
+
+@cache
+def tip_speed(aircraft: str, engine: str, above_m: float = ABOVE_M) -> float:
+    """Return the speed over the ground (m/s) from which a vehicle tips over legs that catch.
+
+    The least of eight headings, in still air, at full weight; found by bisection to 0.02 m/s, infinite if 8 m/s does
+    not tip it.  ``aircraft`` is a name or the path of a folder, ``engine`` a name or a file; ``above_m`` is the height
+    of the lowest leg at the start, and with legs that just touch (0) the speed is less.  Raises InputError as
+    :func:`build`.
+    """
+    subject = Subject(aircraft, load_vehicle(aircraft)[0], engine)
+    contacts = [contact.model_dump() for contact in subject.vehicle.contacts]
+    legs = [contact for contact in contacts if contact["kind"] == "leg"]
+    for leg in legs:
+        leg |= {"friction_static": FRICTION, "friction_dynamic": FRICTION}
+    scenario = subject.scenario(
+        "tipping",
+        BASELINE.name,
+        max(leg["position_m"][2] for leg in legs) + above_m,
+        LONGEST_S,
+        sensor_noise=False,
+        vehicle={"contacts": contacts},
+    )
+    slowest = FASTEST_M_S
+    for heading in HEADINGS_DEG:
+        if not _tips(scenario, slowest, heading):
+            continue
+        stands, tips = 0.0, slowest
+        while tips - stands > WITHIN_M_S:
+            middle = 0.5 * (stands + tips)
+            stands, tips = (stands, middle) if _tips(scenario, middle, heading) else (middle, tips)
+        slowest = tips
+    return slowest if slowest < FASTEST_M_S else inf
+
+
+def _tips(scenario: Scenario, speed: float, heading_deg: float) -> bool:
+    """Return whether the vehicle tips over when it is set down at a speed (m/s) in a heading (deg)."""
+    heading = radians(heading_deg)
+    velocity = (speed * cos(heading), speed * sin(heading), 0.0)
+    with build(scenario.replace(initial={"velocity_ned_m_s": velocity})) as simulation:
+        simulation.controller = _ClosedThrottles(simulation.controller)
+        for _ in range(round(LONGEST_S / simulation.dt)):
+            simulation.step()
+            roll, pitch, _ = simulation.state.euler
+            if acos(cos(roll) * cos(pitch)) > TIPPED:
+                return True
+    return False
