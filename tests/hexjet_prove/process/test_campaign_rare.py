@@ -20,11 +20,11 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.flight_row import Row, fly_one
 from cosim.campaign.workers.local import LocalWorkers
-from cosim.cli.sweep import rare as command
 from cosim.flight import fly
 from cosim.results.log.arrow import read_table
 from cosim.results.log.digest import log_digest
 from cosim.spec.scenario import Scenario
+from hexjet_prove.command.searches import rare as command
 from hexjet_prove.rare.estimate import Budget
 from hexjet_prove.rare.folder import resolve_rare, run_rare
 from hexjet_prove.rare.simulation import Plan, SavedRare
