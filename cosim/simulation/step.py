@@ -6,17 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Final, NamedTuple, cast
 
 from cosim.base.errors import EngineError, FlightError, InputError
-from cosim.base.protocols import (
-    Column,
-    Controller,
-    Disturbances,
-    EngineState,
-    Observer,
-    Pilot,
-    Report,
-    Shows,
-    columns_of,
-)
+from cosim.base.protocols import Column, Controller, EngineState, Observer, Pilot, Report, Shows, columns_of
 from cosim.base.signals import ZERO3, Actuation, Command, Disturbance, Measured, PerJet, Sample, State
 from cosim.control.cascade import Cascade
 from cosim.engine import EngineSpec
@@ -59,7 +49,7 @@ class Blocks(NamedTuple):
     ledger: list[LedgerRow]
     command_script: CommandScript
     pilot: Pilot | None
-    disturbances: Disturbances
+    disturbances: DisturbanceScript
     cascade: Cascade
     propulsion: Propulsion
     airframe: Airframe
@@ -84,7 +74,7 @@ class Simulation:
         # The annotations name the built-in blocks, because compiled code calls a class that it knows directly.
         self.controller: Cascade | Controller = blocks.cascade if whole is None else whole
         self.replaced_cascade = None if whole is None else blocks.cascade  # by a whole controller
-        self.disturbances: DisturbanceScript | Disturbances = blocks.disturbances
+        self.disturbances = blocks.disturbances
         self.plugins, self._field = blocks.plugins, blocks.wind
         self.scenario, self.vehicle, self.ledger = blocks.scenario, blocks.vehicle, blocks.ledger
         self.engine, *self.stations = blocks.specs

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from cosim.base import protocols
-from cosim.campaign.study.plan import Flight
-from cosim.campaign.study.study import Study
 from cosim.campaign.workers.cluster import DaskWorkers
-from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.local import LocalWorkers
+from cosim.campaign.workers.protocol import Workers
 from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
 from cosim.control.autopilot.autopilot import Autopilot
@@ -24,7 +22,6 @@ from cosim.results.run import Recording
 from cosim.simulation.controllers.guard import GuardedController, GuardedPredictor
 from cosim.simulation.guided_pilot import GuidedPilot
 from cosim.simulation.plugins import GuardedObserver, WindTable
-from cosim.simulation.script.disturbance_script import DisturbanceScript
 from cosim.vehicle.sensors import FaultySensors, SensorSuite
 from hexjet_export.vehicle.ports import _ControllerOutside, _EnginesOutside, _PilotOutside
 from hexjet_sitl.block import AutopilotBlock
@@ -54,10 +51,6 @@ def sensors(block: SensorSuite | FaultySensors) -> protocols.Sensors:
     return block
 
 
-def disturbances(block: DisturbanceScript) -> protocols.Disturbances:
-    return block
-
-
 def pilot(block: GuidedPilot | Autopilot | _PilotOutside) -> protocols.Pilot:
     return block
 
@@ -66,7 +59,7 @@ def observer(block: Recorder | Recording | PilotRecord | GuardedObserver) -> pro
     return block
 
 
-def workers(block: LocalWorkers | DaskWorkers) -> protocols.Workers[Study, Flight, Row]:
+def workers(block: LocalWorkers | DaskWorkers) -> Workers:
     return block
 
 

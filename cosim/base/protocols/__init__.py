@@ -14,7 +14,6 @@ from cosim.base.protocols.blocks import (
     Allocator,
     Columns,
     Controller,
-    Disturbances,
     Engines,
     Metric,
     Observer,
@@ -25,7 +24,6 @@ from cosim.base.protocols.blocks import (
 )
 from cosim.base.protocols.custom import AttitudeLoop, OwnSensors, Predictor, RateLoop, WholeController, Wind
 from cosim.base.protocols.records import Applied, Column, Diagnostics, EngineState, Parameter, Report
-from cosim.base.protocols.workers import Workers
 
 __all__ = [
     "Allocator",
@@ -35,7 +33,6 @@ __all__ = [
     "Columns",
     "Controller",
     "Diagnostics",
-    "Disturbances",
     "EngineState",
     "Engines",
     "Metric",
@@ -50,6 +47,5 @@ __all__ = [
     "Shows",
     "WholeController",
     "Wind",
-    "Workers",
     "columns_of",
 ]

@@ -1,4 +1,4 @@
-"""The blocks of a flight: pilot, disturbances, controller, allocator, engines, sensors, and what looks at a step."""
+"""The blocks of a flight that have several implementations, and what looks at a step or at a finished log."""
 
 from __future__ import annotations
 
@@ -29,10 +29,7 @@ if TYPE_CHECKING:
 
 
 class Pilot(Protocol):
-    """Flies in place of the scenario's commands; the first block of a step.
-
-    It may keep its mode, its estimates and what it was asked between steps.
-    """
+    """Flies in place of the scenario's commands, the first block of a step: guided script or autopilot."""
 
     @property
     def engines(self) -> EngineState:
@@ -43,52 +40,10 @@ class Pilot(Protocol):
         """What the controller flies the step of the last update with: the sensors, or what stands in for them."""
 
     def reset(self, measured: Measured) -> None:
-        """Start a new flight.
-
-        Parameters
-        ----------
-        measured : Measured
-            What the sensors say at the start.
-        """
+        """Start a new flight where the sensors read ``measured``."""
 
     def update(self, k: int, measured: Measured, report: Report) -> Command:
-        """Return the command of a step; called once a step, in order.
-
-        Parameters
-        ----------
-        k : int
-            The step, from 0.
-        measured : Measured
-            What the sensors say at ``t_k``.
-        report : Report
-            What the vehicle says of itself at ``t_k``.
-
-        Returns
-        -------
-        Command
-            Angles [rad], height above the ground [m], or rates [rad/s] and collective [throttle] in their place.
-        """
-
-
-class Disturbances(Protocol):
-    """Wind, gusts, forces and loads from outside, and what is added to the controller's own signals."""
-
-    def at(self, k: int) -> Disturbance:
-        """Return what acts over a step; called once a step, and once at every reset for step 0.
-
-        Nothing is kept: the answer depends on ``k`` alone.
-
-        Parameters
-        ----------
-        k : int
-            The step, from 0.
-
-        Returns
-        -------
-        Disturbance
-            Wind [m/s, NED], force [N] and moment [N m, body], and what is added to the commands.  The same object
-            while nothing changes: a new one costs the airframe a second look.
-        """
+        """Return the command of step ``k``; called once a step, in order."""
 
 
 class Controller(Protocol):
@@ -96,7 +51,6 @@ class Controller(Protocol):
 
     Once a step, in this order: ``update``, then the engines and servos act, then ``watch``, then the log reads
     ``signals``.  It knows what the vehicle is stated to be, never what flies: no mismatch, no fault, no true state.
-    Signals of its own beside ``signals`` come into the log if it is one that :class:`Shows`.
     """
 
     @property
@@ -112,56 +66,17 @@ class Controller(Protocol):
         """What is to be seen of the predictors of roll, pitch and yaw; NaN where there is none."""
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
-        """Start a new flight and return the throttles before step 0.
-
-        Parameters
-        ----------
-        on_ground : bool
-            It starts standing, so that the engines idle; else they hold the vehicle up.
-        burnt : float
-            Fuel [kg] that is gone from the full tank.
-
-        Returns
-        -------
-        PerJet
-            The throttles, 0 to 1, at which the engines stand before step 0.
-        """
+        """Start a flight with ``burnt`` kg of fuel gone; return the throttles, 0 to 1, at which the engines stand."""
 
     def update(self, command: Command, measured: Measured, injected: Disturbance, engines: EngineState) -> Actuation:
         """Return what the actuators are to do over a step.
 
-        Parameters
-        ----------
-        command : Command
-            What is asked for.
-        measured : Measured
-            What is seen at ``t_k``.
-        injected : Disturbance
-            Its torques are added where they say, ``torque_seen`` as part of what the controller knows of.
-        engines : EngineState
-            Where it is not FLY the engines idle or are off, and nothing is remembered of before.
-
-        Returns
-        -------
-        Actuation
-            Throttles, 0 to 1 per jet, tilts [rad] of the left and the right servo, and the jets that are to be off.
+        The torques of ``injected`` are added where they say, ``torque_seen`` as part of what the controller knows of.
+        Where ``engines`` is not FLY they idle or are off, and nothing is remembered of before.
         """
 
     def watch(self, engines: EngineOutput, burnt: float) -> PerJet:
-        """Take the engines' reports at the end of the step and return the health of each jet.
-
-        Parameters
-        ----------
-        engines : EngineOutput
-            Thrust [N], spool speed, fuel flow [kg/s], as far as they report it.
-        burnt : float
-            Fuel [kg] that the reported flows add up to, counted from the full tank.
-
-        Returns
-        -------
-        PerJet
-            The share of its command that each jet is believed to give, 0 to 1.
-        """
+        """Take the reports at the end of a step; return the share of its command that each jet gives, 0 to 1."""
 
     def forgive(self) -> None:
         """Trust every engine again as soon as all stand idle: the vehicle is repaired."""
@@ -174,51 +89,17 @@ class Allocator(Protocol):
     rest: PerServo  # where servos stand while nothing is asked of them
 
     def trim(self, collective: float) -> PerJet:
-        """Return the balanced throttles of the jets, with nothing asked of the servos.
-
-        Parameters
-        ----------
-        collective : float
-            Share of an engine's range, 0 to 1.
-
-        Returns
-        -------
-        PerJet
-            Of every jet, 0 to 1.
-        """
+        """Return the balanced throttles of the jets, with nothing asked of the servos."""
 
     def allocate(self, collective: float, torque: Vector3, added: Vector3 = ZERO3) -> Actuation:
-        """Return what the actuators can do of what is asked for; called once a step.
+        """Return what can be given of a collective, 0 to 1, and a torque; once a step.
 
-        Parameters
-        ----------
-        collective : float
-            Share of an engine's range, 0 to 1.
-        torque : Vector3
-            About roll in throttle, about pitch and yaw in rad of tilt.
-        added : Vector3
-            A disturbance of ``torque`` that the loops do not know.
-
-        Returns
-        -------
-        Actuation
-            Throttles as shares of an engine's range, tilts [rad]; ``unallocated`` says what is not given, exactly 0
-            where everything fits.
+        ``torque`` is in throttle about roll, in rad of tilt about pitch and yaw; ``added`` is a disturbance of it that
+        the loops do not know.  ``unallocated`` of the answer is exactly 0 where everything fits.
         """
 
     def replan(self, health: Sequence[JetHealth]) -> bool:
-        """Allocate for engines in this health from the next step on.
-
-        Parameters
-        ----------
-        health : sequence of JetHealth
-            Of every jet, from jet 1.
-
-        Returns
-        -------
-        bool
-            False, and all is as before, if that cannot be.
-        """
+        """Allocate for engines in this health from the next step on; False: that cannot be, and all is as before."""
 
     def reset(self) -> None:
         """Return to the allocation for healthy engines."""
@@ -230,68 +111,16 @@ class Engines(Protocol):
     wants_ambient: bool  # the air around them changes what they give
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
-        """Bring the engines into equilibrium, ready for step 0.
-
-        Parameters
-        ----------
-        throttle : float or sequence of float
-            0 to 1, one for all or one each.
-        ambient : Ambient or None
-            The air around each; None: standard air at sea level, still.
-
-        Returns
-        -------
-        EngineOutput
-            What they give there.
-        """
+        """Bring the engines into equilibrium at throttles and in air; None: standard air at sea level, still."""
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
-        """Advance one step, throttles and air held over it.
-
-        Parameters
-        ----------
-        k : int
-            The step, from 0, in order.
-        throttle : PerJet
-            0 to 1.
-        ambient : Ambient or None
-            The air around each; None: as before.
-
-        Returns
-        -------
-        EngineOutput
-            Thrust [N] and reports at the end of the step.
-        """
+        """Advance by step ``k``, throttles and air held over it; None: the air as before."""
 
     def run_down(self, seconds: float) -> EngineOutput:
-        """Let engines that were shut off right after the reset turn on without fuel, before step 0.
-
-        Parameters
-        ----------
-        seconds : float
-            For how long; their own time is ahead of flight time by it.
-
-        Returns
-        -------
-        EngineOutput
-            What is left of their thrust [N].
-        """
+        """Let engines that were shut off right after the reset turn on without fuel, before step 0."""
 
     def set_run(self, index: int, on: bool) -> bool:
-        """Shut one engine off, or on again, before the next step.
-
-        Parameters
-        ----------
-        index : int
-            The engine, from 0.
-        on : bool
-            Whether it is to run.
-
-        Returns
-        -------
-        bool
-            False if it has no port for that.
-        """
+        """Shut one engine, from 0, off or on again before the next step; False: it has no port for that."""
 
     def close(self) -> None:
         """Free them; may be called twice."""
@@ -323,32 +152,10 @@ class Sensors(Protocol):
     """What the controller and the pilot are told of the motion.  Filters, latencies and noise are its to keep."""
 
     def reset(self, state: State) -> Measured:
-        """Start a new flight, with the same noise again.
-
-        Parameters
-        ----------
-        state : State
-            In which the vehicle has been forever.
-
-        Returns
-        -------
-        Measured
-            What is measured before step 0.
-        """
+        """Start a new flight, with the same noise again, from a state that has been forever."""
 
     def sample(self, state: State) -> Measured:
-        """Return one measurement; called once a step, after the airframe.
-
-        Parameters
-        ----------
-        state : State
-            The true state at ``t_k+1``.
-
-        Returns
-        -------
-        Measured
-            What is measured there.
-        """
+        """Return what is measured of the state at ``t_k+1``; called once a step, after the airframe."""
 
 
 class Observer(Protocol):

@@ -2,20 +2,40 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Protocol
 
-from cosim.base import protocols
 from cosim.campaign.workers.flight_row import Row
 
 if TYPE_CHECKING:
-    from cosim.campaign.study.plan import Flight  # noqa: F401 (named in the alias below)
-    from cosim.campaign.study.study import Study
+    from types import TracebackType
 
-Workers = protocols.Workers["Study", "Flight", Row]
+    from cosim.campaign.study.plan import Flight
+    from cosim.campaign.study.study import Study
 
 LOSSES = 3  # processes that a flight may take with it before it is given up
 MIN_LIMIT_S = 60.0  # chosen by us: of wall time; loading an engine that starts a run time of its own takes 20
 LIMIT_FACTOR = 10.0  # chosen by us: of simulated time; a flight takes a hundredth of it
+
+
+class Workers(Protocol):
+    """Flies a study's flights in other processes; a context manager that leaves none of them behind."""
+
+    def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
+        """Fly flights, which are taken only as they can be flown; yield their rows as they are finished.
+
+        A flight whose process was lost is flown again, and is a row ``failed`` after three of them; one that takes too
+        long is a row ``failed`` at once.  Raises FlightError if nothing can be flown any more.
+        """
+
+    def close(self) -> None:
+        """End every process, those at work included; may be called twice."""
+
+    def __enter__(self) -> Workers: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
 
 
 def time_limit(study: Study) -> float:
