@@ -7,19 +7,28 @@ one line on standard error.
 
 from cosim.base.errors import nearest
 from cosim.cli import opt
-from cosim.cli.console import part_progress, say, show_table
-from cosim.cli.options import DONE, FLIGHT_FAILED, example, is_given
+from cosim.cli.console import CommandProgress, echo, output_to_stderr, part_progress, say, show_table
+from cosim.cli.flight.fly import print_run
+from cosim.cli.groups import Group
+from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, is_given, load_scenario
 from cosim.cli.outputs import Out
 
 __all__ = [
     "DONE",
     "FLIGHT_FAILED",
+    "CommandProgress",
+    "Flight",
+    "Group",
     "Out",
+    "echo",
     "example",
     "is_given",
+    "load_scenario",
     "nearest",
     "opt",
+    "output_to_stderr",
     "part_progress",
+    "print_run",
     "say",
     "show_table",
 ]

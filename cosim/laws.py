@@ -14,6 +14,8 @@ Examples
 
 from cosim.base.arrays import Array
 from cosim.base.limits import clamp
+from cosim.control.autopilot.geometry import wrap
+from cosim.control.belief import Belief
 from cosim.control.laws.axis import (
     Actuators,
     Axis,
@@ -35,6 +37,7 @@ __all__ = [
     "Array",
     "Axis",
     "AxisLaw",
+    "Belief",
     "Pid",
     "RateAxis",
     "RateLaw",
@@ -44,4 +47,5 @@ __all__ = [
     "clamp",
     "low_frequency_delay",
     "positive_parameter",
+    "wrap",
 ]

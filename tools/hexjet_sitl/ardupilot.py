@@ -23,7 +23,7 @@ from struct import Struct
 from time import monotonic
 from typing import NamedTuple
 
-from cosim.base.errors import FlightError, InputError
+from cosim import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp, clip
 from cosim.identify.logs.dataflash import read_notes

@@ -21,10 +21,10 @@ from math import degrees, pi
 from pathlib import Path
 from time import monotonic, sleep
 
-from cosim.base.errors import FlightError, InputError
+from cosim import FlightError, InputError
 from cosim.base.limits import clamp, clip
 from cosim.base.signals import AXES, Vector3
-from cosim.base.storage.scratch import scratch
+from cosim.files import scratch
 from cosim.spec.vehicle import Jet, Vehicle
 from cosim.vehicle.atmosphere import standard_air
 from hexjet_sitl.lockstep import (

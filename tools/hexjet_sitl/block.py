@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cosim.base.errors import FlightError, InputError
+from cosim import FlightError, InputError
 from cosim.base.frames import conjugate, rotate
 from cosim.base.protocols import Applied
 from cosim.base.signals import ZERO3, Actuation, Command, Measured, State, Unallocated
-from cosim.control.belief import Belief
+from cosim.laws import Belief
 from cosim.simulation.controllers.recorded import COLUMNS, Row
 from cosim.vehicle.sensors import SensorSuite
 from hexjet_sitl.lockstep import ActuatorOutputs, Autopilot, SensorFrame, StartTiming, StickPositions

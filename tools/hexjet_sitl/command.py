@@ -8,14 +8,24 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from cosim.base.errors import InputError
-from cosim.cli import opt
-from cosim.cli.console import CommandProgress, echo, output_to_stderr, part_progress, say
-from cosim.cli.groups import Group
-from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, load_scenario
+from cosim import InputError
+from cosim.commands import (
+    DONE,
+    FLIGHT_FAILED,
+    CommandProgress,
+    Flight,
+    Group,
+    echo,
+    example,
+    load_scenario,
+    opt,
+    output_to_stderr,
+    part_progress,
+    say,
+)
 
 if TYPE_CHECKING:
-    from cosim.spec.scenario import Scenario
+    from cosim import Scenario
     from hexjet_sitl.prepare import Setup
     from hexjet_sitl.run import AutopilotRun
 
@@ -195,7 +205,7 @@ def px4(options: Px4) -> int:
     with the vehicle's own loops; with --hold in Position. Time is the flight's, but PX4's threads share it in an order
     of their own: two flights are not the same to the bit, their repetitions by hexjet fly are.
     """
-    from cosim.base.storage.toml import parse_numbers
+    from cosim.files import parse_numbers
     from hexjet_sitl.prepare import Setup
 
     setup = Setup(
@@ -252,7 +262,7 @@ def ardupilot(options: ArduPilot) -> int:
     with --hold in Loiter. It must ask for as many frames a second as the flight has steps: SIM_RATE_HZ. A parameter's
     name that its log does not list fails the flight at its end.
     """
-    from cosim.base.storage.toml import parse_numbers
+    from cosim.files import parse_numbers
     from hexjet_sitl.prepare import Setup
 
     setup = Setup(
@@ -372,7 +382,7 @@ def _magnetic_field(text: str | None) -> tuple[float, float, float] | None:
 
 
 def _print(flown: AutopilotRun, gains: str) -> None:
-    from cosim.cli.flight.fly import print_run
+    from cosim.commands import print_run
 
     print_run(flown.run)
     say(lockstep_line(flown))

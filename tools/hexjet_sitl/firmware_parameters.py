@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cosim import FlightError, InputError, Scenario
 from cosim.api.call.choices import load_scenario
-from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import AXES, Vector3
-from cosim.base.storage.files import map_os_errors
+from cosim.files import map_os_errors
 from cosim.simulation.axis_chain import is_turned_by_throttle
 from cosim.simulation.controllers.controller_file import apply_controller
 from cosim.simulation.controllers.models import make_scenario_belief
-from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from hexjet_sitl.ardupilot import NEWEST, Release
 from hexjet_sitl.betaflight import (

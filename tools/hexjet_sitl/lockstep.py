@@ -17,7 +17,7 @@ from struct import Struct
 from time import monotonic
 from typing import ClassVar, NamedTuple, Protocol
 
-from cosim.base.errors import FlightError, InputError
+from cosim import FlightError, InputError
 from cosim.base.limits import clamp
 from cosim.base.runtime.processes import Child
 from cosim.base.signals import PerJet, Quaternion, State, Vector3

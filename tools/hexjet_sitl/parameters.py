@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.base.errors import InputError
+from cosim import InputError
 from cosim.base.limits import clip
 from cosim.base.signals import AXES, Vector3
-from cosim.base.storage.files import read_text
+from cosim.files import read_text
 from cosim.spec.vehicle import RateGains, Vehicle
 from hexjet_sitl.ardupilot import GNSS_CHANNEL, HANDLING, NEWEST, Release
 from hexjet_sitl.lockstep import PARAMETER_NAME

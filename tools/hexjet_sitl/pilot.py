@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from math import inf
 
-from cosim.base.errors import FlightError
+from cosim import FlightError
 from cosim.base.frames import heading_of
 from cosim.base.limits import clip
 from cosim.base.signals import Command, Measured, PerJet, Unallocated
-from cosim.control.allocation.thrust_map import ThrustMap
 from cosim.control.altitude import AltitudeController
-from cosim.control.autopilot.geometry import wrap
-from cosim.control.belief import Belief
+from cosim.laws import Belief, wrap
 from hexjet_sitl.lockstep import STICKS_S, StickPositions
 
 # Chosen by us: a vehicle commanded below the ground that has been this still for this long has landed, if its height is
@@ -26,11 +24,11 @@ TARGET_TIME = 5.0  # s in which a pilot sees that the autopilot holds another he
 
 def find_hover_throttle(belief: Belief) -> float:
     """Return the mean throttle of the engines at which the vehicle hovers, as it begins the flight."""
-    return _mean_throttle(belief.thrust_map, belief.hover, len(belief.vehicle.jets))
+    return _mean_throttle(belief, belief.hover)
 
 
-def _mean_throttle(thrust_map: ThrustMap, fraction: float, jets: int) -> float:
-    throttle: PerJet = thrust_map.throttle((clip(fraction, 0.0, 1.0),) * jets)
+def _mean_throttle(belief: Belief, fraction: float) -> float:
+    throttle: PerJet = belief.thrust_map.throttle((clip(fraction, 0.0, 1.0),) * len(belief.vehicle.jets))
     return sum(throttle) / len(throttle)
 
 
@@ -57,8 +55,10 @@ class StickPilot:
         self, belief: Belief, lean: float, turn: float, hold_from: float = inf, turns_target: bool = False
     ) -> None:
         gains, vehicle = belief.vehicle.control, belief.vehicle
-        self._map, self._jets = belief.thrust_map, len(vehicle.jets)
-        self._altitude = AltitudeController(gains.altitude, vehicle.mass_kg, self._map.collective, belief.step_s)
+        self._belief = belief
+        self._altitude = AltitudeController(
+            gains.altitude, vehicle.mass_kg, belief.thrust_map.collective, belief.step_s
+        )
         self._heading = gains.attitude.gain_1_s[2]
         self._lean, self._turn, self._climb = lean, turn, gains.altitude.position_1_s / CLIMB
         self._step, self._hold_from, self._steps = belief.step_s, hold_from, 0
@@ -97,7 +97,7 @@ class StickPilot:
             roll / self._lean,
             -pitch / self._lean,
             turn,
-            self._throttle(collective),
+            _mean_throttle(self._belief, collective),
             True,
         )
 
@@ -121,6 +121,3 @@ class StickPilot:
             is_still = abs(measured.velocity[2]) < STILL_SPEED and measured.altitude < self._span
             self._still = self._still + 1 if height < 0.0 and is_still else 0
         return self._still >= self._still_needed
-
-    def _throttle(self, fraction: float) -> float:
-        return _mean_throttle(self._map, fraction, self._jets)

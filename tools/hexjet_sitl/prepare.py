@@ -11,13 +11,12 @@ from pathlib import Path
 from shutil import which
 from typing import Any
 
-from cosim.base.errors import FlightError, InputError
+from cosim import FlightError, InputError, Scenario
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import Vector3
 from cosim.base.trust import Code, need_trust
 from cosim.simulation.controllers.models import make_scenario_belief
 from cosim.spec.controller_name import is_design
-from cosim.spec.scenario import Scenario, SensorBias, SensorDropout
 from hexjet_sitl import ardupilot, betaflight, px4
 from hexjet_sitl.block import AutopilotBlock
 from hexjet_sitl.firmware_parameters import list_px4_parameters, vehicle_in_throttle
@@ -196,9 +195,11 @@ def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, s
 def check_faults(name: str, scenario: Scenario) -> None:
     """Raise InputError for the fault of a sensor that would not reach the autopilot as what it is."""
     for index, fault in enumerate(scenario.fault):
-        if isinstance(fault, SensorBias | SensorDropout) and (untold := _UNTOLD[name].get((fault.sensor, fault.kind))):
+        if fault.kind not in ("sensor_bias", "sensor_dropout"):
+            continue
+        if untold := _UNTOLD[name].get((fault.sensor, fault.kind)):
             raise InputError(f"{name}: fault.{index}: {fault.kind} of {fault.sensor}: {untold}")
-        if name == "ardupilot" and isinstance(fault, SensorBias) and fault.sensor == "gnss" and fault.bias[2]:
+        if name == "ardupilot" and fault.kind == "sensor_bias" and fault.sensor == "gnss" and fault.bias[2]:
             raise InputError(
                 f"{name}: fault.{index}.bias: its simulation has one height, the barometer's; allowed for gnss: a bias "
                 "to north and east, velocity_bias"

@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 from math import asinh, atan2, degrees, hypot, pi, sinh, sqrt
 from pathlib import Path
 
+from cosim import FlightError, InputError
 from cosim.base.constants import GRAVITY
-from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp, clip
 from cosim.base.signals import Vector3

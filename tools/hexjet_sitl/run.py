@@ -10,20 +10,19 @@ from hashlib import sha256
 from pathlib import Path
 from typing import IO, Any
 
-from cosim.base.errors import FlightError, InputError
+from cosim import FlightError, InputError, Run, Scenario
 from cosim.base.geodesy import gravity
+from cosim.base.outcomes import Outcome
 from cosim.base.protocols import Observer
 from cosim.base.signals import Sample
-from cosim.base.storage.files import write_whole
+from cosim.files import write_whole
 from cosim.flight import record, with_page
 from cosim.results.resolved_scenario import resolve
-from cosim.results.run import AUTOPILOT, Run
+from cosim.results.run import AUTOPILOT
 from cosim.simulation.build import build
 from cosim.simulation.controllers.recorded import ACTUATORS, COLUMNS, format_header, format_row
 from cosim.simulation.controllers.source import Source
-from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace
-from cosim.spec.scenario import Scenario
 from hexjet_sitl.block import AutopilotBlock, StationarySensors
 from hexjet_sitl.lockstep import Autopilot, FirmwareReport, LockstepCounts
 
@@ -74,15 +73,14 @@ class _AnswerWriter:
         self._file.close()
 
 
-def _close_and_check_names(ending: Ending, autopilot: Autopilot) -> Ending:
+def _close_and_check_names(outcome: Outcome, reason: str, autopilot: Autopilot) -> tuple[Outcome, str]:
     """Close the autopilot, and return how the flight ended: failed if a parameter's name is none that it has."""
     autopilot.close()
     try:
         unchecked_reason = autopilot.check_parameters()
     except FlightError as error:
-        prefix = f"{ending.reason}; " if ending.outcome != "completed" and ending.reason else ""
-        return Ending("failed", f"{prefix}{error}")
-    return Ending(ending.outcome, "; ".join(filter(None, (ending.reason, unchecked_reason))))
+        return "failed", f"{reason}; {error}" if outcome != "completed" and reason else str(error)
+    return outcome, "; ".join(filter(None, (reason, unchecked_reason)))
 
 
 def _identify_parameters(firmware: FirmwareReport, details: Mapping[str, Any]) -> dict[str, Any]:
@@ -165,13 +163,14 @@ def fly_autopilot(
                 all_observers: list[Observer] = [recording, writer, *simulation.plugins.observers, *observers]
                 ending = simulation.run(all_observers, pace if realtime_factor else None)
                 simulation.plugins.close()
+                outcome, reason = ending.outcome, ending.reason
             except FlightError as error:
-                ending = Ending("failed", f"{error}, before the flight" if simulation.k == 0 else str(error))
+                outcome, reason = "failed", f"{error}, before the flight" if simulation.k == 0 else str(error)
             except KeyboardInterrupt:
-                ending = Ending("failed", f"interrupted at {simulation.k * simulation.dt:.3f} s")
+                outcome, reason = "failed", f"interrupted at {simulation.k * simulation.dt:.3f} s"
             wall = time.perf_counter() - begin
             writer.close()
-            ending = _close_and_check_names(ending, autopilot)
+            outcome, reason = _close_and_check_names(outcome, reason, autopilot)
             digest = sha256((folder / ACTUATORS).read_bytes()).hexdigest()
             recording.replace_scenario(
                 resolve(simulation)[0].model_copy(update=recorded | {"controller_sha256": digest})
@@ -181,7 +180,7 @@ def fly_autopilot(
             report = {"autopilot": label, "version": firmware.version, "steps": simulation.k}
             report |= {**asdict(autopilot.counts), **(details or {}), **_identify_parameters(firmware, details or {})}
             (folder / LOCKSTEP).write_text(json.dumps(report, indent=2) + "\n")
-            run = recording.finish(ending.outcome, ending.reason, wall, pace.report if realtime_factor else None)
+            run = recording.finish(outcome, reason, wall, pace.report if realtime_factor else None)
             return AutopilotRun(with_page(run) if page else run, autopilot.counts, label)
     finally:
         autopilot.close()

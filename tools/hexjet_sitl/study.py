@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from cosim.base.storage.toml import Model
+from cosim.files import Model
 from hexjet_sitl.ardupilot import parse_channel
 from hexjet_sitl.lockstep import check_words
 from hexjet_sitl.prepare import Setup, check_faults, prepare, require_program, reserve_instance, start_timing
