@@ -23,9 +23,7 @@ if TYPE_CHECKING:
     from cosim.api.checks import check_aircraft, check_engine, map_engine
     from cosim.api.compare import compare
     from cosim.api.export import export
-    from cosim.api.identify import identify, identify_bench
-    from cosim.api.logs import identify_log, validate
-    from cosim.api.replay import replay
+    from cosim.api.identify import identify
     from cosim.api.show import show
     from cosim.api.studies import sweep
     from cosim.base.signals import Command
@@ -40,6 +38,9 @@ if TYPE_CHECKING:
     from hexjet_design.api import design
     from hexjet_design.measured.api import margins
     from hexjet_export.api import export_controller, export_vehicle
+    from hexjet_identify.api.bench import identify_bench
+    from hexjet_identify.api.logs import identify_log, validate
+    from hexjet_identify.api.replay import replay
     from hexjet_prove.api.prove import prove
     from hexjet_prove.api.searches import rare, search
     from hexjet_prove.api.surveys import failsafes, faults
@@ -92,18 +93,14 @@ _WHERE = {
     "compare": "cosim.api.compare",
     "export": "cosim.api.export",
     "fly": "cosim.flight",
-    "identify_bench": "cosim.api.identify",
-    "identify_log": "cosim.api.logs",
     "map_engine": "cosim.api.checks",
     "load_vehicle": "cosim.spec.vehicle",
     "Run": "cosim.results.run",
     "open_run": "cosim.results.run",
-    "replay": "cosim.api.replay",
     "show": "cosim.api.show",
     "sweep": "cosim.api.studies",
     "plot": "cosim.results.report.time_plot",
     "trust": "cosim.base.trust",
-    "validate": "cosim.api.logs",
     "versions": "cosim.results.summary",
 }
 

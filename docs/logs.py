@@ -28,10 +28,10 @@ sys.path.insert(0, str(ROOT / "tests" / "tools"))
 from known_logs import Flaws, Log, Truth, closed_loops, drawn  # noqa: E402
 
 from cosim.base.errors import InputError  # noqa: E402
-from cosim.identify.logs import Channel, FlightLog, LogSignals  # noqa: E402
-from cosim.identify.prediction_error.estimate import Estimate  # noqa: E402
-from cosim.identify.prediction_error.identify_log import identify_log  # noqa: E402
 from cosim.results.report.marks import table, write_marks  # noqa: E402
+from hexjet_identify.logs import Channel, FlightLog, LogSignals  # noqa: E402
+from hexjet_identify.prediction_error.estimate import Estimate  # noqa: E402
+from hexjet_identify.prediction_error.identify_log import identify_log  # noqa: E402
 
 PAGE, MARK, NUMBERS = ROOT / "docs" / "identify-logs.md", "coverage", "coverage-numbers"
 COLUMNS = (

@@ -30,7 +30,7 @@ DUTY = {
     "stepper": "a flight that a program steps",
     "gym": "Gymnasium's environment",
     "design": "controllers for a channel",
-    "identify": "from data to a model",
+    "identify": "from a sweep to a model",
     "groundstation": "MAVLink, local page",
     "aircraft_check": "a vehicle looked over",
     "campaign": "many flights",

@@ -12,11 +12,11 @@ from full_scale_ecu import AIRCRAFT, FITTED, STEP
 
 from cosim.base.arrays import Array
 from cosim.engine import EngineSpec, load_engine, make_bank
-from cosim.identify.bench.fit import Part
-from cosim.identify.bench.missing_evidence import SMALL, SmallTest, find_small_test
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.spec.vehicle import load_vehicle
 from hexjet_design.design import throttle_for
+from hexjet_identify.bench.fit import Part
+from hexjet_identify.bench.missing_evidence import SMALL, SmallTest, find_small_test
 
 PAGE = Path(__file__).parent / "real-engine.md"
 MARK = "next test"

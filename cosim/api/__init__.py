@@ -16,33 +16,30 @@ if TYPE_CHECKING:
     from cosim.api.call import Progress, Result, Table
     from cosim.api.checks import AircraftCheckResult, EngineCheckResult, MappingResult
     from cosim.api.compare import CompareResult
-    from cosim.api.identify import BenchIdentifyResult, IdentifyResult
-    from cosim.api.logs import LogIdentifyResult, ValidateResult
-    from cosim.api.replay import ReplayResult
+    from cosim.api.identify import IdentifyResult
     from cosim.api.show import ShowResult
     from cosim.api.studies import SweepResult
     from hexjet_design.api import DesignResult
     from hexjet_design.measured.api import MarginsResult
     from hexjet_export.api import ControllerExport, VehicleExport
+    from hexjet_identify.api.bench import BenchIdentifyResult
+    from hexjet_identify.api.logs import LogIdentifyResult, ValidateResult
+    from hexjet_identify.api.replay import ReplayResult
     from hexjet_prove.api.prove import ProofResult
     from hexjet_prove.api.searches import RareResult, SearchResult
     from hexjet_prove.api.surveys import FailsafesResult, FaultsResult
 
 _WHERE = {
     "AircraftCheckResult": "checks",
-    "BenchIdentifyResult": "identify",
     "CompareResult": "compare",
     "EngineCheckResult": "checks",
     "IdentifyResult": "identify",
-    "LogIdentifyResult": "logs",
     "MappingResult": "checks",
     "Progress": "call",
-    "ReplayResult": "replay",
     "Result": "call",
     "ShowResult": "show",
     "SweepResult": "studies",
     "Table": "call",
-    "ValidateResult": "logs",
 }
 
 __all__ = [

@@ -178,9 +178,8 @@ def _load_flight(letter: str, flight: str | Path | Run, note: Callable[[str], No
     from cosim.campaign import fly_again, open_campaign
     from cosim.campaign.folder import is_campaign
     from cosim.flight import fly_watched as fly
-    from cosim.identify.logs import is_flight_log, read_flight_log
-    from cosim.identify.logs.log_columns import as_columns, read_log
     from cosim.results.comparison import ComparedFlight
+    from cosim.results.log.readers import is_flight_log, read_flight_log
     from cosim.results.run import finish_killed, open_run
     from cosim.spec.scenario import Scenario, scenario_names
 
@@ -199,15 +198,12 @@ def _load_flight(letter: str, flight: str | Path | Run, note: Callable[[str], No
     if path.is_dir():
         run = open_run(path)
         return ComparedFlight(label, run.log, run, name)
-    if path.suffix.lower() in (".csv", ".parquet"):
-        log, remarks = read_log(path)
-        return ComparedFlight(label, log, None, name, remarks)
     if path.suffix.lower() == ".toml" or name in scenario_names():
         finish_killed(path)
         run = fly(Scenario.read(name, []))
         return ComparedFlight(label, run.log, run, name, ("flown for this comparison",))
-    if is_flight_log(path):
-        log, remarks = as_columns(read_flight_log(path))
+    if path.suffix.lower() in (".csv", ".parquet") or is_flight_log(path):
+        log, remarks = read_flight_log(path)
         return ComparedFlight(label, log, None, name, remarks)
     raise InputError(
         f"{name}: no flight; allowed: the folder of a run, CAMPAIGN:NUMBER, a scenario, a log "

@@ -44,11 +44,9 @@ COMMANDS = {  # module of each command: only the one that runs is imported
     "identify": "controllers.identify:identify",
     "list": "results.runs:list_",
     "open": "results.open:open_",
-    "replay": "controllers.replay:replay",
     "report": "results.runs:report",
     "show": "results.show:show",
     "sweep": "sweep:sweep",
-    "validate": "controllers.validate:validate",
 }
 _LINE = 60  # letters of a command's line
 

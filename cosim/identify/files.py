@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError
 from cosim.base.storage.files import check_results_folder, map_os_errors, write_files
-from cosim.base.trust import remember_written
-from cosim.identify.picture import draw_picture
 
 if TYPE_CHECKING:
     from cosim.identify.page import Page
@@ -27,31 +25,24 @@ def write_identification(
     record: Mapping[str, Any],
     page: Page,
     texts: Mapping[str, str],
-    archive: Path | None = None,
+    others: Mapping[str, str | bytes] | None = None,
     removed: Iterable[str] = ENGINE,
 ) -> dict[str, Path]:
-    """Write the ``record`` as JSON, ``texts`` by their kind, and the page; return the paths by kind.
+    """Write the ``record`` as JSON, ``texts`` by their kind, ``others`` by their name, and the page.
 
-    ``archive`` is copied as that of the engine and is trusted from then on; its README gets the figure ``signals`` as
-    PICTURE.  What an earlier identification left there of the files ``removed`` goes, also where none is left now.
-    Raises InputError for a folder with files of these names and without RECORD, FlightError if a file cannot be read or
-    written.
+    Returns the paths by kind.  What an earlier identification left there of the files ``removed`` goes, also where none
+    is left now.  Raises InputError for a folder with files of these names and without RECORD, FlightError if a file
+    cannot be written.
     """
     check_results_folder(folder, RECORD, *FILES)
     paths = {"json": folder / RECORD, **{kind: folder / _NAMES[kind] for kind in texts}}
     files: dict[Path, str | bytes] = {paths["json"]: json.dumps(record, indent=2, allow_nan=False) + "\n"}
     files |= {paths[kind]: text for kind, text in texts.items()}
-    if "readme" in texts:
-        files[folder / PICTURE] = draw_picture(f"{page.heading}: measured and modelled", page.figures["signals"])
-    if archive is not None:
-        with map_os_errors(FlightError, archive):
-            files[folder / f"engine{archive.suffix}"] = archive.read_bytes()  # it may be the one that goes
+    files |= {folder / name: content for name, content in (others or {}).items()}
     with map_os_errors(FlightError, folder):
         for name in removed:
             (folder / name).unlink(missing_ok=True)
     write_files(files)
-    if archive is not None:
-        remember_written(folder, [folder / f"engine{archive.suffix}"])
     paths["report"] = folder / "report.html"
     page.write(paths["report"])
     return paths

@@ -14,6 +14,8 @@ from cosim.identify.verdict import EXPLAINED, NOT_EXPLAINED, Judgement
 from cosim.results.report.page import Flights, render
 from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, Figure, beneath, panels, trace
 
+# First column of a table of parameters.
+WITH_BOUNDS = "with 95 % bounds"
 TEMPLATE = Path(__file__).parent / "templates" / "identification.html"
 MOST_POINTS = 4000  # a curve
 MOST_NUMBERS = 5  # of the line that a page begins with

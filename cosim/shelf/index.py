@@ -19,7 +19,7 @@ from markupsafe import Markup
 from cosim.base.errors import InputError
 from cosim.base.storage.files import map_os_errors, parse_json, read_file, read_text
 from cosim.campaign.folder import FLIGHTS, STUDY
-from cosim.identify.logs import is_flight_log
+from cosim.results.log.readers import is_flight_log
 from cosim.results.run import SUMMARY
 from cosim.results.summary import ParametersRecord
 from cosim.results.verdict import read_verdict

@@ -33,8 +33,8 @@ class Kind:
 
 
 def _log(path: Path) -> None:
-    from cosim.identify.logs import read_flight_log, reader
-    from cosim.identify.logs.log_columns import as_columns
+    from hexjet_identify.logs import read_flight_log, reader
+    from hexjet_identify.logs.log_columns import as_columns
 
     with mock.patch.object(reader, "MAX_CPU_S", 3.0):
         log = read_flight_log(path)
@@ -45,7 +45,7 @@ def _log(path: Path) -> None:
 
 def read_here(name: str, path: Path, *numbers: int) -> object:
     """What the process of the reader would answer, without it: one for each of many files takes long."""
-    from cosim.identify.logs import reader
+    from hexjet_identify.logs import reader
 
     content = reader.read_here(name, path, *numbers)
     if isinstance(content, str):
@@ -54,7 +54,7 @@ def read_here(name: str, path: Path, *numbers: int) -> object:
 
 
 def _log_here(path: Path) -> None:
-    from cosim.identify.logs import read
+    from hexjet_identify.logs import read
 
     with mock.patch.object(read, "read_apart", read_here):
         _log(path)
@@ -300,7 +300,7 @@ def _controller(path: Path) -> None:
 
 
 def _model(path: Path) -> None:
-    from cosim.identify.prediction_error.validate import read_model
+    from hexjet_identify.prediction_error.validate import read_model
 
     read_model(path)
 

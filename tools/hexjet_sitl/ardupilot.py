@@ -26,8 +26,8 @@ from typing import NamedTuple
 from cosim import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp, clip
-from cosim.identify.logs.dataflash import read_notes
 from cosim.spec.vehicle import Vehicle
+from hexjet_identify.logs.dataflash import read_notes
 from hexjet_sitl.lockstep import (
     LOCAL,
     STICKS_S,

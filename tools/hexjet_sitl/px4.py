@@ -22,9 +22,9 @@ from cosim.base.constants import GRAVITY
 from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp, clip
 from cosim.base.signals import Vector3
-from cosim.identify.logs.ulog import read_notes
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.atmosphere import standard_air
+from hexjet_identify.logs.ulog import read_notes
 from hexjet_sitl import hil
 from hexjet_sitl.instruments import compute_earth_field, to_body_field
 from hexjet_sitl.lockstep import (

@@ -14,7 +14,7 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.storage.toml import toml_text
 from cosim.identify.files import write_identification
-from cosim.identify.page import Card, Page
+from cosim.identify.page import WITH_BOUNDS, Card, Page
 from cosim.identify.sweep.result import Identification, equations, fit_rows, rate_response
 from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, Figure, axis_name, panels, trace
 
@@ -61,7 +61,7 @@ def _csv(identification: Identification) -> str:
 def page(identification: Identification) -> Page:
     """Return the page of an identification."""
     sweep, is_axis = identification.sweep, identification.kind == "axis"
-    columns = ["with 95 % bounds", *(fit.label for fit in identification.fits)]
+    columns = [WITH_BOUNDS, *(fit.label for fit in identification.fits)]
     equation = "" if identification.refused else "G(z) = " + "\n       ".join(equations(identification))
     unit = f"{identification.output_unit} per {identification.command_unit}"
     cards = [

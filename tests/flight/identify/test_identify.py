@@ -20,7 +20,6 @@ from cosim.base.arrays import Array
 from cosim.base.errors import InputError, Notice, NotIdentifiedError
 from cosim.control.predictors.smith import DelayedModel
 from cosim.engine import load_engine
-from cosim.identify.prediction_error.validate import read_model
 from cosim.identify.sweep import (
     Identification,
     Model,
@@ -48,6 +47,7 @@ from cosim.simulation.controllers.models import find_models
 from cosim.simulation.script.command_script import make_sweep
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import RateModel, load_vehicle, read_models
+from hexjet_identify.prediction_error.validate import read_model
 
 STEP = 0.004
 

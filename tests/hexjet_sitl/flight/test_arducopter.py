@@ -19,9 +19,9 @@ from stated_figures import stated
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
 from cosim.flight import fly
-from cosim.identify.logs.dataflash import read_notes
 from cosim.results.run import Run, open_run
 from cosim.spec.scenario import Scenario
+from hexjet_identify.logs.dataflash import read_notes
 from hexjet_sitl import ardupilot
 from hexjet_sitl.ardupilot import (
     HANDLING,

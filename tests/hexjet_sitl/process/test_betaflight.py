@@ -21,7 +21,6 @@ from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Sample
 from cosim.engine import load_engine
 from cosim.flight import fly
-from cosim.identify.logs import read_flight_log
 from cosim.spec.scenario import Scenario
 from hexjet_design.assessment import margins
 from hexjet_design.loop.actuator import Actuator
@@ -30,6 +29,7 @@ from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.dynamics import make_lag_dynamics
 from hexjet_design.loop.firmware import Firmware, matrices
 from hexjet_design.loop.tuning import Tuning
+from hexjet_identify.logs import read_flight_log
 from hexjet_sitl import betaflight as theirs
 from hexjet_sitl.block import AutopilotBlock
 from hexjet_sitl.lockstep import SensorFrame, StickPositions

@@ -135,11 +135,11 @@ OTHERWISE = {"inertia_tolerance": "inertia", "mass_tolerance": "mass", "thrust_t
         ("hexjet_prove.api.searches:rare", "hexjet_prove.command.searches:Rare", 1.0),
         ("hexjet_prove.api.prove:prove", "hexjet_prove.command.prove:Prove", 1.0),
         ("api.identify:identify", "cli.controllers.identify:SweptEngine", 1.0),
-        ("api.replay:replay", "cli.controllers.replay:Replayed", 0.01),
-        ("api.identify:identify_bench", "cli.controllers.bench:Bench", 1.0),
-        ("api.logs:identify_log", "cli.controllers.identify:FromLog", 1.0),
         ("hexjet_prove.api.surveys:failsafes", "hexjet_prove.command.surveys:FailsafeOptions", 1.0),
         ("hexjet_prove.api.surveys:faults", "hexjet_prove.command.surveys:Faults", 1.0),
+        ("hexjet_identify.api.replay:replay", "hexjet_identify.commands.replay:Replayed", 0.01),
+        ("hexjet_identify.api.bench:identify_bench", "hexjet_identify.commands.bench:Bench", 1.0),
+        ("hexjet_identify.api.logs:identify_log", "hexjet_identify.commands.log:FromLog", 1.0),
     ],
 )
 def test_numbers_have_the_limits_of_their_options(call: str, record: str, shares: float) -> None:

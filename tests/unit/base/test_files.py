@@ -98,13 +98,13 @@ def _readers() -> dict[str, Callable[[Path], object]]:
     from cosim.base.plugins.execute import execute_file
     from cosim.base.storage.toml import read_toml
     from cosim.groundstation.mavlink.wire.signing import read_key
-    from cosim.identify.logs import read_flight_log
-    from cosim.identify.prediction_error.validate import read_model
     from cosim.results.autopilot.request_log import read_requests
     from cosim.simulation.controllers.recorded import read_rows
     from cosim.simulation.script.command_script import read_columns
     from cosim.spec.scenario.parameter_file import read_whole
     from cosim.vehicle.model_file import read_model as read_airframe
+    from hexjet_identify.logs import read_flight_log
+    from hexjet_identify.prediction_error.validate import read_model
     from hexjet_sitl.parameters import read_parameters
 
     return {

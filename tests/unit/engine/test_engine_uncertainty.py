@@ -17,8 +17,8 @@ from cosim.cli.results.show import show
 from cosim.engine import load_engine
 from cosim.engine.fmu.uncertainty import CUT, lower_factor, without_uncertainty
 from cosim.engine.spec import find_source
-from cosim.identify.replay.flown import Model
-from cosim.identify.replay.replay import Choices, draw
+from hexjet_identify.replay.flown import Model
+from hexjet_identify.replay.replay import Choices, draw
 
 TABLE = """[uncertainty]
 source = "bench.csv: 6 steps"

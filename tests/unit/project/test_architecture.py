@@ -40,9 +40,9 @@ HOMES = {
     "distributed": ["campaign/workers/cluster.py"],
     "gymnasium": ["gym.py"],
     "pandas": ["results/log/tables.py"],
-    "pyulog": ["identify/logs/ulog.py"],
-    "nptdms": ["identify/logs/tdms.py"],
-    "mcap": ["identify/logs/table_columns.py", "tools/hexjet_export/logs/mcap_file.py"],
+    "pyulog": ["tools/hexjet_identify/logs/ulog.py"],
+    "nptdms": ["tools/hexjet_identify/logs/tdms.py"],
+    "mcap": ["tools/hexjet_identify/logs/table_columns.py", "tools/hexjet_export/logs/mcap_file.py"],
     "mcap_protobuf": ["tools/hexjet_export/logs/mcap_file.py", "tools/hexjet_export/logs/scene.py"],
     "foxglove_schemas_protobuf": ["tools/hexjet_export/logs/mcap_file.py", "tools/hexjet_export/logs/scene.py"],
 }
@@ -73,8 +73,8 @@ OUR_FILE_READERS = {
 # What somebody else may have made is read by read_file, read_text and read_json of base/storage/files.py: regular files
 # of a limited size.  These read what the package or a process of its own has made.
 READS_BY_ITSELF = [
-    "base/", "engine/", "identify/logs/", "campaign/installed.py",
-    "groundstation/mavlink/wire/generate.py", "groundstation/web/server.py", "identify/files.py",
+    "base/", "engine/", "campaign/installed.py",
+    "groundstation/mavlink/wire/generate.py", "groundstation/web/server.py", "tools/hexjet_identify/engine_file.py", "tools/hexjet_identify/logs/",
     "results/report/page.py", "shelf/server.py", "simulation/controllers/process.py", "spec/new_aircraft.py",
     "spec/vehicle/sensor_profile.py", "tools/hexjet_sitl/",
 ]  # fmt: skip

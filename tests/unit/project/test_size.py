@@ -12,12 +12,12 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 5_500,
-    "cosim": 78_600,
+    "cosim": 65_850,
     "docs": 6_500,
     "tests": 74_500,
     "tools/hexjet_design": 8_150,
     "tools/hexjet_export": 4_100,
-    "tools/hexjet_identify": 50,
+    "tools/hexjet_identify": 12_650,
     "tools/hexjet_laws": 650,
     "tools/hexjet_paper": 4_550,
     "tools/hexjet_prove": 7_300,

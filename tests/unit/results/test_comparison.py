@@ -15,7 +15,6 @@ from stated_figures import text
 from cosim.base.errors import InputError
 from cosim.cli.results.compare import compare
 from cosim.flight import with_page
-from cosim.identify.logs.log_columns import read_log
 from cosim.results.comparison import ComparedFlight, Signal, compare_with_first, list_input_differences, make_time_base
 from cosim.results.log.arrow import write_table
 from cosim.results.log.columns import COLUMNS
@@ -23,6 +22,7 @@ from cosim.results.log.recorder import MemoryLog
 from cosim.results.report.comparison import comparison_rows, describe_pair, write_comparison
 from cosim.results.report.flight_figures import comparison_figures, subtract_first
 from cosim.results.run import Run, begin_run
+from hexjet_identify.logs.log_columns import read_log
 
 
 def log(step: float, rows: int, **columns: Any) -> MemoryLog:

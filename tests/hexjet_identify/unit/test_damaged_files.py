@@ -1,0 +1,140 @@
+"""Damaged files of every kind: each is read, or refused in one line, in bounded time and memory, and nothing is left."""
+
+import re
+import struct
+import subprocess
+import sys
+import warnings
+import zipfile
+from pathlib import Path
+
+import damaged_files
+import numpy as np
+import pytest
+from damaged_files import KINDS, Kind, try_files
+
+from cosim.base.errors import InputError
+from cosim.base.protocols import Column
+from cosim.results.log.arrow import write_log
+from hexjet_identify.logs import read_flight_log
+
+SOME, MANY = 25, 2000
+DEAR = ("ulog", "mat", "summary", "rows", "stream")  # a process, or a table of a whole run, for each
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_damaged_file_is_read_or_refused(name: str) -> None:
+    outcome = try_files(name, SOME // 5 if name in DEAR else SOME)
+    assert outcome.faults == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", KINDS)
+def test_two_thousand_damaged_files(name: str) -> None:
+    outcome = try_files(name, MANY, seed=2)
+    assert outcome.faults == []
+    assert outcome.refused > 0
+    assert outcome.read > 0
+
+
+@pytest.mark.parametrize(
+    ("pattern", "instead", "said"),
+    [
+        (rb'start="[^"]*"', b'start=""', "could not convert string to float"),
+        (rb"<CoSimulation", b"<a:b/><CoSimulation", "unbound prefix"),
+    ],
+)
+def test_what_was_found_in_descriptions(tmp_path: Path, pattern: bytes, instead: bytes, said: str) -> None:
+    file = KINDS["description"].make(tmp_path)
+    file.write_bytes(re.sub(pattern, instead, file.read_bytes()))
+    refusal = damaged_files.attempt(KINDS["description"], file)
+    assert refusal.startswith("=")
+    assert said in refusal
+
+
+def test_an_fmu_with_a_damaged_source_is_refused(tmp_path: Path) -> None:
+    file = KINDS["fmu"].make(tmp_path)
+    with zipfile.ZipFile(file) as archive:
+        entry = archive.getinfo(next(name for name in archive.namelist() if name.endswith("delayed_lag.c")))
+    content = bytearray(file.read_bytes())
+    content[entry.header_offset + 30 + len(entry.filename) + entry.compress_size // 2] ^= 0xFF
+    file.write_bytes(content)
+    assert "is damaged or truncated" in damaged_files.attempt(KINDS["fmu"], file)
+
+
+def test_a_nan_that_signals_is_a_nan(tmp_path: Path) -> None:
+    """Arithmetic with it would warn."""
+    file = KINDS["parquet"].make(tmp_path)
+    signals = np.full(120, 0x7FF0000000000001, np.uint64).view(np.float64)
+    write_log(
+        file, [Column(name, "", "", "") for name in ("time", "u")], iter([{"time": np.arange(120.0), "u": signals}]), {}
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert damaged_files.attempt(KINDS["parquet"], file) == ""
+        log = read_flight_log(file)
+        assert np.isnan(log.signal("deg(u)").values).all()
+
+
+def test_a_message_of_nothing_but_its_head_is_left_out(tmp_path: Path) -> None:
+    """A format of no fields is possible, and its length is that of the head."""
+    file = KINDS["dataflash"].make(tmp_path)
+    nothing = b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", 9, 3, b"NONE", b"", b"") + b"\xa3\x95\x09" * 5
+    file.write_bytes(file.read_bytes() + nothing)
+    assert damaged_files.attempt(KINDS["dataflash"], file) == ""
+
+
+def _for_ever(path: Path) -> None:
+    content = path.read_bytes()
+    while b"x" not in content:
+        pass
+
+
+def _greedy(path: Path) -> None:
+    if b"x" not in path.read_bytes():
+        bytearray(2**32)
+
+
+def _traced(path: Path) -> None:
+    if b"x" not in path.read_bytes():
+        raise ValueError("no x")
+
+
+def _wordy(path: Path) -> None:
+    if b"x" not in path.read_bytes():
+        raise InputError("one\ntwo")
+
+
+@pytest.mark.parametrize(
+    ("read", "said"),
+    [(_for_ever, "of CPU"), (_greedy, "MemoryError"), (_traced, "ValueError: no x"), (_wordy, "several lines")],
+)
+def test_what_goes_wrong_is_seen(monkeypatch: pytest.MonkeyPatch, read: object, said: str) -> None:
+    monkeypatch.setattr(damaged_files, "SECONDS", 0.2)
+    monkeypatch.setitem(KINDS, "made-up", Kind(_made, read))  # type: ignore[arg-type]
+    outcome = try_files("made-up", 8)
+    assert outcome.faults
+    assert all(said in text for _, text in outcome.faults)
+    assert len(outcome.faults) + outcome.read == 8
+
+
+def _made(folder: Path) -> Path:
+    (folder / "file").write_bytes(b"x")
+    return folder / "file"
+
+
+def test_a_process_that_is_left_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    def read(path: Path) -> None:
+        if b"x" not in path.read_bytes():
+            made.append(subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]))
+
+    monkeypatch.setitem(KINDS, "made-up", Kind(_made, read))
+    try:
+        outcome = try_files("made-up", 4)
+        assert "left processes" in outcome.faults[0][1]
+    finally:
+        for process in made:
+            process.kill()
+            process.wait()

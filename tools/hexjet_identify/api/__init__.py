@@ -1,0 +1,1 @@
+"""The functions of ``cosim`` that this package adds."""

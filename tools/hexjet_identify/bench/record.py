@@ -1,0 +1,327 @@
+"""Bench logs as records of one command and one output, without the rows that are not to be believed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from hexjet_identify.bench.clocks import align, align_by_command, split_clocks
+from hexjet_identify.bench.running import SLOW_ROWS_S, describe_adrift, find_running, find_speed
+from hexjet_identify.logs.flight_log import Channel, FlightLog, unit_of
+from hexjet_identify.logs.read import is_table, read_columns, read_flight_log
+from hexjet_identify.logs.table import NO_NUMBERS, make_log
+
+LEAST_ROWS = 20  # with fewer no noise is told from an answer
+MOST_ROWS = 20_000  # more are averaged
+COMMANDS = (r"throttle", r"pla\b", r"set.?point|demand|target", r"command|cmd", r"pwm|servo")  # the likeliest first
+OUTPUTS = (r"thrust|schub|pouss", r"force|load|^f\b", r"rpm|speed|\bn1\b|\bn\b")
+NO_OUTPUT = r"clip|flag|set.?point|demand|target|command|cmd|throttle|pump|air.?speed"
+NEWTONS = {
+    "N": 1.0,
+    "kN": 1e3,
+    "mN": 1e-3,
+    "kgf": 9.80665,
+    "gf": 9.80665e-3,
+    "kg": 9.80665,
+    "g": 9.80665e-3,
+    "lbf": 4.4482216152605,
+}
+NEWTONS |= {"lb": NEWTONS["lbf"], "lbs": NEWTONS["lbf"]}  # of a thrust a kilogram or a pound is its weight
+CLIPPED = re.compile(r"(.*[_ ])?clip(ped|s)?", re.IGNORECASE)
+# Share of an output's rows that may have the time stamp of the row before and another value.  They are left out, and
+# with more of them the command would seem to move later than it does.
+MAX_SHARED_STAMPS = 0.1
+LEAST_CLIPPED = 5  # equal values in a row at the end of an output's range, where its noise repeats no other value
+NOISY = 0.5  # share of an output's values that differ from all others, from which on it is no row of a few levels
+FINE = 20.0  # smallest steps of an output in its usual change: of one that is coarser, values repeat by themselves
+LONGEST_GAP = 4.0  # rows: what is missing longer is said
+QUICKEST_ROWS_S = 1e-5  # and less than that it is not
+
+
+class Columns(NamedTuple):
+    """Which columns to take, where they are not to be found by name: sums as ``FlightLog.signal`` takes them."""
+
+    command: str | None = None
+    output: str | None = None
+    time: str | None = None
+    time_unit: str | None = None
+    begin: float | None = None  # s, in the log's own time
+    end: float | None = None
+
+
+@dataclass(frozen=True)
+class BenchRecord:
+    """One log: rows of time [s], command and output; those of the output that are lost or clipped are not there."""
+
+    path: Path
+    command_name: str
+    output_name: str
+    command_unit: str
+    output_unit: str
+    command_times: Array
+    command: Array
+    times: Array
+    output: Array
+    step: float  # s from row to row
+    lost_fraction: float
+    notes: tuple[str, ...] = ()
+    width: float = 0.0  # s, over which each row of the output is a mean
+    clock_deviation: float = 0.0  # s, of the output's clock on the command's; infinite where nothing tells it
+
+    @property
+    def newtons(self) -> float | None:
+        """Newtons in the output's unit, or None where it is no thrust."""
+        return NEWTONS.get(self.output_unit)
+
+
+def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[BenchRecord]:
+    """Read bench logs: a record a file, or several where the engine was started more than once.
+
+    A file with an output and no command is the load cell's, on a clock of its own, of the file before it.  Raises
+    InputError: one line with file, column and what is allowed.
+    """
+    columns = columns or Columns()
+    logs = [log for path in paths for log in _read_logs(path, columns)]
+    alone = [len(logs) > 1 and _has_no_command(log, columns) for log in logs]
+    for n, log in enumerate(logs):
+        if alone[n] and (n == 0 or alone[n - 1]):
+            raise InputError(f"{log.path}: has no command; put the file that has it right before it")
+    records: list[BenchRecord] = []
+    for log, is_load, load, follows in zip(logs, alone, [*logs[1:], None], [*alone[1:], False], strict=True):
+        if not is_load:
+            records += _read_records(log, load if follows else None, columns)
+    first = records[0]
+    for other in records[1:]:
+        if (other.output_unit, other.command_unit) != (first.output_unit, first.command_unit):
+            raise InputError(
+                f"{other.path}: {other.command_name} [{other.command_unit}] to {other.output_name} "
+                f"[{other.output_unit}], and {first.path} has [{first.command_unit}] to [{first.output_unit}]: "
+                "several logs of one engine need the same units"
+            )
+    return records
+
+
+def _read_logs(path: Path, columns: Columns) -> list[FlightLog]:
+    """Read a file: a log, or of a table of several clocks that with the command and that with the output behind it."""
+    if columns.time is not None or not is_table(path):
+        return [read_flight_log(path, columns.time, columns.time_unit)]
+    table = read_columns(path)
+    clocks = split_clocks(path, table, columns.time_unit)
+    if not clocks:
+        return [make_log(path, table, None, columns.time_unit)]
+    first = next((log for log in clocks if not _has_no_command(log, columns)), None)
+    every = FlightLog(path, "table", {name: channel for log in clocks for name, channel in log.channels.items()})
+    output = columns.output or _find(every, OUTPUTS, NO_OUTPUT, "--output")
+    second = next((log for log in clocks if log.has(output)), None)
+    if first is None or second is None:
+        wrong = columns.command or _find(every, COMMANDS, "", "--command") if first is None else output
+        raise InputError(f"{path}: {wrong} is on none of its clocks alone; cut the file in one for each clock")
+    return [first] if first is second else [first, second]
+
+
+def _has_no_command(log: FlightLog, columns: Columns) -> bool:
+    if columns.command is not None:
+        return not log.has(columns.command)
+    return not any(re.search(each, name.replace("_", " "), re.IGNORECASE) for each in COMMANDS for name in log.channels)
+
+
+def _read_records(log: FlightLog, load: FlightLog | None, columns: Columns) -> list[BenchRecord]:
+    """Return the records of a log, whose output is another's where a load cell has a clock of its own."""
+    command_name = columns.command or _find(log, COMMANDS, "", "--command")
+    source = log if load is None else load
+    output_name = columns.output or _find(source, OUTPUTS, NO_OUTPUT, "--output")
+    notes = list(log.remarks) + ([] if load is None else list(load.remarks))
+    if columns.command is None or columns.output is None:
+        notes.append(f"taken: {command_name} to {output_name}; --command and --output say otherwise")
+    command, output = log.signal(command_name, notes), source.signal(output_name, notes)
+    command = _cut(command, columns)
+    _check(log.path, command_name, command)
+    flagged, deviation = _flagged(source, columns if load is None else Columns()), 0.0
+    if load is not None:
+        clock, deviation = _lay_on(log, load, _cut(output, Columns()), flagged, command, columns, notes)
+        output, flagged = output._replace(times=clock(output.times)), clock(flagged)
+    output = _cut(output, columns)
+    _check(source.path, output_name, output)
+    _check_row(source.path, output.times, columns.time_unit is None, notes)
+    spans = find_running(log, command, output, notes)
+    moved = [span for span in spans if np.ptp(_between(command, *span).values) > 0.0] or spans[:1]
+    records = []
+    for span in moved:
+        asked, answered = (command_name, _between(command, *span)), (output_name, _between(output, *span))
+        adrift = describe_adrift(asked, answered)
+        records.append(_clean(source.path, asked, answered, flagged, [*notes, *adrift], deviation))
+    return records
+
+
+def _between(channel: Channel, begin: float, end: float) -> Channel:
+    use = (channel.times >= begin) & (channel.times <= end)
+    return channel._replace(times=channel.times[use], values=channel.values[use])
+
+
+def _lay_on(
+    log: FlightLog, load: FlightLog, output: Channel, flagged: Array, command: Channel, columns: Columns,
+    notes: list[str],
+) -> tuple[Callable[[Array], Array], float]:  # fmt: skip
+    """Return how to get from a load cell's clock to that of the command's log, and the deviation [s] of that."""
+    where = f"{log.path} and {load.path}"
+    use = ~np.isin(output.times, flagged) & ~_at_the_stop(output.values)
+    speed = find_speed(log)
+    if speed is not None:
+        found = align(speed.times, speed.values, output.times[use], output.values[use], where)
+        notes.append(found.words)
+        return found.on_the_other, found.shift_deviation
+    shift, words = align_by_command(command, output.times[use], output.values[use], where)
+    notes.append(words)
+    return lambda times: times + shift, np.inf
+
+
+def _find(log: FlightLog, patterns: Sequence[str], never: str, option: str) -> str:
+    """Return the channel that is called as one of these; the first of the patterns that any fits decides."""
+    names = [name for name in log.channels if not (never and re.search(never, name, re.IGNORECASE))]
+    for pattern in patterns:
+        found = [name for name in names if re.search(pattern, name.replace("_", " "), re.IGNORECASE)]
+        if len(found) > 1:
+            raise InputError(f"{log.path}: {', '.join(found[:6])}: {option} NAME says which")
+        if found:
+            return found[0]
+    have = ", ".join(list(log.channels)[:12])
+    lost = "".join(f"; {remark}" for remark in log.remarks if remark.startswith(NO_NUMBERS))
+    raise InputError(f"{log.path}: no column is called like what {option} needs; {option} NAME, one of: {have}{lost}")
+
+
+def _cut(channel: Channel, columns: Columns) -> Channel:
+    use = np.isfinite(channel.times) & np.isfinite(channel.values)
+    if columns.begin is not None:
+        use &= channel.times >= columns.begin
+    if columns.end is not None:
+        use &= channel.times <= columns.end
+    return channel._replace(times=channel.times[use], values=channel.values[use])
+
+
+def _check(path: Path, name: str, channel: Channel) -> None:
+    if len(channel.times) < LEAST_ROWS:
+        raise InputError(f"{path}: {len(channel.times)} rows of {name} that can be used; at least {LEAST_ROWS}")
+    back = np.flatnonzero(np.diff(channel.times) < 0.0)
+    if back.size:
+        at = channel.times[back[0]]
+        raise InputError(
+            f"{path}: the time goes back after {at:g} s; two logs in one file, or a clock that was set? --begin and "
+            "--end take a part"
+        )
+
+
+def _check_row(path: Path, times: Array, by_name: bool, notes: list[str]) -> None:
+    """Note rows so far apart that the time may be in a smaller unit; raise InputError for such as no bench has."""
+    row = float(np.ptp(times)) / max(len(np.unique(times)) - 1, 1)
+    if by_name and row >= SLOW_ROWS_S:
+        prefix, unit = ("milli", "ms") if row < 1e3 * SLOW_ROWS_S else ("micro", "us")
+        notes.append(f"{row:.3g} s from row to row: if the time is in {prefix}seconds, --time-unit {unit}")
+    if 0.0 < row < QUICKEST_ROWS_S:
+        raise InputError(
+            f"{path}: {row:.2g} s from row to row; allowed: {QUICKEST_ROWS_S:g} s or more.  If the time is in days, as "
+            "a spreadsheet's dates are, or in hours: --time-unit d, or h"
+        )
+
+
+def _flagged(log: FlightLog, columns: Columns) -> Array:
+    """Return the times of rows that a column called ``clipped`` marks."""
+    marked = [_cut(channel, columns) for name, channel in log.channels.items() if CLIPPED.fullmatch(name)]
+    return np.concatenate([np.empty(0), *(channel.times[channel.values != 0.0] for channel in marked)])
+
+
+def _clean(
+    path: Path, command: tuple[str, Channel], output: tuple[str, Channel], flagged: Array, notes: list[str],
+    clock_deviation: float,
+) -> BenchRecord:  # fmt: skip
+    """Return a record without repeated times and clipped rows, averaged where there are very many."""
+    (command_name, given), (output_name, measured) = command, output
+    _check(path, output_name, measured)
+    fresh = np.diff(given.times, prepend=-np.inf) > 0.0
+    commands = given.times[fresh], given.values[fresh]
+    times, values = measured.times, measured.values
+    use = np.diff(times, prepend=-np.inf) > 0.0
+    shared = int(np.count_nonzero(~use[1:] & (np.diff(values) != 0.0)))
+    if shared > MAX_SHARED_STAMPS * len(times):
+        raise InputError(
+            f"{path}: {shared} of {len(times)} rows of {output_name} have the time of the row before and another "
+            "value; allowed: a time for each row, as fine as the rows are"
+        )
+    if _is_fine(values) and (clipped := _at_the_stop(values)).any():
+        use &= ~clipped
+        where = "at the end of its range (clipped) or next to such"
+        notes.append(f"{output_name}: {int(clipped.sum())} rows are {where}; left out")
+    if flagged.size:
+        marked = np.isin(times, flagged)
+        notes.append(f"{output_name}: {int(marked.sum())} rows are marked as clipped; left out")
+        use &= ~marked
+    times, values = times[use], values[use]
+    if len(times) < LEAST_ROWS:
+        raise InputError(f"{path}: {len(times)} rows of {output_name} that can be used; at least {LEAST_ROWS}")
+    step = float(np.median(np.diff(times)))
+    lost = max(0.0, 1.0 - len(times) * step / (float(times[-1] - times[0]) + step))
+    longest = float(np.diff(times).max())
+    if longest > LONGEST_GAP * step:
+        notes.append(f"{output_name}: {100.0 * lost:.2g} % of the rows are missing, up to {longest:.3g} s at a time")
+    width, rows = 0.0, len(times)
+    if (many := -(-rows // MOST_ROWS)) > 1:
+        times, values = average_rows(times, values, step, many)
+        step = width = many * step
+        notes.append(
+            f"{output_name}: {rows} rows are averaged over {many} each, {1e3 * width:.3g} ms; {len(times)} are left. "
+            "The model is averaged alike, so that moves no delay"
+        )
+    unit = unit_of(output_name, measured.unit)
+    return BenchRecord(
+        path, command_name, output_name, unit_of(command_name, given.unit), unit,
+        *commands, times, values, step, lost, tuple(notes), width, clock_deviation,
+    )  # fmt: skip
+
+
+def _is_fine(values: Array) -> bool:
+    """Return whether an output has noise far above its resolution, so that no value comes twice by itself."""
+    changes = np.abs(np.diff(np.unique(values)))
+    steps = np.abs(np.diff(values))
+    fine = len(changes) > 0 and float(np.median(steps[steps > 0.0])) > FINE * float(np.percentile(changes, 1.0))
+    return bool(fine) and len(np.unique(values)) > NOISY * len(values)
+
+
+def _at_the_stop(values: Array) -> NDArray[np.bool_]:
+    """Return which rows stand at the greatest or the least value, several in a row, or a few rows from such."""
+    at = np.zeros(len(values), bool)
+    for stop in (values.max(), values.min()):
+        here = (values == stop).astype(int)
+        if np.convolve(here, np.ones(LEAST_CLIPPED), "valid").max(initial=0.0) >= LEAST_CLIPPED:
+            at |= np.convolve(here, np.ones(2 * LEAST_CLIPPED + 1), "same") > 0.5
+    return at
+
+
+def average_rows(times: Array, values: Array, step: float, many: int) -> tuple[Array, Array]:
+    """Return the means of times [s] and values over so many rows each, none of them across a gap in the rows.
+
+    ``step`` [s] is that from row to row.  Rows that are left before a gap or the end are fewer than ``many``, and left
+    out: each mean has the same noise.
+    """
+    gaps = np.flatnonzero(np.diff(times) > LONGEST_GAP * step) + 1
+    length = np.diff([0, *gaps, len(times)])
+    place = np.arange(len(times)) - np.repeat(np.concatenate([[0], gaps]), length)
+    whole = place < np.repeat(length // many * many, length)
+    return times[whole].reshape(-1, many).mean(axis=1), values[whole].reshape(-1, many).mean(axis=1)
+
+
+def find_levels(record: BenchRecord) -> Mapping[float, float]:
+    """Return the levels at which the command stands, with the longest time [s] for which it does."""
+    begins = np.flatnonzero(np.diff(record.command, prepend=np.inf) != 0.0)
+    ends = np.append(record.command_times[begins[1:]], record.command_times[-1])
+    longest: dict[float, float] = {}
+    for begin, end in zip(begins, ends, strict=True):
+        level = float(record.command[begin])
+        longest[level] = max(longest.get(level, 0.0), float(end - record.command_times[begin]))
+    return longest

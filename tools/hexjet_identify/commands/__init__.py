@@ -1,0 +1,1 @@
+"""The commands of ``hexjet`` that this package adds."""

@@ -1,0 +1,148 @@
+"""The process that reads a log of somebody else: what it does, and what it is asked.
+
+What reads a format, ours or of a library, may crash, never end or ask for all memory over a damaged file.  So it runs
+in a process of its own with limits, which answers on its standard output: a line of JSON with the lengths of all
+arrays, a line of JSON with what was read, in which an array is its number, and the arrays as doubles.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.compiled import child_environment
+from cosim.base.errors import InputError
+from cosim.base.runtime.processes import Child, python_command
+from cosim.base.storage.files import one_line
+from hexjet_identify.logs.flight_log import Channel, FlightLog
+from hexjet_identify.logs.table_columns import TableColumns
+
+MAX_CPU_S, MAX_CPU_S_PER_MB = 20.0, 3.0  # some ten times what the slowest reader takes, which is pyulog
+# Of address space.  The libraries take 300; what is read is ten times the file, of a text twenty times.
+MAX_MB, MAX_MB_PER_MB = 1024.0, 40.0
+_RUN = "from hexjet_identify.logs.reader import main; main()"
+# Threads and pools of memory of libraries ask for address space that they do not use.
+_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
+_ARRAY = "array"  # key of an array's number
+
+
+def read_apart(reader: str, path: Path, *numbers: int) -> FlightLog | TableColumns:
+    """Return what ``reader``, a function of this package as ``module.name``, reads in a process of its own.
+
+    Raises InputError, also where it crashes or goes beyond its limits.
+    """
+    size = path.stat().st_size / 2**20
+    seconds, megabytes = MAX_CPU_S + MAX_CPU_S_PER_MB * size, MAX_MB + MAX_MB_PER_MB * size
+    command = [_RUN, reader, str(path), *map(str, numbers)]
+    child = Child(
+        python_command(*command, seconds=int(seconds) + 1, megabytes=megabytes),
+        child_environment() | _ONE_THREAD,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        # By the clock it may take many times as long: the machine may be busy, or asleep.
+        answer, _ = child.finish(30.0 * seconds)
+        status = child.returncode
+    except subprocess.TimeoutExpired:
+        answer, status = b"", -signal.SIGXCPU
+    if status:
+        how = signal.Signals(-status).name if status < 0 else f"status {status}"
+        end = f"was not done within {seconds:.3g} s of CPU" if status == -signal.SIGXCPU else f"crashed ({how})"
+        raise InputError(f"{path}: cannot be read: it is damaged; the reader {end}")
+    return _unpack(path, bytearray(answer), megabytes)
+
+
+def main() -> None:
+    """Read what the arguments name, and write the answer."""
+    out = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # a library may print
+    reader, path, *numbers = sys.argv[1:]
+    try:
+        with out:
+            _pack(read_here(reader, Path(path), *map(int, numbers)), out)
+    except MemoryError:
+        os._exit(0)  # with nothing said: there may be no memory to say it
+
+
+def read_here(reader: str, path: Path, *numbers: int) -> FlightLog | TableColumns | str:
+    """Return what a reader reads in this process, or in a line why it cannot; raises MemoryError alone."""
+    module, _, name = reader.partition(".")
+    try:
+        read = getattr(import_module(f"hexjet_identify.logs.{module}"), name)
+        content: FlightLog | TableColumns = read(path, *numbers)
+        _check(path, content)
+        return content
+    except InputError as error:
+        return str(error)
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever the calls of a reader raise over a file that is wrong
+        return f"{path}: cannot be read: it is damaged ({type(error).__name__}: {one_line(error)})"
+
+
+def _check(path: Path, content: FlightLog | TableColumns) -> None:
+    """Raise InputError where something is no column of numbers, or has not a time for each of them."""
+    if isinstance(content, TableColumns):
+        columns = {name: (values, values) for name, values in content.numbers.items()}
+    else:
+        columns = {name: (channel.times, channel.values) for name, channel in content.channels.items()}
+    for name, pair in columns.items():
+        if any(not isinstance(each, np.ndarray) or each.ndim != 1 or each.dtype != np.float64 for each in pair):
+            raise InputError(f"{path}: {name}: is no column of numbers")
+        if len(pair[0]) != len(pair[1]):
+            raise InputError(f"{path}: {name}: has {len(pair[1])} values and {len(pair[0])} times")
+
+
+def _pack(content: FlightLog | TableColumns | str, out: BinaryIO) -> None:
+    arrays: list[Array] = []
+    numbered: dict[int, int] = {}
+
+    def stand_in(value: Any) -> Any:
+        if not isinstance(value, np.ndarray):
+            return value.item() if isinstance(value, np.generic) else str(value)
+        if id(value) not in numbered:
+            numbered[id(value)] = len(arrays)
+            arrays.append(value)
+        return {_ARRAY: numbered[id(value)]}
+
+    fields = {"refused": content} if isinstance(content, str) else dict(vars(content))
+    text = json.dumps(fields, default=stand_in)
+    out.write(json.dumps([len(array) for array in arrays]).encode() + b"\n" + text.encode() + b"\n")
+    for array in arrays:
+        out.write(np.ascontiguousarray(array, "<f8").data)
+
+
+def _unpack(path: Path, answer: bytearray, megabytes: float) -> FlightLog | TableColumns:
+    """Return what an answer holds.  Raises InputError with what it says, or says nothing of for want of memory."""
+    first, second = answer.find(b"\n"), answer.find(b"\n", answer.find(b"\n") + 1)
+    if first < 0:
+        raise InputError(f"{path}: cannot be read: its content asks for more than {megabytes:.0f} MB of memory")
+    arrays: list[Array] = []
+    at = second + 1
+    for length in json.loads(answer[:first]):
+        arrays.append(np.frombuffer(answer, "<f8", length, at))
+        at += 8 * length
+
+    def put_back(table: dict[str, Any]) -> Any:
+        return arrays[table[_ARRAY]] if table.keys() == {_ARRAY} and type(table[_ARRAY]) is int else table
+
+    fields: Mapping[str, Any] = json.loads(answer[first + 1 : second], object_hook=put_back)
+    if "refused" in fields:
+        raise InputError(fields["refused"])
+    if "channels" not in fields:
+        return TableColumns(**fields)
+    channels = {name: Channel(*channel) for name, channel in fields["channels"].items()}
+    events = [(time, text) for time, text in fields["events"]]
+    return FlightLog(path, fields["kind"], channels, tuple(fields["remarks"]), events, fields["engine"])

@@ -1,0 +1,191 @@
+"""Tables as logs: text and Parquet of other tools, and a run's own rows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError, nearest
+from cosim.results.log.columns import COLUMNS
+from cosim.results.log.tables import TIME
+from hexjet_identify.logs.flight_log import Channel, FlightLog
+from hexjet_identify.logs.table_columns import TableColumns
+
+TIMES = (TIME, "time", "t")  # what the time [s] may be called in a log of another tool
+OTHER_TIMES = (  # and what else, in any case, its unit behind it; the likeliest first
+    "time", "t", "timestamp", "timestamp_sample", "timeus", "timems", "elapsed", "elapsed time", "datetime",
+    "date_time", "date", "date/time", "utc", "clock", "zeit", "temps", "tiempo", "seconds", "sec", "s",
+)  # fmt: skip
+AT_THE_END = re.compile(r"thrust_\d+_N")  # logged with the step at whose end the engine has it
+DAY_S = 86400.0
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": DAY_S}
+_SAME_UNITS = {
+    "sec": "s",
+    "secs": "s",
+    "second": "s",
+    "seconds": "s",
+    "minutes": "min",
+    "hours": "h",
+    "days": "d",
+    "msec": "ms",
+    "usec": "us",
+    "µs": "us",
+    "μs": "us",
+}
+_UNIT = re.compile(r"(.*?)[\s_]*(?:[\[(]\s*([^\[\]()]*?)\s*[\])]|_([mun]?s|[mu]?sec))")
+LEAST_RUNNING = 0.9  # share of the steps from row to row in which a time has to grow
+NO_NUMBERS = "left out, being no numbers"  # a remark begins so
+
+
+@dataclass
+class Table:
+    """The columns that are numbers, but for the time [s], which is called ``name``; and what is to be said of them."""
+
+    columns: dict[str, Array]
+    times: Array
+    name: str
+    unit: str  # of the time in the file
+    units: dict[str, str] = field(default_factory=dict)
+    left_out: Sequence[str] = ()  # being no numbers
+    remarks: list[str] = field(default_factory=list)
+
+
+def columns_with_time(path: Path, columns: TableColumns, name: str | None = None, unit: str | None = None) -> Table:
+    """Return the columns of a table; ``name`` is its time, in ``unit`` or as its name or line of units says.
+
+    Without a name the time is the first of those that are called so and run.  Raises InputError where there is none.
+    """
+    if unit is not None and unit not in SECONDS:
+        raise InputError(f"time in {unit!r}: allowed: {', '.join(SECONDS)}")
+    time, numbers = _time(path, columns, name), dict(columns.numbers)
+    taken = unit or ("s" if time in columns.dates else time_unit(time, columns.units.get(time, "")))
+    times = SECONDS[taken] * numbers.pop(time)
+    remarks = list(columns.remarks)
+    if time in columns.dates and len(times):
+        times, remark = _since_first(times)
+        remarks.append(f"{time}: {remark}")
+    elif taken != "s" and unit is None:
+        remarks.append(f"{time} is taken for the time, in {taken}")
+    return Table(numbers, times, time, taken, columns.units, columns.left_out, remarks)
+
+
+# ---- the time
+
+
+def _time(path: Path, held: TableColumns, name: str | None) -> str:
+    columns = held.numbers
+    if name is not None:
+        stripped = next((column for column in (name, name.strip()) if column in columns), None)
+        if stripped is None:
+            raise InputError(f"{path}: no column {name!r} of numbers; {nearest(name, columns)}"[:600])
+        return stripped
+    plain = {column: plain_name(column) for column in columns}
+    called = [column for column in TIMES if column in columns]
+    called += [column for other in OTHER_TIMES for column in columns if plain[column] == other]
+    called += [column for column in columns if column in held.dates]
+    running = [column for column in dict.fromkeys(called) if _runs(columns[column])]
+    if running or called:
+        return (running or called)[0]
+    growing = [repr(column) for column in columns if _runs(columns[column])][:5]
+    grow = f"; {', '.join(growing)} grow from row to row: time_column (--time) says which" if growing else ""
+    raise InputError(f"{path}: no column of time; allowed: {', '.join(TIMES)}, in seconds{grow}")
+
+
+def plain_name(name: str) -> str:
+    """Return a name without its unit, in small letters."""
+    match = _UNIT.fullmatch(name)
+    return (match.group(1) if match else name).strip().lower()
+
+
+def unit_in_name(name: str) -> str:
+    """Return the unit that stands in brackets at the end of a name, or an empty string."""
+    match = _UNIT.fullmatch(name)
+    return (match.group(2) if match else "") or ""
+
+
+def time_unit(name: str, unit_given: str) -> str:
+    """Return the unit of a time, by the line of units or by its name; seconds where neither says one."""
+    match = _UNIT.fullmatch(name)
+    texts = [
+        unit_given,
+        *((match.group(2), match.group(3)) if match else ()),
+        name[4:] if name in ("TimeUS", "TimeMS") else "",
+    ]
+    for text in texts:
+        unit = (text or "").strip().lower()
+        unit = _SAME_UNITS.get(unit, unit)
+        if unit in SECONDS:
+            return unit
+    return "s"
+
+
+def _runs(values: Array) -> bool:
+    """Return whether values grow from nearly every row to the next."""
+    values = values[np.isfinite(values)]
+    return len(values) > 1 and float(np.mean(np.diff(values) > 0.0)) >= LEAST_RUNNING
+
+
+def _since_first(times: Array) -> tuple[Array, str]:
+    """Return dates, or times of day that may pass midnight, as seconds from the first one, with a remark."""
+    good = np.flatnonzero(np.isfinite(times))
+    if not good.size:
+        return times, "no cell of it is a date"
+    first = float(times[good[0]])
+    if first > DAY_S:
+        return times - first, f"counts from its first row, {datetime.fromtimestamp(first, UTC):%Y-%m-%d %H:%M:%S}"
+    filled = np.interp(np.arange(len(times)), good, times[good])
+    days = np.concatenate([[0.0], np.cumsum(np.diff(filled) < -0.5 * DAY_S)])
+    return times + DAY_S * days - first, f"counts from its first row, {first:g} s of the day"
+
+
+# ---- logs
+
+
+def make_log(path: Path, columns: TableColumns, time: str | None = None, unit: str | None = None) -> FlightLog:
+    """Return a table as a log; ``time`` names its time, in ``unit``.  Raises InputError.
+
+    A table that has our ``time_s``, and is not told otherwise by ``time``, has our stamps: a thrust stands in the row
+    of the step at whose end the engine has it, and is a step of the table later than that row's time.
+    """
+    table, has_our_stamps = columns_with_time(path, columns, time, unit), time is None
+    times, name = table.times, table.name
+    remarks = [f"{NO_NUMBERS}: {', '.join(table.left_out)}"] if table.left_out else []
+    remarks += table.remarks
+    step = float(np.median(np.diff(times))) if has_our_stamps and name == TIME and times.size > 1 else 0.0
+    named = {key: unit_in_name(key) for key in table.columns}
+    units = named | {column.name: column.unit for column in COLUMNS} | table.units
+    late = [key for key in table.columns if step and AT_THE_END.fullmatch(key)]
+    if late:
+        remarks.append(
+            f"{late[0]}{' and the like' if late[1:] else ''}: taken for the end of its step, {1e3 * step:g} ms after "
+            f"{TIME}, as our logs have it; time_column (--time) {TIME} takes the stamps as they are"
+        )
+    channels = {
+        key: Channel(times + step if key in late else times, values, units.get(key, ""))
+        for key, values in table.columns.items()
+    }
+    if not channels:
+        raise InputError(f"{path}: the table has no column of numbers but its time")
+    return FlightLog(path, "table", channels, tuple(remarks))
+
+
+def read_run(folder: Path) -> FlightLog:
+    """Read the log of a run's folder.  Raises InputError if there is none."""
+    from cosim.results.run import open_run
+
+    run = open_run(folder)
+    times = np.asarray(run.log[TIME])
+    units = {column.name: column.unit for column in run.log.described}
+    names = [name for name in run.log.columns if name != TIME]
+    after = times + run.summary.step_s
+    channels = {
+        name: Channel(after if AT_THE_END.fullmatch(name) else times, np.asarray(run.log[name]), units.get(name, ""))
+        for name in names
+    }
+    return FlightLog(folder, "run", channels, engine=Path(run.summary.engine).name.removesuffix("-fmi2"))

@@ -1,0 +1,492 @@
+"""From a flight's log to a model with a delay: what was found, how sure it is, and what the flight lacked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.base.arrays import Array
+from cosim.base.errors import NotIdentifiedError
+from cosim.identify.sweep.fit import Model
+from cosim.identify.verdict import Judgement, judge_model, shared_record
+from cosim.spec.vehicle import RateModel
+from hexjet_identify.engine_file import DEVIATIONS_95
+from hexjet_identify.logs import Channel, FlightLog, LogSignals
+from hexjet_identify.prediction_error.confidence import identify, robust, with_delay_bounds
+from hexjet_identify.prediction_error.estimate import SEPARATE, Estimate, Form, estimate_dict
+from hexjet_identify.prediction_error.problem import Problem
+from hexjet_identify.prediction_error.search import fit, solve
+from hexjet_identify.prediction_error.stretches import Prepared, halves, prepare
+
+LONGEST_DELAY_S = 0.4  # looked for; four times that of the Hex-Jet's engines
+LEAST_DEVIANCE_FALL = 30.0  # that the command is worth: chance alone gives 10 once in 25 (four parameters)
+MISFIT = 0.02  # share of the residuals' power that may follow the command; chosen by us
+SMALL_MISFIT = 1e-3  # of what the command explains: less left over is little, however little noise there is
+FED_BACK = 0.25  # of what the command explains: if more than that follows it, it is no misfit; chosen by us
+ENOUGH = 0.2  # of what is left over, that the command explains in flights whose delay comes out (docs/logs.py)
+NOISELESS = 1e-6  # of the output's standard deviation: residuals below it are rounding, and no test says anything
+SIGNIFICANCE = 1e-3  # p-value below which a test is said to have failed
+TEST_LAGS = 12  # of the set-point and of the command, that the residuals are tested against
+TEST_S = 0.6  # over which they are spread
+HALVES_APART = 3.29  # standard deviations by which two halves may differ: p = 0.001
+UNBOUNDED = 0.6  # of the longest delay: a wider interval says nothing
+TARGET_WIDTH = 0.5  # of a sample: half the width of the delay's interval that is asked of a flight
+BAND_DROP = 0.5  # of the greatest information per command: the band that is recommended
+NO_NOISE = "the log has no noise: what is left over is rounding, and its tests and the bounds say nothing"
+
+
+class Check(NamedTuple):
+    """A test of the residuals: its p-value, and the share of their power that contradicts."""
+
+    name: str
+    p: float
+    share: float
+
+    @property
+    def failed(self) -> bool:
+        """Whether the residuals contradict the model by more than chance."""
+        return self.p < SIGNIFICANCE
+
+
+@dataclass(frozen=True)
+class LogIdentification:
+    """The models that were identified from a log; ``estimates`` has the chosen form first."""
+
+    path: Path
+    kind: str
+    what: str
+    signals: LogSignals
+    prepared: Prepared
+    problem: Problem
+    estimates: tuple[Estimate, ...]
+    clock: str  # which times were taken: stamps, or an even clock
+    checks: tuple[Check, ...]
+    coherence: tuple[Array, Array]  # Hz, and of command with output
+    band_hz: tuple[float, float]  # in which a command tells most of the delay, in this noise
+    notes: tuple[str, ...]
+
+    @property
+    def chosen(self) -> Estimate:
+        """The estimate that goes into the model file."""
+        return self.estimates[0]
+
+    @property
+    def delay_bounds(self) -> tuple[float, float]:
+        """95 % bounds of the delay [s], by the richest form that was tried: of a short lag more no log is sure."""
+        return bounds(self.estimates)
+
+    @property
+    def judgement(self) -> Judgement:
+        """That the model explains the log, for no other is returned, and how its residuals pass their tests."""
+        tests = (f"{check.name}: p {check.p:.2g}, {100.0 * check.share:.2g} % of their power" for check in self.checks)
+        return judge_model(True, f"{self.prepared.seconds:.1f} s used, {self.chosen.count} equations", *tests)
+
+    @property
+    def engine(self) -> bool:
+        """Whether it is an engine, and not an axis."""
+        return self.chosen.form.engine
+
+    def model(self, step: float) -> Model:
+        """Return the chosen estimate as a model behind a hold of this step, s."""
+        x = self.chosen.x
+        gain = self.chosen.gain * (float(x[0]) if self.engine else 1.0)
+        return Model(gain, float(x[0]), tuple(float(lag) for lag in x[1:-1]), float(x[-1]) / step, step)
+
+    def rate_model(self, step: float) -> RateModel:
+        """Return the chosen estimate as a sampled model, as a predictor reads it."""
+        low, high = self.delay_bounds
+        return self.model(step).discrete(
+            f"identified from {self.path.name} ({self.kind}): {self.signals.command} to {self.signals.output}, "
+            f"{self.prepared.seconds:.1f} s, {self.chosen.form.label}, delay {1e3 * low:.1f} to {1e3 * high:.1f} ms"
+        )
+
+    def to_dict(self, step: float) -> dict[str, Any]:
+        """Return everything but the signals, for JSON."""
+        command, output, setpoint, *units = self.signals
+        return {
+            **shared_record(self.what, (command, output), (units[0], units[1]), self.judgement, [], self.notes),
+            "setpoint": setpoint,
+            "log": str(self.path),
+            "kind": self.kind,
+            "what": self.what,
+            "engine": self.engine,
+            "seconds": self.prepared.seconds,
+            "stretches_s": [[s.start, s.start + s.seconds] for s in self.prepared.by_stamps],
+            "working_step_s": self.prepared.working_step,
+            "longest_delay_s": self.prepared.longest_delay,
+            "clock": self.clock,
+            "clocks": {"command": _clock(self.prepared.command), "output": _clock(self.prepared.output)},
+            "delay_s": self.chosen.delay,
+            "delay_bounds_95_s": list(self.delay_bounds),
+            "estimates": [estimate_dict(estimate, self.prepared.working_step) for estimate in self.estimates],
+            "checks": [check._asdict() | {"failed": check.failed} for check in self.checks],
+            "tells_most_hz": list(self.band_hz),
+            "discrete": self.rate_model(step).model_dump(),
+        }
+
+
+def identify_log(
+    log: FlightLog,
+    signal: str,
+    signals: LogSignals,
+    *,
+    longest_delay: float = LONGEST_DELAY_S,
+    step: float | None = None,
+    begin: float | None = None,
+    end: float | None = None,
+    hold: Mapping[str, float] | None = None,
+    lags: int | None = None,
+) -> LogIdentification:
+    """Identify command to output of a log; ``signal`` is an axis or begins with ``engine``.
+
+    ``lags`` is the number of lags beside the pole (an axis: 1 or more); the better of two forms by Akaike's criterion
+    where it is None.  Raises NotIdentifiedError where the log does not tell, which says
+    why, and InputError for channels or stretches that cannot be used.
+    """
+    of_sums: list[str] = []
+    command, output = log.signal(signals.command, of_sums), log.signal(signals.output, of_sums)
+    prepared = prepare(command, output, longest_delay, step, begin, end)
+    engine = signal.startswith("engine")
+    problem, estimates, clock = _estimate(prepared, engine, dict(hold or {}), lags)
+    chosen = estimates[0]
+    where = f"{log.path}: {signals.command} to {signals.output}"
+    _refuse(problem, estimates, prepared, where)
+    notes = [*log.remarks, *of_sums, *prepared.notes, *_doubts(chosen, problem)]
+    checks = _checks(problem, chosen, log.signal(signals.setpoint) if signals.setpoint else None)
+    reason = _why_refused(problem, chosen, checks)
+    if reason:
+        raise NotIdentifiedError(f"{where}: {reason}")
+    notes += _describe_failed(checks) if _noisy(problem, chosen) else [NO_NOISE]
+    band = _band(chosen, problem.working_step)
+    notes += _advice(chosen, bounds(estimates), prepared, band)
+    estimates = [_allow_for_late(estimate, prepared.late) for estimate in estimates]
+    return LogIdentification(
+        log.path,
+        log.kind,
+        signal,
+        signals,
+        prepared,
+        problem,
+        tuple(estimates),
+        clock,
+        tuple(checks),
+        _coherence(problem),
+        band,
+        tuple(notes),
+    )
+
+
+# ---- estimating
+
+
+def _estimate(
+    prepared: Prepared, engine: bool, hold: dict[str, float], lags: int | None
+) -> tuple[Problem, list[Estimate], str]:
+    """Estimate by the stamps, and by an even clock where there is one, and take what leaves less."""
+    problem = Problem(prepared.by_stamps, prepared.working_step, prepared.longest_delay)
+    clock = "stamps"
+    if prepared.by_clock:
+        other = Problem(prepared.by_clock, prepared.working_step, prepared.longest_delay)
+        form = Form(engine, (0 if engine else 1) if lags is None else lags)
+        first = fit(problem, form, hold)
+        second = solve(other, form, first.x.copy(), first.ar.copy(), _fixed_indices(first), first.order)
+        if second.loss / second.count < first.loss / first.count:
+            problem, clock = other, "even clock"
+    if lags is not None:
+        estimates = [with_delay_bounds(problem, fit(problem, Form(engine, lags), hold))]
+    else:
+        estimates = identify(problem, engine, hold)
+    return problem, [robust(problem, estimate) for estimate in estimates], clock
+
+
+def _allow_for_late(estimate: Estimate, late: float) -> Estimate:
+    """Return an estimate whose bounds allow for a command that moved up to so many seconds before its row."""
+    if not late or "delay_s" in estimate.fixed:
+        return estimate
+    last = len(estimate.x) - 1
+    covariance = estimate.covariance.copy()
+    covariance[last, last] += (late / DEVIATIONS_95) ** 2
+    low, high = estimate.delay_bounds
+    return replace(estimate, covariance=covariance, delay_bounds=(low, high + late))
+
+
+def bounds(estimates: Sequence[Estimate]) -> tuple[float, float]:
+    """Return bounds of the delay, s, by the richest form, which contains the others, so that no data refute it."""
+    return max(estimates, key=lambda estimate: estimate.form.lags).delay_bounds
+
+
+def _refuse(problem: Problem, estimates: Sequence[Estimate], prepared: Prepared, where: str) -> None:
+    chosen = estimates[0]
+    fall = problem.without_command(chosen) - chosen.deviance
+    if not fall >= LEAST_DEVIANCE_FALL:
+        raise NotIdentifiedError(
+            f"{where}: the output does not show the command (it lowers the deviance by {fall:.1f}, "
+            f"{LEAST_DEVIANCE_FALL:g} are needed); fly doublets or a sweep on it, or look at other channels"
+        )
+    unknown = _not_determined(chosen)
+    if unknown:
+        raise NotIdentifiedError(
+            f"{where}: this log does not tell {unknown}: the 95 % bounds exceed the value; fly doublets or a sweep, "
+            "larger or longer, or state what is known by --hold"
+        )
+    if "delay_s" in chosen.fixed:
+        return
+    if chosen.delay > prepared.longest_delay - prepared.working_step:
+        raise NotIdentifiedError(
+            f"{where}: the delay is at the end of the search, {prepared.longest_delay:g} s; "
+            "try a longer --longest-delay, or the channels belong to different clocks"
+        )
+    low, high = bounds(estimates)
+    if not high - low < UNBOUNDED * prepared.longest_delay:
+        raise NotIdentifiedError(
+            f"{where}: this log does not tell the delay: anything from {1e3 * low:.0f} to {1e3 * high:.0f} ms fits; "
+            "fly doublets or a sweep, or state what is known: --hold lag_s=..., --lags 1"
+        )
+
+
+def _not_determined(chosen: Estimate) -> str:
+    """Name gain, or the sum of delay and lags, where its bounds exceed it; their split may be unknown."""
+    total, wide = chosen.all_delay
+    bounds = {"the gain": (chosen.gain, chosen.gain_deviation), "delay and lags together": (total, wide)}
+    return " and ".join(name for name, (value, one) in bounds.items() if not DEVIATIONS_95 * one <= abs(value))
+
+
+def _doubts(chosen: Estimate, problem: Problem) -> list[str]:
+    doubts = []
+    if chosen.gain < 0.0:
+        doubts.append("the gain is negative: the output moves against the command")
+    half_stretches = halves(problem.stretches)
+    if half_stretches is not None and "delay_s" not in chosen.fixed:
+        try:
+            ends = [
+                solve(half, chosen.form, chosen.x.copy(), chosen.ar.copy(), _fixed_indices(chosen), chosen.order)
+                for half in (Problem(part, problem.working_step, problem.longest_delay) for part in half_stretches)
+            ]
+        except (np.linalg.LinAlgError, ValueError):
+            return doubts
+        for name, values in (
+            ("the gain", [(half.gain, half.gain_deviation) for half in ends]),
+            ("the sum of delay and lags", [half.all_delay for half in ends]),
+        ):
+            (a, sa), (b, sb) = values
+            if abs(a - b) > HALVES_APART * np.hypot(sa, sb) > 0.0:
+                doubts.append(
+                    f"{name} is not the same in the first half ({a:.4g}) and the second ({b:.4g}): "
+                    "what flew changed, and the bounds are too narrow"
+                )
+    return doubts
+
+
+def _fixed_indices(estimate: Estimate) -> list[int]:
+    return [estimate.form.names.index(name) for name in estimate.fixed]
+
+
+# ---- tests of what is left
+
+
+def _checks(problem: Problem, estimate: Estimate, setpoint: Channel | None) -> list[Check]:
+    from scipy.stats import chi2
+
+    white, use = problem.residuals(estimate)
+    rows = np.flatnonzero(use)
+    lags = 20
+    value = np.where(use, white, 0.0)
+    power = float(value @ value)
+    count, total = len(rows), 0.0
+    first = min(estimate.order, SEPARATE) + 1  # up to there each term of the noise's model made it white
+    for lag in range(first, first + lags):
+        together = use[lag:] & use[:-lag]
+        if together.any():
+            r = float(value[lag:] @ value[:-lag]) / power
+            total += r * r * count * count / max(int(together.sum()), 1)
+    checks = [Check("residuals: white", float(chi2.sf(total, lags)), total / count)]
+    spread = max(1, round(TEST_S / TEST_LAGS / problem.working_step))
+    command = _on_blocks(problem, None)
+    checks.append(_test_against("residuals: free of the command", white, use, command, spread))
+    if setpoint is not None:
+        checks.append(
+            _test_against("residuals: free of the set-point", white, use, _on_blocks(problem, setpoint), spread)
+        )
+    return checks
+
+
+def _on_blocks(problem: Problem, channel: Channel | None) -> Array:
+    """Return the command, or a channel, less its mean at the working samples, 0 between stretches."""
+    blocks = []
+    for stretch in problem.stretches:
+        first = stretch.averaged(stretch.times)
+        at = np.where(stretch.present, first, np.arange(stretch.blocks) * problem.working_step + first[0])
+        if channel is None:
+            values = stretch.commanded(at)
+        else:
+            good = np.isfinite(channel.values) & np.isfinite(channel.times)
+            times, good_values = channel.times[good], channel.values[good]
+            row = np.clip(np.searchsorted(times, stretch.start + at, side="right") - 1, 0, None)
+            values = good_values[row] if good_values.size else np.zeros(len(at))
+        blocks += [values - values.mean(), np.zeros(problem.gap)]
+    return np.concatenate(blocks)
+
+
+def _noisy(problem: Problem, chosen: Estimate) -> bool:
+    return float(np.sqrt(chosen.loss / chosen.count)) > NOISELESS * float(np.std(problem.output[problem.present]))
+
+
+def _explained_power(problem: Problem, chosen: Estimate) -> float:
+    """Return by how much the command lowers the sum of squares of the whitened residuals."""
+    return float(np.exp(problem.without_command(chosen) / chosen.count) * chosen.count - chosen.loss)
+
+
+def _residuals_follow(problem: Problem, chosen: Estimate, command: Check) -> bool:
+    """Return whether the residuals follow the command by more than a small misfit of the form makes them."""
+    if not command.failed or command.share <= MISFIT or not _noisy(problem, chosen):
+        return False
+    return command.share * chosen.loss > SMALL_MISFIT * _explained_power(problem, chosen)
+
+
+def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) -> str:
+    """Say why the residuals follow the command: the form, or a disturbance that is fed back; "" where they do not.
+
+    A form that does not fit leaves a part of what the command did before, and it leaves the set-point too.  Where the
+    command explains little, and about as much of what is left over goes with the command of that time as it explains
+    at all, the loop feeds the disturbance back: the model of the noise is of finite order, and what it lacks is in
+    command and residual alike.
+    """
+    white, use = problem.residuals(chosen)
+    spread = max(1, round(TEST_S / TEST_LAGS / problem.working_step))
+    together = _test_against("fed back", white, use, _on_blocks(problem, None), spread, first=0)
+    explained = max(_explained_power(problem, chosen), 0.0)
+    by_setpoint = any(check.failed for check in checks[2:])
+    weak = explained <= ENOUGH * chosen.loss and together.share * chosen.loss > FED_BACK * explained
+    if weak and not by_setpoint and _residuals_follow(problem, chosen, together):
+        part = max(explained / chosen.loss, 1e-4)
+        larger = max(2.0, (ENOUGH / part) ** 0.5)
+        return (
+            f"the disturbance is too large beside what the command does, which explains {100.0 * part:.1g} % as much "
+            f"as is left over; the loop feeds it back into the command ({100.0 * together.share:.0f} % of what is left "
+            f"over is in the command of that time); a stronger manoeuvre is needed: doublets or a sweep about "
+            f"{larger:.0f} times as large, or calmer air"
+        )
+    if not _residuals_follow(problem, chosen, checks[1]):
+        return ""
+    return (
+        f"no model of this form fits: {100.0 * checks[1].share:.0f} % of what is left over still follows the command; "
+        "try --lags, a known --hold, a shorter --longest-delay, or hexjet identify engine"
+    )
+
+
+def _test_against(name: str, white: Array, use: NDArray[np.bool_], signal: Array, spread: int, first: int = 1) -> Check:
+    """Regress the residuals on a signal's past, and test by F that this explains nothing.
+
+    ``first``: working samples before; 1 at least for a test of the form, because what the command is at the time of a
+    residual or after contains that very noise where a controller is at work, and would be found there whatever the form
+    (Ljung, System Identification, 2nd ed., section 16.6).
+    """
+    from scipy.special import fdtrc
+
+    by = [first + n * spread for n in range(TEST_LAGS)]
+    late = [np.concatenate([np.zeros(n), signal[: len(signal) - n]]) for n in by]
+    use = use.copy()
+    use[: by[-1] + 1] = False
+    matrix = np.stack([*late, np.ones(len(signal))], axis=1)[use]
+    residual = white[use]
+    size = np.sqrt(np.einsum("ij,ij->j", matrix, matrix))
+    size[size == 0.0] = 1.0
+    solution, _, rank, _ = np.linalg.lstsq(matrix / size, residual, rcond=1e-8)
+    power = float(residual @ residual)
+    unexplained = residual - matrix @ (solution / size)
+    explained = max(power - float(unexplained @ unexplained), 0.0)
+    freedom = len(residual) - int(rank)
+    if not power > 0.0 or freedom < 10 or rank < 1:
+        return Check(name, 1.0, 0.0)
+    ratio = (explained / int(rank)) / ((power - explained) / freedom)
+    return Check(name, float(fdtrc(int(rank), freedom, ratio)), explained / power)
+
+
+def _describe_failed(checks: Sequence[Check]) -> list[str]:
+    words = {
+        "residuals: white": "what the model leaves over is not white: the bounds are too narrow",
+        "residuals: free of the command": (
+            "what the model leaves over still follows the command: the form does not fit the vehicle, and the "
+            "bounds do not cover that"
+        ),
+        "residuals: free of the set-point": (
+            "what the model leaves over still follows the set-point, which contains no noise: in the closed loop the "
+            "estimate is biased"
+        ),
+    }
+    return [
+        f"{words[check.name]} (p {check.p:.1g}, {100.0 * check.share:.2g} % of the residuals' power)"
+        for check in checks
+        if check.failed
+    ]
+
+
+# ---- what the flight lacked
+
+
+def _response(estimate: Estimate, hertz: Array) -> NDArray[np.complex128]:
+    s = 2j * np.pi * hertz
+    x = estimate.x
+    value = estimate.gain * (float(x[0]) if estimate.form.engine else 1.0) / (s + float(x[0]))
+    for lag in x[1:-1]:
+        value = value / (float(lag) * s + 1.0)
+    return np.asarray(value * np.exp(-s * float(x[-1])))
+
+
+def information(estimate: Estimate, hertz: Array, step: float) -> Array:
+    """Return the information on the delay of a command of unit power at each frequency: |w G A|^2 / power of e."""
+    z = np.exp(-2j * np.pi * hertz * step)
+    whitening = np.polyval(np.concatenate([[1.0], estimate.ar])[::-1], z)
+    slope = 2.0 * np.pi * hertz * np.abs(_response(estimate, hertz) * whitening)
+    return np.asarray(slope**2 * estimate.count / estimate.loss)
+
+
+def _band(estimate: Estimate, step: float) -> tuple[float, float]:
+    hertz = np.geomspace(0.02, 0.45 / step, 400)
+    density = information(estimate, hertz, step)
+    peak = int(np.argmax(density))
+    low = high = peak
+    while low > 0 and density[low - 1] >= BAND_DROP * density[peak]:
+        low -= 1
+    while high < len(density) - 1 and density[high + 1] >= BAND_DROP * density[peak]:
+        high += 1
+    return float(hertz[low]), float(hertz[high])
+
+
+def _advice(estimate: Estimate, ends: tuple[float, float], prepared: Prepared, band: tuple[float, float]) -> list[str]:
+    low, high = ends
+    target = TARGET_WIDTH * prepared.working_step
+    if "delay_s" in estimate.fixed or high - low <= 2.0 * target:
+        return []
+    more = 0.5 * (high - low) / target
+    return [
+        f"to know the delay within {1e3 * target:.2g} ms fly {more:.2g} times the command, or {more * more:.2g} times "
+        f"as long: doublets or a sweep; a command of {band[0]:.2g} to {band[1]:.2g} Hz tells most of it in this noise"
+    ]
+
+
+def _coherence(problem: Problem) -> tuple[Array, Array]:
+    """Return Hz and the coherence of command and output, by Welch's method over all stretches, gaps bridged."""
+    from scipy.signal import coherence
+
+    command = _on_blocks(problem, None)
+    rows = np.flatnonzero(problem.present)
+    output = np.interp(np.arange(len(problem.output)), rows, problem.output[rows])
+    moving = np.concatenate([command, output])
+    if not np.all(np.isfinite(moving)):
+        return np.empty(0), np.empty(0)
+    per = min(len(output) - 1, max(64, round(4.0 / problem.working_step)))
+    hertz, value = coherence(
+        np.diff(command), np.diff(output), 1.0 / problem.working_step, nperseg=per, detrend="constant"
+    )
+    return np.asarray(hertz[1:]), np.asarray(value[1:])
+
+
+def _clock(clock: Any) -> dict[str, float | None]:
+    record = {"lost" if name == "lost_fraction" else name: value for name, value in clock._asdict().items()}
+    return {name: value if np.isfinite(value) else None for name, value in record.items()}

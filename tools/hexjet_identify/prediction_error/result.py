@@ -1,0 +1,276 @@
+"""What an identification from a log leaves in a folder, and what is said of it in a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.storage.paths import data_folder
+from cosim.base.storage.toml import toml_text
+from cosim.identify.page import WITH_BOUNDS, Card, Page, Signals, draw_signals
+from cosim.results.report.plot import BLUE, GREEN, HOVER, panels, trace
+from hexjet_identify.engine_file import (
+    DEVIATIONS_95,
+    FITTED,
+    FITTED_STEP_S,
+    engine_readme,
+    uncertainty_table,
+    whole_delay,
+    write_with_engine,
+)
+from hexjet_identify.prediction_error.estimate import Estimate
+from hexjet_identify.prediction_error.identify_log import LogIdentification, information
+
+THROTTLE = (-0.01, 1.05)  # that a log's command may have, to be taken for an engine's
+BOUNDS = (
+    "The first model is the one that is written. The bounds of the delay are those of its profile likelihood; the "
+    "others are 1.96 standard deviations of the linearised problem, noise model included. They hold where the form "
+    "fits, which the tests beside tell as far as they can."
+)
+ALONE = "The model answers the command alone, from the beginning of each stretch: what wind and noise did is not in it."
+TOLD = (
+    "Above, how much of the output follows the command. Below, how much a command of each frequency would tell of the "
+    "delay in this noise: fly there."
+)
+
+
+def write(result: LogIdentification, folder: Path, step: float, family: str) -> dict[str, Path]:
+    """Write ``identification.json``, ``report.html`` and, of an axis, ``model.toml`` for a control step of ``step``.
+
+    ``family`` is the engine under which an axis' model is filed.  Raises FlightError if a file cannot be written.
+    """
+    texts, archive = {}, None
+    if not result.engine:
+        table = {"identified": {family: {result.what: result.rate_model(step).model_dump()}}}
+        texts = {"model": toml_text(table)}
+    elif not why_no_engine(result):
+        texts = {"engine": toml_text(engine_table(result)), "readme": readme(result)}
+        archive = data_folder("fmus") / f"{FITTED}.fmu"
+    return write_with_engine(folder, result.to_dict(step), page(result), texts, archive)
+
+
+def page(result: LogIdentification) -> Page:
+    """Return the page of an identification."""
+    tests = [(check.name, f"{check.p:.2g}", f"{100.0 * check.share:.2g} %") for check in result.checks]
+    columns = [WITH_BOUNDS, *(estimate.form.label for estimate in result.estimates)]
+    cards = [
+        Card("Models", columns, rows(result), BOUNDS),
+        Card("Tests of what is left over", ("test", "p", "share of the power"), tests),
+        Card("Measured and modelled", text=ALONE, figure="signals"),
+        Card("What the log told", text=TOLD, figure="tells"),
+    ]
+    units = result.signals.command_unit, result.signals.output_unit
+    figures = {
+        "signals": draw_signals(_signals(result), units, "residuals, made white"),
+        "tells": _draw_information(result),
+    }
+    heading = f"{result.path.name}: {result.what}"
+    reason = why_no_engine(result) if result.engine else ""
+    refused = [f"no engine: {reason}"] if reason else []
+    return Page(
+        "identification from a log", heading, summary(result), str(result.path), result.judgement, cards, figures,
+        result.notes, refused,
+    )  # fmt: skip
+
+
+def why_no_engine(result: LogIdentification) -> str:
+    """Return why an engine's log leaves no engine, or an empty string where it leaves one."""
+    unit, (low, high) = result.signals.output_unit, _command_range(result)
+    if unit != "N":
+        return f"the output is in {unit or 'no unit'}, and an engine's is a thrust in N"
+    if low < THROTTLE[0] or high > THROTTLE[1]:
+        return (
+            f"{result.signals.command} goes from {low:.4g} to {high:.4g}, and an engine's throttle from 0 to 1: "
+            "hexjet identify bench --throttle-range LOW HIGH"
+        )
+    return "" if result.chosen.gain > 0.0 else "the thrust falls where the throttle rises"
+
+
+def _command_range(result: LogIdentification) -> tuple[float, float]:
+    commands = [stretch.command for stretch in result.problem.stretches]
+    return min(float(each.min()) for each in commands), max(float(each.max()) for each in commands)
+
+
+def engine_table(result: LogIdentification) -> dict[str, object]:
+    """Return a mapping file's table: the library's engine ``fitted`` as identified, with ``[uncertainty]``.
+
+    Its internal step is 4 ms, which the delay is rounded to; lags beyond the two slowest are added to the delay, which
+    is what low frequencies see of them.  The delay's deviation is that of its bounds and of whole steps.
+    """
+    x, size = result.chosen.x, len(result.chosen.covariance)
+    lags = [1.0 / float(x[0]), *map(float, x[1:-1])]
+    by_parameter = np.eye(size)
+    slopes = [by_parameter[0] * -(lags[0] ** 2), *by_parameter[1 : len(lags)]]
+    order = np.argsort(lags)[::-1]
+    delay = float(x[-1]) + sum(lags[n] for n in order[2:])
+    # of each stretch the output at no throttle, which weighs as its rows do; behind each stands a free decay
+    rows_of = np.array([float(stretch.present.sum()) for stretch in result.problem.stretches])
+    level = np.zeros(size)
+    level[len(x) + 1 : len(x) + 1 + 2 * len(rows_of) : 2] = rows_of / rows_of.sum()
+    offset = float(level[len(x) : len(x) + len(result.chosen.linear)] @ result.chosen.linear)
+    values = {
+        "delay_samples": (delay, sum((slopes[n] for n in order[2:]), by_parameter[len(x) - 1])),
+        **{name: (lags[n], slopes[n]) for name, n in zip(("lag", "lag_2"), order, strict=False)},
+        "gain": (result.chosen.gain, by_parameter[len(x)]),
+        "offset": (offset, level),
+    }
+    matrix = np.array([slope for _, slope in values.values()])
+    matrix[0] /= FITTED_STEP_S
+    covariance = matrix @ result.chosen.covariance @ matrix.T
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    low, high = result.delay_bounds
+    if np.isfinite(low):
+        deviation[0] = max(deviation[0], (high - low) / (2.0 * DEVIATIONS_95) / FITTED_STEP_S)
+    samples, deviation[0] = whole_delay(delay / FITTED_STEP_S, deviation[0])
+    known = uncertainty_table(summary(result), list(values), covariance, deviation)
+    return {
+        "fmu": "engine.fmu",
+        "title": f"Engine identified from {result.path.name}",
+        "parameters": {name: value for name, (value, _) in values.items()} | {"delay_samples": samples},
+        **({"uncertainty": known} if deviation.any() else {}),
+    }
+
+
+def readme(result: LogIdentification) -> str:
+    """Return the page of the engine in Markdown."""
+    low, high = _command_range(result)
+    white, use = result.problem.residuals(result.chosen)
+    return engine_readme(
+        "log",
+        rows(result),
+        f"{summary(result)}. `hexjet identify log`",
+        f"{result.signals.command} from {low:.4g} to {high:.4g}",
+        f"{float(np.sqrt(np.mean(white[use] ** 2))):.3g} {result.signals.output_unit} (rms, made white).",
+        (),
+        result.notes,
+    )
+
+
+def summary(result: LogIdentification) -> str:
+    """Describe the log and what of it was used, in a line."""
+    output, prepared = result.prepared.output, result.prepared
+    clock = f"{1.0 / output.step:.4g} Hz"
+    if np.isfinite(output.jitter) and output.jitter > 0.005:
+        clock += f", jitter {100.0 * output.jitter:.0f} % of a sample"
+    if output.lost_fraction > 0.0:
+        clock += f", {100.0 * output.lost_fraction:.2g} % lost"
+    return (
+        f"{result.path.name} ({result.kind}): {result.signals.command} to {result.signals.output}; "
+        f"{prepared.seconds:.1f} s used, output at {clock}; working step {1e3 * prepared.working_step:.3g} ms, "
+        f"times by {result.clock}"
+    )
+
+
+def rows(result: LogIdentification) -> list[list[str]]:
+    """Return the table of the forms side by side, one row a quantity, each with its 95 % bounds."""
+    lines: list[list[str]] = []
+    unit = f"{result.signals.output_unit} per {result.signals.command_unit}"
+    gain = (
+        f"gain at rest, {unit}"
+        if result.engine
+        else f"gain, {result.signals.output_unit}/s per {result.signals.command_unit}"
+    )
+    lines.append([gain, *(_about(estimate.gain, estimate.gain_deviation) for estimate in result.estimates)])
+    titles = {"rate_1_s": "time constant, ms" if result.engine else "slow pole, 1/s", "lag_s": "lag, ms"}
+    if result.engine:
+        titles["lag_s"] = "second lag, ms"
+    richest = max(result.estimates, key=lambda estimate: estimate.form.lags)
+    for name in richest.form.names[:-1]:
+        cells = [_parameter(estimate, name) if name in estimate.form.names else "" for estimate in result.estimates]
+        lines.append([titles.get(name, "further lag, ms"), *cells])
+    lines.append(["delay, ms", *(_delay(estimate) for estimate in result.estimates)])
+    low, high = result.delay_bounds
+    if len(result.estimates) > 1:
+        allowing = f"{1e3 * low:.4g} to {1e3 * high:.4g}"
+        lines.append(["its bounds, by the richest form, ms", allowing, *[""] * (len(result.estimates) - 1)])
+    lines.append(
+        [
+            "delay and lags together, ms",
+            *(_about(1e3 * v, 1e3 * s) for v, s in (e.all_delay for e in result.estimates)),
+        ]
+    )
+    best = min(estimate.aic for estimate in result.estimates)
+    lines.append(
+        ["Akaike's criterion, above the best", *(f"{estimate.aic - best:.1f}" for estimate in result.estimates)]
+    )
+    lines.append(["order of the noise", *(f"{estimate.order}" for estimate in result.estimates)])
+    return lines
+
+
+def _parameter(estimate: Estimate, name: str) -> str:
+    """Describe a pole or a lag with its bound; an engine's pole as its time constant, times in ms."""
+    index = estimate.form.names.index(name)
+    value, deviation = float(estimate.x[index]), estimate.deviation(index)
+    if name != "rate_1_s":
+        value, deviation = 1e3 * value, 1e3 * deviation
+    elif estimate.form.engine:
+        value, deviation = 1e3 / value, 1e3 * deviation / value**2
+    if name in estimate.fixed:
+        return f"{value:.4g} held"
+    return _slow_pole(value, deviation) if name == "rate_1_s" and not estimate.form.engine else _about(value, deviation)
+
+
+def _slow_pole(value: float, deviation: float) -> str:
+    """Describe a slow pole, which may be anything near 0: then it is bounded from above alone."""
+    high = value + DEVIATIONS_95 * deviation
+    return _about(value, deviation) if high < 2.0 * value else f"below {high:.2g}"
+
+
+def _about(value: float, deviation: float) -> str:
+    """Describe a value and its bound: "none" for a lag at its limit, no number where the bound exceeds it."""
+    half = DEVIATIONS_95 * deviation
+    if not half > 0.0:
+        return "none"
+    if not half <= abs(value):
+        return "not determined"
+    return f"{value:.4g} ±{float(f'{half:.2g}'):g}"
+
+
+def _delay(estimate: Estimate) -> str:
+    if "delay_s" in estimate.fixed:
+        return f"{1e3 * estimate.delay:.4g} held"
+    low, high = estimate.delay_bounds
+    if not np.isfinite(low):
+        return f"{1e3 * estimate.delay:.4g}"
+    return f"{1e3 * estimate.delay:.4g} ({1e3 * low:.4g} to {1e3 * high:.4g})"
+
+
+# ---- figures
+
+
+def _signals(result: LogIdentification) -> Iterator[Signals]:
+    """Yield the stretches, with the model's output from the command alone and the residuals."""
+    problem, estimate = result.problem, result.chosen
+    simulated = problem.simulated(estimate)
+    white, use = problem.residuals(estimate)
+    row = 0
+    for stretch in problem.stretches:
+        block = slice(row, row + stretch.blocks)
+        keep = np.flatnonzero(stretch.present)
+        yield Signals(
+            np.asarray(stretch.start + np.arange(len(stretch.command)) * stretch.step, np.float64),
+            stretch.command,
+            stretch.start + stretch.averaged(stretch.times)[keep],
+            problem.output[block][keep],
+            np.asarray(simulated[block][keep], np.float64),
+            np.where(use[block], white[block], np.nan)[keep],
+        )
+        row += stretch.blocks + problem.gap
+
+
+def _draw_information(result: LogIdentification) -> dict[str, Any]:
+    """Draw the coherence, and the information on the delay that a command of each frequency would give."""
+    hertz, value = result.coherence
+    grid = np.geomspace(0.05, 0.45 / result.problem.working_step, 300)
+    density = information(result.chosen, grid, result.problem.working_step)
+    data = [
+        trace("coherence of command and output", GREEN, hertz, value),
+        trace(
+            "what a command tells of the delay, over its most", BLUE, grid, density / density.max(), 1, showlegend=True
+        ),
+    ]
+    layout = panels(440, "frequency [Hz]", ("coherence", "of its most"), log=True, domains=((0.55, 1.0), (0.0, 0.45)))
+    return {"data": data, "layout": layout | HOVER}

@@ -1,0 +1,340 @@
+"""A model flown with the command of a log, beside what happened."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.errors import InputError
+from cosim.base.storage.files import one_line, read_json, write_files
+from cosim.identify.page import Card, Page, Signals, draw_signals
+from cosim.identify.sweep.fit import Model as Continuous
+from cosim.identify.sweep.result import MISFIT
+from cosim.identify.verdict import NOT_EXPLAINED, NOT_TOLD, Judgement, judge_model, shared_record
+from cosim.spec.vehicle import RateModel, read_models
+from hexjet_identify.engine_file import DEVIATIONS_95
+from hexjet_identify.logs import FlightLog, LogSignals, signals_of
+from hexjet_identify.prediction_error.confidence import robust
+from hexjet_identify.prediction_error.estimate import Form
+from hexjet_identify.prediction_error.identify_log import LEAST_DEVIANCE_FALL
+from hexjet_identify.prediction_error.problem import Problem
+from hexjet_identify.prediction_error.search import solve
+from hexjet_identify.prediction_error.stretches import Prepared, prepare
+
+MODELLED = "Measured and modelled"
+ERROR = (
+    "The model answers the command alone: what wind and noise did is in the error. Of an axis, which integrates, they "
+    "add up over the flight, so that the fit of the change tells more than that of the whole."
+)
+AHEAD_S = 1.0  # of the prediction that is judged: the loops that a predictor serves are faster
+WIDEST = 2.0 * MISFIT  # half of a 95 % interval, from where on the log says too little of a gain
+OTHER_FORM = "no held model of a slow pole and lags, which hexjet identify writes; nothing else can be flown here"
+
+
+@dataclass(frozen=True)
+class StatedModel:
+    """A model as read from a file; without channels where the file names none."""
+
+    path: Path
+    what: str
+    signals: LogSignals
+    form: Form
+    x: Array
+    gain: float
+
+
+class Refit(NamedTuple):
+    """Gain and delay fitted anew to the log, the rest of the model kept, with half of their 95 % intervals."""
+
+    gain: float  # over the model's
+    gain_half: float
+    delay: float  # s, less the model's
+    delay_half: float
+
+    @property
+    def text(self) -> str:
+        """Both, in words."""
+        return (
+            f"fitted to this log its gain is {self.gain:.3g} ±{self.gain_half:.2g} times as stated, and its delay "
+            f"{1e3 * self.delay:+.3g} ±{1e3 * self.delay_half:.2g} ms off"
+        )
+
+
+@dataclass(frozen=True)
+class Validation:
+    """How well a model answers the commands of a log."""
+
+    model: StatedModel
+    log: Path
+    seconds: float
+    step: float
+    fit: float  # 1 less the error's standard deviation over the output's; 1 is perfect, 0 the mean
+    nrmse: float  # of the simulation, over the output's standard deviation
+    theil: float  # U of the simulation: 0 perfect, 1 useless
+    ahead: float  # the same as fit, of the change of the output over AHEAD_S
+    autocorrelation: float  # of the simulation's error from one sample to the next but AHEAD_S
+    delay_off: float  # s by which another delay would fit better, the rest of the model kept
+    again: Refit | None  # None: nothing is told, for the log does not move enough
+    signals: tuple[tuple[Array, Array, Array, Array], ...]  # of each stretch: times, command, output, model
+    notes: tuple[str, ...]
+
+    @property
+    def judgement(self) -> Judgement:
+        """Whether gain and delay, fitted anew to this log, are the model's.
+
+        The gain to a tenth, as a sweep's form has to be, the delay to a tenth of delay and lags, a sample at least: not
+        explained where the 95 % interval lies beyond that, not told where the gain's is wider than twice that.
+        """
+        again, compared = self.again, f"{self.seconds:.1f} s compared"
+        if again is None:
+            return Judgement(NOT_TOLD, (compared, "the output does not show the command"))
+        evidence = (compared, again.text)
+        lags = 1.0 / float(self.model.x[0]) if self.model.form.engine else 0.0
+        least = max(MISFIT * (float(self.model.x[1:].sum()) + lags), self.step)
+        off = abs(again.gain - 1.0) - again.gain_half > MISFIT or abs(again.delay) - again.delay_half > least
+        if not off and again.gain_half > WIDEST:
+            return Judgement(NOT_TOLD, evidence)
+        return judge_model(not off, *evidence)
+
+    @property
+    def refused(self) -> list[str]:
+        """Why the model may not be used for what flew this log; empty where it may, or it is not told."""
+        again, judgement = self.again, self.judgement
+        return [f"not explained: {again.text}"] if again and judgement.verdict == NOT_EXPLAINED else []
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything, for JSON."""
+        model, signals = self.model, self.model.signals
+        channels, units = (signals.command, signals.output), (signals.command_unit, signals.output_unit)
+        again = self.again
+        return {
+            **shared_record(model.what, channels, units, self.judgement, self.refused, self.notes),
+            "estimates": [
+                {
+                    "form": model.form.label,
+                    "gain": model.gain,
+                    **dict(zip(model.form.names, model.x.tolist(), strict=True)),
+                }
+            ],
+            "model": str(model.path),
+            "log": str(self.log),
+            "what": model.what,
+            "setpoint": signals.setpoint,
+            "gain_fitted_anew": None if again is None else again.gain,
+            "gain_fitted_anew_bound_95": None if again is None else again.gain_half,
+            "delay_fitted_anew_by_s": None if again is None else again.delay,
+            "delay_fitted_anew_bound_95_s": None if again is None else again.delay_half,
+            "seconds": self.seconds,
+            "fit": self.fit,
+            "nrmse": self.nrmse,
+            "theil_u": self.theil,
+            "fit_of_changes": self.ahead,
+            "changes_over_s": AHEAD_S,
+            "error_autocorrelation": self.autocorrelation if np.isfinite(self.autocorrelation) else None,
+            "better_delay_by_s": self.delay_off,
+        }
+
+
+def read_model(path: Path, axis: str | None = None) -> StatedModel:
+    """Read ``identification.json`` of ``hexjet identify log`` or of an axis, its folder, or a model file of an axis.
+
+    ``axis`` chooses from a model file of more than one.  Raises InputError.
+    """
+    file = path / "identification.json" if path.is_dir() else path
+    if file.suffix.lower() == ".toml":
+        return _of_model_file(file, axis)
+    if not file.exists():
+        raise InputError(f"{path}: no model here")
+    data = read_json(file)
+    try:
+        if data.get("kind") == "axis" and (beside := file.parent / "model.toml").is_file():  # of a sweep
+            return _of_model_file(beside, axis)
+        best = data["estimates"][0]
+        form = Form(bool(data["engine"]), sum(name.startswith("lag") and name.endswith("_s") for name in best))
+        wants = LogSignals(*(str(data[name]) for name in LogSignals._fields))
+        x = np.array([float(best[name]) for name in form.names])
+        return StatedModel(file, str(data["what"]), wants, form, x, float(best["gain"]))
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{file}: is no identification.json of hexjet identify log ({one_line(error)}); "
+            "allowed: that file, its folder, a model file (.toml)"
+        ) from error
+
+
+def _of_model_file(file: Path, axis: str | None) -> StatedModel:
+    """Read a model file, from z back to the continuous form; it does not say which channels of a log it is of."""
+    candidates = [
+        (name, RateModel.model_validate(model))
+        for models in read_models(file).values()
+        for name, model in models.items()
+        if axis in (None, name)
+    ]
+    if len(candidates) != 1:
+        of = f" of {axis}" if axis else ""
+        raise InputError(f"{file}: {len(candidates)} models{of}; say --axis of one that is there")
+    label, model = candidates[0]
+    step = model.sample_time_s
+    if model.pole_pairs or model.zero_pairs or not all(0.0 < pole <= 1.0 for pole in model.poles):
+        raise InputError(f"{file}: {label}: {OTHER_FORM}")
+    rate, *fast = sorted(-np.log(pole) / step for pole in model.poles)
+    if not all(pole > 0.0 for pole in fast) or not fast:
+        raise InputError(f"{file}: {label}: {OTHER_FORM}")
+    lags = tuple(float(1.0 / pole) for pole in fast)
+    unit = Continuous(1.0, float(rate), lags, model.delay_samples, step).discrete("")
+    gain = model.gain / unit.gain
+    if len(unit.zeros) != len(model.zeros) or not np.allclose(unit.zeros, sorted(model.zeros), rtol=1e-3, atol=1e-3):
+        raise InputError(f"{file}: {label}: {OTHER_FORM}")
+    x = np.array([rate, *lags, model.delay_samples * step])
+    return StatedModel(file, label, LogSignals("", ""), Form(False, len(lags)), x, float(gain))
+
+
+def validate(model: StatedModel, log: FlightLog, begin: float | None = None, end: float | None = None) -> Validation:
+    """Fly the model with the log's command; each stretch may choose its offset and what was under way at its start.
+
+    Raises InputError where the log has not the model's channels, or no stretch that can be used.
+    """
+    chosen = model.signals
+    if not (log.has(chosen.command) and log.has(chosen.output)):
+        chosen = signals_of(log, model.what)
+        model = replace(model, signals=chosen)
+    longest = max(2.0 * float(model.x[-1]), 0.1)
+    of_sums: list[str] = []
+    command, output = log.signal(chosen.command, of_sums), log.signal(chosen.output, of_sums)
+    prepared = prepare(command, output, longest, None, begin, end)
+    problems = [Problem([stretch], prepared.working_step, longest, gap=0) for stretch in prepared.by_stamps]
+    signals = []
+    for stretch, problem in zip(prepared.by_stamps, problems, strict=True):
+        use = problem.present
+        times, answer = stretch.averaged(stretch.times)[use], _simulate(problem, model, model.x)
+        signals.append((stretch.start + times, stretch.commanded(times), problem.output[use], answer[use]))
+    fits = [(output, answer) for _, _, output, answer in signals]
+    measured = np.concatenate([output - output.mean() for output, _ in fits])
+    error = np.concatenate([output - answer for output, answer in fits])
+    size = float(np.std(measured))
+    if not size > 0.0:
+        raise InputError(f"{log.path}: {chosen.output} does not move")
+    lag = max(1, round(AHEAD_S / prepared.working_step))
+    changes = [(o[lag:] - o[:-lag], m[lag:] - m[:-lag]) for o, m in fits if len(o) > 2 * lag]
+    moved = np.concatenate([o for o, _ in changes]) if changes else measured
+    missed = np.concatenate([o - m for o, m in changes]) if changes else error
+    rms = float(np.sqrt(np.mean(error**2)))
+    model_rms = np.sqrt(np.mean(np.concatenate([m - m.mean() for _, m in fits]) ** 2))
+    return Validation(
+        model,
+        log.path,
+        prepared.seconds,
+        prepared.working_step,
+        1.0 - float(np.std(error)) / size,
+        rms / size,
+        rms / (float(np.sqrt(np.mean(measured**2))) + float(model_rms)),
+        1.0 - float(np.sqrt(np.mean(missed**2))) / float(np.sqrt(np.mean(moved**2))),
+        _correlation([o - m for o, m in fits], lag),
+        _better_delay(problems, model, longest),
+        _fit_anew(prepared, model, longest),
+        tuple(signals),
+        (*log.remarks, *of_sums, *prepared.notes),
+    )
+
+
+def _fit_anew(prepared: Prepared, model: StatedModel, longest: float) -> Refit | None:
+    """Fit gain and delay to the log; None where the command lowers the deviance by too little to tell."""
+    problem = Problem(prepared.by_stamps, prepared.working_step, longest)
+    left = np.where(problem.present, problem.output - _simulate(problem, model, model.x), 0.0)
+    order = problem.best_order(left, float(model.x[1:].sum()))
+    kept = list(range(len(model.x) - 1))
+    try:
+        found = robust(problem, solve(problem, model.form, model.x.copy(), problem.noise(left, order), kept, order))
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    if not problem.without_command(found) - found.deviance >= LEAST_DEVIANCE_FALL or not found.gain_deviation > 0.0:
+        return None
+    return Refit(
+        found.gain / model.gain,
+        DEVIATIONS_95 * found.gain_deviation / abs(model.gain),
+        found.delay - float(model.x[-1]),
+        DEVIATIONS_95 * found.deviation(len(model.x) - 1) + prepared.late,
+    )
+
+
+def _simulate(problem: Problem, model: StatedModel, x: Array) -> Array:
+    """Simulate with the model's own gain; offset and initial states are those that suit the output best."""
+    columns = problem.columns(model.form, x)
+    answer, others = model.gain * columns[:, 0], columns[:, 1:]
+    use = problem.present
+    offset = np.linalg.lstsq(others[use], (problem.output - answer)[use], rcond=1e-12)[0]
+    return np.asarray(answer + others @ offset)
+
+
+def _better_delay(problems: Sequence[Problem], model: StatedModel, longest: float) -> float:
+    """Return by how much, s, the delay must change for the least error of the output's changes between samples."""
+    best = (np.inf, 0.0)
+    step = problems[0].stretches[0].step
+    for delay in np.arange(0.0, longest, step):
+        x = model.x.copy()
+        x[-1] = delay
+        loss = 0.0
+        for problem in problems:
+            error = (problem.output - _simulate(problem, model, x))[problem.present]
+            loss += float(np.sum(np.diff(error) ** 2))
+        best = min(best, (loss, float(delay) - float(model.x[-1])))
+    return best[1]
+
+
+def _correlation(errors: Sequence[Array], lag: int) -> float:
+    long = [error - error.mean() for error in errors if len(error) > 2 * lag]
+    if not long:
+        return float("nan")
+    power = sum(float(e @ e) for e in long)
+    return sum(float(e[lag:] @ e[:-lag]) for e in long) / power if power > 0.0 else 0.0
+
+
+def rows(validation: Validation) -> list[tuple[str, str]]:
+    """Return the rows of the table: what was measured, and its value as text."""
+    lines = [
+        ("fit of the simulation (1: perfect, 0: no better than its mean)", f"{validation.fit:.3f}"),
+        ("NRMSE, over the output's standard deviation", f"{validation.nrmse:.3f}"),
+        ("Theil's U (0: perfect, 1: useless)", f"{validation.theil:.3f}"),
+        (f"fit of the change over {AHEAD_S:g} s", f"{validation.ahead:.3f}"),
+    ]
+    if np.isfinite(validation.autocorrelation):
+        lines.append((f"autocorrelation of the error after {AHEAD_S:g} s", f"{validation.autocorrelation:.2f}"))
+    lines.append(("a delay that fits better by, ms", f"{1e3 * validation.delay_off:+.1f}"))
+    if (again := validation.again) is not None:
+        lines.append(("gain fitted to this log, times as stated", f"{again.gain:.3g} ±{again.gain_half:.2g}"))
+        lines.append(
+            ("delay fitted to this log, off by, ms", f"{1e3 * again.delay:+.3g} ±{1e3 * again.delay_half:.2g}")
+        )
+    return lines
+
+
+def write(validation: Validation, folder: Path) -> dict[str, Path]:
+    """Write ``validation.json`` and ``report.html``.  Raises FlightError if a file cannot be written."""
+    paths = {"json": folder / "validation.json", "report": folder / "report.html"}
+    write_files({paths["json"]: json.dumps(validation.to_dict(), indent=2, allow_nan=False) + "\n"})
+    page(validation).write(paths["report"])
+    return paths
+
+
+def page(validation: Validation) -> Page:
+    """Return the page of a comparison."""
+    model, units = validation.model, (validation.model.signals.command_unit, validation.model.signals.output_unit)
+    signals = [
+        Signals(times, command, times, output, fit, output - fit) for times, command, output, fit in validation.signals
+    ]
+    return Page(
+        "validation",
+        f"{model.what}: the model beside {validation.log.name}",
+        f"{model.path}, flown with {model.signals.command}; {validation.seconds:.1f} s compared, every "
+        f"{1e3 * validation.step:.3g} ms.",
+        str(validation.log),
+        validation.judgement,
+        [Card("How well it fits", ("measure", "value"), rows(validation), ERROR), Card(MODELLED, figure="signals")],
+        {"signals": draw_signals(signals, units)},
+        validation.notes,
+    )

@@ -1,0 +1,278 @@
+"""The model of a vehicle, driven by recorded commands: engines over the whole log, the airframe window by window.
+
+What an engine does is stable and follows from its commands: the engines, the servos and the effects beside thrust run
+through the whole log once, with the recorded motion around them.  Where the vehicle goes is not stable: the airframe
+is started anew at the beginning of each window, from the recorded state there (multiple shooting).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.frames import from_euler
+from cosim.base.signals import ZERO3, Actuation, Disturbance, PerJet, State, Unallocated, Vector3
+from cosim.engine import EngineSpec
+from cosim.simulation.build import build
+from cosim.simulation.script.mismatch import apply_mismatch
+from cosim.spec.scenario import Initial, Scenario
+from cosim.spec.vehicle import Vehicle
+from cosim.vehicle.airframe import Airframe
+from cosim.vehicle.sensors import SensorSuite
+from hexjet_identify.replay.recorded import RecordedFlight
+
+LOWEST_M = 5.0  # at which a window begins: the ground is none of the model's business here
+UNKNOWN_M = 30.0  # where the log has no height
+_NOTHING_REFUSED = Unallocated()
+
+
+class Window(NamedTuple):
+    """Rows ``first`` to ``last`` of a recorded flight: the model starts at the first and is compared up to the last."""
+
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Change:
+    """By what a model differs from the vehicle as its files state it; see :class:`Model`."""
+
+    inertia: Vector3 = (1.0, 1.0, 1.0)  # factors about x, y, z
+    mass: float = 1.0
+    thrust: float = 1.0  # of all engines
+    jets: Mapping[int, float] = field(default_factory=dict)  # factor of a jet's thrust, from 0
+    delay_s: float = 0.0  # by which all that engines and servos do comes later
+    engines_s: float = 0.0  # by which the engines alone do
+    servo_lag_s: float = 0.0  # by which the lag of every servo and hinge is larger
+    order: tuple[int, ...] = ()  # the jet, from 0, whose command each jet has
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of the engines
+    damping: float = 0.0  # 1/s, of roll and pitch, beside that of the vehicle's [aero]
+
+
+class Loads(NamedTuple):
+    """What acts on the airframe at each step: ``forces`` (n, jets, 3) N, ``moments`` (n, 3) N m, body, and more.
+
+    ``momentum`` (n, 3) of the rotors, kg m^2/s; ``burnt`` (n,) fuel, kg; ``tilt`` (n, servos).
+    """
+
+    forces: Array
+    moments: Array
+    momentum: Array
+    burnt: Array
+    tilt: Array
+
+
+class Starts(NamedTuple):
+    """What each window is flown with: ``rate`` and ``angles`` at its start, ``moment`` throughout; (w, 3) each.
+
+    rad/s, rad, and N m about the body's axes: what the engines do not make of what turns the vehicle.
+    """
+
+    rate: Array
+    angles: Array
+    moment: Array
+
+
+class Flown(NamedTuple):
+    """What the model's sensors say, at the flight's rows: NaN outside the windows."""
+
+    rate: Array  # (n, 3) rad/s
+    force: Array  # (n, 3) m/s^2
+    angles: Array  # (n, 3) rad
+    velocity: Array  # (n, 3) m/s, NED
+
+
+class Model:
+    """A vehicle with its engines, as a scenario states it, open for changes.
+
+    Raises InputError for a scenario that cannot be built.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario.replace(sensor_noise=False, expect=[])
+        self.vehicle, self._folder = self.scenario.resolved_vehicle()
+        self._flown_vehicle = apply_mismatch(self.vehicle, self.scenario.mismatch)
+        self._loads: dict[tuple[tuple[str, float], ...], Loads] = {}
+        self.engine: EngineSpec | None = None  # known when its engines have run
+
+    def loads(self, flight: RecordedFlight, change: Change) -> Loads:
+        """Return what the engines, servos and effects do with the commands of a flight."""
+        reordered = bool(change.order or change.jets or change.engines_s or change.servo_lag_s)
+        key = tuple(sorted(change.parameters.items()))
+        if reordered or key not in self._loads:
+            loads = self._run_engines(flight, change)
+            if reordered:
+                return loads
+            self._loads[key] = loads
+        return self._loads[key]
+
+    def _run_engines(self, flight: RecordedFlight, change: Change) -> Loads:
+        scenario = self.scenario
+        stated = scenario.mismatch.single_factors
+        factors = {f"thrust_factor_{jet + 1}": factor * stated[jet] for jet, factor in change.jets.items()}
+        if change.parameters or factors:
+            mismatch = {"engine_parameters": dict(change.parameters), **factors}
+            scenario = scenario.replace(mismatch={key: value for key, value in mismatch.items() if value})
+        if change.servo_lag_s:
+            scenario = scenario.replace(vehicle=_slower_servos(self.vehicle, change.servo_lag_s))
+        with build(scenario) as simulation:
+            self.engine = self.engine or simulation.engine
+            propulsion = simulation.propulsion
+            rows: Array = np.arange(float(len(flight.throttle))) - change.engines_s / flight.step
+            throttle = _shifted(flight.throttle, rows) if change.engines_s else flight.throttle
+            if change.order:
+                throttle = throttle[:, list(change.order)]
+            commands: list[PerJet] = [tuple(row) for row in throttle.tolist()]
+            tilts = [tuple(row) for row in flight.tilt.tolist()]
+            states = recorded_states(flight, self.vehicle)
+            propulsion.refuel()
+            propulsion.reset(commands[0], states[0], ZERO3)
+            count, jets = len(commands), len(self.vehicle.jets)
+            loads = Loads(
+                np.empty((count, jets, 3)),
+                np.empty((count, 3)),
+                np.empty((count, 3)),
+                np.empty(count),
+                np.zeros((count, len(propulsion.tilt))),
+            )
+            for k, (command, state) in enumerate(zip(commands, states, strict=True)):
+                tilt = tilts[k] or propulsion.tilt
+                forces, moment = propulsion.step(k, Actuation(command, tilt, _NOTHING_REFUSED), state)
+                loads.forces[k], loads.moments[k] = forces, moment
+                loads.momentum[k], loads.burnt[k], loads.tilt[k] = (
+                    propulsion.momentum,
+                    propulsion.burnt,
+                    propulsion.tilt,
+                )
+            return loads
+
+    def fly(
+        self,
+        flight: RecordedFlight,
+        windows: Sequence[Window],
+        starts: Starts,
+        change: Change | None = None,
+        wind: Vector3 = ZERO3,
+    ) -> Flown:
+        """Fly the windows from ``starts`` in a ``wind`` [m/s, NED].  Raises FlightError where JSBSim stops."""
+        change = change or Change()
+        acting = _changed(self.loads(flight, change), change, flight.step)
+        scenario = self.scenario
+        vehicle = changed_vehicle(self._flown_vehicle, change)
+        rotors = bool(np.any(acting.momentum))
+        airframe = Airframe(
+            vehicle, self._folder, scenario.environment, flight.step, scenario.substeps, scenario.seed, rotors
+        )
+        sensors = SensorSuite(self.vehicle.sensors, flight.step, scenario.seed, noisy=False)
+        try:
+            windowed = _WindowFlight(airframe, sensors, flight, acting)
+            for window, rate, angles, moment in zip(windows, *starts, strict=True):
+                x, y, z = moment.tolist()
+                windowed.fly(window, rate, angles, Disturbance(moment=(x, y, z), wind=wind))
+        finally:
+            airframe.close()
+        return windowed.flown
+
+
+def changed_vehicle(vehicle: Vehicle, change: Change) -> Vehicle:
+    """Return the vehicle with other mass, inertia and damping; what a JSBSim file of its own says of that stays."""
+    inertia = tuple(factor * value for factor, value in zip(change.inertia, vehicle.inertia_kg_m2, strict=True))
+    update: dict[str, Any] = {"inertia_kg_m2": inertia, "mass_kg": change.mass * vehicle.mass_kg}
+    if change.damping:
+        (roll, pitch, yaw), (jx, jy, _) = vehicle.aero.damping_n_m_s, vehicle.inertia_kg_m2
+        damping = (roll + change.damping * jx, pitch + change.damping * jy, yaw)
+        update["aero"] = vehicle.aero.model_copy(update={"damping_n_m_s": damping})
+    return vehicle.model_copy(update=update)
+
+
+def _slower_servos(vehicle: Vehicle, more: float) -> dict[str, Any]:
+    """Return what a vehicle states otherwise whose servos and hinges have a longer lag [s]."""
+    if vehicle.servo is not None:
+        return {"servo": {"lag_s": max(vehicle.servo.lag_s + more, 0.0)}}
+    hinges = [
+        hinge.model_dump(exclude_unset=True) | {"lag_s": max(hinge.lag_s + more, 0.0)} for hinge in vehicle.hinges
+    ]
+    return {"hinges": hinges}
+
+
+def recorded_states(flight: RecordedFlight, vehicle: Vehicle) -> list[State]:
+    """Return the recorded motion as states: what engines and effects see around them."""
+    angles, velocity = np.nan_to_num(flight.angles), np.nan_to_num(flight.velocity)
+    height = np.where(np.isfinite(flight.altitude), np.maximum(flight.altitude, LOWEST_M), UNKNOWN_M)
+    rate, force = np.nan_to_num(flight.rate), np.nan_to_num(flight.force)
+    rows = zip(angles.tolist(), velocity.tolist(), height.tolist(), rate.tolist(), force.tolist(), strict=True)
+    mass = vehicle.mass_kg
+    return [
+        State(
+            (0.0, 0.0, -up),
+            tuple(v),
+            from_euler(*euler),
+            tuple(euler),
+            tuple(omega),
+            tuple(f),
+            up,
+            ZERO3,
+            mass,
+            False,
+            False,
+        )
+        for euler, v, up, omega, f in rows
+    ]
+
+
+def _changed(loads: Loads, change: Change, step: float) -> Loads:
+    """Return loads with the changes that need no engine to run again."""
+    if change.thrust != 1.0:
+        loads = loads._replace(forces=change.thrust * loads.forces, moments=change.thrust * loads.moments)
+    if change.delay_s:
+        rows: Array = np.arange(float(len(loads.burnt))) - change.delay_s / step
+        loads = Loads(*(_shifted(values, rows) for values in loads))
+    return loads
+
+
+def _shifted(values: Array, rows: Array) -> Array:
+    """Return values at rows between the rows, in a straight line; the ends go on."""
+    rows = np.clip(rows, 0.0, len(values) - 1.0)
+    before = np.minimum(rows.astype(int), len(values) - 2)
+    part = (rows - before).reshape(-1, *([1] * (values.ndim - 1)))
+    return np.asarray((1.0 - part) * values[before] + part * values[before + 1])
+
+
+class _WindowFlight:
+    """The airframe and its sensors, flown through one window after the other."""
+
+    def __init__(self, airframe: Airframe, sensors: SensorSuite, flight: RecordedFlight, loads: Loads) -> None:
+        self._airframe, self._sensors = airframe, sensors
+        self._flight, self._loads = flight, loads
+        self.flown = Flown(*(np.full((len(flight.times), 3), np.nan) for _ in Flown._fields))
+
+    def fly(self, window: Window, rate: Array, angles: Array, disturbance: Disturbance) -> None:
+        """Fly a window that starts with ``rate`` [rad/s] and ``angles`` [rad], the rest as recorded."""
+        airframe, sensors, flown = self._airframe, self._sensors, self.flown
+        self._start(window.first, rate, angles, disturbance.wind)
+        rows = slice(window.first, window.last)
+        loads = zip(*(values[rows].tolist() for values in self._loads), strict=True)
+        for row, (forces, moment, momentum, burnt, tilt) in enumerate(loads, start=window.first + 1):
+            airframe.prepare_step(tuple(momentum), burnt, tuple(tilt))
+            state = airframe.step([tuple(force) for force in forces], disturbance, tuple(moment))
+            measured = sensors.reset(state) if row == window.first + 1 else sensors.sample(state)
+            flown.rate[row], flown.force[row] = measured.rate, measured.specific_force
+            flown.angles[row], flown.velocity[row] = state.euler, state.velocity
+
+    def _start(self, row: int, rate: Array, angles: Array, wind: Vector3) -> None:
+        flight, loads, before = self._flight, self._loads, max(row - 1, 0)
+        up, velocity = flight.altitude[row], flight.velocity[row]
+        initial = Initial.model_construct(
+            altitude_m=max(float(up), LOWEST_M) if np.isfinite(up) else UNKNOWN_M,
+            attitude_deg=tuple(np.degrees(angles).tolist()),
+            velocity_ned_m_s=tuple(velocity.tolist()) if np.isfinite(velocity).all() else ZERO3,
+            rate_deg_s=tuple(np.degrees(rate).tolist()),
+        )
+        forces: list[Vector3] = [(x, y, z) for x, y, z in loads.forces[before].tolist()]
+        x, y, z = loads.momentum[before].tolist()
+        momentum = (x, y, z) if x or y or z else None
+        self._airframe.reset(initial, forces, wind, momentum, float(loads.burnt[before]))

@@ -1,0 +1,243 @@
+"""How alike what was measured and what was modelled are: in time, by Theil, and over frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array, Complex, Flags
+from hexjet_identify.replay.windows import CHANNELS, Flying
+
+EDGES: Final = (1.0, 3.0, 8.0, 25.0)  # of the bands, in periods a window
+LEVEL: Final = "specific_force_z"  # whose level is thrust over mass, and says something where nothing moves
+COHERENT: Final = 0.6  # from here on a ratio of the two says something
+EXCITED: Final = 2.0  # times its noise that a channel moves, rms, from where on it says something
+SPREAD: Final = 2.0  # standard deviations of the noise around the draws
+
+
+class Theil(NamedTuple):
+    """Theil's inequality coefficient, 0 for equal and 1 for useless, and what the squared error consists of.
+
+    ``bias``, ``variance`` and ``covariance`` add up to 1: other means, other sizes, and what goes another way
+    (H. Theil, *Economic Forecasts and Policy*, 1961, chapter 2).
+    """
+
+    u: float
+    bias: float
+    variance: float
+    covariance: float
+
+
+class Ratio(NamedTuple):
+    """Measured over modelled by frequency: the response that leads from the one to the other, with coherence."""
+
+    hertz: Array
+    value: Complex
+    coherence: Array
+    excited: Flags  # whether the model moves more than the noise of the channel there
+
+
+class Band(NamedTuple):
+    """A band of a channel: what of it moved, and how alike both are in it."""
+
+    low_hz: float
+    high_hz: float
+    within: float  # share of the time within the envelope of this band
+    measured_rms: float
+    error_rms: float
+    u: float
+    coherence: float
+    gain_db: float | None  # measured over modelled where both are coherent
+    phase_deg: float | None
+    excited: bool
+
+
+class ChannelMeasures(NamedTuple):
+    """A channel of a replay."""
+
+    name: str
+    unit: str
+    within: float  # share of the time within the envelope
+    rms: float  # of the error
+    measured_rms: float  # about its mean in each window
+    noise: float
+    theil: Theil
+    bands: tuple[Band, ...]
+    excited: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything, for JSON."""
+        return {
+            **self._asdict(),
+            "theil": self.theil._asdict(),
+            "bands": [band._asdict() for band in self.bands],
+        }
+
+
+class FrequencyBand(NamedTuple):
+    """The frequencies of a band: its edges, and which of a window's it has."""
+
+    low_hz: float
+    high_hz: float
+    inside: Flags
+
+    def of(self, values: Array) -> Array:
+        """Return what of signals (w, n, c) is in the band, by Hann's window, each without its line there."""
+        count = values.shape[1]
+        taper, time, values = _hann(count), np.arange(count) - 0.5 * (count - 1), np.nan_to_num(values)
+        mean = np.einsum("n,wnc->wc", taper, values)[:, None] / taper.sum()
+        slope = np.einsum("n,wnc->wc", taper * time, values)[:, None] / (taper @ time**2)
+        return self._pass(taper[:, None] * (values - mean - time[:, None] * slope))
+
+    def pass_noise(self, count: int, step: float, lags: Array) -> Array:
+        """Return what of noise of one behind lags (c,) [s] is in the band, (n, c): its standard deviation.
+
+        Noise behind a lag is slow: of its power more is in a low band than of white noise.
+        """
+        white = np.sqrt(self._pass(np.eye(count)[None])[0] ** 2 @ _hann(count) ** 2)
+        memory = np.exp(-step / np.maximum(lags, 1e-9))
+        angle = 2.0 * np.pi * np.arange(len(self.inside))[:, None] / count
+        power = np.abs((1.0 - memory) / (1.0 - memory * np.exp(-1j * angle))) ** 2
+        share = power[self.inside].mean(axis=0) * (1.0 + memory) / (1.0 - memory)
+        return np.asarray(white[:, None] * np.sqrt(share))
+
+    def _pass(self, values: Array) -> Array:
+        spectrum = np.fft.rfft(values, axis=1)
+        spectrum[:, ~self.inside] = 0.0
+        return np.asarray(np.fft.irfft(spectrum, values.shape[1], axis=1))
+
+
+def _hann(count: int) -> Array:
+    return np.asarray(np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2)
+
+
+def band_parts(count: int, step: float) -> Iterator[FrequencyBand]:
+    """Yield the bands of windows of so many rows; those above what the rows can tell are left out."""
+    hertz = np.fft.rfftfreq(count, step)
+    for low, high in pairwise(EDGES):
+        low_hz, high_hz = (edge / (count * step) for edge in (low, high))
+        inside = (hertz >= low_hz - 1e-9) & (hertz < high_hz) & (hertz <= 0.4 / step)
+        if inside.any():
+            yield FrequencyBand(low_hz, min(high_hz, 0.4 / step), inside)
+
+
+class Envelope:
+    """What the draws span of each channel (w, n, c), as it is and band by band, and twice the noise around it.
+
+    ``lags`` (c,) [s] are the filters that the ``noise`` (c,) has passed.
+    """
+
+    def __init__(self, modelled: Array, step: float, noise: Array, lags: Array) -> None:
+        self.parts, self._step = tuple(band_parts(modelled.shape[1], step)), step
+        self._noise, self._lags = noise, lags
+        self._whole, self._bands = (modelled, modelled), [(part.of(modelled),) * 2 for part in self.parts]
+
+    def include(self, drawn: Array) -> None:
+        """Widen it by what a drawn vehicle does."""
+        self._whole = _widened(self._whole, drawn)
+        self._bands = [_widened(ends, part.of(drawn)) for ends, part in zip(self._bands, self.parts, strict=True)]
+
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """The lower and the upper end, (w, n, c)."""
+        return self._whole[0] - SPREAD * self._noise, self._whole[1] + SPREAD * self._noise
+
+    def within(self, measured: Array) -> Array:
+        """Return the shares of the time for which signals (w, n, c) are within, (bands + 1, c): as they are first."""
+        low, high = self.ends
+        shares = [np.mean((measured >= low) & (measured <= high), axis=(0, 1))]
+        for part, (low, high) in zip(self.parts, self._bands, strict=True):
+            values, margin = part.of(measured), part.pass_noise(measured.shape[1], self._step, self._lags)
+            margin = SPREAD * self._noise * margin
+            shares.append(np.mean((values >= low - margin) & (values <= high + margin), axis=(0, 1)))
+        return np.stack(shares)
+
+
+def _widened(ends: tuple[Array, Array], values: Array) -> tuple[Array, Array]:
+    return np.minimum(ends[0], values), np.maximum(ends[1], values)
+
+
+def theil(measured: Array, modelled: Array) -> Theil:
+    """Return the coefficient and the split of two signals (w, n), about the mean measured in each window."""
+    mean = measured.mean(axis=1, keepdims=True)
+    y, x = (measured - mean).ravel(), (modelled - mean).ravel()
+    size = float(np.sqrt(np.mean(y**2)) + np.sqrt(np.mean(x**2)))
+    square = float(np.mean((y - x) ** 2))
+    if not square > 0.0 or not size > 0.0:
+        return Theil(0.0, 0.0, 0.0, 0.0)
+    sy, sx = float(np.std(y)), float(np.std(x))
+    bias, variance = float(np.mean(y) - np.mean(x)) ** 2 / square, (sy - sx) ** 2 / square
+    return Theil(float(np.sqrt(square)) / size, bias, variance, max(1.0 - bias - variance, 0.0))
+
+
+def measure_ratio(measured: Array, modelled: Array, step: float, noise: float) -> Ratio:
+    """Return measured over modelled by frequency of two signals (w, n), a segment a window (Welch)."""
+    from scipy.signal import csd, welch
+
+    count = measured.shape[1]
+    kind = {"fs": 1.0 / step, "nperseg": count, "noverlap": 0, "detrend": "linear"}
+    y, x = measured.ravel(), modelled.ravel()
+    hertz, of_x = welch(x, **kind)
+    of_y, cross = welch(y, **kind)[1], csd(x, y, **kind)[1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = np.nan_to_num(cross / of_x)
+        coherence = np.nan_to_num(np.abs(cross) ** 2 / (of_x * of_y))
+    return Ratio(hertz, value, coherence, of_x > 2.0 * step * noise**2)
+
+
+def measure_bands(measured: Array, modelled: Array, step: float, noise: float, within: Array) -> tuple[Band, ...]:
+    """Return the bands of a channel (w, n); ``within``: shares of the time in which it is inside, band by band."""
+    from scipy.signal import welch
+
+    ratio = measure_ratio(measured, modelled, step, noise)
+    count = measured.shape[1]
+    kind = {"fs": 1.0 / step, "nperseg": count, "noverlap": 0, "detrend": "linear"}
+    of = [welch(signal.ravel(), **kind)[1] for signal in (measured, modelled, measured - modelled)]
+    bands = []
+    for part, share in zip(band_parts(count, step), within.tolist(), strict=True):
+        inside = part.inside
+        width = float(ratio.hertz[1])
+        y, x, e = (float(np.sqrt(width * np.sum(power[inside]))) for power in of)
+        power = of[1][inside]
+        coherence = float(np.sum(ratio.coherence[inside] * power) / np.sum(power)) if np.sum(power) > 0.0 else 0.0
+        excited = y > EXCITED * noise * np.sqrt(2.0 * step * width * np.sum(inside))
+        tells = excited and coherence >= COHERENT
+        mean = complex(np.sum(ratio.value[inside] * power) / np.sum(power)) if tells else 1.0
+        bands.append(
+            Band(
+                part.low_hz,
+                part.high_hz,
+                share,
+                y,
+                e,
+                e / (x + y) if x + y > 0.0 else 0.0,
+                coherence,
+                float(20.0 * np.log10(abs(mean))) if tells and abs(mean) > 0.0 else None,
+                float(np.degrees(np.angle(mean))) if tells else None,
+                bool(excited),
+            )
+        )
+    return tuple(bands)
+
+
+def measure_channels(flying: Flying, modelled: Array, envelope: Envelope) -> tuple[ChannelMeasures, ...]:
+    """Return the measures of each channel that the log has; ``modelled`` is (w, n, 9)."""
+    measured, step, noise = flying.measured(), flying.flight.step, flying.scale
+    shares = envelope.within(measured)
+    channels = []
+    for c, (name, unit) in enumerate(CHANNELS):
+        y, x = measured[:, :, c], modelled[:, :, c]
+        if not np.isfinite(y).all():
+            continue
+        moved = float(np.sqrt(np.mean((y - y.mean(axis=1, keepdims=True)) ** 2)))
+        bands = measure_bands(y, x, step, float(noise[c]), shares[1:, c])
+        error = float(np.sqrt(np.mean((y - x) ** 2)))
+        level = float(np.sqrt(np.mean(y**2))) if name == LEVEL else moved
+        excited = level > EXCITED * float(noise[c])
+        channels.append(
+            ChannelMeasures(name, unit, float(shares[0, c]), error, moved, float(noise[c]), theil(y, x), bands, excited)
+        )
+    return tuple(channels)

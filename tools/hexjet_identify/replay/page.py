@@ -1,0 +1,262 @@
+"""What a replay leaves in a folder: ``replay.json``, ``replay.csv`` and ``report.html``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.signals import AXES
+from cosim.base.storage.files import write_files
+from cosim.identify.page import Card, Page
+from cosim.results.log.columns import COLUMNS
+from cosim.results.log.recorder import MemoryLog
+from cosim.results.log.tables import TIME
+from cosim.results.report.page import Flights
+from cosim.results.report.plot import BLUE, GREY, HOVER, ORANGE, Figure, axis_name, beneath, panels, trace
+from cosim.results.report.signals_data import FlightData, run_data
+from hexjet_identify.replay.replay import Replay
+from hexjet_identify.replay.windows import CHANNELS
+
+_GROUPS: Final = (("rates", "rate_"), ("forces", "specific_force_"), ("angles", ""))
+_MOST: Final = 6000  # points a curve
+_TITLES: Final = {"rates": "Angular rates", "forces": "Specific force", "angles": "Angles"}
+CHANNELS_SHOWN: Final = (
+    "channel", "time within", "error, rms", "movement, rms", "Theil's U", "bias / variance / covariance, %", "told",
+)  # fmt: skip
+BANDS_SHOWN: Final = (
+    "channel", "Hz", "time within", "Theil's U", "coherence", "measured over modelled, dB", "deg",
+)  # fmt: skip
+OPEN_LOOP: Final = (
+    "Open loop, in windows of {:g} s: a vehicle that hovers is not stable without its controller, so the model is "
+    "started anew from the recorded state at the beginning of each. What a window starts with is corrected once by "
+    "what the model was off by in its mean."
+)
+CLOSED_LOOP: Final = "Closed loop, by the set-points, from the recorded start."
+ENVELOPE: Final = (
+    "The envelope is that of {} draws and twice the noise; a channel is explained that is within it for 90 % of the "
+    "time. Theil's U is 0 for equal and 1 for useless, about the mean measured in each window."
+)
+CAUSES: Final = (
+    "Each number was fitted alone, then the most promising two at once. One is named where it removes half of the "
+    "misfit or more and the windows agree on that by three standard errors, two where windows that are held back bear "
+    "both out; another that comes as near is named beside it. An inertia about an axis looks like the levers about it."
+)
+RATIO: Final = (
+    "A gain that is flat and not 0 dB is an inertia, a lever or a thrust; a phase that falls with frequency is a delay."
+)
+
+
+def write(result: Replay, folder: Path) -> dict[str, Path]:
+    """Write page, JSON and CSV.  Raises FlightError if a file cannot be written."""
+    paths = {name: folder / file for name, file in (("json", "replay.json"), ("csv", "replay.csv"))}
+    text = json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n"
+    write_files({paths["json"]: text, paths["csv"]: _csv(result)})
+    paths["report"] = folder / "report.html"
+    page(result).write(paths["report"])
+    return paths
+
+
+def page(result: Replay) -> Page:
+    """Return the page of a replay."""
+    drawn, runs = figures(result), _flights(result)
+    cards = [
+        Card("Channels", CHANNELS_SHOWN, channel_rows(result), _describe_comparison(result)),
+        _causes_card(result),
+        *([Card("Bands", BANDS_SHOWN, bands)] if (bands := band_rows(result)) else []),
+        Card("Measured over modelled, by frequency", text=RATIO, figure="ratio"),
+        *(Card(f"{title}, measured and modelled", figure=name) for name, title in _TITLES.items() if name in drawn),
+    ]
+    return Page(
+        "replay of a recorded flight",
+        f"{result.aircraft} with {result.engine}, flown again with the commands of {result.log}",
+        "",
+        result.log,
+        result.judgement,
+        cards,
+        drawn,
+        result.notes,
+        [result.fault] if result.fault else [],
+        Flights("replay", runs, {}) if runs else None,
+    )
+
+
+def _describe_comparison(result: Replay) -> str:
+    """Return how both were compared: how the model was driven, the envelope, what was drawn, moments and wind."""
+    how = OPEN_LOOP.format(result.window_s) if result.flying.flight.setpoints is None else CLOSED_LOOP
+    x, y, z = result.moment_rms
+    wind = result.wind
+    blows = wind.reason or (
+        f"{wind.velocity[0]:.1f}, {wind.velocity[1]:.1f} m/s north, east, within {wind.deviation or 0.0:.1f}"
+    )
+    return (
+        f"{how} {ENVELOPE.format(result.choices.draws)} Drawn: {'; '.join(result.tolerances)}. Each window has a "
+        f"constant moment beside what the engines make, of {x:.2g}, {y:.2g}, {z:.2g} N m (rms) about x, y, z: of the "
+        f"air, or of a centre of gravity or engines that are not where they are stated. Wind: {blows}."
+    )
+
+
+def _causes_card(result: Replay) -> Card:
+    """Return what was tried, one cause a row and two; the reason where nothing was."""
+    title, causes = "What may be wrong with the model", result.causes
+    rows = [(one.text, f"{100.0 * one.removed:.0f} %", f"{one.sure:.1f}") for one in (*causes.tried, *causes.pairs)]
+    if not rows:
+        return Card(title, text=f"{causes.reason}.")
+    return Card(title, ("alone, or two at once", "removes of the misfit", "standard errors, by windows"), rows, CAUSES)
+
+
+def channel_rows(result: Replay) -> list[tuple[str, ...]]:
+    """Return the channels as texts: name, time within, error, movement, Theil's U and its split, whether it is told."""
+    return [
+        (
+            f"{c.name} [{c.unit}]",
+            f"{100.0 * c.within:.1f} %",
+            f"{c.rms:.3g}",
+            f"{c.measured_rms:.3g}",
+            f"{c.theil.u:.3f}",
+            " / ".join(f"{100.0 * share:.0f}" for share in c.theil[1:]),
+            "yes" if c.excited else "no more than its noise",
+        )
+        for c in result.channels
+    ]
+
+
+def band_rows(result: Replay) -> list[tuple[str, ...]]:
+    """Return the bands in which a channel moves, as texts."""
+    return [
+        (
+            c.name,
+            f"{b.low_hz:.2g} to {b.high_hz:.2g}",
+            f"{100.0 * b.within:.1f} %",
+            f"{b.u:.3f}",
+            f"{b.coherence:.2f}",
+            "" if b.gain_db is None else f"{b.gain_db:+.1f}",
+            "" if b.phase_deg is None else f"{b.phase_deg:+.0f}",
+        )
+        for c in result.channels
+        for b in c.bands
+        if b.excited
+    ]
+
+
+def _csv(result: Replay) -> str:
+    """Return the compared rows: time, window, and of each channel what was measured, modelled, and the envelope."""
+    flying = result.flying
+    rows = flying.rows
+    columns: list[tuple[str, Array]] = [
+        ("time_s", flying.flight.times[rows].ravel()),
+        ("window", np.repeat(np.arange(len(rows)), rows.shape[1]).astype(float)),
+    ]
+    measured = flying.measured()
+    for name, unit, c in _shown(result):
+        label = f"{name}_{unit.replace('/', '_').replace('^', '')}"
+        for kind, values in (("", measured), ("_model", result.modelled), ("_low", result.low), ("_high", result.high)):
+            columns.append((label + kind, values[:, :, c].ravel()))
+    head = ",".join(name for name, _ in columns)
+    table = np.stack([values for _, values in columns], axis=1)
+    return "\n".join([head, *(",".join(f"{value:.9g}" for value in row) for row in table.tolist())]) + "\n"
+
+
+def _shown(result: Replay) -> list[tuple[str, str, int]]:
+    present = {channel.name for channel in result.channels}
+    return [(name, unit, c) for c, (name, unit) in enumerate(CHANNELS) if name in present]
+
+
+def figures(result: Replay) -> dict[str, Figure]:
+    """Return the page's figures: the signals of each kind, and measured over modelled by frequency."""
+    drawn, groups = {}, _grouped(result)
+    for name, shown in groups.items():
+        if shown:
+            drawn[name] = _signals(result, shown)
+    drawn["ratio"] = _ratio(result)
+    return drawn
+
+
+def _grouped(result: Replay) -> dict[str, list[tuple[str, str, int]]]:
+    groups: dict[str, list[tuple[str, str, int]]] = {name: [] for name, _ in _GROUPS}
+    for entry in _shown(result):
+        group = next(name for name, prefix in _GROUPS if entry[0].startswith(prefix))
+        groups[group].append(entry)
+    return groups
+
+
+def _broken(values: Array) -> Array:
+    """Return windows (w, n) as one curve that breaks where a window ends."""
+    return np.concatenate([values, np.full((len(values), 1), np.nan)], axis=1).ravel()
+
+
+def _signals(result: Replay, shown: Sequence[tuple[str, str, int]]) -> Figure:
+    flying = result.flying
+    rows, measured = flying.rows, flying.measured()
+    every = slice(None, None, max(1, rows.size // _MOST))
+    times = _broken(flying.flight.times[rows])[every]
+    times = np.where(np.isfinite(times), times, np.nan)
+    data = []
+    for panel, (_, _, c) in enumerate(shown):
+        curves: tuple[tuple[str, str, Array, dict[str, Any]], ...] = (
+            ("envelope", GREY, result.low, {"line": {"color": GREY, "width": 1.0}}),
+            ("envelope", GREY, result.high, {"line": {"color": GREY, "width": 1.0}, "showlegend": False}),
+            ("measured", ORANGE, measured, beneath(ORANGE)),
+            ("model", BLUE, result.modelled, {}),
+        )
+        data += [
+            trace(label, colour, times, _broken(values[:, :, c])[every], panel, **how)
+            for label, colour, values, how in curves
+        ]
+    titles = [f"{name} [{unit}]" for name, unit, _ in shown]
+    return {"data": data, "layout": panels(220 * len(shown) + 60, "time of the log [s]", titles, log=False) | HOVER}
+
+
+def _ratio(result: Replay) -> Figure:
+    """Return measured over modelled: gain, phase and coherence of the channels that move."""
+    data = []
+    colours = iter((ORANGE, BLUE, "#2f9e44", "#c2339b", "#e03131", "#7048e8", "#1098ad", "#a0522d", GREY))
+    moved = [channel.name for channel in result.channels if channel.excited] or [c.name for c in result.channels[:3]]
+    for name in moved:
+        ratio, colour = result.ratios[name], next(colours)
+        use = (ratio.hertz > 0.0) & (ratio.hertz <= 0.4 / result.flying.flight.step) & ratio.excited
+        value = ratio.value[use]
+        gain = 20.0 * np.log10(np.maximum(np.abs(value), 1e-6))
+        for panel, values in enumerate((gain, np.degrees(np.angle(value)), ratio.coherence[use])):
+            data.append(trace(name, colour, ratio.hertz[use], values, panel, mode="lines+markers", marker={"size": 4}))
+    layout = panels(560, "frequency [Hz]", ("gain [dB]", "phase [deg]", "coherence"), log=True) | HOVER
+    layout[axis_name("yaxis", 2)]["range"] = [0.0, 1.05]
+    return {"data": data, "layout": layout}
+
+
+def _flights(result: Replay) -> list[tuple[dict[str, Any], dict[str, str]]]:
+    """Return the recorded and the modelled motion for the replay in three dimensions; without windows the recorded."""
+    flying, flown = result.flying, result.flown
+    flight = flying.flight
+    if not flight.has_angles:
+        return []
+    inside = np.zeros(len(flight.times), bool)
+    inside[flying.rows.ravel()] = True
+    rows = slice(flying.windows[0].first, flying.windows[-1].last + 1)
+    described = {column.name: column for column in COLUMNS}
+    height = np.nan_to_num(flight.altitude)
+    still = np.zeros_like(height)
+    shared = {
+        TIME: flight.times - flight.times[rows.start],
+        "north_m": still,
+        "east_m": still,
+        "down_m": -height,
+        "altitude_m": height,
+    }
+    runs = []
+    for label, colour, angles, rate in (
+        ("recorded", ORANGE, flight.angles, flight.rate),
+        ("model", BLUE, flown.angles, flown.rate),
+    ):
+        columns = dict(shared)
+        for c, (axis, letter) in enumerate(zip(AXES, "pqr", strict=True)):
+            columns[f"{axis}_rad"] = np.where(inside, angles[:, c], flight.angles[:, c])
+            columns[f"rate_{letter}_rad_s"] = np.where(inside, rate[:, c], flight.rate[:, c])
+        names = tuple(columns)
+        log = MemoryLog([np.stack(list(columns.values()))[:, rows]], names, tuple(described[name] for name in names))
+        runs.append(run_data(FlightData(log, label, colour, step_s=flight.step, vehicle=result.vehicle)))
+    return runs

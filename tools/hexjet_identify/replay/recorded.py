@@ -1,0 +1,422 @@
+"""A flight's log at the control steps of a vehicle: what was commanded, and what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping as Table
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from hashlib import file_digest
+from typing import Final
+
+import numpy as np
+
+from cosim.base.arrays import Array, Flags
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.base.signals import AXES
+from cosim.results.log.columns import RATES
+from cosim.results.run import LOG, SUMMARY
+from cosim.spec.vehicle import Vehicle
+from hexjet_identify.logs import Channel, FlightLog
+from hexjet_identify.logs.log_columns import LEFT_AND_UP, match_columns
+
+XYZ: Final = ("x", "y", "z")
+NED: Final = ("north", "east", "down")
+SLOWEST_COMMAND_S = 0.03  # between two commands: what engines do between slower ones is not in the log
+SLOWEST_SETPOINT_S = 0.11  # between two set-points of the attitude, which autopilots log ten times a second
+LONGEST_GAP = 5.0  # control steps, or rows of the log, without a row: nothing is flown across a longer one
+MOST_THROTTLE = 1.5  # beyond it they are no throttles from 0 to 1
+LEAST_S = 2.0  # of commands and measurements, for a verdict of any kind
+OUTPUTS: Final = "actuator_outputs"  # of PX4: what its outputs had, in microseconds
+MICROSECONDS: Final = (1000.0, 2000.0)
+COUNTS: Final = {  # what 0 and 1 of a throttle are, by the kind of log, or by the topic
+    OUTPUTS: MICROSECONDS,
+    "Crazyflie": (0.0, 65535.0),
+    "ArduPilot DataFlash": MICROSECONDS,
+    "MAVLink telemetry log": MICROSECONDS,
+    "Betaflight blackbox": (48.0, 2047.0),
+}
+# By these columns of a table, or the names of these topics, a log is known to be written by this program.
+OWN_COLUMNS: Final = {"throttle_1", "thrust_1_N", "health_1"}
+OWN_TOPICS: Final = "hexjet_"
+_FASTER: Final = {  # how a kind of log has commands oftener
+    "ULog": "PX4: SDLOG_PROFILE with high rate; of ours: hexjet export --to ulog --rates all",
+    "ArduPilot DataFlash": "ArduPilot writes RCOU ten times a second; hexjet identify log --axis takes RATE.ROut",
+}
+_MOTORS: Final = (  # where the command of engine n may stand; {n} from 1, {m} from 0
+    "throttle_{n}", "hexjet_throttle.throttle[{m}]", "actuator_motors.control[{m}]", OUTPUTS + ".output[{m}]",
+    "motor.m{n}", "RCOU.C{n}", "motor[{m}]", "SERVO_OUTPUT_RAW.servo{n}_raw",
+)  # fmt: skip
+_FORCES: Final = (  # m/s^2 or g; FRD but for LEFT_AND_UP
+    "specific_force_{x}_measured_m_s2", "specific_force_{x}_m_s2", "sensor_combined.accelerometer_m_s2[{m}]",
+    "vehicle_acceleration.xyz[{m}]", "IMU[0].Acc{X}", "IMU.Acc{X}", "acc.{x}", "SCALED_IMU.{x}acc", "RAW_IMU.{x}acc",
+)  # fmt: skip
+_GYROS: Final = (  # rad/s, FRD, where the log has not what its kind is known by
+    "vehicle_angular_velocity.xyz[{m}]", "sensor_combined.gyro_rad[{m}]", "IMU[0].Gyr{X}", "IMU.Gyr{X}",
+)  # fmt: skip
+_LIKE_MOTORS: Final = ("throttle_", "motor", "rcou", "output", "pwm")  # in the names of what may be commands
+_UNITS: Final = {"acc.": GRAVITY, "SCALED_IMU": 1e-3 * GRAVITY, "RAW_IMU": 1e-3 * GRAVITY}  # m/s^2
+
+
+@dataclass(frozen=True)
+class ThrottleChannels:
+    """What the user says of a log: the channel of an engine, from 1, and what throttles 0 and 1 are in it."""
+
+    throttles: Table[int, str] = field(default_factory=dict)
+    limits: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class RecordedFlight:
+    """A log at the beginnings of control steps; NaN where it has nothing.
+
+    ``throttle`` (n, jets), 0 to 1, and ``tilt`` (n, servos), rad, act over the step; ``rate`` (n, 3) [rad/s, FRD],
+    ``force`` (n, 3) [m/s^2, FRD], ``angles`` (n, 3) [rad], ``velocity`` (n, 3) [m/s, NED] and ``altitude`` (n,) [m] are
+    measured at its beginning.  ``usable`` (n,): commands and rates are there, without a gap, and it flies.
+    """
+
+    step: float  # s
+    times: Array  # s, of the log's clock
+    throttle: Array
+    tilt: Array
+    rate: Array
+    force: Array
+    angles: Array
+    velocity: Array
+    altitude: Array
+    usable: Flags
+    notes: tuple[str, ...]
+    setpoints: Array | None = None  # (n, 3 or 4): roll, pitch, yaw [rad] and height [m], where there are no commands
+
+    @property
+    def has_force(self) -> bool:
+        """Whether the log has an accelerometer."""
+        return bool(np.isfinite(self.force).any())
+
+    @property
+    def has_angles(self) -> bool:
+        """Whether the log has an attitude."""
+        return bool(np.isfinite(self.angles).any())
+
+    @property
+    def has_velocity(self) -> bool:
+        """Whether the log has a velocity over the ground."""
+        return bool(np.isfinite(self.velocity).any())
+
+
+def has_commands(log: FlightLog, mapping: ThrottleChannels) -> bool:
+    """Return whether the commands of engines are flown: the log has some, often enough, or nothing in their place."""
+    if mapping.throttles:
+        return True
+    name = _motor(log, 1, mapping)
+    return name is not None and (_apart(log.channels[name]) <= SLOWEST_COMMAND_S or not _setpoints(_all_columns(log)))
+
+
+def _all_columns(log: FlightLog) -> dict[str, Channel]:
+    """Return what a log has, by its own names and as far as they are known by ours."""
+    return match_columns(log) | dict(log.channels)
+
+
+def is_simulated(log: FlightLog) -> bool:
+    """Return whether a log is a run of this program, an export of one, or lies in the folder of one."""
+    folders = [log.path, *log.path.absolute().parents[:2]]
+    names = [name.partition(".")[0] for name in log.channels]
+    ours = set(names) >= OWN_COLUMNS or any(name.startswith(OWN_TOPICS) for name in names)
+    return ours or any((folder / SUMMARY).is_file() for folder in folders)
+
+
+def hash_log(log: FlightLog) -> str:
+    """Return the SHA-256 of a log's file, of a run's folder of the log in it."""
+    with (log.path / LOG if log.path.is_dir() else log.path).open("rb") as file:
+        return file_digest(file, "sha256").hexdigest()
+
+
+def record_flight(
+    log: FlightLog, vehicle: Vehicle, step: float, mapping: ThrottleChannels, part: tuple[float | None, float | None]
+) -> RecordedFlight:
+    """Put a log on the clock of a vehicle's control steps, between the times ``part`` [s].
+
+    A command holds from its stamp to the next; where the log has several rows in a step, they are averaged.  Without
+    commands of engines, or with slow ones, the set-points are taken.  Raises InputError for a log that lacks both, or
+    rates, or has commands of another number of engines.
+    """
+    notes: list[str] = list(log.remarks)
+    columns = _all_columns(log)
+    gyros = _gyros(log, columns, notes)
+    slow: list[Channel] = []  # commands that say no more than when the engines run
+    if has_commands(log, mapping) or not (setpoints := _setpoints(columns)):
+        throttles, tilts, setpoints = _throttles(log, vehicle, mapping, notes), _tilts(columns, vehicle), []
+    else:
+        throttles, tilts = [], []
+        slow = _throttles(log, vehicle, mapping, notes) if _motor(log, 1, mapping) else []
+        notes.append(f"{_why_setpoints(log, mapping)}: its set-points are flown, by the controller of the vehicle here")
+    clock = _clock(log, [*(throttles or setpoints[:1]), *gyros], step, part)
+    _check_command_rate(log, (throttles or setpoints)[0], SLOWEST_COMMAND_S if throttles else SLOWEST_SETPOINT_S)
+    throttle, tilt, wanted = (_held(channels, clock, step) for channels in (throttles, tilts, setpoints))
+    if throttles and (most := float(np.nanmax(throttle))) > MOST_THROTTLE:
+        raise InputError(f"{log.path}: throttles up to {most:g}: say what 0 and 1 are, --throttle-range LOW HIGH")
+    rate = np.stack([_sample(channel, clock, step) for channel in gyros], axis=1)
+    ground = _optional(columns, ("on_ground", "vehicle_land_detected.landed"), clock, step)
+    commanded = (throttle if throttles else wanted[:, :3]), rate
+    usable = np.isfinite(np.concatenate(commanded, axis=1)).all(axis=1) & ~(ground > 0.5)
+    for channel in ((throttles or setpoints)[0], gyros[0]):
+        usable &= _near_rows(channel, clock, step)
+    if slow:
+        usable &= np.nan_to_num(_held(slow, clock, step)).max(axis=1) > 0.0
+    if (seconds := float(np.sum(usable)) * step) < LEAST_S:
+        raise InputError(
+            f"{log.path}: {seconds:.2f} s have commands and rates without a gap, off the ground and with engines that "
+            f"run; at least {LEAST_S:g} s are needed"
+        )
+    return RecordedFlight(
+        step,
+        clock,
+        np.clip(np.nan_to_num(throttle), 0.0, 1.0),
+        np.nan_to_num(tilt),
+        rate,
+        _forces(log, columns, clock, step),
+        _vectors(_unwrapped(columns), [(f"{axis}_measured_rad", f"{axis}_rad") for axis in AXES], clock, step),
+        _vectors(columns, [(f"velocity_{n}_m_s", f"velocity_{n}_measured_m_s") for n in NED], clock, step),
+        _optional(columns, ("altitude_m", "altitude_measured_m"), clock, step),
+        usable,
+        tuple(notes),
+        wanted if setpoints else None,
+    )
+
+
+def _gyros(log: FlightLog, columns: Table[str, Channel], notes: list[str]) -> list[Channel]:
+    """Return the measured rates.  Raises InputError where one is missing."""
+    rates = [
+        _find(
+            columns,
+            (f"rate_{r}_measured_rad_s", f"rate_{r}_rad_s", *(p.format(m=m, X="XYZ"[m]) for p in _GYROS)),
+            notes,
+        )
+        for m, r in enumerate(RATES)
+    ]
+    if any(rate is None for rate in rates):
+        have = ", ".join(sorted(log.channels)[:12])
+        raise InputError(f"{log.path}: no angular rates, such as rate_p_measured_rad_s; it has {have}"[:400])
+    return [rate for rate in rates if rate is not None]
+
+
+def _setpoints(columns: Table[str, Channel]) -> list[Channel]:
+    """Return the set-points of roll, pitch and yaw, and of the height if there is one; none without the first three."""
+    wanted = [_find(columns, (f"{axis}_setpoint_rad", f"ATT.Des{axis.title()}"), []) for axis in AXES]
+    if any(channel is None for channel in wanted):
+        return []
+    angles = [channel for channel in wanted if channel is not None]
+    if "ATT.DesRoll" in columns and "roll_setpoint_rad" not in columns:
+        angles = [channel._replace(values=np.radians(channel.values)) for channel in angles]
+    angles = [channel._replace(values=np.unwrap(channel.values)) for channel in angles]
+    height = _find(columns, ("altitude_setpoint_m", "hexjet_height.setpoint_m"), [])
+    return [*angles, *([height] if height is not None else [])]
+
+
+def _held(channels: Sequence[Channel], clock: Array, step: float) -> Array:
+    """Return commands at each control step, (n, channels)."""
+    held = [_hold(channel, clock, step) for channel in channels]
+    return np.stack(held, axis=1) if held else np.zeros((len(clock), 0))
+
+
+def _motor(log: FlightLog, n: int, mapping: ThrottleChannels) -> str | None:
+    """Return the channel of an engine's command; None where the log has none."""
+    if n in mapping.throttles:
+        return mapping.throttles[n]
+    names = [pattern.format(n=n, m=n - 1) for pattern in _MOTORS]
+    return next((name for name in names if name in log.channels and np.isfinite(log.channels[name].values).any()), None)
+
+
+def _throttles(log: FlightLog, vehicle: Vehicle, mapping: ThrottleChannels, notes: list[str]) -> list[Channel]:
+    """Return the throttle, 0 to 1, of each jet."""
+    jets = len(vehicle.jets)
+    wrong = [n for n in mapping.throttles if not 1 <= n <= jets]
+    if wrong:
+        raise InputError(f"--throttle {wrong[0]}=...: {vehicle.name} has engines 1 to {jets}")
+    names = [_motor(log, n, mapping) for n in range(1, jets + 1)]
+    if None in names:
+        commanded = sum(name is not None for name in names)
+        have = ", ".join(name for name in log.channels if any(key in name.lower() for key in _LIKE_MOTORS))
+        what = f"commands of {commanded} engines" if commanded else "no commands of engines"
+        raise InputError(
+            f"{log.path}: {what}, and {vehicle.name} has {jets}; say --throttle N=CHANNEL; of that kind it has "
+            f"{have or 'nothing'}"[:400]
+        )
+    # of the same kind: the two tilts' outputs may stand behind those of the engines
+    has_tilts = vehicle.servo is not None and str(names[-1]).startswith(("RCOU.", "SERVO_OUTPUT_RAW.", OUTPUTS))
+    behind = jets + (2 if has_tilts else 0)
+    further = next(
+        (kind.format(n=behind + 1, m=behind) for kind in _MOTORS if kind.format(n=jets, m=jets - 1) == names[-1]), ""
+    )
+    if further in log.channels and _varies(log.channels[further]):
+        raise InputError(
+            f"{log.path}: commands of more engines ({further}) than the {jets} of {vehicle.name}: another aircraft?"
+        )
+    low, high = mapping.limits or (0.0, 1.0)
+    first = str(names[0])
+    kind = next((kind for kind in (first.partition(".")[0], log.kind) if kind in COUNTS), None)
+    if mapping.limits is None and kind and not first.startswith(("throttle_", "actuator_motors")):
+        low, high = COUNTS[kind]
+        notes.append(f"{first} and the like: {low:g} is taken for throttle 0 and {high:g} for 1, as {kind} has it")
+    channels = [_clean(log.signal(str(name)), str(name), notes) for name in names]
+    return [channel._replace(values=(channel.values - low) / (high - low)) for channel in channels]
+
+
+def _varies(channel: Channel) -> bool:
+    values = channel.values[np.isfinite(channel.values)]
+    return len(values) > 1 and float(np.ptp(values)) > 0.0
+
+
+def _tilts(columns: Table[str, Channel], vehicle: Vehicle) -> list[Channel]:
+    """Return the commands of the servos and surfaces, in the vehicle's order; raise InputError where one is missing."""
+    found: list[Channel] = []
+    if not vehicle.ranges:
+        return found
+    servos = len(vehicle.actuators) - len(vehicle.surfaces)
+    for number, name in enumerate(vehicle.actuators):
+        surface = number - servos
+        choices = (
+            (f"tilt_{name}_command_rad", f"hexjet_tilt.command_rad[{number}]", "hexjet_tilt.command_rad")
+            if surface < 0
+            else (f"deflection_{name}_command", f"hexjet_deflection.command[{surface}]", "hexjet_deflection.command")
+        )
+        channel = _find(columns, choices, [])
+        fraction = _find(columns, (f"actuator_servos.control[{number}]",), []) if surface < 0 else None
+        if channel is None and fraction is not None and vehicle.servo is not None:  # PX4's, of the banks' whole range
+            channel = fraction._replace(values=vehicle.servo.range_rad * fraction.values)
+        if channel is None:
+            raise InputError(f"no command of the {name} servo of {vehicle.name}: a column {choices[0]} is needed")
+        found.append(channel)
+    return found
+
+
+def _find(columns: Table[str, Channel], names: Sequence[str], notes: list[str]) -> Channel | None:
+    """Return the first channel that is there with finite values, without those that are not."""
+    for name in names:
+        channel = columns.get(name)
+        if channel is None:
+            continue
+        if np.isfinite(channel.values).any():
+            return _clean(channel, name, notes)
+    return None
+
+
+def _clean(channel: Channel, name: str, notes: list[str]) -> Channel:
+    """Return a channel without values that are no numbers, and without rows whose time does not grow."""
+    good = np.isfinite(channel.values) & np.isfinite(channel.times)
+    if not good.all():
+        notes.append(f"{name}: {int(np.sum(~good))} values are no numbers; left out")
+    times, values = channel.times[good], channel.values[good]
+    grows = np.concatenate([[True], times[1:] > np.maximum.accumulate(times)[:-1]]) if len(times) else good[good]
+    if not grows.all():
+        notes.append(f"{name}: {int(np.sum(~grows))} rows whose time does not grow; left out")
+    return channel._replace(times=times[grows], values=values[grows])
+
+
+def _clock(log: FlightLog, channels: Sequence[Channel], step: float, part: tuple[float | None, float | None]) -> Array:
+    """Return the beginnings of control steps: on the log's own rows where these are as far apart."""
+    if any(len(channel.times) < 2 for channel in channels):
+        raise InputError(f"{log.path}: less than two rows of commands or rates")
+    begin = max(float(channel.times[0]) for channel in channels)
+    end = min(float(channel.times[-1]) for channel in channels)
+    if part[0] is not None:
+        begin = max(begin, part[0] + step * np.ceil((begin - part[0]) / step) if part[0] < begin else part[0])
+    if part[1] is not None:
+        end = min(end, part[1])
+    steps = int(np.floor((end - begin) / step + 1e-6)) if end > begin else 0
+    if steps * step < LEAST_S:
+        raise InputError(f"{log.path}: {max(end - begin, 0.0):.2g} s of commands and rates; {LEAST_S:g} s are needed")
+    return np.asarray(begin + step * np.arange(steps + 1), np.float64)
+
+
+def _apart(channel: Channel) -> float:
+    """Return the time between two rows [s]; infinite where there are no two."""
+    return float(np.median(np.diff(channel.times))) if len(channel.times) > 1 else np.inf
+
+
+def _why_setpoints(log: FlightLog, mapping: ThrottleChannels) -> str:
+    """Return why no commands of engines are flown."""
+    name = _motor(log, 1, mapping)
+    if name is None:
+        return "no commands of engines in the log"
+    return f"{name} and the like are {1e3 * _apart(log.channels[name]):.3g} ms apart{_hint(log)}"
+
+
+def _check_command_rate(log: FlightLog, command: Channel, slowest: float) -> None:
+    apart = _apart(command)
+    if apart > slowest:
+        raise InputError(
+            f"{log.path}: its commands are {1e3 * apart:.3g} ms apart; at most {1e3 * slowest:g} ms tell what they did"
+            f"{_hint(log)}"
+        )
+
+
+def _hint(log: FlightLog) -> str:
+    """Return in brackets how commands are logged oftener, where that is known of a kind of log."""
+    return f" ({_FASTER[log.kind]})" if log.kind in _FASTER else ""
+
+
+def _hold(channel: Channel, clock: Array, step: float) -> Array:
+    """Return the command of each control step: held from its stamp, its mean over a step where rows come faster."""
+    times, values = channel.times, channel.values
+    apart = float(np.median(np.diff(times)))
+    if apart < 0.75 * step:
+        return _mean(times, values, clock, clock + step)
+    row = np.searchsorted(times, clock + 0.25 * step, side="right") - 1
+    return np.where(row >= 0, values[np.maximum(row, 0)], np.nan)
+
+
+def _sample(channel: Channel, clock: Array, step: float) -> Array:
+    """Return a measurement at each step's beginning: between its rows, or their mean where they come faster."""
+    apart = float(np.median(np.diff(channel.times))) if len(channel.times) > 1 else step
+    if apart < 0.75 * step:
+        return _mean(channel.times, channel.values, clock - 0.5 * step, clock + 0.5 * step)
+    return np.interp(clock, channel.times, channel.values, left=np.nan, right=np.nan)
+
+
+def _mean(times: Array, values: Array, begin: Array, end: Array) -> Array:
+    """Return the mean over each span of values that hold from their stamps, NaN where there is no stamp."""
+    first, after = np.searchsorted(times, begin), np.searchsorted(times, end)
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    count = after - first
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = (total[after] - total[first]) / count
+    between: Array = np.interp(0.5 * (begin + end), times, values)
+    return np.asarray(np.where(count > 0, mean, between), np.float64)
+
+
+def _near_rows(channel: Channel, clock: Array, step: float) -> Flags:
+    """Return where a row of the channel is near in time."""
+    after = np.clip(np.searchsorted(channel.times, clock), 1, len(channel.times) - 1)
+    apart = channel.times[after] - channel.times[after - 1]
+    return np.asarray(apart <= LONGEST_GAP * max(step, float(np.median(np.diff(channel.times)))))
+
+
+def _optional(columns: Table[str, Channel], names: Sequence[str], clock: Array, step: float) -> Array:
+    channel = _find(columns, names, [])
+    return np.full(len(clock), np.nan) if channel is None else _sample(channel, clock, step)
+
+
+def _vectors(columns: Table[str, Channel], names: Sequence[tuple[str, ...]], clock: Array, step: float) -> Array:
+    return np.stack([_optional(columns, choices, clock, step) for choices in names], axis=1)
+
+
+def _unwrapped(columns: Table[str, Channel]) -> dict[str, Channel]:
+    """Return the angles without their jumps by a turn."""
+    angles = {}
+    for name in (f"{axis}{suffix}_rad" for axis in AXES for suffix in ("", "_measured")):
+        channel = _find(columns, (name,), [])
+        if channel is not None:
+            angles[name] = channel._replace(values=np.unwrap(channel.values))
+    return angles
+
+
+def _forces(log: FlightLog, columns: Table[str, Channel], clock: Array, step: float) -> Array:
+    """Return the specific force, m/s^2 FRD."""
+    for pattern in _FORCES:
+        names = [pattern.format(x=x, X=x.upper(), m=m) for m, x in enumerate(XYZ)]
+        if all(_find(columns, (name,), []) is not None for name in names):
+            unit = next((value for key, value in _UNITS.items() if pattern.startswith(key)), 1.0)
+            turned = np.array([1.0, -1.0, -1.0]) if log.kind in LEFT_AND_UP else np.ones(3)
+            return _vectors(columns, [(name,) for name in names], clock, step) * unit * turned
+    return np.full((len(clock), 3), np.nan)

@@ -1,0 +1,101 @@
+"""The constant horizontal wind of a recorded flight, from what the vehicle's speed over the ground does."""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from cosim.base.signals import ZERO3, Vector3
+from hexjet_identify.replay.flown import Model
+from hexjet_identify.replay.windows import Flying
+
+ROUNDS: Final = 6  # of Gauss and Newton: drag goes with the square of the wind
+STEP_M_S: Final = 8.0  # in one of them: in still air the slope tells little
+CLOSE_M_S: Final = 0.1
+MOST_WINDOWS: Final = 10  # that are looked at
+PROBE_M_S: Final = 1.0
+SURE: Final = 0.9772  # quantile: twice its standard deviation, were that known; a smaller wind is not told from none
+WORSE: Final = 1.2  # times the squares of what rates are off by in still air
+MOST_M_S: Final = 30.0
+
+
+class Wind(NamedTuple):
+    """The wind that the windows are flown in: m/s NED, where the air moves to; and how well it is known."""
+
+    velocity: Vector3
+    deviation: float | None  # m/s, of the component that is told less well; None: not estimated
+    reason: str  # of a wind that is zero
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything, for JSON."""
+        return {"ned_m_s": list(self.velocity), "deviation_m_s": self.deviation, "reason": self.reason}
+
+
+def estimate_wind(model: Model, flying: Flying) -> Wind:
+    """Estimate a wind from the changes of velocity within the windows; none where the log has none.
+
+    Where the log has an attitude the model's forces act along the measured one: what turns the vehicle otherwise than
+    the model, such as a wrong moment of inertia, is no wind.
+    """
+    from scipy.stats import t
+
+    if not flying.flight.has_velocity:
+        return Wind(ZERO3, None, "no velocity in the log: taken for still air")
+    flying = flying.only(
+        np.linspace(0, len(flying.windows) - 1, min(len(flying.windows), MOST_WINDOWS)).astype(int).tolist()
+    )
+    wind, deviation = np.zeros(2), np.inf
+    for _ in range(ROUNDS):
+        base = _drift(model, flying, wind)
+        slopes = np.stack([_drift(model, flying, wind + PROBE_M_S * axis) - base for axis in np.eye(2)], axis=-1)
+        slopes /= PROBE_M_S
+        normal = np.einsum("wci,wcj->ij", slopes, slopes)
+        if not np.linalg.cond(normal) < 1e12:
+            return Wind(ZERO3, None, "the model has no drag: taken for still air")
+        inverse = np.linalg.inv(normal)
+        move = -inverse @ np.einsum("wci,wc->i", slopes, base)
+        scores = np.einsum("wci,wc->wi", slopes, base + np.einsum("wci,i->wc", slopes, move))
+        few = len(scores) / (len(scores) - 1.0)
+        deviation = float(np.sqrt(few * np.diag(inverse @ (scores.T @ scores) @ inverse).max(initial=0.0)))
+        size = float(np.linalg.norm(move))
+        wind = wind + move * min(1.0, STEP_M_S / max(size, 1e-9))
+        if not np.linalg.norm(wind) < MOST_M_S:
+            return Wind(ZERO3, None, f"beyond {MOST_M_S:g} m/s: drag tells too little; taken for still air")
+        if size < CLOSE_M_S:
+            break
+    if float(np.linalg.norm(wind)) < float(t.ppf(SURE, len(flying.windows) - 1)) * deviation:
+        return Wind(ZERO3, deviation, "too small for its standard deviation: taken for still air")
+    found = (float(wind[0]), float(wind[1]), 0.0)
+    if _rates_off(model, flying, found) > WORSE * _rates_off(model, flying, ZERO3):
+        return Wind(ZERO3, deviation, "in it the rates are further off than in still air, which is taken")
+    return Wind(found, deviation, "")
+
+
+def _rates_off(model: Model, flying: Flying, wind: Vector3) -> float:
+    """Return the squares of what the rates are off by, (rad/s)^2: a wind turns a vehicle with a wing too."""
+    flown = model.fly(flying.flight, flying.windows, flying.starts, None, wind)
+    return float(np.nansum((flying.flight.rate - flown.rate)[flying.rows] ** 2))
+
+
+def _drift(model: Model, flying: Flying, wind: Array) -> Array:
+    """Return by how much velocities north and east are off at the end of each window, (w, 2) m/s."""
+    moved = (float(wind[0]), float(wind[1]), 0.0)
+    flight = flying.flight
+    flown = model.fly(flight, flying.windows, flying.starts, None, moved)
+    rows = flying.rows
+    drift = (flight.velocity - flown.velocity)[rows[:, -1], :2]
+    if flight.has_angles:
+        turned = level_part(flown.force[rows], flight.angles[rows]) - level_part(flown.force[rows], flown.angles[rows])
+        drift = drift - flight.step * turned.sum(axis=1)
+    return np.nan_to_num(drift)
+
+
+def level_part(force: Array, angles: Array) -> Array:
+    """Return what forces (..., 3) of the body have north and east, (..., 2), at roll, pitch and yaw (..., 3) [rad]."""
+    (x, y, z), (roll, pitch, yaw) = np.moveaxis(force, -1, 0), np.moveaxis(angles, -1, 0)
+    ahead = np.cos(pitch) * x + np.sin(pitch) * (np.sin(roll) * y + np.cos(roll) * z)
+    right = np.cos(roll) * y - np.sin(roll) * z
+    north, east = np.cos(yaw) * ahead - np.sin(yaw) * right, np.sin(yaw) * ahead + np.cos(yaw) * right
+    return np.stack([north, east], axis=-1)

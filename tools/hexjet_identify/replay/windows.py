@@ -1,0 +1,177 @@
+"""The windows of a recorded flight, what each starts with, and what is left of a measurement when it was flown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Array, Flags
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.spec.vehicle import Vehicle
+from hexjet_identify.replay.flown import Change, Flown, Loads, Model, Starts, Window
+from hexjet_identify.replay.recorded import RecordedFlight
+
+SETTLING_S: Final = 0.5  # at the beginning: what was commanded before the log is not known
+LEAST_LIFT: Final = 0.4  # of the weight, by the model's engines: with less it stands, or falls
+SMOOTH_S: Final = 0.03  # over which the start's rates are smoothed, by a parabola (Savitzky and Golay)
+LEAST_WINDOWS: Final = 2
+HARDEST_G: Final = 6.0  # specific force beyond which it has hit something
+CHANNELS: Final = (
+    *((f"rate_{rate}", "rad/s") for rate in "pqr"),
+    *((f"specific_force_{axis}", "m/s^2") for axis in "xyz"),
+    *((axis, "rad") for axis in ("roll", "pitch", "yaw")),
+)
+
+
+class Noise(NamedTuple):
+    """Standard deviations of what the log measures, (3,) each: rad/s, m/s^2, rad."""
+
+    rate: Array
+    force: Array
+    angles: Array
+
+
+@dataclass(frozen=True)
+class Flying:
+    """A flight cut into windows of one length, and what the model starts each of them with."""
+
+    flight: RecordedFlight
+    windows: tuple[Window, ...]
+    starts: Starts
+    noise: Noise
+
+    @property
+    def rows(self) -> Array:
+        """The rows that are compared, (w, n): of each window those behind its start."""
+        return np.array([np.arange(window.first + 1, window.last + 1) for window in self.windows])
+
+    @property
+    def seconds(self) -> float:
+        """How long all windows are together, s."""
+        return float(self.rows.size * self.flight.step)
+
+    def measured(self) -> Array:
+        """Return what was measured, (w, n, 9), by :data:`CHANNELS`; NaN where the log has nothing."""
+        flight = self.flight
+        values: Array = np.concatenate([flight.rate, flight.force, flight.angles], axis=1)[self.rows]
+        return values
+
+    def modelled(self, flown: Flown) -> Array:
+        """Return the same of the model, angles on the measurement's turn of the circle."""
+        angles = flown.angles + 2.0 * np.pi * np.round(
+            (np.nan_to_num(self.flight.angles) - flown.angles) / (2.0 * np.pi)
+        )
+        values: Array = np.concatenate([flown.rate, flown.force, angles], axis=1)[self.rows]
+        return values
+
+    @property
+    def scale(self) -> Array:
+        """The noise of every channel, (9,)."""
+        return np.concatenate(self.noise)
+
+    def only(self, chosen: Sequence[int]) -> Flying:
+        """Return the same flight with some of the windows."""
+        starts = Starts(*(values[list(chosen)] for values in self.starts))
+        return Flying(self.flight, tuple(self.windows[n] for n in chosen), starts, self.noise)
+
+
+def cut(model: Model, flight: RecordedFlight, length_s: float) -> Flying:
+    """Cut a flight into windows in which its engines carry it.
+
+    The rates of a start are smoothed, and taken as much later as the gyro's filter and latency are.  Raises InputError
+    where it has no two windows.
+    """
+    loads = model.loads(flight, Change())
+    flies = flight.usable & _carried(model, loads) & ~_hit(flight)
+    rows = max(round(length_s / flight.step), 4)
+    first = round(SETTLING_S / flight.step)
+    windows = []
+    while first + rows < len(flies):
+        grounded = np.flatnonzero(~flies[first : first + rows + 1])
+        if grounded.size:
+            first += int(grounded[-1]) + 1
+            continue
+        windows.append(Window(first, first + rows))
+        first += rows
+    if len(windows) < LEAST_WINDOWS:
+        raise InputError(
+            f"{len(windows)} windows of {length_s:g} s in which the engines carry the vehicle; {LEAST_WINDOWS} are "
+            "needed: another engine or throttle range, or a shorter --window"
+        )
+    starts = [window.first for window in windows]
+    smooth = _smoothed(flight.rate, flight.step)
+    gyro = model.vehicle.sensors.gyro
+    late = np.minimum(np.array(starts) + round(gyro.filter_s / flight.step) + gyro.latency_samples, len(smooth) - 1)
+    noise = measure_noise(model, flight, flies)
+    moment = np.zeros((len(windows), 3))
+    return Flying(flight, tuple(windows), Starts(smooth[late], np.nan_to_num(flight.angles[starts]), moment), noise)
+
+
+def _carried(model: Model, loads: Loads) -> Flags:
+    """Return at which steps the engines carry the weight, as they have to; a while before too."""
+    lift = np.linalg.norm(loads.forces.sum(axis=1), axis=1)
+    return np.asarray(lift > LEAST_LIFT * model.vehicle.mass_kg * GRAVITY)
+
+
+def _hit(flight: RecordedFlight) -> Flags:
+    """Return where something was hit: within a tenth of a second of an impossible specific force."""
+    hard = np.linalg.norm(np.nan_to_num(flight.force), axis=1) > HARDEST_G * GRAVITY
+    reach = 2 * round(0.1 / flight.step) + 1
+    return np.asarray(np.convolve(hard, np.ones(reach), "same") > 0.0)
+
+
+def _smoothed(values: Array, step: float) -> Array:
+    from scipy.signal import savgol_filter
+
+    return np.asarray(savgol_filter(np.nan_to_num(values), _smoothing_rows(step), 2, axis=0))
+
+
+def _smoothing_rows(step: float) -> int:
+    return max(5, 2 * round(0.5 * SMOOTH_S / step) + 1)
+
+
+def measure_noise(model: Model, flight: RecordedFlight, flies: Flags) -> Noise:
+    """Return each channel's noise, by what a parabola leaves of it, or what the vehicle states if that is more."""
+    from scipy.signal import savgol_coeffs
+
+    rows = _smoothing_rows(flight.step)
+    left = float(np.sqrt(1.0 - savgol_coeffs(rows, 2)[rows // 2]))  # of white noise
+    sensors = model.vehicle.sensors
+    stated = (sensors.gyro.noise_rad_s, sensors.accelerometer.noise_m_s2, sensors.attitude.noise_rad)
+    gain = 1.0 - np.exp(-flight.step / sensors.gyro.filter_s) if sensors.gyro.filter_s > 0.0 else 1.0
+    passed = (float(np.sqrt(gain / (2.0 - gain))), 1.0, 1.0)  # of white noise by the gyro's filter
+    levels = []
+    for values, least, share in zip((flight.rate, flight.force, flight.angles), stated, passed, strict=True):
+        rest = (values - _smoothed(values, flight.step))[flies]
+        spread = np.nanstd(rest, axis=0) / left if np.isfinite(rest).any() else np.zeros(3)
+        levels.append(np.maximum(np.nan_to_num(spread), max(least * share, 1e-6)))
+    return Noise(*levels)
+
+
+def accelerometer_zero(error: Array, vehicle: Vehicle) -> Array:
+    """Return what of errors of the specific force (w, n, 3) may be the accelerometer's zero, (3,) m/s^2.
+
+    Across the thrust all of the mean is, for it also depends on how the accelerometer stands; along it no more than
+    twice what the vehicle states, as the rest is thrust over mass.
+    """
+    settings = vehicle.sensors.accelerometer
+    most = 2.0 * float(np.hypot(settings.bias_m_s2[2], settings.bias_sigma_m_s2))
+    x, y, z = np.nan_to_num(error.mean(axis=(0, 1)))
+    return np.array([x, y, np.clip(z, -most, most)])
+
+
+def slopes(error: Array, step: float) -> Array:
+    """Return the slope (w, 3), 1/s, of errors (w, n, 3) within each window."""
+    time = step * (np.arange(error.shape[1]) - 0.5 * (error.shape[1] - 1))
+    return np.asarray(np.einsum("n,wnc->wc", time, error) / float(time @ time))
+
+
+def without_start(error: Array, step: float) -> Array:
+    """Return errors of rates (w, n, 3) without what a start and a constant moment may make: mean and slope."""
+    time = step * (np.arange(error.shape[1]) - 0.5 * (error.shape[1] - 1))
+    line = time[None, :, None] * slopes(error, step)[:, None, :]
+    return np.asarray(error - error.mean(axis=1, keepdims=True) - line)
