@@ -62,3 +62,16 @@ def describe_removed(name: str) -> str | None:
     """
     removal = REMOVED.get(name)
     return None if removal is None else f"{removal.what} left in version {removal.since}; use {removal.instead}"
+
+
+# What a file is answered with that a version before 0.2.0 wrote.
+WRITTEN_BEFORE: Final = "written before version 0.2.0; open it with 0.2.0"
+
+
+def is_written_before(version: str | None) -> bool:
+    """Return whether a recorded version is one before 0.2.0.
+
+    >>> is_written_before("0.1.0"), is_written_before("0.2.0"), is_written_before(None)
+    (True, False, False)
+    """
+    return version is not None and version.startswith(("0.0.", "0.1."))

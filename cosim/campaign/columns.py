@@ -1,24 +1,22 @@
 """What a campaign's folder says of its columns, so that looking at it runs none of the code that it brings.
 
-``columns.json`` has the names of the user's metrics, and the keys that are varied.  Campaigns of earlier versions have
-none; there the rows say the first.
+``columns.json`` has the names of the user's metrics, and the keys that are varied.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
+from cosim.base.removed import WRITTEN_BEFORE
 from cosim.base.storage.files import parse_json, read_file, write_whole
 from cosim.campaign.folder import COLUMNS
 from cosim.campaign.study.key import Key
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Kinds, custom_metric_names, kinds
-from cosim.simulation.plugins import PREFIX
 
 
 def write_columns(folder: Path, study: Study) -> None:
@@ -27,15 +25,14 @@ def write_columns(folder: Path, study: Study) -> None:
     write_whole(folder / COLUMNS, json.dumps({"own": custom_metric_names(study), "keys": keys}, indent=1) + "\n")
 
 
-def stored_kinds(folder: Path, study: Study, in_rows: Callable[[], Iterable[str]]) -> Kinds:
+def stored_kinds(folder: Path, study: Study) -> Kinds:
     """Return the columns of a campaign's rows and what is in each, from what its folder says.
 
-    ``in_rows`` gives the names in its rows.  Raises InputError for a file that says something else.
+    Raises InputError for a file that is missing or says something else.
     """
     path = folder / COLUMNS
     if not path.is_file():
-        names = in_rows() if study.base().metrics else ()
-        return kinds(study, [name for name in names if name.startswith(PREFIX)])
+        raise InputError(f"{folder}: {COLUMNS} is missing, as where it was {WRITTEN_BEFORE}")
     try:
         content = parse_json(read_file(path), COLUMNS, finite=False)  # a bound may be infinite
     except InputError as error:

@@ -302,7 +302,7 @@ def open_campaign(folder: Path | str) -> Campaign:
         study = load(folder)
         check_unedited(folder)
         of = flight_count(study)
-        columns = stored_kinds(folder, study, lambda: _names_in_rows(folder, of))
+        columns = stored_kinds(folder, study)
     return Campaign(folder, study, _Columns(folder, columns, of), of)
 
 
@@ -352,14 +352,6 @@ def _lacks_study(folder: Path) -> bool:
     journal = folder / JOURNAL
     begun = journal.is_file() and not (folder / STUDY).exists()
     return begun and not journal.stat().st_size and not any((folder / FLIGHTS).glob("*"))
-
-
-def _names_in_rows(folder: Path, of: int) -> Iterator[str]:
-    """Yield the names of the columns in the first part and in the journal."""
-    for path in _parts(folder)[:1]:
-        yield from read_table(path)
-    for row in _journal(folder, of):
-        yield from row
 
 
 def _parts(folder: Path) -> list[Path]:

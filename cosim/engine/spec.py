@@ -91,18 +91,14 @@ class EngineSpec:
         The name alone does not distinguish one ``kestrel.toml`` from another.  How well its parameters are known is no
         part of it, and neither is how the file is written.
         """
-        return self._fingerprints()[0]
+        if self.library:
+            return ""
+        stated = without_uncertainty(self.mapping) if self.mapping else b""
+        return hashlib.sha256(self.identity.encode() + stated).hexdigest()
 
     def matches_model(self, model_sha256: str) -> bool:
         """Return whether a model with this engine hash, or an empty one, may be of this engine."""
-        return self.library or model_sha256 in ("", *self._fingerprints())
-
-    def _fingerprints(self) -> tuple[str, ...]:
-        """Return the fingerprint, and that of older versions."""
-        if self.library:
-            return ("",)
-        stated = without_uncertainty(self.mapping) if self.mapping else (b"",)
-        return tuple(hashlib.sha256(self.identity.encode() + each).hexdigest() for each in stated)
+        return self.library or model_sha256 in ("", self.fingerprint)
 
     @property
     def source_key(self) -> tuple[Hashable, ...]:

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 from cosim.base.errors import FlightError, InputError
 from cosim.base.outcomes import Outcome
 from cosim.base.protocols import Column
+from cosim.base.removed import WRITTEN_BEFORE, is_written_before
 from cosim.base.storage.files import lock_file, read_file, read_text, write_whole
 from cosim.base.storage.toml import toml_text
 from cosim.base.trust import remember_written
@@ -270,6 +271,8 @@ def open_run(folder: Path | str) -> Run:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         raise InputError(f"{path}: not a run's summary: {key + ': ' if key else ''}{first['msg']}") from error
+    if is_written_before(summary.versions.get("hexjet-cosim")):
+        raise InputError(f"{folder}: {WRITTEN_BEFORE}")
     return Run(summary, ParquetLog(folder / LOG), folder)
 
 

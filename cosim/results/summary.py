@@ -7,9 +7,9 @@ from functools import cache
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
-from typing import Any, Self
+from typing import Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.outcomes import Outcome, RunVerdict
@@ -37,7 +37,7 @@ from cosim.results.requirements import (
     flight_requirements,
     smallest_margin,
 )
-from cosim.results.verdict import describe_end, judge, read_verdict
+from cosim.results.verdict import describe_end, judge
 from cosim.simulation.pacing import PaceReport
 from cosim.simulation.plugins import CustomMetric
 from cosim.spec.controller_name import SHORT, describe_controller
@@ -276,15 +276,6 @@ class Summary(Setup):
         """Every metric under the name that an expectation uses, such as ``roll.rmse_rad``."""
         whole = {name: getattr(self, name) for name in Metrics.model_fields if name != "axes"}
         return flatten(Metrics(axes=self.metrics, **whole)) | self.own_metrics
-
-    @model_validator(mode="before")
-    @classmethod
-    def _word_verdict(cls, data: Any) -> Any:
-        """Word the verdict of an older run as it is worded today."""
-        if isinstance(data, dict) and isinstance(data.get("verdict"), str):
-            word = read_verdict(data["verdict"], data.get("expectations_met"), data.get("requirements_kept"))
-            return data | {"verdict": word}
-        return data
 
     @property
     def as_planned(self) -> bool:

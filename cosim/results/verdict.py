@@ -38,15 +38,6 @@ def judge(
     return Verdict.NOTHING_CHECKED if expectations_met is requirements_kept is None else Verdict.AS_PLANNED
 
 
-def read_verdict(verdict: str, expectations_met: bool | None, requirements_kept: bool | None = None) -> str:
-    """Return a recorded verdict as it is worded today.
-
-    Runs from before there was a verdict for flights of which nothing is expected call such a flight ``as planned``.
-    """
-    is_unchecked = expectations_met is requirements_kept is None
-    return Verdict.NOTHING_CHECKED if verdict == Verdict.AS_PLANNED and is_unchecked else verdict
-
-
 def describe_end(outcome: Outcome, reason: str, verdict: RunVerdict | None) -> str:
     """Return how a flight ended and what that is worth, such as ``completed, flew 3000 steps; as planned``."""
     if verdict == Verdict.NOTHING_CHECKED:

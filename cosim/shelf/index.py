@@ -22,7 +22,6 @@ from cosim.campaign.folder import FLIGHTS, STUDY
 from cosim.results.log.readers import is_flight_log
 from cosim.results.run import SUMMARY
 from cosim.results.summary import ParametersRecord
-from cosim.results.verdict import read_verdict
 from cosim.spec.controller_name import describe_controller
 
 INDEX = "index.html"
@@ -116,10 +115,6 @@ def read_entry(folder: Path) -> Entry:
 
 def _summary_details(summary: Mapping[str, Any]) -> dict[str, str]:
     details = {name: str(summary[name]) for name in SUMMARY_KEYS if isinstance(summary.get(name), str)}
-    if "verdict" in details:
-        details["verdict"] = read_verdict(
-            details["verdict"], summary.get("expectations_met"), summary.get("requirements_kept")
-        )
     with suppress(KeyError, TypeError, ValueError):  # an older summary, or not quite one of ours
         digest = (summary.get("own_controller") or {}).get("sha256") or ""
         files = [ParametersRecord.model_validate(entry) for entry in summary.get("parameter_files") or ()]

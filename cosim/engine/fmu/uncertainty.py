@@ -6,7 +6,6 @@ for each engine by itself.  Both are cut off at :data:`CUT` standard deviations 
 ones through a Gaussian copula, so that each parameter keeps its distribution whatever it is correlated with.
 """
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from math import sqrt
@@ -18,14 +17,12 @@ from pydantic import Field, model_validator
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, nearest
-from cosim.base.storage.files import read_file
 from cosim.base.storage.toml import Model, NotNegative, read_toml, toml_text
 from cosim.engine.fmu.variables import LEVERS, Variable
 
 NORMAL_95 = 1.96  # standard deviations of a normal number's 95 % range
 CUT = 3.0  # standard deviations, of the format: beyond them no identification is normal
 ROUNDING = 1e-3  # of an eigenvalue: correlations are written with some three digits
-_OLDER_CUT = re.compile(rb"^\s*\[uncertainty\].*?(?=^\s*\[[\"'A-Za-z_]|\Z)", re.MULTILINE | re.DOTALL)
 SETTABLE = ("", "fixed", "tunable")  # variabilities of a parameter that can be set before a flight
 
 Matrix = list[list[Annotated[float, Field(ge=-1.0, le=1.0)]]]
@@ -168,14 +165,11 @@ def lower_factor(matrix: Sequence[Sequence[float]]) -> list[list[float]]:
     return lower
 
 
-def without_uncertainty(path: Path) -> tuple[bytes, bytes]:
-    """Return what a mapping file states besides ``[uncertainty]``: as a table, and as its text was cut before.
-
-    The second belongs to models identified by older versions.
-    """
+def without_uncertainty(path: Path) -> bytes:
+    """Return what a mapping file states besides ``[uncertainty]``, however it is written."""
     table = read_toml(path)
     table.pop("uncertainty", None)
-    return toml_text(table).encode(), _OLDER_CUT.sub(b"", read_file(path))
+    return toml_text(table).encode()
 
 
 def cut_normal(quantiles: Array, centre: Array, deviation: float, low: float = -np.inf, high: float = np.inf) -> Array:

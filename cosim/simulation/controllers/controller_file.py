@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from cosim.base.errors import InputError, nearest
+from cosim.base.removed import WRITTEN_BEFORE
 from cosim.base.storage.toml import Model, NotNegative, merge, parse_setting, read_toml, set_path, validate
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec, load_engine
@@ -187,8 +188,7 @@ def read_controller(path: Path, aircraft: str | None = None, folder: Path = Path
         without = merge(file.vehicle, {"control": {"schedule": False}})
         file = file.model_copy(update={"vehicle": without})
     if _older_than_banks(file, original):
-        without = merge(file.vehicle, {"servo": {"bank_inertia_kg_m2": 0.0}})
-        file = file.model_copy(update={"vehicle": without})
+        raise InputError(f"{path}: {WRITTEN_BEFORE}")
     return file
 
 
@@ -209,7 +209,7 @@ def _check_controller(file: ControllerFile, path: Path) -> None:
 
 
 def _older_than_banks(file: ControllerFile, original: Vehicle) -> bool:
-    """Return whether a file predates the model of the banks' reaction, so that its gains are not for it."""
+    """Return whether a file predates the model of the banks' reaction, which version 0.2.0 has."""
     servo = original.servo
     stated = any(
         "bank_inertia_kg_m2" in table.get("servo", {}) for table in (file.vehicle, file.design.vehicle_changes)
@@ -289,12 +289,6 @@ def list_differences(scenario: Scenario, path: Path, noted: bool = True) -> list
             f"{dict(scenario.engine_parameters) or 'its own'}"
         )
     flown, given = _airframe(scenario.vehicle), _airframe(made.vehicle_changes)
-    original, _ = load_vehicle(scenario.aircraft, folder=scenario.folder)
-    if _older_than_banks(file, original) and flown.get("servo", {}).get("bank_inertia_kg_m2") == 0.0:
-        lines.append(f"designed when {made.aircraft} had no reaction of its tilting banks: flown without it, "
-                     "servo.bank_inertia_kg_m2 = 0")  # fmt: skip
-        servo = {key: value for key, value in flown["servo"].items() if key != "bank_inertia_kg_m2"}
-        flown = {key: value for key, value in flown.items() if key != "servo"} | ({"servo": servo} if servo else {})
     if flown != given:
         lines.append(f"designed for {made.aircraft} with {given or 'no changes'}, flown with {flown or 'none'}")
     for key in ("substeps", "added_delay_samples"):

@@ -149,7 +149,7 @@ def test_commands_that_look_run_nothing(flown: Path, mark: Path, hexjet: Hexjet,
 
 
 def test_the_page_of_a_campaign_says_what_is_stored(made: Path, flown: Path, mark: Path, hexjet: Hexjet) -> None:
-    """Rows, metrics of one's own and the units of its parameters, without the code; older campaigns have no columns."""
+    """Rows, metrics of one's own and the units of its parameters, without the code; campaigns from before 0.2.0 have no columns."""
     page = (flown / "many" / REPORT).read_text(encoding="utf-8").replace(str(made / "many"), str(flown / "many"))
     said = json.loads((flown / "many" / "columns.json").read_text())
     assert said["own"] == ["own.worst"]
@@ -158,11 +158,8 @@ def test_the_page_of_a_campaign_says_what_is_stored(made: Path, flown: Path, mar
     assert (flown / "many" / REPORT).read_text(encoding="utf-8") == page
     (flown / "many" / "columns.json").unlink()
     done = hexjet("report", str(flown / "many"))
-    assert done.status == 0, done.err
-    campaign = open_campaign(flown / "many")
-    assert all(isinstance(value, float) for value in campaign.columns["own.worst"])
-    assert all(isinstance(value, float) for value in campaign.columns["controller_parameters.share"])
-    assert "own.worst" in (flown / "many" / REPORT).read_text(encoding="utf-8")
+    assert (done.status, done.err.count("\n")) == (2, 1)
+    assert "columns.json is missing, as where it was written before version 0.2.0; open it with 0.2.0" in done.err
     assert not mark.exists()
 
 

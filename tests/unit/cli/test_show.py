@@ -95,7 +95,7 @@ def test_a_design_says_what_it_is_for_and_what_its_proof_came_to(
     (tmp_path / "controller.toml").write_bytes((folder / "designs" / "p220.toml").read_bytes())
     (beside,) = shown(capsys, str(tmp_path))
     assert (beside["title"], numbers(beside)) == (one["title"], numbers(one))
-    (older,) = shown(capsys, str(folder / "older" / "0.1.0-a" / "design.toml"))
+    (older,) = shown(capsys, str(folder / "older" / "0.2.0-a" / "design.toml"))
     assert older["description"].startswith("has no proof flights")
 
 

@@ -24,7 +24,7 @@ from hexjet_design.command import fly_command
 RUN = sorted((TESTS / "older").iterdir())[0] / "run"
 
 
-@pytest.mark.parametrize("width", [40, 80, 120])
+@pytest.mark.parametrize("width", [60, 80, 120])
 def test_a_run_fits_so_many_columns(
     width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
 import pytest
 from places import TESTS
 
+from cosim.base.errors import InputError
 from cosim.base.outcomes import RunVerdict
 from cosim.results.run import open_run
-from cosim.results.verdict import describe_end, judge, read_verdict
-
-OLD = TESTS / "older" / "0.1.0-a" / "run"
+from cosim.results.verdict import describe_end, judge
 
 
 @pytest.mark.parametrize(
@@ -48,18 +46,9 @@ def test_the_end_in_words(verdict: RunVerdict | None, said: str) -> None:
     assert describe_end("diverged", "leaned past 80 deg", "not completed") == "diverged, leaned past 80 deg"
 
 
-def test_an_older_run_of_which_nothing_was_expected_opens_as_such(tmp_path: Path) -> None:
-    recorded = json.loads((OLD / "summary.json").read_text())
-    assert (recorded["verdict"], recorded["expectations_met"]) == ("as planned", None)
-    summary = open_run(OLD).summary
-    assert summary.verdict == "completed, nothing checked"
-    assert (summary.succeeded, summary.as_planned) == (True, False)
-    shutil.copytree(OLD, tmp_path / "run")
-    (tmp_path / "run" / "summary.json").write_text(json.dumps(recorded | {"expectations_met": True}))
-    expected = open_run(tmp_path / "run").summary
-    assert (expected.verdict, expected.succeeded, expected.as_planned) == ("as planned", True, True)
-
-
-def test_other_recorded_verdicts_stay() -> None:
-    assert read_verdict("beyond limits", None) == "beyond limits"
-    assert read_verdict("as planned", True) == "as planned"
+def test_a_run_written_before_version_0_2_is_told_to_open_with_it(tmp_path: Path) -> None:
+    shutil.copytree(TESTS / "older" / "0.2.0-a" / "run", tmp_path / "run")
+    summary = tmp_path / "run" / "summary.json"
+    summary.write_text(summary.read_text().replace('"hexjet-cosim": "0.2.0"', '"hexjet-cosim": "0.1.0"'))
+    with pytest.raises(InputError, match=r"run: written before version 0\.2\.0; open it with 0\.2\.0$"):
+        open_run(tmp_path / "run")
