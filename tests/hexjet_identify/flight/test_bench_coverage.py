@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from bench_engines import DELAY, KINDS, LAG, RATES, SECOND_LAG, run
 from known_benches import EXCITATIONS
-from places import ROOT
-from scipy.stats import binom, chi2
+from scipy.stats import binom
 
-from hexjet_identify.bench import BenchRecord, fit, identify_bench, running
+from hexjet_identify.bench import BenchRecord, identify_bench
 
 EXACT = ("one lag", "two lags")  # which the forms contain: there 95 % are 95 %
 ONCE_IN = 100  # so seldom a count may be as far from 95 % by chance alone, up or down
@@ -43,21 +42,6 @@ def check_counts(judged):
         count = sum(one[what] for one in judged)
         assert low <= count, f"{what}: {count} of {len(judged)}"
     assert sum(not one["explained"] for one in judged) <= binom.ppf(1.0 - 1.0 / ONCE_IN, len(judged), 0.01)
-
-
-def test_the_page_says_what_is_tested_here():
-    page = " ".join((ROOT / "docs" / "bench.md").read_text(encoding="utf-8").split())
-    assert "(step, staircases of 2, 5 and 15 s, pseudo-random, ramp, chirp) at 5 Hz, 100 Hz and 1 kHz" in page
-    assert (len(EXCITATIONS), RATES) == (7, (5.0, 100.0, 1000.0))
-    assert "an ECU that samples at 10 Hz" in page
-    assert "and their 95 % bounds" in page
-    assert "Below 0.15 of its greatest speed" in page
-    assert running.OFF == 0.15
-    assert "A start takes a jet longer than 8 s" in page
-    assert running.SLOWEST_FAN_S == 8.0
-    assert "may fall by 4.23 instead of 3.84, because a lag cannot be below 0" in page
-    # 0 in a quarter of all logs, chi-squared of one degree in half and of two in a quarter (Self and Liang, 1987)
-    assert 0.5 * chi2.sf(fit.MIXED_95, 1) + 0.25 * chi2.sf(fit.MIXED_95, 2) == pytest.approx(0.05, abs=1e-9)
 
 
 def test_the_bounds_of_a_few_logs_of_every_excitation_hold_the_truth():

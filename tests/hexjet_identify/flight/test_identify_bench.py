@@ -110,14 +110,6 @@ def test_beyond_the_range_of_the_output_it_is_not_said_by_how_much(second: float
     assert described == f"fitted on the first half of the movements it is {words} it was fitted"
 
 
-def test_the_page_says_it_in_the_same_words(tmp_path: Path) -> None:
-    result = found(tmp_path, "stairs of 5 s", 10.0)
-    assert result.held_back is not None
-    far, swing = HeldBack(0.2, 4.17e6), float(np.ptp(result.problem.output))
-    assert describe_held_back(far, "N", swing) in page(replace(result, held_back=far)).cards[1].text
-    assert describe_held_back(result.held_back, "N", swing) in page(result).cards[1].text
-
-
 def test_each_movement_of_a_staircase_is_foretold_from_every_second_other_one(tmp_path: Path) -> None:
     """To the noise, half a newton, and the times of a lag of 0.4 s behind 0.1 s: delay - lag ln(1 - share)."""
     held = found(tmp_path, "stairs of 5 s", 100.0).held_back

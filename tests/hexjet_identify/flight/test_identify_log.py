@@ -11,16 +11,13 @@ import pytest
 from command_tools import Hexjet
 from identification_record import SHARED
 from known_logs import Flaws, Log, Truth, closed_loops, drawn
-from places import ROOT
 from scipy.signal import lfilter
-from scipy.special import chdtr, ndtri
 
 from cosim.base.errors import InputError, NotIdentifiedError
 from hexjet_identify.logs import Channel, FlightLog, LogSignals, read_flight_log, signals_of
-from hexjet_identify.prediction_error.confidence import CHI2_95, MIXED_95
 from hexjet_identify.prediction_error.estimate import spread
 from hexjet_identify.prediction_error.identify_log import LogIdentification, _test_against, identify_log
-from hexjet_identify.prediction_error.stretches import SLOW_COMMAND_S, WORKING_STEP_S
+from hexjet_identify.prediction_error.stretches import WORKING_STEP_S
 from hexjet_identify.prediction_error.validate import StatedModel, read_model, validate
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "flight-logs"
@@ -55,21 +52,6 @@ def test_a_closed_loop_with_noise_jitter_and_lost_rows_gives_the_truth(logs: lis
     assert abs(value - TRUTH.delay_samples * TRUTH.step - TRUTH.lags[0]) < 4.0 * deviation
     assert chosen.deviation(2) < TRUTH.step
     assert chosen.delay_bounds[0] < chosen.delay < chosen.delay_bounds[1]
-
-
-def test_the_page_says_what_is_done() -> None:
-    docs = Path(__file__).parents[3] / "docs"
-    page = " ".join((docs / "identify-logs.md").read_text(encoding="utf-8").split())
-    assert "Samples that come faster than every 4 ms are averaged" in page
-    assert WORKING_STEP_S == TRUTH.step == 0.004
-    assert "of the delay, in samples of 4 ms." in page
-    assert "likelihood's logarithm has fallen by {} is the end".format(f"{CHI2_95:.2f}") in page
-    assert "5.14 where a form with a lag less" in page
-    assert 0.5 * (chdtr(1, MIXED_95) + chdtr(2, MIXED_95)) == pytest.approx(0.95, abs=1e-12)
-    assert chdtr(1, CHI2_95) == pytest.approx(0.95, abs=1e-12)
-    assert "Others are {} standard deviations".format(f"{ndtri(0.975):.2f}") in page
-    assert "apart from the co-simulation: 14 s of an axis" in page
-    assert "SECONDS, LONGEST = 14.0," in (docs / "logs.py").read_text(encoding="utf-8")
 
 
 def test_without_noise_the_truth_comes_out() -> None:
@@ -221,11 +203,6 @@ def test_the_bounds_allow_for_a_command_that_is_logged_more_seldom_than_it_moves
     assert beside.again is not None
     assert abs(beside.again.delay) < beside.again.delay_half
     assert beside.judgement.verdict == "explained"
-
-
-def test_the_page_says_from_which_interval_a_command_counts_as_logged_too_seldom() -> None:
-    page = (ROOT / "docs/tables/identify-logs.md").read_text(encoding="utf-8")
-    assert "more than {} ms from row to row".format(f"{1e3 * SLOW_COMMAND_S:g}") in page
 
 
 def refusal(log: FlightLog, **choices: object) -> str:

@@ -12,7 +12,6 @@ import pyarrow.parquet
 import pytest
 from command_tools import Hexjet
 from identification_record import SHARED
-from stated_figures import stated
 
 from cosim import Scenario, fly
 from cosim.base.errors import InputError
@@ -22,8 +21,7 @@ from hexjet_identify.logs import Channel, FlightLog, read_flight_log
 from hexjet_identify.replay import Choices, RecordedFlight, Replay, ThrottleChannels, record_flight
 from hexjet_identify.replay import replay as fly_again
 from hexjet_identify.replay.measures import theil
-from hexjet_identify.replay.reach import WRONG, WRONG_S
-from hexjet_identify.replay.recorded import SLOWEST_COMMAND_S, SLOWEST_SETPOINT_S, has_commands, is_simulated
+from hexjet_identify.replay.recorded import has_commands, is_simulated
 from hexjet_identify.replay.replay import EXPLAINED, NEEDED, NOT_EXPLAINED, NOT_TOLD
 
 FEW = Choices(draws=2)
@@ -439,16 +437,3 @@ def test_theils_parts_are_those_of_the_definition() -> None:
     assert later.covariance == pytest.approx(1.0)
     shifted = theil(wave, wave + 1.0)
     assert shifted.bias == pytest.approx(1.0)
-
-
-def test_the_page_has_the_numbers_of_the_code() -> None:
-    page, usual = "docs/replay.md", Choices()
-    stated(page, "the command of every engine, every {} ms or faster", 1e3 * SLOWEST_COMMAND_S)
-    stated(page, "`ATT.DesRoll`, every {} ms or faster)", 1e3 * SLOWEST_SETPOINT_S)
-    stated(
-        page, "moments of inertia ({} %, standard deviation), mass ({} %)", 100.0 * usual.inertia, 100.0 * usual.mass
-    )
-    stated(page, "or else their thrust ({} %).", 100.0 * usual.thrust)
-    stated(page, "A channel that is within it for {} % of the time is explained", 100.0 * NEEDED)
-    stated(page, "would have shown, off by {} % or {} ms", 100.0 * WRONG, 1e3 * WRONG_S)
-    stated(page, "The number stands with its {} % bounds", 95.0)

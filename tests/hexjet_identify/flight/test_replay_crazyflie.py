@@ -28,19 +28,6 @@ def flown_again(number: int, begin: float, end: float) -> Replay:
     return replay(path.name, HOVER, flight, Choices(draws=3))
 
 
-def test_the_numbers_are_those_of_the_readme() -> None:
-    """Förster's curve within 2.3 mN, from a fifth of the range on; the weight in hover within 1 %."""
-    throttle = np.linspace(0.2, 1.0, 81)
-    published = 0.0915 * throttle**2 + 0.0677 * throttle
-    engine = load_engine(str(ENGINE), {}, HOVER.step_s)
-    curve = engine.parameters["gain"] * throttle ** engine.parameters["exponent"]
-    assert np.abs(curve - published).max() < 0.0023 + 5e-5
-    assert engine.uncertainty is not None
-    assert engine.uncertainty.deviation == pytest.approx([0.08 * engine.parameters["gain"], 0.03], rel=0.01)
-    for jet in VEHICLE.jets:
-        assert np.hypot(*jet.position_m[:2]) == pytest.approx(0.046, abs=1e-4)  # 92 mm across
-
-
 def test_the_real_flights_are_not_explained_and_no_fault_is_made_up() -> None:
     """What the model has is told: the quick part of the rates is coherent, and the vertical force follows the commands."""
     result = flown_again(10, 44.0, 56.0)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import json
 import re
 from collections.abc import Iterator
-from math import hypot, isnan, pi
+from math import hypot, isnan
 from pathlib import Path
 
-import numpy as np
 import pytest
 from command_tools import Hexjet
 from failsafe_flights import Flight, again, again_of_the_table
@@ -23,17 +21,16 @@ from cosim.base.protocols import EngineState
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.results.report import marks
-from cosim.spec.vehicle import aircraft_names, load_vehicle
+from cosim.spec.vehicle import load_vehicle
 from hexjet_prove.surveys import failsafe_flight
 from hexjet_prove.surveys import failsafe_table as tables
 from hexjet_prove.surveys import failsafes as table
 from hexjet_prove.surveys.survey import load_subject
-from hexjet_prove.surveys.tipping import ABOVE_M, tip_speed
+from hexjet_prove.surveys.tipping import tip_speed
 
 HEXJETS = ("hexjet", "hexjet-p220")
 mark = script("surveys").mark
 AT_REST = 0.1  # of the speed that it had: nine tenths of it is gone when it touches
-LOST_WITHOUT_ONE = ("trijet",)  # whichever engine; the page says what is known of why
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -65,9 +62,6 @@ def tip_of(aircraft: str) -> float:
 def landed_or_slid(aircraft: str, row: table.Row) -> str:
     """What a vehicle that came to rest on its legs is called, by how fast it moved sideways as it touched."""
     return "slid" if row.sideways_m_s > tip_of(aircraft) else "landed"
-
-
-HOLDS = {"sticks lost", "set-points lost"}
 
 
 # --- sensors -------------------------------------------------------------------------------------------------------
@@ -157,16 +151,6 @@ def test_turbines_that_still_carry_it_let_a_vehicle_tip_much_sooner() -> None:
     assert tip_speed("hexjet-p220", "p220") == pytest.approx(0.47, abs=0.03)
     sentence = "whose energy would have to be that of {} m/s, tips from {} m/s on"
     stated("docs/tables/failsafes.md", sentence, gone("hexjet-p220"), tip_speed("hexjet-p220", "p220"))
-
-
-def test_legs_that_just_touch_tip_sooner_as_the_page_says() -> None:
-    fans, turbines = ("hexjet", "edf-as-flown"), ("hexjet-p220", "p220")
-    sentence = (
-        "The legs begin {} mm above the ground, for the tables too; with legs that just touch it is less: {} m/s instead "
-        "of {} m/s for hexjet on `edf-as-flown`, {} m/s instead of {} m/s for hexjet-p220"
-    )
-    speeds = (speed for each in (fans, turbines) for speed in (tip_speed(*each, 0.0), tip_speed(*each)))
-    stated("docs/tables/failsafes.md", sentence, 1e3 * ABOVE_M, *speeds)
 
 
 def test_what_touches_faster_sideways_has_not_landed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -493,62 +477,6 @@ def test_a_minute_of_full_reversals_keeps_the_full_scale_vehicle(yaw: float, tmp
 # --- the table -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("aircraft", "name", "height", "wind"),
-    long_after(
-        1,
-        [
-            ("hexjet", "GNSS and gyro lost", 3.0, 5.0),
-            ("hexjet-p220", "engine 2 out", 3.0, 5.0),
-            ("hexjet-100", "engine 5 out", 3.0, 0.0),  # it hops
-            ("quadrotor", "engine 1 out", 3.0, 10.0),  # spins
-            ("hexjet", "sticks lost", 3.0, 0.0),
-            ("quadrotor", "GNSS lost", 10.0, 0.0),  # moving
-            # every failsafe that is not above, over the other vehicles
-            ("octojet", "GNSS and attitude lost", 3.0, 10.0),
-            ("octojet", "engine 8 out", 3.0, 5.0),
-            ("octojet", "barometer lost", 3.0, 0.0),
-            ("quadjet", "engine 2 out", 3.0, 5.0),  # crashes
-            ("quadjet", "engine 3 out", 10.0, 0.0),
-            ("jetwing", "engine 1 out", 3.0, 0.0),
-            ("quadjet", "GNSS and barometer lost", 3.0, 10.0),
-            ("quadjet", "gyro biased", 3.0, 5.0),
-            ("hexjet", "attitude lost", 3.0, 10.0),
-            ("hexjet", "fence passed", 3.0, 0.0),
-            ("hexjet", "ground station lost", 3.0, 0.0),
-            ("hexjet", "set-points lost", 3.0, 10.0),
-            ("quadrotor", "gyro lost", 3.0, 0.0),
-            ("quadrotor", "GNSS and gyro biased", 3.0, 5.0),
-        ],
-    ),
-)
-def test_a_flight_of_the_table_flies_again_bit_for_bit(
-    aircraft: str, name: str, height: float, wind: float, tmp_path: Path
-) -> None:
-    one = flown(name, aircraft, height, wind, 5.0 if (aircraft, name) == ("quadrotor", "GNSS lost") else 0.0)
-    tables.write(table.Failsafes(aircraft, "", "smith", 2.0, 2.0, [one]), tmp_path)
-    run = again(tmp_path / "flights" / f"{tables.file_name(one.row)}.toml", one.row.log_sha256)
-    assert run.outcome == {"crashed": "crashed", "lost": "diverged"}.get(one.row.verdict, "completed")
-    if not isnan(one.row.touchdown_m_s):
-        down, ground = run.log["velocity_down_m_s"], run.log["on_ground"]
-        touches = [float(v) for v, (a, b) in zip(down, itertools.pairwise(ground), strict=False) if b > a]
-        assert max(touches) == one.row.touchdown_m_s
-
-
-def test_the_jetwing_that_slides_turns_as_the_page_says(tmp_path: Path) -> None:
-    """It does not hit the ground too fast: with an elevator counted by the speed over the ground it did."""
-    one = flown("engine 3 out", "jetwing", 3.0, 10.0)
-    assert one.row.verdict == "slid"
-    vehicle = load_vehicle("jetwing")[0]
-    assert one.row.touchdown_m_s < 0.5 * vehicle.limits.touchdown_m_s
-    page = " ".join((DOCS / "failsafes.md").read_text(encoding="utf-8").split())
-    assert "it moves faster sideways than it may in a third of these flights" in page
-    assert one.row.sideways_m_s > tip_of("jetwing")
-    assert "it turns more than half round before the thrusts have followed" in page
-    yaw = np.unwrap(again_of_the_table(one, tmp_path).log["yaw_rad"])
-    assert pi < np.abs(yaw).max() < 1.5 * pi
-
-
 @pytest.mark.parametrize(("aircraft", "wind"), [("hexjet", 0.0), ("hexjet-p220", 10.0)])
 def test_who_holds_is_where_and_as_high_as_it_was_to_hold(aircraft: str, wind: float) -> None:
     row = flown("set-points lost", aircraft, 10.0, wind).row
@@ -678,118 +606,3 @@ def test_a_cell_of_several_flights_tells_how_many_landed_and_the_worst() -> None
         dataclasses.replace(base, verdict="slid", sideways_m_s=2.5, wind_m_s=10.0, number=3),
     ]
     assert tables.format_cell(rows) == "2 of 3 landed, 1 of 3 slid (wind 10 m/s), 0.70 m/s, sideways 2.50 m/s, 0.1 N"
-
-
-def rows_of_the_page(aircraft: str) -> tuple[list[str], list[list[str]]]:
-    """The starts and the lines of a vehicle's table of flights after a take-off."""
-    text = marks.parts_of((DOCS / "tables/failsafes.md").read_text(encoding="utf-8"), "")[mark(aircraft)]
-    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:1] == "|"]
-    return lines[0][1:], lines[2:]
-
-
-def test_the_page_counts_the_flights_of_its_tables() -> None:
-    """How many flights of each vehicle ended how."""
-    page = (DOCS / "failsafes.md").read_text(encoding="utf-8")
-    (head,) = re.findall(r"^\| vehicle \| flights \| (.*) \|$", page, re.MULTILINE)
-    for aircraft in table.TABLED:
-        cells = [cell for _, *row in rows_of_the_page(aircraft)[1] for cell in row]
-        found = [
-            sum(int(n) for cell in cells for n in re.findall(rf"(\d+) of \d+ {verdict}\b", cell))
-            for verdict in head.split(" | ")
-        ]
-        flown = sum(int(re.match(r"\d+ of (\d+) ", cell)[1]) for cell in cells if cell != "-")  # type: ignore[index]
-        assert sum(found) == flown
-        assert f"| {aircraft} | {flown} | {' | '.join(str(n or '-') for n in found)} |" in page, aircraft
-
-
-def explained(aircraft: str, name: str, start: str) -> set[str]:
-    """What the page's text says that flights of a cell may come to beside landing and holding."""
-    engine = name.startswith("engine")
-    may = set()
-    if tip_of(aircraft) < 1.5 or (aircraft, name) == ("quadrotor", "GNSS and attitude lost"):
-        may.add("slid")  # turbines still push as it touches; without attitude and position it is too fast
-    if name == "fuel runs down" and start in ("100 m", "300 m"):
-        may.add("refused")  # a full tank does not do for there and back
-    if engine and aircraft in LOST_WITHOUT_ONE:
-        may |= {"lost", "crashed"}
-    if engine and (aircraft, start) in (("quadjet", "3 m"), ("hexjet-100", "3 m")):
-        may |= {"lost" if aircraft == "hexjet-100" else "crashed"}
-    if name in HOLDS and aircraft in ("jetwing", "hexjet-p220", "trijet"):
-        may.add("flies on")  # it drifts with the strongest wind, or has yet to come back from where that took it
-    return may
-
-
-@pytest.mark.parametrize("aircraft", long_after(1, table.TABLED))
-def test_after_a_take_off_what_does_not_land_is_what_the_page_explains(aircraft: str) -> None:
-    """Every failsafe of the command from all its heights; the worst speeds say whether a cell has slid or crashed."""
-    vehicle = load_vehicle(aircraft)[0]
-    tip = round(tip_speed(aircraft, vehicle.engine or "edf-as-flown"), 2)
-    assert tip == tip_of(aircraft)
-    starts, rows = rows_of_the_page(aircraft)
-    assert [name for name, *_ in rows] == [case.name for case in table.cases(vehicle)]
-    text = (DOCS / "tables/failsafes.md").read_text(encoding="utf-8")
-    assert (
-        f"{vehicle.limits.touchdown_m_s:.2f} m/s counts as a crash, and what touches faster than {tip:.2f} m/s" in text
-    )
-    for name, *cells in rows:
-        for start, cell in zip(starts, cells, strict=True):
-            if cell == "-":
-                assert "moving" in start or start in ("100 m", "300 m"), (name, start)
-                continue
-            ends = re.findall(r"(\d+) of (\d+) ([a-z ]+?)(?: \(wind|,|$)", cell)
-            verdicts = {verdict for *_, verdict in ends}
-            good = "holds" if name in HOLDS else "landed"
-            assert verdicts <= {good} | explained(aircraft, name, start), (aircraft, name, start, cell)
-            assert sum(int(count) for count, *_ in ends) == int(ends[0][1]) == (1 if start in ("100 m", "300 m") else 3)
-            down, sideways = (re.search(rf", {what}([\d.]+) m/s", cell) for what in ("", "sideways "))
-            if sideways is not None:
-                assert (float(sideways[1]) > tip) == bool(verdicts - {"landed"}) or float(sideways[1]) == tip
-            if down is not None and not verdicts & {"lost", "crashed"}:
-                assert float(down[1]) < vehicle.limits.touchdown_m_s
-            off = re.search(r"([\d.]+) m off", cell)
-            if off is not None and verdicts == {"holds"}:
-                assert float(off[1]) <= failsafe_flight.HOLD_RADIUS_M
-
-
-@pytest.mark.parametrize(
-    ("aircraft", "kind", "height"),
-    [
-        ("hexjet", "GNSS and gyro lost", 3.0),
-        pytest.param("hexjet", "fuel runs down", 10.0, marks=pytest.mark.long),
-        pytest.param("quadrotor", "sticks lost", 3.0, marks=pytest.mark.long),
-        pytest.param("hexjet-p220", "barometer lost", 3.0, marks=pytest.mark.long),
-        pytest.param("hexjet-100", "engine 5 out", 3.0, marks=pytest.mark.long),  # it hops
-        pytest.param("quadrotor", "engine 1 out", 3.0, marks=pytest.mark.long),
-        pytest.param("octojet", "GNSS and attitude lost", 3.0, marks=pytest.mark.long),
-        pytest.param("quadjet", "engine 2 out", 3.0, marks=pytest.mark.long),  # crashes
-        pytest.param("trijet", "fence passed", 3.0, marks=pytest.mark.long),
-        pytest.param("jetwing", "engine 1 out", 3.0, marks=pytest.mark.long),
-        pytest.param("hexjet-p220", "fuel runs down", 300.0, marks=pytest.mark.long),
-    ],
-)
-def test_flights_after_a_take_off_are_the_pages(aircraft: str, kind: str, height: float) -> None:
-    starts, rows = rows_of_the_page(aircraft)
-    (cell,) = (cells[starts.index(f"{height:g} m")] for name, *cells in rows if name == kind)
-    flights = int(re.match(r"\d+ of (\d+)", cell)[1])  # type: ignore[index]
-    conditions = table.Conditions(heights=(height,), flights=flights)
-    (survey,) = table.failsafes([aircraft], kinds=[kind], conditions=conditions, workers=1)
-    assert tables.format_cell(survey.rows) == cell
-
-
-def test_docs_failsafes_md_states_what_an_engine_lost_between_its_heights_does() -> None:
-    """The table's heights are 3 and 10 m; without the catch both hit harder from 4 m than from 3, above their limits."""
-    page = "docs/failsafes.md"
-    low = [flown("engine 1 out", aircraft, 4.0, 5.0).row for aircraft in ("hexjet-p220", "hexjet-100")]
-    assert {row.verdict for row in low} <= {"landed", "slid"}
-    sentence = (
-        "From {} m in a wind of {} m/s, without engine 1, hexjet-p220 touches with {} m/s and hexjet-100 with {} m/s"
-    )
-    stated(page, sentence, *low[0].start[:2], *(row.touchdown_m_s for row in low))
-
-
-def test_every_vehicle_with_an_autopilot_has_its_table_on_the_page() -> None:
-    page = (DOCS / "tables/failsafes.md").read_text(encoding="utf-8")
-    piloted = {each for each in aircraft_names() if load_vehicle(each)[0].control.pilot is not None}
-    assert piloted == set(table.TABLED)
-    for name in table.TABLED:
-        assert f"<!-- measured: {mark(name)} -->" in page

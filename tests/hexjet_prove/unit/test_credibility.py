@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from places import ROOT
 
 from cosim.base.errors import InputError
-from cosim.base.storage.toml import read_toml
-from cosim.results.report.marks import page_parts
 from cosim.results.summary import versions
-from hexjet_prove.proof.credibility import RECORD, Evidence, list_evidence, read_comparison
+from hexjet_prove.proof.credibility import Evidence, list_evidence, read_comparison
 
 FACTORS = (  # NASA-STD-7009B, Appendix E: five of the model, six of its use
     "Data pedigree",
@@ -121,20 +117,6 @@ def test_what_is_not_varied_is_named() -> None:
         if one.name == "Uncertainty characterization"
     ]
     assert "nothing of servos and wind and air" in factor.evidence
-
-
-def test_the_record_is_what_the_pages_say() -> None:
-    record = read_toml(RECORD)
-    cases = page_parts(ROOT / "docs" / "accuracy.md")["check cases"]
-    verdicts = re.findall(r"^\| \d.*\| (.*?) \|$", cases, re.MULTILINE)
-    assert record["verification"] == {
-        "version": versions()["hexjet-cosim"],
-        "compared": len(verdicts),
-        "inside": verdicts.count("inside"),
-    }
-    for one in record["comparison"]:
-        assert (ROOT / one["page"]).is_file(), one
-        assert (ROOT / one["test"]).is_file(), one
 
 
 def test_what_replay_left_is_read(tmp_path: Path) -> None:

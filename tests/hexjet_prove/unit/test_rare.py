@@ -13,12 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from places import DOCS, script
+from places import script
 from scipy.stats import binom, norm
-from stated_figures import stated
 
 from cosim.base.errors import InputError
-from cosim.results.report.marks import parts_of
 from cosim.results.requirements import parse_formula
 from hexjet_prove.rare.estimate import (
     SEEDS_DECIDE,
@@ -203,46 +201,6 @@ def test_the_interval_of_a_lognormal_mean_holds_it() -> None:
     ends = [lognormal_interval(random.normal(-0.5, 1.0, 8).tolist()) for _ in range(2000)]
     held = sum(low <= 1.0 <= high for low, high in ends)
     assert binom.ppf(1e-4, 2000, 0.93) <= held <= binom.ppf(1.0 - 1e-4, 2000, 0.97)
-
-
-def test_the_page_has_what_was_measured_and_it_is_what_an_interval_states() -> None:
-    """docs/tables/rare.md: every interval holds the truth in 93 to 97 of 100, within the error of counting so many."""
-    page = (DOCS / "tables" / "rare.md").read_text(encoding="utf-8")
-    lines = parts_of(page, DOCS / "tables" / "rare.md")[measured.MARK].splitlines()[2:]
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    assert {row[0] for row in cells} == {truth.name for truth in TRUTHS.values()}
-    for row in cells:
-        held, studies = float(row[3].removesuffix("%")) / 100.0, int(row[2])
-        wide = {TRUTHS[key].name for key in ("noise", *measured.SEVERAL)}  # as the page says
-        most = 1.0 if row[0] in wide else 0.97
-        assert binom.ppf(0.005, studies, 0.93) <= round(held * studies) <= binom.ppf(0.995, studies, most), row
-        assert int(row[9].replace(",", "")) <= measured.FLIGHTS, row
-    (again,) = (row for row in cells if int(row[2]) == len(measured.AGAIN_SEEDS))
-    alone = [row for row in cells if row[0] not in wide]
-    first = min(alone, key=lambda row: float(row[3].split()[0]))
-    assert first[:2] == again[:2]
-    held_least = [float(row[3].removesuffix("%")) for row in (first, again)]
-    stated("docs/rare.md", "held it least often, {} of 100, held it in {} of 100 of 1,500 other", *held_least)
-    shares = [float(row[3].removesuffix("%")) for row in alone if row is not again]
-    stated("docs/rare.md", "over all lines without a seed it is {}", sum(shares) / len(shares))
-    by_chance = (binom.ppf(at, 300, 0.95) / 3.0 for at in (0.025, 0.975))
-    stated("docs/rare.md", "an honest interval of 95 % holds the truth in {} to {} of 100 by chance", *by_chance)
-    near = {(row[0], row[1]): float(row[6].removesuffix("%")) for row in cells}
-    bent = (near[TRUTHS[key].name, "1e-6"] for key in ("two", "parabola"))
-    several = (
-        float(row[3].removesuffix("%"))
-        for row in cells
-        if (row[0], row[1]) in {(TRUTHS[key].name, "1e-4") for key in measured.SEVERAL}
-    )
-    band, shallow = several
-    stated(
-        "docs/rare.md",
-        "holds `1e-4` in {} of 100 studies, of a limit of roll beside a band of height in {}",
-        shallow,
-        band,
-    )
-    stated("docs/rare.md", "fewer are, {} and {} of 100 at `1e-6`", *bent)
-    stated("docs/rare.md", "{} of 100 estimates of `1e-5` are within a factor of two", near["a plane, 6 keys", "1e-5"])
 
 
 def test_what_is_said() -> None:

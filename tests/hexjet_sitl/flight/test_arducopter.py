@@ -11,10 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arducopter_standin import DEFAULTS, HOLDS_S, PLACE_S, TITLE, Radio, begin_log, installed
+from arducopter_standin import DEFAULTS, PLACE_S, TITLE, Radio, begin_log, installed
 from command_tools import Hexjet
 from patience import FLIGHT_PATIENCE, PATIENCE
-from stated_figures import stated
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
@@ -236,20 +235,6 @@ def test_what_cannot_be_flown_is_one_line(given: list[str], said: str, program: 
     assert done.status == 2, done.out + done.err
     assert done.err.count("\n") == 1, done.err
     assert said in done.err
-
-
-def test_the_page_says_what_it_is_flown_with() -> None:
-    page = "docs/tables/autopilots.md"
-    stated(
-        page,
-        "{} s, until its estimator has a position; armed {} s before the flight, because it holds its motors for {} s "
-        "after that; the throttle of hover from {} s before",
-        HANDLING.before_s,
-        HANDLING.arming_s,
-        HOLDS_S,
-        HANDLING.throttle_s,
-    )
-    stated(page, "full stick {}° and {}°/s", HANDLING.lean_deg, HANDLING.turn_deg_s)
 
 
 def heard(pulses: list[int], stated: dict[str, float]) -> Radio:

@@ -30,7 +30,6 @@ from cosim.base.compiled import (
     STAMP,
 )
 from cosim.cli.main import COMMANDS
-from cosim.results.report.marks import page_parts
 
 UNCOMPILED = bool(os.environ.get(PURE))
 COMPILED = (
@@ -361,17 +360,6 @@ def test_nothing_imports_cmake_but_what_compiles() -> None:
         ROOT / "cosim" / "engine" / "library" / "archives.py",
         8 * " ",
     )  # within the function that compiles
-
-
-def test_the_page_of_packages_says_what_each_is_for(packages: Any) -> None:
-    assert set(packages.WHAT) == set(packages.named(METADATA["dependencies"]))
-    assert set(packages.EXTRAS) == set(METADATA["optional-dependencies"])
-    parts = page_parts(packages.PAGE)
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in parts["packages: core"].splitlines()[2:]]
-    assert {name for name, *_ in rows[:-2]} == set(packages.WHAT)
-    assert [what for _, what, *_ in rows[:-2]] == [packages.WHAT[name] for name, *_ in rows[:-2]]
-    weights = [float(row[-1]) for row in rows]
-    assert sum(weights[:-1]) == pytest.approx(weights[-1], abs=0.05 * len(rows))
 
 
 @pytest.mark.parametrize(

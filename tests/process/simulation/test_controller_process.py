@@ -548,13 +548,3 @@ def test_an_fmu_that_crashes_ends_the_run(fmu_c: Path) -> None:
 def test_an_engine_is_no_controller() -> None:
     with pytest.raises(InputError, match=r"edf\.fmu: is no controller: it has no output throttle_1, roll_torque"):
         fly(ROLL.replace(controller=str(ROOT / "fmus" / "edf.fmu")))
-
-
-def test_the_page_has_every_name() -> None:
-    table = (ROOT / "docs" / "tables" / "own-controller.md").read_text(encoding="utf-8")
-    for level in ("predictor", "rate", "attitude"):
-        for name in (*wire.input_names(level, 6), *wire.output_names(level, 6, ())):
-            assert f"`{name}`" in table
-    for name in wire.input_names("controller", 6, ahead=True):
-        stem = re.sub(r"_(\d|north|east|down|y|z)$", "", name)
-        assert stem in table or stem.replace("_left", "") in table, name

@@ -14,14 +14,12 @@ from places import ROOT
 
 from cosim import InputError, Scenario, fly
 from cosim.base.frames import conjugate, jet_axis, rotate
-from cosim.base.plugins.entry_points import GROUP, GROUPS
 from cosim.campaign.run import run_campaign
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.results.report.comparison import comparison_rows
 from cosim.simulation.build import build
-from cosim.simulation.controllers.source import METHODS
 from cosim.simulation.plugins import WindTable, find_block
 from hexjet_prove.search.search import describe_flight
 
@@ -299,10 +297,3 @@ def test_an_entry_point_brings_one(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.syspath_prepend(tmp_path)
     found = find_block("wind", "shear", tmp_path)
     assert (found.version, list(found.files), found.is_copied) == ("my-blocks 1.2", ["mine.py"], False)
-
-
-def test_the_page_names_what_there_is() -> None:
-    page = PAGE.read_text(encoding="utf-8")
-    assert f"`{GROUP}`" in page
-    assert all(f"`{GROUPS[kind]}`" in page for kind in METHODS)
-    assert set(METHODS) == set(GROUPS) - {"predictor", "controller"}

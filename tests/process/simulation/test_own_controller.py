@@ -20,8 +20,7 @@ import pytest
 from places import ROOT
 
 from cosim import InputError, Scenario, fly, open_run
-from cosim.base.protocols import Column, Parameter
-from cosim.base.signals import UNKNOWN3, Actuation, Unallocated
+from cosim.base.signals import UNKNOWN3, Unallocated
 from cosim.campaign.run import choose_workers, fly_again, run_campaign
 from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
@@ -565,19 +564,6 @@ def test_a_file_is_seen_from_here_and_a_parameter_of_no_controller_refused(packa
     assert done.returncode == 2
     assert "controller_parameters.x: unknown parameter; allowed: share" in done.stderr
     assert "Traceback" not in done.stderr
-
-
-def test_records_of_the_protocol_are_what_the_page_says() -> None:
-    assert Parameter("share", 1.0)[2:4] == ("", "")
-    assert Column("a", "1", "", "b").source == ""
-    assert Actuation._fields[:2] == ("throttle", "tilt")
-    page = PAGE.read_text(encoding="utf-8")
-    from cosim.base.plugins.entry_points import GROUP, GROUPS
-    from cosim.simulation.controllers.source import LEVELS
-
-    assert all(f'`"{level}"`' in page for level in LEVELS)
-    assert f"`{GROUP}`" in page
-    assert f"`{GROUPS['controller']}`" in page
 
 
 @pytest.mark.parametrize("name", ["predictor", "cascade"])

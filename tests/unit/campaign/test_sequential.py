@@ -8,7 +8,6 @@ from math import ceil, log
 
 import numpy as np
 import pytest
-from places import ROOT
 from scipy.stats import binomtest
 
 from cosim.base.errors import InputError
@@ -17,7 +16,6 @@ from cosim.campaign.study.sequential import ClaimTest, SequentialTest, StoppingR
 
 CLAIMS = ("90%@95%", "50%@95%", "99%@90%")
 RUNS = 200
-PAGE = (ROOT / "docs" / "campaigns.md").read_text(encoding="utf-8")
 
 
 def test_a_claim_is_read() -> None:
@@ -163,32 +161,6 @@ def test_looking_often_at_a_fixed_interval_would_hold_less() -> None:
         deviation = 1.645 * np.sqrt(np.maximum(failures, 0.5) * (flights - failures + 0.5)) / flights**1.5
         wrong += bool(np.any((low - deviation > 0.9)[30:]))
     assert wrong > 0.1 * 400
-
-
-@pytest.mark.parametrize(
-    ("row", "text"), [("90 % at 95 %", "90%@95%"), ("99 % at 95 %", "99%@95%"), ("99.9 % at 95 %", "99.9%@95%")]
-)
-def test_the_page_has_the_fewest_flights(row: str, text: str) -> None:
-    claim = parse_claim(text)
-    test = SequentialTest(claim)
-    while test.add(True) == "open":
-        pass
-    assert f"| {row} | {test.flights:,} | {claim.fewest:,} |" in PAGE
-
-
-@pytest.mark.parametrize(
-    "sentence",
-    [
-        "until a probability of success of 99 % is *shown* or *refuted* at 95 % confidence",
-        "at most 5 in 100 end as *shown*",
-        "A usual 95 % interval that is looked at until it pleases is wrong far more often",
-        "an interval of 95 %, both valid for a study that stops",
-        "100 flights do not show 99.9 %",
-        "has its own 5 in 100",
-    ],
-)
-def test_the_page_says_what_is_tested_here(sentence: str) -> None:
-    assert sentence in " ".join(PAGE.split())
 
 
 @pytest.mark.parametrize("order", [range(40), reversed(range(40))])

@@ -246,11 +246,3 @@ def test_a_study_varies_what_it_is_tuned_with(mine: PredictorSpec) -> None:
     assert [row["outcome"] for row in rows] == ["completed"] * 4
     assert {row["controller"] for row in rows} == {"mine", "smith"}
     assert len({row[vary.split("=")[0]] for row in rows}) == 2
-
-
-def test_the_page_lists_those_that_come_with_it() -> None:
-    page = (ROOT / "docs" / "design.md").read_text()
-    listed = [
-        line.split("`")[1] for line in page.split("| controller |")[1].split("\n\n")[0].splitlines() if "`" in line
-    ]
-    assert listed == list(PREDICTORS)

@@ -9,7 +9,6 @@ import pytest
 from engine_tools import STEP, Array, Driven, archive, driven
 
 from cosim.base.errors import InputError
-from cosim.base.storage.paths import data_folder
 from cosim.engine import build_engines, load_engine
 from cosim.flight import fly
 from cosim.spec.scenario import Scenario
@@ -182,25 +181,6 @@ def test_a_wrong_limit_is_refused_in_one_line(name: str, wrong: dict[str, float]
     with pytest.raises(InputError, match=rf"{next(iter(wrong))} = .*: must be a (whole )?number from") as caught:
         load_engine(name, wrong, STEP)
     assert "\n" not in str(caught.value)
-
-
-def test_the_readme_states_what_the_limit_of_the_exhaust_does(tmp_path: Path) -> None:
-    text = " ".join((data_folder("engines") / "README.md").read_text(encoding="utf-8").split())
-    free, taken = {}, {}
-    for name in TURBINES:
-        for limit in (0.0, 1023.15):
-            with driven(archive(name, 3), tmp_path / f"{name}{limit}") as engine:
-                engine.start(throttle_start=0.0, exhaust_limit=limit)
-                found = hot(engine, np.ones(5000))
-            share = (found[:, 0] - found[0, 0]) / (found[-1, 0] - found[0, 0])
-            free[name, limit] = found[:, 1].max() - 273.15
-            taken[name, limit] = float(np.argmax(share >= 0.9) - np.argmax(share >= 0.1)) * STEP
-    peaks = [
-        f"{free[name, 0.0]:.0f} °C ({newton} N)" for name, newton in zip(TURBINES[::-1], (220, 100, 20), strict=True)
-    ]
-    assert ", ".join(peaks) in text
-    slow, fast = taken["turbine-220", 1023.15], taken["turbine-220", 0.0]
-    assert f"at 750 °C `turbine-220` takes {slow:.2f} s from 10 to 90 %, without {fast:.2f} s" in text
 
 
 @pytest.mark.parametrize("name", ["p220", "p220-2025"])

@@ -83,18 +83,6 @@ def test_engines_drawn_by_its_uncertainty_follow_them_too(page: Any) -> None:
     assert within[1] == pytest.approx(0.8, abs=0.15)
 
 
-@pytest.mark.parametrize("name", ["turbine-220", "turbine-100", "turbine-20"])
-def test_each_turbines_page_says_how_far_it_is_from_a_real_one(name: str) -> None:
-    docs = data_folder("engines").parent / "docs"
-    rows = re.findall(
-        rf"^\| \| `{name}` \| ([0-9.]+) \|", (docs / "tables" / "real-engine.md").read_text("utf-8"), re.MULTILINE
-    )
-    off = [float(text) for text in rows]
-    assert len(off) == 10
-    readme = (data_folder("engines") / name / "README.md").read_text("utf-8")
-    assert f"in ten steps off by {min(off):.1f} to {max(off):.1f} % of its range (rms)" in readme
-
-
 def fuel(
     throttle_from: float, throttle_to: float, seconds: float, **parameters: float
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from math import log
 from pathlib import Path
@@ -12,7 +11,6 @@ import pytest
 from engine_tools import STEP, Array, archive, bang_bang, driven
 from scipy.integrate import solve_ivp
 
-from cosim.base.storage.paths import data_folder
 from cosim.engine import build_engines
 
 # kerosene, in the order K_T K_TT K_D K_DD K_TD B_U B_T B_D B_UU c
@@ -85,26 +83,6 @@ def test_the_equilibrium_is_stable_and_the_other_is_not(percent: float) -> None:
     low, high = equilibria(percent)
     assert max(poles(percent, high).real) < 0.0
     assert max(poles(percent, low).real) > 0.0
-
-
-def test_the_readmes_table_is_what_the_equation_says() -> None:
-    """Throttle, thrust, gain, poles, frequency, damping, lag: the numbers that a controller is designed on."""
-    text = (data_folder("engines") / "p220" / "README.md").read_text(encoding="utf-8")
-    rows = re.findall(
-        r"^\| (\d\.\d\d) \| ([^|]*) \| ([^|]*) \| ([^|]*) \| ([^|]*) \| ([^|]*) \| ([^|]*) \|$", text, re.M
-    )
-    assert len(rows) >= 12
-    for throttle, *cells in rows:
-        u = 100.0 * float(throttle)
-        v, T = u + B_UU * u**2, equilibria(u)[1]
-        stiffness, damping = -(K_T + 2.0 * K_TT * T + B_T * v), -(K_D + K_TD * T + B_D * v)
-        drive = (B_U + B_T * T) * (1.0 + 2.0 * B_UU * u) * 100.0
-        found = sorted(poles(u, T), key=lambda pole: pole.real)
-        first = found[0]
-        pole = f"{first.real:.3f} ± {abs(first.imag):.3f}j" if first.imag else f"{first.real:.3f}, {found[1].real:.3f}"
-        omega = np.sqrt(stiffness)
-        numbers = [f"{T:.2f}", f"{drive / stiffness:.1f}", pole, f"{omega:.3f}", f"{damping / 2 / omega:.3f}"]
-        assert cells == [*numbers, f"{damping / stiffness:.2f}"], throttle
 
 
 def test_the_linearised_model_is_the_answer_to_a_small_step(tmp_path: Path) -> None:

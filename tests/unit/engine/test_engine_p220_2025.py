@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from engine_tools import STEP, Array, archive, bang_bang, driven
-from places import DATA, DOCS
+from places import DATA
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
-from scipy.signal import csd, welch
 
 from cosim.base.storage.paths import data_folder
 from cosim.engine import build_engines
@@ -137,16 +133,6 @@ def test_the_equilibrium_is_stable_and_the_other_is_out_of_reach(percent: float)
     assert high > 380.0
 
 
-def test_the_readmes_table_is_what_the_equation_says() -> None:
-    text = README.read_text(encoding="utf-8")
-    rows = re.findall(
-        r"^\| (\d\.\d\d) \| ([^|]*) \| ([^|]*) \| ([^|]*) \| ([^|]*) \| ([^|]*) \| ([^|]*) \|$", text, re.M
-    )
-    assert len(rows) == 15
-    for throttle, *cells in rows:
-        assert cells == row(float(throttle)), throttle
-
-
 def row(throttle: float) -> list[str]:
     """Thrust, gain, poles, frequency, damping, lag: the numbers that a controller is designed on."""
     u = 100.0 * throttle
@@ -157,65 +143,6 @@ def row(throttle: float) -> list[str]:
     pole = f"{first.real:.3f} ± {abs(first.imag):.3f}j" if first.imag else f"{first.real:.3f}, {found[1].real:.3f}"
     numbers = [f"{T:.2f}", f"{-100.0 * force / stiffness:.1f}", pole]
     return [*numbers, f"{omega:.3f}", f"{-damping / 2 / omega:.3f}", f"{damping / stiffness:.2f}"]
-
-
-def hover() -> float:
-    """Throttle in percent at 101.3 N, where the Hex-Jet of 62 kg hovers."""
-    return float(brentq(lambda u: equilibria(u)[0] - 101.3, 20.0, 80.0))
-
-
-def test_the_readmes_comparison_of_three_models() -> None:
-    """Natural frequency and damping, and the answer at 0.71 Hz; of the learned model what its chirp says."""
-    said = dict(re.findall(r"^\| `(p220|p220-2025)` \| (.*) \|$", README.read_text("utf-8"), re.M))
-    stiffness, damping, _ = jacobian(hover(), 101.3)
-    omega = np.sqrt(-stiffness)
-    assert said["p220-2025"] == cells(omega, -damping / 2 / omega)
-    # the equation of 2020 at 101.3 N: tests/unit/engine/test_engine_p220.py has it
-    assert said["p220"] == cells(1.294, 0.660)
-    page = " ".join((DOCS / "full-scale.md").read_text(encoding="utf-8").split())
-    assert f"differ by a factor of {omega / 1.294:.1f} in speed" in page
-    assert f"(Gorbani et al., 2025), {omega / 1.294:.1f} times as fast" in page
-
-
-def cells(omega: float, zeta: float) -> str:
-    w = 2.0 * np.pi * 0.71
-    answer = omega**2 / (omega**2 - w**2 + 2j * zeta * omega * w)
-    return f"{omega:.2f} | {zeta:.2f} | {abs(answer):.2f} | {np.degrees(np.angle(answer)):.0f}°"
-
-
-def test_the_readmes_rise_times_of_the_two_published_models() -> None:
-    """10 to 90 % of the steps of 10 % in the published responses."""
-    time, percent, learned, second = published().T
-    moved = np.flatnonzero(np.diff(percent)) + 1
-    steps = [(a, b) for a, b in pairwise(moved) if abs(percent[a] - percent[a - 1]) == 10.0 and b - a > 250]
-    assert len(steps) == 6
-    rows = []
-    for a, b in steps:
-        cells = [f"{percent[a - 1]:.0f} to {percent[a]:.0f} %"]
-        for thrust in (second, learned):
-            share = (thrust[a:b] - thrust[a]) / (thrust[b - 1] - thrust[a])
-            low, high = (np.argmax(share >= level) for level in (0.1, 0.9))
-            cells.append(f"{time[a + high] - time[a + low]:.2f} s")
-        cells += [f"{second[b - 1]:.1f} N", f"{learned[b - 1]:.1f} N"]
-        rows.append(f"| {' | '.join(cells)} |")
-    assert "\n".join(rows) in README.read_text(encoding="utf-8")
-
-
-def test_the_readmes_chirp_of_the_two_published_models() -> None:
-    """Cross spectrum over the auto spectrum (Welch's) of the chirp about 50 %, over the gain at rest there."""
-    time, percent, learned, second = published().T
-    chirp = time >= 90.0
-    said = []
-    for thrust in (second, learned):
-        f, cross = csd(percent[chirp] - 50.0, thrust[chirp] - thrust[chirp].mean(), fs=50.0, nperseg=1024)
-        _, power = welch(percent[chirp] - 50.0, fs=50.0, nperseg=1024)
-        k = int(np.argmin(np.abs(f - 0.73)))
-        answer = cross[k] / power[k]
-        at_rest = (thrust[(time > 35.9) & (time < 36.0)].mean() - thrust[(time > 29.9) & (time < 30.0)].mean()) / 10.0
-        said.append(f"{abs(answer) / at_rest:.2f} at {np.degrees(np.angle(answer)):.0f}°")
-    assert f"the second-order model has {said[0]} of its gain at rest and the learned one {said[1]}" in one_line()
-    at_ends = [int(np.argmin(np.abs(time - end))) for end in (11.9, 17.9, 29.9, 35.9, 47.9, 53.9, 65.9)]  # 30 to 90 %
-    assert f"differ by up to {np.abs(learned - second)[at_ends].max():.1f} N" in one_line()
 
 
 def one_line() -> str:
@@ -268,18 +195,3 @@ def test_no_throttle_makes_the_thrust_leave_its_bounds(tmp_path: Path) -> None:
     rate = np.gradient(thrust, STEP)
     assert np.abs(rate).max() > 100.0
     assert min(control_gain(T, D) for T, D in zip(thrust[::10], rate[::10], strict=True)) > 0.5
-
-
-def test_full_and_idle_are_the_readmes(tmp_path: Path) -> None:
-    text = README.read_text(encoding="utf-8")
-    with driven(archive("p220-2025", 3), tmp_path) as engine:
-        engine.start(throttle_start=0.0)
-        up = engine.run(np.ones(3000))
-        assert engine.get("spool_speed") == pytest.approx(117000.0, rel=5e-3)
-        down = engine.run(np.zeros(3000), first=3000)
-    times = []
-    for thrust, start in ((up, equilibria(0.0)[0]), (down, equilibria(100.0)[0])):
-        share = (thrust - start) / (thrust[-1] - start)
-        times.append(float(np.argmax(share >= 0.9) - np.argmax(share >= 0.1)) * STEP)
-    assert f"From idle to full it takes {times[0]:.2f} s from 10 to 90 %, from full to idle {times[1]:.2f} s" in text
-    assert f"rests at {equilibria(0.0)[0]:.1f} N at throttle 0 and at {equilibria(100.0)[0]:.1f} N at full" in text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from math import degrees, hypot
+from math import hypot
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 from mavlink_tools import snapshot
-from places import DOCS
 from pyulog import ULog
 
 from cosim.base.frames import to_euler
 from cosim.base.geodesy import Geodesy
 from cosim.control.autopilot import requests as rq
-from cosim.control.autopilot.estimation.estimator import LEAN_SURE, SPEED_SURE
 from cosim.control.autopilot.requests import Answer, Result
 from cosim.flight import fly
 from cosim.groundstation.mavlink.streams import STREAMS
@@ -205,9 +203,3 @@ def test_the_log_has_height_and_climb_as_estimated_and_says_what_is_not_valid(tm
     np.testing.assert_array_equal(before["z"], -raw.astype(np.float32)[: len(before["z"])])
     assert before["z_valid"].all()
     assert not before["xy_valid"][lost].any()
-
-
-def test_the_page_says_from_when_on_an_estimate_is_not_valid() -> None:
-    text = " ".join((DOCS / "tables" / "ground-station.md").read_text(encoding="utf-8").split())
-    assert "known to a metre a second and the attitude while it is known to five degrees" in text
-    assert (SPEED_SURE, degrees(LEAN_SURE)) == pytest.approx((1.0, 5.0))
