@@ -79,7 +79,7 @@ def _unavailable(name: str, reason: str, hidden: bool = False) -> click.Command:
     """Return a command that says why it cannot run; ``hidden``: which the help leaves out."""
 
     def complain() -> None:
-        raise InputError(f"{name}: {reason}")
+        raise InputError(f"{name.replace('.', ' ')}: {reason}")
 
     anything = {"ignore_unknown_options": True, "allow_extra_args": True}
     return click.Command(name, context_settings=anything, callback=complain, help=f"Not here: {reason}.", hidden=hidden)
