@@ -6,11 +6,12 @@ one line on standard error.
 """
 
 from cosim.base.errors import nearest
+from cosim.base.runtime.threads import one_thread
 from cosim.cli import opt
-from cosim.cli.console import CommandProgress, echo, output_to_stderr, part_progress, say, show_table
+from cosim.cli.console import CommandProgress, echo, output_to_stderr, part_progress, say, show_table, terminal
 from cosim.cli.flight.fly import print_run
 from cosim.cli.groups import Group
-from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, is_given, load_scenario
+from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, is_given, load_scenario, warn_of_fmu_defects
 from cosim.cli.outputs import Out
 
 __all__ = [
@@ -25,10 +26,13 @@ __all__ = [
     "is_given",
     "load_scenario",
     "nearest",
+    "one_thread",
     "opt",
     "output_to_stderr",
     "part_progress",
     "print_run",
     "say",
     "show_table",
+    "terminal",
+    "warn_of_fmu_defects",
 ]

@@ -5,7 +5,20 @@ Figures are dicts of Plotly's schema; the colours are those of the reports, ``"#
 
 from cosim.results.report.marks import cell, check_marks, filled, page_parts, parts_of, row, table, write_marks
 from cosim.results.report.page import render
-from cosim.results.report.plot import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED, axis_name, layout, share
+from cosim.results.report.plot import (
+    BLUE,
+    GREEN,
+    GREY,
+    MAGENTA,
+    ORANGE,
+    RED,
+    axis_name,
+    beneath,
+    layout,
+    panels,
+    share,
+    trace,
+)
 
 __all__ = [
     "BLUE",
@@ -15,15 +28,18 @@ __all__ = [
     "ORANGE",
     "RED",
     "axis_name",
+    "beneath",
     "cell",
     "check_marks",
     "filled",
     "layout",
     "page_parts",
+    "panels",
     "parts_of",
     "render",
     "row",
     "share",
     "table",
+    "trace",
     "write_marks",
 ]

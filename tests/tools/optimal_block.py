@@ -1,12 +1,12 @@
-"""A proportional gain behind the predictor of a target, as :mod:`cosim.control.laws.optimal` makes it for an axis."""
+"""A proportional gain behind the predictor of a target, as :mod:`hexjet_design.loop.optimal` makes it for an axis."""
 
 from __future__ import annotations
 
 from math import inf
 
 from cosim.base.signals import Vector3
-from cosim.control.laws.optimal import Target, make_predictor
 from hexjet_design.loop.channel import Channel
+from hexjet_design.loop.optimal import Target, make_predictor
 
 
 class Behind:

@@ -9,9 +9,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cosim.cli import opt
-from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table, terminal
-from cosim.cli.options import DONE, FLIGHT_FAILED, example, warn_of_fmu_defects
+from cosim.commands import (
+    DONE,
+    FLIGHT_FAILED,
+    CommandProgress,
+    example,
+    opt,
+    output_to_stderr,
+    part_progress,
+    say,
+    show_table,
+    terminal,
+    warn_of_fmu_defects,
+)
 
 if TYPE_CHECKING:
     from hexjet_design.design import Design
@@ -107,7 +117,7 @@ def design(options: DesignOptions) -> int:
     Status 1: no design keeps the requirements, and what would allow one; or its proof failed, where, and what would
     allow it: a controller that flies as designed is written, marked as not proved.
     """
-    from cosim.base.runtime.threads import one_thread
+    from cosim.commands import one_thread
 
     one_thread()
     from cosim.api.call.choices import engine_for

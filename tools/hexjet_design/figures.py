@@ -9,12 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
-from cosim.results.report.plot import BLUE, GREY, ORANGE, RED, Figure, panels, trace
+from cosim.pages import BLUE, GREY, ORANGE, RED, panels, trace
 from hexjet_design.assessment import AxisDesign
 from hexjet_design.design import Design
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.frequency import MarginPoint, margin_points, wrap_phase
 from hexjet_design.loop.tuning import Tuning
+
+Figure = dict[str, Any]
 
 POINTS = 1500
 TIME_POINTS = 1500  # points in time

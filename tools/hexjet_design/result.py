@@ -12,7 +12,7 @@ from cosim.base.signals import AXES
 from cosim.base.storage.files import to_json_record, write_files
 from cosim.base.storage.toml import toml_text
 from cosim.flight import new_folder
-from cosim.results.report.page import render
+from cosim.pages import render
 from cosim.spec.vehicle import EngineLead
 from hexjet_design.assessment import Assessment, AxisDesign
 from hexjet_design.candidates import WITH_LEAD

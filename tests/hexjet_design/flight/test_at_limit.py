@@ -13,7 +13,6 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.campaign.study.keys import with_values
-from cosim.control.laws.optimal import Optimal
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import Requirements, apply_controller
 from cosim.spec.scenario import Scenario
@@ -26,6 +25,7 @@ from hexjet_design.loop.at_limit import tune_at_limit
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid, steps_by_response
 from hexjet_design.loop.criteria import excesses
+from hexjet_design.loop.optimal import Optimal
 from hexjet_design.loop.tuning import Tuning
 from hexjet_design.measured.computed import compute_margins
 from hexjet_design.result import answer_lines, detail_lines, to_dict

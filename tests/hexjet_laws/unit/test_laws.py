@@ -23,7 +23,6 @@ from cosim.base.protocols import Parameter
 from cosim.base.signals import Unallocated, Vector3
 from cosim.control.belief import Belief
 from cosim.control.laws.axis import Actuators, Axis
-from cosim.control.laws.optimal import ModelForm, Optimal, Target, fit_weights
 from cosim.control.predictors.linear import model_response
 from cosim.control.rate import RateController
 from cosim.engine import EngineSpec, load_engine
@@ -35,6 +34,7 @@ from hexjet_design.loop.actuator import Actuator
 from hexjet_design.loop.channel import Channel, channels
 from hexjet_design.loop.closed_loop import WINDOW, ClosedLoop, FrequencyGrid
 from hexjet_design.loop.dynamics import make_lag_dynamics
+from hexjet_design.loop.optimal import ModelForm, Optimal, Target, fit_weights
 from hexjet_design.loop.tuning import Tuning
 from hexjet_laws.adrc import AdrcAxis
 from hexjet_laws.indi import DAMPING, IndiAxis, SecondOrder

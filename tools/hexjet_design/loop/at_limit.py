@@ -24,8 +24,7 @@ from scipy.optimize import minimize
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.control.laws.axis import low_frequency_delay
-from cosim.control.laws.optimal import LAGS, PredictorBases, Target, filter_response, polynomial
+from cosim.laws import low_frequency_delay
 from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.vehicle import RateModel
 from hexjet_design.loop.channel import Channel
@@ -33,6 +32,7 @@ from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.criteria import CORNER, OVERSHOOT, excesses, fine_loop, is_acceptable, objective
 from hexjet_design.loop.limit import Bounds, need_solver
 from hexjet_design.loop.low_order import COARSE, START, free_weights, reduce_limit
+from hexjet_design.loop.optimal import LAGS, PredictorBases, Target, filter_response, polynomial
 from hexjet_design.loop.tuning import Tuning, round_gain
 
 Pairs = Sequence[tuple[float, float]]

@@ -15,8 +15,7 @@ from math import exp, inf, log
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
-from cosim.identify.sweep.fit import counts, separate_equal
-from cosim.identify.sweep.response import FrequencyResponse
+from cosim.identify.sweep import FrequencyResponse, counts, separate_equal
 from cosim.spec.vehicle import RateModel
 
 # Beside the two poles.  The quick zero is what a whole delay leaves of one that is not: (1 + s t) leads by t.

@@ -40,9 +40,9 @@ from scipy.signal import lfilter
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
-from cosim.control.laws.optimal import ON_CIRCLE, polynomial
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, window_s
+from hexjet_design.loop.optimal import ON_CIRCLE, polynomial
 
 DEGREE = 3  # of the splines
 KNOTS_A_DELAY = 3.25  # knots within the time that the plant is late by

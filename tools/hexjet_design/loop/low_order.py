@@ -1,4 +1,4 @@
-"""The controller at the limit of performance, of low order: what :mod:`cosim.control.laws.optimal` is tuned with.
+"""The controller at the limit of performance, of low order: what :mod:`hexjet_design.loop.optimal` is tuned with.
 
 The programme of the limit, with few orthonormal functions in place of splines: their poles are searched, and with given
 poles the weights of the least load error within all bounds are the solution of a convex programme.  So a controller of
@@ -19,11 +19,11 @@ from scipy.signal import lfilter
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.control.laws.optimal import LAGS, ModelForm, Target, fit_weights
 from cosim.spec.vehicle import RateModel
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import window_s
 from hexjet_design.loop.limit import FREQUENCIES, Bounds, Cone, Limit, Plant, Programme, need_solver
+from hexjet_design.loop.optimal import LAGS, ModelForm, Target, fit_weights
 
 # where a search of poles begins: natural frequency times the delay at low frequency, and damping
 START = ((0.6246, 0.37), (0.594, 0.827), (1.458, 1.4), (5.7, 1.07))

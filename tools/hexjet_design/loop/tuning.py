@@ -6,14 +6,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from cosim.base.errors import InputError, nearest
-from cosim.control.laws.axis import low_frequency_delay
-from cosim.control.laws.optimal import PredictorBases, Target, make_predictor
 from cosim.control.predictors.linear import LinearSpace, PairResponse, PredictorSpace, linear_response
 from cosim.control.predictors.registry import PREDICTORS, PredictorSpec
 from cosim.control.predictors.state import LinearPredictor
+from cosim.laws import low_frequency_delay
 from cosim.simulation.controllers.controller_file import LAW
 from cosim.spec.vehicle import EngineLead, PredictorTuning, RateGains, RateModel
 from hexjet_design.loop.firmware import Firmware
+from hexjet_design.loop.optimal import PredictorBases, Target, make_predictor
 
 
 def candidates() -> tuple[str, ...]:

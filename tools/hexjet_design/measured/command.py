@@ -8,9 +8,19 @@ from typing import TYPE_CHECKING
 import click
 
 from cosim.base.signals import AXES
-from cosim.cli import opt
-from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table
-from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, warn_of_fmu_defects
+from cosim.commands import (
+    DONE,
+    FLIGHT_FAILED,
+    CommandProgress,
+    Flight,
+    example,
+    opt,
+    output_to_stderr,
+    part_progress,
+    say,
+    show_table,
+    warn_of_fmu_defects,
+)
 
 if TYPE_CHECKING:
     from hexjet_design.measured.margins import MeasuredMargins
@@ -57,7 +67,7 @@ def margins(options: Margins) -> int:
     The last line judges every margin by docs/judging.md and names the worst.  Status 0: measured, whatever the margins;
     1: with --at-least, a margin is worse; or the vehicle does not stay in the air.
     """
-    from cosim.base.runtime.threads import one_thread
+    from cosim.commands import one_thread
 
     one_thread()
     from cosim.spec.controller_name import folder_name

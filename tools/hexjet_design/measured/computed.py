@@ -9,7 +9,6 @@ import numpy as np
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
-from cosim.control.laws.optimal import Optimal
 from cosim.control.predictors.registry import BASELINE, PREDICTORS
 from cosim.engine import EngineSpec
 from cosim.simulation.controllers.controller_file import LAW
@@ -24,6 +23,7 @@ from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.criteria import FINE
 from hexjet_design.loop.frequency import LoopMargins
 from hexjet_design.loop.limit import AxisLimit, axis_limit
+from hexjet_design.loop.optimal import Optimal
 from hexjet_design.loop.tuning import Tuning
 
 

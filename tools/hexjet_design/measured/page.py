@@ -11,9 +11,8 @@ import numpy as np
 
 from cosim.base.storage.files import write_files
 from cosim.engine.fmu.uncertainty import ParameterRange
-from cosim.results.report.page import render
-from cosim.results.report.plot import BLUE, GREY, ORANGE, RED, Figure, beneath, panels, trace
-from hexjet_design.figures import FAR, Curve, bode
+from cosim.pages import BLUE, GREY, ORANGE, RED, beneath, panels, render, trace
+from hexjet_design.figures import FAR, Curve, Figure, bode
 from hexjet_design.measured.axis_margins import AxisMargins
 from hexjet_design.measured.engine_range import EngineRange
 from hexjet_design.measured.judgement import COLUMNS as JUDGED_COLUMNS

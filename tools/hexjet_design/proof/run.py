@@ -29,8 +29,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import EngineError, InputError
-from cosim.identify.sweep.engine import fly_sweep
-from cosim.identify.sweep.result import Sweep, suitable_duration
+from cosim.identify.sweep import Sweep, fly_sweep, suitable_duration
 from hexjet_design.design import Design, throttle_for
 from hexjet_design.limits import Say
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid

@@ -33,9 +33,9 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.protocols import Parameter
-from cosim.control.laws.axis import Axis, AxisLaw, Pid, RateLaw, positive_parameter
 from cosim.control.predictors.state import LinearPredictor
 from cosim.control.rate import RateAxis
+from cosim.laws import Axis, AxisLaw, Pid, RateLaw, positive_parameter
 from cosim.spec.vehicle import RateModel
 
 LAGS = 3  # of the answer to a set-point
