@@ -23,15 +23,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from math import inf, log
-from typing import NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.constants import GRAVITY
 from cosim.base.signals import AXES
-from cosim.base.storage.cache import RecentCache
 from cosim.control.predictors.linear import delayed_response
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import EngineSpec
@@ -52,6 +51,9 @@ from cosim.simulation.controllers.allocators import make_effectiveness
 from cosim.simulation.engine_reference import measure_small_steps
 from cosim.spec.scenario import PayloadDisturbance, Scenario
 from cosim.spec.vehicle import RateModel, Vehicle
+
+# Frequencies [rad/s], and the response there from command to thrust, over thrust at rest.
+Response = tuple[Array, Complex]
 
 NOTED = 0.15  # relative difference of gain, delay or lag
 LEAST_SAMPLES = 2.0  # least difference of delay that is noted, samples
@@ -90,7 +92,7 @@ class ModelAgreement:
     @property
     def is_noteworthy(self) -> bool:
         """Whether the two differ by more than the threshold of a note."""
-        return self._excess(1.0 + NOTED, NOTED, NOTED) > 1.0
+        return self.distance > 1.0
 
     @property
     def is_unfit(self) -> bool:
@@ -132,16 +134,6 @@ class ModelAgreement:
         """The line for whoever flies with it."""
         where = f" {self.state}" if self.state else ""
         return f"{self.axis}: the identified model with {self.engine} is not that of the vehicle{where}: {self.numbers}"
-
-
-class _EngineResponse(NamedTuple):
-    """The frequency response from command to thrust, over thrust at rest, on a grid."""
-
-    omega: Array  # rad/s
-    value: Complex
-
-
-_responses: RecentCache[_EngineResponse] = RecentCache(64)
 
 
 def compare_flown_models(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> list[ModelAgreement]:
@@ -203,7 +195,7 @@ def _compare(
     scenario: Scenario,
     vehicle: Vehicle,
     engine: EngineSpec,
-    response: _EngineResponse,
+    response: Response,
     axis: str,
     model: RateModel,
     state: str,
@@ -213,9 +205,9 @@ def _compare(
     gain = axis_gain(vehicle, index, span)
     damping = vehicle.aero.damping_n_m_s[index] / vehicle.inertia_kg_m2[index]
     parts = _parts(scenario, vehicle, engine, index, span)
-    omega = response.omega
+    omega, thrust = response
     z = np.exp(1j * omega * step)
-    own = gain * _actuators(parts, response, z, step) * _airframe(scenario, vehicle, damping, z)
+    own = gain * _actuators(parts, thrust, z, step) * _airframe(scenario, vehicle, damping, z)
     # without the integral, which is 1 / (j omega + damping)
     late = -np.unwrap(np.angle(own * (1j * omega + damping)))
     at = 0.5 * _first_radian(late, omega)
@@ -266,11 +258,11 @@ def _parts(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, index: int,
     return [AxisPart((vehicle.servo,), (1.0,), 1.0, kick)]
 
 
-def _actuators(parts: Sequence[AxisPart], engine: _EngineResponse, z: Complex, step: float) -> Complex:
+def _actuators(parts: Sequence[AxisPart], engine: Complex, z: Complex, step: float) -> Complex:
     """Return command to moment, over that at rest: the parts of engines and servos, with what turning kicks back."""
     total = np.zeros_like(z)
     for part in parts:
-        answer = engine.value
+        answer = engine
         if part.servos:
             pole = filter_pole(part.servos[0].lag_s, step)
             answer = (1.0 - pole) / (z - pole)
@@ -287,7 +279,7 @@ def _airframe(scenario: Scenario, vehicle: Vehicle, damping: float, z: Complex) 
     return np.asarray(body * measurement_response(z, filter_pole(gyro.filter_s, scenario.step_s), gyro.latency_samples))
 
 
-def _engine_response(vehicle: Vehicle, engine: EngineSpec, step: float) -> _EngineResponse | None:
+def _engine_response(vehicle: Vehicle, engine: EngineSpec, step: float) -> Response | None:
     """Return the engine's response to small steps of its throttle; None where it gives none.
 
     One of the library is taken where it hovers.  One that states a pole answers alike everywhere; any other at the
@@ -301,18 +293,15 @@ def _engine_response(vehicle: Vehicle, engine: EngineSpec, step: float) -> _Engi
         around = measure_small_steps(engine, hover, step)
     else:
         around = measure_small_steps(engine, round(hover / _GRID) * _GRID, step, _CLEAR)
-    return _response(around.response, step) if around.response else None
+    return _transform(around.response, step) if around.response else None
 
 
-def _response(course: tuple[float, ...], step: float) -> _EngineResponse:
+@lru_cache(64)
+def _transform(course: tuple[float, ...], step: float) -> Response:
     """Return the frequency response of a course after a step of the throttle."""
-    return _responses.get((course, step), lambda: _transform(course, step))
-
-
-def _transform(course: tuple[float, ...], step: float) -> _EngineResponse:
     omega = np.geomspace(_LOWEST, _HIGHEST / step, _POINTS)
     # the thrust of a step's end acts over all of it; the command of that step is known one sample before its end
     back, value = np.exp(-1j * omega * step), np.zeros(_POINTS, complex)
     for push in np.diff(np.array(course), prepend=0.0)[::-1]:
         value = (value + push) * back
-    return _EngineResponse(omega, value)
+    return omega, value
