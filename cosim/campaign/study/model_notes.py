@@ -12,7 +12,7 @@ from cosim.control.predictors.registry import PREDICTORS
 from cosim.simulation.controllers.controller_file import list_design_notes
 from cosim.simulation.engines import load_engines
 from cosim.simulation.model_agreement import ModelAgreement, compare_flown_models
-from cosim.spec.scenario import flown_parameters
+from cosim.spec.scenario import Scenario, flown_parameters
 
 MAX_DRAWN = 1000  # flights whose values are compared for the ends of what varies: they cost nothing to draw
 # prefixes of keys that change neither model nor stated vehicle
@@ -49,6 +49,13 @@ def model_notes(study: Study) -> list[str]:
         f"{agreement.note}; that is flight {flight.number}, the farthest off of {noted} among {compared} at the ends "
         "of what varies"
     ]
+
+
+def nominal_model_notes(scenario: Scenario) -> list[str]:
+    """Return what is noteworthy of the models that a flight's controller believes, a line each."""
+    vehicle, _ = scenario.resolved_vehicle()
+    agreements = compare_flown_models(scenario, vehicle, load_engines(scenario, vehicle)[0])
+    return [agreement.note for agreement in agreements if agreement.is_noteworthy]
 
 
 def design_warnings(study: Study) -> list[str]:

@@ -12,7 +12,7 @@ from cosim.api.studies import study_settings, tell_tally
 from cosim.base.errors import InputError
 
 if TYPE_CHECKING:
-    from cosim.campaign.study.sequential import Decision
+    from cosim.studies import Decision
     from hexjet_prove.proof.result import Proof
 
 
@@ -140,9 +140,8 @@ def prove(
     FlightError
         If no more can be flown or written.
     """
-    from cosim.campaign.folder import is_campaign
-    from cosim.campaign.run import choose_workers, refuse_changes
     from cosim.flight import new_folder
+    from cosim.studies import choose_workers, is_campaign, refuse_changes
     from hexjet_prove.proof.credibility import read_comparison
     from hexjet_prove.proof.failure import check_flights
     from hexjet_prove.proof.prove import CAMPAIGN, Request, conclude, fly_study

@@ -13,7 +13,7 @@ from cosim.api.studies import study_settings
 from cosim.base.errors import InputError
 
 if TYPE_CHECKING:
-    from cosim.campaign.workers.protocol import Workers
+    from cosim.studies import Workers
     from hexjet_prove.rare.simulation import SavedRare
     from hexjet_prove.search.result import SavedSearch
     from hexjet_prove.search.worst_folder import SavedWorst
@@ -262,8 +262,8 @@ def _searching(
     progress: Progress | None,
 ) -> Iterator[tuple[Path, Any, Workers]]:
     """Yield the folder, a function that is told how many flights there are, and the workers."""
-    from cosim.campaign.run import choose_workers
     from cosim.flight import new_folder
+    from cosim.studies import choose_workers
 
     if resume and out is None:
         raise InputError(f"--resume: give the folder of the {what} with --out")

@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, say, show_table
-from cosim.cli.options import DONE, FLIGHT_FAILED, example
 from cosim.cli.sweep import FLEET, CampaignOptions, sweep_progress
+from cosim.commands import DONE, FLIGHT_FAILED, example, opt, output_to_stderr, say, show_table
 
 if TYPE_CHECKING:
     from hexjet_prove.proof.result import Proof

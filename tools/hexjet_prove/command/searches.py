@@ -8,10 +8,18 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cosim.cli import opt
-from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table
-from cosim.cli.options import DONE, FLIGHT_FAILED, example
 from cosim.cli.sweep import AIRCRAFT, ENGINE, JSON, METRICS, WIND, WORKERS, CampaignOptions, report_interruption
+from cosim.commands import (
+    DONE,
+    FLIGHT_FAILED,
+    CommandProgress,
+    example,
+    opt,
+    output_to_stderr,
+    part_progress,
+    say,
+    show_table,
+)
 
 if TYPE_CHECKING:
     from hexjet_prove.api.searches import SearchResult

@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from cosim.base.errors import InputError
-from cosim.cli import opt
-from cosim.cli.console import CommandProgress, echo, output_to_stderr, part_progress, say, show_table
-from cosim.cli.options import DONE, example
+from cosim.commands import DONE, CommandProgress, echo, example, opt, output_to_stderr, part_progress, say, show_table
 
 if TYPE_CHECKING:
     from hexjet_prove.api.surveys import FailsafesResult, FaultsResult

@@ -16,9 +16,6 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import parse_setting, read_toml, set_path
-from cosim.campaign.study.engine_draw import default_draw
-from cosim.campaign.study.options import open_study
-from cosim.campaign.study.study import Study, flatten_settings
 from cosim.engine import list_engine_names
 from cosim.engine.library import FMI2_SUFFIX
 from cosim.simulation.build import build
@@ -26,6 +23,7 @@ from cosim.simulation.controllers.controller_file import Purpose, apply_controll
 from cosim.simulation.delay_ledger import sum_transport_samples
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import aircraft_name
+from cosim.studies import Study, default_draw, flatten_settings, open_study
 from hexjet_design.loop.criteria import CORNER, OVERSHOOT
 from hexjet_design.proof.flights import HEIGHT_M, STILL_DEG, lean_of, side_s
 

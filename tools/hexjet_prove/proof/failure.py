@@ -7,8 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.campaign.study.study import Study
-from cosim.campaign.workers.protocol import Workers
+from cosim.studies import Study, Workers
 from hexjet_prove.proof.result import Part
 from hexjet_prove.rare.estimate import Budget
 from hexjet_prove.rare.folder import run_rare

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cosim.results.report.page import render
+from cosim.pages import render
 from hexjet_prove.proof.credibility import CAPABILITY, RESULTS
 from hexjet_prove.proof.result import Proof
 

@@ -21,25 +21,36 @@ import numpy as np
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import AXES
 from cosim.base.storage.files import write_whole
-from cosim.campaign.analysis.claim import ClaimResult, judge_claim
-from cosim.campaign.analysis.margin import row_margin
-from cosim.campaign.analysis.page import key_rows, write_campaign_report
-from cosim.campaign.analysis.summary import SUCCESS, rank_keys
-from cosim.campaign.analysis.table import FlightTable, read_flight_table
-from cosim.campaign.analysis.worst_cases import eccentricity
-from cosim.campaign.folder import STUDY, is_campaign
-from cosim.campaign.run import Progress, fly_again, open_workers, run_campaign
-from cosim.campaign.store import Campaign
-from cosim.campaign.study.keys import engine_source, with_values
-from cosim.campaign.study.model_notes import design_warnings
-from cosim.campaign.study.study import Study, study_code
-from cosim.campaign.workers.protocol import Workers
 from cosim.results.summary import versions
-from cosim.simulation.engines import load_engines
-from cosim.simulation.model_agreement import compare_flown_models
 from cosim.spec.controller_name import short_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import aircraft_names
+from cosim.studies import (
+    STUDY,
+    SUCCESS,
+    Campaign,
+    ClaimResult,
+    FlightTable,
+    Progress,
+    Study,
+    Workers,
+    design_warnings,
+    eccentricity,
+    engine_source,
+    fly_again,
+    is_campaign,
+    judge_claim,
+    key_rows,
+    nominal_model_notes,
+    open_workers,
+    rank_keys,
+    read_flight_table,
+    row_margin,
+    run_campaign,
+    study_code,
+    with_values,
+    write_campaign_report,
+)
 from hexjet_prove.proof.credibility import CHOSEN, Evidence, list_evidence
 from hexjet_prove.proof.failure import LIKELY, SAID, search_failures, simulate_rare
 from hexjet_prove.proof.failure import WORST as WORST_CASE
@@ -230,18 +241,11 @@ def _evidence(
         not_varied=kinds_not_varied(study),
         ranked=len({effect.key for ranking in rankings if ranking for effect in ranking.effects}),
         searched=searched[WORST_CASE].result is not None,
-        warnings=[*design_warnings(study), *_model_warnings(scenario)],
+        warnings=[*design_warnings(study), *nominal_model_notes(scenario)],
         replayed=len(again),
         replayed_same=sum(again),
         comparisons=request.comparisons,
     )
-
-
-def _model_warnings(scenario: Scenario) -> list[str]:
-    """Return what is noteworthy of the models that the nominal flight's controller believes, a line each."""
-    vehicle, _ = scenario.resolved_vehicle()
-    agreements = compare_flown_models(scenario, vehicle, load_engines(scenario, vehicle)[0])
-    return [agreement.note for agreement in agreements if agreement.is_noteworthy]
 
 
 def _describe_draws(evidence: Evidence) -> str:

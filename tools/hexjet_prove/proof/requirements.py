@@ -5,13 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import isfinite
 
-from cosim.campaign.analysis.table import describe_range
-from cosim.campaign.store import Campaign
-from cosim.campaign.workers.flight_row import MARGIN_OF
-from cosim.results.limits import LIMITED
 from cosim.results.requirements import parse_formula
-from cosim.results.wording import metric
 from cosim.spec.scenario import Range, RequireEntry
+from cosim.studies import LIMITED, MARGIN_OF, Campaign, describe_range, metric
 from hexjet_prove.proof.result import ProvenRequirement
 
 # Limits that a flight has only if its scenario states them.

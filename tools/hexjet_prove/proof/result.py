@@ -7,8 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from cosim.campaign.analysis.claim import ClaimResult, format_bound
-from cosim.campaign.study.sequential import Decision, Verdict
+from cosim.studies import ClaimResult, Decision, Verdict, format_bound
 from hexjet_design.loop.limit import AxisLimit
 from hexjet_prove.proof.credibility import Factor
 

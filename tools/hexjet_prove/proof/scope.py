@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import describe_not_flown
 from cosim.engine.fmu.uncertainty import CUT
+from cosim.studies import Study, describe_not_flown
 
 # Kinds of numbers that a real vehicle does not have as stated, by what the keys begin with that vary them.
 KINDS = {

@@ -7,10 +7,17 @@ from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
-from cosim.campaign.study.options import NothingVariesError, open_study
-from cosim.campaign.study.plan import only_controller
-from cosim.campaign.study.sequential import MAX_TESTED, default_runs, parse_claim
-from cosim.campaign.study.study import Study, find_study, study_names
+from cosim.studies import (
+    MAX_TESTED,
+    NothingVariesError,
+    Study,
+    default_runs,
+    find_study,
+    only_controller,
+    open_study,
+    parse_claim,
+    study_names,
+)
 from hexjet_prove.proof.design_study import design_study, find_design
 
 

@@ -17,7 +17,7 @@ from math import ceil, exp, log, log10, sqrt
 import numpy as np
 
 from cosim.base.errors import InputError
-from cosim.campaign.analysis.statistics import LEVEL, proportion
+from cosim.studies import LEVEL, proportion
 from hexjet_prove.rare.subset import LEVEL_FRACTION, Repeat
 
 REPEATS = 8  # chosen by us: t of 7 degrees of freedom, and levels that are not too small

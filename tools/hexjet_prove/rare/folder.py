@@ -12,14 +12,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from cosim.campaign.study.normal_space import NormalSpace
-from cosim.campaign.study.options import open_study
-from cosim.campaign.study.plan import Flight, only_controller
-from cosim.campaign.study.sequential import MAX_TESTED
-from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import kinds
-from cosim.campaign.workers.protocol import Workers
-from cosim.results.log.arrow import write_table
+from cosim.studies import MAX_TESTED, Flight, NormalSpace, Study, Workers, only_controller, open_study, write_table
+from cosim.studies import row_kinds as kinds
 from hexjet_prove.rare.estimate import Budget
 from hexjet_prove.rare.page import write_page
 from hexjet_prove.rare.simulation import ASKED, Failure, Plan, RareCase, RareResult, SavedRare, simulate

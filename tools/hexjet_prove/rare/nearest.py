@@ -14,12 +14,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from cosim.base.arrays import Array
-from cosim.campaign.analysis.margin import row_margin
-from cosim.campaign.study.draws import flight_seed
-from cosim.campaign.study.key import Value
-from cosim.campaign.study.normal_space import NormalSpace
-from cosim.campaign.study.plan import Flight
-from cosim.campaign.study.study import Study
+from cosim.studies import Flight, NormalSpace, Study, Value, flight_seed, row_margin
 from hexjet_prove.rare.estimate import probability_text
 from hexjet_prove.search.minimise import Ball, descend
 from hexjet_prove.search.probe import FlownRows, Point

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.results.report.page import render
-from cosim.results.report.plot import GREY, RED, closest, dotted, run_colour
+from cosim.pages import GREY, RED, closest, dotted, render, run_colour
 from cosim.spec.controller_name import short_name
 from hexjet_prove.rare.estimate import probability_text
 from hexjet_prove.rare.simulation import RareResult, SavedRare, describe_plan

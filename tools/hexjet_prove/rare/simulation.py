@@ -12,14 +12,19 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.campaign.analysis.margin import requirement_margins, row_margin
-from cosim.campaign.study.draws import flight_seed
-from cosim.campaign.study.normal_space import NormalSpace
-from cosim.campaign.study.plan import Flight, only_controller
-from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Row, describe_not_flown
-from cosim.campaign.workers.protocol import Workers
 from cosim.spec.controller_name import short_name
+from cosim.studies import (
+    Flight,
+    NormalSpace,
+    Row,
+    Study,
+    Workers,
+    describe_not_flown,
+    flight_seed,
+    only_controller,
+    requirement_margins,
+    row_margin,
+)
 from hexjet_prove.rare.estimate import SEEDS_DECIDE, Budget, Estimate, estimate, probability_text, seed_effect
 from hexjet_prove.rare.nearest import NearestSearch, search_nearest
 from hexjet_prove.rare.repeats import Place, Simulations, simulate_groups

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.campaign.study.normal_space import draw_seed
+from cosim.studies import draw_seed
 from hexjet_prove.rare.groups import Group
 
 Index = np.ndarray[Any, np.dtype[np.int64]]

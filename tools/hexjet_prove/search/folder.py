@@ -13,14 +13,21 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.campaign.study.distributions import Vary, first_repeated, parse_number, parse_vary
-from cosim.campaign.study.engine_draw import default_draw, engine_draw
-from cosim.campaign.study.options import open_study
-from cosim.campaign.study.study import Study
-from cosim.campaign.study.values import check_vary, levels
-from cosim.campaign.workers.flight_row import Row
-from cosim.campaign.workers.protocol import Workers
 from cosim.spec.controller_name import short_name
+from cosim.studies import (
+    Row,
+    Study,
+    Vary,
+    Workers,
+    check_vary,
+    default_draw,
+    engine_draw,
+    first_repeated,
+    levels,
+    open_study,
+    parse_number,
+    parse_vary,
+)
 from hexjet_prove.search.page import write_page
 from hexjet_prove.search.probe import Point, Prober
 from hexjet_prove.search.question import Words, empty_cases, fly_row_again, open_question

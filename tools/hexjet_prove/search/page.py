@@ -6,11 +6,10 @@ from math import log10
 from pathlib import Path
 from typing import Any
 
-from cosim.campaign.study.key import Value
-from cosim.results.report.page import render
-from cosim.results.report.plot import GREEN, GREY, RED, closest, dotted, run_colour
+from cosim.pages import GREEN, GREY, RED, closest, dotted, render, run_colour
 from cosim.spec.controller_name import short_name
 from cosim.spec.scenario import flown_parameters, list_changes
+from cosim.studies import Value
 from hexjet_prove.search.question import case_rows
 from hexjet_prove.search.result import SavedSearch
 from hexjet_prove.search.search import Edge, SearchResult

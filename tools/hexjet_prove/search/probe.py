@@ -10,12 +10,7 @@ from pathlib import Path
 
 from cosim.base.errors import FlightError
 from cosim.base.storage.files import map_os_errors, one_line, open_without_links, parse_json
-from cosim.campaign.study.engine_draw import EngineDraw
-from cosim.campaign.study.key import Value
-from cosim.campaign.study.plan import Flight
-from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Row
-from cosim.campaign.workers.protocol import Workers
+from cosim.studies import EngineDraw, Flight, Row, Study, Value, Workers
 
 Rows = dict[tuple["Point", int], Row]
 

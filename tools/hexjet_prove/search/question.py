@@ -19,14 +19,10 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import lock_file, map_os_errors, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
-from cosim.campaign.folder import FrozenStudy, check_asked, freeze
-from cosim.campaign.folder import load as load_study
-from cosim.campaign.study.plan import Flight, scenario_of
-from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Row
 from cosim.flight import fly_watched as fly
 from cosim.results.log.digest import log_digest
 from cosim.results.run import REPORT, SCENARIO
+from cosim.studies import Flight, FrozenStudy, Row, Study, check_asked, freeze, load_study, scenario_of
 from hexjet_prove.search.probe import Journal
 from hexjet_prove.search.search import describe_flight
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from cosim.campaign.study.key import Value
+from cosim.studies import Value
 from hexjet_prove.search.question import Answered
 from hexjet_prove.search.search import SearchResult
 

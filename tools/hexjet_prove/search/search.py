@@ -10,16 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from cosim.campaign.study.engine_draw import default_draw
-from cosim.campaign.study.key import Key, Value
-from cosim.campaign.study.keys import with_values
-from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import MARGIN_OF, Row
-from cosim.results.metrics import check_expectations
-from cosim.results.wording import metric
 from cosim.simulation.controllers.external_controller import find_controller
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario
+from cosim.studies import MARGIN_OF, Key, Row, Study, Value, check_expectations, default_draw, metric, with_values
 from hexjet_prove.search.line_search import Scan, run_walks, scan_outward
 from hexjet_prove.search.probe import Point, Prober, count_needed
 from hexjet_prove.search.span import Span

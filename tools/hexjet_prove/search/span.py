@@ -10,9 +10,7 @@ from dataclasses import dataclass
 from math import ceil, exp, log
 
 from cosim.base.errors import InputError
-from cosim.campaign.study.distributions import Vary
-from cosim.campaign.study.key import Key, Value
-from cosim.campaign.study.values import absolute_support, check_vary, quantum, whole_bounds
+from cosim.studies import Key, Value, Vary, absolute_support, check_vary, quantum, whole_bounds
 from hexjet_prove.search.line_search import Between
 
 SCAN_POINTS = 21  # points of a scan over the whole range by default; chosen by us

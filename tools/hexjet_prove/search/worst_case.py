@@ -21,14 +21,9 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.campaign.analysis.margin import row_margin
-from cosim.campaign.study.key import Value
-from cosim.campaign.study.normal_space import FURTHEST, NormalSpace
-from cosim.campaign.study.plan import scenario_of
-from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import NOT_FLOWN, Row
 from cosim.simulation.build import build
 from cosim.spec.controller_name import short_name
+from cosim.studies import FURTHEST, NOT_FLOWN, NormalSpace, Row, Study, Value, row_margin, scenario_of
 from hexjet_prove.search.minimise import Ball, Box, Found, descend
 from hexjet_prove.search.probe import Point, Prober
 from hexjet_prove.search.search import describe_flight

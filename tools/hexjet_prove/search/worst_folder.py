@@ -13,11 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
-from cosim.campaign.study.distributions import parse_number
-from cosim.campaign.study.options import open_study
-from cosim.campaign.study.study import Study
-from cosim.campaign.workers.protocol import Workers
 from cosim.spec.controller_name import short_name
+from cosim.studies import Study, Workers, open_study, parse_number
 from hexjet_prove.search.folder import REPORT, RESULT, SEARCH, fly_case, point_seeds
 from hexjet_prove.search.probe import Point, Prober
 from hexjet_prove.search.question import Answered, empty_cases, open_question

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from cosim.results.report.page import render
-from cosim.results.report.plot import bars, closest, run_colour
+from cosim.pages import bars, closest, render, run_colour
 from cosim.spec.controller_name import short_name
 from hexjet_prove.search.page import ROW_PX, text
 from hexjet_prove.search.question import Answered, case_rows

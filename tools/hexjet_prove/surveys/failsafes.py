@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import InputError
 from cosim.base.storage.files import to_json_record
-from cosim.campaign.study.engine_draw import EngineDraw, default_draw
 from cosim.control.autopilot.requests import (
     Goto,
     InjectFault,
@@ -31,6 +30,7 @@ from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_name
+from cosim.studies import EngineDraw, default_draw
 from hexjet_prove.surveys.failsafe_flight import (
     LONGEST_S,
     LONGEST_SETTLING_S,

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import write_records
-from cosim.campaign.analysis.worst_cases import write_flight
-from cosim.results.report.page import render
+from cosim.pages import render
 from cosim.results.resolved_scenario import copy_controller
 from cosim.spec.controller_name import is_design, label
+from cosim.studies import write_flight
 from hexjet_prove.surveys.faults import Row, Survival, summary
 
 TEMPLATE = Path(__file__).parent / "templates" / "survival.html"

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from cosim.base.constants import GRAVITY
 from cosim.base.outcomes import Verdict
 from cosim.base.storage.toml import merge
-from cosim.campaign.study.engine_draw import EngineDraw, default_draw
 from cosim.control.allocation.reallocation import Attainable, attainable_sets
 from cosim.control.predictors.registry import BASELINE
 from cosim.flight import fly_watched as fly
@@ -24,6 +23,7 @@ from cosim.simulation.controllers.controller_file import list_differences, read_
 from cosim.spec.controller_name import is_design, label
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
+from cosim.studies import EngineDraw, default_draw
 from hexjet_prove.surveys.survey import (
     Progress,
     Subject,

@@ -12,9 +12,6 @@ import numpy as np
 from cosim.base.errors import InputError
 from cosim.base.outcomes import Verdict
 from cosim.base.signals import AXES
-from cosim.campaign.study.engine_draw import EngineDraw
-from cosim.campaign.study.keys import with_values
-from cosim.campaign.workers.tasks import run_in_order
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import load_engine
 from cosim.results.log.columns import jets_in
@@ -23,6 +20,7 @@ from cosim.results.requirements import FlightSignals, Lost, Requirement
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, load_vehicle
+from cosim.studies import EngineDraw, run_in_order, with_values
 
 Progress = Callable[[str, int, int], None]  # is told what was flown, how many are, and of how many
 T = TypeVar("T")
