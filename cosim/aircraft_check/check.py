@@ -92,28 +92,9 @@ class AircraftCheck:
 
 
 def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = None) -> AircraftCheck:
-    """Check an aircraft, and draw it into ``out`` if given.
+    """Check an aircraft by its name or path, and draw it into the folder ``out`` if given.
 
-    Parameters
-    ----------
-    aircraft : str
-        The name of one that is shipped, or the path of a folder or a ``vehicle.toml``.
-    engine : str or None
-        In place of the one that it is made for.
-    out : Path or None
-        The folder for ``aircraft.svg``; made if need be.
-
-    Returns
-    -------
-    AircraftCheck
-        Every check, whatever it found.
-
-    Raises
-    ------
-    InputError
-        If the vehicle or the engine cannot be read.
-    FlightError
-        If the drawing cannot be written.
+    Raises InputError if the vehicle or the engine cannot be read, FlightError if the drawing cannot be written.
     """
     aircraft = aircraft_seen_from(aircraft, Path())
     engine = file_seen_from(engine, Path()) if engine else engine_of(aircraft)
