@@ -10,8 +10,8 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import FlightError
-from cosim.base.storage.files import map_os_errors
 from cosim.base.trust import remember_written
+from cosim.files import map_os_errors
 from cosim.identify.files import PICTURE, write_identification
 from cosim.identify.page import Page
 from hexjet_identify.picture import draw_picture

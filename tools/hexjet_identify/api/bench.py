@@ -174,7 +174,7 @@ def _fit_engine(
     records: list[BenchRecord], engine: str, fitted: Sequence[str], settings: Sequence[str], choices: Choices
 ) -> GreyIdentification:
     """Return the parameters of an engine as fitted.  Raises InputError where no throttle range is known."""
-    from cosim.base.storage.toml import parse_numbers
+    from cosim.files import parse_numbers
     from hexjet_identify.bench.grey_box import fit_engine
     from hexjet_identify.bench.grey_model import GreyChoices
     from hexjet_identify.bench.identify import is_straight, throttle_limits

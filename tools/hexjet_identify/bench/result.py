@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import toml_text
+from cosim.files import data_folder
 from cosim.identify.page import WITH_BOUNDS, Card, Page, Signals, draw_signals
 from cosim.results.report.plot import BLUE, GREY, HOVER, panels, trace
 from hexjet_identify.bench.evidence import MOVEMENT_COLUMNS, HeldBack, describe_held_back, movement_rows, output_swing

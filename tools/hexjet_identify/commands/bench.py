@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cosim.cli import opt
-from cosim.cli.console import output_to_stderr, say, show_table
-from cosim.cli.options import DONE, FLIGHT_FAILED, example
+from cosim.commands import DONE, FLIGHT_FAILED, example, opt, output_to_stderr, say, show_table
 
 if TYPE_CHECKING:
     from hexjet_identify.api.bench import BenchIdentifyResult

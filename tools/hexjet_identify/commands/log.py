@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from cosim.base.signals import AXES
-from cosim.cli import opt
-from cosim.cli.console import echo, say, show_table
-from cosim.cli.options import DONE, example
+from cosim.commands import DONE, echo, example, opt, say, show_table
 
 if TYPE_CHECKING:
     from hexjet_identify.api.logs import LogIdentifyResult
@@ -64,7 +62,7 @@ def identify_from_log(options: FromLog) -> int:
     from cosim.base.runtime.threads import one_thread
 
     one_thread()
-    from cosim.base.storage.toml import parse_numbers
+    from cosim.files import parse_numbers
     from cosim.identify.files import FILES, RECORD
     from hexjet_identify.api.logs import identify_log
     from hexjet_identify.logs import read_flight_log

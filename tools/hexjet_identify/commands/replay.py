@@ -8,9 +8,19 @@ from typing import TYPE_CHECKING
 import click
 
 from cosim.base.errors import InputError
-from cosim.cli import opt
-from cosim.cli.console import CommandProgress, output_to_stderr, part_progress, say, show_table
-from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, is_given
+from cosim.commands import (
+    DONE,
+    FLIGHT_FAILED,
+    CommandProgress,
+    Flight,
+    example,
+    is_given,
+    opt,
+    output_to_stderr,
+    part_progress,
+    say,
+    show_table,
+)
 
 if TYPE_CHECKING:
     from hexjet_identify.replay import Replay

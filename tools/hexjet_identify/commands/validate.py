@@ -7,9 +7,7 @@ from pathlib import Path
 import click
 
 from cosim.base.signals import AXES
-from cosim.cli import opt
-from cosim.cli.console import say
-from cosim.cli.options import DONE, example
+from cosim.commands import DONE, example, opt, say
 
 
 class Validate(opt.LogPart, opt.Output):

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import toml_text
+from cosim.files import data_folder
 from cosim.identify.page import WITH_BOUNDS, Card, Page, Signals, draw_signals
 from cosim.results.report.plot import BLUE, GREEN, HOVER, panels, trace
 from hexjet_identify.engine_file import (
