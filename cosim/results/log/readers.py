@@ -43,7 +43,7 @@ def read_flight_log(path: Path) -> tuple[MemoryLog, tuple[str, ...]]:
     """
     readers = _readers()
     if not readers:
-        raise InputError(f"{path}: what reads logs of others is not installed: hexjet_identify")
+        raise InputError(f"{path}: no package that reads logs is installed: hexjet_identify is one")
     return next((each for each in readers if each.is_flight_log(path)), readers[0]).read_flight_columns(path)
 
 

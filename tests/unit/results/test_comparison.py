@@ -16,13 +16,14 @@ from cosim.base.errors import InputError
 from cosim.cli.results.compare import compare
 from cosim.flight import with_page
 from cosim.results.comparison import ComparedFlight, Signal, compare_with_first, list_input_differences, make_time_base
+from cosim.results.log import readers
 from cosim.results.log.arrow import write_table
 from cosim.results.log.columns import COLUMNS
+from cosim.results.log.readers import read_flight_log
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.report.comparison import comparison_rows, describe_pair, write_comparison
 from cosim.results.report.flight_figures import comparison_figures, subtract_first
 from cosim.results.run import Run, begin_run
-from hexjet_identify.logs.log_columns import read_log
 
 
 def log(step: float, rows: int, **columns: Any) -> MemoryLog:
@@ -94,7 +95,7 @@ def flown(steps: int = 500, folder: Path | None = None, **known: Any) -> Run:
 def test_a_page_of_runs_and_a_log_of_another_tool(tmp_path: Path) -> None:
     times = [0.2 + 0.01 * k for k in range(100)]
     write_table(tmp_path / "x.parquet", {"t": times, "roll_rad": times, "note": ["a"] * 100, "on_ground": [True] * 100})
-    other, remarks = read_log(tmp_path / "x.parquet")
+    other, remarks = read_flight_log(tmp_path / "x.parquet")
     assert other.columns == ("time_s", "roll_rad", "on_ground")
     assert remarks == ("t is taken for the time in seconds", "left out, being no numbers: note")
     runs = [ComparedFlight("A: a", flown().log, flown()), ComparedFlight("B: x", other, None, "x", remarks)]
@@ -151,9 +152,19 @@ def test_a_figure_of_logs_has_the_panels_that_there_are_and_the_times_of_each() 
 def test_logs_that_cannot_be_compared(content: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text(content)
     with pytest.raises(InputError) as complaint:
-        read_log(tmp_path / "x.csv")
+        read_flight_log(tmp_path / "x.csv")
     assert said in str(complaint.value)
     assert "\n" not in str(complaint.value)
+
+
+def test_where_nothing_reads_logs_a_line_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cosim.results.log.readers.list_tools", lambda group: [])
+    monkeypatch.setattr("cosim.results.log.readers._readers", readers._readers.__wrapped__)
+    path = tmp_path / "x.ulg"
+    path.write_bytes(b"ULog")
+    assert not readers.is_flight_log(path)
+    with pytest.raises(InputError, match=r"x\.ulg: no package that reads logs is installed: hexjet_identify is one$"):
+        read_flight_log(path)
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
