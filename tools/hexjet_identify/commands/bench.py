@@ -62,7 +62,7 @@ def identify_bench(options: Bench) -> int:
     for one engine's; a load cell's, without a command, is laid on the clock of the one before it.
     Status 1: the logs do not tell, or the model does not explain them.
     """
-    from cosim.base.runtime.threads import one_thread
+    from cosim.commands import one_thread
 
     one_thread()
     from cosim.identify.files import FILES, RECORD

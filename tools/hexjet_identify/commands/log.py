@@ -59,7 +59,7 @@ def identify_from_log(options: FromLog) -> int:
     identification.json for hexjet validate; of an axis a model file for hexjet fly and design --model, of an engine's
     thrust an engine.  Status 1: the log does not tell.
     """
-    from cosim.base.runtime.threads import one_thread
+    from cosim.commands import one_thread
 
     one_thread()
     from cosim.files import parse_numbers

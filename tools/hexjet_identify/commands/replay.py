@@ -80,7 +80,7 @@ def replay(options: Replayed) -> int:
     tolerances. Says what the model explains, and names what is wrong with it where the log tells: an inertia, a
     delay, swapped engines. Leaves a page, replay.json and replay.csv. Status 0: explained; 1: not, or not told.
     """
-    from cosim.base.runtime.threads import one_thread
+    from cosim.commands import one_thread
 
     one_thread()
     from hexjet_identify.api.replay import WRITTEN

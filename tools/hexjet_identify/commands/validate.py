@@ -30,7 +30,7 @@ def validate(options: Validate) -> int:
     hexjet identify wrote; LOG is what hexjet identify log reads, of another flight best.  Says whether gain and delay,
     fitted anew to it, are the model's.  Leaves a page and validation.json.  Status 0, however well it fits.
     """
-    from cosim.base.runtime.threads import one_thread
+    from cosim.commands import one_thread
 
     one_thread()
     from hexjet_identify.api.logs import VALIDATION
