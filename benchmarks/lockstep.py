@@ -27,9 +27,8 @@ from cosim.base.frames import from_euler
 from cosim.base.geodesy import Geodesy
 from cosim.files import scratch
 from cosim.pages import table, write_marks
-from hexjet_sitl import px4
-from hexjet_sitl.ardupilot import ArduPilot, LaunchOptions
-from hexjet_sitl.lockstep import Autopilot, SensorFrame, StickPositions
+from hexjet_sitl.ardupilot import ArduPilot
+from hexjet_sitl.lockstep import Autopilot, SensorFrame, Setup, StickPositions
 from hexjet_sitl.px4 import Px4
 
 MARK = "lockstep"
@@ -122,10 +121,10 @@ def bare(kind: str) -> Clocked:
 def pair_of(kind: str, folder: Path) -> Iterator[Autopilot]:
     autopilot: ArduPilot | Px4
     if kind == "ardupilot":
-        launch = LaunchOptions(INSTANCE[kind], limit_s=20.0)
+        launch = Setup(INSTANCE[kind], limit_s=20.0)
         autopilot = ArduPilot(None, folder, VEHICLE, HOVER.step_s, ORIGIN, launch)
     else:
-        autopilot = Px4(None, folder, VEHICLE, HOVER.step_s, ORIGIN, px4.LaunchOptions(INSTANCE[kind], limit_s=20.0))
+        autopilot = Px4(None, folder, VEHICLE, HOVER.step_s, ORIGIN, Setup(INSTANCE[kind], limit_s=20.0))
     with child(kind):
         try:
             yield autopilot

@@ -48,8 +48,8 @@ class ArduPilotStandIn:
     """ArduPilot's side of the JSON backend, as ``SIM_JSON.cpp`` has it: sends, stands still, looks for keys by their text.
 
     ``lose``: numbers of the answers that never arrive; ``twice``: of the packets that are sent twice; ``late``: of those
-    after which the one before comes once more; ``hang``: of the packet after which nothing comes; ``anew``: of the one
-    after which it counts from 0; ``skip``: of one that is left out.
+    after which the one before comes once more; ``hang``: of the packet after which nothing comes; ``skip``: of one
+    that is left out.
     """
 
     def __init__(
@@ -60,7 +60,6 @@ class ArduPilotStandIn:
         twice: Sequence[int] = (),
         late: Sequence[int] = (),
         hang: int | None = None,
-        anew: int | None = None,
         skip: int | None = None,
         channels: int = 16,
         pulses: Pulses | None = None,
@@ -70,7 +69,7 @@ class ArduPilotStandIn:
         self.stale = 0
         self.port, self.rate = port, rate
         self.lose, self.twice, self.late = set(lose), set(twice), set(late)
-        self.hang, self.anew, self.skip, self.channels = hang, anew, skip, channels
+        self.hang, self.skip, self.channels = hang, skip, channels
         self.pulses = pulses or (lambda told: [1500] * channels)
         self.times: list[float] = []  # of the answers it took
         self.told: dict[str, object] = {}
@@ -123,8 +122,6 @@ class ArduPilotStandIn:
             before, sent, count = packet, sent + 1, count + 1
             if sent == self.skip:
                 count += 1
-            if sent == self.anew:
-                count = 0
 
     def _parsed(self, answer: bytes) -> float:
         """By keys and ``sscanf("[%f, %f, %f]")`` right behind them, as it does, and as JSON besides."""
@@ -151,7 +148,7 @@ class Px4StandIn:
 
     ``boot``: so many sensor frames pass before its first answer; ``twice``: numbers of the answers that come twice;
     ``late``: of those after which the one before comes once more; ``hang``: of the frame that it answers no more; ``gone``:
-    of the one at which it closes; ``ahead``: of the one whose answer has another time; ``says``: bytes in place of MAVLink.
+    of the one at which it closes; ``ahead``: of the one whose answer has another time.
     """
 
     def __init__(
@@ -163,11 +160,10 @@ class Px4StandIn:
         hang: int | None = None,
         gone: int | None = None,
         ahead: int | None = None,
-        says: bytes = b"",
         controls: Callable[[dict[str, object]], Sequence[float]] | None = None,
     ) -> None:
         self.boot, self.twice, self.late = boot, set(twice), set(late)
-        self.hang, self.gone, self.ahead, self.says = hang, gone, ahead, says
+        self.hang, self.gone, self.ahead = hang, gone, ahead
         self.controls = controls or (lambda told: [0.5] * 16)
         self.port = port
         self.times: list[int] = []
@@ -190,10 +186,7 @@ class Px4StandIn:
     def _fly(self) -> None:
         link = mav.MAVLink(None, srcSystem=1, srcComponent=1)
         with self._connected() as connected:
-            if self.says:
-                connected.sendall(self.says)
-            else:
-                connected.sendall(link.heartbeat_encode(2, 12, 0, 0, 0).pack(link))
+            connected.sendall(link.heartbeat_encode(2, 12, 0, 0, 0).pack(link))
             before = b""
             while data := connected.recv(65536):
                 for message in link.parse_buffer(data) or []:

@@ -16,7 +16,6 @@ import re
 import socket
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from math import cos, radians
 from pathlib import Path
 from struct import Struct
@@ -33,10 +32,11 @@ from hexjet_sitl.lockstep import (
     STICKS_S,
     ActuatorOutputs,
     AnswerTimer,
+    Autopilot,
     FirmwareReport,
     Program,
     SensorFrame,
-    Sitl,
+    Setup,
     StartTiming,
     StickPositions,
     describe_unknown,
@@ -48,14 +48,16 @@ PORT, RC_PORT, PORT_SPACING = 9002, 5501, 10
 # Its estimator takes to GNSS some 44 s after its start, and only then has a level and a place: 60 s chosen by us.  It
 # holds its motors for 2 s (ARMING_DELAY_SEC) after it was armed, and lets them go within 1 s (twice MOT_SPOOL_TIME)
 # once throttle is raised.  Full stick: ATC_ANGLE_MAX, and PILOT_Y_RATE as it ships.
-HANDLING = StartTiming(before_s=60.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0, turns_target=True)
+START_TIMING = StartTiming(
+    before_s=60.0, arming_s=5.0, throttle_s=2.0, lean_deg=30.0, turn_deg_s=202.0, turns_target=True
+)
 HOVER = 0.35  # default of MOT_THST_HOVER; ArduPilot learns it in modes that hold the height, not in Stabilize
 _SERIALS = (0, 1, 2, 5, 6, 7, 8)  # serial ports that are TCP ports by default; 3 and 4 are the simulated GNSS receivers
 _SPEEDUP = 100  # upper limit of its speed over real time; the lockstep sets the pace
 # Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.
 _RATE_SETTLING = 2400
 GNSS_CHANNEL = 16  # raised where the vehicle's GNSS is out: RC16_OPTION 65, with which ArduPilot has no fix
-MOST_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7, GNSS_CHANNEL)  # 5 chooses the mode, 7 arms
+MAX_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7, GNSS_CHANNEL)  # 5 chooses the mode, 7 arms
 HOLD_PULSE = 2000  # of the fifth channel: the sixth mode, FLTMODE6; the fourth before
 _SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by their magic: frame rate, frame count, pulses [us]
 _STICKS = Struct("<16H")
@@ -69,7 +71,7 @@ _START_S = 60.0  # time limit for its first packet, s
 # would take the second answer for that to its next packet, and be a step late from there on.  It waits for a second.
 _REPEAT_S = 0.5
 _INFO = 6  # severity as in syslog
-_LONGEST_STEP_S = 0.1  # s; a longer step does not advance its clock
+_MAX_STEP_S = 0.1  # s; a longer step does not advance its clock
 
 
 Release = tuple[int, int]
@@ -107,65 +109,61 @@ def parse_channel(text: str, where: str) -> TransmitterChannel:
     match = re.fullmatch(r"(\d{1,2})=(\d{3,4})(?:@(\d+(?:\.\d+)?))?", text.strip())
     if match:
         number, delay = int(match[1]), None if match[3] is None else float(match[3])
-        if number in range(1, MOST_CHANNELS + 1) and number not in STICK_CHANNELS and 800 <= int(match[2]) <= 2200:
+        if number in range(1, MAX_CHANNELS + 1) and number not in STICK_CHANNELS and 800 <= int(match[2]) <= 2200:
             return TransmitterChannel(number, int(match[2]), delay)
-    free = [number for number in range(1, MOST_CHANNELS + 1) if number not in STICK_CHANNELS]
+    free = [number for number in range(1, MAX_CHANNELS + 1) if number not in STICK_CHANNELS]
     raise InputError(
         f"{where} {text}: must be a channel, its pulse of 800 to 2200 us and perhaps the second of the flight from "
         f"which on, such as 8=2000 or 8=2000@2.5; allowed channels: {', '.join(map(str, free))}"
     )
 
 
-@dataclass(frozen=True)
-class LaunchOptions:
-    """Start-up options of an ArduPilot: instance, parameters, and transmitter channels beside the sticks."""
-
-    instance: int = 0
-    limit_s: float = 5.0  # wall-clock time limit of an answer
-    parameters: Mapping[str, float] = field(default_factory=dict)  # those that it flies with, as far as they are known
-    defaults: Path | None = None  # parameter file that it is started with
-    channels: Sequence[TransmitterChannel] = ()
-    station: int | None = None  # local UDP port that it sends MAVLink to; None: it sends none
-
-
-class ArduPilot(Sitl):
-    """One ArduPilot SITL, started here or by hand.  Raises InputError for a step that its clock does not follow."""
+class ArduPilot(Autopilot):
+    """One ArduPilot SITL, started with ``setup.defaults``.  Raises InputError for a step its clock does not follow."""
 
     name = "ardupilot"
+    timing = START_TIMING
     log_pattern = "logs/*.BIN"
 
     def __init__(
-        self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: LaunchOptions
+        self, program: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, setup: Setup
     ) -> None:
-        if step >= _LONGEST_STEP_S:
-            raise InputError(f"ardupilot: step_s = {step:g}: its clock is moved by steps below {_LONGEST_STEP_S:g} s")
-        super().__init__(binary, folder, vehicle, step, launch.limit_s)
+        if step >= _MAX_STEP_S:
+            raise InputError(f"ardupilot: step_s = {step:g}: its clock is moved by steps below {_MAX_STEP_S:g} s")
+        super().__init__(program, folder, vehicle, step, setup)
         self.repeat_delay = _REPEAT_S
-        self._place, self._launch = place, launch
-        self._transmitter = Transmitter(launch.parameters, launch.channels, step)
+        self._place = place
+        self._port = PORT + PORT_SPACING * setup.instance
+        self.endpoint = f"UDP port {self._port}"
+        self.details |= {
+            "hold_from_s": setup.hold_from_s,
+            "defaults": str(setup.defaults),
+            "parameters": setup.parameters,
+            "channels": list(setup.channels),
+        }
+        channels = [parse_channel(text, "--channel") for text in setup.channels]
+        self._transmitter = Transmitter(setup.parameters, channels, step)
         self._socket: socket.socket | None = None
         self._out = self._open_sender()
         self._peer: tuple[str, int] | None = None
         self._pulses: list[int] = []
         self._sticks_every = max(1, round(STICKS_S / step))
         self._count = -1  # frame count of the last packet, answered or about to be
-        self._is_restarted = False  # whether its frame count has restarted
 
     @property
     def sticks_port(self) -> int:
         """UDP port at which it listens for the sticks."""
-        return RC_PORT + PORT_SPACING * self._launch.instance
+        return RC_PORT + PORT_SPACING * self.setup.instance
 
     def start(self) -> None:
         """Listen, start it, and wait for its first packet.  Raises InputError or FlightError."""
-        port = PORT + PORT_SPACING * self._launch.instance
-        self._socket = self._begin(socket.SOCK_DGRAM, port)
+        self._socket = self._begin(socket.SOCK_DGRAM, self._port)
         log = self._folder / "ardupilot.log"
-        if self._binary is not None:
+        if self.program is not None:
             # it would not say that it hears no sticks
             listen(socket.SOCK_DGRAM, self.sticks_port, self.name, self.port_option).close()
             self._program = Program(self._command(), self._folder, log, {})
-        timer = AnswerTimer(self.name, _START_S, self._program, f"sent nothing to port {port}")
+        timer = AnswerTimer(self.name, _START_S, self._program, f"sent nothing to port {self._port}")
         while self._peer is None:
             try:
                 packet, sender = timer.receive_packet(self._socket)
@@ -177,9 +175,9 @@ class ArduPilot(Sitl):
 
     def _command(self) -> list[str]:
         """Return the command line that starts it."""
-        place, launch = self._place, self._launch
+        place, launch = self._place, self.setup
         home = f"{place.latitude_deg!r},{place.longitude_deg!r},{place.ground!r},0"
-        command = [str(self._binary), "--model", f"JSON:{LOCAL}", "--home", home, f"-I{launch.instance}", "--wipe"]
+        command = [str(self.program), "--model", f"JSON:{LOCAL}", "--home", home, f"-I{launch.instance}", "--wipe"]
         command += ["--speedup", str(_SPEEDUP)]
         for serial in _SERIALS:
             has_station = serial == 0 and launch.station is not None
@@ -209,7 +207,7 @@ class ArduPilot(Sitl):
         counts.frames += 1
         timer = AnswerTimer(self.name, self.limit, self._program)
         while True:
-            packet, sender = self._receive(timer, sock)
+            packet, sender = timer.receive_packet(sock)
             servos = self._servos(packet)
             if servos is None:
                 counts.foreign += 1
@@ -217,7 +215,6 @@ class ArduPilot(Sitl):
             count = servos[2]
             if sender != peer:  # a second or restarted program gets no answer, so it stands still
                 counts.foreign += 1
-                self._is_restarted = self._is_restarted or count < self._count
                 continue
             if count == self._count:
                 counts.repeated += 1
@@ -226,23 +223,14 @@ class ArduPilot(Sitl):
                     sent_at = monotonic()
                 continue
             if count < self._count:
-                counts.repeated += 1  # a late copy, or it began anew and will not go on, which the error then says
-                self._is_restarted = True
+                counts.repeated += 1  # a late copy
                 continue
             if count != self._count + 1:
                 raise FlightError(f"ardupilot went on from frame {self._count} to {count}: frames between were lost")
-            self._count, self._is_restarted = count, False
+            self._count = count
             self._count_answer(timer)
             self._check_rate(servos[1])
             return self._answer(servos[3:])
-
-    def _receive(self, timer: AnswerTimer, sock: socket.socket) -> tuple[bytes, tuple[str, int]]:
-        try:
-            return timer.receive_packet(sock)
-        except FlightError as error:
-            if not self._is_restarted:
-                raise
-            raise FlightError(f"{error}; its frame count began anew: was it restarted?") from None
 
     def _servos(self, packet: bytes) -> tuple[int, ...] | None:
         if len(packet) < 2:
@@ -275,7 +263,7 @@ class ArduPilot(Sitl):
         It says nothing of a name that it does not have; but when it is armed it begins a log, with all that it has.
         What belongs to a group that is switched off is not among them: it would do nothing either.
         """
-        if self._program is None or self._launch.defaults is None or self.counts.answers == 0:
+        if self._program is None or self.setup.defaults is None or self.counts.answers == 0:
             return ""
         folder = self._folder / "logs"
         known_names = next(
@@ -283,7 +271,7 @@ class ArduPilot(Sitl):
         )
         if known_names is None:
             return f"the names of its parameters were not checked: no log in {folder} has all of them"
-        if unknown := [name for name in self._launch.parameters if name not in known_names]:
+        if unknown := [name for name in self.setup.parameters if name not in known_names]:
             text = describe_unknown(unknown, known_names, "ArduCopter")
             raise FlightError(f"ardupilot: {text} (--param, --defaults; {folder})")
         return ""
@@ -329,7 +317,7 @@ class Transmitter:
         mode = HOLD_PULSE if sticks.holds_place else 1500
         pulses += [mode, 1500, 2000 if sticks.armed else 1000, *[1500] * 9]
         for channel in self._channels:
-            begins = 0.0 if channel.since_s is None else HANDLING.before_s + channel.since_s
+            begins = 0.0 if channel.since_s is None else ArduPilot.timing.before_s + channel.since_s
             pulses[channel.number - 1] = channel.pulse if frame.time > begins - self._half_step else 1000
         pulses[GNSS_CHANNEL - 1] = 2000 if "gnss" in frame.silent else 1000
         return pulses
@@ -341,7 +329,7 @@ class Transmitter:
             return round(1000.0 + 1000.0 * clip(sticks.throttle, 0.0, 1.0))
         fraction = clip((sticks.throttle - self._least) / self._span, 0.0, 1.0)
         if self._is_boosted:
-            full = radians(HANDLING.lean_deg)
+            full = radians(START_TIMING.lean_deg)
             fraction *= cos(full * clamp(sticks.roll, 1.0)) * cos(full * clamp(sticks.pitch, 1.0))
         nearest = bisect_left(self._curve, fraction)
         if nearest > 0 and fraction - self._curve[nearest - 1] <= self._curve[nearest] - fraction:

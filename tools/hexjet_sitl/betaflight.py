@@ -22,6 +22,7 @@ from pathlib import Path
 from time import monotonic, sleep
 
 from cosim import FlightError, InputError
+from cosim.base.geodesy import Geodesy
 from cosim.base.limits import clamp, clip
 from cosim.base.signals import AXES, Vector3
 from cosim.files import scratch
@@ -31,10 +32,11 @@ from hexjet_sitl.lockstep import (
     LOCAL,
     ActuatorOutputs,
     AnswerTimer,
+    Autopilot,
     FirmwareReport,
     Program,
     SensorFrame,
-    Sitl,
+    Setup,
     StartTiming,
     discard_packets,
     find_configured_program,
@@ -44,6 +46,7 @@ from hexjet_sitl.parameters import refuse_effectiveness
 
 STATE, RC, CONSOLE = 2, 3, 10  # offsets from the first port
 PORT = 9001  # port of the raw outputs, by Betaflight's convention
+PORT_SPACING = 20  # ports from one instance to the next: fourteen are one's
 _STATE = struct.Struct("<18d")  # time, rates, force, quaternion, velocity, position, pressure
 _STICKS = struct.Struct("<d16H")
 _RAW = struct.Struct("<H2x16f")
@@ -65,14 +68,14 @@ _CONSTANT_GAINS = (
     "set dterm_lpf2_static_hz = 0",
 )
 _REFUSALS = ("ERROR", "Invalid", "UNKNOWN")
-MOST_MOTORS = 8
-MOST_GAIN = 250
+MAX_MOTORS = 8
+MAX_GAIN = 250
 # By the first state it sets its clock, and by the second, which it takes for late, the rate of that: it runs no loop
 # until the third.  They come long before the flight.
 _CLOCK_FRAMES = 2
 # Before the flight: its grace time of 5 s after it began, and its gyro's zero.  Full stick is chosen by us: what the
 # scenarios lean, with room.
-HANDLING = StartTiming(before_s=6.0, arming_s=1.5, throttle_s=0.5, lean_deg=45.0, turn_deg_s=90.0)
+START_TIMING = StartTiming(before_s=6.0, arming_s=1.5, throttle_s=0.5, lean_deg=45.0, turn_deg_s=90.0)
 TILT_WEIGHT = 0.1  # of pitch and yaw on the outputs that carry the tilts; chosen by us, see make_mixer_settings
 _FULL_SUM = 500.0  # pidsum_limit of an axis, which is the whole range of a servo
 _SUM_TO_MOTOR = 1.0 / 1000.0  # PID_MIXER_SCALING
@@ -113,9 +116,9 @@ def make_mixer_settings(vehicle: Vehicle, idle: float) -> list[str]:
     refuse_effectiveness("betaflight", vehicle)
     jets = vehicle.jets
     servos = 2 if vehicle.servo else 0
-    if len(jets) + servos > MOST_MOTORS:
+    if len(jets) + servos > MAX_MOTORS:
         raise InputError(
-            f"betaflight: {vehicle.name} has {len(jets)} engines and {servos} servos, and Betaflight has {MOST_MOTORS} "
+            f"betaflight: {vehicle.name} has {len(jets)} engines and {servos} servos, and Betaflight has {MAX_MOTORS} "
             "motors at most"
         )
     lines = ["mixer CUSTOM", "mmix reset", f"set motor_idle = {round(1e4 * idle)}"]
@@ -154,10 +157,10 @@ def make_base_settings(vehicle: Vehicle) -> list[str]:
         "set rates_type = ACTUAL",
         *[
             f"set {axis}_{key} = {value}"
-            for axis, full in (("roll", 36), ("pitch", 36), ("yaw", round(HANDLING.turn_deg_s / 10.0)))
+            for axis, full in (("roll", 36), ("pitch", 36), ("yaw", round(START_TIMING.turn_deg_s / 10.0)))
             for key, value in (("rc_rate", full), ("srate", full), ("expo", 0))
         ],
-        f"set angle_limit = {HANDLING.lean_deg:g}",
+        f"set angle_limit = {START_TIMING.lean_deg:g}",
         "aux 0 0 0 1700 2100 0 0",  # the first switch arms
         "aux 1 1 1 1700 2100 0 0",  # the second switch selects the self-levelling mode
         "aux 2 28 1 1700 2100 0 0",  # the second switch also selects air mode, which keeps the attitude at low throttle
@@ -165,46 +168,40 @@ def make_base_settings(vehicle: Vehicle) -> list[str]:
     ]
 
 
-class Betaflight(Sitl):
-    """One Betaflight SITL in a folder of its own, for one flight.
+class Betaflight(Autopilot):
+    """One Betaflight SITL in a folder of its own, for one flight.  Raises InputError.
 
-    ``settings``: console lines beside those that make it fit the vehicle, in order, the last word.  ``boot``: s that it
-    lives before its first state.  Raises InputError.
+    ``setup.lines`` come behind the console lines that make it fit the vehicle, and so have the last word.
     """
 
     name = "betaflight"
+    timing = START_TIMING
     port_option = "--port"
 
     def __init__(
-        self,
-        binary: Path,
-        folder: Path,
-        vehicle: Vehicle,
-        step: float,
-        settings: Sequence[str] = (),
-        port: int = PORT,
-        limit: float = 5.0,
-        ground: float = 0.0,
+        self, program: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, setup: Setup
     ) -> None:
-        super().__init__(binary, folder, vehicle, step, limit)
-        self._port = port
+        super().__init__(program, folder, vehicle, step, setup)
+        self.port = PORT + PORT_SPACING * setup.instance if setup.port is None else setup.port
         self._motors = self._jets + (2 if self._range else 0)
-        self._ground = ground
+        self._ground = place.ground
         self.idle = vehicle.control.allocation.throttle_min
-        self.settings = [*make_mixer_settings(vehicle, self.idle), *make_base_settings(vehicle), *settings]
+        self.settings = [*make_mixer_settings(vehicle, self.idle), *make_base_settings(vehicle), *setup.lines]
+        self.endpoint = f"UDP port {self.port}"
+        self.details["console"] = self.settings
         self._in: socket.socket | None = None
         self._out = self._open_sender()
 
     def start(self) -> None:
         """Configure it through its console in a first life, and start the second under the flight's clock."""
-        self._in = self._begin(socket.SOCK_DGRAM, self._port)
+        self._in = self._begin(socket.SOCK_DGRAM, self.port)
         shim = str(build_clock())
-        ports = {"LD_PRELOAD": shim, "HEXJET_PORT": str(self._port)}
+        ports = {"LD_PRELOAD": shim, "HEXJET_PORT": str(self.port)}
         log = self._folder / "betaflight.log"
         for life in range(_CONFIGURE_TRIES):
-            first = Program([str(self._binary)], self._folder, log, ports)
+            first = Program([str(self.program)], self._folder, log, ports)
             try:
-                configure(first, self._port + CONSOLE, self.settings, self._folder / "console.txt")
+                configure(first, self.port + CONSOLE, self.settings, self._folder / "console.txt")
                 break
             except UnansweredError:
                 if first.end_description or life == _CONFIGURE_TRIES - 1:
@@ -213,7 +210,7 @@ class Betaflight(Sitl):
                 first.close()
         environment = ports | {"HEXJET_STEP_NS": str(round(self._step * 1e9))}
         discard_packets(self._in)
-        self._program = Program([str(self._binary)], self._folder, log, environment)
+        self._program = Program([str(self.program)], self._folder, log, environment)
         timer = AnswerTimer(self.name, _CONSOLE_S, self._program)
         while self._packet(timer) != _READY:
             pass
@@ -236,8 +233,8 @@ class Betaflight(Sitl):
             frame.time, p, q, r, -x, y, z, w, i, j, k,
             velocity_east, velocity_north, -velocity_down, east, north, -down, pressure,
         )  # fmt: skip
-        self._out.sendto(_STICKS.pack(frame.time, *self._channels(frame)), (LOCAL, self._port + RC))
-        self._out.sendto(state, (LOCAL, self._port + STATE))
+        self._out.sendto(_STICKS.pack(frame.time, *self._channels(frame)), (LOCAL, self.port + RC))
+        self._out.sendto(state, (LOCAL, self.port + STATE))
         counts = self.counts
         counts.frames += 1
         timer = AnswerTimer(self.name, self.limit, self._program)
@@ -257,8 +254,8 @@ class Betaflight(Sitl):
 
     def report(self) -> FirmwareReport:
         """See :class:`hexjet_sitl.lockstep.Autopilot`; its build puts the release into the program's name."""
-        assert self._binary is not None
-        return FirmwareReport(f"program {self._binary.resolve().name}")
+        assert self.program is not None
+        return FirmwareReport(f"program {self.program.resolve().name}")
 
     def _tilts(self, outputs: Sequence[float]) -> tuple[float, float]:
         """Return both tilts [rad] by :func:`make_mixer_settings`; the engines' mean is the collective."""
@@ -404,5 +401,5 @@ def make_gain_settings(vehicle: Vehicle) -> list[str]:
     for axis, (_, *axis_scale) in compute_gain_units(vehicle).items():
         gains = getattr(control.rate, axis)
         for key, value, unit in zip("pid", (gains.p, gains.i, gains.d), axis_scale, strict=True):
-            lines.append(f"set {key}_{axis} = {min(round(value / unit), MOST_GAIN)}")
+            lines.append(f"set {key}_{axis} = {min(round(value / unit), MAX_GAIN)}")
     return lines

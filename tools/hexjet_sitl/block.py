@@ -15,7 +15,7 @@ from cosim.base.signals import ZERO3, Actuation, Command, Measured, State, Unall
 from cosim.laws import Belief
 from cosim.simulation.controllers.recorded import COLUMNS, Row
 from cosim.vehicle.sensors import SensorSuite
-from hexjet_sitl.lockstep import ActuatorOutputs, Autopilot, SensorFrame, StartTiming, StickPositions
+from hexjet_sitl.lockstep import ActuatorOutputs, Autopilot, SensorFrame, StickPositions
 from hexjet_sitl.pilot import StickPilot
 
 if TYPE_CHECKING:
@@ -46,29 +46,21 @@ class StationarySensors:
 class AutopilotBlock:
     """A controller of the level ``controller`` whose every update is one frame to an autopilot, and its answer to that.
 
-    The time of ``handling`` passes between the autopilot's first frame and the flight's first step.  In it the vehicle
-    stands in a stand as it begins the flight: level or not, still, on its engines of a flight that has begun; the
-    autopilot calibrates and is armed.  ``rows``: what it answered in the flight, step by step.
+    The time of its ``timing`` passes between the autopilot's first frame and the flight's first step.  In it the
+    vehicle stands in a stand as it begins the flight: level or not, still, on its engines of a flight that has begun;
+    the autopilot calibrates and is armed.  ``rows``: what it answered in the flight, step by step.
     ``truth``: the true motion, for the autopilot's own log.  ``silent``: the sensors that are out.
     ``stand``: the sensors before the flight.
-    ``hold_from``: second of the flight from which it holds its place.
-    ``hands_off``: the pilot leaves the sticks alone, in the middle and without throttle, and arms nobody: a ground
-    station does.
+    With ``hands_off`` in the autopilot's set-up the pilot leaves the sticks alone, in the middle and without throttle,
+    and arms nobody: a ground station does.
     """
 
     level = "controller"
     columns = COLUMNS
 
-    def __init__(
-        self,
-        autopilot: Autopilot,
-        label: str,
-        handling: StartTiming,
-        hold_from: float = inf,
-        hands_off: bool = False,
-    ) -> None:
-        self.autopilot, self.label, self._handling = autopilot, label, handling
-        self._hold_from, self._hands_off = hold_from, hands_off
+    def __init__(self, autopilot: Autopilot) -> None:
+        self.autopilot, self.label, self._timing = autopilot, autopilot.name, autopilot.timing
+        self._hands_off = autopilot.setup.hands_off
         self.rows: list[Row] = []
         self.shown: tuple[float, ...] = (0.0, 0.0)
         self._frames = 0
@@ -85,13 +77,15 @@ class AutopilotBlock:
                 "tilting banks; not of hinges, surfaces and other axes"
             )
         self._belief = belief
-        lean, turn = radians(self._handling.lean_deg), radians(self._handling.turn_deg_s)
-        self._pilot = StickPilot(belief, lean, turn, self._hold_from, self._handling.turns_target)
+        lean, turn = radians(self._timing.lean_deg), radians(self._timing.turn_deg_s)
+        hold_from = self.autopilot.setup.hold_from_s
+        hold_from = inf if hold_from is None else hold_from
+        self._pilot = StickPilot(belief, lean, turn, hold_from, self._timing.turns_target)
 
     @property
     def start_s(self) -> float:
         """Time from the autopilot's first frame to the flight's first step, s."""
-        return self._handling.before_s
+        return self._timing.before_s
 
     def reset(self) -> None:
         """Reset the stick pilot before the flight."""
@@ -105,15 +99,15 @@ class AutopilotBlock:
         if measured.specific_force[0] != measured.specific_force[0]:
             raise InputError(f"{self._belief.vehicle.name}: an autopilot needs vehicle.sensors.accelerometer")
         assert self.stand is not None
-        handling, dt = self._handling, self._belief.step_s
-        steps = round(handling.before_s / dt)
-        arming, throttle = steps - round(handling.arming_s / dt), steps - round(handling.throttle_s / dt)
+        timing, dt = self._timing, self._belief.step_s
+        steps = round(timing.before_s / dt)
+        arming, throttle = steps - round(timing.arming_s / dt), steps - round(timing.throttle_s / dt)
         answer = None
         for k in range(steps):
             sticks = StickPositions(throttle=self._pilot.hover if k >= throttle else 0.0, armed=k >= arming)
             answer = self._exchange(self.stand.sample(), StickPositions() if self._hands_off else sticks, ())
         if not self._hands_off and (answer is None or not answer.armed):
-            raise FlightError(f"{self.label} was not armed within {handling.before_s:g} s{handling.unarmed}")
+            raise FlightError(f"{self.label} was not armed within {timing.before_s:g} s{timing.unarmed}")
 
     def update(self, command: Command, measured: Measured, applied: Applied) -> Actuation:
         """Exchange one step with the autopilot.  Raises FlightError where it does not answer."""

@@ -23,10 +23,11 @@ from cosim.commands import (
     part_progress,
     say,
 )
+from cosim.files import parse_numbers
+from hexjet_sitl.lockstep import Setup
 
 if TYPE_CHECKING:
     from cosim import Scenario
-    from hexjet_sitl.prepare import Setup
     from hexjet_sitl.run import AutopilotRun
 
 _TITLES = {"px4": "PX4", "ardupilot": "ArduPilot"}
@@ -124,7 +125,7 @@ def betaflight(options: Betaflight) -> int:
     It levels itself (angle mode, air mode) and is flown by the sticks: lean as the scenario asks, height and heading
     held by the pilot with the vehicle's own loops.  Its clock is the flight's: no state is missed.
     """
-    from hexjet_sitl.prepare import Setup, find_program
+    from hexjet_sitl.prepare import find_program
 
     gains = options.gains
     scenario = options.read(_find_gains(gains, "designed", "vehicle", "stock"))
@@ -159,41 +160,55 @@ def search_gains(scenario: Scenario, settings: Sequence[str], out: Path, quiet: 
     return files["controller"]
 
 
-_INSTANCE = opt.whole(
-    "--instance",
-    "N",
-    "Which of several at the same time: its ports, and what it is started with.",
-    min=0,
-    max=250,
-    default=0,
-)
-_HOLD = opt.number(
-    "--hold",
-    "S",
-    "From this second of the flight on it holds place and height by itself, by GNSS: Position mode, or Loiter.",
-    min=0.0,
-)
-_HANDS_OFF = opt.flag(
-    "--hands-off",
-    "Leave the vehicle, on the ground, to a ground station: sticks in the middle, no throttle, nobody is armed or "
-    "disarmed, and what the scenario commands and limits is left out.",
-)
+class ByParameters(Sitl):
+    """Options of the autopilots that are told of the vehicle by parameters."""
 
-
-class Px4(Sitl):
-    """Options of ``hexjet sitl px4``."""
-
-    instance: int = _INSTANCE
+    instance: int = opt.whole(
+        "--instance",
+        "N",
+        "Which of several at the same time: its ports, and what it is started with.",
+        min=0,
+        max=250,
+        default=0,
+    )
     gains = opt.word(
         "--gains",
         "vehicle|stock|FILE.toml",
-        "Rate and attitude gains: the vehicle's own, as PX4 ships, or of hexjet design --for px4.",
+        "Rate and attitude gains: the vehicle's own, as the autopilot ships, or of hexjet design --for it.",
         "vehicle",
     )
-    parameters = opt.words("--param", "NAME=VALUE", "Over those of hexjet sitl params px4.")
+    parameters = opt.words("--param", "NAME=VALUE", "Over those of hexjet sitl params.")
+    hold = opt.number(
+        "--hold",
+        "S",
+        "From this second of the flight on it holds place and height by itself, by GNSS: Position mode, or Loiter.",
+        min=0.0,
+    )
+    hands_off: bool = opt.flag(
+        "--hands-off",
+        "Leave the vehicle, on the ground, to a ground station: sticks in the middle, no throttle, nobody is armed or "
+        "disarmed, and what the scenario commands and limits is left out.",
+    )
+
+    def fly(self, name: str, **more: Any) -> int:
+        """Fly the autopilot of this name, with ``more`` in its set-up."""
+        setup = Setup(
+            self.instance,
+            self.timeout,
+            gains=self.gains,
+            parameters=parse_numbers(self.parameters, "--param"),
+            hold_from_s=self.hold,
+            hands_off=self.hands_off,
+            **more,
+        )
+        scenario = self.read(_find_gains(self.gains, "vehicle", "stock"))
+        return _fly(self, _let_it_go(scenario, self), name, setup)
+
+
+class Px4(ByParameters):
+    """Options of ``hexjet sitl px4``."""
+
     field = opt.word("--field", "N,E,D", "The magnetic field [gauss].  [default: the Earth's at the place]")
-    hold = _HOLD
-    hands_off: bool = _HANDS_OFF
 
 
 @sitl.command(epilog=example("hexjet sitl px4 --binary px4_sitl_default/bin/px4 --param MC_ROLLRATE_P=0.05"))
@@ -205,32 +220,12 @@ def px4(options: Px4) -> int:
     with the vehicle's own loops; with --hold in Position. Time is the flight's, but PX4's threads share it in an order
     of their own: two flights are not the same to the bit, their repetitions by hexjet fly are.
     """
-    from cosim.files import parse_numbers
-    from hexjet_sitl.prepare import Setup
-
-    setup = Setup(
-        options.instance,
-        options.timeout,
-        gains=options.gains,
-        parameters=parse_numbers(options.parameters, "--param"),
-        magnetic_field=_magnetic_field(options.field),
-        hold_from_s=options.hold,
-        hands_off=options.hands_off,
-    )
-    scenario = options.read(_find_gains(options.gains, "vehicle", "stock"))
-    return _fly(options, _let_it_go(scenario, options), "px4", setup)
+    return options.fly("px4", magnetic_field=_magnetic_field(options.field))
 
 
-class ArduPilot(Sitl):
+class ArduPilot(ByParameters):
     """Options of ``hexjet sitl ardupilot``."""
 
-    instance: int = _INSTANCE
-    gains = opt.word(
-        "--gains",
-        "vehicle|stock|FILE.toml",
-        "Rate and attitude gains: the vehicle's own, as ArduCopter ships, or of hexjet design --for ardupilot.",
-        "vehicle",
-    )
     defaults = opt.path(
         "--defaults",
         "FILE.parm",
@@ -238,9 +233,6 @@ class ArduPilot(Sitl):
         exists=True,
         dir_okay=False,
     )
-    parameters = opt.words("--param", "NAME=VALUE", "Over these.")
-    hold = _HOLD
-    hands_off: bool = _HANDS_OFF
     channels = opt.words(
         "--channel", "N=PULSE[@S]", "A switch of the transmitter [us], from second S of the flight on: 8=2000@2."
     )
@@ -262,25 +254,10 @@ def ardupilot(options: ArduPilot) -> int:
     with --hold in Loiter. It must ask for as many frames a second as the flight has steps: SIM_RATE_HZ. A parameter's
     name that its log does not list fails the flight at its end.
     """
-    from cosim.files import parse_numbers
-    from hexjet_sitl.prepare import Setup
-
-    setup = Setup(
-        options.instance,
-        options.timeout,
-        gains=options.gains,
-        parameters=parse_numbers(options.parameters, "--param"),
-        hold_from_s=options.hold,
-        hands_off=options.hands_off,
-        defaults=options.defaults,
-        channels=options.channels,
-        station=options.station,
-    )
-    scenario = options.read(_find_gains(options.gains, "vehicle", "stock"))
-    return _fly(options, _let_it_go(scenario, options), "ardupilot", setup)
+    return options.fly("ardupilot", defaults=options.defaults, channels=options.channels, station=options.station)
 
 
-def _let_it_go(scenario: Scenario, options: Px4 | ArduPilot) -> Scenario:
+def _let_it_go(scenario: Scenario, options: ByParameters) -> Scenario:
     """Return the scenario without what does not fit an autopilot, or a station, that goes where it likes.
 
     An autopilot that holds the place leans as it likes to hold that; a station does nothing that the scenario says.
@@ -343,6 +320,7 @@ def _fly(options: Sitl, scenario: Scenario, name: str, setup: Setup) -> int:
     from dataclasses import asdict
 
     from hexjet_sitl.prepare import describe_missing, find_program, prepare
+    from hexjet_sitl.run import fly_autopilot
 
     program, folder = find_program(name, options.binary), options.run_folder(f"{scenario.name}-{name}")
     autopilot = prepare(name, scenario, folder, program, setup)
@@ -361,7 +339,7 @@ def _fly(options: Sitl, scenario: Scenario, name: str, setup: Setup) -> int:
         where = f"waiting for one at {autopilot.endpoint} of this machine"
         echo(f"hexjet: no {_TITLES[name]} is named ({describe_missing(name)}): {where}", err=True)
     with output_to_stderr(options.as_json):
-        flown = autopilot.fly(scenario, folder, realtime_factor=options.rtf or None)
+        flown = fly_autopilot(scenario, autopilot, folder, realtime_factor=options.rtf or None)
     lockstep = asdict(flown.counts) | {"gains": setup.gains}
     options.answer(
         lambda: flown.run.summary.model_dump(mode="json") | {"lockstep": lockstep}, lambda: _print(flown, setup.gains)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from cosim import FlightError, InputError, Scenario
@@ -16,7 +17,7 @@ from cosim.simulation.controllers.models import make_scenario_belief
 from cosim.spec.vehicle import Vehicle
 from hexjet_sitl.ardupilot import NEWEST, Release
 from hexjet_sitl.betaflight import (
-    MOST_GAIN,
+    MAX_GAIN,
     compute_gain_units,
     compute_torque_scale,
     make_base_settings,
@@ -45,35 +46,30 @@ DESIGN_FILES: dict[str, dict[str, tuple[str, str]]] = {
     "px4": {"board_parameters": ("board", ".board.params"), "stand_parameters": ("sitl", ".stand.params")},
     "ardupilot": {"board_parameters": ("board", ".board.parm"), "stand_parameters": ("sitl", ".stand.parm")},
 }
-TARGET_NOTES = {
+_STAND = "For the stand, hexjet sitl {}, and for no board: {}."
+_BOARD = (
+    "For a board that flies: {} stay as they are. {} makes its raw gyro as late as the vehicle's, with which the gains "
+    "were designed; where it is not here the vehicle states no filter."
+)
+_RADIO = "it has the radio's mapping and all flight modes"
+_TARGET_TEXTS = {
     "betaflight": {
-        "sitl": (
-            "For the stand, hexjet sitl betaflight, and for no board: arming checks are off, switches are mapped.",
-        ),
-        "board": (
-            "For a board that flies: mixer and gains; its receiver, switches and checks stay as they are.",
-            "gyro_lpf1_static_hz makes its raw gyro as late as the vehicle's, with which the gains were designed;",
-            "where it is not here the vehicle states no filter.",
-        ),
+        "sitl": _STAND.format("betaflight", "arming checks are off, switches are mapped"),
+        "board": _BOARD.format("mixer and gains; its receiver, switches and checks", "gyro_lpf1_static_hz"),
     },
     "px4": {
-        "sitl": ("For the stand, hexjet sitl px4, and for no board: it has the radio's mapping and all flight modes.",),
-        "hil": ("For a board in the loop, and for none that flies: it has the radio's mapping and all flight modes.",),
-        "board": (
-            "For a board that flies: its radio, modes and checks stay as they are. IMU_GYRO_CUTOFF makes its raw gyro",
-            "as late as the vehicle's, with which the gains were designed; where it is not here the vehicle states no",
-            "filter.",
-        ),
+        "sitl": _STAND.format("px4", _RADIO),
+        "hil": f"For a board in the loop, and for none that flies: {_RADIO}.",
+        "board": _BOARD.format("its radio, modes and checks", "IMU_GYRO_CUTOFF"),
     },
-    # ArduPilot reads lines of 98 characters.
     "ardupilot": {
-        "sitl": ("For the stand, hexjet sitl ardupilot, and for no board: arming checks and gyro filter are off.",),
-        "board": (
-            "For a board that flies: its radio, modes and arming checks stay as they are. INS_GYRO_FILTER",
-            "makes its raw gyro as late as the vehicle's, with which the gains were designed; where it is",
-            "not here the vehicle states no filter.",
-        ),
+        "sitl": _STAND.format("ardupilot", "arming checks and gyro filter are off"),
+        "board": _BOARD.format("its radio, modes and arming checks", "INS_GYRO_FILTER"),
     },
+}
+# ArduPilot reads lines of 98 characters.
+TARGET_NOTES = {
+    autopilot: {target: wrap(text, 96) for target, text in texts.items()} for autopilot, texts in _TARGET_TEXTS.items()
 }
 _AROUND_HOVER = 0.03  # of thrust, either way, over which a throttle's slope is taken; chosen by us
 
@@ -109,16 +105,6 @@ def list_px4_parameters(scenario: Scenario, step: float, target: str = "sitl") -
     """
     parameters = px4_target(vehicle_in_throttle(scenario), step, target)
     return parameters | px4_hover(find_hover_throttle(make_scenario_belief(scenario, {})))
-
-
-def check_vehicle(autopilot: str, vehicle: Vehicle, step: float) -> None:
-    """Raise InputError for a vehicle that an autopilot has no parameters for."""
-    if autopilot == "betaflight":
-        make_mixer_settings(vehicle, vehicle.control.allocation.throttle_min)
-    elif autopilot == "px4":
-        px4_target(vehicle, step, "sitl")
-    else:
-        ardupilot_parameters(vehicle, step)
 
 
 def format_firmware_parameters(
@@ -175,10 +161,10 @@ def find_loops(autopilot: str, aircraft: str, settings: Sequence[str]) -> Firmwa
 
     scenario = load_scenario("hover", None, (), None, tuple(settings), aircraft=aircraft)
     vehicle, _ = scenario.resolved_vehicle()
-    check_vehicle(autopilot, vehicle, scenario.step_s)  # before minutes of searching
+    format_firmware_parameters(autopilot, scenario, scenario.step_s)  # before minutes of searching
     if autopilot == "betaflight":
         return Firmware(
-            autopilot, units=compute_gain_units(vehicle), max_gain=MOST_GAIN, common_filter=True, common_angle=True
+            autopilot, units=compute_gain_units(vehicle), max_gain=MAX_GAIN, common_filter=True, common_angle=True
         )
     if autopilot == "px4":
         return Firmware(autopilot, common_filter=True)

@@ -60,11 +60,9 @@ class FrameWriter:
 
 
 class FrameReader:
-    """Reader of a stream of bytes for messages of :data:`KINDS`; ``noise`` counts bytes that were part of no frame."""
+    """Reader of a stream of bytes for messages of :data:`KINDS`."""
 
     def __init__(self) -> None:
-        self.noise = 0
-        self.frames = 0
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[tuple[MessageFormat, tuple[float, ...]]]:
@@ -75,7 +73,6 @@ class FrameReader:
         while at < end:
             magic = buffer[at]
             if magic != MAGIC and magic != MAGIC_1:
-                self.noise += 1
                 at += 1
                 continue
             if end - at < 3:
@@ -90,12 +87,10 @@ class FrameReader:
             if kind is not None:
                 checksum = buffer[payload_end] | buffer[payload_end + 1] << 8
                 if crc16.mcrf4xx(buffer[at + 1 : payload_end] + bytes((kind.extra,))) != checksum:
-                    self.noise += 1
                     at += 1
                     continue
                 payload = buffer[at + head : payload_end][: kind.payload.size]
                 messages.append((kind, kind.payload.unpack(payload.ljust(kind.payload.size, b"\0"))))
-            self.frames += 1
             at = payload_end + CHECKSUM + (13 if signed else 0)
         self._buffer = buffer[at:]
         return messages

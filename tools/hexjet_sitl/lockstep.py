@@ -10,12 +10,12 @@ import subprocess
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 from struct import Struct
 from time import monotonic
-from typing import ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 from cosim import FlightError, InputError
 from cosim.base.limits import clamp
@@ -114,31 +114,6 @@ class FirmwareReport(NamedTuple):
     messages: Sequence[tuple[float, int, str]] = ()  # time from its first frame s, severity as in syslog, text
 
 
-class Autopilot(Protocol):
-    """One autopilot and the connection to it."""
-
-    counts: LockstepCounts
-
-    def start(self) -> None:
-        """Let it begin, and wait until it can take the first frame.  Raises InputError or FlightError."""
-
-    def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
-        """Send it one frame and wait for its answer to that.  Raises FlightError where none comes."""
-
-    def check_parameters(self) -> str:
-        """Check, when it has flown and is closed, for names of parameters that it was given and does not have.
-
-        Return why that cannot be done, in words; "" where it was done, now or before the flight, or no name was given.
-        Raises FlightError with the names.
-        """
-
-    def report(self) -> FirmwareReport:
-        """Return what its own log says, when it has flown and is closed."""
-
-    def close(self) -> None:
-        """End it; may be called twice."""
-
-
 # Of PX4 (PARAM_NAME_MAX of its generator) and of ArduPilot (AP_MAX_NAME_SIZE): sixteen characters.  What is in a name
 # goes into environments, scripts and files of other programs.
 PARAMETER_NAME = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
@@ -153,6 +128,30 @@ def check_words(parameters: Iterable[str], lines: Iterable[str]) -> None:
     for line in lines:
         if not line.isprintable():
             raise InputError(f"line {line[:80]!r}: has control characters; allowed: one line of the console")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Options of an autopilot, as those of ``hexjet sitl`` and a study's table [autopilot] state them.
+
+    Of what belongs to one autopilot the others see nothing.
+    """
+
+    instance: int = 0  # number of the instance, where several run at the same time
+    limit_s: float = 5.0  # wall-clock time limit of an answer
+    port: int | None = None  # Betaflight: its first port; None: that of the instance
+    gains: str = "vehicle"  # whose are in the scenario's vehicle: its own, or a file's; "stock": as it ships
+    lines: Sequence[str] = ()  # Betaflight: lines for its console
+    parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: over those made from the vehicle
+    magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: the Earth's at the place
+    hold_from_s: float | None = None  # PX4, ArduPilot: of the flight; from then on it holds place and height
+    hands_off: bool = False  # PX4, ArduPilot: a ground station arms and flies it
+    defaults: Path | None = None  # ArduPilot: its parameters; None: those made from the vehicle
+    channels: Sequence[str] = ()  # ArduPilot: NUMBER=PULSE or NUMBER=PULSE@SECONDS, beside the sticks
+    station: int | None = None  # ArduPilot: the UDP port of this machine to which it talks MAVLink
+
+    def __post_init__(self) -> None:
+        check_words(self.parameters, self.lines)
 
 
 def describe_unknown(names: Sequence[str], existing: Collection[str], program: str) -> str:
@@ -285,26 +284,50 @@ def set_receive_timeout(sock: socket.socket) -> socket.socket:
     return sock
 
 
-class Sitl:
-    """Common state of the autopilots that run as programs: counts, program, sockets, and the vehicle's outputs."""
+class Autopilot:
+    """One autopilot and the connection to it: a program that is started here, or by hand (``program`` is None).
+
+    Each has a class of its own, with :meth:`start` and :meth:`exchange`.
+    """
 
     name: ClassVar[str]
+    timing: ClassVar[StartTiming]
     port_option: ClassVar[str] = "--instance"  # that states another port
     log_pattern: ClassVar[str] = ""  # of its own logs in its folder; empty: none is read
     patience_s = 0.0  # that it has to end by itself once it is asked to
 
-    def __init__(self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, limit: float) -> None:
+    def __init__(self, program: Path | None, folder: Path, vehicle: Vehicle, step: float, setup: Setup) -> None:
         self.counts = LockstepCounts()
-        self.limit = limit  # wall-clock time limit of an answer, s
-        self._binary, self._folder, self._step = binary, folder, step
+        self.limit = setup.limit_s  # wall-clock time limit of an answer, s
+        self.setup, self.program = setup, program
+        self.endpoint = ""  # address that a program started by hand connects to
+        self.details: dict[str, Any] = {"gains": setup.gains}  # for the run's lockstep.json
+        self.remark = ""  # on a program of a version that was not flown
+        self._folder, self._step = folder, step
         self._jets, self._range = len(vehicle.jets), vehicle.servo.range_rad if vehicle.servo else 0.0
         self._program: Program | None = None
         self._sockets: list[socket.socket] = []
         self._earlier_logs: set[tuple[int, Path]] = set()  # of other flights in the same folder
 
+    def start(self) -> None:
+        """Let it begin, and wait until it can take the first frame.  Raises InputError or FlightError."""
+        raise NotImplementedError
+
+    def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
+        """Send it one frame and wait for its answer to that.  Raises FlightError where none comes."""
+        raise NotImplementedError
+
     def check_parameters(self) -> str:
-        """Return nothing: an autopilot that refuses a parameter ends the flight before it begins."""
+        """Check, when it has flown and is closed, for names of parameters that it was given and does not have.
+
+        Return why that cannot be done, in words; "" where it was done, now or before the flight, or no name was given.
+        Raises FlightError with the names.
+        """
         return ""
+
+    def report(self) -> FirmwareReport:
+        """Return what its own log says, when it has flown and is closed."""
+        return FirmwareReport()
 
     def close(self) -> None:
         """End it; may be called twice."""
@@ -324,7 +347,7 @@ class Sitl:
         lines = log.read_text(errors="replace").split("\n") if log.is_file() else []
         last = next((line for line in reversed(lines) if line.strip()), "")
         printed = f"; the last that it printed: {COLOUR.sub('', last).strip()} ({log})" if last else ""
-        return FlightError(f"{error}; is {self._binary} {title}?{printed}" if self._binary else f"{error}{printed}")
+        return FlightError(f"{error}; is {self.program} {title}?{printed}" if self.program else f"{error}{printed}")
 
     def _find_logs(self) -> set[tuple[int, Path]]:
         """Return the logs in its folder, each with the time at which it was last written [ns]."""

@@ -19,7 +19,7 @@ from cosim.base.limits import clip
 from cosim.base.signals import AXES, Vector3
 from cosim.files import read_text
 from cosim.spec.vehicle import RateGains, Vehicle
-from hexjet_sitl.ardupilot import GNSS_CHANNEL, HANDLING, NEWEST, Release
+from hexjet_sitl.ardupilot import GNSS_CHANNEL, NEWEST, START_TIMING, Release
 from hexjet_sitl.lockstep import PARAMETER_NAME
 
 # Not every release has these, nor needs them.  From 1.16: a low-pass of yaw's torque, of 2 Hz as shipped, which no
@@ -29,14 +29,14 @@ from hexjet_sitl.lockstep import PARAMETER_NAME
 # GNSS is: until 1.17, and after it.
 PX4_OF_SOME_RELEASES = ("MC_YAW_TQ_CUTOFF", "MC_REF_W_N", "EKF2_GPS_DELAY", "SENS_GPS0_DELAY")
 _THRUST = 6.5  # default of CA_ROTOR_CT
-_LEAST_OFFSET = 0.01  # m, to the left or right, below which PX4 gives a tilt no yaw
-_MOST_ROTORS = 12  # limit of PX4's control allocation
+_MIN_OFFSET_M = 0.01  # m, to the left or right, below which PX4 gives a tilt no yaw
+_MAX_ROTORS = 12  # limit of PX4's control allocation
 # SDLOG_PROFILE: what PX4 logs by itself, and torques and rates at every sample.  It thins them out to 50 Hz else, and a
 # command that is read held for 20 ms seems to act 8 ms sooner than it does.
 _EVERY_SAMPLE = 1 + 8 + 16
 _HOVER_RANGE = (0.1, 0.8)  # of MPC_THR_HOVER
-_LEAST_IMU_HZ, _MOST_IMU_HZ = 100, 1000  # range of IMU_INTEG_RATE
-_MOST_MOTORS = 12  # of ArduCopter, AP_MOTORS_MAX_NUM_MOTORS in 4.6
+_MIN_IMU_HZ, _MAX_IMU_HZ = 100, 1000  # range of IMU_INTEG_RATE
+_MAX_MOTORS = 12  # of ArduCopter, AP_MOTORS_MAX_NUM_MOTORS in 4.6
 
 
 def px4_torque_scale(vehicle: Vehicle) -> Vector3:
@@ -94,10 +94,10 @@ def tilt_pitch_sign(vehicle: Vehicle) -> float:
         )
     for side, positions in levers.items():
         for x, y, _ in positions:
-            if abs(y) <= _LEAST_OFFSET or (y > 0.0) != (side == "right"):
+            if abs(y) <= _MIN_OFFSET_M or (y > 0.0) != (side == "right"):
                 raise InputError(
                     f"px4: {vehicle.name}: the {side} bank's jet at x = {x:g} m stands at y = {y:g} m; PX4 takes a "
-                    f"tilt's yaw from its side: allowed is more than {_LEAST_OFFSET:g} m to the {side}"
+                    f"tilt's yaw from its side: allowed is more than {_MIN_OFFSET_M:g} m to the {side}"
                 )
     return 1.0 if heights["left"] > 0.0 else -1.0
 
@@ -117,8 +117,8 @@ def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
     """
     jets, control = vehicle.jets, vehicle.control
     refuse_effectiveness("px4", vehicle)
-    if len(jets) > _MOST_ROTORS:
-        raise InputError(f"px4: {vehicle.name}: has {len(jets)} engines; allowed are {_MOST_ROTORS} at most")
+    if len(jets) > _MAX_ROTORS:
+        raise InputError(f"px4: {vehicle.name}: has {len(jets)} engines; allowed are {_MAX_ROTORS} at most")
     parameters: dict[str, float] = {"CA_AIRFRAME": 8 if vehicle.servo else 0, "CA_ROTOR_COUNT": len(jets)}
     tilts_back = vehicle.servo is not None and tilt_pitch_sign(vehicle) > 0.0
     for index, jet in enumerate(jets):
@@ -182,9 +182,9 @@ def px4_link(step: float) -> dict[str, float]:
     zone and, of yaw, a low-pass; the fifth channel arms, and the sixth selects the mode: Stabilized, and Position at
     its upper end.  Raises InputError for a step that PX4's estimator does not follow.
     """
-    if step < 1.0 / _MOST_IMU_HZ:
-        raise InputError(f"px4: step_s = {step:g}: its estimator takes {_MOST_IMU_HZ} samples a second at most")
-    parameters: dict[str, float] = {"IMU_INTEG_RATE": max(round(1.0 / step), _LEAST_IMU_HZ)}
+    if step < 1.0 / _MAX_IMU_HZ:
+        raise InputError(f"px4: step_s = {step:g}: its estimator takes {_MAX_IMU_HZ} samples a second at most")
+    parameters: dict[str, float] = {"IMU_INTEG_RATE": max(round(1.0 / step), _MIN_IMU_HZ)}
     parameters |= {"COM_RC_IN_MODE": 0, "RC_MAP_ROLL": 1, "RC_MAP_PITCH": 2, "RC_MAP_THROTTLE": 3, "RC_MAP_YAW": 4}
     parameters |= {"RC_MAP_ARM_SW": 5, "RC_MAP_FLTMODE": 6, "RC_CHAN_CNT": 8, "RC3_TRIM": 1000}
     parameters |= {"MAN_DEADZONE": 0.0, "MPC_THR_CURVE": 1, "MPC_MANTHR_MIN": 0.0, "MPC_MAN_Y_TAU": 0.0}
@@ -231,12 +231,12 @@ _QUAD_FRAMES: dict[int, tuple[str, dict[tuple[int, int, int], int]]] = {
     6: ("plus, reversed", {(0, 1, -1): 1, (0, -1, -1): 2, (1, 0, 1): 3, (-1, 0, 1): 4}),
 }
 # Sticks as hexjet sitl sends them, not as the transmitters that ArduPilot takes by itself: 1100 to 1900 us, and dead
-# zones of 20 and 30 us.  The seventh channel arms, the last takes its GNSS away.  Full stick is that of HANDLING.
+# zones of 20 and 30 us.  The seventh channel arms, the last takes its GNSS away.  Full stick is that of START_TIMING.
 _ARDUPILOT_STICKS: dict[str, float] = {
     **{f"RC{n}_{key}": value for n in range(1, 5) for key, value in (("MIN", 1000), ("MAX", 2000), ("DZ", 0))},
     **{f"RC{n}_TRIM": 1000 if n == 3 else 1500 for n in range(1, 5)},
-    "ATC_ANGLE_MAX": HANDLING.lean_deg,
-    "PILOT_Y_RATE": HANDLING.turn_deg_s,
+    "ATC_ANGLE_MAX": START_TIMING.lean_deg,
+    "PILOT_Y_RATE": START_TIMING.turn_deg_s,
     "PILOT_Y_EXPO": 0.0,
     "RC7_OPTION": 153,
     f"RC{GNSS_CHANNEL}_OPTION": 65,
@@ -311,9 +311,9 @@ def ardupilot_script(vehicle: Vehicle) -> str | None:
     if vehicle.servo is None:
         return None
     jets = vehicle.jets
-    if len(jets) + 2 > _MOST_MOTORS:
+    if len(jets) + 2 > _MAX_MOTORS:
         raise InputError(
-            f"ardupilot: {vehicle.name}: {len(jets)} engines and two tilts; allowed are {_MOST_MOTORS} outputs at most"
+            f"ardupilot: {vehicle.name}: {len(jets)} engines and two tilts; allowed are {_MAX_MOTORS} outputs at most"
         )
     pitch = 1 if sum(jet.position_m[2] for jet in jets) > 0.0 else -1  # a tilt to the front, below the centre: nose up
     rows = [("0.5" if jet.servo == "left" else "-0.5", 0, 0, 1, "false") for jet in jets]

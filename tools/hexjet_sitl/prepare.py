@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from math import inf
+from dataclasses import replace
 from pathlib import Path
 from shutil import which
-from typing import Any
 
 from cosim import FlightError, InputError, Scenario
 from cosim.base.geodesy import Geodesy
-from cosim.base.signals import Vector3
 from cosim.base.trust import Code, need_trust
 from cosim.simulation.controllers.models import make_scenario_belief
 from cosim.spec.controller_name import is_design
+from cosim.spec.vehicle import Vehicle
 from hexjet_sitl import ardupilot, betaflight, px4
-from hexjet_sitl.block import AutopilotBlock
 from hexjet_sitl.firmware_parameters import list_px4_parameters, vehicle_in_throttle
-from hexjet_sitl.lockstep import LOCAL, Autopilot, StartTiming, check_words, find_configured_program
+from hexjet_sitl.lockstep import LOCAL, Autopilot, Setup, find_configured_program
 from hexjet_sitl.parameters import (
     PX4_OF_SOME_RELEASES,
     ardupilot_hold,
@@ -33,108 +30,48 @@ from hexjet_sitl.parameters import (
     read_parameters,
 )
 from hexjet_sitl.pilot import find_hover_throttle
-from hexjet_sitl.run import AutopilotRun, fly_autopilot
 
 INSTANCE_PORTS = 32_760  # the first of the ports that stand for a number; chosen by us, nobody's
-MOST_INSTANCES = 250  # numbers: as many instances as hexjet sitl takes
+MAX_INSTANCES = 250  # numbers: as many instances as hexjet sitl takes
 VARIABLES = {"px4": "PX4_SITL", "ardupilot": "ARDUPILOT_SITL"}  # of the environment: a program that nobody states
 PROGRAMS = {"px4": "px4", "ardupilot": "arducopter"}  # names by which they are looked for on the path
 BUILDS = {  # how their makers build them, and where they say so
     "px4": "make px4_sitl, and have a package in their releases; docs.px4.io, Building PX4 Software",
     "ardupilot": "./waf configure --board sitl && ./waf copter; ardupilot.org/dev, Building the code",
 }
-# Faults of sensors that do not reach an autopilot as what they are, and why.
-_OWN_ATTITUDE = "it estimates its attitude by itself; allowed: gyro, gnss, barometer"
-_NO_POSITION = "Betaflight is told no position; allowed: gyro, attitude, and barometer, which its pilot has"
-_UNTOLD: dict[str, dict[tuple[str, str], str]] = {
-    "betaflight": dict.fromkeys([("gnss", "sensor_dropout"), ("gnss", "sensor_bias")], _NO_POSITION),
-    "px4": dict.fromkeys([("attitude", "sensor_dropout"), ("attitude", "sensor_bias")], _OWN_ATTITUDE),
-    "ardupilot": {
-        ("attitude", "sensor_dropout"): _OWN_ATTITUDE,
-        ("attitude", "sensor_bias"): _OWN_ATTITUDE,
-        (
-            "barometer",
-            "sensor_dropout",
-        ): "its simulation's barometer would go on with the last height; allowed: gyro, gnss",
-    },
+AUTOPILOTS: dict[str, type[Autopilot]] = {
+    each.name: each for each in (betaflight.Betaflight, px4.Px4, ardupilot.ArduPilot)
 }
-PORT_SPACING = 20  # ports of Betaflight from one instance to the next: fourteen are one's
-
-
-@dataclass(frozen=True)
-class Setup:
-    """Options of an autopilot, as those of ``hexjet sitl`` and a study's table [autopilot] state them.
-
-    Of what belongs to one autopilot the others see nothing.
-    """
-
-    instance: int = 0  # number of the instance, where several run at the same time
-    limit_s: float = 5.0  # wall-clock time limit of an answer
-    port: int | None = None  # Betaflight: its first port; None: that of the instance
-    gains: str = "vehicle"  # whose are in the scenario's vehicle: its own, or a file's; "stock": as it ships
-    lines: Sequence[str] = ()  # Betaflight: lines for its console
-    parameters: Mapping[str, float] = field(default_factory=dict)  # PX4, ArduPilot: over those made from the vehicle
-    magnetic_field: Vector3 | None = None  # PX4: gauss, NED; None: the Earth's at the place
-    hold_from_s: float | None = None  # PX4, ArduPilot: of the flight; from then on it holds place and height
-    hands_off: bool = False  # PX4, ArduPilot: a ground station arms and flies it
-    defaults: Path | None = None  # ArduPilot: its parameters; None: those made from the vehicle
-    channels: Sequence[str] = ()  # ArduPilot: NUMBER=PULSE or NUMBER=PULSE@SECONDS, beside the sticks
-    station: int | None = None  # ArduPilot: the UDP port of this machine to which it talks MAVLink
-
-    def __post_init__(self) -> None:
-        check_words(self.parameters, self.lines)
-
-
-@dataclass(frozen=True)
-class PreparedAutopilot:
-    """An autopilot that is not started yet, its program, and its details for a run's lockstep.json."""
-
-    name: str
-    autopilot: Autopilot
-    program: Path | None  # None: started by hand
-    endpoint: str  # address that a program started by hand connects to
-    details: Mapping[str, Any]
-    hold_from_s: float = inf  # of the flight
-    remark: str = ""  # on a program of a version that was not flown
-    hands_off: bool = False
-
-    def fly(
-        self, scenario: Scenario, folder: Path, page: bool = True, realtime_factor: float | None = None
-    ) -> AutopilotRun:
-        """Fly a scenario, see :func:`hexjet_sitl.run.fly_autopilot`."""
-        return fly_autopilot(
-            scenario,
-            AutopilotBlock(self.autopilot, self.name, start_timing(self.name), self.hold_from_s, self.hands_off),
-            folder,
-            files=[] if self.program is None else [self.program],
-            details=dict(self.details),
-            realtime_factor=realtime_factor,
-            page=page,
-        )
-
-
-def start_timing(name: str) -> StartTiming:
-    """Return an autopilot's timing before its flight."""
-    timings = {"betaflight": betaflight.HANDLING, "px4": px4.HANDLING, "ardupilot": ardupilot.HANDLING}
-    return timings[name]
+# Faults of sensors that do not reach an autopilot as what they are, and why.
+_BOTH = ("sensor_dropout", "sensor_bias")
+_ATTITUDE = {
+    ("attitude", kind): "it estimates its attitude by itself; allowed: gyro, gnss, barometer" for kind in _BOTH
+}
+_NO_POSITION = "Betaflight is told no position; allowed: gyro, attitude, and barometer, which its pilot has"
+_HEIGHT = "its simulation's barometer would go on with the last height; allowed: gyro, gnss"
+_UNREACHED_FAULTS: dict[str, dict[tuple[str, str], str]] = {
+    "betaflight": {("gnss", kind): _NO_POSITION for kind in _BOTH},
+    "px4": _ATTITUDE,
+    "ardupilot": _ATTITUDE | {("barometer", "sensor_dropout"): _HEIGHT},
+}
 
 
 @contextmanager
 def reserve_instance() -> Iterator[int]:
-    """Reserve an instance number from 1 to :data:`MOST_INSTANCES` for this process; 0 is left to ``hexjet sitl``.
+    """Reserve an instance number from 1 to :data:`MAX_INSTANCES` for this process; 0 is left to ``hexjet sitl``.
 
     It is held by a bound port, so that it is free again whatever becomes of the process.  Raises FlightError where all
     are taken.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reserved:
-        for number in range(1, MOST_INSTANCES + 1):
+        for number in range(1, MAX_INSTANCES + 1):
             try:
                 reserved.bind((LOCAL, INSTANCE_PORTS + number))
             except OSError:
                 continue
             yield number
             return
-    raise FlightError(f"{MOST_INSTANCES} autopilots fly on this machine already")
+    raise FlightError(f"{MAX_INSTANCES} autopilots fly on this machine already")
 
 
 def find_program(name: str, binary: Path | None) -> Path | None:
@@ -172,8 +109,8 @@ def require_program(name: str, binary: Path | None) -> Path:
     return program
 
 
-def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> PreparedAutopilot:
-    """Prepare an autopilot for the scenario's vehicle; its files go into a folder of its name in the run's ``folder``.
+def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> Autopilot:
+    """Return an autopilot for the scenario's vehicle; its files go into a folder of its name in the run's ``folder``.
 
     ``program``: see :func:`find_program`.  Raises InputError.
     """
@@ -189,7 +126,7 @@ def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, s
             "allowed is initial.on_ground = true, such as climb-and-land"
         )
     make = {"betaflight": _betaflight, "px4": _px4, "ardupilot": _ardupilot}[name]
-    return replace(make(scenario, folder / name, program, setup), hands_off=setup.hands_off)
+    return make(scenario, folder / name, program, setup)
 
 
 def check_faults(name: str, scenario: Scenario) -> None:
@@ -197,7 +134,7 @@ def check_faults(name: str, scenario: Scenario) -> None:
     for index, fault in enumerate(scenario.fault):
         if fault.kind not in ("sensor_bias", "sensor_dropout"):
             continue
-        if untold := _UNTOLD[name].get((fault.sensor, fault.kind)):
+        if untold := _UNREACHED_FAULTS[name].get((fault.sensor, fault.kind)):
             raise InputError(f"{name}: fault.{index}: {fault.kind} of {fault.sensor}: {untold}")
         if name == "ardupilot" and fault.kind == "sensor_bias" and fault.sensor == "gnss" and fault.bias[2]:
             raise InputError(
@@ -206,37 +143,23 @@ def check_faults(name: str, scenario: Scenario) -> None:
             )
 
 
-def _betaflight(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> PreparedAutopilot:
-    assert program is not None
-    vehicle, _ = scenario.resolved_vehicle()
-    lines = [
-        *([] if setup.gains == "stock" else betaflight.make_gain_settings(vehicle_in_throttle(scenario))),
-        *setup.lines,
-    ]
-    port = betaflight.PORT + PORT_SPACING * setup.instance if setup.port is None else setup.port
-    ground = scenario.environment.ground_m
-    autopilot = betaflight.Betaflight(program, folder, vehicle, scenario.step_s, lines, port, setup.limit_s, ground)
-    details = {"gains": setup.gains, "console": autopilot.settings}
-    return PreparedAutopilot("betaflight", autopilot, program, f"UDP port {port}", details)
+def _betaflight(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> Autopilot:
+    lines = [] if setup.gains == "stock" else betaflight.make_gain_settings(vehicle_in_throttle(scenario))
+    setup = replace(setup, lines=[*lines, *setup.lines])
+    return betaflight.Betaflight(program, folder, *_surroundings(scenario), setup)
 
 
-def _px4(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> PreparedAutopilot:
-    vehicle, _ = scenario.resolved_vehicle()
+def _px4(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> Autopilot:
     parameters = list_px4_parameters(scenario, scenario.step_s)
     if setup.gains == "stock":
         parameters = leave_px4_gains(parameters)
-    parameters |= setup.parameters
     optional = set(PX4_OF_SOME_RELEASES) - setup.parameters.keys()  # who states one wants it
-    launch = px4.LaunchOptions(setup.instance, setup.limit_s, parameters, setup.magnetic_field, optional)
-    autopilot = px4.Px4(program, folder, vehicle, scenario.step_s, _geodesy(scenario), launch)
-    endpoint = f"TCP port {px4.PORT + setup.instance}"
-    details = {"gains": setup.gains, "hold_from_s": setup.hold_from_s, "parameters": parameters}
-    hold_from = inf if setup.hold_from_s is None else setup.hold_from_s
-    return PreparedAutopilot("px4", autopilot, program, endpoint, details, hold_from)
+    setup = replace(setup, parameters=parameters | dict(setup.parameters))
+    return px4.Px4(program, folder, *_surroundings(scenario), setup, optional)
 
 
-def _ardupilot(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> PreparedAutopilot:
-    vehicle, _ = scenario.resolved_vehicle()
+def _ardupilot(scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> Autopilot:
+    vehicle, step, place = _surroundings(scenario)
     release, remark = ardupilot.read_release(program)
     parameters = _ardupilot_parameters(scenario, program, setup, release)
     defaults = None
@@ -247,25 +170,11 @@ def _ardupilot(scenario: Scenario, folder: Path, program: Path | None, setup: Se
         if setup.defaults is None and (script := ardupilot_script(vehicle)) is not None:
             (folder / "scripts").mkdir(exist_ok=True)
             (folder / "scripts" / "hexjet.lua").write_text(script)
-    launch = ardupilot.LaunchOptions(
-        setup.instance,
-        setup.limit_s,
-        parameters,
-        defaults,
-        [ardupilot.parse_channel(text, "--channel") for text in setup.channels],
-        setup.station,
-    )
-    autopilot = ardupilot.ArduPilot(program, folder, vehicle, scenario.step_s, _geodesy(scenario), launch)
-    endpoint = f"UDP port {ardupilot.PORT + ardupilot.PORT_SPACING * setup.instance}"
-    details = {
-        "gains": setup.gains,
-        "hold_from_s": setup.hold_from_s,
-        "defaults": str(setup.defaults or defaults),
-        "parameters": parameters,
-        "channels": list(setup.channels),
-    }
-    hold_from = inf if setup.hold_from_s is None else setup.hold_from_s
-    return PreparedAutopilot("ardupilot", autopilot, program, endpoint, details, hold_from, remark)
+    started = replace(setup, parameters=parameters, defaults=defaults)
+    autopilot = ardupilot.ArduPilot(program, folder, vehicle, step, place, started)
+    autopilot.details["defaults"] = str(setup.defaults or defaults)
+    autopilot.remark = remark
+    return autopilot
 
 
 def _ardupilot_parameters(
@@ -292,6 +201,9 @@ def _ardupilot_parameters(
         return ardupilot_sticks(release) | dict(setup.parameters)
 
 
-def _geodesy(scenario: Scenario) -> Geodesy:
+def _surroundings(scenario: Scenario) -> tuple[Vehicle, float, Geodesy]:
+    """Return the vehicle, the step [s] and the place of a scenario."""
+    vehicle, _ = scenario.resolved_vehicle()
     environment = scenario.environment
-    return Geodesy(environment.latitude_deg, environment.longitude_deg, environment.ground_m)
+    place = Geodesy(environment.latitude_deg, environment.longitude_deg, environment.ground_m)
+    return vehicle, scenario.step_s, place

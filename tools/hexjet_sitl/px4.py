@@ -13,7 +13,6 @@ import select
 import socket
 from collections.abc import Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
 from math import asinh, atan2, degrees, hypot, pi, sinh, sqrt
 from pathlib import Path
 
@@ -32,10 +31,11 @@ from hexjet_sitl.lockstep import (
     STICKS_S,
     ActuatorOutputs,
     AnswerTimer,
+    Autopilot,
     FirmwareReport,
     Program,
     SensorFrame,
-    Sitl,
+    Setup,
     StartTiming,
     StickPositions,
     describe_unknown,
@@ -47,7 +47,7 @@ PORT = 4560
 # EKF2 wants some 10 s of GNSS, and arming looks at 10 s of health: 30 s chosen by us.  After it was armed it holds the
 # throttle down for 1 s (COM_SPOOLUP_TIME), and then lets it up by half of its range in a second: 3 s to full throttle.
 # Full stick: MPC_MAN_TILT_MAX and MPC_MAN_Y_MAX as they ship.
-HANDLING = StartTiming(
+START_TIMING = StartTiming(
     before_s=30.0,
     arming_s=4.0,
     throttle_s=0.5,
@@ -59,8 +59,6 @@ _IMU, _MAG, _BARO = 7 | 56, 448, 6656  # fields_updated
 _MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
 _ARMED = 128  # flag in the mode field
 _START_S = 60.0  # time limit of its connection, for a start on a busy machine
-_MOST_NOISE = 64  # bytes without MAVLink after which the connection is refused as no PX4
-_ACCEPT_EVERY = 16  # frames between two checks for a second connection
 _UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
 _SINCE_1_17 = "MAN_DEADZONE"  # is told to every PX4
 _KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver_sw_release; 255: a release
@@ -100,68 +98,65 @@ def describe_version(facts: Mapping[str, str | int]) -> str:
     return " ".join(words)
 
 
-@dataclass(frozen=True)
-class LaunchOptions:
-    """Start-up options of a PX4."""
-
-    instance: int = 0
-    limit_s: float = 5.0  # wall-clock time limit of an answer
-    parameters: Mapping[str, float] = field(default_factory=dict)  # over its airframe's, as PX4_PARAM_<NAME>
-    magnetic_field: Vector3 | None = None  # gauss, NED; None: the Earth's at the place
-    optional: Collection[str] = ()  # of the parameters, which its release need not have
-
-
-class Px4(Sitl):
-    """One PX4 SITL, started here or by hand."""
+class Px4(Autopilot):
+    """One PX4 SITL; its parameters, of which a release need not have the ``optional``, are over its airframe's."""
 
     name = "px4"
+    timing = START_TIMING
     log_pattern = "log/**/*.ulg"
     patience_s = 1.0  # what it printed and logged last is in its buffers until it is asked to end
 
     def __init__(
-        self, binary: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, launch: LaunchOptions
+        self,
+        program: Path | None,
+        folder: Path,
+        vehicle: Vehicle,
+        step: float,
+        place: Geodesy,
+        setup: Setup,
+        optional: Collection[str] = (),
     ) -> None:
-        super().__init__(binary, folder, vehicle, step, launch.limit_s)
-        self.field = launch.magnetic_field or compute_earth_field(place.latitude_deg, place.longitude_deg)
-        self._place, self._instance = place, launch.instance
-        self._parameters, self.optional = launch.parameters, launch.optional
+        super().__init__(program, folder, vehicle, step, setup)
+        self.field = setup.magnetic_field or compute_earth_field(place.latitude_deg, place.longitude_deg)
+        self._place, self.optional = place, optional
+        self.endpoint = f"TCP port {PORT + setup.instance}"
+        self.details |= {"hold_from_s": setup.hold_from_s, "parameters": setup.parameters}
         self._fix_every = vehicle.sensors.gnss.period_samples
         self._accuracy = max(1, round(100.0 * max(vehicle.sensors.gnss.position_noise_m, 0.3)))  # cm
         self._mag_every = max(1, round(_MAG_EVERY / step))
         self._baro_every = max(1, round(_BARO_EVERY / step))
         self._last_sticks, self._sticks_every = StickPositions(), max(1, round(STICKS_S / step))
         self._writer, self._reader = hil.FrameWriter(), hil.FrameReader()
-        self._server: socket.socket | None = None
         self._link: socket.socket | None = None
 
     def start(self) -> None:
         """Listen, start it, and wait until it connects.  Raises InputError or FlightError."""
-        port = PORT + self._instance
+        instance, parameters = self.setup.instance, self.setup.parameters
+        port = PORT + instance
         log = self._folder / "px4.log"
-        self._server = self._begin(socket.SOCK_STREAM, port)
-        if self._binary is not None:
+        server = self._begin(socket.SOCK_STREAM, port)
+        if self.program is not None:
             environment = {"PX4_SYS_AUTOSTART": "10016", "PX4_SIM_MODEL": "none_iris", "HEADLESS": "1"}
             # Nine digits are as many as its single precision tells apart.
-            environment |= {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in self._parameters.items()}
-            startup = str(self._binary.resolve().parent.parent / "etc")
+            environment |= {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in parameters.items()}
+            startup = str(self.program.resolve().parent.parent / "etc")
             # The folder is absolute: it is started there, and would look for a relative one below it.
             folder = str(self._folder.absolute())
             # An older PX4 reads this file from the path and not the environment; this line of it says so, as an error.
             (self._folder / "px4-rc.params").write_text(f"param set {_SINCE_1_17} 0\n")
             environment["PATH"] = f"{os.environ.get('PATH', os.defpath)}{os.pathsep}{folder}"
-            command = [str(self._binary), "-d", "-i", str(self._instance), "-w", folder, startup]
+            command = [str(self.program), "-d", "-i", str(instance), "-w", folder, startup]
             self._program = Program(command, self._folder, log, environment)
         timer = AnswerTimer(self.name, _START_S, self._program, f"did not connect to port {port}")
         while self._link is None:
             try:
-                self._server.settimeout(timer.remaining())
+                server.settimeout(timer.remaining())
             except FlightError as error:
                 raise self._describe_start(error, log, "PX4's SITL") from None
             with suppress(TimeoutError):
-                self._link = self._own(self._server.accept()[0])
+                self._link = self._own(server.accept()[0])
         if self._program is not None:
-            check_unknown_parameters(log, self._parameters, self.optional)  # its parameters are set before it connects
-        self._server.setblocking(False)
+            check_unknown_parameters(log, parameters, self.optional)  # its parameters are set before it connects
         set_receive_timeout(self._link).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
@@ -173,8 +168,6 @@ class Px4(Sitl):
         counts.frames += 1
         booting = counts.answers == 0
         timer = AnswerTimer(self.name, _BOOT_TIMEOUT if booting else self.limit, self._program)
-        if booting or counts.frames % _ACCEPT_EVERY == 0:
-            self._refuse_second()
         has_waited = booting  # not before the first answer, which is all that most frames take
         while True:
             try:
@@ -221,14 +214,6 @@ class Px4(Sitl):
         left, right = (self._range * clamp(value, 1.0) for value in controls[self._jets : self._jets + 2])
         return ActuatorOutputs(throttle, (left, right), armed)
 
-    def _refuse_second(self) -> None:
-        """Close and count a connection beside that of the PX4 that flies."""
-        assert self._server is not None
-        with suppress(BlockingIOError):
-            second, _ = self._server.accept()
-            second.close()
-            self.counts.foreign += 1
-
     def _controls(self, left: float | None) -> list[tuple[float, ...]]:
         """Return the HIL_ACTUATOR_CONTROLS that come within ``left`` s (None: the socket's own time-out).
 
@@ -241,16 +226,12 @@ class Px4(Sitl):
         try:
             data = link.recv(65536)
         except BlockingIOError:
-            self._refuse_second()
             return []
         except ConnectionError:
             data = b""
         if not data:
             raise self._closed()
-        messages = self._reader.feed(data)
-        if self._reader.noise >= _MOST_NOISE and not self._reader.frames:
-            raise FlightError(f"what is connected to px4's port speaks no MAVLink: it said {data[:16]!r}")
-        return [values for kind, values in messages if kind is hil.HIL_ACTUATOR_CONTROLS]
+        return [values for kind, values in self._reader.feed(data) if kind is hil.HIL_ACTUATOR_CONTROLS]
 
     def _send(self, data: bytes) -> None:
         assert self._link is not None

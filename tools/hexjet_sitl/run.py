@@ -27,7 +27,7 @@ from hexjet_sitl.block import AutopilotBlock, StationarySensors
 from hexjet_sitl.lockstep import Autopilot, FirmwareReport, LockstepCounts
 
 LOCKSTEP = "lockstep.json"  # in a run's folder: what was counted
-LONGEST_S = 3600.0  # of a step, by the scenario; the autopilots' own bounds are shorter
+MAX_STEP_LIMIT_S = 3600.0  # of a step, by the scenario; the autopilots' own bounds are shorter
 _FLUSH = 250  # rows, a second of flight
 
 
@@ -109,23 +109,20 @@ def _write_messages(folder: Path, firmware: FirmwareReport, start: float, step: 
 
 def fly_autopilot(
     scenario: Scenario,
-    block: AutopilotBlock,
+    autopilot: Autopilot,
     folder: Path,
     *,
-    files: Sequence[Path] = (),
-    details: dict[str, Any] | None = None,
     observers: Sequence[Observer] = (),
     realtime_factor: float | None = None,
     page: bool = True,
 ) -> AutopilotRun:
     """Fly a scenario with an autopilot in the place of the controller, and close the autopilot.
 
-    ``files``: what flew, to be hashed.  ``details``: what the run's lockstep.json says of it beside the counts.
     ``page``: whether to make one.  A crash, an autopilot that ends or hangs, and Ctrl-C are outcomes, and the run is
     kept.  Raises InputError for what cannot be flown, and FlightError for an autopilot that does not begin; there is no
     run then.
     """
-    autopilot, label = block.autopilot, block.label
+    label, block = autopilot.name, AutopilotBlock(autopilot)
     try:
         vehicle = scenario.resolved_vehicle()[0]
         if vehicle.allocation == "effectiveness":
@@ -137,11 +134,11 @@ def fly_autopilot(
             f"autopilot:{label}",
             "controller",
             lambda: block,
-            {path.name: path for path in files},
+            {} if autopilot.program is None else {autopilot.program.name: autopilot.program},
             columns=COLUMNS,
             is_copied=False,
         )
-        scenario = scenario.replace(controller=source.name, controller_limit_s=LONGEST_S, expect=[])
+        scenario = scenario.replace(controller=source.name, controller_limit_s=MAX_STEP_LIMIT_S, expect=[])
         with build(scenario, source) as simulation:
             autopilot.start()
             recording = record(simulation, folder)
@@ -178,7 +175,7 @@ def fly_autopilot(
             firmware = autopilot.report()
             _write_messages(folder, firmware, block.start_s, simulation.dt)
             report = {"autopilot": label, "version": firmware.version, "steps": simulation.k}
-            report |= {**asdict(autopilot.counts), **(details or {}), **_identify_parameters(firmware, details or {})}
+            report |= asdict(autopilot.counts) | autopilot.details | _identify_parameters(firmware, autopilot.details)
             (folder / LOCKSTEP).write_text(json.dumps(report, indent=2) + "\n")
             run = recording.finish(outcome, reason, wall, pace.report if realtime_factor else None)
             return AutopilotRun(with_page(run) if page else run, autopilot.counts, label)

@@ -9,8 +9,9 @@ from pydantic import Field, model_validator
 
 from cosim.files import Model
 from hexjet_sitl.ardupilot import parse_channel
-from hexjet_sitl.lockstep import check_words
-from hexjet_sitl.prepare import Setup, check_faults, prepare, require_program, reserve_instance, start_timing
+from hexjet_sitl.lockstep import Setup, check_words
+from hexjet_sitl.prepare import AUTOPILOTS, check_faults, prepare, require_program, reserve_instance
+from hexjet_sitl.run import fly_autopilot
 
 if TYPE_CHECKING:
     from cosim import Run, Scenario
@@ -47,7 +48,7 @@ class AutopilotTable(Model):
     @property
     def before_s(self) -> float:
         """Time from the autopilot's first frame to a flight's first step, s."""
-        return start_timing(self.name).before_s
+        return AUTOPILOTS[self.name].timing.before_s
 
     def program(self, folder: Path) -> Path | None:
         """Return the path of its program, as a study in ``folder`` states it; None where it states none."""
@@ -74,5 +75,5 @@ class AutopilotTable(Model):
                 channels=self.channels,
             )
             program = require_program(self.name, self.program(study_folder))
-            flown = prepare(self.name, scenario, folder, program, setup).fly(scenario, folder, page)
+            flown = fly_autopilot(scenario, prepare(self.name, scenario, folder, program, setup), folder, page=page)
         return flown.run, flown.counts.frames, flown.counts.missing

@@ -19,6 +19,7 @@ from scipy.optimize import brentq
 from stated_figures import stated
 
 from cosim.base.errors import InputError
+from cosim.base.geodesy import Geodesy
 from cosim.base.protocols import EngineState
 from cosim.base.signals import ZERO3, Command, Disturbance, EngineOutput, Measured
 from cosim.results.run import Run
@@ -29,8 +30,8 @@ from hexjet_export.controller.adapters import render_adapter
 from hexjet_export.controller.files import Labels
 from hexjet_export.controller.form import make_form
 from hexjet_sitl import betaflight as theirs
-from hexjet_sitl.block import AutopilotBlock
 from hexjet_sitl.firmware_parameters import find_torque_scale
+from hexjet_sitl.lockstep import Setup
 from hexjet_sitl.run import fly_autopilot
 
 CC = measure.find_compiler()
@@ -294,8 +295,15 @@ def flown_inside(binary: Path, folder: Path) -> Run:
     doublet = Scenario.load("roll-doublet")
     vehicle, _ = doublet.resolved_vehicle()
     lines = [*theirs.make_gain_settings(vehicle), "set pidsum_limit_yaw = 500"]
-    autopilot = theirs.Betaflight(binary, folder / "betaflight", vehicle, doublet.step_s, lines, free_port(), 60.0)
-    return fly_autopilot(doublet, AutopilotBlock(autopilot, "betaflight", theirs.HANDLING), folder).run
+    autopilot = theirs.Betaflight(
+        binary,
+        folder / "betaflight",
+        vehicle,
+        doublet.step_s,
+        Geodesy(0.0, 0.0),
+        Setup(0, 60.0, free_port(), lines=lines),
+    )
+    return fly_autopilot(doublet, autopilot, folder).run
 
 
 @pytest.mark.long

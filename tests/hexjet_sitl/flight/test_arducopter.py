@@ -21,18 +21,17 @@ from cosim.flight import fly
 from cosim.results.run import Run, open_run
 from cosim.spec.scenario import Scenario
 from hexjet_identify.logs.dataflash import read_notes
-from hexjet_sitl import ardupilot
 from hexjet_sitl.ardupilot import (
-    HANDLING,
+    START_TIMING,
     ArduPilot,
-    LaunchOptions,
     Transmitter,
     TransmitterChannel,
     parse_channel,
 )
-from hexjet_sitl.lockstep import SensorFrame, StickPositions
+from hexjet_sitl.lockstep import SensorFrame, Setup, StickPositions
 from hexjet_sitl.parameters import ardupilot_sticks
-from hexjet_sitl.prepare import Setup, prepare
+from hexjet_sitl.prepare import prepare
+from hexjet_sitl.run import fly_autopilot
 
 QUADROTOR = Scenario.load("hover").replace(aircraft="quadrotor", step_s=0.0025)
 DOUBLET = ["--aircraft", "quadrotor", "--set", "step_s=0.0025", "--scenario", "roll-doublet", "--set", "duration_s=7"]
@@ -40,13 +39,13 @@ DOUBLET = ["--aircraft", "quadrotor", "--set", "step_s=0.0025", "--scenario", "r
 STAND_S = 32.0  # of which the stand-in needs 25 to be ready; the program itself takes longer to have a place
 SHORTER = (
     "from dataclasses import replace; from hexjet_sitl import ardupilot; "
-    f"ardupilot.HANDLING = replace(ardupilot.HANDLING, before_s={STAND_S}); "
+    f"ardupilot.ArduPilot.timing = replace(ardupilot.START_TIMING, before_s={STAND_S}); "
 )
 
 
 @pytest.fixture(autouse=True)
 def shorter_stand(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ardupilot, "HANDLING", replace(HANDLING, before_s=STAND_S))
+    monkeypatch.setattr(ArduPilot, "timing", replace(START_TIMING, before_s=STAND_S))
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +127,7 @@ def test_tilting_banks_are_flown_by_the_script(program: Path, tmp_path: Path) ->
     pitch, yaw = (Scenario.load(f"{axis}-doublet") for axis in ("pitch", "yaw"))
     scenario = pitch.replace(engine="edf", command=[*pitch.command, *yaw.command], duration_s=4.0)
     prepared = prepare("ardupilot", scenario, tmp_path, program, Setup(220, PATIENCE))
-    run = prepared.fly(scenario, tmp_path, page=False).run
+    run = fly_autopilot(scenario, prepared, tmp_path, page=False).run
     assert run.outcome == "completed", run.reason
     for axis, degrees, off in (("pitch", 10.0, 0.5), ("yaw", 20.0, 1.5), ("roll", 0.0, 0.5)):
         assert np.degrees(run.log[f"{axis}_rad"][-25:]).mean() == pytest.approx(degrees, abs=off), axis
@@ -145,12 +144,12 @@ def test_it_holds_its_place_by_itself_once_the_switch_is_raised(program: Path, t
     for name, holds in ((early, True), (program, False)):
         folder = tmp_path / f"run-{holds}"
         prepared = prepare("ardupilot", scenario, folder, name, Setup(221, PATIENCE, hold_from_s=0.5))
-        run = prepared.fly(scenario, folder, page=False).run
+        run = fly_autopilot(scenario, prepared, folder, page=False).run
         away = np.hypot(run.log["north_m"], run.log["east_m"])
         said = (folder / "ardupilot" / "ardupilot.log").read_text()
         assert ("requires position" not in said, bool(away[-1] < 1.0)) == (holds, holds), (said, away[-1], run.reason)
         assert not holds or np.abs(run.log["altitude_m"] - 10.0).max() < 0.3
-    assert HANDLING.before_s > PLACE_S + 10.0
+    assert START_TIMING.before_s > PLACE_S + 10.0
 
 
 def test_hands_off_it_stands_where_it_is_until_a_station_takes_it(program: Path, tmp_path: Path) -> None:
@@ -158,7 +157,7 @@ def test_hands_off_it_stands_where_it_is_until_a_station_takes_it(program: Path,
     scenario = Scenario.load("climb-and-land").replace(aircraft="quadrotor", engine="motor", step_s=0.0025, command=[])
     scenario = scenario.replace(duration_s=1.0, expect=[])
     made = prepare("ardupilot", scenario, tmp_path, program, Setup(222, PATIENCE, hands_off=True))
-    run = made.fly(scenario, tmp_path, page=False).run
+    run = fly_autopilot(scenario, made, tmp_path, page=False).run
     assert run.outcome == "completed", run.reason
     assert np.abs(run.log["altitude_m"] - run.log["altitude_m"][0]).max() < 1e-3
     assert "rming motors" not in (tmp_path / "ardupilot" / "ardupilot.log").read_text()
@@ -175,7 +174,7 @@ def test_a_flight_whose_log_does_not_list_all_names_says_that_nobody_checked_the
         vehicle,
         0.0025,
         Geodesy(22.35, 113.59),
-        LaunchOptions(219, parameters={"NO_SUCH": 1.0}, defaults=tmp_path),
+        Setup(219, parameters={"NO_SUCH": 1.0}, defaults=tmp_path),
     )
     with suppress(FlightError):
         ours.start()
@@ -256,7 +255,9 @@ def test_the_throttle_that_is_meant_is_what_comes_out_of_its_stick(hover: float)
             frame = SensorFrame(
                 50.0, *[(0.0, 0.0, 0.0)] * 2, (1.0, 0.0, 0.0, 0.0), *[(0.0, 0.0, 0.0)] * 2, 10.0, sticks
             )
-            share = heard(ours.compute_pulses(frame), {}).throttle(hover) / np.cos(np.radians(roll * HANDLING.lean_deg))
+            share = heard(ours.compute_pulses(frame), {}).throttle(hover) / np.cos(
+                np.radians(roll * START_TIMING.lean_deg)
+            )
             assert 0.1 + 0.8 * share == pytest.approx(throttle, abs=0.002)
 
 

@@ -14,7 +14,9 @@ from cosim.base.errors import FlightError
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
 from hexjet_sitl import ardupilot
-from hexjet_sitl.prepare import Setup, prepare
+from hexjet_sitl.lockstep import Setup
+from hexjet_sitl.prepare import prepare
+from hexjet_sitl.run import fly_autopilot
 
 HOVER = Scenario.load("hover").replace(aircraft="quadrotor", engine="motor", step_s=0.0025, duration_s=0.1)
 DOUBLET = Scenario.load("roll-doublet").replace(aircraft="quadrotor", engine="motor", step_s=0.0025, duration_s=3.0)
@@ -23,7 +25,7 @@ DOUBLET = Scenario.load("roll-doublet").replace(aircraft="quadrotor", engine="mo
 @pytest.fixture(autouse=True)
 def shorter_stand(monkeypatch: pytest.MonkeyPatch) -> None:
     """The stand-in is ready after 25 s."""
-    monkeypatch.setattr(ardupilot, "HANDLING", replace(ardupilot.HANDLING, before_s=32.0))
+    monkeypatch.setattr(ardupilot.ArduPilot, "timing", replace(ardupilot.START_TIMING, before_s=32.0))
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +35,8 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def flown(program: Path, folder: Path, scenario: Scenario, instance: int, **parameters: float) -> Run:
     setup = Setup(instance, PATIENCE, parameters=parameters)
-    return prepare("ardupilot", scenario, folder, program, setup).fly(scenario, folder, page=False).run
+    autopilot = prepare("ardupilot", scenario, folder, program, setup)
+    return fly_autopilot(scenario, autopilot, folder, page=False).run
 
 
 def test_serial_ports_as_they_ship_wait_for_a_station(
@@ -55,7 +58,8 @@ def test_a_rate_looked_at_in_its_first_packets_is_not_what_it_is_set_to(
 
 @pytest.mark.long
 def test_armed_too_late_it_holds_its_motors(program: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ardupilot, "HANDLING", replace(ardupilot.HANDLING, arming_s=1.5, throttle_s=1.0))
+    timing = replace(ardupilot.ArduPilot.timing, arming_s=1.5, throttle_s=1.0)
+    monkeypatch.setattr(ardupilot.ArduPilot, "timing", timing)
     assert "ardupilot was not armed within 32 s" in (flown(program, tmp_path, HOVER, 215).reason or "")
 
 

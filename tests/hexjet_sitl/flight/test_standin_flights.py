@@ -14,21 +14,20 @@ from patience import PATIENCE
 from cosim.base.geodesy import Geodesy
 from cosim.flight import fly
 from cosim.spec.scenario import Scenario
-from hexjet_sitl import px4
-from hexjet_sitl.ardupilot import ArduPilot, LaunchOptions
-from hexjet_sitl.block import AutopilotBlock
-from hexjet_sitl.lockstep import Autopilot, StartTiming
+from hexjet_sitl.ardupilot import ArduPilot
+from hexjet_sitl.lockstep import Autopilot, Setup, StartTiming
 from hexjet_sitl.px4 import Px4
 from hexjet_sitl.run import AutopilotRun, fly_autopilot
 
 HOVER = Scenario.load("hover").replace(duration_s=1.0, engine="edf")
 VEHICLE = HOVER.resolved_vehicle()[0]
 PLACE = Geodesy(22.35, 113.59)
-HANDLING = StartTiming(before_s=2.0, arming_s=1.5, throttle_s=0.5, lean_deg=35.0, turn_deg_s=150.0)
+START_TIMING = StartTiming(before_s=2.0, arming_s=1.5, throttle_s=0.5, lean_deg=35.0, turn_deg_s=150.0)
 
 
-def fly_it(autopilot: Autopilot, label: str, folder: Path, scenario: Scenario = HOVER) -> AutopilotRun:
-    return fly_autopilot(scenario, AutopilotBlock(autopilot, label, HANDLING), folder)
+def fly_it(autopilot: Autopilot, folder: Path, scenario: Scenario = HOVER) -> AutopilotRun:
+    autopilot.timing = START_TIMING  # type: ignore[misc]
+    return fly_autopilot(scenario, autopilot, folder)
 
 
 def same_again(flown: AutopilotRun, folder: Path) -> None:
@@ -50,9 +49,9 @@ def test_px4_flies_by_the_sticks(tmp_path: Path) -> None:
             [throttle + (-roll if jet.servo == "right" else roll) for jet in VEHICLE.jets] + [pitch, pitch] + [0.0] * 8
         )
 
-    ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, px4.LaunchOptions(31_007, PATIENCE))
+    ours = Px4(None, tmp_path / "px4", VEHICLE, HOVER.step_s, PLACE, Setup(31_007, PATIENCE))
     theirs = Px4StandIn(4560 + 31_007, controls=controls)
-    flown = fly_it(ours, "px4", tmp_path / "run")
+    flown = fly_it(ours, tmp_path / "run")
     theirs.thread.join(PATIENCE)
     assert flown.run.summary.succeeded, flown.run.reason
     assert flown.counts.answers == flown.counts.frames - flown.counts.boot == 750 - 10
@@ -65,7 +64,7 @@ def test_px4_flies_by_the_sticks(tmp_path: Path) -> None:
 
 def test_ardupilot_that_hangs_ends_the_flight_and_keeps_the_run(tmp_path: Path) -> None:
     """Named with step and time; the record flies again as far as it goes."""
-    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, LaunchOptions(3307, PATIENCE))
+    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, Setup(3307, PATIENCE))
     packets = count()
 
     def pulses(told: dict[str, Any]) -> Sequence[int]:
@@ -74,7 +73,7 @@ def test_ardupilot_that_hangs_ends_the_flight_and_keeps_the_run(tmp_path: Path) 
         return [1450] * 6 + [1500] * 10
 
     theirs = ArduPilotStandIn(9002 + 33_070, hang=600, pulses=pulses)
-    flown = fly_it(ours, "ardupilot", tmp_path / "run")
+    flown = fly_it(ours, tmp_path / "run")
     theirs.close()
     assert flown.run.outcome == "failed"
     assert "ardupilot did not answer within 0.5 s at step 100 (0.400 s)" in flown.run.reason
@@ -85,8 +84,8 @@ def test_ardupilot_that_hangs_ends_the_flight_and_keeps_the_run(tmp_path: Path) 
 
 
 def test_one_that_is_not_armed_does_not_fly(tmp_path: Path) -> None:
-    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, LaunchOptions(3308, PATIENCE))
+    ours = ArduPilot(None, tmp_path / "ardupilot", VEHICLE, HOVER.step_s, PLACE, Setup(3308, PATIENCE))
     theirs = ArduPilotStandIn(9002 + 33_080, pulses=lambda told: [1000] * 16)
-    flown = fly_it(ours, "ardupilot", tmp_path / "run")
+    flown = fly_it(ours, tmp_path / "run")
     theirs.close()
     assert (flown.run.outcome, flown.run.reason) == ("failed", "ardupilot was not armed within 2 s, before the flight")

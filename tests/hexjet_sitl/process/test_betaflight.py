@@ -18,10 +18,12 @@ from command_tools import Hexjet
 from stated_figures import stated
 
 from cosim.base.errors import InputError
+from cosim.base.geodesy import Geodesy
 from cosim.base.signals import ZERO3, Sample
 from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Vehicle
 from hexjet_design.assessment import margins
 from hexjet_design.loop.actuator import Actuator
 from hexjet_design.loop.channel import channels
@@ -31,8 +33,7 @@ from hexjet_design.loop.firmware import Firmware, matrices
 from hexjet_design.loop.tuning import Tuning
 from hexjet_identify.logs import read_flight_log
 from hexjet_sitl import betaflight as theirs
-from hexjet_sitl.block import AutopilotBlock
-from hexjet_sitl.lockstep import SensorFrame, StickPositions
+from hexjet_sitl.lockstep import SensorFrame, Setup, StickPositions
 from hexjet_sitl.run import LOCKSTEP, AutopilotRun, fly_autopilot
 
 try:
@@ -73,11 +74,17 @@ def made(scenario: Scenario, folder: Path, gains: str = "vehicle", limit: float 
     assert BINARY is not None
     vehicle, _ = scenario.resolved_vehicle()
     lines = theirs.make_gain_settings(vehicle) if gains == "vehicle" else []
-    return theirs.Betaflight(BINARY, folder / "betaflight", vehicle, scenario.step_s, lines, free_port(), limit)
+    return betaflight(folder / "betaflight", vehicle, lines, limit)
+
+
+def betaflight(folder: Path, vehicle: Vehicle, lines: Sequence[str], limit: float = 60.0) -> theirs.Betaflight:
+    assert BINARY is not None
+    setup = Setup(0, limit, free_port(), lines=lines)
+    return theirs.Betaflight(BINARY, folder, vehicle, 0.004, Geodesy(0.0, 0.0), setup)
 
 
 def fly_with(autopilot: theirs.Betaflight, scenario: Scenario, folder: Path, **more: Any) -> AutopilotRun:
-    return fly_autopilot(scenario, AutopilotBlock(autopilot, "betaflight", theirs.HANDLING), folder, **more)
+    return fly_autopilot(scenario, autopilot, folder, **more)
 
 
 def flown(scenario: Scenario, folder: Path, gains: str = "vehicle") -> AutopilotRun:
@@ -95,7 +102,7 @@ def test_sixty_seconds_with_designed_gains_and_not_one_step_lost(minute: Autopil
     counts, run = minute.counts, minute.run
     assert run.summary.succeeded, run.reason
     assert (counts.boot, counts.answers, counts.repeated, counts.foreign) == (2, counts.frames - 2, 0, 0)
-    assert counts.frames == round(theirs.HANDLING.before_s / 0.004) + 15000
+    assert counts.frames == round(theirs.START_TIMING.before_s / 0.004) + 15000
     assert all(run.metrics[axis].max_abs_error_rad < np.radians(1.0) for axis in ("roll", "pitch"))
     assert np.all(run.log["autopilot_armed"] == 1.0)
     books = json.loads((run.folder / LOCKSTEP).read_text()) if run.folder else {}
@@ -208,9 +215,7 @@ def test_its_loop_is_the_models(tmp_path: Path) -> None:
     """A gyro and an attitude at random go in, motors come out: the matrices that the design reads say the same."""
     vehicle = Scenario.load("hover").replace(vehicle=IN_ITS_LOOP).resolved_vehicle()[0]
     assert BINARY is not None
-    autopilot = theirs.Betaflight(
-        BINARY, tmp_path, vehicle, 0.004, theirs.make_gain_settings(vehicle), free_port(), 60.0
-    )
+    autopilot = betaflight(tmp_path, vehicle, theirs.make_gain_settings(vehicle))
     draw = np.random.default_rng(1)
     rates = 0.2 * np.convolve(draw.standard_normal(400), np.full(5, 0.2), "same")
     angles = 0.15 * np.convolve(draw.standard_normal(400), np.full(20, 0.05), "same")
@@ -367,7 +372,7 @@ def test_one_that_is_killed_or_hangs_is_named_and_the_run_is_kept(
 def test_a_line_that_its_console_refuses_is_told(tmp_path: Path) -> None:
     assert BINARY is not None
     vehicle, _ = Scenario.load("hover").resolved_vehicle()
-    autopilot = theirs.Betaflight(BINARY, tmp_path, vehicle, 0.004, ["set p_role = 12"], free_port())
+    autopilot = betaflight(tmp_path, vehicle, ["set p_role = 12"])
     with pytest.raises(InputError, match="its console refuses 'set p_role = 12'"):
         autopilot.start()
     autopilot.close()
@@ -411,7 +416,7 @@ def test_its_own_blackbox_is_read(tmp_path: Path) -> None:
     lines = [*theirs.make_gain_settings(vehicle), "set blackbox_device = VIRTUAL", "set blackbox_sample_rate = 1/4"]
     assert BINARY is not None
     folder = tmp_path / "run"
-    autopilot = theirs.Betaflight(BINARY, folder / "betaflight", vehicle, scenario.step_s, lines, free_port(), 60.0)
+    autopilot = betaflight(folder / "betaflight", vehicle, lines)
     run = fly_with(autopilot, scenario, folder).run
     (path,) = (folder / "betaflight").glob("LOG*.BF*")
     log = read_flight_log(path)

@@ -18,7 +18,7 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.workers.protocol import time_limit
 from cosim.simulation.controllers.recorded import ACTUATORS
 from hexjet_sitl import betaflight
-from hexjet_sitl.prepare import INSTANCE_PORTS, MOST_INSTANCES, reserve_instance
+from hexjet_sitl.prepare import INSTANCE_PORTS, MAX_INSTANCES, reserve_instance
 
 TABLE: dict[str, Any] = {
     "name": "delays",
@@ -58,7 +58,9 @@ def test_betaflight_flies_a_study_and_any_flight_of_it_again(tmp_path: Path) -> 
     assert columns["success"] == [True, False]
     assert columns["autopilot_missing"] == [0, 0]
     steps = [int(count) for count in columns["steps"]]
-    before = round(betaflight.HANDLING.before_s / 0.004)  # and the step in which a flight is over has no further state
+    before = round(
+        betaflight.START_TIMING.before_s / 0.004
+    )  # and the step in which a flight is over has no further state
     assert [int(count) - steps[k] - before for k, count in enumerate(columns["autopilot_frames"])] == [0, -1]
     assert columns["log_sha256"][0] != columns["log_sha256"][1]
     again = fly_again(open_campaign(tmp_path / "delays"), 1, tmp_path / "again")
@@ -70,16 +72,16 @@ def test_betaflight_flies_a_study_and_any_flight_of_it_again(tmp_path: Path) -> 
 
 def test_a_number_is_held_and_given_back() -> None:
     with reserve_instance() as first, reserve_instance() as second:
-        assert 1 <= first < second <= MOST_INSTANCES
+        assert 1 <= first < second <= MAX_INSTANCES
     with reserve_instance() as third:
         assert third <= first
 
 
 def test_more_than_there_are_numbers_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hexjet_sitl.prepare.MOST_INSTANCES", 0)
+    monkeypatch.setattr("hexjet_sitl.prepare.MAX_INSTANCES", 0)
     with pytest.raises(FlightError, match="fly on this machine already"), reserve_instance():
         pass
-    assert INSTANCE_PORTS + MOST_INSTANCES < 65536
+    assert INSTANCE_PORTS + MAX_INSTANCES < 65536
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,12 @@ import pytest
 from command_tools import Hexjet
 
 from cosim.base.errors import InputError
+from cosim.base.geodesy import Geodesy
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from hexjet_sitl.betaflight import (
     D_SCALE,
     I_SCALE,
-    MOST_GAIN,
+    MAX_GAIN,
     P_SCALE,
     TILT_WEIGHT,
     Betaflight,
@@ -22,6 +23,9 @@ from hexjet_sitl.betaflight import (
     make_gain_settings,
     make_mixer_settings,
 )
+from hexjet_sitl.lockstep import Setup
+
+PLACE = Geodesy(0.0, 0.0)
 
 
 def vehicle(name: str) -> Vehicle:
@@ -77,7 +81,7 @@ def test_gains_are_ours_in_its_units() -> None:
     ):
         for key, scale in (("p", P_SCALE), ("i", I_SCALE), ("d", D_SCALE)):
             unit = degrees(1.0) * scale * worth * (2.5 if (key, axis) == ("i", "yaw") else 1.0)
-            assert set_to[f"{key}_{axis}"] <= MOST_GAIN
+            assert set_to[f"{key}_{axis}"] <= MAX_GAIN
             assert set_to[f"{key}_{axis}"] * unit == pytest.approx(getattr(ours, key), abs=0.5 * unit)
     assert set_to["angle_p_gain"] == round(10.0 * min(hexjet.control.attitude.gain_1_s[:2]))
 
@@ -86,11 +90,11 @@ def test_more_motors_than_it_has_are_refused(tmp_path: Path) -> None:
     hexjet = vehicle("hexjet")
     many = hexjet.model_copy(update={"jets": [*hexjet.jets, hexjet.jets[0]]})
     with pytest.raises(InputError, match="7 engines and 2 servos, and Betaflight has 8 motors"):
-        Betaflight(Path("any"), tmp_path, many, 0.004)
+        Betaflight(Path("any"), tmp_path, many, 0.004, PLACE, Setup())
 
 
 def test_the_program_is_named_where_its_version_is_asked_for(tmp_path: Path) -> None:
-    one = Betaflight(tmp_path / "betaflight_4.6.0_SITL", tmp_path, load_vehicle("hexjet")[0], 0.004)
+    one = Betaflight(tmp_path / "betaflight_4.6.0_SITL", tmp_path, load_vehicle("hexjet")[0], 0.004, PLACE, Setup())
     assert one.report().version == "program betaflight_4.6.0_SITL"
     one.close()
 
@@ -100,7 +104,7 @@ def test_a_busy_port_is_named(tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
         held.bind(("127.0.0.1", 0))
         port = held.getsockname()[1]
-        one = Betaflight(tmp_path / "any", tmp_path, vehicle("hexjet"), 0.004, port=port)
+        one = Betaflight(tmp_path / "any", tmp_path, vehicle("hexjet"), 0.004, PLACE, Setup(port=port))
         with pytest.raises(InputError, match=rf"betaflight: port {port} is in use; .*\(--port\)"):
             one.start()
         one.close()

@@ -17,6 +17,7 @@ from cosim.spec.scenario import Scenario
 from hexjet_sitl import ardupilot, betaflight, px4
 from hexjet_sitl import prepare as preparation
 from hexjet_sitl.firmware_parameters import TARGET_NOTES, write_parameters
+from hexjet_sitl.lockstep import Autopilot, Setup
 from hexjet_sitl.parameters import (
     ardupilot_parameters,
     ardupilot_script,
@@ -25,7 +26,7 @@ from hexjet_sitl.parameters import (
     px4_target,
     read_parameters,
 )
-from hexjet_sitl.prepare import PORT_SPACING, PreparedAutopilot, Setup, find_program, require_program
+from hexjet_sitl.prepare import find_program, require_program
 from hexjet_sitl.study import AutopilotTable
 
 PROGRAM = Path("/bin/true").resolve()  # is never started here
@@ -33,10 +34,10 @@ HOVER = Scenario.load("hover")
 QUAD = HOVER.replace(aircraft="quadrotor", engine="motor", step_s=0.0025)
 
 
-def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> PreparedAutopilot:
+def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, setup: Setup) -> Autopilot:
     """As it would fly, and closed."""
     made = preparation.prepare(name, scenario, folder, program, setup)
-    made.autopilot.close()
+    made.close()
     return made
 
 
@@ -47,7 +48,7 @@ def test_betaflights_console_has_gains_then_what_is_stated(tmp_path: Path) -> No
     console = [*betaflight.make_gain_settings(vehicle), "set p_roll = 12"]
     assert own.details["gains"] == "vehicle"
     assert own.details["console"][-len(console) :] == console
-    assert own.endpoint == f"UDP port {betaflight.PORT + 3 * PORT_SPACING}"
+    assert own.endpoint == f"UDP port {betaflight.PORT + 3 * betaflight.PORT_SPACING}"
     stock = prepare("betaflight", HOVER, tmp_path, PROGRAM, Setup(gains="stock", port=2000))
     assert not set(betaflight.make_gain_settings(vehicle)) & set(stock.details["console"])
     assert stock.endpoint == "UDP port 2000"

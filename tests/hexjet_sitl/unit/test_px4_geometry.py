@@ -16,6 +16,7 @@ from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Jet, Vehicle, aircraft_names, engine_of, load_vehicle
 from hexjet_export.controller.form import make_form
+from hexjet_sitl.lockstep import Setup
 from hexjet_sitl.parameters import (
     PX4_OF_SOME_RELEASES,
     PX4_TARGETS,
@@ -24,7 +25,7 @@ from hexjet_sitl.parameters import (
     px4_target,
     px4_torque_scale,
 )
-from hexjet_sitl.prepare import Setup, prepare
+from hexjet_sitl.prepare import prepare
 from hexjet_sitl.px4 import Px4, check_unknown_parameters, invert_yaw_curve
 
 VEHICLES = [load_vehicle(name)[0] for name in sorted(aircraft_names())]
@@ -141,7 +142,7 @@ def test_a_name_of_another_release_is_missed_by_who_states_it_alone(tmp_path: Pa
     told, setup = px4_target(TOLD[0], STEP, "sitl"), Setup(parameters={"EKF2_GPS_DELAY": 10.0})
     check_unknown_parameters(log, told, PX4_OF_SOME_RELEASES)
     hover = Scenario.load("hover")
-    ours, stated = (prepare("px4", hover, tmp_path, None, how).autopilot for how in (Setup(), setup))
+    ours, stated = (prepare("px4", hover, tmp_path, None, how) for how in (Setup(), setup))
     assert isinstance(ours, Px4)
     assert isinstance(stated, Px4)
     check_unknown_parameters(log, told, ours.optional)
