@@ -29,7 +29,6 @@ DUTY = {
     "flight": "fly(): a scenario to a run",
     "stepper": "a flight that a program steps",
     "gym": "Gymnasium's environment",
-    "design": "controllers for a channel",
     "identify": "from a sweep to a model",
     "groundstation": "MAVLink, local page",
     "aircraft_check": "a vehicle looked over",

@@ -29,8 +29,8 @@ def design_figures(design: Design) -> dict[str, Figure]:
     figures: dict[str, Figure] = {}
     for axis, axis_design in design.axes.items():
         loops = _loops(axis_design)
-        figures[f"bode_{axis}"] = _bode(loops)
-        figures[f"nyquist_{axis}"] = _nyquist(loops, design)
+        figures[f"bode_{axis}"] = bode(_curves(loops))
+        figures[f"nyquist_{axis}"] = nyquist(_curves(loops), design.need.max_sensitivity)
         figures[f"sensitivity_{axis}"] = _sensitivity(loops, design)
         figures[f"step_{axis}"] = _step(loops, axis_design)
     return figures
@@ -64,8 +64,8 @@ class Curve(NamedTuple):
     style: Mapping[str, Any] = MappingProxyType({})
 
 
-def _bode(loops: list[tuple[str, str, ClosedLoop, bool]]) -> Figure:
-    return bode([Curve(label, colour, _hertz(loop), loop.open_loop) for label, colour, loop, _ in loops])
+def _curves(loops: list[tuple[str, str, ClosedLoop, bool]]) -> list[Curve]:
+    return [Curve(label, colour, _hertz(loop), loop.open_loop) for label, colour, loop, _ in loops]
 
 
 def bode(curves: Sequence[Curve], height: int = 460, more: Sequence[str] = ()) -> Figure:
@@ -127,16 +127,14 @@ def _margin_mark(name: str, colour: str, point: MarginPoint, limit: float, panel
     return trace(name, colour, at, [limit, point.value], panel, **style, showlegend=False)
 
 
-def _nyquist(loops: list[tuple[str, str, ClosedLoop, bool]], design: Design) -> Figure:
+def nyquist(curves: Sequence[Curve], peak: float, height: int = 460) -> Figure:
+    """Draw open loops in the complex plane, with the circle on which ``|S|`` is ``peak``."""
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
-    radius = 1.0 / design.need.max_sensitivity
-    data = [trace(f"|S| = {design.need.max_sensitivity:g}", RED, radius * np.cos(turn) - 1.0, radius * np.sin(turn))]
-    for label, colour, loop, _ in loops:
-        value = loop.open_loop
-        near = np.where(np.abs(value) < 2.0 * FAR, value, np.nan)
-        keep = np.isfinite(near)
-        data.append(trace(label, colour, value.real[keep], value.imag[keep]))
-    layout = panels(460, "real part of L", ["imaginary part of L"], False)
+    data = [trace(f"|S| = {peak:.3g}", RED, np.cos(turn) / peak - 1.0, np.sin(turn) / peak)]
+    for curve in curves:
+        near = np.abs(curve.loop) < 2.0 * FAR
+        data.append(trace(curve.label, curve.colour, curve.loop.real[near], curve.loop.imag[near], **curve.style))
+    layout = panels(height, "real part of L", ["imaginary part of L"], False)
     layout["xaxis"]["range"] = [-FAR, 1.0]
     layout["yaxis"] |= {"range": [-FAR / 2.0 - 0.5, FAR / 2.0 + 0.5], "scaleanchor": "x"}
     return {"data": data, "layout": layout}

@@ -16,7 +16,7 @@ from cosim.simulation.controllers.controller_file import Requirements
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import EngineLead, Leads, Schedule, ScheduledGains, ThrustLevel, Vehicle
 from hexjet_design.loop.actuator import Actuator
-from hexjet_design.loop.channel import Channel, channels, hover_fraction
+from hexjet_design.loop.channel import Channel, channels, combine_poles, hover_fraction
 from hexjet_design.loop.criteria import fine_loop, is_acceptable
 from hexjet_design.loop.tuning import Tuning, round_gain
 from hexjet_design.tune import tune_near
@@ -67,8 +67,7 @@ def lead_there(lead: EngineLead | None, channel: Channel) -> EngineLead | None:
     slowest, *others = sorted(channel.actuator.dynamics.poles, key=abs)
     if lead.damping is None:
         return lead.model_copy(update={"natural_rad_s": abs(slowest)})
-    natural = (abs(slowest) * abs(others[0])) ** 0.5
-    damping = -(slowest + others[0]).real / (2.0 * natural)
+    natural, damping = combine_poles(slowest, others[0])
     return lead.model_copy(update={"natural_rad_s": natural, "damping": damping})
 
 

@@ -430,10 +430,15 @@ def engine_lead(channel: Channel) -> EngineLead | None:
     w = abs(slowest)
     # a slow lag beside two poles that swing stands alone
     if others and (slowest.imag or (not others[0].imag and abs(others[0]) < SECOND_POLE_WITHIN * w)):
-        natural = float(np.sqrt(w * abs(others[0])))
-        damping = float(-(slowest + others[0]).real / (2.0 * natural))
+        natural, damping = combine_poles(slowest, others[0])
         return EngineLead(natural_rad_s=natural, damping=damping, pole_rad_s=natural)
     return EngineLead(natural_rad_s=w, pole_rad_s=w)
+
+
+def combine_poles(one: complex, two: complex) -> tuple[float, float]:
+    """Return natural frequency, rad/s, and damping of two poles."""
+    natural = float(np.sqrt(abs(one) * abs(two)))
+    return natural, float(-(one + two).real / (2.0 * natural))
 
 
 def angles(z: Complex) -> Array:

@@ -148,41 +148,9 @@ def measure_margins(
 ) -> MeasuredMargins:
     """Break the loop of each axis at the plant's input while the vehicle holds still, and measure it.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Vehicle, engine, controller and air; its commands, faults and passing disturbances are left out.
-    axes : sequence of str
-        Of roll, pitch and yaw.
-    controller : Any
-        A name, a class or an object in place of the scenario's.
-    amplitude : float or None
-        Peak of what is added, in shares of thrust or rad of tilt; None: 0.03 or 0.06, less where that does not fit.
-        With allocation by effectiveness in rad/s^2; None: as much as moves a thrust or a hinge by that.
-    from_hz, to_hz : float or None
-        The band; None: from two periods on to a tenth of the control rate, and to half of it where the loop's gain does
-        not fall towards the tenth.
-    period_s : float or None
-        Of the multisine [s]; None: 20 s, or 60 s for a loop that is slow.
-    periods : int
-        That are measured, three at least; one goes before them.
-    limit : bool
-        Whether a built-in controller is compared with the best that any linear one could do; some ten seconds an axis.
-    say : callable
-        Is told what is done.
-
-    Returns
-    -------
-    MeasuredMargins
-        Of every axis, with 95 % bounds, and as computed where the controller is built in.
-
-    Raises
-    ------
-    InputError
-        For an unknown axis, a band without lines, an amplitude that does not fit, a limit without its solver, or what
-        cannot be built.
-    FlightError
-        Where the vehicle does not stay in the air, however little is added.
+    Arguments and errors are those of :func:`hexjet_design.measured.api.margins`.  ``amplitude`` None: 0.03 of thrust or
+    0.06 rad, less where that does not fit; with allocation by effectiveness what moves a thrust or a hinge by that.
+    ``to_hz`` None: a tenth of the control rate, or half of it where the loop's gain does not fall towards the tenth.
     """
     if limit:
         need_solver()
@@ -211,20 +179,11 @@ def measure_margins(
     by_axis = {}
     for axis in axes:
         late = sum_transport_samples(ledger, axis)
+        transport_s = None if late is None else late * scenario.step_s
         request = _MarginRequest(
-            scenario,
-            own,
-            axis,
-            taps[axis],
-            amplitude,
-            from_hz,
-            to_hz,
-            period_s,
-            periods,
-            None if late is None else late * scenario.step_s,
-            known if taps[axis].by_thrust else None,
-            say,
-        )
+            scenario, own, axis, taps[axis], amplitude, from_hz, to_hz, period_s, periods, transport_s,
+            known if taps[axis].by_thrust else None, say,
+        )  # fmt: skip
         by_axis[axis] = request.measure(None if isinstance(computed_margins, str) else computed_margins[axis])
     source = None if known is None else known.table.source
     uncomputed = computed_margins if isinstance(computed_margins, str) else ""
@@ -262,19 +221,9 @@ class _MarginRequest:
         crossing = response.margins.get("crossover_hz")
         known = None if self.sensitivity is None or crossing is None else self.sensitivity.at(crossing.value)
         return AxisMargins(
-            self.axis,
-            self.tap.unit,
-            sine,
-            size,
-            self.periods,
-            response,
-            other,
-            computed,
-            _notes(response, other),
-            known,
-            self._over_engine(response),
-            self.transport_s,
-        )
+            self.axis, self.tap.unit, sine, size, self.periods, response, other, computed, _notes(response, other),
+            known, self._over_engine(response), self.transport_s,
+        )  # fmt: skip
 
     def _over_engine(self, response: Response) -> EngineRange | None:
         if self.sensitivity is None:

@@ -11,8 +11,8 @@ import numpy as np
 
 from cosim.base.storage.files import write_files
 from cosim.engine.fmu.uncertainty import ParameterRange
-from cosim.pages import BLUE, GREY, ORANGE, RED, beneath, panels, render, trace
-from hexjet_design.figures import FAR, Curve, Figure, bode
+from cosim.pages import BLUE, GREY, ORANGE, beneath, panels, render, trace
+from hexjet_design.figures import Curve, Figure, bode, nyquist
 from hexjet_design.measured.axis_margins import AxisMargins
 from hexjet_design.measured.engine_range import EngineRange
 from hexjet_design.measured.judgement import COLUMNS as JUDGED_COLUMNS
@@ -169,7 +169,7 @@ def figures(margins: MeasuredMargins) -> dict[str, Figure]:
     for axis, measured in margins.axes.items():
         drawn |= {
             f"bode_{axis}": _bode(measured),
-            f"nyquist_{axis}": _nyquist(measured),
+            f"nyquist_{axis}": nyquist(_curves(measured), measured.response.margins["peak_sensitivity"].value, 560),
             f"peak_{axis}": _peak(measured),
         }
     return drawn
@@ -204,20 +204,6 @@ def _bode(measured: AxisMargins) -> Figure:
     figure["data"].append(coherence | {"showlegend": True})
     figure["layout"]["yaxis3"]["range"] = [0.0, 1.05]
     return figure
-
-
-def _nyquist(measured: AxisMargins) -> Figure:
-    turn = np.linspace(0.0, 2.0 * np.pi, 200)
-    peak = measured.response.margins["peak_sensitivity"].value
-    circle = trace(f"|S| = {peak:.2f}", RED, np.cos(turn) / peak - 1.0, np.sin(turn) / peak)
-    data = [circle]
-    for label, colour, _, loop, style in _curves(measured):
-        near = np.abs(loop) < 2.0 * FAR
-        data.append(trace(label, colour, loop.real[near], loop.imag[near], **style))
-    layout = panels(560, "real part of L", ["imaginary part of L"], False)
-    layout["xaxis"]["range"] = [-FAR, 1.0]
-    layout["yaxis"] |= {"range": [-FAR / 2.0 - 0.5, FAR / 2.0 + 0.5], "scaleanchor": "x"}
-    return {"data": data, "layout": layout}
 
 
 def _peak(measured: AxisMargins) -> Figure:
