@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from cosim.stepper import Snapshot, Stepper
     from hexjet_design.api import design
     from hexjet_design.measured.api import margins
-    from hexjet_export.api import export_controller, export_vehicle
+    from hexjet_export.controller.export import export_controller
+    from hexjet_export.vehicle.export import export_vehicle
     from hexjet_identify.api.bench import identify_bench
     from hexjet_identify.api.logs import identify_log, validate
     from hexjet_identify.api.replay import replay

@@ -2,7 +2,7 @@
 
 from cosim.base.storage.files import map_os_errors, read_text, write_whole
 from cosim.base.storage.paths import data_folder
-from cosim.base.storage.scratch import scratch
+from cosim.base.storage.scratch import scratch, temporary
 from cosim.base.storage.toml import Model, parse_numbers, read_toml, validate
 from cosim.flight import new_folder
 
@@ -15,6 +15,7 @@ __all__ = [
     "read_text",
     "read_toml",
     "scratch",
+    "temporary",
     "validate",
     "write_whole",
 ]

@@ -36,7 +36,7 @@ DUTY = {
     "shelf": "the folder of runs as a page",
     "cli": "one file a command",
 }
-PUBLIC = {"commands", "files", "logs", "loops", "pages", "studies"}  # names handed on to programs outside
+PUBLIC = {"blocks", "commands", "files", "logs", "loops", "pages", "studies"}  # names handed on to programs outside
 BLUE, GREY, INK = "#2a78d6", "#8a939b", "#1c2733"
 
 

@@ -133,7 +133,7 @@ def flights(seconds: float, substeps: int, folder: Path, fmu: bool = True) -> di
     }
     if not fmu:
         return scenarios
-    exported = export_controller(hover.replace(duration_s=0.1), folder / "exported", "cascade")
+    exported = export_controller(hover.replace(duration_s=0.1), folder / "exported", name="cascade")
     archives = [name for name in exported.files if name.endswith(".fmu")]
     if archives:
         scenarios[FMU] = hover.replace(controller=str(folder / "exported" / archives[0]))

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from cosim.api.studies import SweepResult
     from hexjet_design.api import DesignResult
     from hexjet_design.measured.api import MarginsResult
-    from hexjet_export.api import ControllerExport, VehicleExport
+    from hexjet_export.controller.export import ControllerExport
+    from hexjet_export.vehicle.export import VehicleExport
     from hexjet_identify.api.bench import BenchIdentifyResult
     from hexjet_identify.api.logs import LogIdentifyResult, ValidateResult
     from hexjet_identify.api.replay import ReplayResult

@@ -13,11 +13,7 @@ from cosim.results.run import Run
 
 @checked()
 def export(
-    run: Run | str | Path,
-    to: str,
-    out: str | Path | None = None,
-    *,
-    rates: Literal["all", "px4"] = "all",
+    run: Run | str | Path, to: str, out: str | Path | None = None, *, rates: Literal["all", "px4"] = "all"
 ) -> Path:
     """Write the log of a run for other tools.
 

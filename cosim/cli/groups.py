@@ -82,5 +82,6 @@ class Group(click.Group):
             for name, command in found.items()
             if command is not None and not command.hidden
         ]
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
+        if rows:
+            with formatter.section("Commands"):
+                formatter.write_dl(rows)

@@ -37,16 +37,12 @@ def list_endings() -> dict[str, tuple[str, ...]]:
 def export_log(to: str, folder: Path, out: Path | None = None, **options: Any) -> Path:
     """Write the log of the run in ``folder`` as a file of a format and return its path.
 
-    ``out`` is the file or its folder, None that of the run.  Raises InputError for a format that is not installed, for
-    a file that ends as one of another format or belongs to the run, where there is no run, and for a file that cannot
-    be written.
+    ``out`` is the file or its folder, None that of the run.  Raises InputError for what cannot be read or written.
     """
     path, run = log_path(to, folder if out is None else out), open_run(folder)
     if path.name in RUN_FILES and path.resolve().parent == folder.resolve():
-        reason = "belongs to the run itself; choose another name"
-        if path.name == LOG:
-            reason = "the log is Parquet already; --out FILE makes a copy that says what was flown"
-        raise InputError(f"{path}: {reason}")
+        is_log, copy = path.name == LOG, "the log is Parquet already; --out FILE makes a copy that says what was flown"
+        raise InputError(f"{path}: {copy if is_log else 'belongs to the run itself; choose another name'}")
     write = _OWN.get(to) or next(each for each in list_tools(GROUP) if each.name.partition(".")[0] == to).load()
     try:
         with replace_on_success(path) as temporary:
@@ -62,7 +58,7 @@ def log_path(to: str, out: Path) -> Path:
     """Return the file of a format in ``out``, or ``out`` where it is one.  Raises InputError for another's ending."""
     endings = list_endings()
     if to not in endings:
-        raise InputError(f"--to: {to!r}: {nearest(to, endings)}")
+        raise InputError(f"export: to: {to!r}: {nearest(to, endings)}")
     if out.is_dir() or not any(out.suffix.lower() in each for each in endings.values()):
         return out / f"flight{endings[to][0]}"
     if out.suffix.lower() not in endings[to]:

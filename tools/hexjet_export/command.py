@@ -5,10 +5,7 @@ from __future__ import annotations
 import click
 
 from cosim.api.call import Result
-from cosim.cli import opt
-from cosim.cli.console import CommandProgress, echo
-from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example
-from cosim.cli.outputs import Out
+from cosim.commands import DONE, FLIGHT_FAILED, CommandProgress, Flight, Out, echo, example, opt
 
 
 class ExportOptions(Flight, opt.Output):
@@ -17,10 +14,10 @@ class ExportOptions(Flight, opt.Output):
     scenario = opt.word(
         "--scenario",
         "NAME|FILE",
-        "What is flown, with aircraft, engine and controller where they are not given.",
+        "What is flown (a controller's test), with aircraft, engine and controller where they are not given.",
         "roll-doublet",
     )
-    controller = opt.word("--controller", "NAME|FILE", "Overrides the scenario's.")
+    controller = opt.word("--controller", "NAME|FILE", "Overrides the scenario's; or a file that hexjet design wrote.")
     aircraft = opt.word("--aircraft", "NAME|DIR", "Overrides the scenario's, with the engine that it is made for.")
     engines = opt.words("--engine", "[N=]NAME|FILE", "Overrides the scenario's.")
     settings = opt.words("--set", "KEY=VALUE", "Write a value over the scenario's.")
@@ -29,15 +26,6 @@ class ExportOptions(Flight, opt.Output):
 class ExportController(ExportOptions):
     """Options of ``hexjet export controller``."""
 
-    scenario = opt.word(
-        "--scenario",
-        "NAME|FILE",
-        "The flight that becomes the test, with aircraft, engine and controller where they are not given.",
-        "roll-doublet",
-    )
-    controller = opt.word(
-        "--controller", "NAME|FILE.toml", "Overrides the scenario's; or a file that hexjet design wrote."
-    )
     name = opt.word("--name", None, "Name of files, functions and types, an identifier.", "controller")
     licence = opt.word(
         "--licence",
@@ -64,7 +52,7 @@ def controller(options: ExportController) -> int:
     The scenario is flown once; the C is compiled and compared with that flight where there is a compiler.  Status 1:
     it does not repeat the flight to the last bit.
     """
-    from hexjet_export.api import export_controller
+    from hexjet_export.controller.export import export_controller
 
     result = export_controller(
         options.load(),
@@ -103,7 +91,7 @@ def vehicle(options: ExportVehicle) -> int:
     The FMU flies the scenario in a Python with hexjet-cosim, which it starts itself: this one, or that which
     HEXJET_PYTHON names.
     """
-    from hexjet_export.api import export_vehicle
+    from hexjet_export.vehicle.export import export_vehicle
 
     chosen = options.chosen("outside", "kind", "name")
     result = export_vehicle(options.load(), options.out, progress=CommandProgress(), **chosen)

@@ -8,7 +8,6 @@ import shlex
 import shutil
 import subprocess
 from pathlib import Path
-from typing import Any
 
 import pytest
 from command_tools import Hexjet
@@ -144,7 +143,7 @@ def test_a_microcontroller_repeats_the_flight(flown: Path, board: str, flags: li
 def test_single_precision_says_where_it_is_not_enough(tmp_path: Path) -> None:
     """The one built-in controller of docs/controller-export.md that a float does not carry."""
     flight = scenario("full-scale-roll-doublet", controller="filtered-smith", duration_s=3.0)
-    done = export_controller(flight, tmp_path / "out", "ours", fmus=False)
+    done = export_controller(flight, tmp_path / "out", name="ours", fmus=False).exported
     assert done.measured is not None
     assert (done.measured.same, done.measured.float_passes) == (True, False)
     assert "not within half a step of a 12-bit command" in (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
@@ -213,7 +212,9 @@ def test_no_heap_no_globals_no_library_but_mathematics(flown: Path, tmp_path: Pa
 def exported(tmp_path_factory: pytest.TempPathFactory) -> ExportedController:
     """A whole folder."""
     folder = tmp_path_factory.mktemp("exported") / "out"
-    return export_controller(scenario(HEXJET, controller="smith", duration_s=2.0), folder, "ours", "MIT")
+    return export_controller(
+        scenario(HEXJET, controller="smith", duration_s=2.0), folder, name="ours", licence="MIT"
+    ).exported
 
 
 def test_a_folder_has_what_is_said_of_it(exported: ExportedController) -> None:
@@ -299,19 +300,11 @@ def test_flown_back_it_leaves_the_same_log(case: str, exported: ExportedControll
     """Every sample of every column, as bytes: NaN included."""
     file, name, changes = BACK[case]
     flight = scenario(name, **{"duration_s": 2.0, **changes})
-    folder = exported.folder if case == "FMI 3" else export_controller(flight, tmp_path / "out", "ours").folder
+    folder = exported.folder if case == "FMI 3" else export_controller(flight, tmp_path / "out", name="ours").folder
     ours = fly(flight, report=False).log
     theirs = fly(flight.replace(controller=str(folder / file)), report=False).log
     assert theirs.columns == ours.columns
     assert [column for column in ours.columns if ours[column].tobytes() != theirs[column].tobytes()] == []
-
-
-def test_the_log_of_a_run_is_exported_as_before(hexjet: Hexjet, tmp_path: Path) -> None:
-    run = str(tmp_path / "run")
-    assert hexjet("fly", "hover", "--set", "duration_s=0.2", "--out", run).status in (0, 1)
-    assert hexjet("export", run, "--to", "csv").out.strip() == str(tmp_path / "run" / "flight.csv")
-    assert hexjet("export", "--to", "csv", run).status == 0
-    assert hexjet("export", run).status == 2
 
 
 @pytest.mark.parametrize(
@@ -373,21 +366,7 @@ def test_laws_that_are_named_have_a_c_form_and_others_say_which_have(name: str) 
 def test_a_flight_by_requests_is_refused(tmp_path: Path) -> None:
     flight = scenario(HEXJET).model_copy(update={"requests": "requests.jsonl"})
     with pytest.raises(InputError, match="is flown by an autopilot's requests; choose one with commands"):
-        export_controller(flight, tmp_path / "out", "ours")
-
-
-def test_loops_from_outside_are_refused() -> None:
-    class Loop:
-        def __getattr__(self, name: str) -> Any:
-            return lambda *_: (0.0, 0.0, 0.0)
-
-    with build(scenario(HEXJET)) as simulation:
-        try:
-            simulation.cascade.attitude = Loop()  # type: ignore[assignment]
-        except TypeError:
-            pytest.skip("compiled, an attitude loop is of its class")
-        with pytest.raises(InputError, match="the loop Loop has no C form; allowed: the built-in ones"):
-            make_form(simulation)
+        export_controller(flight, tmp_path / "out", name="ours")
 
 
 @pytest.mark.parametrize("level", ["predictor", "rate", "controller"])
@@ -398,7 +377,7 @@ def test_a_controller_of_the_users_is_refused_by_its_name(level: str, tmp_path: 
     )
     flight = scenario(HEXJET).replace(controller=f"{path}:Mine")
     with pytest.raises(InputError, match=r"^controller mine\.py:Mine has no C form; allowed: baseline, "):
-        export_controller(flight, tmp_path / "out", "ours")
+        export_controller(flight, tmp_path / "out", name="ours")
     assert not (tmp_path / "out").exists()
 
 
@@ -417,7 +396,7 @@ def test_without_a_compiler_the_text_is_written_and_nothing_claimed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
-    done = export_controller(scenario(HEXJET, duration_s=0.1), tmp_path / "out", "ours", fmus=False)
+    done = export_controller(scenario(HEXJET, duration_s=0.1), tmp_path / "out", name="ours", fmus=False).exported
     assert done.measured is None
     assert "nothing: no C compiler was found" in (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
 
@@ -428,7 +407,7 @@ def test_a_compiler_that_refuses_is_one_line(tmp_path: Path, monkeypatch: pytest
     compiler.chmod(0o755)
     monkeypatch.setenv("CC", str(compiler))
     with pytest.raises(InputError, match=r"refuses: x\.c:1: error: out of sorts"):
-        export_controller(scenario(HEXJET, duration_s=0.1), tmp_path / "out", "ours", fmus=False)
+        export_controller(scenario(HEXJET, duration_s=0.1), tmp_path / "out", name="ours", fmus=False)
 
 
 def test_the_stack_is_that_of_the_deepest_way() -> None:

@@ -58,7 +58,7 @@ def ours() -> Run:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return export_vehicle(doublet(), tmp_path_factory.mktemp("whole") / "out", "ours", VehicleContents()).folder
+    return export_vehicle(doublet(), tmp_path_factory.mktemp("whole") / "out", name="ours").exported.folder
 
 
 @pytest.fixture(scope="module")
@@ -189,7 +189,7 @@ def test_other_versions_are_refused_by_name(whole: Path, tmp_path: Path, monkeyp
 def system(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The SSP, and what is in it, in one folder."""
     folder = tmp_path_factory.mktemp("system")
-    done = export_vehicle(doublet(), folder / "out", "ours", VehicleContents(), fmis=(2,), system=True)
+    done = export_vehicle(doublet(), folder / "out" / "ours-fmi2.ssp", kind="ssp", name="ours").exported
     assert done.files == ["ours-fmi2.ssp"]
     with zipfile.ZipFile(done.folder / "ours-fmi2.ssp") as ssp:
         ssp.extractall(folder)

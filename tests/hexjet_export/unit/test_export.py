@@ -235,8 +235,7 @@ def test_flights_of_next_to_nothing(tmp_path: Path, rows: int) -> None:
     assert sum(len(topic.data["timestamp"]) for topic in log.data_list) == len(TOPICS) * rows
 
 
-@pytest.mark.parametrize("to", ["csv", "ulog"])
-def test_bad_targets_are_one_line(run: Run, tmp_path: Path, to: str) -> None:
+def test_bad_targets_are_one_line(run: Run, tmp_path: Path) -> None:
     assert run.folder is not None
     (tmp_path / "file").write_text("")
     for folder, path in (
@@ -246,6 +245,6 @@ def test_bad_targets_are_one_line(run: Run, tmp_path: Path, to: str) -> None:
     ):
         before = (run.folder / LOG).read_bytes()
         with pytest.raises(InputError) as complaint:
-            export_log(to, folder, path)
+            export_log("ulog", folder, path)
         assert "\n" not in str(complaint.value)
         assert (run.folder / LOG).read_bytes() == before

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from cosim.base.errors import InputError
+from cosim import InputError
 from cosim.base.signals import Vector3
 from hexjet_export.controller.files import (
     NO_LICENCE,

@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, Literal
 
-from cosim.base.errors import FlightError, InputError
-from cosim.base.signals import Vector3
-from cosim.base.storage.paths import data_folder
-from cosim.base.storage.scratch import temporary
+from cosim import FlightError, InputError, Scenario
+from cosim.api.call import Progress, Result, checked
+from cosim.api.call.choices import choose
 from cosim.base.trust import remember_written
+from cosim.blocks import build
 from cosim.engine.library import FMI_VERSIONS, BuildError, EngineDefinition, VariableDefinition, archive_path, build_one
-from cosim.simulation.build import build
-from cosim.spec.scenario import Scenario
+from cosim.files import data_folder, temporary
 from hexjet_export.controller.adapters import PROGRAM_LICENCES, render_adapter
 from hexjet_export.controller.files import NO_LICENCE, Labels, render, render_sources
 from hexjet_export.controller.form import make_form
 from hexjet_export.controller.measure import Measurements, measure
 from hexjet_export.controller.predictor_form import Form
 from hexjet_export.controller.quantity import Quantity, define_variables
-from hexjet_export.controller.vectors import INPUT_QUANTITIES, RecordedFlight, list_output_names, record_vectors
-
-_OUTPUTS = {
-    "throttle": ("1", "Throttle of jet"),
-    "tilt": ("rad", "Tilt, positive forward: servo"),
-    "unallocated": ("1", "Asked for less given:"),
-    "shown": ("1", "To look at:"),
-    "off": ("1", "1 where shut off on purpose: jet"),
-}
+from hexjet_export.controller.vectors import INPUT_QUANTITIES, RecordedFlight, list_outputs, record_vectors
 
 
 @dataclass(frozen=True)
@@ -43,40 +35,122 @@ class ExportedController:
     without_fmus: str | None  # why there are none
 
 
+class ControllerExport(Result):
+    """A controller as C99, with its test and its FMUs.
+
+    Attributes
+    ----------
+    exported : ExportedController
+        Everything.
+    """
+
+    def __init__(self, exported: ExportedController, loops: bool) -> None:
+        self.exported = exported
+        self.files = {name: exported.folder / name for name in exported.files}
+        self._loops = loops
+
+    @property
+    def folder(self) -> Path:
+        """The folder that the files are in."""
+        return self.exported.folder
+
+    @property
+    def same(self) -> bool | None:
+        """Whether the C repeats the flight to the last bit; None where there is no C compiler to try it with."""
+        return None if self.exported.measured is None else self.exported.measured.same
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet export controller --json`` prints."""
+        return asdict(self.exported) | {"folder": str(self.exported.folder)}
+
+    def lines(self) -> list[str]:
+        """Return the files, and how the test went."""
+        done = self.exported
+        figures = [f"{quantity}: {value}" for quantity, value in list_figures(done.measured, self._loops)]
+        missing = [] if done.without_fmus is None else [f"no FMUs: {done.without_fmus}"]
+        return [f"{done.folder}: {', '.join(done.files)}", f"test vectors: {done.steps} steps", *figures, *missing]
+
+
+@checked()
 def export_controller(
-    scenario: Scenario,
-    folder: Path,
-    name: str,
+    scenario: Scenario | str | Path = "roll-doublet",
+    out: str | Path | None = None,
+    *,
+    controller: str | Path | None = None,
+    aircraft: str | Path | None = None,
+    engine: str | Path | Sequence[str] | None = None,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    name: str = "controller",
     licence: str | None = None,
     fmus: bool = True,
-    source: str = "",
-    inside: Mapping[str, Vector3] | None = None,
     loops: bool = False,
-) -> ExportedController:
-    """Fly a scenario and write its controller, as C and as FMUs, with the flight as test vectors.
+    inside: Sequence[Literal["px4", "ardupilot", "betaflight"]] = (),
+    progress: Progress | None = None,
+) -> ControllerExport:
+    """Write a controller as C99 with parameters, test vectors and test program, and as FMI 2.0 and 3.0 FMUs.
 
-    ``name``: of files, functions and types; ``licence``: stated in every file but those of adapters that are a
-    part of an autopilot's program; ``source``: the controller's file;
-    ``loops``: the loops alone, for a mixer of one's own;
-    ``inside``: autopilots that get adapters, and what a torque of 1 is to each, see :func:`.adapters.adapter_texts`.
-    Raises InputError for what has no C form, for a folder that is not empty, and for a flight that fails.
+    The scenario is flown once; the C is compiled and compared with that flight where there is a compiler.
+
+    Parameters
+    ----------
+    scenario : Scenario or str or Path
+        The flight that becomes the test, with aircraft, engine and controller where they are not given.
+    out : str or Path or None
+        A new or an empty folder; None: one called ``name``.
+    controller : str or Path or None
+        In place of the scenario's: a name, or a design's file.
+    aircraft : str or Path or None
+        In place of the scenario's, with the engine that it is made for.
+    engine : str or Path or sequence of str or None
+        In place of the scenario's.
+    settings : sequence of str or mapping
+        Written over the scenario's.
+    name : str
+        Name of files, functions and types, an identifier.
+    licence : str or None
+        Stated in every file that is ours alone, an SPDX expression; None: NOASSERTION.
+    fmus : bool
+        Whether FMUs are built too.
+    loops : bool
+        Whether it is the attitude, rate and altitude loops alone, for a mixer of your own.
+    inside : sequence of str
+        Autopilots that get its rate loop for their inside, each in a folder of its own.
+    progress : Progress or None
+        Hears notes.
+
+    Returns
+    -------
+    ControllerExport
+        The files, and whether the C repeats the flight.
+
+    Raises
+    ------
+    InputError
+        For what has no C form, for a folder that is not empty, and for a flight that fails.
     """
+    from hexjet_sitl.firmware_parameters import find_torque_scale
+
+    hears, folder = progress or Progress(), Path(name if out is None else out)
+    flown = choose(scenario, controller, aircraft, engine, settings, note=hears.note)
+    source = next((Path(each.file).name for each in flown.parameter_files if each.kind == "design"), "")
+    vehicle, _ = flown.resolved_vehicle()
+    torques = {autopilot: find_torque_scale(autopilot, vehicle) for autopilot in inside}
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")
     if loops and inside:
         raise InputError("--loops: not with --for, whose adapters have the allocation")
-    if scenario.requests is not None:
-        raise InputError(f"scenario {scenario.name}: is flown by an autopilot's requests; choose one with commands")
-    labels = Labels(name, f"{scenario.aircraft_name} with {scenario.controller}", licence, ())  # before the flight
-    with build(scenario) as simulation:
+    if flown.requests is not None:
+        raise InputError(f"scenario {flown.name}: is flown by an autopilot's requests; choose one with commands")
+    labels = Labels(name, f"{flown.aircraft_name} with {flown.controller}", licence, ())  # before the flight
+    with build(flown) as simulation:
         form = make_form(simulation, loops)
-        origin = _origin(scenario, source, simulation.engine.name, simulation.engine.sha256)
+        origin = _origin(flown, source, simulation.engine.name, simulation.engine.sha256)
         vectors = record_vectors(simulation)
     labels = replace(labels, origin=origin)
     sources = render_sources(form, vectors, labels)
     adapters = {
         f"{autopilot}/{file}": text
-        for autopilot, torque_scale in (inside or {}).items()
+        for autopilot, torque_scale in torques.items()
         for file, text in render_adapter(form, labels, autopilot, torque_scale).items()
     }
     try:
@@ -85,14 +159,25 @@ def export_controller(
             (folder / file).write_text(text, encoding="utf-8")
         measurements = measure(folder, name)
         archives, reason = _build_fmus(form, vectors, labels, sources, folder) if fmus else ([], "left out, as asked")
-        readme = _readme(form, vectors, labels, measurements, archives, [*(inside or {})])
+        readme = _readme(form, vectors, labels, measurements, archives, [*inside])
         (folder / "README.md").write_text(readme, encoding="utf-8")
         remember_written(folder, [folder / archive for archive in archives])
     except OSError as error:
         raise FlightError(f"{folder}: {error.strerror or error}") from error
-    return ExportedController(
-        folder, [*sources, *archives, "README.md", *adapters], len(vectors.rows), measurements, reason
-    )
+    for text in _licence_notes(licence, inside):
+        hears.note(text)
+    written = [*sources, *archives, "README.md", *adapters]
+    return ControllerExport(ExportedController(folder, written, len(vectors.rows), measurements, reason), loops)
+
+
+def _licence_notes(licence: str | None, inside: Sequence[str]) -> list[str]:
+    """Return which files of an adapter have another licence than the one that was asked for, a line each."""
+    programs = {each: PROGRAM_LICENCES.get(each) for each in inside}
+    return [
+        f"--licence {licence}: not for what touches or includes {autopilot}'s code: {program}"
+        for autopilot, program in programs.items()
+        if program is not None and licence not in (None, program)
+    ]
 
 
 def _origin(scenario: Scenario, source: str, engine: str, sha256: str) -> tuple[str, ...]:
@@ -142,40 +227,29 @@ def list_figures(measurements: Measurements | None, loops: bool = False) -> list
     first, second, unit = ("the collective", "torque", "") if loops else ("throttle", "tilt", " rad")
     if measurements is None:
         return [("measured", "nothing: no C compiler was found where this was made")]
+    found = measurements
+    same = "every number of the flight to the last bit" if found.same else "not the bits of the flight"
+    deviation = f"{first} within {found.float_throttle:.2g}, {second} within {found.float_tilt:.2g}{unit}"
+    passes = "within" if found.float_passes else "not within"
     lines = [
-        ("compiler", f"{measurements.compiler}, -O2 -ffp-contract=off"),
-        (
-            "double",
-            "every number of the flight to the last bit" if measurements.same else "not the bits of the flight",
-        ),
-        (
-            "float",
-            f"{first} within {measurements.float_throttle:.2g}, {second} within {measurements.float_tilt:.2g}{unit} "
-            "over the flight, "
-            + ("" if measurements.float_passes else "not ")
-            + "within half a step of a 12-bit command",
-        ),
+        ("compiler", f"{found.compiler}, -O2 -ffp-contract=off"),
+        ("double", same),
+        ("float", f"{deviation} over the flight, {passes} half a step of a 12-bit command"),
     ]
-    if measurements.state is not None:
-        lines.append(("state", f"{measurements.state} bytes"))
-    if measurements.code is not None:
-        lines.append(("code and constants, without parameters", f"{measurements.code} bytes"))
-    if measurements.stack is not None:
-        lines.append(
-            (
-                "worst-case stack",
-                f"{measurements.stack} bytes by gcc's call graph, beside that of the library of mathematics",
-            )
+    if found.state is not None:
+        lines.append(("state", f"{found.state} bytes"))
+    if found.code is not None:
+        lines.append(("code and constants, without parameters", f"{found.code} bytes"))
+    if found.stack is not None:
+        beside = "by gcc's call graph, beside that of the library of mathematics"
+        lines.append(("worst-case stack", f"{found.stack} bytes {beside}"))
+    if found.cycles is not None:
+        worst, mean = found.cycles
+        how = (
+            "measured, time-stamp counter of the machine that made it, the least of 20 flights at each step; not a "
+            "bound for another processor"
         )
-    if measurements.cycles is not None:
-        worst, mean = measurements.cycles
-        lines.append(
-            (
-                "cycles of a step",
-                f"worst {worst}, mean {mean}: measured, time-stamp counter of the machine that made it, the least of "
-                "20 flights at each step; not a bound for another processor",
-            )
-        )
+        lines.append(("cycles of a step", f"worst {worst}, mean {mean}: {how}"))
     return lines
 
 
@@ -190,10 +264,8 @@ def _build_fmus(
     if form["loops"]:
         return [], "the loops alone are C for a mixer of yours"
     # a vehicle without servos has no tilts
-    tilts, servos = form["allocation"]["kind"] in ("tilt", "effectiveness"), form["servos"]
-    pairs = zip(list_output_names(jets, servos), _expressions(jets, len(servos)), strict=True)
-    expressions = {name: expression for name, expression in pairs if tilts or not name.startswith("tilt_")}
-    outputs = tuple(expressions)
+    tilts = form["allocation"]["kind"] in ("tilt", "effectiveness")
+    outputs = [each for each in list_outputs(jets, form["servos"]) if tilts or not each[0].name.startswith("tilt_")]
     with temporary("export-") as build_folder:
         glue = build_folder / f"{n}_fmu.c"
         text = render(
@@ -202,9 +274,9 @@ def _build_fmus(
             N=n.upper(),
             title=labels.title,
             licence=sources[f"{n}.c"].splitlines()[0],
-            outputs=outputs,
+            outputs=[quantity.name for quantity, _ in outputs],
             jets=jets,
-            places=list(expressions.items()),
+            places=[(quantity.name, expression) for quantity, expression in outputs],
         )
         glue.write_text(text, encoding="utf-8")
         engine = EngineDefinition(
@@ -218,7 +290,7 @@ def _build_fmus(
             ledger={},
             rotor_inertia=0.0,
             flame_out={},
-            variables=_variables(vectors, outputs),
+            variables=_variables(vectors, [quantity for quantity, _ in outputs]),
         )
         archives = []
         try:
@@ -233,29 +305,8 @@ def _build_fmus(
     return archives, None
 
 
-def _variables(vectors: RecordedFlight, outputs: tuple[str, ...]) -> tuple[VariableDefinition, ...]:
+def _variables(vectors: RecordedFlight, outputs: Sequence[Quantity]) -> tuple[VariableDefinition, ...]:
     on_ground, text = float(vectors.on_ground), "1: it starts standing"
     parameter = VariableDefinition("on_ground", 1, "parameter", True, None, 0.0, 1.0, on_ground, text)
     inputs = [q._replace(start=vectors.burnt) if q.name == "fuel_burnt" else q for q in INPUT_QUANTITIES]
-    return define_variables(parameter, inputs, map(_describe_output, outputs))
-
-
-def _describe_output(name: str) -> Quantity:
-    kind, _, rest = name.partition("_")
-    unit, text = _OUTPUTS[kind]
-    if name.startswith(("shown_rate_setpoint", "shown_predicted")):
-        unit = "rad/s"
-    return Quantity(name, unit, f"{text} {rest.replace('_', ' ')}")
-
-
-def _expressions(jets: int, servos: int) -> list[str]:
-    """Return the C expression of each output, in the order of :func:`list_output_names`."""
-    return [
-        *(f"output.throttle[{jet}]" for jet in range(jets)),
-        *(f"output.tilt[{servo}]" for servo in range(servos)),
-        *(f"output.unallocated[{i}]" for i in range(4)),
-        *(f"output.{name}[{i}]" for name in ("rate_setpoint", "rate_predicted", "torque") for i in range(3)),
-        "output.collective",
-        "output.allocated",
-        *(f"output.off[{jet}] ? 1.0 : 0.0" for jet in range(jets)),
-    ]
+    return define_variables(parameter, inputs, outputs)

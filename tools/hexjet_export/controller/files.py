@@ -10,10 +10,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from cosim import InputError
 from cosim.base.constants import GRAVITY
-from cosim.base.errors import InputError
-from cosim.control.allocation.allocation import LEAST_SHARE
-from cosim.control.altitude import LEAST_UPRIGHT
+from cosim.blocks import LEAST_SHARE, LEAST_UPRIGHT
 from hexjet_export.controller.hinged import render_solver
 from hexjet_export.controller.predictor_form import Form
 from hexjet_export.controller.vectors import (

@@ -8,20 +8,22 @@ from __future__ import annotations
 
 from math import exp
 
-from cosim.base.errors import InputError
+from cosim import InputError
 from cosim.base.signals import AXES
-from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
-from cosim.control.allocation.effectiveness import EffectivenessAllocator
-from cosim.control.allocation.reallocation import command_to_torque
-from cosim.control.allocation.thrust_map import Inverse, ThrustMap
-from cosim.control.attitude import AttitudeController
-from cosim.control.cascade import Cascade
-from cosim.control.laws.axis import RateLaw
-from cosim.control.lead import Lead
-from cosim.control.predictors.registry import PREDICTORS
-from cosim.control.rate import RateController
-from cosim.control.schedule import FINE
-from cosim.simulation.step import Simulation
+from cosim.blocks import (
+    FINE,
+    PREDICTORS,
+    Cascade,
+    EffectivenessAllocator,
+    Inverse,
+    Lead,
+    RateLaw,
+    RotorAllocator,
+    Simulation,
+    ThrustMap,
+    TiltAllocator,
+    command_to_torque,
+)
 from cosim.spec.vehicle import EngineLead, RateGains, Vehicle
 from hexjet_export.controller.hinged import make_hinged_form
 from hexjet_export.controller.predictor_form import Form, make_predictor_form
@@ -38,9 +40,6 @@ def make_form(simulation: Simulation, loops: bool = False) -> Form:
     """
     law = _law_axes(simulation)
     cascade, vehicle, step = simulation.cascade, simulation.vehicle, simulation.dt
-    for loop, built_in in ((cascade.attitude, AttitudeController), (cascade.rate, RateController)):
-        if type(loop) is not built_in:
-            raise InputError(f"the loop {type(loop).__name__} has no C form; allowed: the built-in ones")
     schedule = _schedule(vehicle, step)
     if schedule is not None and law is not None:
         raise InputError(f"controller {simulation.scenario.controller} has no C form where gains follow the thrust")

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import cosim
-from cosim.base.errors import InputError
+from cosim import InputError
 from cosim.base.signals import Vector3
-from cosim.control.allocation.effectiveness import FIRST_PASSES, PASSES, EffectivenessAllocator
+from cosim.blocks import FIRST_PASSES, PASSES, EffectivenessAllocator
 from cosim.spec.vehicle import Vehicle
 
 SOURCE = Path(cosim.__file__).parent / "control" / "allocation" / "effectiveness.h"

@@ -9,8 +9,8 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.base.errors import InputError
-from cosim.base.storage.scratch import temporary
+from cosim import InputError
+from cosim.files import temporary
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wdouble-promotion", "-ffp-contract=off")
 _LONGEST_S = 300.0  # for one run of a compiler or of the test program; chosen by us

@@ -9,19 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from cosim.base.errors import InputError
-from cosim.control.predictors.smith import (
+from cosim import InputError
+from cosim.blocks import (
     DelayLine,
     DiscreteModel,
-    FilteredSmithPredictor,
-    NoPredictor,
-    SmithPredictor,
-)
-from cosim.control.predictors.state import (
     DoubleIntegratorObserver,
+    FilteredSmithPredictor,
     LinearPredictor,
     ModalPredictor,
     ModelObserver,
+    NoPredictor,
+    SmithPredictor,
     StatePredictor,
 )
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from cosim import InputError
 from cosim.base.constants import SERVOS
-from cosim.base.errors import InputError
 from cosim.base.protocols import Controller, Diagnostics, EngineState
 from cosim.base.signals import (
     AXES,
@@ -19,7 +19,7 @@ from cosim.base.signals import (
     Measured,
     PerJet,
 )
-from cosim.simulation.step import Simulation
+from cosim.blocks import Simulation
 from hexjet_export.controller.quantity import Quantity
 
 ENGINES = {EngineState.FLY: 0.0, EngineState.IDLE: 1.0, EngineState.OFF: 2.0}
@@ -52,19 +52,35 @@ LOOP_OUTPUTS = (
 )  # inputs of the loops alone
 
 
+def list_outputs(jets: int, servos: Sequence[str] = SERVOS) -> list[tuple[Quantity, str]]:
+    """Return the controller's outputs in the order of a row, each with its expression in C."""
+    asked, shown = "Asked for less given: {}", "To look at: {}"
+    per_axis = (
+        ("rate_setpoint", "rate_setpoint", "rad/s"),
+        ("predicted", "rate_predicted", "rad/s"),
+        ("torque", "torque", "1"),
+    )
+    rows = [
+        *((f"throttle_{n + 1}", "1", f"Throttle of jet {n + 1}", f"throttle[{n}]") for n in range(jets)),
+        *((f"tilt_{s}", "rad", f"Tilt, positive forward: servo {s}", f"tilt[{n}]") for n, s in enumerate(servos)),
+        *((f"unallocated_{a}", "1", asked.format(a), f"unallocated[{n}]") for n, a in enumerate((*AXES, "collective"))),
+        *(
+            (f"shown_{name}_{axis}", unit, shown.format(f"{name.replace('_', ' ')} {axis}"), f"{field}[{n}]")
+            for name, field, unit in per_axis
+            for n, axis in enumerate(AXES)
+        ),
+        *((f"shown_{name}", "1", shown.format(name), name) for name in ("collective", "allocated")),
+        *(
+            (f"off_{n + 1}", "1", f"1 where shut off on purpose: jet {n + 1}", f"off[{n}] ? 1.0 : 0.0")
+            for n in range(jets)
+        ),
+    ]
+    return [(Quantity(name, unit, text), f"output.{field}") for name, unit, text, field in rows]
+
+
 def list_output_names(jets: int, servos: Sequence[str] = SERVOS) -> tuple[str, ...]:
     """Return the names of the controller's outputs in the order of a row."""
-    return (
-        *(f"throttle_{jet}" for jet in range(1, jets + 1)),
-        *(f"tilt_{servo}" for servo in servos),
-        *(f"unallocated_{name}" for name in (*AXES, "collective")),
-        *(f"shown_rate_setpoint_{axis}" for axis in AXES),
-        *(f"shown_predicted_{axis}" for axis in AXES),
-        *(f"shown_torque_{axis}" for axis in AXES),
-        "shown_collective",
-        "shown_allocated",
-        *(f"off_{jet}" for jet in range(1, jets + 1)),
-    )
+    return tuple(quantity.name for quantity, _ in list_outputs(jets, servos))
 
 
 @dataclass

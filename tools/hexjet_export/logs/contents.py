@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,8 +11,7 @@ import numpy as np
 
 from cosim import FlightError, InputError, Run, Scenario
 from cosim.base.arrays import Array
-from cosim.base.outcomes import Verdict
-from cosim.logs import Column, list_events, read_pilot_record
+from cosim.logs import Column, Verdict, list_events, read_pilot_record
 
 Block = dict[str, Array]
 Line = dict[str, Any]  # of the autopilot's record
@@ -38,37 +38,29 @@ def read_pilot(run: Run) -> list[Line]:
 def log_lines(run: Run, lines: Sequence[Line]) -> list[LogLine]:
     """Return faults, verdicts, disturbances and contacts, their ends, the autopilot's messages, and the outcome."""
     step, summary = run.summary.step_s, run.summary
-    texts = [LogLine(k, k * step, severity, "pilot", text) for k, severity, text in messages(lines)]
+    texts = []
+    for event in list_events(run):
+        texts.append(LogLine(round(event.time_s / step), event.time_s, event.severity, event.kind, event.text))
+        if event.end_s is not None:
+            texts.append(LogLine(round(event.end_s / step), event.end_s, INFO, event.kind, f"over: {event.text}"))
     texts += [LogLine(k, k * step, INFO, "pilot", text) for k, text in mode_changes(lines)]
     level = INFO if summary.outcome == "completed" else ERROR
     end, last = summary.steps, summary.duration_s
     worth = "" if summary.verdict in (None, Verdict.NOT_COMPLETED) else f"; {summary.verdict}"
     texts.append(LogLine(end, last, level, "outcome", f"{summary.outcome}: {summary.reason}{worth}"))
     texts += [LogLine(end, last, ERROR, "limit", f"beyond its limit: {text}") for text in summary.exceeded]
-    for event in list_events(run):
-        if event.kind != "pilot":
-            texts.append(LogLine(round(event.time_s / step), event.time_s, event.severity, event.kind, event.text))
-            if event.end_s is not None:
-                texts.append(LogLine(round(event.end_s / step), event.end_s, INFO, event.kind, f"over: {event.text}"))
-    return sorted(texts, key=lambda line: line.k)
+    order = {"pilot": 0, "outcome": 1, "limit": 1}  # in one step
+    return sorted(texts, key=lambda line: (line.k, order.get(line.kind, 2)))
 
 
-def messages(lines: Sequence[Line]) -> list[tuple[int, int, str]]:
-    """Step, severity as in syslog, text."""
-    return [(max(0, line["k"]), line["severity"], line["text"]) for line in lines if line["kind"] == "message"]
-
-
-def mode_changes(lines: Sequence[Line]) -> list[tuple[int, str]]:
-    """Return changes of mode, arming and failsafe as lines of text, for a log's list of messages."""
-    changes: list[tuple[int, str]] = []
-    before: Line = {}
-    for line in (line_read for line_read in lines if line_read["kind"] == "state"):
-        if before and line["armed"] != before["armed"]:
-            changes.append((line["k"], "armed" if line["armed"] else "disarmed"))
-        if before and line["mode"] != before["mode"]:
-            changes.append((line["k"], f"mode {line['mode']}"))
-        before = line
-    return changes
+def mode_changes(lines: Sequence[Line]) -> Iterator[tuple[int, str]]:
+    """Yield changes of mode and arming as lines of text, for a log's list of messages."""
+    states = [line for line in lines if line["kind"] == "state"]
+    for before, line in pairwise(states):
+        if line["armed"] != before["armed"]:
+            yield line["k"], "armed" if line["armed"] else "disarmed"
+        if line["mode"] != before["mode"]:
+            yield line["k"], f"mode {line['mode']}"
 
 
 def describe_column(column: Column) -> str:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cosim import InputError, Run
-from cosim.logs import SCENARIO, SUMMARY, Column, custom_columns, describe_columns, run_properties
+from cosim.logs import Column, custom_columns, describe_columns, run_properties
 from hexjet_export.logs.contents import (
     Block,
     LogLine,
@@ -83,7 +83,7 @@ def export_mcap(run: Run, path: Path) -> None:
         writer.add_metadata(
             "hexjet.columns", {column.name: describe_column(column) for column in describe_columns(run)}
         )
-        for name, kind in ((SCENARIO, "application/toml"), (SUMMARY, "application/json")):
+        for name, kind in (("scenario.toml", "application/toml"), ("summary.json", "application/json")):
             if run.folder is not None and (run.folder / name).is_file():
                 writer.add_attachment(0, 0, name, kind, (run.folder / name).read_bytes())
         channels = register_channels(writer, describe_columns(run))
@@ -112,10 +112,8 @@ def group_by_channel(columns: Sequence[Column]) -> dict[str, list[Column]]:
     groups: dict[str, list[Column]] = {}
     for column in columns:
         matches = [name for name, pattern in SUBJECTS.items() if re.fullmatch(pattern, column.name)]
-        key = (
-            CUSTOM if column.name in custom else TIME if column.name == "time_s" else matches[0] if matches else CUSTOM
-        )
-        groups.setdefault(key, []).append(column)
+        own = column.name in custom or not matches
+        groups.setdefault(TIME if column.name == "time_s" else CUSTOM if own else matches[0], []).append(column)
     return groups
 
 
@@ -139,30 +137,20 @@ def register_channels(writer: Any, columns: Sequence[Column]) -> list[Channel]:
         schema = writer.register_schema(f"{_PACKAGE}.{message.name}", "protobuf", files.SerializeToString())
         meanings = {column.name: describe_column(column) for column in of}
         channel = writer.register_channel(topic, "protobuf", schema, meanings)
-        tags, kind = _row_type(len(of))
-        channels.append(Channel(channel, tuple(column.name for column in of), kind, tags))
+        tags = tuple(_varint(number << 3 | _DOUBLE) for number in range(1, len(of) + 1))
+        layout = [part for n, tag in enumerate(tags) for part in ((f"tag{n}", "u1", (len(tag),)), (f"value{n}", "<f8"))]
+        channels.append(Channel(channel, tuple(column.name for column in of), np.dtype(layout), tags))
     return channels
-
-
-def _row_type(fields: int) -> tuple[tuple[bytes, ...], np.dtype[np.void]]:
-    """Return the tags of so many fields, and the layout of a message of them: each its tag and eight bytes."""
-    tags = tuple(_varint(number << 3 | _DOUBLE) for number in range(1, fields + 1))
-    layout = [part for n, tag in enumerate(tags) for part in ((f"tag{n}", "u1", (len(tag),)), (f"value{n}", "<f8"))]
-    return tags, np.dtype(layout)
 
 
 def _varint(number: int) -> bytes:
     """Return a number as Protocol Buffers write it: seven bits a byte, the lowest first."""
-    encoded = []
-    while number > 0x7F:
-        encoded.append(number & 0x7F | 0x80)
-        number >>= 7
-    return bytes([*encoded, number])
+    return bytes([number]) if number < 0x80 else bytes([number & 0x7F | 0x80]) + _varint(number >> 7)
 
 
 def iterate_messages(channels: Sequence[Channel], block: Block, first: int) -> Iterator[Timed]:
     """Yield a message a row and channel: each field is its tag and eight bytes, so that all rows are of one layout."""
-    times = to_nanoseconds(block)
+    times = [round(1e9 * time) for time in block["time_s"].tolist()]
     for channel in channels:
         messages = np.zeros(len(times), dtype=channel.kind)
         for n, (name, tag) in enumerate(zip(channel.columns, channel.tags, strict=True)):
@@ -173,30 +161,16 @@ def iterate_messages(channels: Sequence[Channel], block: Block, first: int) -> I
             yield first + row, time, channel.number, content[row * size : (row + 1) * size]
 
 
-def to_nanoseconds(block: Block) -> list[int]:
-    """Return the times of a block's rows, ns from the start."""
-    return [round(1e9 * time) for time in block["time_s"].tolist()]
-
-
 def _texts(writer: Any, lines: Sequence[LogLine]) -> list[Timed]:
-    channel = register_log_channel(writer)
-    return [make_text_message(channel, line) for line in lines]
-
-
-def register_log_channel(writer: Any) -> int:
-    """Register the channel for lines of text and return its number."""
+    """Register the channel for lines of text and return them as messages."""
     from foxglove_schemas_protobuf.Log_pb2 import Log
     from mcap_protobuf.schema import register_schema
 
     channel: int = writer.register_channel("/log", "protobuf", register_schema(writer, Log))
-    return channel
-
-
-def make_text_message(channel: int, line: LogLine) -> Timed:
-    """Return a line of text as a message."""
-    from foxglove_schemas_protobuf.Log_pb2 import Log
-
-    time = round(1e9 * line.time_s)
-    message = Log(level=_LEVELS[line.severity], message=line.text, name=line.kind)
-    message.timestamp.FromNanoseconds(time)
-    return line.k, time, channel, message.SerializeToString()
+    messages = []
+    for line in lines:
+        time = round(1e9 * line.time_s)
+        message = Log(level=_LEVELS[line.severity], message=line.text, name=line.kind)
+        message.timestamp.FromNanoseconds(time)
+        messages.append((line.k, time, channel, message.SerializeToString()))
+    return messages

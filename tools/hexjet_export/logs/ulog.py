@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cosim import Run
-from cosim.logs import Summary, custom_columns, logged_vehicle_of, run_properties
+from cosim.logs import custom_columns, logged_vehicle_of, run_properties
 from hexjet_export.logs import ulog_autopilot
 from hexjet_export.logs.contents import (
     Block,
@@ -34,7 +34,6 @@ from hexjet_export.logs.contents import (
 from hexjet_export.logs.ulog_topics import BY_AUTOPILOT, CUSTOM, EVERY_S, STATES, Field, column, topics
 
 Rates = Literal["all", "px4"]
-_STRUCT = {"float": "f", "bool": "B", "uint8_t": "B", "int32_t": "i", "uint64_t": "Q"}
 _TYPES = {"float": "<f4", "bool": "<u1", "uint8_t": "<u1", "int32_t": "<i4", "uint64_t": "<u8"}
 _LONGEST = 240  # bytes of a parameter's name, which shares 255 with its type
 _INTEGER_LIMIT = 2**31  # beyond it an integer is no parameter
@@ -61,11 +60,11 @@ def export_ulog(run: Run, path: Path, rates: Rates = "all") -> None:
     with open(path, "wb") as file:
         file.write(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0))
         file.write(_message(b"B", bytes(40)))
-        file.writelines(_message(b"I", _info(key, value)) for key, value in _properties(run.summary).items())
+        file.writelines(_message(b"I", _info(key, value)) for key, value in _properties(run).items())
         file.writelines(_message(b"I", _info(f"{CUSTOM}_{column.name}", describe_column(column))) for column in custom)
         file.writelines(_message(b"P", ulog_autopilot.parameter(name, value)) for name, value in at_start.items())
         file.writelines(_message(b"F", _format(name, topic.fields)) for name, topic in topics_held.items())
-        file.writelines(_message(b"F", _series_format(name, series)) for name, series in pilot.items())
+        file.writelines(_message(b"F", _format(name, _series_fields(series))) for name, series in pilot.items())
         file.writelines(
             _message(b"A", struct.pack("<BH", 0, number) + name.encode())
             for number, name in enumerate([*topics_held, *pilot])
@@ -144,20 +143,18 @@ def _hold_estimates(estimates: ulog_autopilot.Series, first: int, count: int) ->
     }
 
 
-def _series_format(name: str, series: ulog_autopilot.Series) -> bytes:
-    fields = "".join(f"{ulog_autopilot.TYPES.get(field, 'float')} {field};" for field in series.values)
-    return f"{name}:uint64_t timestamp;{fields}".encode()
+def _series_fields(series: ulog_autopilot.Series) -> list[Field]:
+    """Return the fields of a topic of the autopilot's, whose values are columns of its own."""
+    return [column(ulog_autopilot.TYPES.get(name, "float"), name, name) for name in series.values]
 
 
 def _series_messages(pilot: Mapping[str, ulog_autopilot.Series], number: int, step: float) -> Iterator[_Timed]:
-    for series in pilot.values():
-        packing = "<HQ" + "".join(_STRUCT[ulog_autopilot.TYPES.get(field, "float")] for field in series.values)
-        for n, k in enumerate(series.k.tolist()):
-            values = (values[n] for values in series.values.values())
-            kinds = (ulog_autopilot.TYPES.get(field, "float") for field in series.values)
-            row = [float(v) if kind == "float" else int(v) for v, kind in zip(values, kinds, strict=True)]
-            yield k, _message(b"D", struct.pack(packing, number, _microseconds(k * step), *row))
-        number += 1
+    """Yield the data messages of the autopilot's topics, whose numbers begin with ``number``."""
+    for n, series in enumerate(pilot.values(), number):
+        fields = _series_fields(series)
+        messages = np.zeros(len(series.k), dtype=_message_type(fields))
+        _fill(messages, n, fields, {"time_s": series.k.astype(np.float64) * step, **series.values})
+        yield from ((k, message.tobytes()) for k, message in zip(series.k.tolist(), messages, strict=True))
 
 
 def _by_parameter_name(numbers: Mapping[str, float]) -> dict[str, float]:
@@ -206,13 +203,13 @@ def _message(kind: bytes, content: bytes) -> bytes:
     return struct.pack("<H", len(content)) + kind + content
 
 
-def _properties(summary: Summary) -> dict[str, str]:
-    values = run_properties(summary)
+def _properties(run: Run) -> dict[str, str]:
+    values = run_properties(run.summary)
     names = ("scenario", "engine", "controller", "seed", "outcome", "reason")
     return {
         "sys_name": "hexjet-cosim",
         "ver_sw": values["version"],
-        "ver_hw": summary.aircraft,
+        "ver_hw": values["aircraft"],
         **{f"hexjet_{name}": values[name] for name in names},
     }
 

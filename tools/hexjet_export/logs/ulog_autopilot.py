@@ -126,11 +126,9 @@ _STATUS: dict[str, Callable[[Line], float]] = {
     "nav_state": lambda line: NAV_STATE[line["mode"]],
     "failsafe": lambda line: bool(line["failsafe"]),
 }
-_LANDED: dict[str, Callable[[Line], float]] = {
-    "landed": lambda line: line["landed"] == "on_ground",
-    "maybe_landed": lambda line: line["landed"] == "on_ground",
-    "ground_contact": lambda line: line["landed"] == "on_ground",
-}
+_LANDED: dict[str, Callable[[Line], float]] = dict.fromkeys(
+    ("landed", "maybe_landed", "ground_contact"), lambda line: line["landed"] == "on_ground"
+)
 _HOME: dict[str, Callable[[Line], float]] = {
     "x": lambda line: line["north"],
     "y": lambda line: line["east"],
@@ -144,17 +142,9 @@ _MISSION: dict[str, Callable[[Line], float]] = {
     "valid": lambda line: line["count"] > 0,
     "finished": lambda line: line["count"] > 0 and line["current"] >= line["count"],
 }
-TYPES = {
-    "arming_state": "uint8_t",
-    "nav_state": "uint8_t",
-    "failsafe": "bool",
-    "landed": "bool",
-    "maybe_landed": "bool",
-    "ground_contact": "bool",
-    "valid_lpos": "bool",
-    "valid": "bool",
-    "finished": "bool",
-    "seq_total": "int32_t",
-    "seq_current": "int32_t",
-    "seq_reached": "int32_t",
-}  # of a field; what is not here is a float
+# Of a field; what is not here is a float.
+TYPES = dict.fromkeys(("arming_state", "nav_state"), "uint8_t")
+TYPES |= dict.fromkeys(("seq_total", "seq_current", "seq_reached"), "int32_t")
+TYPES |= dict.fromkeys(
+    ("failsafe", "landed", "maybe_landed", "ground_contact", "valid_lpos", "valid", "finished"), "bool"
+)

@@ -70,14 +70,6 @@ def _thrust_body(block: Block) -> Array:
     return np.stack((still, still, -block["collective"]), axis=1)
 
 
-def _accelerometer(block: Block) -> Array:
-    """Return the accelerometer's output; the true specific force where a log is older than the sensor's model."""
-    names = [f"specific_force_{axis}_measured_m_s2" for axis in _XYZ]
-    if names[0] not in block:
-        names = [f"specific_force_{axis}_m_s2" for axis in _XYZ]
-    return np.stack([block[name] for name in names], axis=1)
-
-
 def _motors(block: Block) -> Array:
     """Return the throttles of as many motors as the message has, NaN of those that do not exist."""
     control = np.full((len(block["time_s"]), MOTORS), np.nan)
@@ -147,7 +139,7 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
     def of_jets(pattern: str) -> list[str]:
         return [pattern.format(jet) for jet in range(1, jets + 1)]
 
-    return {
+    found = {
         "vehicle_attitude": [_sample_time(), _quaternion("q", "{}_measured_rad")],
         "vehicle_attitude_groundtruth": [_sample_time(), _quaternion("q", "{}_rad")],
         "vehicle_attitude_setpoint": [
@@ -170,7 +162,7 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
         "sensor_combined": [
             _columns("float", "gyro_rad", *_rates("_measured")),
             _constant("int32_t", "accelerometer_timestamp_relative", 0.0),
-            Field("float", "accelerometer_m_s2", 3, _accelerometer),
+            _columns("float", "accelerometer_m_s2", *(f"specific_force_{axis}_measured_m_s2" for axis in _XYZ)),
         ],
         "actuator_motors": [_sample_time(), Field("float", "control", MOTORS, _motors)],
         "vehicle_status": [
@@ -201,27 +193,15 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
             _columns("float", "spool_moment_n_m", *(f"spool_moment_{axis}_N_m" for axis in _XYZ)),
         ],
         "hexjet_rate_predicted": [_columns("float", "xyz", *_rates("_predicted"))],
-        **({"hexjet_throttle": [_columns("float", "throttle", *of_jets("throttle_{}"))]} if jets > MOTORS else {}),
-        **(
-            {
-                "hexjet_tilt": [
-                    _columns("float", "actual_rad", *(f"tilt_{name}_rad" for name in servos)),
-                    _columns("float", "command_rad", *(f"tilt_{name}_command_rad" for name in servos)),
-                ]
-            }
-            if servos
-            else {}
-        ),
-        **(
-            {
-                "hexjet_deflection": [
-                    _columns("float", "actual", *(f"deflection_{name}" for name in surfaces)),
-                    _columns("float", "command", *(f"deflection_{name}_command" for name in surfaces)),
-                ]
-            }
-            if surfaces
-            else {}
-        ),
+        "hexjet_throttle": [_columns("float", "throttle", *of_jets("throttle_{}"))],
+        "hexjet_tilt": [
+            _columns("float", "actual_rad", *(f"tilt_{name}_rad" for name in servos)),
+            _columns("float", "command_rad", *(f"tilt_{name}_command_rad" for name in servos)),
+        ],
+        "hexjet_deflection": [
+            _columns("float", "actual", *(f"deflection_{name}" for name in surfaces)),
+            _columns("float", "command", *(f"deflection_{name}_command" for name in surfaces)),
+        ],
         "hexjet_control": [
             _columns("float", "torque", *(f"torque_{axis}" for axis in AXES)),
             _columns("float", "refused", *(f"refused_{axis}" for axis in AXES)),
@@ -243,6 +223,8 @@ def topics(vehicle: LoggedVehicle) -> dict[str, list[Field]]:
             _optional("float", "health", *of_jets("health_{}"), length=jets),
         ],
     }
+    missing = {"hexjet_throttle": jets <= MOTORS, "hexjet_tilt": not servos, "hexjet_deflection": not surfaces}
+    return {name: fields for name, fields in found.items() if not missing.get(name)}
 
 
 TOPICS = topics(HEXJET)
@@ -261,22 +243,14 @@ BY_AUTOPILOT: dict[str, list[Field]] = {
     "hexjet_gnss": _local_position("_measured"),  # as received
 }
 # Seconds between two messages of a topic: about PX4's default profile (its logged_topics.cpp), ours by their like.
-EVERY_S = dict.fromkeys((*TOPICS, *BY_AUTOPILOT, CUSTOM), 0.2) | {
-    "vehicle_attitude": 0.05,
-    "vehicle_attitude_groundtruth": 0.1,
-    "vehicle_attitude_setpoint": 0.05,
-    "vehicle_angular_velocity": 0.02,
-    "vehicle_angular_velocity_groundtruth": 0.1,
-    "vehicle_rates_setpoint": 0.02,
-    "vehicle_local_position": 0.1,
-    "vehicle_local_position_setpoint": 0.1,
-    "sensor_combined": 0.1,
-    "actuator_motors": 0.1,
-    "vehicle_status": 0.2,
-    "hexjet_thrust": 0.1,
-    "hexjet_rate_predicted": 0.02,
-    "hexjet_tilt": 0.1,
-    "hexjet_throttle": 0.1,
-    "hexjet_deflection": 0.1,
-    "hexjet_control": 0.05,
-}
+EVERY_S = dict.fromkeys((*TOPICS, *BY_AUTOPILOT, CUSTOM), 0.2)
+EVERY_S |= dict.fromkeys(("vehicle_angular_velocity", "vehicle_rates_setpoint", "hexjet_rate_predicted"), 0.02)
+EVERY_S |= dict.fromkeys(("vehicle_attitude", "vehicle_attitude_setpoint", "hexjet_control"), 0.05)
+EVERY_S |= dict.fromkeys(
+    (
+        *("vehicle_attitude_groundtruth", "vehicle_angular_velocity_groundtruth", "vehicle_local_position"),
+        *("vehicle_local_position_setpoint", "sensor_combined", "actuator_motors"),
+        *("hexjet_thrust", "hexjet_tilt", "hexjet_throttle", "hexjet_deflection"),
+    ),
+    0.1,
+)

@@ -9,12 +9,12 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from cosim.base.errors import FlightError, InputError
+from cosim import FlightError, InputError, Scenario, versions
+from cosim.api.call import Progress, Result, checked
+from cosim.api.call.choices import choose
 from cosim.base.storage.files import read_file
-from cosim.base.storage.paths import data_folder
-from cosim.base.storage.scratch import scratch, temporary
 from cosim.base.trust import remember_written
 from cosim.engine.library import (
     FMI2_SUFFIX,
@@ -25,10 +25,9 @@ from cosim.engine.library import (
     archive_path,
     build_one,
 )
+from cosim.files import data_folder, scratch, temporary
 from cosim.results.resolved_scenario import resolve
 from cosim.results.run import scenario_toml
-from cosim.results.summary import versions
-from cosim.spec.scenario import Scenario
 from hexjet_export.controller.files import Labels
 from hexjet_export.controller.quantity import define_variables
 from hexjet_export.vehicle.ports import ExportedFlight, VehicleContents
@@ -49,70 +48,134 @@ class ExportedVehicle:
     step_s: float
     python: str
 
-    @property
-    def json_data(self) -> dict[str, Any]:
-        """All fields as values for JSON."""
-        return asdict(self) | {"folder": str(self.folder)}
 
+class VehicleExport(Result):
+    """A vehicle as FMUs or as a system of them.
 
-def export_vehicle(
-    scenario: Scenario,
-    folder: Path,
-    name: str,
-    contents: VehicleContents,
-    fmis: Sequence[int] = FMI_VERSIONS,
-    system: bool = False,
-    file: str = "",
-) -> ExportedVehicle:
-    """Write the vehicle of a scenario as FMUs, of FMI 3.0 and 2.0 unless ``fmis`` says otherwise.
-
-    ``name``: of the files, an identifier.  ``system``: as SSP archives in place of the FMUs, with the engines, which
-    are outside then, as components.  ``file``: write this one file in ``folder`` alone, of FMI 3.0, or of 2.0 where its
-    name ends in ``-fmi2``.  Raises InputError for a scenario that cannot be flown so, for a folder that is not empty or
-    a file that is there, and where there is no C compiler.
+    Attributes
+    ----------
+    exported : ExportedVehicle
+        Everything.
     """
+
+    def __init__(self, exported: ExportedVehicle) -> None:
+        self.exported = exported
+        self.files = {name: exported.folder / name for name in exported.files}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet export vehicle --json`` prints."""
+        return asdict(self.exported) | {"folder": str(self.exported.folder)}
+
+    def lines(self) -> list[str]:
+        """Return the files, the interface, and who flies them."""
+        done = self.exported
+        return [
+            f"{done.folder}: {', '.join(done.files)}",
+            f"{done.inputs} inputs, {done.outputs} outputs, communication step {done.step_s:g} s or a multiple",
+            f"flown by {done.python}, unless HEXJET_PYTHON names another",
+        ]
+
+
+@checked()
+def export_vehicle(
+    scenario: Scenario | str | Path = "roll-doublet",
+    out: str | Path | None = None,
+    *,
+    controller: str | Path | None = None,
+    aircraft: str | Path | None = None,
+    engine: str | Path | Sequence[str] | None = None,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    outside: Sequence[Literal["engines", "controller"]] = (),
+    kind: Literal["fmu", "ssp"] = "fmu",
+    name: str = "vehicle",
+    progress: Progress | None = None,
+) -> VehicleExport:
+    """Write the vehicle as FMI 2.0 and 3.0 co-simulation FMUs for other masters.
+
+    Parameters
+    ----------
+    scenario : Scenario or str or Path
+        What is flown, with aircraft, engine and controller where they are not given.
+    out : str or Path or None
+        A new or an empty folder; or one file, of FMI 3.0, or of 2.0 if its name ends in -fmi2; None: a folder called
+        ``name``.
+    controller : str or Path or None
+        In place of the scenario's.
+    aircraft : str or Path or None
+        In place of the scenario's, with the engine that it is made for.
+    engine : str or Path or sequence of str or None
+        In place of the scenario's.
+    settings : sequence of str or mapping
+        Written over the scenario's.
+    outside : sequence of str
+        What is not in the FMU: its inputs and outputs become the FMU's.
+    kind : str
+        ``fmu``, or ``ssp``: archives of a system, with the engines as components.
+    name : str
+        Name of the files, an identifier.
+    progress : Progress or None
+        Hears notes.
+
+    Returns
+    -------
+    VehicleExport
+        The files and their interface.
+
+    Raises
+    ------
+    InputError
+        For a scenario that cannot be flown so, a folder that is not empty, and where there is no C compiler.
+    """
+    hears = progress or Progress()
+    flown = choose(scenario, controller, aircraft, engine, settings, note=hears.note)
     if sys.platform != "linux":
         raise InputError(
             f"export vehicle: how the FMU starts its process is made for Linux, and this is {sys.platform}"
         )
-    labels = Labels(name, f"{scenario.aircraft_name}: scenario {scenario.name}", None, ())  # this checks the name
-    if file:
-        if (folder / file).exists():
-            raise InputError(f"{folder / file}: is there already; name another with --out or remove it")
-        fmis = (2 if Path(file).stem.endswith(FMI2_SUFFIX) else 3,)
-    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")
-    if system and not contents.controller:
+    labels = Labels(name, f"{flown.aircraft_name}: scenario {flown.name}", None, ())  # this checks the name
+    targets = _list_targets(Path(name if out is None else out), name, kind)
+    contents = VehicleContents("engines" not in outside and kind == "fmu", "controller" not in outside)
+    if kind == "ssp" and not contents.controller:
         raise InputError("export vehicle --to ssp: has the controller in the vehicle; leave out --outside controller")
-    contents = VehicleContents(False) if system else contents
-    flight = ExportedFlight(scenario, contents, _no_exchange)
+    flight = ExportedFlight(flown, contents, _no_exchange)
     try:
         resources = _resources(flight, contents)
-        engine = _as_engine(flight, labels)
+        definition = _as_engine(flight, labels)
     finally:
         flight.close()
-    files = []
+    folder = next(iter(targets.values())).parent
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for fmi in fmis:
+        for fmi, target in targets.items():
             with temporary("export-") as build_folder:
                 fmu = archive_path(build_folder, name, fmi)
-                build_one(engine, data_folder("engines") / "fmi", fmi, fmu, resources, scratch())
-                target = folder / (file or fmu.name)
-                if system:
-                    target = folder / (file or fmu.with_suffix(".ssp").name)
-                    write_ssp(flight, fmu, target, fmi, scenario.duration_s)
+                build_one(definition, data_folder("engines") / "fmi", fmi, fmu, resources, scratch())
+                if kind == "ssp":
+                    write_ssp(flight, fmu, target, fmi, flown.duration_s)
                 else:
                     shutil.copyfile(fmu, target)
-            files.append(target.name)
             remember_written(folder, [target])
     except BuildError as error:
         raise InputError(f"export vehicle: {error}") from error
     except OSError as error:
         raise FlightError(f"{folder}: {error.strerror or error}") from error
-    return ExportedVehicle(
-        folder, files, len(flight.inputs), len(flight.outputs), scenario.step_s, str(Path(sys.executable))
+    files = [target.name for target in targets.values()]
+    return VehicleExport(
+        ExportedVehicle(folder, files, len(flight.inputs), len(flight.outputs), flown.step_s, sys.executable)
     )
+
+
+def _list_targets(out: Path, name: str, kind: str) -> dict[int, Path]:
+    """Return the files to write by the version of FMI.  Raises InputError for one, or a folder, that is in use."""
+    if out.suffix.lower() in (".fmu", ".ssp") and not out.is_dir():
+        if out.suffix.lower() != f".{kind}":
+            raise InputError(f"--out {out}: --to {kind} writes .{kind}")
+        if out.exists():
+            raise InputError(f"{out}: is there already; name another with --out or remove it")
+        return {2 if out.stem.endswith(FMI2_SUFFIX) else 3: out}
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: is there already and not an empty folder; name another with --out")
+    return {fmi: archive_path(out, name, fmi).with_suffix(f".{kind}") for fmi in FMI_VERSIONS}
 
 
 def _no_exchange() -> None:

@@ -6,13 +6,13 @@ where both are inside, the pilot.  The step itself is the simulation's own, so t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import isfinite, nan
 from typing import NamedTuple
 
-from cosim.base.errors import InputError
+from cosim import InputError, Scenario
 from cosim.base.protocols import Controller, Diagnostics, Engines, EngineState, Pilot, Report
 from cosim.base.signals import (
     ALL_WELL,
@@ -29,13 +29,9 @@ from cosim.base.signals import (
     PerJet,
     Unallocated,
 )
-from cosim.engine.fmu.air import Air
-from cosim.engine.fmu.port_kinds import AMBIENT, OUTPUTS
-from cosim.simulation.build import build
-from cosim.simulation.script.command_script import CommandScript
-from cosim.spec.scenario import EngineFault, Scenario
+from cosim.blocks import AMBIENT, OUTPUTS, Air, CommandScript, Propulsion, build
+from cosim.spec.scenario import EngineFault
 from cosim.spec.vehicle import Vehicle
-from cosim.vehicle.propulsion import Propulsion
 from hexjet_export.controller.quantity import Quantity
 
 XYZ, WXYZ, NED = "xyz", "wxyz", ("north", "east", "down")
@@ -173,23 +169,21 @@ class ExportedFlight:
                 yield Quantity(f"tilt_{name}", _unit_of(vehicle, n), f"Asked of the servo {name}", vehicle.rest[n])
 
     def _list_outputs(self) -> Iterator[OutputGroup]:
-        simulation, propulsion = self.simulation, self.simulation.propulsion
+        propulsion = self.simulation.propulsion
         if self.contents.controller:
-            throttles = [
-                Quantity(f"throttle_{jet}", "1", f"Told to the engine of jet {jet}") for jet in self.jet_numbers
-            ]
-            yield OutputGroup(throttles, lambda: self.throttle)
+            yield OutputGroup(
+                _list("throttle_{}", self.jet_numbers, "1", "Told to the engine of jet {}"), lambda: self.throttle
+            )
         else:
             yield from self._list_command()
-        if simulation.vehicle.servo is not None:
-            sides = [Quantity(f"servo_{side}", "rad", f"Where the {side} servo stands") for side in ("left", "right")]
-            yield OutputGroup(sides, lambda: propulsion.tilt)
-        elif movables := _name_movables(simulation.vehicle):
-            positions = [
-                Quantity(f"servo_{name}", _unit_of(simulation.vehicle, n), f"Where the servo {name} stands")
-                for n, name in enumerate(movables)
-            ]
-            yield OutputGroup(positions, lambda: propulsion.tilt)
+        vehicle = self.simulation.vehicle
+        names = ("left", "right") if vehicle.servo is not None else _name_movables(vehicle)
+        text = "Where the {} servo stands" if vehicle.servo is not None else "Where the servo {} stands"
+        positions = [
+            Quantity(f"servo_{name}", "rad" if vehicle.servo is not None else _unit_of(vehicle, n), text.format(name))
+            for n, name in enumerate(names)
+        ]
+        yield OutputGroup(positions, lambda: propulsion.tilt[: len(names)])
         yield from self._list_reports() if self.contents.engines else self._list_engine_inputs()
         if propulsion.tank is not None:
             yield OutputGroup(
@@ -200,14 +194,13 @@ class ExportedFlight:
 
     def _list_command(self) -> Iterator[OutputGroup]:
         """List the scenario's command, for a controller outside."""
-        yield OutputGroup(_list_angles("_setpoint", "rad", "Attitude asked for"), lambda: self.command.attitude)
+        yield OutputGroup(_list("{}_setpoint", AXES, "rad", "Attitude asked for: {}"), lambda: self.command.attitude)
         height = Quantity("altitude_setpoint", "m", "Height above the ground asked for")
         yield OutputGroup([height], lambda: (self.command.altitude,))
         flag = Quantity("rates_commanded", "1", "1: body rates are asked for in place of an attitude")
         yield OutputGroup([flag], lambda: (self.command.rate is not None,))
-        yield OutputGroup(
-            _list_angles("_rate_setpoint", "rad/s", "Body rate asked for"), lambda: self.command.rate or ZERO3
-        )
+        rates = _list("{}_rate_setpoint", AXES, "rad/s", "Body rate asked for: {}")
+        yield OutputGroup(rates, lambda: self.command.rate or ZERO3)
         flag = Quantity("collective_commanded", "1", "1: a mean throttle is asked for in place of a height")
         mean = Quantity("collective_setpoint", "1", "Mean throttle asked for")
         yield OutputGroup([flag, mean], lambda: (self.command.collective is not None, self.command.collective or 0.0))
@@ -217,19 +210,18 @@ class ExportedFlight:
         output = self.simulation.propulsion
         for n, name in enumerate(REPORTS):
             indices = [i for i, spec in enumerate(self.simulation.stations) if spec.has_port(name)]
-            quantities = [
-                Quantity(f"{name}_{i + 1}", UNITS[name], f"Of the engine of jet {i + 1}: {name}") for i in indices
-            ]
+            jets = [i + 1 for i in indices]
+            quantities = _list(f"{name}_{{}}", jets, UNITS[name], f"Of the engine of jet {{}}: {name}")
             yield OutputGroup(quantities, partial(_read_jets, output, n, indices))
 
     def _list_engine_inputs(self) -> Iterator[OutputGroup]:
         """List what engines outside get beside their throttles."""
         stations = self.simulation.stations
-        text = "Throttle at which the engine stands in equilibrium before the first step: jet"
-        starts = [Quantity(f"start_throttle_{jet}", "1", f"{text} {jet}") for jet in self.jet_numbers]
+        text = "Throttle at which the engine stands in equilibrium before the first step: jet {}"
+        starts = _list("start_throttle_{}", self.jet_numbers, "1", text)
         yield OutputGroup(starts, lambda: self.start_throttle)
         indices = [i for i, spec in enumerate(stations) if spec.has_port("run")]
-        runs = [Quantity(f"run_{i + 1}", "1", f"1: fuel on at jet {i + 1}") for i in indices]
+        runs = _list("run_{}", [i + 1 for i in indices], "1", "1: fuel on at jet {}")
         yield OutputGroup(runs, lambda: [self.run[i] for i in indices])
         for i, spec in enumerate(stations):
             ports = [port for port in AMBIENT if spec.has_port(port)]
@@ -251,45 +243,35 @@ class ExportedFlight:
         return read
 
     def _list_state(self) -> Iterator[OutputGroup]:
-        simulation = self.simulation
-        yield OutputGroup(
-            _list_parts("position", NED, "m", "Position from the start"), lambda: simulation.state.position
-        )
-        yield OutputGroup(
-            _list_parts("velocity", NED, "m/s", "Velocity over the ground"), lambda: simulation.state.velocity
-        )
-        yield OutputGroup(
-            _list_parts("attitude", WXYZ, "1", "Quaternion body to NED"), lambda: simulation.state.attitude
-        )
-        yield OutputGroup(
-            _list_angles("", "rad", "Attitude, in the order yaw, pitch, roll"), lambda: simulation.state.euler
-        )
-        yield OutputGroup(_list_angles("_rate", "rad/s", "Body rate"), lambda: simulation.state.rate)
-        force = _list_parts("specific_force", XYZ, "m/s2", "Specific force at the centre of gravity, body")
-        yield OutputGroup(force, lambda: simulation.state.specific_force)
-        yield OutputGroup(_list_parts("wind", NED, "m/s", "Wind with turbulence"), lambda: simulation.state.wind)
-        yield OutputGroup([Quantity("altitude", "m", "Height above the ground")], lambda: (simulation.state.altitude,))
-        yield OutputGroup([Quantity("mass", "kg", "Mass of the vehicle")], lambda: (simulation.state.mass,))
-        yield OutputGroup([Quantity("on_ground", "1", "1: a leg touches")], lambda: (simulation.state.on_ground,))
+        now = self.simulation
+        yield OutputGroup(_list("position_{}", NED, "m", "Position from the start: {}"), lambda: now.state.position)
+        yield OutputGroup(_list("velocity_{}", NED, "m/s", "Velocity over the ground: {}"), lambda: now.state.velocity)
+        yield OutputGroup(_list("attitude_{}", WXYZ, "1", "Quaternion body to NED: {}"), lambda: now.state.attitude)
+        angles = _list("{}", AXES, "rad", "Attitude, in the order yaw, pitch, roll: {}")
+        yield OutputGroup(angles, lambda: now.state.euler)
+        yield OutputGroup(_list("{}_rate", AXES, "rad/s", "Body rate: {}"), lambda: now.state.rate)
+        force = _list("specific_force_{}", XYZ, "m/s2", "Specific force at the centre of gravity, body: {}")
+        yield OutputGroup(force, lambda: now.state.specific_force)
+        yield OutputGroup(_list("wind_{}", NED, "m/s", "Wind with turbulence: {}"), lambda: now.state.wind)
+        yield OutputGroup([Quantity("altitude", "m", "Height above the ground")], lambda: (now.state.altitude,))
+        yield OutputGroup([Quantity("mass", "kg", "Mass of the vehicle")], lambda: (now.state.mass,))
+        yield OutputGroup([Quantity("on_ground", "1", "1: a leg touches")], lambda: (now.state.on_ground,))
 
     def _list_measured(self) -> Iterator[OutputGroup]:
-        simulation = self.simulation
-        yield OutputGroup(
-            _list_angles("_rate", "rad/s", "Measured body rate", "measured_"), lambda: simulation.measured.rate
-        )
-        attitude = _list_parts("measured_attitude", WXYZ, "1", "Measured quaternion body to NED")
-        yield OutputGroup(attitude, lambda: simulation.measured.attitude)
-        yield OutputGroup(
-            _list_parts("measured_position", NED, "m", "Measured position"), lambda: simulation.measured.position
-        )
-        yield OutputGroup(
-            _list_parts("measured_velocity", NED, "m/s", "Measured velocity"), lambda: simulation.measured.velocity
-        )
+        now = self.simulation
+        rates = _list("measured_{}_rate", AXES, "rad/s", "Measured body rate: {}")
+        yield OutputGroup(rates, lambda: now.measured.rate)
+        attitude = _list("measured_attitude_{}", WXYZ, "1", "Measured quaternion body to NED: {}")
+        yield OutputGroup(attitude, lambda: now.measured.attitude)
+        position = _list("measured_position_{}", NED, "m", "Measured position: {}")
+        yield OutputGroup(position, lambda: now.measured.position)
+        velocity = _list("measured_velocity_{}", NED, "m/s", "Measured velocity: {}")
+        yield OutputGroup(velocity, lambda: now.measured.velocity)
         height = Quantity("measured_altitude", "m", "Measured height above the ground")
-        yield OutputGroup([height], lambda: (simulation.measured.altitude,))
-        if all(isfinite(value) for value in simulation.measured.specific_force):  # there is an accelerometer
-            force = _list_parts("measured_specific_force", XYZ, "m/s2", "Measured specific force, body")
-            yield OutputGroup(force, lambda: simulation.measured.specific_force)
+        yield OutputGroup([height], lambda: (now.measured.altitude,))
+        if all(isfinite(value) for value in now.measured.specific_force):  # there is an accelerometer
+            force = _list("measured_specific_force_{}", XYZ, "m/s2", "Measured specific force, body: {}")
+            yield OutputGroup(force, lambda: now.measured.specific_force)
 
     def close(self) -> None:
         """Free engines and airframe."""
@@ -435,12 +417,9 @@ def _per_jet(throttle: float | Sequence[float], jets: int) -> PerJet:
     return tuple(throttle) if isinstance(throttle, Sequence) else (throttle,) * jets
 
 
-def _list_angles(suffix: str, unit: str, text: str, prefix: str = "") -> list[Quantity]:
-    return [Quantity(f"{prefix}{axis}{suffix}", unit, f"{text}: {axis}") for axis in AXES]
-
-
-def _list_parts(name: str, parts: Sequence[str], unit: str, text: str) -> list[Quantity]:
-    return [Quantity(f"{name}_{part}", unit, f"{text}: {part}") for part in parts]
+def _list(name: str, parts: Iterable[object], unit: str, text: str) -> list[Quantity]:
+    """Return a quantity for each part, whose name stands for the brackets."""
+    return [Quantity(name.format(part), unit, text.format(part)) for part in parts]
 
 
 def _read_jets(propulsion: Propulsion, report: int, jets: Sequence[int]) -> list[float]:

@@ -72,11 +72,9 @@ class _Server:
     """Server that flies the vehicle until the importer is gone."""
 
     def __init__(self, socket: _Socket, folder: Path) -> None:
-        from cosim.base.errors import InputError
+        from cosim import InputError, Scenario, versions
         from cosim.base.storage.files import read_json
         from cosim.base.trust import trust
-        from cosim.results.summary import versions
-        from cosim.spec.scenario import Scenario
         from hexjet_export.vehicle.ports import VehicleContents
 
         self._socket = socket
@@ -136,7 +134,7 @@ class _Server:
 
     def _fly(self) -> NoReturn:
         """Fly step after step.  Raises FlightError where the flight is over."""
-        from cosim.base.errors import FlightError
+        from cosim import FlightError
 
         self._start()
         simulation = self._flight.simulation
@@ -151,7 +149,7 @@ class _Server:
 
     def serve(self) -> None:
         """Serve requests until the importer is gone."""
-        from cosim.base.errors import EngineError, FlightError, InputError
+        from cosim import EngineError, FlightError, InputError
 
         flying = False
         while True:

@@ -11,10 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
-from cosim.base.errors import InputError
-from cosim.engine import EngineSpec
-from cosim.engine.fmu.port_kinds import AMBIENT
-from cosim.engine.fmu.variables import REALS, Port
+from cosim import InputError
+from cosim.blocks import AMBIENT, REALS, EngineSpec, Port
 from cosim.engine.library import FMI2_SUFFIX, archive_path, write_archive
 from hexjet_export.vehicle.ports import REPORTS, ExportedFlight
 
