@@ -150,7 +150,7 @@ def setup(**changes: Any) -> Setup:
         "expectation": Expectation(
             controller="smith", engine="edf-as-flown", metrics={"roll.overshoot_percent": Range(max=35.0)}
         ),
-        "versions": {"python": "3.11.0", "hexjet-cosim": "0.1.0"},
+        "versions": {"python": "3.11.0", "hexjet-cosim": "0.2.0"},
         "sha256": {"hexjet.xml": "ab" * 32, "edf-as-flown.fmu": "cd" * 32},
     }
     return Setup(**(known | changes))
