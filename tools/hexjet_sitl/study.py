@@ -66,14 +66,8 @@ class AutopilotTable(Model):
     def fly(self, scenario: Scenario, study_folder: Path, folder: Path, page: bool) -> tuple[Run, int, int]:
         """Fly a scenario into ``folder``; return its run, the states told, and the answers that never came."""
         with reserve_instance() as instance:
-            setup = Setup(
-                instance,
-                self.timeout_s,
-                gains=self.gains,
-                lines=self.lines,
-                parameters=self.parameters,
-                channels=self.channels,
-            )
+            stated = self.model_dump(include={"gains", "lines", "parameters", "channels"})
+            setup = Setup(instance, self.timeout_s, **stated)
             program = require_program(self.name, self.program(study_folder))
             flown = fly_autopilot(scenario, prepare(self.name, scenario, folder, program, setup), folder, page=page)
         return flown.run, flown.counts.frames, flown.counts.missing

@@ -147,8 +147,8 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
         | data
         | code
         | templates
-        | {"cosim/py.typed", "tools/hexjet_prove/proof/evidence.toml"}
-        | {"hexjet_paper/py.typed", "hexjet_paper/calibration.toml"}
+        | {"cosim/py.typed", "hexjet_prove/proof/evidence.toml"}
+        | {"hexjet_paper/py.typed", "hexjet_paper/calibration.toml", "hexjet_sitl/lockstep_clock.c"}
     ) - names == set()
     assert (f"cosim/{STAMP}" in names) == (not UNCOMPILED)
     # and nothing else of the data than what is in the clone
