@@ -27,9 +27,9 @@ RESOLVE := build/lock/bin/uv pip compile --quiet --universal --python-version 3.
 # half a gigabyte for MAVProxy's maps and three-dimensional views; the tests run it without
 NOT_NEEDED := opencv-python vtk shapely quantized-mesh-tile
 # what the set-up leaves outside .venv; if any of it was deleted, it is made again
-EXTENSIONS := engine/_bank results/_rows base/_records base/_turning control/allocation/_effectiveness vehicle/_noise vehicle/_properties
+EXTENSIONS := engine/_bank results/_rows base/_turning control/allocation/_effectiveness vehicle/_noise vehicle/_properties
 MISSING := $(if $(strip $(foreach file,fmus/*.fmu $(EXTENSIONS:%=cosim/%.*.so),$(if $(wildcard $(file)),,$(file)))),missing)
-UNCOMPILED := $(if $(or $(HEXJET_PURE),$(and $(wildcard cosim/_compiled.*.sha256),$(wildcard cosim/_native__mypyc.*.so))),,missing)
+UNCOMPILED := $(if $(or $(HEXJET_PURE),$(wildcard cosim/_native__mypyc.*.so)),,missing)
 
 ##@ Fly and look
 # it flies from source if need be, and compiles then
@@ -85,7 +85,7 @@ lock: ## resolve pyproject.toml into both locks; newer releases: make lock ARGS=
 	@$(RESOLVE) --group build --constraint requirements-dev.lock --output-file requirements.lock $(ARGS) pyproject.toml
 
 clean: ## remove .venv, builds and caches; flights in runs/ stay
-	rm -rf .venv build dist *.egg-info fmus/*.fmu cosim/_compiled.*.sha256 .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .venv build dist *.egg-info fmus/*.fmu .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find cosim -name '*.so' -delete
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -108,7 +108,7 @@ $(LOCKED_DEV): requirements-dev.lock | $(BUILT)
 	@touch $@
 
 $(FLYABLE): $(LOCKED) $(SOURCES) $(MISSING)
-	@HEXJET_COMPILE_LATER=1 $(STEPS) "the project" $(PIP) --verbose --no-build-isolation --editable .
+	@HEXJET_PURE=1 $(STEPS) "the project" $(PIP) --verbose --no-build-isolation --editable .
 	@touch $@
 
 $(BUILT): $(FLYABLE) $(UNCOMPILED)

@@ -1,20 +1,17 @@
 """What pyproject.toml cannot say: the compiled modules, the FMUs, the MAVLink messages, the data inside the package.
 
-``HEXJET_PURE`` set in the environment leaves out what mypyc would compile: see ``cosim/base/compiled.py``;
-``HEXJET_COMPILE_LATER`` leaves it to the next build.
+``HEXJET_PURE`` set in the environment leaves out what mypyc would compile: see ``cosim/base/compiled.py``.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import os
-import platform
 import shutil
 import sys
 import sysconfig
+import time
 from concurrent.futures import ThreadPoolExecutor
-from hashlib import sha256
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -77,7 +74,6 @@ follow_imports = skip
 ignore_missing_imports = True
 """
 NATIVE = "cosim._native"
-LATER = "HEXJET_COMPILE_LATER"  # environment: set, what mypyc would compile runs from source until the next build
 
 
 class BuildExtensions(build_ext):
@@ -90,26 +86,28 @@ class BuildExtensions(build_ext):
         self.parallel = self.parallel or os.cpu_count()
         compiled = by_path("compiled", ROOT / "cosim" / "base" / "compiled.py")
         package = ROOT / "cosim" if self.inplace else Path(self.build_lib) / "cosim"
-        stamp = package / compiled.STAMP
+        shared = package / compiled.SHARED
         if os.environ.get(compiled.PURE):
             self._remove_compiled(package, compiled)
             super().run()
             return
-        stated = compiled.fingerprint(ROOT / "cosim") + self._made_by()
-        if stamp.is_file() and stamp.read_text(encoding="ascii") == stated and (package / compiled.SHARED).is_file():
+        modules = [f"cosim/{name}" for name in compiled.MODULES]
+        made_of = [ROOT / name for name in (*modules, "setup.py", "requirements.lock", "cosim/base/compiled.py")]
+        began = time.time_ns()
+        if shared.is_file() and all(path.stat().st_mtime_ns <= shared.stat().st_mtime_ns for path in made_of):
             super().run()
             return
         self._remove_compiled(package, compiled)
-        if os.environ.get(LATER):
-            super().run()
-            return
-        modules = [f"cosim/{name}" for name in compiled.MODULES]
         tell(f"mypy translates {len(modules)} modules to C, which takes a minute of a processor to compile")
         self.distribution.ext_modules = [*self.extensions, *by_mypyc(modules, Path(self.build_temp))]
         self.swig_opts = None  # split once already, and not split twice
         self.finalize_options()
-        super().run()
-        stamp.write_text(stated, encoding="ascii")
+        try:
+            super().run()
+        except BaseException:
+            shared.unlink(missing_ok=True)  # without it no module that is there already is used
+            raise
+        os.utime(shared, ns=(began, began))  # a source that was edited meanwhile is newer
 
     def build_extension(self, ext: Extension) -> None:
         """Compile the many files of what mypyc's modules share several at a time: one alone takes a minute or two."""
@@ -134,19 +132,8 @@ class BuildExtensions(build_ext):
         )
         return made
 
-    def _made_by(self) -> str:
-        """What else decides what is compiled, in the form of a fingerprint.  Raises CompileError without mypy."""
-        try:
-            mypy = version("mypy")
-        except PackageNotFoundError:
-            reason = "mypy: not found; install mypy, or set HEXJET_PURE=1 to go without compiled modules"
-            raise CompileError(reason) from None
-        tools = f"mypy-{mypy}-{platform.python_implementation()}-{platform.python_version()}"
-        return f"{sha256(Path(__file__).read_bytes()).hexdigest()}  setup.py\n{tools}\n"
-
     def _remove_compiled(self, package: Path, compiled: Any) -> None:
         """What an earlier build compiled for this Python: it may be of modules that are no longer compiled."""
-        (package / compiled.STAMP).unlink(missing_ok=True)
         (package / compiled.SHARED).unlink(missing_ok=True)
         suffix = sysconfig.get_config_var("EXT_SUFFIX")
         for path in package.rglob(f"*{suffix}"):
@@ -160,7 +147,11 @@ def by_mypyc(modules: list[str], folder: Path) -> list[Extension]:
     -O2 and direct calls make a step some 8 % cheaper outside JSBSim than -O1 (processor time, flights in turn), and
     take longer to compile; -Os, which is smaller, makes it a third dearer.
     """
-    from mypyc.build import mypycify
+    try:
+        from mypyc.build import mypycify
+    except ImportError:
+        reason = "mypy: not found; install mypy, or set HEXJET_PURE=1 to go without compiled modules"
+        raise CompileError(reason) from None
 
     folder.mkdir(parents=True, exist_ok=True)
     config = folder / "mypy.ini"
@@ -293,7 +284,6 @@ setup(
             extra_compile_args=c_flags("-O3"),
         ),
         Extension("cosim.base._turning", sources=["cosim/base/_turning.c"], extra_compile_args=c_flags("-O2")),
-        Extension("cosim.base._records", sources=["cosim/base/_records.c"], extra_compile_args=c_flags("-O2")),
         Extension(
             "cosim.vehicle._properties", sources=["cosim/vehicle/_properties.c"], extra_compile_args=c_flags("-O2")
         ),

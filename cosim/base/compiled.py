@@ -1,7 +1,8 @@
-"""Which modules are compiled, and whether what was compiled is still what the source says.
+"""Which modules are compiled, and when their source runs in their place.
 
 A control step runs in modules that mypyc turns into C.  Their source is plain Python: it is what runs where nothing was
-compiled, where ``HEXJET_PURE`` is set, and where a file was edited since.  The results are the same to the last bit.
+compiled, where ``HEXJET_PURE`` is set, and in a checkout where a source is newer than what was compiled.  The results
+are the same to the last bit.
 
 Imported before everything else of the package, so it imports little; ``setup.py`` and the Makefile read it too.
 """
@@ -10,7 +11,6 @@ from __future__ import annotations
 
 import os
 import sys
-from hashlib import sha256
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec
 from importlib.util import spec_from_file_location
 from pathlib import Path
@@ -71,54 +71,29 @@ MODULES = (
     "simulation/guided_pilot.py",
     "vehicle/effects/rotors.py",
 )
-# In the package's folder, one of each for every Python that it was compiled for:
-SHARED = f"_native__mypyc{EXTENSION_SUFFIXES[0]}"  # mypyc's shared library of all compiled modules
-STAMP = f"_compiled{EXTENSION_SUFFIXES[0]}.sha256"  # hashes of the compiled sources, in the format of sha256sum
+# mypyc's shared library of all compiled modules, in the package's folder, for each Python that it was compiled for.
+SHARED = f"_native__mypyc{EXTENSION_SUFFIXES[0]}"
 PURE = "HEXJET_PURE"  # environment: set, build without and run without
 
 
-def fingerprint(package: Path) -> str:
-    """Return one line a module: the hash of its source, and its path in the package."""
-    return "".join(f"{sha256((package / name).read_bytes()).hexdigest()}  {name}\n" for name in MODULES)
+def is_current() -> bool:
+    """Return whether the modules were compiled for this Python, and no source was changed since.
 
-
-def edited_modules() -> list[str]:
-    """Return the modules whose source is not what was compiled; all where nothing was, for this Python."""
-    if not (PACKAGE / SHARED).is_file():
-        return list(MODULES)
-    try:
-        built = (PACKAGE / STAMP).read_text(encoding="ascii").splitlines()
-    except OSError:
-        return list(MODULES)
-    return [line.split("  ")[1] for line in fingerprint(PACKAGE).splitlines() if line not in built]
+    What is installed stays as it was built; a checkout is edited.
+    """
+    shared = PACKAGE / SHARED
+    if not shared.is_file() or not (PACKAGE.parent / "setup.py").is_file():
+        return shared.is_file()
+    built = shared.stat()
+    sources = [(PACKAGE / name).stat() for name in MODULES]
+    # The second time notices a file that was copied here with the time that it had elsewhere.
+    return all(each.st_mtime_ns <= built.st_mtime_ns and each.st_ctime_ns <= built.st_ctime_ns for each in sources)
 
 
 def select_modules() -> None:
-    """Import the compiled modules from here on if they are up to date, else all of them from source.
-
-    One line on standard error says so where an edit is why.
-    """
-    changed = edited_modules()
-    if not changed and not os.environ.get(PURE):
-        return
-    sys.meta_path.insert(0, _FromSource())
-    if 0 < len(changed) < len(MODULES) and not os.environ.get(PURE):
-        more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
-        print(
-            f"hexjet: {PACKAGE / changed[0]}{more} changed since it was compiled; all runs from source, which is "
-            "slower, until: make setup",
-            file=sys.stderr,
-        )
-
-
-def from_source() -> bool:
-    """Return whether this process runs the modules from source."""
-    return any(isinstance(finder, _FromSource) for finder in sys.meta_path)
-
-
-def child_environment() -> dict[str, str]:
-    """Return the environment for a child process, which runs the modules as this one does, without a second notice."""
-    return {**os.environ, PURE: "1"} if from_source() else dict(os.environ)
+    """Import the compiled modules from here on if they are current, else all of them from source."""
+    if os.environ.get(PURE) or not is_current():
+        sys.meta_path.insert(0, _FromSource())
 
 
 class _FromSource:

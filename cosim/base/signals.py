@@ -10,8 +10,6 @@ from __future__ import annotations
 from math import nan
 from typing import Final, NamedTuple
 
-from cosim.base._records import quick
-
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 PerJet = tuple[float, ...]  # jet 1 first
@@ -31,7 +29,6 @@ NO_FAULTS: Final[tuple[float, ...]] = (0.0,) * (JETS + 2 + 4)
 AXES = ("roll", "pitch", "yaw")
 
 
-@quick
 class Command(NamedTuple):
     """What the pilot or the script asks for during one step."""
 
@@ -43,7 +40,6 @@ class Command(NamedTuple):
     ahead: float | None = None  # speed along the heading [m/s], over the ground; None: none is asked for
 
 
-@quick
 class Disturbance(NamedTuple):
     """The disturbances that act on the vehicle during one step."""
 
@@ -57,7 +53,6 @@ class Disturbance(NamedTuple):
     torque_seen: Vector3 = ZERO3  # the part of torque_output that a predictor sees
 
 
-@quick
 class State(NamedTuple):
     """The true motion of the airframe at one instant."""
 
@@ -75,7 +70,6 @@ class State(NamedTuple):
     air_rate: Vector3 = ZERO3  # rad/s, body: at which turbulence turns the air; aerodynamic damping sees rate less this
 
 
-@quick
 class Measured(NamedTuple):
     """What the sensors tell the controller at one instant."""
 
@@ -87,7 +81,6 @@ class Measured(NamedTuple):
     specific_force: Vector3 = UNKNOWN3  # m/s^2, body, by the accelerometer; NaN where there is none
 
 
-@quick
 class Unallocated(NamedTuple):
     """What allocation could not give: requested minus achieved."""
 
@@ -97,7 +90,6 @@ class Unallocated(NamedTuple):
     collective: float = 0.0
 
 
-@quick
 class Actuation(NamedTuple):
     """What the controller asks of the engines and of the servos."""
 
@@ -107,7 +99,6 @@ class Actuation(NamedTuple):
     off: frozenset[int] = NO_JETS  # the jets, from 0, that are shut off on purpose
 
 
-@quick
 class ControlSignals(NamedTuple):
     """What a controller shows of itself for one step."""
 
@@ -118,7 +109,6 @@ class ControlSignals(NamedTuple):
     allocated: float  # the collective that allocation gave
 
 
-@quick
 class Ambient(NamedTuple):
     """The air around the engines during one step."""
 
@@ -127,7 +117,6 @@ class Ambient(NamedTuple):
     air_speed: PerJet  # m/s, into each intake: of the vehicle through the air, along the jet's thrust
 
 
-@quick
 class EngineOutput(NamedTuple):
     """What the engines deliver and report at the end of one step; NaN where an engine does not say."""
 
@@ -148,7 +137,6 @@ class JetHealth(NamedTuple):
     command: float = 0.0  # throttle command of a jet that does not follow
 
 
-@quick
 class Sample(NamedTuple):
     """One row of the log: everything that was on the wires during step ``k``.
 

@@ -6,7 +6,6 @@ from enum import Enum
 from math import inf
 from typing import NamedTuple
 
-from cosim.base._records import quick
 from cosim.base.signals import EngineOutput, PerJet, PerServo
 
 Diagnostics = tuple[float, float, float]  # a model's rate without its delay, and with it [rad/s]; the delay [samples]
@@ -21,7 +20,6 @@ class EngineState(Enum):
     START = "start"  # as idle, and some have yet to start
 
 
-@quick
 class Report(NamedTuple):
     """What the vehicle reports to its pilot beside its sensors at one instant."""
 
@@ -46,7 +44,6 @@ class Parameter(NamedTuple):
     most: float = inf
 
 
-@quick
 class Applied(NamedTuple):
     """What became of the step before: what the actuators were given, and what the engines report of it."""
 

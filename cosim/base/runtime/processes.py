@@ -17,7 +17,7 @@ from pathlib import Path
 from secrets import token_hex
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.compiled import PACKAGE, child_environment
+from cosim.base.compiled import PACKAGE
 from cosim.base.runtime.pipes import Pipes, require_poll
 
 if TYPE_CHECKING:
@@ -60,13 +60,13 @@ def python_command(code: str, *arguments: str, seconds: int | None = None, megab
 class Child(subprocess.Popen[bytes]):
     """A process that leads a process group, and is ended with everything that it has started.
 
-    It inherits ``environ``, by default :func:`cosim.base.compiled.child_environment`.
+    It inherits ``environ``, by default that of this process.
     ``how`` is as of ``subprocess.Popen``.
     """
 
     def __init__(self, command: Sequence[str], environ: Mapping[str, str] | None = None, **how: Any) -> None:
         self._mark = f"{os.environ.get(_MARK, '')}/{token_hex(8)}"
-        inherited = child_environment() if environ is None else environ
+        inherited = os.environ if environ is None else environ
         super().__init__(command, env={**inherited, _MARK: self._mark}, process_group=0, **how)
 
     @classmethod

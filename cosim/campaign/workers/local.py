@@ -25,7 +25,6 @@ from select import poll
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.compiled import child_environment
 from cosim.base.errors import FlightError, InputError
 from cosim.base.runtime.processes import Child, die_with_parent
 from cosim.base.runtime.threads import ONE_THREAD
@@ -218,7 +217,7 @@ class _Process:
             raise FlightError(f"no process could be started: {error}") from error
         except OSError as error:
             raise FlightError(f"no process could be started: {tempfile.gettempdir()}: {error.strerror}") from error
-        inherited = child_environment() | ONE_THREAD | {"TMPDIR": self._folder}
+        inherited = dict(os.environ) | ONE_THREAD | {"TMPDIR": self._folder}
         try:  # in a group: Ctrl-C is answered by the process that waits
             self._process, self.connection = Child.connect(_COMMAND, self._folder, environ=inherited)
         except OSError as error:

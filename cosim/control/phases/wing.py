@@ -28,7 +28,6 @@ from collections.abc import Sequence
 from math import atan2, cos, sin
 from typing import Final, NamedTuple
 
-from cosim.base._records import quick
 from cosim.base.constants import GRAVITY
 from cosim.base.frames import conjugate, heading_of, rotate, to_euler
 from cosim.base.limits import clamp
@@ -92,7 +91,6 @@ class WingTable(NamedTuple):
         return self.alpha[-1]
 
 
-@quick
 class WingDemand(NamedTuple):
     """The demand on jets, hinges and surfaces: N along body x and up, N m about y."""
 

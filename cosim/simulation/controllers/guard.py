@@ -6,13 +6,11 @@ Numpy arrays and lists are taken for tuples.  Whatever a block raises or gives b
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Final
 
-from cosim.base._records import within
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import FlightError, InputError, describe_error
 from cosim.base.limits import clamp, clip
@@ -36,7 +34,6 @@ from cosim.base.signals import (
 )
 from cosim.control.belief import Belief
 
-_MAX_FLOAT: Final = sys.float_info.max
 _ROUNDING: Final = 1e-9  # of a throttle: this far outside 0 to 1 is the rounding of somebody's arithmetic
 _AXIS_ANSWERS: Final = tuple([f"the answer for {axis}" for axis in AXES])
 _TILTS: Final = ("the tilt of the left servo", "the tilt of the right servo")
@@ -69,9 +66,6 @@ class CallGuard:
 
     def check_numbers(self, answer: Any, names: Sequence[str], what: str = "update") -> tuple[float, ...]:
         """Return an answer as so many finite numbers.  Raises FlightError."""
-        numbers = within(answer, len(names), -_MAX_FLOAT, _MAX_FLOAT)
-        if numbers is not None:
-            return numbers
         try:
             values = tuple([float(value) for value in answer])
         except (TypeError, ValueError):
@@ -162,7 +156,7 @@ class GuardedRate(Guarded):
         self._torque = (roll, pitch, yaw)
         predicted = getattr(self._block, "predicted", None)
         if predicted is not None:
-            x, y, z = within(predicted, 3, -_MAX_FLOAT, _MAX_FLOAT) or predicted
+            x, y, z = predicted
             self.predicted = (float(x), float(y), float(z))
         return self._torque
 
@@ -256,16 +250,14 @@ class GuardedController(Guarded):
                 throttles, tilts = answer if self._tilt_limit or self._ranges else (answer, (0.0, 0.0))
             except (TypeError, ValueError):
                 raise guard.make_error(f"update gave {_short(answer)}: must be throttles and tilts") from None
-        throttle = within(throttles, len(self._names), 0.0, 1.0) or self._round_to_limits(throttles)
-        tilt: PerServo | None = None
+        throttle = self._round_to_limits(throttles)
+        tilt: PerServo
         if self._ranges:
             asked = guard.check_numbers(tilts, self._servos, "tilts: update")
             tilt = tuple([clip(asked[i], least, most) for i, (least, most) in enumerate(self._ranges)])
         else:
-            tilt = within(tilts, 2, -self._tilt_limit, self._tilt_limit)
-            if tilt is None:
-                left, right = guard.check_numbers(tilts, _TILTS, "tilts: update")
-                tilt = (clamp(left, self._tilt_limit), clamp(right, self._tilt_limit))
+            left, right = guard.check_numbers(tilts, _TILTS, "tilts: update")
+            tilt = (clamp(left, self._tilt_limit), clamp(right, self._tilt_limit))
         return Actuation(
             throttle,
             tilt,

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import IO, Any
 
 from cosim.base import controller_wire as wire
-from cosim.base.compiled import child_environment
 from cosim.base.errors import FlightError, InputError
 from cosim.base.plugins.execute import compiled_copies
 from cosim.base.protocols import Column
@@ -41,7 +40,7 @@ class Connection:
     def __init__(self, command: Sequence[str], folder: Path, errors: IO[bytes] | None = None) -> None:
         try:
             # Compiled copies that lie beside a program in Python are not read, nor are any left there.
-            environ = child_environment() | {"PYTHONPYCACHEPREFIX": compiled_copies()}
+            environ = dict(os.environ) | {"PYTHONPYCACHEPREFIX": compiled_copies()}
             self._process, self._pipes = Child.open_program(command, environ=environ, stderr=errors, cwd=folder)
         except OSError as error:
             raise InputError(f"cannot be started: {error.strerror or error}") from error

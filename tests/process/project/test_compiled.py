@@ -16,18 +16,13 @@ import pytest
 from places import ROOT, TOOLS
 
 from cosim import Scenario, fly
-from cosim.base.compiled import (
-    MODULES,
-    PURE,
-    SHARED,
-    STAMP,
-    edited_modules,
-)
+from cosim.base.compiled import MODULES, PURE, SHARED, is_current
 from cosim.simulation.build import build
 
 PACKAGE = ROOT / "cosim"
 
 needs_compiled = pytest.mark.skipif(bool(os.environ.get(PURE)), reason=f"{PURE} is set")
+WHERE = "import cosim.vehicle.servo as a, cosim.base.frames as b; print(a.__file__, b.__file__)"
 
 
 def flights() -> dict[str, Scenario]:
@@ -99,7 +94,7 @@ def python(code: str, path: Path, **environment: str) -> tuple[str, str]:
 @needs_compiled
 def test_the_compiled_modules_are_flown_here() -> None:
     """Where this fails the other tests have tested the source: run make setup."""
-    assert edited_modules() == []
+    assert is_current()
     for name in MODULES:
         module = f"cosim.{name.removesuffix('.py').replace('/', '.')}"
         __import__(module)
@@ -119,42 +114,64 @@ def test_compiled_and_from_source_a_flight_is_the_same_bit_for_bit() -> None:
     assert json.loads(found) == digests()
 
 
-@needs_compiled
-def test_an_edited_source_is_what_runs(tmp_path: Path) -> None:
-    """And one line says so; until the edit nothing is said."""
-    shutil.copytree(PACKAGE, tmp_path / "cosim", ignore=shutil.ignore_patterns("__pycache__", "mavlink", "web", "data"))
-    code = (
-        "import cosim.vehicle.servo, cosim.base.frames; print(cosim.vehicle.servo.__file__, cosim.base.frames.__file__)"
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A package with files that stand for compiled ones, which nothing can import, older than the checkout's sources."""
+    shutil.copytree(
+        PACKAGE,
+        tmp_path / "cosim",
+        ignore=shutil.ignore_patterns("__pycache__", "web", "data", "*mypyc*", "*.cpython*"),
     )
-    before, nothing = python(code, tmp_path)
-    assert before.count(str(tmp_path)) == 2
-    assert ".py" not in before.replace(".cpython", "")
-    assert nothing == ""
-    edited_file = tmp_path / "cosim" / "vehicle/servo.py"
-    with edited_file.open("a", encoding="utf-8") as file:
+    for path in PACKAGE.rglob("_*.cpython*"):
+        if not path.name.startswith("_native"):
+            shutil.copy(path, tmp_path / path.relative_to(ROOT))
+    (tmp_path / "setup.py").write_text("")
+    for name in MODULES:
+        (tmp_path / "cosim" / name).with_suffix(SHARED.removeprefix("_native__mypyc")).write_text("nothing to import")
+    (tmp_path / "cosim" / SHARED).write_text("")
+    return tmp_path
+
+
+def set_times(checkout: Path, built: float) -> None:
+    """All sources are of the second 1,000; what was compiled is of another."""
+    for name in MODULES:
+        os.utime(checkout / "cosim" / name, (1000.0, 1000.0))
+    shared = checkout / "cosim" / SHARED
+    shared.write_text("")
+    os.utime(shared, (built, built))
+
+
+def test_a_source_that_is_newer_than_what_was_compiled_runs(checkout: Path) -> None:
+    """All do, because compiled modules call each other directly; nothing is said."""
+    set_times(checkout, built=2000.0)
+    servo = checkout / "cosim" / "vehicle" / "servo.py"
+    with servo.open("a", encoding="utf-8") as file:
         file.write("# another line\n")
-    after, said = python(code, tmp_path)
-    assert after.split() == [str(edited_file), str(tmp_path / "cosim" / "base/frames.py")]
-    assert said.count("\n") == 1
-    assert str(edited_file) in said
-    assert "make setup" in said
-    # and the line is not taken for the words of an FMU that is tried in a process of its own
-    fmu = ROOT / "fmus" / "edf.fmu"
-    check = f"from cosim.engine.qualify.check import check_fmu; print(check_fmu({str(fmu)!r}).notes)"
-    notes, said = python(check, tmp_path)
-    assert "prints" not in notes
-    assert said.count("\n") == 1
+    files = f"{servo} {checkout / 'cosim' / 'base' / 'frames.py'}"
+    assert python(WHERE, checkout) == (f"{files}\n", "")
+    set_times(checkout, built=2000.0)
+    with pytest.raises(AssertionError, match="ImportError"):  # nothing is newer: what was compiled is taken
+        python(WHERE, checkout)
+    assert python(WHERE, checkout, **{PURE: "1"}) == (f"{files}\n", "")
+    other = checkout / "cosim" / "other.py"
+    shutil.copy2(servo, other)  # copied over it later, with the older time that it has
+    os.replace(other, servo)
+    assert python(WHERE, checkout) == (f"{files}\n", "")
 
 
-@needs_compiled
-@pytest.mark.parametrize("lost", [SHARED, STAMP])
-def test_half_of_what_was_compiled_is_not_used(tmp_path: Path, lost: str) -> None:
+def test_without_the_shared_library_the_source_runs(checkout: Path) -> None:
     """As where another Python compiled last, or a build was broken off."""
-    shutil.copytree(PACKAGE, tmp_path / "cosim", ignore=shutil.ignore_patterns("__pycache__", "mavlink", "web", "data"))
-    (tmp_path / "cosim" / lost).unlink()
-    found, said = python("import cosim.vehicle.servo; print(cosim.vehicle.servo.__file__)", tmp_path)
-    assert found.split() == [str(tmp_path / "cosim" / "vehicle/servo.py")]
-    assert said == ""
+    set_times(checkout, built=2000.0)
+    (checkout / "cosim" / SHARED).unlink()
+    assert python(WHERE, checkout)[0].split()[0] == str(checkout / "cosim" / "vehicle" / "servo.py")
+
+
+def test_what_is_installed_stays_as_it_was_built(checkout: Path) -> None:
+    """Whatever times an installer gives its files."""
+    set_times(checkout, built=500.0)
+    (checkout / "setup.py").unlink()
+    with pytest.raises(AssertionError, match="ImportError"):
+        python(WHERE, checkout)
 
 
 def test_make_compiles_again_what_was_edited() -> None:

@@ -279,10 +279,7 @@ def test_the_simulation_knows_no_output() -> None:
 def test_the_protocols_know_the_records_and_nothing_above() -> None:
     files = [path for path in modules() if place(path).startswith("base/protocols/")]
     ours = {name.rpartition(".")[0] for path in files for name, _ in imported(path) if name.startswith("cosim")}
-    assert ours - {name for name in ours if name.startswith("cosim.base.protocols")} == {
-        "cosim.base.signals",
-        "cosim.base._records",  # what makes a record at once
-    }
+    assert ours - {name for name in ours if name.startswith("cosim.base.protocols")} == {"cosim.base.signals"}
 
 
 def test_the_product_imports_no_test_tools() -> None:

@@ -20,7 +20,6 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.base.compiled import child_environment
 from cosim.base.errors import InputError
 from cosim.base.runtime.processes import Child, python_command
 from cosim.base.storage.files import one_line
@@ -46,7 +45,7 @@ def read_apart(reader: str, path: Path, *numbers: int) -> FlightLog | TableColum
     command = [_RUN, reader, str(path), *map(str, numbers)]
     child = Child(
         python_command(*command, seconds=int(seconds) + 1, megabytes=megabytes),
-        child_environment() | _ONE_THREAD,
+        dict(os.environ) | _ONE_THREAD,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

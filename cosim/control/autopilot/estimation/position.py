@@ -6,7 +6,6 @@ from cmath import rect
 from math import hypot, inf
 from typing import NamedTuple
 
-from cosim.base._records import quick
 from cosim.base.constants import GRAVITY
 from cosim.base.frames import heading_of, rotate
 from cosim.base.signals import Measured
@@ -29,7 +28,6 @@ _UNSENSED_ACCELERATION = 0.5
 STANDING_NOISE = 0.02
 
 
-@quick
 class Fix(NamedTuple):
     """The estimated horizontal position, velocity, and acceleration that attitude does not explain: m, m/s, m/s^2."""
 

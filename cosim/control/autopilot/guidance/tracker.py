@@ -6,14 +6,12 @@ from collections import deque
 from math import ceil, copysign, hypot, sqrt
 from typing import NamedTuple
 
-from cosim.base._records import quick
 from cosim.control.autopilot.geometry import Pair
 
 _LONGEST_MEAN = 10.0  # s: a set-point that answers later than this is of no use to a pilot
 BRAKE_FRACTION = 0.75  # fraction of the acceleration planned for braking, so that some is left to turn with
 
 
-@quick
 class Track(NamedTuple):
     """One instant of the set-point: m, m/s, m/s^2, horizontal NED."""
 
