@@ -66,7 +66,7 @@ def file_seen_from(engine: str, folder: Path) -> str:
 
 
 def is_file(engine: str) -> bool:
-    """Return whether an engine is given by a file: an FMU, a system of them (SSP), or a mapping file that names one."""
+    """Return whether an engine is given by a file: an FMU, a mapping file that names one, or what left (.ssp)."""
     return engine.lower().endswith((".fmu", ".ssp", ".toml")) or "/" in engine
 
 

@@ -30,7 +30,7 @@ from cosim.engine.fmu.archive import read_archive
 from cosim.engine.fmu.instance import FmuInstance
 from cosim.engine.fmu.mapping import PortMap
 from cosim.engine.fmu.port_kinds import INPUTS, OUTPUTS
-from cosim.engine.fmu.ports import find_ports, split_unit
+from cosim.engine.fmu.ports import find_ports, look_for_ports, split_unit
 from cosim.engine.fmu.units import (
     ANGULAR_SPEED,
     FORCE,
@@ -260,6 +260,14 @@ def test_a_port_that_is_not_needed_is_left_out_with_a_note() -> None:
         "g/s, g/min, g/h, g/hr, lb/s, lbm/s, pps, lb/min, lb/h, lb/hr, lbm/h, lbm/hr, pph; "
         f"{MAP}[units] fuel_flow = ...",
     ]
+
+
+def test_what_may_be_an_optional_port_by_its_unit_is_asked_for() -> None:
+    findings = look_for_ports(described("PLA [%], P0 [Pa]", "thrust [N], EGT [K], T5 [degC], M [N.m]"))
+    assert {each.port: each.trouble for each in findings} == {
+        "throttle": "", "thrust": "", "ambient_pressure": "may be P0, by the unit",
+        "total_pressure": "may be P0, by the unit", "exhaust_temperature": "may be EGT, T5, by the unit",
+    }  # fmt: skip
 
 
 def test_a_unit_that_is_stated_against_the_fmus_own_counts_and_is_told() -> None:
