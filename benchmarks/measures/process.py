@@ -15,7 +15,7 @@ from typing import NamedTuple
 from benchmarks.measures.long_flight import INTERVALS, MEGABYTE, REPORTED, WRITTEN
 from benchmarks.timing import Spread
 from cosim import FlightError
-from cosim.base.runtime.processes import python_command
+from cosim.base.runtime.host import python_command
 from cosim.results.run import REPORT
 
 # `hexjet fly`, stopped where its log is begun and its first step comes next; stamped against the time of its start.

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import import_module, metadata
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -177,10 +178,17 @@ def _thrust(answer: Any) -> Sequence[float]:
 
 
 def _fmpy(stack: ExitStack) -> Stepper:
-    """FMPy's Python wrappers around the same instances, by which a script would step them."""
-    _, throttle, thrust = _fmu()
-    bank = _bank(stack)
-    slaves = [slave.fmu for slave in bank._instances]
+    """FMPy's Python wrappers around instances of the same archive, by which a script would step them."""
+    fmpy: Any = import_module("fmpy")
+    path, throttle, thrust = _fmu()
+    description = fmpy.read_model_description(path)
+    folder = fmpy.extract(path, stack.enter_context(TemporaryDirectory()))
+    slaves = [fmpy.instantiate_fmu(folder, description) for _ in range(JETS)]
+    for slave in slaves:
+        stack.callback(slave.freeInstance)
+        slave.setupExperiment()
+        slave.enterInitializationMode()
+        slave.exitInitializationMode()
 
     def exchange(k: int, throttles: Throttles) -> Sequence[float]:
         for slave, value in zip(slaves, throttles, strict=True):

@@ -101,13 +101,12 @@ def check_engine(
     """
     from cosim.base.storage.files import check_results_folder
     from cosim.base.storage.toml import parse_values
-    from cosim.engine import check_fmu, make_limits
+    from cosim.engine import check_fmu
 
     check_results_folder(out, *CHECK)
     texts = as_settings(settings)
     mention([*texts, engine], Path())
-    limits = make_limits(time_limit_s)
-    result = EngineCheckResult(check_fmu(str(engine), step_s, parse_values(texts), limits))
+    result = EngineCheckResult(check_fmu(str(engine), step_s, parse_values(texts), time_limit_s))
     return result if out is None else result.write(out)
 
 

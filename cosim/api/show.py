@@ -258,7 +258,7 @@ def _engine_file(name: str) -> dict[str, Any] | None:
     Raises InputError.
     """
     from cosim.base.storage.toml import read_toml
-    from cosim.engine.spec import find_source, resolve_parameters
+    from cosim.engine.source import find_source, resolve_parameters
 
     path = Path(name)
     if path.suffix.lower() != ".toml" or not path.is_file() or "fmu" not in read_toml(path):
@@ -394,7 +394,7 @@ def _thrusts(vehicle: Vehicle, weight: float) -> Iterator[Number]:
 
 
 def _engine(name: str) -> Iterator[Number]:
-    from cosim.engine.spec import find_source
+    from cosim.engine.source import find_source
 
     definition = find_source(name).engine
     assert definition is not None  # it is an engine of the library
@@ -422,7 +422,7 @@ def _engine(name: str) -> Iterator[Number]:
 def _loaded(engine: str) -> Any:
     """Load an engine at its own step.  Raises InputError."""
     from cosim.engine import load_engine
-    from cosim.engine.spec import find_source
+    from cosim.engine.source import find_source
 
     definition = find_source(engine).engine
     return load_engine(engine, {}, 0.004 if definition is None else definition.internal_step)

@@ -97,16 +97,23 @@ def refuse_others(why: str, *allowed: str) -> None:
             raise InputError(f"{option}: {why}")
 
 
-def warn_of_fmu_defects(*engines: str, folder: Path = Path()) -> None:
-    """Tell on standard error what of a foreign FMU's description, seen from ``folder``, is not as FMI has it."""
+def warn_of_fmu_defects(*engines: str, folder: Path = Path(), isolated: bool | None = None) -> None:
+    """Tell on standard error what of a foreign FMU's description, seen from ``folder``, is not as FMI has it.
+
+    And what is risked where ``isolated``, of the scenario, or its mapping file has it fly in this process.
+    """
     from cosim.spec.vehicle import is_file
 
     for engine in dict.fromkeys(engines):
         if is_file(engine):
-            from cosim.engine.qualify.check import note_harmless_violations
-            from cosim.engine.spec import find_source
+            from cosim.engine.check import note_harmless_violations
+            from cosim.engine.source import find_source
 
-            for line in note_harmless_violations(find_source(str(folder / engine)).archive):
+            source = find_source(str(folder / engine))
+            lines = note_harmless_violations(source.archive)
+            if isolated is False or (isolated is None and source.mapping.isolated is False):
+                lines.append("isolated = false: a crash or a hang of its library ends hexjet, and this flight's log")
+            for line in lines:
                 echo(f"hexjet: warning: {engine}: {line}", err=True)
 
 

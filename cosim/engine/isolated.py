@@ -1,4 +1,4 @@
-"""A bank of engines in a process of its own, so that an FMU can harm no other process.
+"""Engines in a process of their own, so that an FMU can harm no other process.
 
 A crash, a hang, a library's own threads or run time, a flood on standard output: the flight ends as failed, with
 engine, step and time, and its log is kept.  The numbers that go to and fro are the same doubles, so a flight is the one
@@ -7,61 +7,219 @@ that it is without, bit for bit; what it costs is one exchange through two pipes
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
 import pickle
 import struct
-from collections.abc import Sequence
+import subprocess
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from itertools import chain
+from math import inf
+from time import monotonic
 from typing import Any
 
 from cosim.base.errors import EngineError, InputError
 from cosim.base.protocols import Column
-from cosim.base.runtime.pipes import Pipes
-from cosim.base.runtime.processes import Child, die_with_parent, measure_megabytes
+from cosim.base.runtime.host import Host, HostError, die_with_parent, measure_megabytes, python_command, serve_pipes
 from cosim.base.signals import Ambient, EngineOutput, PerJet
+from cosim.base.storage.scratch import scratch
 from cosim.engine.bank import EngineBank, make_log_columns
+from cosim.engine.fmu.air import Air
+from cosim.engine.fmu.archive import Archive
+from cosim.engine.fmu.instance import FmuInstance
 from cosim.engine.fmu.port_kinds import AMBIENT
+from cosim.engine.fmu.starting import Setting
+from cosim.engine.fmu.unpacked import unpack
+from cosim.engine.measure import EngineMeasurement, make_measurement_adapter, measure
 from cosim.engine.spec import EngineSpec
 
 HANG_S = 4.0  # for one step of all engines; chosen by us: a thousand control steps
-START_S = 120.0  # to be loaded, started and run up, which a flight does once
+START_S = 120.0  # to be loaded, started, measured or run up
 CLOSE_S = 2.0  # to be freed
-MAX_MEGABYTES = 1024.0  # resident, of the engines' process: as cosim.engine.qualify.supervisor.Limits
-MAX_ANSWER_BYTES = 2**20
-MEMORY_CHECK_STEPS = 250  # a second of control steps
-_ANY = 2**32  # bytes of a question, which is ours
-_SERVE = "from cosim.engine.isolated import serve; serve(*map(int, sys.argv[1:]))"
+# Resident, of the engines' process: an engine worth flying needs some ten.
+MAX_MEGABYTES = 1024.0
+# Resident, of a process that waits for its next engines: what leaks is not handed on.
+MAX_IDLE_MEGABYTES = 256.0
+MAX_ANSWER_BYTES = 2**24
+_MAX_REQUEST_BYTES = 2**32
+Moment = str | tuple[int, float]  # when something was asked: in words, or the step and its time [s]
+_SERVE = "from cosim.engine.isolated import serve; serve()"
+
+
+class EngineHost:
+    """The process of engines of some archives, which serves one bank after another.
+
+    Raises EngineError where it ends by itself, does not answer, or is asked after ``deadline`` (of ``time.monotonic``).
+    """
+
+    def __init__(self, archives: Iterable[Archive], deadline: float = inf) -> None:
+        listed = list(archives)
+        self.archives = frozenset(archive.sha256 for archive in listed)
+        self.label = ""  # before each error
+        # What it leaves when it is killed goes with this process's own temporary files.
+        environ = dict(os.environ) | {"TMPDIR": str(scratch())}
+        self._host = Host.open(python_command(_SERVE), environ, MAX_MEGABYTES, stderr=subprocess.DEVNULL)
+        self._deadline = deadline
+        self.is_sound = True  # whether nothing has gone wrong in it
+
+    @property
+    def is_reusable(self) -> bool:
+        """Whether it may serve other engines of its archives."""
+        small = measure_megabytes(self._host.pid) <= MAX_IDLE_MEGABYTES
+        return self.is_sound and small and self._deadline == inf and self._host.poll() is None
+
+    def call(self, question: tuple[Any, ...], limit: float, moment: Moment) -> Any:
+        """Return an answer that is no row of doubles, tuples as lists, or raise the error that the process met."""
+        return self._read(self.request(question, limit, moment))
+
+    def request(self, question: tuple[Any, ...], limit: float, moment: Moment) -> bytes:
+        """Return the bytes that answer a question."""
+        return self.exchange(b"p" + pickle.dumps(question), limit, moment)
+
+    def exchange(self, data: bytes, limit: float, moment: Moment) -> bytes:
+        """Send bytes and return those that answer them; ``moment`` is when, for an error."""
+        if self._deadline < inf:
+            limit = min(limit, max(0.0, self._deadline - monotonic()))
+        try:
+            return self._host.exchange_message(data, MAX_ANSWER_BYTES, limit)
+        except HostError as error:
+            self.end(0.0)
+            when = moment if isinstance(moment, str) else "at step {} ({:g} s)".format(*moment)
+            raise EngineError(f"{self.label}{error} {when}") from None
+
+    def doubles(self, data: bytes, form: struct.Struct) -> tuple[float, ...]:
+        """Return the numbers that were answered, the same bits; raises what the process met in place of them."""
+        if data[:1] == b"p":
+            self._read(data)
+        if data[:1] != b"s" or len(data) != 1 + form.size:
+            raise self.invalid_answer()
+        return form.unpack_from(data, 1)
+
+    def _read(self, data: bytes) -> Any:
+        """Return what an answer says.
+
+        An FMU's library can send whatever it likes from there: no answer may run anything here, so none is unpickled.
+        """
+        try:
+            good, answer = json.loads(data.removeprefix(b"p"))
+            kind, text = ("", "") if good else map(str, answer)
+        except (ValueError, TypeError, RecursionError):
+            raise self.invalid_answer() from None
+        if good:
+            return answer
+        self.is_sound = False
+        raise {"InputError": InputError, "ValueError": ValueError}.get(kind, EngineError)(text)
+
+    def invalid_answer(self) -> EngineError:
+        self.is_sound = False
+        return EngineError(f"{self.label}the process answered what is no answer")
+
+    def end(self, patience: float = CLOSE_S) -> None:
+        """End it, by force if it takes long.  May be called again."""
+        self.is_sound = False
+        self._host.end(patience)
+
+
+# At most one process that waits for its next engines: to start one costs as much as seconds of flight.
+_idle: list[EngineHost] = []
+
+
+def take_host(archives: Iterable[Archive]) -> EngineHost:
+    """Return a process for engines: the one that waits, where it has served these archives and no others."""
+    listed = list(archives)
+    while _idle:
+        host = _idle.pop()
+        if host.archives == frozenset(archive.sha256 for archive in listed) and host.is_reusable:
+            return host
+        host.end()
+    return EngineHost(listed)
+
+
+def leave_host(host: EngineHost) -> None:
+    """Keep a process for its next engines, or end it.
+
+    One that another thread than the main one has started ends with that thread.
+    """
+    if not _idle and threading.current_thread() is threading.main_thread() and host.is_reusable:
+        _idle.append(host)
+    else:
+        host.end()
+
+
+@atexit.register
+def end_idle() -> None:
+    """End the process that waits."""
+    while _idle:
+        _idle.pop().end()
+
+
+def _forget_idle() -> None:
+    """Leave the process that waits to the one that this process was forked from."""
+    for host in _idle:
+        host._host.returncode = 0
+    _idle.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_idle)
+
+
+def measure_in(
+    host: EngineHost, archive: Archive, settings: tuple[Setting, ...], step: float, air: Air, small: bool
+) -> EngineMeasurement:
+    """Measure an engine in a process of engines: :func:`cosim.engine.measure.measure`."""
+    question = ("measure", archive, settings, archive.start, step, air, small)
+    answer = host.call(question, START_S, "while its thrust was measured")
+    try:
+        return make_measurement_adapter().validate_python(answer)
+    except ValueError:
+        raise host.invalid_answer() from None
 
 
 class IsolatedBank:
-    """As :class:`cosim.engine.EngineBank`, with the engines in a child process.
+    """As :class:`cosim.engine.EngineBank`, with the engines in a process of their own.
 
-    Raises InputError or EngineError as that does; EngineError too where the child ends by itself or does not answer.
+    ``host``: that process; without one it is taken and left by :func:`take_host` and :func:`leave_host`.
+    Raises InputError or EngineError as that does; EngineError too where the process ends by itself or does not answer.
     """
 
-    def __init__(self, specs: Sequence[EngineSpec], step: float) -> None:
+    def __init__(self, specs: Sequence[EngineSpec], step: float, host: EngineHost | None = None) -> None:
         self._step, self._count = step, len(specs)
-        self._names = ", ".join(dict.fromkeys(spec.path.name for spec in specs))
         self.wants_ambient = any(spec.has_port(port) for spec in specs for port in AMBIENT)
         self._columns = make_log_columns(specs)
         self._row, self._answer = _frame_formats(self._count)
         size = self._count
         self._parts = [slice(i * size, (i + 1) * size) for i in range(len(EngineOutput._fields))]  # of the answer
         self._no_air = (0.0,) * (3 + self._count)
-        self._child, self._pipes = Child.open_pipes(_SERVE)
+        self._is_own = host is None
+        self._host: EngineHost | None = host or take_host(spec.archive for spec in specs)
+        if host is None:
+            self.host.label = f"engines ({', '.join(dict.fromkeys(spec.path.name for spec in specs))}): "
+        # What is known of uncertainty takes numpy to be read.
+        told = tuple(replace(spec, uncertainty=None, uncertain_ranges=()) for spec in specs)
         try:
-            self._call(("make", tuple(specs), step), START_S, "when it was loaded")
+            self._call(("make", told, step), START_S, "when it was loaded")
         except BaseException:
+            self.host.is_sound = False
             self.close()
             raise
+
+    @property
+    def host(self) -> EngineHost:
+        """The engines' process."""
+        if self._host is None:
+            raise EngineError("the engines were freed before")
+        return self._host
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         """As the bank's."""
         held = tuple(throttle) if isinstance(throttle, Sequence) else throttle
         air = None if ambient is None else (ambient.pressure, ambient.temperature, tuple(ambient.air_speed))
-        return self._output(self._request(("reset", held, air), START_S, "before the flight"))
+        return self._output(self.host.request(("reset", held, air), START_S, "before the flight"))
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """As the bank's."""
@@ -69,7 +227,13 @@ class IsolatedBank:
             row = self._row.pack(b"s", k, *throttle, *self._no_air)
         else:
             row = self._row.pack(b"s", k, *throttle, 1.0, ambient[0], ambient[1], *ambient[2])
-        return self._output(self._exchange(row, HANG_S, k))
+        return self._output(self.host.exchange(row, HANG_S, (k, k * self._step)))
+
+    def follow(self, station: int, throttles: Iterable[float]) -> list[float]:
+        """As the bank's."""
+        listed = list(throttles)
+        data = self.host.request(("follow", station, listed), START_S, f"within {len(listed)} steps")
+        return list(self.host.doubles(data, struct.Struct(f"<{len(listed)}d")))
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -79,21 +243,27 @@ class IsolatedBank:
     @property
     def shown(self) -> tuple[float, ...]:
         """As the bank's; one more passage in every step, where there is something to show."""
-        data = self._request(("shown",), HANG_S, "when its further outputs were read")
-        return self._doubles(data, struct.Struct(f"<{len(self._columns)}d"))
+        data = self.host.request(("shown",), HANG_S, "when its further outputs were read")
+        return self.host.doubles(data, struct.Struct(f"<{len(self._columns)}d"))
 
     def run_down(self, seconds: float) -> EngineOutput:
         """As the bank's."""
-        return self._output(self._request(("run down", seconds), START_S, "before the flight"))
+        return self._output(self.host.request(("run down", seconds), START_S, "before the flight"))
 
     def set_run(self, index: int, on: bool) -> bool:
         """As the bank's."""
         return bool(self._call(("run", index, on), HANG_S, "when it was shut off or on"))
 
     def close(self) -> None:
-        """End the child, by force if it takes long.  May be called again."""
-        self._pipes.close()
-        self._child.end(CLOSE_S)
+        """Free the engines.  May be called again."""
+        host, self._host = self._host, None
+        if host is None:
+            return
+        if host.is_sound:
+            with suppress(EngineError, ValueError):
+                host.call(("close",), CLOSE_S, "when it was freed")
+        if self._is_own:
+            leave_host(host)
 
     def __enter__(self) -> IsolatedBank:
         return self
@@ -101,62 +271,16 @@ class IsolatedBank:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _call(self, question: tuple[Any, ...], limit: float, moment: str | int) -> Any:
-        return self._read(self._request(question, limit, moment))
-
-    def _request(self, question: tuple[Any, ...], limit: float, moment: str | int) -> bytes:
-        return self._exchange(b"p" + pickle.dumps(question), limit, moment)
-
-    def _read(self, data: bytes) -> Any:
-        """Return what the child answered, tuples as lists, or raise the error that it met.
-
-        An FMU's library can send whatever it likes from there: no answer may run anything here, so none is unpickled.
-        """
-        try:
-            good, answer = json.loads(data.removeprefix(b"p"))
-            kind, text = ("", "") if good else map(str, answer)
-        except (ValueError, TypeError, RecursionError):
-            raise self._invalid_answer() from None
-        if good:
-            return answer
-        raise {"InputError": InputError, "ValueError": ValueError}.get(kind, EngineError)(text)
-
-    def _doubles(self, data: bytes, form: struct.Struct) -> tuple[float, ...]:
-        """Return the numbers that were answered, the same bits; raises what the child met in place of them."""
-        if data[:1] == b"p":
-            self._read(data)
-        if data[:1] != b"s" or len(data) != 1 + form.size:
-            raise self._invalid_answer()
-        return form.unpack_from(data, 1)
+    def _call(self, question: tuple[Any, ...], limit: float, moment: Moment) -> Any:
+        return self.host.call(question, limit, moment)
 
     def _output(self, data: bytes) -> EngineOutput:
-        values = self._doubles(data, self._answer)
+        values = self.host.doubles(data, self._answer)
         return EngineOutput(*[values[part] for part in self._parts])
-
-    def _invalid_answer(self) -> EngineError:
-        return EngineError(f"engines ({self._names}): their process answered what is no answer")
-
-    def _exchange(self, data: bytes, limit: float, moment: str | int) -> bytes:
-        """Send a request and return the answer; ``moment`` is when, for an error: words, or the step's number."""
-        try:
-            return self._pipes.exchange_message(data, MAX_ANSWER_BYTES, limit)
-        except ValueError:
-            raise self._invalid_answer() from None
-        except TimeoutError:
-            self._child.end()
-            end = f"no answer within {limit:g} s {self._describe(moment)}: a call to the FMU hangs"
-        except (EOFError, OSError):
-            crashed, left = "its process crashed ({})", "its process ended by itself (exit status {})"
-            end = self._child.describe_end(CLOSE_S, crashed, left) or "its process no longer answers"
-            end = f"{end} {self._describe(moment)}"
-        raise EngineError(f"engines ({self._names}): {end}")
-
-    def _describe(self, moment: str | int) -> str:
-        return f"at step {moment} ({moment * self._step:g} s)" if isinstance(moment, int) else moment
 
 
 def make_bank(specs: Sequence[EngineSpec], step: float) -> EngineBank | IsolatedBank:
-    """Return a bank of engines, in a process of its own where one of them asks for that.
+    """Return a bank of engines, in a process of its own where one of them is isolated.
 
     Raises InputError or EngineError as :class:`cosim.engine.EngineBank` does.
     """
@@ -185,59 +309,80 @@ def _double_answer(values: Sequence[float]) -> bytes:
 
 
 class _Server:
-    """The child's side: the bank that it made, and its answer to each request."""
+    """The process's side: the bank that it made, and its answer to each request."""
 
     def __init__(self) -> None:
-        self.bank: EngineBank | None = None
+        self._bank: EngineBank | None = None
         self._row = self._doubles = struct.Struct("")
         self._count = 0
+        self._answers: Mapping[str, Callable[..., bytes]] = {
+            "make": self._make,
+            "load": self._load,
+            "measure": self._measure,
+            "reset": self._reset,
+            "follow": lambda *arguments: _double_answer(self.bank.follow(*arguments)),
+            "run down": lambda seconds: _double_answer(list(chain(*self.bank.run_down(seconds)))),
+            "shown": lambda: _double_answer(self.bank.shown),
+            "run": lambda *arguments: _json_answer(True, self.bank.set_run(*arguments)),
+            "close": self._close,
+        }
+
+    @property
+    def bank(self) -> EngineBank:
+        if self._bank is None:
+            raise EngineError("no engines were made")
+        return self._bank
 
     def answer(self, data: bytes) -> bytes:
+        """Return the answer to a request; an error is one, too."""
         try:
             if data[:1] == b"s":
                 return self._step(data)
             what, *arguments = pickle.loads(data[1:])
-            return self._make(*arguments) if what == "make" else self._other(what, arguments)
+            return self._answers[what](*arguments)
         except Exception as error:
             return _json_answer(False, (type(error).__name__, str(error)))
 
     def _step(self, data: bytes) -> bytes:
-        assert self.bank is not None
         count = self._count
         row = self._row.unpack(data)
         k, values = row[1], row[2:]
         ambient = Ambient(values[count + 1], values[count + 2], values[count + 3 :]) if values[count] else None
         output = self.bank.step(k, values[:count], ambient)
-        if k % MEMORY_CHECK_STEPS == 0 and (size := measure_megabytes(os.getpid())) > MAX_MEGABYTES:
-            much = f"takes {size:.0f} MB of memory at step {k}, {MAX_MEGABYTES:g} MB at most: it leaks"
-            raise EngineError(f"engines: their process {much}")
         return b"s" + self._doubles.pack(*chain.from_iterable(output))
 
     def _make(self, specs: Sequence[EngineSpec], step: float) -> bytes:
+        self._close()
         self._count = len(specs)
         self._row, self._doubles = _frame_formats(self._count)
-        self.bank = EngineBank(specs, self._count, step)
+        self._bank = EngineBank(specs, self._count, step)
         return _json_answer(True, None)
 
-    def _other(self, what: str, arguments: Sequence[Any]) -> bytes:
-        bank = self.bank
-        assert bank is not None
-        if what == "reset":
-            throttle, air = arguments
-            return _double_answer(list(chain(*bank.reset(throttle, Ambient(*air) if air else None))))
-        if what == "run down":
-            return _double_answer(list(chain(*bank.run_down(*arguments))))
-        if what == "shown":
-            return _double_answer(bank.shown)
-        return _json_answer(True, bank.set_run(*arguments))
+    def _load(self, archive: Archive) -> bytes:
+        self._close()
+        with unpack(archive) as folder:
+            FmuInstance(archive, folder, "checked").close()
+        return _json_answer(True, None)
+
+    def _measure(self, *arguments: Any) -> bytes:
+        self._close()
+        return _json_answer(True, measure(*arguments))
+
+    def _reset(self, throttle: float | Sequence[float], air: Any) -> bytes:
+        return _double_answer(list(chain(*self.bank.reset(throttle, Ambient(*air) if air else None))))
+
+    def _close(self) -> bytes:
+        if self._bank is not None:
+            self._bank.close()
+            self._bank = None
+        return _json_answer(True, None)
 
 
-def serve(reader: int, writer: int) -> None:
-    """Run as the child: make a bank and answer requests until the pipe is closed."""
+def serve() -> None:
+    """Run as the engines' process: answer requests until the pipe is closed."""
+    pipes, server = serve_pipes(), _Server()
     die_with_parent()
-    pipes, server = Pipes(reader, writer), _Server()
     with suppress(EOFError, OSError):
         while True:
-            pipes.send_message(server.answer(pipes.receive_message(_ANY)))
-    if server.bank is not None:
-        server.bank.close()
+            pipes.send_message(server.answer(pipes.receive_message(_MAX_REQUEST_BYTES)))
+    server.answer(b"p" + pickle.dumps(("close",)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from cosim.base.errors import InputError, nearest
+from cosim.base.errors import EngineError, InputError, nearest
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.instance import InstanceError
 from cosim.engine.fmu.mapping import is_mapping
@@ -14,14 +14,8 @@ from cosim.engine.fmu.variables import Variable
 from cosim.engine.measure import EngineMeasurement, measure_once
 from cosim.engine.response import ResponseError, settling_window
 from cosim.engine.rundown import MODELLED, FlameOutLaw, make_flame_out_law
-from cosim.engine.spec import (
-    EngineSource,
-    EngineSpec,
-    check_whole_steps,
-    file_label,
-    find_source,
-    resolve_parameters,
-)
+from cosim.engine.source import EngineSource, check_whole_steps, find_source, resolve_parameters
+from cosim.engine.spec import EngineSpec, file_label
 
 
 def load_unchecked(
@@ -61,7 +55,7 @@ def load_unchecked(
                 measured = measured._replace(small=None)
         elif measured is None:
             measured = measure_once(archive, settings, archive.start, step, air, small=engine is None)
-    except (InstanceError, ResponseError) as error:
+    except (EngineError, InstanceError, ResponseError) as error:
         raise InputError(f"{archive.path}: {error}") from error
     return EngineSpec(
         name=name_or_path if engine else file_label(source.path),

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cosim.engine._bank as _bank
 from cosim.base.storage.cache import RecentCache
@@ -29,6 +29,9 @@ from cosim.engine.response import (
 )
 from cosim.engine.spec import make_behaviour_key
 
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
+
 SMALL_STEP_FROM, SMALL_STEP_SIZE = 0.5, 0.05  # throttle: about where an engine hovers, and away from its limits
 LEAST_CHANGE_OVER_REST = 5.0  # thrust change of a small step over the engine's own movement at rest
 
@@ -41,6 +44,14 @@ class EngineMeasurement(NamedTuple):
     start: str | None  # the start parameter, if it does what it should
     quiet: float  # fraction of itself by which the thrust may move at rest
     small: SmallStep | None = None  # None: an engine of the library, or no larger than the movement at rest
+
+
+@cache
+def make_measurement_adapter() -> TypeAdapter[EngineMeasurement]:
+    """Return what turns a measurement into JSON and back, for transmission and caching."""
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(EngineMeasurement)
 
 
 _measured: RecentCache[EngineMeasurement] = RecentCache(256)
@@ -56,7 +67,7 @@ def measure_once(
 ) -> EngineMeasurement:
     """Measure as :func:`measure`, once per process for the same archive, settings and conditions."""
     key = (*make_behaviour_key(archive, settings, air), start, step, small)
-    return _measured.get(key, lambda: measure(archive, settings, start, step, air=air, small=small))
+    return _measured.get(key, lambda: measure(archive, settings, start, step, air, small))
 
 
 def measure(
@@ -64,7 +75,6 @@ def measure(
     settings: tuple[Setting, ...],
     start: str | None,
     step: float,
-    report_alive: Callable[[], object] = lambda: None,
     air: Air = STANDARD_AIR,
     small: bool = True,
 ) -> EngineMeasurement:
@@ -72,14 +82,13 @@ def measure(
 
     ``small``: whether a small step is measured too.
 
-    An engine that goes on trembling at rest is measured once more with more patience.  ``report_alive`` is called
-    repeatedly meanwhile.
+    An engine that goes on trembling at rest is measured once more with more patience.
     Raises InstanceError or ResponseError if it fails, never settles or never answers.
     """
     try:
-        return _measure(archive, settings, start, step, report_alive, NO_CHANGE, air, small)
+        return _measure(archive, settings, start, step, NO_CHANGE, air, small)
     except RestlessError:
-        return _measure(archive, settings, start, step, report_alive, LITTLE_CHANGE, air, small)
+        return _measure(archive, settings, start, step, LITTLE_CHANGE, air, small)
 
 
 def _measure(
@@ -87,7 +96,6 @@ def _measure(
     settings: tuple[Setting, ...],
     start: str | None,
     step: float,
-    report_alive: Callable[[], object],
     quiet: float,
     air: Air,
     small: bool,
@@ -100,7 +108,6 @@ def _measure(
             rest = archive.starting.rest_n
 
             def hold(throttle: float, steps: int) -> list[float]:
-                report_alive()
                 return native.hold(0, throttle, steps)
 
             at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet, rest)

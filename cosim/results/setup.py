@@ -175,7 +175,7 @@ def _engine_uncertainty(spec: EngineSpec) -> EngineUncertainty | None:
 def _station(spec: EngineSpec, reference: EngineSpec) -> StationEngine:
     curve = () if spec is reference else tuple(zip(spec.curve.throttle, spec.curve.thrust, strict=True))
     file = "" if spec.library else (spec.mapping or spec.path).name
-    return StationEngine(engine=spec.name, sha256=spec.sha256, curve=curve, file=file, apart=spec.misbehaviour)
+    return StationEngine(engine=spec.name, sha256=spec.sha256, curve=curve, file=file, isolated=spec.isolated)
 
 
 def _engine_hashes(specs: Sequence[EngineSpec]) -> dict[str, str]:

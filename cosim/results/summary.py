@@ -67,7 +67,7 @@ class StationEngine(Record):
     sha256: str  # of its archive
     curve: tuple[tuple[float, float], ...] = ()
     file: str = ""  # the name of its archive or mapping file; empty: of the library, or an older run
-    apart: str = ""  # what it was found to do to its process, for which the flight's engines had one of their own
+    isolated: bool = False  # whether it ran in a process of its own
 
 
 class UncertainParameter(Record):

@@ -77,7 +77,7 @@ class _Loader:
         return station.engine, station.parameters
 
     def load(self, engine: str, parameters: dict[str, float], tried: bool | None = None) -> EngineSpec:
-        """Load an engine; ``tried``: its archive was found fit, and asks for a process of its own or does not."""
+        """Load an engine; ``tried``: its archive was found fit, and runs in a process of its own or does not."""
         scenario, key = self._scenario, (engine, frozenset(parameters.items()))
         if key not in self._loaded:
             # a file is seen from the scenario's folder
@@ -88,7 +88,7 @@ class _Loader:
                 scenario.step_s,
                 unchecked=scenario.engine_unchecked or tried is not None,
                 air=self._air,
-                isolated=scenario.engine_isolated or bool(tried),
+                isolated=scenario.engine_isolated if tried is None else tried,
             )
         return self._loaded[key]
 

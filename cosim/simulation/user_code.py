@@ -9,7 +9,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
 from cosim.base.trust import Code, need_trust, program_code
 from cosim.engine.make.controller_fmu import MAPPING
-from cosim.engine.spec import find_source
+from cosim.engine.source import find_source
 from cosim.spec.controller_name import file_name
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import is_aircraft_path, is_file, load_vehicle

@@ -5,8 +5,6 @@ A file is tried once for its contents and each version of JSBSim; models that ar
 
 from __future__ import annotations
 
-import signal
-import subprocess
 import xml.etree.ElementTree as ET
 from contextlib import suppress
 from hashlib import sha256
@@ -14,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from cosim.base.errors import InputError
-from cosim.base.runtime.processes import python_command, run_child
+from cosim.base.runtime.host import HostError, run_code
 from cosim.base.storage.files import write_if_possible
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.scratch import scratch
@@ -23,7 +21,6 @@ from cosim.vehicle.model_file import FLOWN, find_line
 
 CPU_S: Final = 20  # s of processor time of a trial; JSBSim's own aircraft take 0.1 s
 MEGABYTES: Final = 4096  # most address space of a trial
-WALL_S: Final = 300.0  # s of wall time of a trial, on a busy machine
 RUNS: Final = 5  # runs of JSBSim after its start
 _CODE: Final = "from cosim.vehicle.model_trial import try_model; try_model(sys.argv[1])"
 
@@ -43,7 +40,7 @@ def check_model_loads(xml: bytes, model: Path, text: bytes) -> None:
     failure = _find_failure(xml)
     if failure:
         where = _blame(ET.fromstring(xml), model)
-        raise InputError(f"{where}: JSBSim {failure}; look for an element that is not JSBSim's, or an empty one")
+        raise InputError(f"{where}: JSBSim fails: {failure}; look for an element that is not JSBSim's, or an empty one")
     write_if_possible(cached, f"{model}\n")
 
 
@@ -57,22 +54,15 @@ def try_model(file: str) -> None:
 
 
 def _find_failure(xml: bytes) -> str:
-    """Return how a process that loads a model fails, as the predicate of a sentence; empty if it ends with status 0."""
+    """Return how a process that loads a model fails; empty if it ends well."""
     file = scratch() / "tried.xml"
     file.write_bytes(xml)
     try:
-        result = run_child(python_command(_CODE, str(file), seconds=CPU_S, megabytes=MEGABYTES), WALL_S)
-    except subprocess.TimeoutExpired:
-        return f"was not done with it within {WALL_S:g} s"
+        run_code(_CODE, str(file), seconds=CPU_S, megabytes=MEGABYTES)
+    except HostError as error:
+        return str(error)
     finally:
         file.unlink(missing_ok=True)
-    if result.returncode == -signal.SIGXCPU:
-        return f"was not done with it within {CPU_S} s of processor time"
-    if result.returncode < 0:
-        return f"crashes with it ({signal.Signals(-result.returncode).name})"
-    if result.returncode:
-        last = result.stderr.strip().rpartition("\n")[2]
-        return f"ends the process with it, with status {result.returncode}{f' ({last})' if last else ''}"
     return ""
 
 

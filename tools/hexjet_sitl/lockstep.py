@@ -19,7 +19,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from cosim import FlightError, InputError
 from cosim.base.limits import clamp
-from cosim.base.runtime.processes import Child
+from cosim.base.runtime.host import Host
 from cosim.base.signals import PerJet, Quaternion, State, Vector3
 from cosim.spec.vehicle import Vehicle
 
@@ -175,7 +175,7 @@ class Program:
             command = [sys.executable, "-I", "-S", "-c", _TIED, *command]
         try:
             with log.open("ab") as output:
-                self.process = Child(
+                self.process = Host(
                     command,
                     os.environ | environment,
                     cwd=folder,
@@ -193,7 +193,7 @@ class Program:
 
     def describe_end(self, wait: float) -> str:
         """Return how the process ended, in words, within ``wait`` s of the clock; empty if it still runs."""
-        return self.process.describe_end(wait, "was ended by {}", "ended with status {}")
+        return self.process.describe_end(wait)
 
     def close(self, patience: float = 0.0) -> None:
         """End it; may be called twice.  Where it has ``patience`` s to write down what it has, it is asked to first."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import select
 import struct
+from collections.abc import Callable
 from time import monotonic
 from typing import Final
 
@@ -17,6 +18,8 @@ from cosim.base.errors import InputError
 
 _LENGTH: Final = struct.Struct("<I")  # before a message
 _CHUNK: Final = 65536  # bytes, read at once
+# How often ``watch`` is called while nothing comes.
+_WATCH_S: Final = 0.25
 
 
 class Pipes:
@@ -39,6 +42,7 @@ class Pipes:
         self._writable.register(writer, select.POLLOUT)
         os.set_blocking(writer, False)
         self._rest = b""
+        self.watch: Callable[[], None] = lambda: None  # called now and then while an answer is waited for
 
     def send(self, data: bytes, limit: float | None = None) -> None:
         """Write all of ``data``."""
@@ -115,7 +119,7 @@ class Pipes:
     def _read(self, end: float | None) -> bytes:
         """Return what comes next, as soon as something has come."""
         if end is not None:
-            _sleep(self._poll, end)
+            self._sleep(self._poll, end)
         data = os.read(self._reader, _CHUNK)
         if not data:
             raise EOFError
@@ -128,22 +132,26 @@ class Pipes:
                 written = os.write(self._writer, rest)
             except BlockingIOError:
                 written = 0
-                _sleep(self._writable, end)
+                self._sleep(self._writable, end)
             if written == len(rest):
                 return
             rest = memoryview(rest)[written:]
+
+    def _sleep(self, poll: select.poll, end: float | None) -> None:
+        """Wait until something is there.  Raises TimeoutError, and what ``watch`` raises."""
+        while True:
+            left = _WATCH_S if end is None else min(_WATCH_S, end - monotonic())
+            if poll.poll(1e3 * max(0.0, left)):
+                return
+            if left <= 0.0:
+                raise TimeoutError
+            self.watch()
 
 
 def require_poll() -> None:
     """Raise InputError where the system cannot wait for a pipe with a time limit."""
     if not hasattr(select, "poll"):
         raise InputError("an exchange with another process needs pipes with poll(), which this system does not have")
-
-
-def _sleep(poll: select.poll, end: float | None) -> None:
-    """Wait until something is there.  Raises TimeoutError."""
-    if not poll.poll(None if end is None else max(0.0, end - monotonic()) * 1e3):
-        raise TimeoutError
 
 
 def _deadline(limit: float | None) -> float | None:

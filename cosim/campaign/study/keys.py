@@ -29,7 +29,7 @@ from cosim.campaign.study.key import Key, Value, unit_of
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import list_engine_names
 from cosim.engine.fmu.variables import INTEGERS
-from cosim.engine.spec import EngineSource, find_source, resolve_parameters
+from cosim.engine.source import EngineSource, find_source, resolve_parameters
 from cosim.simulation.controllers.source import find_controller_source
 from cosim.simulation.controllers.source import list_installed as custom_controllers
 from cosim.spec.controller_name import is_design

@@ -26,7 +26,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError, InputError
-from cosim.base.runtime.processes import Child, die_with_parent
+from cosim.base.runtime.host import Host, die_with_parent
 from cosim.base.runtime.threads import ONE_THREAD
 from cosim.base.storage.scratch import scratch
 from cosim.base.trust import decision, inherit
@@ -219,7 +219,7 @@ class _Process:
             raise FlightError(f"no process could be started: {tempfile.gettempdir()}: {error.strerror}") from error
         inherited = dict(os.environ) | ONE_THREAD | {"TMPDIR": self._folder}
         try:  # in a group: Ctrl-C is answered by the process that waits
-            self._process, self.connection = Child.connect(_COMMAND, self._folder, environ=inherited)
+            self._process, self.connection = Host.connect(_COMMAND, self._folder, environ=inherited)
         except OSError as error:
             shutil.rmtree(self._folder, ignore_errors=True)
             raise FlightError(f"no process could be started: {error.strerror or error}") from error
@@ -262,7 +262,7 @@ class _Process:
     def describe_end(self) -> str:
         not_ready = f"was not ready after {START_LIMIT_S:g} s, as on a machine with too much to do"
         running = "closed its connection" if self.active_since is not None else not_ready
-        return self._process.describe_end(1.0, "ended by {}", "left with status {}") or running
+        return self._process.describe_end(1.0) or running
 
     def worker_columns(self, wall_s: float | None = None) -> Row:
         """Return the part of a row that says which process flew it."""

@@ -129,7 +129,7 @@ def _warn(scenario: Scenario, controller: str | None) -> None:
     for text in list_warnings(scenario, controller):
         echo(f"hexjet: warning: {text}", err=True)
     engines = (station.engine for station in scenario.stations.values() if station.engine)
-    warn_of_fmu_defects(scenario.engine, *engines, folder=scenario.folder)
+    warn_of_fmu_defects(scenario.engine, *engines, folder=scenario.folder, isolated=scenario.engine_isolated)
 
 
 def _repeat_flight(folder: Path, number: int, output: opt.Output) -> int:
@@ -246,8 +246,6 @@ def print_run(run: Run) -> None:
     for result in summary.requirements:
         if result.source == "require":
             say(f"requirement {result.describe()}", wrap=False)
-    for engine, why in dict.fromkeys((station.engine, station.apart) for station in summary.stations if station.apart):
-        say(f"engines in a process of their own, because {engine} {why}", wrap=False)
     if controller is not None and controller.repeatable is False:
         say(f"controller {summary.controller} is not repeatable: asked the same again, it answered otherwise")
     if controller is not None and controller.level == "controller" and run.scenario.monitored:

@@ -28,12 +28,11 @@ from cosim.engine.fmu.container import (
     to_one_line,
 )
 from cosim.engine.fmu.description import pack_descriptions, read_description
-from cosim.engine.fmu.mapping import PortMap
-from cosim.engine.fmu.ports import PortError, find_ports
+from cosim.engine.fmu.ports import PortError, PortMap, find_ports
 from cosim.engine.fmu.starting import EngineStart, resolve_start
 from cosim.engine.fmu.units import Unit
 from cosim.engine.fmu.variables import INTEGERS, REALS, Port, Variable
-from cosim.engine.library import ADAPTER, ADAPTER_GENERATED, GENERATION_TOOL, platform_folder
+from cosim.engine.library import ADAPTER, ADAPTER_GENERATED, GENERATION_TOOL, LIBRARY_SUFFIX, platform_folder
 
 TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}
 LARGEST_ARRAY = 10_000  # elements that are listed one by one
@@ -95,9 +94,7 @@ def read_archive(path: Path, ports: PortMap | None = None) -> Archive:
 
 def find_library(archive: Archive) -> str:
     """Return the path of this platform's library in the archive of one FMU."""
-    import fmpy  # type: ignore[import-untyped]
-
-    return f"binaries/{platform_folder(archive.fmi)}/{archive.identifier}{fmpy.sharedLibraryExtension}"
+    return f"binaries/{platform_folder(archive.fmi)}/{archive.identifier}{LIBRARY_SUFFIX}"
 
 
 def validate(data: bytes) -> list[str]:
@@ -219,9 +216,7 @@ def _read_unsigned(root: ElementTree.Element, description: Any) -> None:
 
 
 def _check_library(names: list[str], fmi: int, identifier: str) -> None:
-    import fmpy
-
-    needed = f"binaries/{platform_folder(fmi)}/{identifier}{fmpy.sharedLibraryExtension}"
+    needed = f"binaries/{platform_folder(fmi)}/{identifier}{LIBRARY_SUFFIX}"
     if needed in names:
         return
     inside = sorted(name.split("/", 2)[1:] for name in names if name.startswith("binaries/") and name.count("/") > 1)

@@ -1,4 +1,4 @@
-"""One FMU instance: loaded, instantiated and initialized through FMPy, then handed to the C loop for stepping."""
+"""One FMU instance: loaded, instantiated and initialized here, then handed to the C loop for stepping."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import importlib
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import lru_cache
 from pathlib import Path
@@ -15,9 +15,10 @@ from typing import Any, Literal
 
 import cosim.engine._bank as _bank
 from cosim.engine.fmu.air import STANDARD_AIR, Air
-from cosim.engine.fmu.archive import Archive
+from cosim.engine.fmu.archive import Archive, find_library
 from cosim.engine.fmu.container import to_one_line
 from cosim.engine.fmu.port_kinds import BASE, INPUTS, OUTPUTS
+from cosim.engine.fmu.slave import CallError, Slave
 from cosim.engine.fmu.starting import Setting
 from cosim.engine.fmu.variables import REALS, Variable
 
@@ -57,7 +58,7 @@ class FmuInstance:
     Raises InstanceError if the library does not load or the FMU refuses to be instantiated.
     """
 
-    def __init__(self, archive: Archive, folder: Path, name: str, load: Callable[[], Any] | None = None) -> None:
+    def __init__(self, archive: Archive, folder: Path, name: str) -> None:
         self.archive = archive
         self._resources = folder / "resources"
         self._python = _has_python(self._resources, archive.sha256)
@@ -66,52 +67,26 @@ class FmuInstance:
         self._dead = False
         self._start_steps = 0  # communication steps that the warm-up took
         self._inputs = _input_values(0.0, STANDARD_AIR)  # as set last
-        self.fmu: Any = load() if load is not None else _load(archive, folder, name)
+        self.fmu: Slave | None = None
+        try:
+            fmu = Slave(folder / find_library(archive), archive.fmi)
+        except OSError as error:
+            reason = to_one_line(error).replace(f"{folder}{os.sep}", "")
+            raise InstanceError(f"its shared library does not load: {reason}") from error
         try:
             with _isolate_modules(self._resources) if self._python else nullcontext():
-                self._instantiate()
+                if not fmu.instantiate(name, archive.token, self._resources, self.log, archive.returns_early):
+                    raise InstanceError(self._with_log("cannot be instantiated"))
         except BaseException:
-            self.fmu.freeLibrary()
-            self.fmu = None
+            fmu.free_library()
             raise
+        self.fmu = fmu
 
-    def _instantiate(self) -> None:
-        # FMPy's own instantiate() would print the FMU's messages; this way the C loop's log gets them
-        fmu = self.fmu
-        name, token, resources = fmu.instanceName.encode(), self.archive.token.encode(), self._resources
-        if self.archive.fmi == 2:
-            from fmpy.fmi2 import fmi2CoSimulation  # type: ignore[import-untyped]
-
-            self._callbacks = _callbacks2(self.log)
-            fmu.component = fmu.fmi2Instantiate(
-                instanceName=name,
-                fmuType=fmi2CoSimulation,
-                guid=token,
-                resourceLocation=resources.as_uri().encode(),
-                callbacks=ctypes.byref(self._callbacks),
-                visible=False,
-                loggingOn=True,
-            )
-        else:
-            from fmpy.fmi3 import fmi3IntermediateUpdateCallback, fmi3LogMessageCallback  # type: ignore[import-untyped]
-
-            self._callbacks = fmi3LogMessageCallback(_bank.LOGGER3), fmi3IntermediateUpdateCallback()
-            fmu.component = fmu.fmi3InstantiateCoSimulation(
-                instanceName=name,
-                instantiationToken=token,
-                resourcePath=f"{resources}{os.sep}".encode(),
-                visible=False,
-                loggingOn=True,
-                eventModeUsed=False,
-                earlyReturnAllowed=self.archive.returns_early,
-                requiredIntermediateVariables=None,
-                nRequiredIntermediateVariables=0,
-                instanceEnvironment=self.log.address,
-                logMessage=self._callbacks[0],
-                intermediateUpdate=self._callbacks[1],
-            )
-        if not fmu.component:
-            raise InstanceError(self._with_log("cannot be instantiated"))
+    @property
+    def _slave(self) -> Slave:
+        if self.fmu is None:
+            raise InstanceError("was freed before")
+        return self.fmu
 
     def initialize(
         self,
@@ -128,10 +103,9 @@ class FmuInstance:
         """
         self._inputs = _input_values(throttle, air)
         self._start_steps = 0
-        if self.archive.fmi == 2:
-            self.call("setupExperiment", startTime=0.0)
+        self._call(self._slave.set_up)
         self.write([*settings, *self.archive.starting.constants])
-        self.call("enterInitializationMode")
+        self._call(self._slave.enter_initialization)
         self.write(
             [
                 (self.archive.ports[name].variable, self.archive.ports[name].value(x))
@@ -139,7 +113,7 @@ class FmuInstance:
                 if name in self.archive.ports
             ]
         )
-        self.call("exitInitializationMode")
+        self._call(self._slave.call, "ExitInitializationMode")
         self._stepping = True
         self._warm_up(step)
         thrust = self.output("thrust")
@@ -160,9 +134,9 @@ class FmuInstance:
 
     def read(self, variable: Variable) -> float:
         """Return a variable's present value in the FMU's own unit."""
-        size = len(variable.starts)
-        more = {"nValues": size} if size > 1 else {}
-        values = self.call(f"get{self._type(variable)}", [variable.reference], **more)
+        kind = self._type(variable)
+        values = self._slave.make_values(kind, len(variable.starts))
+        self._call(self._slave.bind_values("Get", kind, [variable.reference], values))
         return float(values[variable.index])
 
     def _type(self, variable: Variable) -> str:
@@ -196,17 +170,18 @@ class FmuInstance:
             values[variable.index] = value
         for variable, values in arrays.values():
             kind: type = float if variable.type in REALS else bool if variable.type == "Boolean" else int
-            self.call(f"set{self._type(variable)}", [variable.reference], [kind(value) for value in values])
+            array = self._slave.make_values(self._type(variable), [kind(value) for value in values])
+            self._call(self._slave.bind_values("Set", self._type(variable), [variable.reference], array))
 
-    def call(self, name: str, *args: Any, **kwargs: Any) -> Any:
-        """Call one of FMPy's wrappers.  Raises InstanceError if it returns worse than a warning."""
-        from fmpy.fmi1 import FMICallException  # type: ignore[import-untyped]
-
+    def _call(self, call: Callable[..., None], *arguments: Any) -> None:
+        """Call a function of the FMU.  Raises InstanceError if it returns worse than a warning, or is not there."""
         try:
-            return getattr(self.fmu, name)(*args, **kwargs)
-        except FMICallException as error:
+            call(*arguments)
+        except CallError as error:
             self.record_failure(error.status)
             raise InstanceError(self._with_log(f"{error.function} returned {_status(error.status)}")) from error
+        except OSError as error:
+            raise InstanceError(str(error)) from error
 
     def record_failure(self, status: int) -> None:
         """Record that the FMU is in its error state, or after a fatal error that nothing may be called any more."""
@@ -229,10 +204,11 @@ class FmuInstance:
 
     def _reached(self) -> str:
         """Return how far a discarded step of FMI 2.0 has come, or an empty string where the FMU does not report it."""
-        from fmpy.fmi2 import fmi2Real
-
-        component, value = ctypes.c_void_p(self.fmu.component), fmi2Real(math.nan)
-        status = self.fmu.dll.fmi2GetRealStatus(component, LAST_SUCCESSFUL_TIME, ctypes.byref(value))
+        component, value = ctypes.c_void_p(self._slave.component), ctypes.c_double(math.nan)
+        try:
+            status = self._slave.function("GetRealStatus")(component, LAST_SUCCESSFUL_TIME, ctypes.byref(value))
+        except OSError:
+            return ""
         reported = status <= 1 and math.isfinite(value.value)
         return f"; it came as far as its own time {value.value:g} s" if reported else ""
 
@@ -242,12 +218,12 @@ class FmuInstance:
         ``station``: the one that it serves, counted from 0.
         """
         archive = self.archive
-        sets, inputs = self._call_blocks("set", INPUTS)
-        gets, outputs = self._call_blocks("get", (*OUTPUTS, "ram_drag"))
+        sets, inputs = self._call_blocks("Set", INPUTS)
+        gets, outputs = self._call_blocks("Get", (*OUTPUTS, "ram_drag"))
         return (
             archive.fmi,
-            self.fmu.component,
-            self._address(f"fmi{archive.fmi}DoStep"),
+            self._slave.component,
+            self._address("DoStep"),
             (0, 0, 0, 0),
             self._start_steps + done,
             sets,
@@ -259,10 +235,13 @@ class FmuInstance:
         )
 
     def _address(self, name: str) -> int:
-        return ctypes.cast(getattr(self.fmu.dll, name), ctypes.c_void_p).value or 0
+        try:
+            return ctypes.cast(self._slave.function(name), ctypes.c_void_p).value or 0
+        except OSError as error:
+            raise InstanceError(str(error)) from error
 
     def _call_blocks(
-        self, way: Literal["set", "get"], names: Sequence[str]
+        self, way: Literal["Set", "Get"], names: Sequence[str]
     ) -> tuple[tuple[_bank.Block, ...], tuple[_bank.Place | None, ...]]:
         """Return one FMI call for each type of the ports, the first port's first, and where each port is in them."""
         ports = {name: self.archive.ports[name] for name in names if name in self.archive.ports}
@@ -280,12 +259,12 @@ class FmuInstance:
                     first_index[v.reference] = len(values)
                     values += v.starts
                 index = first_index[v.reference] + v.index
-                if way == "set":
+                if way == "Set":
                     values[index] = port.value(self._inputs[name])
                     places[name] = number, index, port.gain, port.bias, port.low, port.high
                 else:
                     places[name] = number, index, port.scale, port.offset, -math.inf, math.inf
-            function = self._address(f"fmi{self.archive.fmi}{way.capitalize()}{kind}")
+            function = self._address(f"{way}{kind}")
             # Of the inputs only the throttle, the first port, is set in every step.
             first = (1, len(ports[names[0]].variable.starts)) if number == 0 else (0, 0)
             blocks.append((function, VALUES[kind], tuple(first_index), tuple(values), *first, False))
@@ -300,10 +279,9 @@ class FmuInstance:
             _remove_from_path(self._resources)
         if self._dead:
             return  # after a fatal error nothing may be called any more, not even to free it
-        version = self.archive.fmi
         if self._stepping:
-            getattr(fmu.dll, f"fmi{version}Terminate")(ctypes.c_void_p(fmu.component))
-        fmu.freeInstance()
+            fmu.terminate()
+        fmu.free()
 
 
 @lru_cache(maxsize=64)
@@ -337,75 +315,6 @@ def _remove_from_path(resources: Path) -> None:
 
 def _input_values(throttle: float, air: Air) -> dict[str, float]:
     return dict(zip(BASE, (throttle, *air), strict=True)) | air.derive()
-
-
-class _Functions(dict[str, Any]):
-    """The functions of a library, each looked up at its first call."""
-
-    def __init__(self, library: Any, signatures: Mapping[str, tuple[Any, Any, Any]]) -> None:
-        self._library, self._signatures = library, signatures
-
-    def __missing__(self, name: str) -> Any:
-        function = self[name] = getattr(self._library, name)
-        function.argnames, function.argtypes, function.restype = self._signatures[name]
-        return function
-
-
-@lru_cache(maxsize=64)
-def _kind(fmi: int, _sha256: str) -> Any:
-    """FMPy's class for the instances of one archive.
-
-    FMPy looks for all of some 70 functions in the library, and at the signatures of its own, whenever it makes an
-    instance.  Here the first one does; if they are all there, the others need not look.
-    """
-    from fmpy.fmi2 import FMU2Slave
-    from fmpy.fmi3 import FMU3Slave
-
-    kind: Any = FMU2Slave if fmi == 2 else FMU3Slave
-    signatures: dict[str, tuple[Any, Any, Any]] = {}
-
-    def load_functions(fmu: Any) -> None:
-        if signatures:
-            fmu._functions = _Functions(fmu.dll, signatures)
-            return
-        kind._loadFunctions(fmu)
-        signatures.update((name, (f.argnames, f.argtypes, f.restype)) for name, f in fmu._functions.items())
-
-    return type(kind.__name__, (kind,), {"_loadFunctions": load_functions})  # FMPy reads the version from its name
-
-
-def _load(archive: Archive, folder: Path, name: str) -> Any:
-    kind = _kind(archive.fmi, archive.sha256)
-    here = Path.cwd()
-    try:
-        return kind(
-            guid=archive.token,
-            unzipDirectory=str(folder),
-            modelIdentifier=archive.identifier,
-            instanceName=name,
-        )
-    except Exception as error:  # FMPy raises bare exceptions here
-        reason = to_one_line(error).replace(f"{folder}{os.sep}", "")
-        raise InstanceError(f"its shared library does not load: {reason}") from error
-    finally:
-        os.chdir(here)  # FMPy changes it, and leaves it changed when loading fails
-
-
-def _callbacks2(log: _bank.Log) -> Any:
-    from fmpy import calloc, free  # type: ignore[import-untyped]
-    from fmpy.fmi2 import (
-        fmi2CallbackAllocateMemoryTYPE,
-        fmi2CallbackFreeMemoryTYPE,
-        fmi2CallbackFunctions,
-        fmi2CallbackLoggerTYPE,
-    )
-
-    callbacks = fmi2CallbackFunctions()
-    callbacks.logger = fmi2CallbackLoggerTYPE(_bank.LOGGER2)
-    callbacks.allocateMemory = ctypes.cast(calloc, fmi2CallbackAllocateMemoryTYPE)
-    callbacks.freeMemory = ctypes.cast(free, fmi2CallbackFreeMemoryTYPE)
-    callbacks.componentEnvironment = log.address
-    return callbacks
 
 
 def _status(status: int) -> str:

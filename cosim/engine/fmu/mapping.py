@@ -37,8 +37,7 @@ Of these only ``fmu`` is needed; ports that are not stated are found (:mod:`cosi
     spread = [0.01]           # between engines
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -49,6 +48,7 @@ from cosim.base.errors import InputError
 from cosim.base.removed import describe_removed
 from cosim.base.storage.toml import Model, NotNegative, Positive, Scalar, read_toml, validate
 from cosim.engine.fmu.port_kinds import KINDS
+from cosim.engine.fmu.ports import PortMap
 from cosim.engine.fmu.uncertainty import Uncertainty
 from cosim.engine.fmu.units import find_unit
 from cosim.engine.rundown import FlameOutLaw, make_flame_out_law
@@ -129,10 +129,6 @@ def flatten(table: object) -> object:
     return values
 
 
-# Value of an input or a parameter: a number, true or false, or the name of an enumeration's item
-ConstantValue = Scalar
-
-
 class _Start(Model):
     warm_up_s: Annotated[float, Field(ge=0.0, le=MAX_WARM_UP_S)] = 0.0
 
@@ -150,13 +146,13 @@ class MappingFile(Model):
 
     fmu: str = Field(min_length=1)
     title: str = ""
-    isolated: bool | None = None  # flown in a process of its own; None: where a check found that it needs one
+    isolated: bool | None = None  # flown in a process of its own; None: as the scenario says, and else it is
     ports: _Ports = Field(default_factory=_Ports.model_construct)
     units: _Units = Field(default_factory=_Units.model_construct)
     range: _Range = Field(default_factory=_Range.model_construct)
     scale: _Scale = Field(default_factory=_Scale.model_construct)
-    parameters: Annotated[dict[str, ConstantValue], BeforeValidator(flatten)] = Field(default_factory=dict)
-    inputs: Annotated[dict[str, ConstantValue], BeforeValidator(flatten)] = Field(default_factory=dict)
+    parameters: Annotated[dict[str, Scalar], BeforeValidator(flatten)] = Field(default_factory=dict)
+    inputs: Annotated[dict[str, Scalar], BeforeValidator(flatten)] = Field(default_factory=dict)
     start: _Start = Field(default_factory=_Start.model_construct)
     rest: _Rest = Field(default_factory=_Rest.model_construct)
     rotor: _Rotor = Field(default_factory=_Rotor.model_construct)
@@ -165,20 +161,6 @@ class MappingFile(Model):
     uncertainty: Uncertainty | None = None  # how well parameters are known, as identified
     # Further outputs by their column in the log.
     log: Annotated[dict[str, str], BeforeValidator(flatten)] = Field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class PortMap:
-    """Specified ports of an FMU; all others are found by name and unit."""
-
-    ports: Mapping[str, str] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    throttle_range: tuple[float, float] | None = None
-    search: bool = True  # look for the ports that are not stated
-    scale: Mapping[str, float] = field(default_factory=dict)  # the port is so many times the variable
-    inputs: Mapping[str, ConstantValue] = field(default_factory=dict)  # that are constant
-    warm_up_s: float = 0.0
-    rest_n: float = 0.0  # N, peak to peak, within which a thrust stands still
 
 
 def is_mapping(path: Path) -> bool:

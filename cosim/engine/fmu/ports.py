@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from typing import NamedTuple
 
-from cosim.engine.fmu.mapping import PortMap
 from cosim.engine.fmu.port_kinds import KINDS, NEEDED, PortKind
 from cosim.engine.fmu.units import (
     FORCE,
@@ -26,7 +25,22 @@ from cosim.engine.fmu.units import (
     is_unit_of,
     to_si,
 )
-from cosim.engine.fmu.variables import INTEGERS, Port, Variable
+from cosim.engine.fmu.variables import INTEGERS, ConstantValue, Port, Variable
+
+
+@dataclass(frozen=True)
+class PortMap:
+    """Specified ports of an FMU; all others are found by name and unit."""
+
+    ports: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    throttle_range: tuple[float, float] | None = None
+    search: bool = True  # look for the ports that are not stated
+    scale: Mapping[str, float] = field(default_factory=dict)  # the port is so many times the variable
+    inputs: Mapping[str, ConstantValue] = field(default_factory=dict)  # that are constant
+    warm_up_s: float = 0.0
+    rest_n: float = 0.0  # N, peak to peak, within which a thrust stands still
+
 
 RANGE_ADVICE = "a mapping file does: [range] throttle = [what 0 is, what 1 is]"
 LEAST_STEPS = 20  # of a throttle in whole numbers, chosen by us: coarser than 5 % it is a switch

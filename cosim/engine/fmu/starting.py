@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from math import inf, isfinite
 from typing import NamedTuple
 
-from cosim.engine.fmu.mapping import ConstantValue, PortMap
-from cosim.engine.fmu.ports import PortError
-from cosim.engine.fmu.variables import REALS, Port, Variable
+from cosim.engine.fmu.ports import PortError, PortMap
+from cosim.engine.fmu.variables import REALS, ConstantValue, Port, Variable
 
 Setting = tuple[Variable, float]
 

@@ -11,6 +11,8 @@ REALS = ("Real", "Float64", "Float32")
 INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
 LEVERS = (*REALS, *INTEGERS)
 SWITCHES = (*REALS, "Boolean", *INTEGERS)
+# Of an input or a parameter: a number, true or false, or the name of an enumeration's item.
+ConstantValue = bool | int | float | str
 
 
 @dataclass(frozen=True)

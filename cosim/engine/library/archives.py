@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -24,6 +25,11 @@ from .description import (
 )
 
 FMI_VERSIONS = (3, 2)
+
+# What FMI calls this system, and how a shared library's name ends on it.
+_SYSTEM, LIBRARY_SUFFIX = {"win32": ("windows", ".dll"), "darwin": ("darwin", ".dylib")}.get(
+    sys.platform, ("linux", ".so")
+)
 
 # The adapter that turns an engine model into a slave; fmi2.c or fmi3.c joins them.
 ADAPTER = ("engine.h", "slave.h", "slave.c")
@@ -87,9 +93,8 @@ def build_one(
 
 def platform_folder(fmi: int) -> str:
     """Return the folder inside ``binaries`` that has this platform's library."""
-    import fmpy  # type: ignore[import-untyped]
-
-    return str(fmpy.platform if fmi == 2 else fmpy.platform_tuple)
+    machine = "aarch64" if platform.machine().lower() in ("aarch64", "arm64") else "x86_64"
+    return f"{_SYSTEM[:3] if _SYSTEM == 'windows' else _SYSTEM}64" if fmi == 2 else f"{machine}-{_SYSTEM}"
 
 
 def _is_up_to_date(archive: Path, token: str) -> bool:

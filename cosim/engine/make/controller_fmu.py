@@ -17,14 +17,11 @@ parameters the controller's own.  It runs in a process of its own.
 from __future__ import annotations
 
 import json
-import os
 import re
-import struct
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from ctypes import byref, c_bool, c_double, c_int, c_size_t, c_uint32, c_void_p
+from ctypes import c_double
 from dataclasses import dataclass
-from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -32,11 +29,12 @@ from typing import Any
 from cosim.base import controller_wire as wire
 from cosim.base.constants import SERVOS
 from cosim.base.errors import InputError, nearest
+from cosim.base.runtime.host import python_command, serve_pipes
 from cosim.base.runtime.pipes import Pipes
-from cosim.base.runtime.processes import python_command
 from cosim.base.signals import MOST_JETS
 from cosim.base.storage.scratch import temporary
 from cosim.base.storage.toml import read_toml
+from cosim.engine._bank import Log
 from cosim.engine.fmu.archive import parse_number
 from cosim.engine.fmu.container import (
     DAMAGE,
@@ -50,15 +48,15 @@ from cosim.engine.fmu.container import (
 )
 from cosim.engine.fmu.description import read_description
 from cosim.engine.fmu.ports import normalise_name
+from cosim.engine.fmu.slave import CallError, Slave
 from cosim.engine.fmu.variables import INTEGERS, REALS
-from cosim.engine.library import platform_folder
+from cosim.engine.library import LIBRARY_SUFFIX, platform_folder
 
 MAPPING = ".fmu.toml"
 _SERVE = "from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"
 _MOST_BYTES = 2**26  # of what it is told, which is ours
 _STEP, _NUMBER = wire.frame_layout(0), 8  # the number of the step in a frame, and bytes of a number
 _ON_GROUND = "on_ground"  # a parameter that the simulation sets, if there is one
-_DOUBLES = {"Real": "fmi2", "Float64": "fmi3"}  # types of doubles, and what their functions' names begin with
 _KINDS = {*REALS, *INTEGERS, "Boolean"}
 
 
@@ -252,10 +250,8 @@ def _number_and_range(v: Any) -> tuple[float, str, str, float, float]:
 
 def serve(path: str) -> None:
     """Run as the controller process: answer input frames until the input ends."""
-    out = os.dup(1)
-    os.dup2(2, 1)  # what the FMU prints is for people
+    pipes = serve_pipes()
     fmu = read_controller_fmu(Path(path))
-    pipes = Pipes(0, out)
     pipes.send(json.dumps(describe_controller(fmu)).encode() + b"\n")
     try:
         settings = json.loads(pipes.receive_line(_MOST_BYTES))
@@ -288,188 +284,99 @@ def _receive(pipes: Pipes, count: int) -> bytes | None:
     return None
 
 
-def _bind(instance: Any, name: str, *arguments: Any) -> Callable[[], None]:
-    """Return a function of the FMU with its arguments, which raises for its status what FMPy's own raises.
-
-    FMPy's looks it up and converts every argument in each call, which takes three times as long.
-    """
-    from fmpy.fmi1 import FMICallException  # type: ignore[import-untyped]
-
-    call = partial(instance.dll[name], c_void_p(instance.component), *arguments)
-
-    def checked() -> None:
-        status = call()
-        if status > 1:  # neither OK nor a warning
-            raise FMICallException(function=name, status=status)
-
-    return checked
-
-
 class _Group:
     """Variables of one type, set or got by one call; ``positions`` are those in the numbers that come or go."""
 
-    def __init__(self, instance: Any, kind: str, positions: Sequence[int], references: Sequence[int]) -> None:
-        self.positions = positions
-        make: Callable[[float], Any] = float if kind in REALS else bool if kind == "Boolean" else int
-        setter, self._getter = getattr(instance, f"set{kind}"), partial(getattr(instance, f"get{kind}"), references)
-        self._setter: Callable[[Sequence[float]], object] = lambda values: setter(references, [*map(make, values)])
+    def __init__(self, slave: Slave, way: str, kind: str, positions: Sequence[int], references: Sequence[int]) -> None:
+        self._positions = positions
+        self._make: Callable[[float], Any] = float if kind in REALS else bool if kind == "Boolean" else int
+        self._values = slave.make_values(kind, len(references))
+        self._call = slave.bind_values(way, kind, references, self._values)
 
-    def set(self, numbers: bytes) -> None:
-        """Set them from the numbers of a frame, little-endian doubles."""
-        values = memoryview(numbers).cast("d")
-        self._setter([values[position] for position in self.positions])
+    def set(self, numbers: Sequence[float]) -> None:
+        """Set them from the numbers of a frame."""
+        for index, position in enumerate(self._positions):
+            self._values[index] = self._make(numbers[position])
+        self._call()
 
-    def get(self) -> bytes:
-        """Return them as the numbers of a frame, one behind the other."""
-        values = [*map(float, self._getter())]
-        return struct.pack(f"<{len(values)}d", *values)
-
-
-class _Doubles(_Group):
-    """Variables that are doubles, in an array that is made once: FMPy's setters and getters make two in every call.
-
-    The numbers of a frame are such doubles already, and are copied in runs.
-    """
-
-    def __init__(self, instance: Any, kind: str, positions: Sequence[int], references: Sequence[int]) -> None:
-        self.positions = positions
-        prefix, count = _DOUBLES[kind], len(references)
-        values = (c_double * count)()
-        self._bytes = memoryview(values).cast("B")
-        self._runs = [(slice(*to), slice(*at)) for to, at in _byte_runs(positions)]
-        arguments: tuple[Any, ...] = ((c_uint32 * count)(*references), c_size_t(count), values)
-        arguments += () if kind == "Real" else (c_size_t(count),)
-        self._set = _bind(instance, f"{prefix}Set{kind}", *arguments)
-        self._get = _bind(instance, f"{prefix}Get{kind}", *arguments)
-
-    def set(self, numbers: bytes) -> None:
-        for to, at in self._runs:
-            self._bytes[to] = numbers[at]
-        self._set()
-
-    def get(self) -> bytes:
-        self._get()
-        return self._bytes.tobytes()
+    def get(self, numbers: list[float]) -> None:
+        """Write them into the numbers of an answer."""
+        self._call()
+        for position, value in zip(self._positions, self._values, strict=True):
+            numbers[position] = float(value)
 
 
-def _byte_runs(positions: Sequence[int]) -> list[list[tuple[int, int]]]:
-    """Return where the doubles at ``positions`` go in an array of their own, and where they are: bytes from and to."""
-    starts = [i for i, position in enumerate(positions) if i == 0 or position != positions[i - 1] + 1]
-    return [
-        [(_NUMBER * first, _NUMBER * last), (_NUMBER * positions[first], _NUMBER * (positions[last - 1] + 1))]
-        for first, last in zip(starts, [*starts[1:], len(positions)], strict=True)
-    ]
-
-
-def _make_group(instance: Any, kind: str, positions: Sequence[int], references: Sequence[int]) -> _Group:
-    return (_Doubles if kind in _DOUBLES else _Group)(instance, kind, positions, references)
-
-
-def _by_type(instance: Any, positions: Sequence[int], variables: Sequence[Any]) -> list[_Group]:
-    """Return a group for each type that the variables have."""
+def _by_type(slave: Slave, way: str, variables: Mapping[int, Any]) -> list[_Group]:
+    """Return a group for each type that variables have; their keys are positions."""
     groups = []
-    for kind in dict.fromkeys(v.type for v in variables):
-        pairs = [(i, v.valueReference) for i, v in zip(positions, variables, strict=True) if v.type == kind]
-        groups.append(_make_group(instance, kind, [i for i, _ in pairs], [reference for _, reference in pairs]))
+    for kind in dict.fromkeys(v.type for v in variables.values()):
+        of_kind = {position: v.valueReference for position, v in variables.items() if v.type == kind}
+        groups.append(_Group(slave, way, kind, list(of_kind), list(of_kind.values())))
     return groups
-
-
-def _bind_step(instance: Any, fmi: int, dt: float) -> Callable[[float], None]:
-    """Return what advances an instance by ``dt`` from a time [s]; FMPy's ``doStep`` makes its arguments every time."""
-    now, step = c_double(), c_double(dt)
-    if fmi == 2:
-        do_step = _bind(instance, "fmi2DoStep", now, step, c_int(1))
-    else:
-        results = [*(byref(c_bool()) for _ in range(3)), byref(c_double())]
-        do_step = _bind(instance, "fmi3DoStep", now, step, c_bool(True), *results)
-
-    def advance(time: float) -> None:
-        now.value = time
-        do_step()
-
-    return advance
 
 
 class _Instance:
     """An instance of the controller FMU, advanced one control step at a time."""
 
     def __init__(self, fmu: ControllerFmu, folder: Path, settings: Mapping[str, Any]) -> None:
-        self._fmu, self._folder = fmu, folder
-        self._dt = float(settings["step_s"])
+        self._fmu, self._dt = fmu, float(settings["step_s"])
         self._settings = {v: settings["parameters"].get(_identifier(v)) for v in fmu.parameters}
         ground = [v for v in fmu.description.modelVariables if v.name == _ON_GROUND and v.causality == "parameter"]
         self._settings |= {v: float(settings["on_ground"]) for v in ground}
-        self._names: list[str] = settings["inputs"]
-        self._inputs: list[_Group] = []
-        self._outputs: list[_Group] = []
-        self._instance: Any = None
+        inputs = {i: fmu.inputs[name] for i, name in enumerate(settings["inputs"]) if name in fmu.inputs}
+        answers = dict(enumerate([*fmu.outputs.values(), *fmu.column_outputs]))
+        self._in, self._answer = wire.layout(len(settings["inputs"])), [0.0] * len(answers)
+        self._out = wire.layout(len(answers))
         try:
             with Zip(BytesIO(fmu.data)) as archive:
                 archive.extractall(folder)
         except DAMAGE as error:
             raise RuntimeError(f"cannot be unpacked: {to_one_line(error)}") from error
+        place = Path("binaries", platform_folder(fmu.fmi))
+        if not (folder / place).is_dir():
+            raise RuntimeError(f"has no library for this machine, {place}")
+        name = f"{fmu.description.coSimulation.modelIdentifier}{LIBRARY_SUFFIX}"
+        self._slave, self._log = Slave(folder / place / name, fmu.fmi), Log()
+        token = fmu.description.guid if fmu.fmi == 2 else fmu.description.instantiationToken
+        if not self._slave.instantiate("controller", token, folder / "resources", self._log):
+            raise RuntimeError("cannot be instantiated")
+        self._inputs = _by_type(self._slave, "Set", inputs)
+        self._outputs = _by_type(self._slave, "Get", answers)
+        self._now = c_double()
+        self._do_step = self._slave.bind_step(self._now, self._dt)
+        self._has_begun = False
 
     def step(self, frame: bytes) -> bytes:
         """Return the numbers of the answer to a frame."""
-        k, numbers = int(_STEP.unpack_from(frame)[0]), frame[_NUMBER:]
-        if k == 0:
-            self._begin(numbers)
-        else:
-            self._set_inputs(numbers)
-        self._do_step(k * self._dt)
-        if self._is_one_group:
-            return self._outputs[0].get()
-        answer = bytearray(_NUMBER * self._count)
-        for group in self._outputs:
-            values = group.get()
-            for (at, end), (place, last) in _byte_runs(group.positions):
-                answer[place:last] = values[at:end]
-        return bytes(answer)
+        try:
+            k, numbers = int(_STEP.unpack_from(frame)[0]), self._in.unpack_from(frame, _NUMBER)
+            if k == 0:
+                self._begin(numbers)
+            else:
+                self._set_inputs(numbers)
+            self._now.value = k * self._dt
+            self._do_step()
+            for group in self._outputs:
+                group.get(self._answer)
+        except CallError as error:
+            said = to_one_line(self._log.take())
+            raise RuntimeError(f"{error}: {said}" if said else str(error)) from error
+        return self._out.pack(*self._answer)
 
-    def _begin(self, numbers: bytes) -> None:
-        from fmpy.fmi2 import FMU2Slave  # type: ignore[import-untyped]
-        from fmpy.fmi3 import FMU3Slave  # type: ignore[import-untyped]
-
-        fmu = self._fmu
-        if self._instance is not None:
-            self._instance.terminate()
-            self._instance.reset()
-        else:
-            kind = FMU2Slave if fmu.fmi == 2 else FMU3Slave
-            library = Path("binaries", platform_folder(fmu.fmi))
-            if not (self._folder / library).is_dir():
-                raise RuntimeError(f"has no library for this machine, {library}")
-            self._instance = kind(
-                guid=fmu.description.guid if fmu.fmi == 2 else fmu.description.instantiationToken,
-                unzipDirectory=str(self._folder),
-                modelIdentifier=fmu.description.coSimulation.modelIdentifier,
-                instanceName="controller",
-            )
-            self._instance.instantiate()
-            self._group_variables()
-            self._do_step = _bind_step(self._instance, fmu.fmi, self._dt)
-        instance = self._instance
-        if fmu.fmi == 2:
-            instance.setupExperiment(startTime=0.0)
+    def _begin(self, numbers: Sequence[float]) -> None:
+        slave = self._slave
+        if self._has_begun:
+            slave.terminate()
+            slave.call("Reset")
+        self._has_begun = True
+        slave.set_up()
         for v, value in self._settings.items():
             if value is not None:
-                self._set(v, value)
-        instance.enterInitializationMode()
+                _Group(slave, "Set", v.type, (0,), [v.valueReference]).set((value,))
+        slave.enter_initialization()
         self._set_inputs(numbers)
-        instance.exitInitializationMode()
+        slave.call("ExitInitializationMode")
 
-    def _group_variables(self) -> None:
-        fmu = self._fmu
-        inputs = {i: fmu.inputs[name] for i, name in enumerate(self._names) if name in fmu.inputs}
-        self._inputs = _by_type(self._instance, list(inputs), list(inputs.values()))
-        answers = [*fmu.outputs.values(), *fmu.column_outputs]
-        self._count = len(answers)
-        self._outputs = _by_type(self._instance, range(self._count), answers)
-        self._is_one_group = len(self._outputs) == 1  # whose numbers are all of the answer, in its order
-
-    def _set_inputs(self, numbers: bytes) -> None:
+    def _set_inputs(self, numbers: Sequence[float]) -> None:
         for group in self._inputs:
             group.set(numbers)
-
-    def _set(self, v: Any, value: float) -> None:
-        _make_group(self._instance, v.type, (0,), [v.valueReference]).set(struct.pack("<d", value))

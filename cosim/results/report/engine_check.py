@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from cosim.base.storage.files import write_files
-from cosim.engine.qualify.report import CheckReport
+from cosim.engine.check_report import CheckReport
 from cosim.engine.response import NO_CHANGE
 from cosim.results.report.page import TEMPLATES, render
 from cosim.results.report.plot import BLUE, HOVER, ORANGE, Figure, panels, trace

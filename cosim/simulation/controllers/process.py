@@ -20,7 +20,7 @@ from cosim.base import controller_wire as wire
 from cosim.base.errors import FlightError, InputError
 from cosim.base.plugins.execute import compiled_copies
 from cosim.base.protocols import Column
-from cosim.base.runtime.processes import Child
+from cosim.base.runtime.host import Host
 from cosim.base.signals import ControlSignals
 from cosim.base.storage.scratch import scratch
 from cosim.control.belief import Belief
@@ -34,79 +34,35 @@ _STEP = wire.frame_layout(0)  # the step's number, with which every frame begins
 Command = Callable[[], Sequence[str]]
 
 
-class Connection:
-    """One process, from its start to its end."""
-
-    def __init__(self, command: Sequence[str], folder: Path, errors: IO[bytes] | None = None) -> None:
-        try:
-            # Compiled copies that lie beside a program in Python are not read, nor are any left there.
-            environ = dict(os.environ) | {"PYTHONPYCACHEPREFIX": compiled_copies()}
-            self._process, self._pipes = Child.open_program(command, environ=environ, stderr=errors, cwd=folder)
-        except OSError as error:
-            raise InputError(f"cannot be started: {error.strerror or error}") from error
-
-    def read_line(self, limit: float) -> bytes:
-        """Read one line of its output.  Raises FlightError."""
-        try:
-            return self._pipes.receive_line(_LINE, limit)
-        except ValueError:
-            raise FlightError("its first line does not end") from None
-        except (EOFError, OSError) as error:
-            raise self._no_answer(error, limit) from None
-
-    def exchange(self, data: bytes, count: int, limit: float) -> bytes:
-        """Write to the process and read so many bytes of its output, both within ``limit`` s.  Raises FlightError."""
-        try:
-            return self._pipes.exchange(data, count, limit)
-        except (EOFError, OSError) as error:
-            raise self._no_answer(error, limit) from None
-
-    def send(self, data: bytes, limit: float) -> None:
-        """Write to the process.  Raises FlightError if it has ended or does not read."""
-        try:
-            self._pipes.send(data, limit)
-        except OSError as error:
-            raise self._no_answer(error, limit) from None
-
-    def _no_answer(self, error: Exception, limit: float) -> FlightError:
-        if isinstance(error, TimeoutError):
-            return FlightError(f"the process did not answer within {limit:g} s")
-        return FlightError(f"the process {self._describe_end()}")
-
-    def _describe_end(self) -> str:
-        return self._process.describe_end(END_S, "was ended by {}", "ended with status {}") or "closed its output"
-
-    def close(self) -> None:
-        """End it; may be called twice."""
-        self._pipes.close()
-        self._process.end(END_S)
-
-
 def request_description(command: Command, folder: Path, label: str) -> dict[str, Any]:
     """Return a process's description of itself.  Raises InputError."""
     with tempfile.TemporaryFile() as errors:  # hides the errors of a program that is ended right after its description
-        connection = _start_process(command, folder, label, errors)
+        host = _start_process(command, folder, label, errors)
         try:
-            return _description(connection, label)
+            return _description(host, label)
         except InputError as error:
-            connection.close()
+            host.end(END_S)
             errors.seek(0)
             last_line = errors.read().decode(errors="replace").strip().rpartition("\n")[2]
             raise InputError(f"{error}: {last_line}" if last_line else str(error)) from error
         finally:
-            connection.close()
+            host.end(END_S)
 
 
-def _start_process(command: Command, folder: Path, label: str, errors: IO[bytes] | None = None) -> Connection:
+def _start_process(command: Command, folder: Path, label: str, errors: IO[bytes] | None = None) -> Host:
+    # Compiled copies that lie beside a program in Python are not read, nor are any left there.
+    environ = dict(os.environ) | {"PYTHONPYCACHEPREFIX": compiled_copies()}
     try:
-        return Connection(command(), folder, errors)
+        return Host.open(command(), environ, stderr=errors, cwd=folder)
     except InputError as error:
         raise InputError(f"controller {label}: {error}") from error
+    except OSError as error:
+        raise InputError(f"controller {label}: cannot be started: {error.strerror or error}") from error
 
 
-def _description(connection: Connection, label: str) -> dict[str, Any]:
+def _description(host: Host, label: str) -> dict[str, Any]:
     try:
-        line = connection.read_line(START_S)
+        line = host.read_line(_LINE, START_S)
         description = json.loads(line)
     except FlightError as error:
         raise InputError(f"controller {label}: {error} before it had said what it is") from error
@@ -139,7 +95,7 @@ class ProcessBlock:
         self._command, self._folder, self._label = command, folder, label
         self._level = level
         self.columns = tuple(columns)
-        self._connection: Connection | None = None
+        self._host: Host | None = None
         self._belief = b""
         self._frames_sent: list[bytes] = []
         self._frames_received: list[bytes] = []
@@ -179,20 +135,20 @@ class ProcessBlock:
             "vehicle": belief.vehicle.model_dump(mode="json"),
         }
         self._belief = json.dumps(belief_table).encode() + b"\n"
-        self._connection = self._start()
+        self._host = self._start()
 
-    def _start(self) -> Connection:
-        connection = _start_process(self._command, self._folder, self._label)
+    def _start(self) -> Host:
+        host = _start_process(self._command, self._folder, self._label)
         try:
-            _description(connection, self._label)
-            connection.send(self._belief, START_S)
+            _description(host, self._label)
+            host.send(self._belief, START_S)
         except FlightError as error:
-            connection.close()
+            host.end(END_S)
             raise InputError(f"controller {self._label}: {error}") from error
         except BaseException:
-            connection.close()
+            host.end(END_S)
             raise
-        return connection
+        return host
 
     def reset(self) -> None:
         """Start the numbers of frames at 0 again."""
@@ -200,9 +156,9 @@ class ProcessBlock:
 
     def update(self, *arguments: Any) -> Any:
         """Send one frame and read one back.  Raises FlightError."""
-        assert self._connection is not None
+        assert self._host is not None
         frame = self._in.pack(float(self._k), *wire.numbers(arguments, self._level, self._ahead))
-        answer = self._exchange(self._connection, frame, self._k)
+        answer = self._exchange(self._host, frame, self._k)
         if len(self._frames_sent) < MOST_FRAMES:
             self._frames_sent.append(frame)
             self._frames_received.append(answer)
@@ -218,11 +174,11 @@ class ProcessBlock:
         actuation, self.signals = wire.parse_answer(values, self._jets, self._servos, self._extras)
         return actuation
 
-    def _exchange(self, connection: Connection, frame: bytes, k: int) -> bytes:
-        answer = connection.exchange(frame, self._out.size, self._limit)
+    def _exchange(self, host: Host, frame: bytes, k: int) -> bytes:
+        answer = host.exchange(frame, self._out.size, self._limit)
         (number,) = _STEP.unpack_from(answer)
         if number == -1.0:
-            raise FlightError(connection.read_line(self._limit).decode(errors="replace"))
+            raise FlightError(host.read_line(_LINE, self._limit).decode(errors="replace"))
         if number != k:
             raise FlightError(f"its answer begins with {number:g} and not with the step; does it print to its output?")
         return answer
@@ -230,24 +186,24 @@ class ProcessBlock:
     def check_repeatable(self) -> bool:
         """Whether another process, asked the same, answers the same, bit for bit."""
         try:
-            connection = self._start()
+            host = self._start()
         except (InputError, FlightError):
             return False
         try:
             for frame, answer in zip(self._frames_sent, self._frames_received, strict=True):
-                if self._exchange(connection, frame, int(_STEP.unpack_from(frame)[0])) != answer:
+                if self._exchange(host, frame, int(_STEP.unpack_from(frame)[0])) != answer:
                     return False
         except FlightError:
             return False
         finally:
-            connection.close()
+            host.end(END_S)
         return True
 
     def close(self) -> None:
         """End the process; may be called twice."""
-        if self._connection is not None:
-            self._connection.close()
-            self._connection = None
+        if self._host is not None:
+            self._host.end(END_S)
+            self._host = None
 
 
 def make_program_command(path: Path, arguments: str) -> Command:

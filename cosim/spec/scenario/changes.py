@@ -34,7 +34,7 @@ class Changes(TypedDict, total=False):
     monitor: bool | None
     engine_parameters: Mapping[str, float]
     engine_unchecked: bool
-    engine_isolated: bool
+    engine_isolated: bool | None
     stations: Mapping[str, Any]
     requests: str | None
     metrics: Sequence[str]

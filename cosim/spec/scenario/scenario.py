@@ -66,7 +66,7 @@ class Scenario(Model):
     monitor: bool | None = None  # engines are watched and planned around; None: where an engine is to fail
     engine_parameters: dict[str, float] = {}
     engine_unchecked: bool = False  # engines that are not of the library fly without having been tried before
-    engine_isolated: bool = False  # the engines run in a process of their own
+    engine_isolated: bool | None = None  # the engines run in a process of their own; None: those of others
     stations: dict[StationNumber, Station] = {}  # by the number of the jet
     requests: str | None = None  # a file of what is asked of the autopilot, which flies then
     metrics: list[str] = []  # of one's own, beside the built-in ones: FILE.py:Name, package.module:Name, entry points

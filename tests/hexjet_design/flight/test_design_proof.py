@@ -262,18 +262,7 @@ def test_a_light_mode_past_the_band_is_found_by_measuring_there(place: Path, mon
 
 
 def test_what_only_a_flight_shows_is_no_design(place: Path, sound: Design, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same engine to a slow sweep, but for a controller of its own that reads the throttle four times a second.
-
-    It flies in a process of its own, as every engine that is not the library's.
-    """
-    isolated: list[bool] = []
-
-    def scenario(*given: Any) -> Scenario:
-        made = ISOLATED(*given)
-        isolated.append(made.engine_isolated)
-        return made
-
-    monkeypatch.setattr(flying, "_scenario", scenario)
+    """The same engine to a slow sweep, but for a controller of its own that reads the throttle four times a second."""
     other = foreign(place, "samples", "lag=0.15,delay=0.04,sampled=0.25")
     found = add_proof(replace(sound, scenario=sound.scenario.replace(engine=str(other))))
     # in hover or in the doublet, by how much gain the search found
@@ -283,7 +272,6 @@ def test_what_only_a_flight_shows_is_no_design(place: Path, sound: Design, monke
     assert any(line.startswith("no acceptable design: flown") for line in summary_lines(found))
     assert found.proof is not None
     assert len(found.proof.flights) == 4  # a corner that fails is enough
-    assert all(isolated)
 
 
 def test_a_hover_that_swings_asks_for_less_noise(monkeypatch: pytest.MonkeyPatch) -> None:

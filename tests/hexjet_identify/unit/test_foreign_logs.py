@@ -229,7 +229,7 @@ def test_a_ulog_that_its_reader_never_ends_is_refused(tmp_path: Path, monkeypatc
     said = [message(ord("I"), b"\x0dchar[100] k%02d" % n + 100 * b"x") for n in range(30)]
     endless = struct.pack("<HB", 1 + 50 + 3 * len(said[0]), 0) + bytes(50)
     (tmp_path / "x.ulg").write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"".join(said) + endless)
-    with pytest.raises(InputError, match=r"x\.ulg: cannot be read: it is damaged; the reader was not done within"):
+    with pytest.raises(InputError, match=r"x\.ulg: cannot be read: it is damaged; the process was not done within"):
         reader.read_apart("ulog.read", tmp_path / "x.ulg")
 
 

@@ -259,7 +259,7 @@ def test_a_flight_that_takes_its_process_along_is_given_up(study: Study, rows: l
     with LocalWorkers(2, fly=tools.lost) as workers:
         found = by_number(workers.fly(study, flights(study)))
     assert found[TROUBLED]["outcome"] == "failed"
-    assert found[TROUBLED]["reason"] == "the process was lost in this flight 3 times; the last ended by SIGSEGV"
+    assert found[TROUBLED]["reason"] == "the process was lost in this flight 3 times; the last was ended by SIGSEGV"
     assert found[TROUBLED]["vehicle.mass_kg"] == rows[TROUBLED]["vehicle.mass_kg"]
     others = [number for number in range(12) if number != TROUBLED]
     assert [found[number] for number in others] == [without_chance(rows[number]) for number in others]
@@ -376,5 +376,5 @@ def test_other_work_is_answered_in_order_and_its_errors_come_through() -> None:
     assert list(run_in_order(slow_square, [0.0, 1.0, 2.0, 3.0], 2)) == [0.0, 1.0, 4.0, 9.0]
     with pytest.raises(InputError, match="2 is refused"):
         list(run_in_order(refuse, [2.0], 2))
-    with pytest.raises(FlightError, match="the process was lost in this flight 3 times; the last ended by SIGKILL"):
+    with pytest.raises(FlightError, match="the process was lost in this flight 3 times; the last was ended by SIGKILL"):
         list(run_in_order(die, [1.0], 2))

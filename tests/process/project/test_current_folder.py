@@ -17,10 +17,8 @@ from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.local import LocalWorkers
-from cosim.engine import IsolatedBank, load_engine
-from cosim.engine.fmu.air import STANDARD_AIR
+from cosim.engine import IsolatedBank, check_fmu, load_engine
 from cosim.engine.make.controller_fmu import make_command
-from cosim.engine.qualify.supervisor import Limits, run_in_child
 from cosim.flight import fly
 from cosim.groundstation.mavlink.services.logs import LogStore
 from cosim.simulation.controllers.process import request_description
@@ -43,8 +41,7 @@ def isolated_engines() -> None:
 
 
 def fmu_check() -> None:
-    task = {"name": ENGINE, "parameters": {}, "step": STEP, "air": list(STANDARD_AIR), "parts": ["start"]}
-    assert run_in_child(task, Limits(PATIENCE, PATIENCE)).problem is None
+    assert check_fmu(ENGINE).ok
 
 
 def worker() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from patience import PATIENCE
 
 from cosim import open_run
-from cosim.base.runtime.processes import python_command, run_child
+from cosim.base.runtime.host import python_command, run_to_end
 
 FLIGHT = """
 import os, signal
@@ -29,6 +29,6 @@ finally:
 
 
 def test_a_flight_needs_nothing_of_posix(tmp_path: Path) -> None:
-    done = run_child(python_command(FLIGHT, str(tmp_path / "run")), PATIENCE)
+    done = run_to_end(python_command(FLIGHT, str(tmp_path / "run")), PATIENCE)
     assert done.returncode == 0, done.stderr
     assert open_run(tmp_path / "run").summary.steps == 25

@@ -20,14 +20,13 @@ from fmpy.fmi2 import FMU2Slave
 from patience import is_ended
 from places import ROOT, TOOLS
 
-from cosim import FlightError, InputError, Run, Scenario, fly
+from cosim import InputError, Run, Scenario, fly
 from cosim.base import controller_wire as wire
 from cosim.campaign.run import run_campaign
 from cosim.campaign.study.options import open_study
 from cosim.cli.main import main
 from cosim.engine.make.controller_fmu import read_controller_fmu
 from cosim.results.run import scenario_toml
-from cosim.simulation.controllers.process import Connection
 from cosim.spec.controller_name import is_design
 
 PAGE = ROOT / "docs" / "own-controller.md"
@@ -336,23 +335,6 @@ def test_what_a_process_does_wrong_ends_the_run_which_names_it(tmp_path: Path, w
     assert reason in run.reason
     assert "at step 10 (0.040 s)" in run.reason
     assert len(run.log) == 10
-
-
-def test_a_process_that_does_not_read_is_named_within_the_limit(tmp_path: Path) -> None:
-    """More is written than a pipe holds: the write has the limit of the answer."""
-    command = [sys.executable, "-c", "import time; print('here', flush=True); time.sleep(600)"]
-    connection = Connection(command, tmp_path)
-    try:
-        assert connection.read_line(60.0) == b"here"
-        for call in (
-            lambda: connection.send(bytes(1_000_000), 0.1),
-            lambda: connection.exchange(bytes(1_000_000), 8, 0.1),
-        ):
-            with pytest.raises(FlightError, match=r"the process did not answer within 0\.1 s"):
-                call()
-    finally:
-        connection._process.kill()
-        connection.close()
 
 
 def test_one_that_is_not_repeatable_is_called_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

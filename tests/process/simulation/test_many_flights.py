@@ -30,16 +30,15 @@ from cosim.base.storage import toml as config
 from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.scratch import scratch
-from cosim.engine import build_engines, load_engine
+from cosim.engine import build_engines, check, load_checked, load_engine
 from cosim.engine import measure as engine_measure
 from cosim.engine.fmu import archive, unpacked
 from cosim.engine.fmu.air import STANDARD_AIR
 from cosim.engine.fmu.archive import find_library
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.measure import EngineMeasurement
-from cosim.engine.qualify import check
 from cosim.engine.response import NO_CHANGE, Response
-from cosim.engine.spec import find_source
+from cosim.engine.source import find_source
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_names, load_vehicle
@@ -260,32 +259,30 @@ def test_the_model_is_made_of_what_it_is_remembered_by() -> None:
 # ---- engines that are not of the library
 
 
-def test_a_foreign_engine_is_tried_once_and_then_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A study may give it other parameters in every flight: these are measured, and come to what a trial finds."""
+def test_a_foreign_engine_is_checked_once_and_then_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A study may give it other parameters in every flight: these are measured, and come to what a check finds."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     build_engines(["edf-as-flown"])
     path = tmp_path / "theirs.fmu"
     shutil.copy(data_folder("fmus") / "edf-as-flown.fmu", path)
-    asked: list[Any] = []
-    run_in_child = check.run_in_child
-    monkeypatch.setattr(
-        check, "run_in_child", lambda task, limits: asked.append(task["parts"]) or run_in_child(task, limits)
-    )
-    monkeypatch.setattr(check, "_fit_engines", set())
+    checks: list[object] = []
+    once = check.check_and_measure
+    monkeypatch.setattr(check, "check_and_measure", lambda *asked: checks.append(1) or once(*asked))
+    monkeypatch.setattr(load_checked, "_fit_engines", set())
     load_engine(str(path), {"delay_samples": 3.0}, STEP)
-    assert asked == [list(check.PARTS), ["run"]]  # the run once more in another process
+    assert len(checks) == 1
     many = [load_engine(str(path), {"delay_samples": float(k), "gain": 0.1 + 0.01 * k}, STEP) for k in range(4, 9)]
-    assert len(asked) == 2
+    assert len(checks) == 1
     assert len(list((tmp_path / "cache").rglob("*.json"))) == 1
     assert [each.settling_window for each in many] == [2 * k + 50 for k in range(4, 9)]
-    apart = check._check(str(path), STEP, {"delay_samples": 5.0, "gain": 0.1 + 0.01 * 5}, check.LIMITS, ("measure",))[1]
-    assert apart is not None
-    assert (apart.curve, apart.start) == (many[1].curve, many[1].start)
+    measured = once(str(path), STEP, {"delay_samples": 5.0, "gain": 0.1 + 0.01 * 5})[1]
+    assert measured is not None
+    assert (measured.curve, measured.start) == (many[1].curve, many[1].start)
     with pytest.raises(InputError, match=r"thrust is the same at throttle 0 and 1|does not answer the throttle"):
         load_engine(str(path), {"gain": 0.0}, STEP)
     shutil.copy(data_folder("fmus") / "edf.fmu", path)  # another file under the same name
     load_engine(str(path), {"delay_samples": 3.0}, STEP)
-    assert asked[3:] == [list(check.PARTS), ["run"]]
+    assert len(checks) == 2
 
 
 def test_what_is_measured_here_is_judged_as_in_a_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -294,12 +291,12 @@ def test_what_is_measured_here_is_judged_as_in_a_trial(tmp_path: Path, monkeypat
     shutil.copy(data_folder("fmus") / "edf-as-flown.fmu", path)
     known = load_engine("edf-as-flown", {"delay_samples": 7.0}, STEP)
     falling = known.curve._replace(thrust=tuple(reversed(known.curve.thrust)))
-    source = check.find_source(str(path))
-    monkeypatch.setattr(check, "_fit_engines", {(source.archive.sha256, source.mapping.model_dump_json(), STEP)})
+    source = load_checked.find_source(str(path))
+    monkeypatch.setattr(load_checked, "_fit_engines", {(source.archive.sha256, source.mapping.model_dump_json(), STEP)})
     measured = EngineMeasurement(falling, Response(7, 0.1, 0.0, 20.0), None, NO_CHANGE)
-    monkeypatch.setattr(check, "measure_once", lambda *_: measured)
+    monkeypatch.setattr(load_checked, "measure_isolated", lambda *_: measured)
     with pytest.raises(InputError, match=r"theirs.fmu: is not fit to fly: its thrust does not rise with the throttle"):
-        check.measure_in_child(str(path), {"delay_samples": 7.0}, STEP, STANDARD_AIR)
+        load_checked.measure_checked(str(path), {"delay_samples": 7.0}, STEP, STANDARD_AIR)
 
 
 def test_unpacked_files_are_used_again_if_nobody_changed_them() -> None:

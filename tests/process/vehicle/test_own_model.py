@@ -93,4 +93,4 @@ def test_a_file_that_crashes_jsbsim_is_one_line(crash: str, tmp_path: Path) -> N
     assert done.returncode == 2, done.stderr
     (line,) = [line for line in done.stderr.splitlines() if "runs from source" not in line]
     part = "own.xml, line 2: system late" if crash == "SIGABRT" else "own.xml: aerodynamics"
-    assert f"{part}: JSBSim crashes with it ({crash})" in line
+    assert f"{part}: JSBSim fails: the process was ended by {crash}" in line

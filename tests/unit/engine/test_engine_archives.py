@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
-from itertools import count
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import fmpy
@@ -17,11 +14,10 @@ from foreign_engines import foreign
 from cosim import Scenario, fly
 from cosim.base.errors import InputError
 from cosim.engine import EngineBank, EngineSpec, check_fmu, load_engine
+from cosim.engine.check import note_harmless_violations
 from cosim.engine.fmu.container import Zip, is_system_file
 from cosim.engine.fmu.description import pack_descriptions
 from cosim.engine.fmu.unpacked import unpack
-from cosim.engine.qualify import supervisor
-from cosim.engine.qualify.check import note_harmless_violations
 
 APPLE = b"\x00\x05\x16\x07\x00\x02\x00\x00Mac OS X        "  # how such a file of a Mac begins
 
@@ -209,36 +205,3 @@ def test_what_is_there_in_place_of_the_library_is_told(held: dict[str, bytes], s
 
 
 # ---- time
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A machine so busy that 1000 s pass between two looks."""
-    times = count(0.0, 1000.0)
-    monkeypatch.setattr(supervisor.time, "monotonic", lambda: next(times))
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="told by /proc")
-def test_one_that_computes_is_counted_by_the_processor(clock: None) -> None:
-    code = "print('begun', flush=True)\nwhile True: pass"
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
-        assert child.stdout is not None
-        child.stdout.readline()
-        child_time = supervisor._ChildTime(child.pid)
-        while child_time.processor < 0.5:
-            child_time.update()
-        child.kill()
-    assert child_time.seconds == child_time.processor
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="told by /proc")
-def test_one_that_waits_is_counted_by_the_clock(clock: None) -> None:
-    code = "import time; print('begun', flush=True); time.sleep(1000.0)"
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
-        assert child.stdout is not None
-        child.stdout.readline()
-        child_time = supervisor._ChildTime(child.pid)
-        for _ in range(1000):
-            child_time.update()
-        child.kill()
-    assert child_time.seconds > 900_000.0

@@ -15,7 +15,7 @@ from cosim.base.errors import InputError
 from cosim.cli.results.show import show
 from cosim.engine import load_engine
 from cosim.engine.fmu.uncertainty import CUT, lower_factor, without_uncertainty
-from cosim.engine.spec import find_source
+from cosim.engine.source import find_source
 from hexjet_identify.replay.flown import Model
 from hexjet_identify.replay.replay import Choices, draw
 

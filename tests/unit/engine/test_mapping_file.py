@@ -12,7 +12,7 @@ from command_tools import Hexjet
 from cosim import InputError, map_engine
 from cosim.base.storage.paths import data_folder
 from cosim.engine.fmu.mapping import read_mapping
-from cosim.engine.spec import find_source
+from cosim.engine.source import find_source
 
 THROTTLE = 'name="throttle" valueReference="1"'
 RANGE = 'unit="1" min="0.0" max="1.0" start="0.0" />\n    <Float64 name="thrust"'

@@ -12,9 +12,9 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 5_500,
-    "cosim": 65_550,
+    "cosim": 64_950,
     "docs": 6_500,
-    "tests": 73_950,
+    "tests": 73_650,
     "tools/hexjet_design": 8_350,
     "tools/hexjet_export": 3_900,
     "tools/hexjet_identify": 12_650,

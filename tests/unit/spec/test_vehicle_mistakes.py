@@ -14,7 +14,7 @@ from places import ROOT
 
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
-from cosim.engine.spec import find_source
+from cosim.engine.source import find_source
 from cosim.spec.vehicle import aircraft_names, engine_of, load_vehicle
 from cosim.vehicle.jsbsim_model import render
 

@@ -243,7 +243,6 @@ def _scenario(
         "engine": scenario.engine,
         "engine_parameters": dict(scenario.engine_parameters),
         "engine_unchecked": True,  # it was measured already
-        "engine_isolated": not design.engine.library,  # a crash or a hang is a reason, not an end
         "step_s": scenario.step_s,
         "substeps": scenario.substeps,
         "added_delay_samples": scenario.added_delay_samples,

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
-import subprocess
 import sys
 from collections.abc import Mapping
 from importlib import import_module
@@ -21,7 +19,7 @@ import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from cosim.base.runtime.processes import Child, python_command
+from cosim.base.runtime.host import HostError, run_code
 from cosim.base.storage.files import one_line
 from hexjet_identify.logs.flight_log import Channel, FlightLog
 from hexjet_identify.logs.table_columns import TableColumns
@@ -42,24 +40,18 @@ def read_apart(reader: str, path: Path, *numbers: int) -> FlightLog | TableColum
     """
     size = path.stat().st_size / 2**20
     seconds, megabytes = MAX_CPU_S + MAX_CPU_S_PER_MB * size, MAX_MB + MAX_MB_PER_MB * size
-    command = [_RUN, reader, str(path), *map(str, numbers)]
-    child = Child(
-        python_command(*command, seconds=int(seconds) + 1, megabytes=megabytes),
-        dict(os.environ) | _ONE_THREAD,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-    )
     try:
-        # By the clock it may take many times as long: the machine may be busy, or asleep.
-        answer, _ = child.finish(30.0 * seconds)
-        status = child.returncode
-    except subprocess.TimeoutExpired:
-        answer, status = b"", -signal.SIGXCPU
-    if status:
-        how = signal.Signals(-status).name if status < 0 else f"status {status}"
-        end = f"was not done within {seconds:.3g} s of CPU" if status == -signal.SIGXCPU else f"crashed ({how})"
-        raise InputError(f"{path}: cannot be read: it is damaged; the reader {end}")
+        answer = run_code(
+            _RUN,
+            reader,
+            str(path),
+            *map(str, numbers),
+            seconds=seconds,
+            megabytes=megabytes,
+            environ=dict(os.environ) | _ONE_THREAD,
+        )
+    except HostError as error:
+        raise InputError(f"{path}: cannot be read: it is damaged; {error}") from error
     return _unpack(path, bytearray(answer), megabytes)
 
 

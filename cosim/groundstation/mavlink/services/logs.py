@@ -19,7 +19,7 @@ from math import inf
 from pathlib import Path
 from threading import Thread
 
-from cosim.base.runtime.processes import Child, python_command
+from cosim.base.runtime.host import Host, python_command
 from cosim.base.storage.files import read_json
 from cosim.base.storage.scratch import scratch
 from cosim.groundstation.mavlink.services.ftp import File, MemoryFile
@@ -84,7 +84,7 @@ class LogStore:
         self._runs = runs
         self._folder = Path(tempfile.mkdtemp(prefix="logs-", dir=scratch()))
         self._seen_runs: set[Path] = set()
-        self._conversion: tuple[Child, LogEntry, float] | None = None
+        self._conversion: tuple[Host, LogEntry, float] | None = None
         self._converted_count = 0  # number of logs that were converted, including failures
         self._search: Thread | None = None
         self._found_runs: Sequence[Path] = ()
@@ -143,7 +143,7 @@ class LogStore:
             command = python_command(_CONVERT, str(log.run), str(self._path(log)))
             quiet = subprocess.DEVNULL
             try:
-                self._conversion = (Child(command, stdin=quiet, stdout=quiet, stderr=quiet), log, now)
+                self._conversion = (Host(command, stdin=quiet, stdout=quiet, stderr=quiet), log, now)
             except OSError:
                 log.file = MemoryFile(b"")
                 self._converted_count += 1

@@ -6,6 +6,9 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+# What is asked of an engine, each by a short flight.
+QUESTIONS = ("loads", "runs", "is finite", "responds", "repeats", "runs six at once", "resets")
+
 
 @dataclass
 class CheckReport:
@@ -23,7 +26,6 @@ class CheckReport:
     inputs: list[dict[str, Any]]
     outputs: list[dict[str, Any]]
     parameters: list[dict[str, Any]]  # ``start`` is the FMU's own, ``value`` that with which all was measured
-    features: list[str] = field(default_factory=list)  # of FMI, that it uses or offers
     throttle: list[float] | None = None  # of the static curve
     thrust: list[float] | None = None
     delay_samples_up: int | None = None  # communication steps
@@ -36,14 +38,7 @@ class CheckReport:
     course_down: list[float] | None = None
     course_step_up: float | None = None
     course_step_down: float | None = None
-    deterministic: bool | None = None
-    processes_agree: bool | None = None  # two processes, bit for bit
-    independent: bool | None = None  # six at once
-    reset_restores_start: bool | None = None
-    microseconds_per_step: float | None = None
-    bytes_per_instance: float | None = None  # resident, without the library itself
-    bytes_per_step: float | None = None  # growth of resident memory
-    apart: str | None = None  # what it does to the process that it runs in, for which flights give it one of its own
+    answers: dict[str, bool | None] = field(default_factory=lambda: dict.fromkeys(QUESTIONS))
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -56,21 +51,15 @@ class CheckReport:
         """Return the report as plain lists, numbers and strings, for JSON."""
         return {"ok": self.ok, **asdict(self)}
 
-    @property
-    def standard(self) -> str:
-        """Name and version of the standard, FMI or SSP."""
-        return self.fmi_version if self.fmi_version.startswith("SSP") else f"FMI {self.fmi_version}"
-
     def lines(self) -> list[tuple[str, str]]:
         """Return the report as (label, text) rows without the problems."""
         rows = [
             ("file", self.path),
-            ("model", f"{self.name}, {self.standard}, sha256 {self.sha256[:12]}"),
+            ("model", f"{self.name}, FMI {self.fmi_version}, sha256 {self.sha256[:12]}"),
             *((port["port"].replace("_", " "), _port_text(port)) for port in self.ports),
             *(("input", _variable_text(v)) for v in self._unused(self.inputs)),
             *(("output", _variable_text(v)) for v in self._unused(self.outputs)),
             *(("parameter", _variable_text(v)) for v in self._unused(self.parameters)),
-            ("FMI features", ", ".join(self.features) or "not found"),
             ("step", f"{self.step:g} s"),
             *self.response_lines(),
             *self.verdict_lines(),
@@ -97,22 +86,8 @@ class CheckReport:
         return rows
 
     def verdict_lines(self) -> list[tuple[str, str]]:
-        """Return rows with the result of each trial, and the time and memory of a step and an instance."""
-        rows = [
-            ("runs repeat", _verdict(self.deterministic)),
-            ("two processes agree", _verdict(self.processes_agree)),
-            ("six at once", _verdict(self.independent)),
-            ("reset", _verdict(self.reset_restores_start)),
-        ]
-        if self.microseconds_per_step is not None:
-            rows.append(("one step takes", f"{self.microseconds_per_step:.2f} us"))
-        if self.bytes_per_instance is not None:
-            rows.append(("one instance takes", f"{self.bytes_per_instance / 1024.0:.0f} kB"))
-        if self.bytes_per_step is not None:
-            rows.append(("a step leaves behind", f"{self.bytes_per_step:.0f} bytes"))
-        if self.apart:
-            rows.append(("flown", f"in a process of its own: it {self.apart}"))
-        return rows
+        """Return rows with the answer to each question."""
+        return [(question, _verdict(answer)) for question, answer in self.answers.items()]
 
 
 def _port_text(port: dict[str, Any]) -> str:
@@ -140,4 +115,4 @@ def _limit(value: float | None) -> str:
 
 
 def _verdict(passed: bool | None) -> str:
-    return {True: "good", False: "bad", None: "not tried"}[passed]
+    return {True: "yes", False: "no", None: "not asked"}[passed]

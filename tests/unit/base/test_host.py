@@ -12,7 +12,7 @@ import psutil
 import pytest
 from patience import PATIENCE, is_ended
 
-from cosim.base.runtime.processes import Child, end_group, python_command, reap, run_child
+from cosim.base.runtime.host import Host, HostError, end_group, python_command, reap, run_code, run_to_end
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ if os.fork() == 0:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="told by /proc")
 def test_what_a_child_has_started_in_a_session_of_its_own_is_ended_with_it() -> None:
-    with Child(python_command(DAEMON + "time.sleep(1000.0)"), stdout=subprocess.PIPE) as child:
+    with Host(python_command(DAEMON + "time.sleep(1000.0)"), stdout=subprocess.PIPE) as child:
         assert child.stdout is not None
         daemon = int(child.stdout.readline())
         assert psutil.Process(daemon).status() != psutil.STATUS_ZOMBIE
@@ -63,8 +63,8 @@ def test_what_a_child_has_started_in_a_session_of_its_own_is_ended_with_it() -> 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="told by /proc")
 def test_children_of_others_are_left_alone() -> None:
-    with Child(["sleep", "1000"]) as other:
-        with Child(["sleep", "1000"]) as child:
+    with Host(["sleep", "1000"]) as other:
+        with Host(["sleep", "1000"]) as child:
             child.end()
         assert other.poll() is None
         other.end()
@@ -74,15 +74,43 @@ def test_a_command_that_takes_too_long_is_ended(tmp_path: Path) -> None:
     """With what it started, which would keep its output open."""
     started = tmp_path / "started"
     shell = f"sleep 1000 & echo $! > {started}; wait"
-    with pytest.raises(subprocess.TimeoutExpired):
-        run_child(["sh", "-c", shell], 1.0)
+    with pytest.raises(HostError, match="the process was not done within 1 s"):
+        run_to_end(["sh", "-c", shell], 1.0)
     number = started.read_text().strip() if started.is_file() else ""
     assert not number or is_ended(int(number))
 
 
 def test_a_command_says_what_it_printed() -> None:
-    done = run_child(python_command("print(sys.argv[1:]); sys.exit(3)", "one", "two words"), PATIENCE)
-    assert (done.returncode, done.stdout) == (3, "['one', 'two words']\n")
+    done = run_to_end(python_command("print(sys.argv[1:]); sys.exit(3)", "one", "two words"), PATIENCE)
+    assert (done.returncode, done.stdout) == (3, b"['one', 'two words']\n")
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("sys.exit('no licence')", r"the process ended with status 1 \(no licence\)"),
+        ("import os; os.abort()", "the process was ended by SIGABRT"),
+        ("while True: pass", "the process was not done within 1 s of CPU"),
+    ],
+)
+def test_code_that_does_not_end_well_is_a_line(code: str, said: str) -> None:
+    with pytest.raises(HostError, match=said):
+        run_code(code, seconds=1.0, megabytes=1024.0)
+
+
+def test_a_process_that_answers_is_held_to_its_limits() -> None:
+    """Of time and of memory, while it is waited for; its end is told, and it is ended once."""
+    code = "held = bytes(200 * 2**20); sys.stdout.buffer.write(sys.stdin.buffer.read(2)); sys.stdout.flush()\n"
+    for megabytes, said in ((None, "did not answer within 5 s"), (100.0, "takes 2.. MB of memory, 100 MB at most")):
+        with Host.open(python_command(code + "sys.stdin.read()"), megabytes=megabytes) as host:
+            if megabytes is None:
+                assert host.exchange(b"hi", 2, PATIENCE) == b"hi"
+            with pytest.raises(HostError, match=f"the process {said}"):
+                host.exchange(b"a", 9, 5.0 if megabytes is None else PATIENCE)
+            host.end()
+            host.end()
+        with pytest.raises(HostError, match="was ended before"):
+            host.send(b"", PATIENCE)
 
 
 def test_python_finds_what_this_process_finds_and_not_the_current_folder(
@@ -95,5 +123,5 @@ def test_python_finds_what_this_process_finds_and_not_the_current_folder(
     (tmp_path / "there" / "theirs.py").write_text("")
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.setattr(sys, "path", ["", *sys.path, str(tmp_path / "there")])
-    assert run_child(python_command("import theirs, cosim"), PATIENCE).returncode == 0
-    assert "No module named 'mine'" in run_child(python_command("import mine"), PATIENCE).stderr
+    assert run_to_end(python_command("import theirs, cosim"), PATIENCE).returncode == 0
+    assert b"No module named 'mine'" in run_to_end(python_command("import mine"), PATIENCE).stderr

@@ -1,0 +1,349 @@
+"""Check of an FMU as an engine (``hexjet fmu check``): short flights in a process of its own, and what it answers.
+
+The archive is read here, where nothing of it is executed; the engine is flown as an isolated one is in a flight
+(``cosim.engine.isolated``).  A flight asks the same of an engine that is not of the library before it takes off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from cosim.base.errors import EngineError, InputError
+from cosim.base.trust import need_trust
+from cosim.engine.check_report import CheckReport
+from cosim.engine.fmu.air import STANDARD_AIR
+from cosim.engine.fmu.archive import Archive, validate
+from cosim.engine.fmu.container import DAMAGE, Zip, note_unusual_names, read_bytes
+from cosim.engine.fmu.description import is_harmless_violation
+from cosim.engine.fmu.port_kinds import KINDS
+from cosim.engine.fmu.ports import normalise_name
+from cosim.engine.fmu.starting import Setting
+from cosim.engine.fmu.unpacked import unpack
+from cosim.engine.fmu.variables import ConstantValue, Port, Variable
+from cosim.engine.isolated import START_S, EngineHost, IsolatedBank, measure_in
+from cosim.engine.load import load_unchecked
+from cosim.engine.measure import EngineMeasurement
+from cosim.engine.response import (
+    NO_CHANGE,
+    Response,
+    ResponseError,
+    find_crossing,
+    find_curve_problems,
+    measure_step_response,
+    note_flat_ends,
+    settle,
+    settling_window,
+)
+from cosim.engine.source import EngineSource, check_whole_steps, find_source, resolve_parameters
+from cosim.engine.spec import EngineSpec
+
+DEFAULT_STEP_S = 0.004  # of the Hex-Jet's control loop
+TIME_LIMIT_S = 120.0  # of a check, by the clock
+ENGINES = 6  # of a Hex-Jet
+RUN_S = 20.0  # of simulated time under a changing throttle
+COMPARED_STEPS = 500  # of each flight that is compared with the first
+RUN_THROTTLE = 0.25  # at which each flight begins
+# Most lines shown of the same kind, because a tool repeats a violation in every variable.
+MAX_BLEMISHES = 10
+# Points of a step response that are drawn.
+MAX_POINTS = 2000
+# Of the change of thrust, chosen by us: less of it the wrong way is what a solver or a sample leaves.
+MIN_WRONG_WAY = 0.02
+# Samples between the dead times up and down: a step of the throttle meets the FMU's own step anywhere.
+MAX_UNEVEN = 2
+DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
+
+
+# ---- the check
+
+
+def check_fmu(
+    name_or_path: str,
+    step: float | None = None,
+    parameters: Mapping[str, ConstantValue] | None = None,
+    time_limit_s: float = TIME_LIMIT_S,
+) -> CheckReport:
+    """Check an FMU by path, by mapping file, or by its name in the library.
+
+    ``step`` [s] is the control step it would be flown with: unless given, that of the Hex-Jet, for an engine of the
+    library its own.  Whatever the FMU does, it does in another process.
+
+    Raises InputError if the file cannot be used as an engine at all: one line that says why.
+    """
+    return check_and_measure(name_or_path, step, parameters or {}, time_limit_s)[0]
+
+
+def check_and_measure(
+    name_or_path: str, step: float | None, parameters: Mapping[str, ConstantValue], time_limit_s: float = TIME_LIMIT_S
+) -> tuple[CheckReport, EngineMeasurement | None]:
+    """Return the report of :func:`check_fmu`, and what a flight needs to know, None where it could not be measured."""
+    source = find_source(name_or_path)
+    need_trust(source.code, f"engine {source.path.name}")
+    archive = source.archive
+    step = step or (source.engine.internal_step if source.engine else DEFAULT_STEP_S)
+    check_whole_steps(archive, source.engine, step)
+    values, settings = resolve_parameters(source, parameters)
+    unpack(archive).close()
+    report = CheckReport(
+        path=str(source.path),
+        name=archive.model,
+        fmi_version=archive.version,
+        sha256=archive.sha256,
+        step=step,
+        ports=[_described_port(name, port, source) for name, port in archive.ports.items()],
+        inputs=_described(archive.inputs),
+        outputs=_described(archive.outputs),
+        parameters=[
+            {**described, "value": _value(v, values.get(v.name, v.start))}
+            for v, described in zip(archive.parameters, _described(archive.parameters), strict=True)
+        ],
+        problems=_checksums(archive.path),
+        notes=_notes(archive, source.engine is not None),
+    )
+    if report.problems:
+        return report, None
+    check = _Check(name_or_path, source, {v.name: value for v, value in settings}, settings, report, time_limit_s)
+    check.ask_all()
+    return report, check.measured
+
+
+class _Check:
+    """The questions that are asked of one engine, each a short flight; the answers are those of its report."""
+
+    def __init__(
+        self,
+        name: str,
+        source: EngineSource,
+        parameters: Mapping[str, float],
+        settings: tuple[Setting, ...],
+        report: CheckReport,
+        time_limit_s: float,
+    ) -> None:
+        self._name, self._source, self._parameters, self._settings = name, source, parameters, settings
+        self._report, self._step = report, report.step
+        self._time_limit_s, self._deadline = time_limit_s, monotonic() + time_limit_s
+        self._host: EngineHost | None = None
+        self._spec: EngineSpec | None = None
+        self._thrusts: list[float] = []
+        self.measured: EngineMeasurement | None = None
+
+    def ask_all(self) -> None:
+        """Ask every question; without an answer to one of the first three there is none to the others."""
+        asked: Mapping[str, Callable[[], object]] = {
+            "loads": self._load,
+            "responds": self._respond,
+            "runs": self._run,
+            "repeats": self._repeat,
+            "runs six at once": self._run_together,
+            "resets": self._reset,
+        }
+        try:
+            for question, ask in asked.items():
+                self._report.answers[question] = True
+                try:
+                    ask()
+                except (EngineError, ResponseError, InputError) as error:
+                    self._fail(question, str(error))
+                    if question in ("loads", "responds", "runs") or monotonic() > self._deadline:
+                        break
+        finally:
+            if self._host is not None:
+                self._host.end()
+
+    def _fail(self, question: str, problem: str) -> None:
+        report = self._report
+        if monotonic() > self._deadline:
+            problem = f"takes too long: was not done within {self._time_limit_s:.3g} s; {problem}"
+        report.answers[question] = False
+        if "is not finite" in problem:
+            report.answers["is finite"] = False
+        if problem not in report.problems:
+            report.problems.append(problem)
+
+    @property
+    def host(self) -> EngineHost:
+        """The engine's process: a new one where the last has gone wrong."""
+        if self._host is not None and not self._host.is_sound:
+            self._host.end()
+            self._host = None
+        if self._host is None:
+            self._host = EngineHost([self._source.archive], self._deadline)
+        return self._host
+
+    def _bank(self, count: int = 1, host: EngineHost | None = None) -> IsolatedBank:
+        assert self._spec is not None
+        return IsolatedBank([self._spec] * count, self._step, host=host or self.host)
+
+    def _load(self) -> None:
+        """Validate the description, and load the library and instantiate it."""
+        archive, report = self._source.archive, self._report
+        # an archive with harmless violations was validated when it was read
+        complaints = [] if archive.harmless_violations else validate(read_bytes(archive.path))
+        report.notes += note_unusual_names(archive.path)
+        report.notes += [text for text in complaints if is_harmless_violation(text)]
+        for text in complaints:
+            if not is_harmless_violation(text):
+                self._fail("loads", text)
+        self.host.call(("load", archive), START_S, "when it was loaded")
+
+    def _respond(self) -> None:
+        """Measure static curve and response as a flight does, and record the response to opening and closing."""
+        archive, report = self._source.archive, self._report
+        measured = self.measured = measure_in(self.host, archive, self._settings, self._step, STANDARD_AIR, True)
+        report.throttle, report.thrust = list(measured.curve.throttle), list(measured.curve.thrust)
+        rest = archive.starting.rest_n
+        report.notes += note_flat_ends(measured.curve, measured.quiet, rest)
+        if measured.quiet > NO_CHANGE:
+            report.notes.append(
+                f"its thrust trembles at rest; it is taken to stand still to {measured.quiet:g} of itself"
+            )
+        for problem in find_curve_problems(measured.curve, measured.quiet, rest):
+            self._fail("responds", problem)
+        self._spec = load_unchecked(self._name, self._parameters, self._step, measured=measured, source=self._source)
+        self._record_responses(measured, rest)
+
+    def _record_responses(self, measured: EngineMeasurement, rest: float) -> None:
+        report, step, quiet, span = self._report, self._step, measured.quiet, abs(measured.curve.thrust[-1])
+        course: list[float] = []
+
+        def hold(throttle: float, steps: int) -> list[float]:
+            thrusts = bank.follow(0, [throttle] * steps)
+            course.extend(thrusts)
+            return thrusts
+
+        with self._bank() as bank:
+            bank.reset(0.0)
+            before = settle(hold, 0.0, settling_window(round(1.0 / step)), step, quiet, rest, span)
+            for way, throttle in (("up", 1.0), ("down", 0.0)):
+                course[:] = [before]
+                response = measure_step_response(hold, before, throttle, step, quiet, rest)
+                before = response.after
+                shown = course[: _drawn(course, response)]
+                every = max(1, len(shown) // MAX_POINTS)
+                setattr(report, f"delay_samples_{way}", response.delay)
+                setattr(report, f"rise_time_{way}", response.rise)
+                setattr(report, f"tenth_{way}", find_crossing(course, 0.1, response.before, response.after) * step)
+                setattr(report, f"course_{way}", shown[::every])
+                setattr(report, f"course_step_{way}", every * step)
+                change = response.after - response.before
+                back = max(((response.before - thrust) / change for thrust in course), default=0.0)
+                if back > MIN_WRONG_WAY + rest / abs(change):
+                    share = f"{100.0 * back:.0f} % of the change"
+                    report.notes.append(f"throttle {way}: thrust first goes the wrong way, by {share}")
+        up, down = report.delay_samples_up or 0, report.delay_samples_down or 0
+        if abs(up - down) > MAX_UNEVEN and rest == 0.0:
+            report.notes.append(
+                f"its dead time differs, {up} samples up and {down} down: it may sample its throttle itself, every "
+                f"{abs(up - down) * step:.2g} s or more, or have to be started first"
+            )
+
+    def _fly(self, bank: IsolatedBank, steps: int, count: int = 1) -> list[float]:
+        """Return the thrusts of the first engine under a throttle that keeps changing; each other is ahead of it."""
+        bank.reset(RUN_THROTTLE)
+        throttles = ([zigzag_throttle(k + 3 * engine) for engine in range(count)] for k in range(steps))
+        return [bank.step(k, tuple(throttle)).thrust[0] for k, throttle in enumerate(throttles)]
+
+    def _run(self) -> None:
+        with self._bank() as bank:
+            self._thrusts = self._fly(bank, max(COMPARED_STEPS, round(RUN_S / self._step)))
+        self._report.answers["is finite"] = True
+
+    def _repeat(self) -> None:
+        """Fly the same in another process, where addresses, process number and time of day differ."""
+        host = EngineHost([self._source.archive], self._deadline)
+        try:
+            with self._bank(host=host) as bank:
+                if self._fly(bank, len(self._thrusts)) != self._thrusts:
+                    self._fail("repeats", "two processes with the same throttle differ")
+        finally:
+            host.end()
+
+    def _run_together(self) -> None:
+        with self._bank(ENGINES) as bank:
+            if self._fly(bank, COMPARED_STEPS, ENGINES) != self._thrusts[:COMPARED_STEPS]:
+                self._fail("runs six at once", "six of it at once do not answer as one alone: they are not independent")
+
+    def _reset(self) -> None:
+        """Fly twice in one process, as a bank that is reset does."""
+        with self._bank() as bank:
+            for _ in range(2):
+                if self._fly(bank, COMPARED_STEPS) != self._thrusts[:COMPARED_STEPS]:
+                    self._fail("resets", "a run after a reset differs from the first")
+
+
+def zigzag_throttle(k: int) -> float:
+    """Return a throttle sequence that visits 20 values from 0 to 1 in an order that is neither up nor down."""
+    return (k * 7 % 20) / 19
+
+
+def _drawn(course: Sequence[float], response: Response) -> int:
+    """Return how many points of a course to draw: a little more than it takes to come within 0.1 % of the end."""
+    far = 1e-3 * abs(response.after - response.before)
+    last = max(k for k, thrust in enumerate(course) if abs(thrust - response.after) > far)
+    return min(len(course), last + max(10, last // 4))
+
+
+def _described(variables: Iterable[Variable]) -> list[dict[str, Any]]:
+    return [{key: getattr(v, key) for key in DESCRIBED} for v in variables]
+
+
+def _value(variable: Variable, value: float | None) -> float | str | None:
+    """Return a parameter's value in effect; an item of an enumeration by its name."""
+    return {float(item): name for name, item in variable.items}.get(value, value) if value is not None else None
+
+
+def _described_port(name: str, port: Port, source: EngineSource) -> dict[str, Any]:
+    v = port.variable
+    mapped = source.engine.ports if source.engine else source.mapping.ports.model_dump(exclude_none=True)
+    if name in mapped:
+        origin = "in engine.toml" if source.engine else "in the mapping file"
+    elif normalise_name(v.name) in {normalise_name(name), normalise_name(KINDS[name].library_name)}:
+        origin = "by its name"
+    else:
+        origin = "by its unit" if name == "thrust" else "as the only one"
+    is_lever = KINDS[name].causality == "input" and name in ("throttle",)
+    return {
+        "port": name,
+        "name": v.name,
+        "unit": v.unit if name in ("throttle", "run", "start") else _unit(name, source) or v.unit,
+        "from": port.value(0.0) if is_lever else None,
+        "to": port.value(1.0) if is_lever else None,
+        "scale": port.scale,
+        "offset": port.offset,
+        "si": KINDS[name].quantity.si,
+        "found": origin,
+    }
+
+
+def _unit(name: str, source: EngineSource) -> str | None:
+    mapped = None if source.engine else getattr(source.mapping.units, name, None)
+    return str(mapped) if mapped else None
+
+
+def _checksums(path: Path) -> list[str]:
+    try:
+        with Zip(path) as fmu:
+            damaged = fmu.testzip()
+    except DAMAGE as error:
+        raise InputError(f"{path}: {error}") from error
+    return [f"{damaged} fails its checksum"] if damaged else []
+
+
+def note_harmless_violations(archive: Archive) -> list[str]:
+    """Return notes on violations of FMI in an archive's description that have no effect on stepping."""
+    shown = archive.harmless_violations[:MAX_BLEMISHES]
+    lines = [f"blemish in its description, of no effect on stepping: {text}" for text in shown]
+    rest = len(archive.harmless_violations) - len(shown)
+    return [*lines, f"and {rest} more blemishes like these"] if rest else lines
+
+
+def _notes(archive: Archive, library: bool) -> list[str]:
+    notes = [*note_harmless_violations(archive), *archive.port_notes]
+    if archive.once_per_process:
+        notes.append("may be instantiated once per process: every engine gets a library of its own")
+    if not library and "fuel_flow" not in archive.ports:
+        notes.append("reports no fuel flow: the tank of a vehicle stays full with it")
+    return notes

@@ -1,0 +1,149 @@
+"""An FMU's shared library and the calls to its one instance, of FMI 2.0 or 3.0 for co-simulation.
+
+FMPy has classes for them.  They look for all of some 70 functions, convert every argument in each call, and bring
+numpy, which takes a third of a second in every process of engines.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Callable, Sequence
+from ctypes import byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_uint32, c_void_p
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cosim.engine._bank as _bank
+
+_CO_SIMULATION = 1  # of fmi2Type
+# The types of FMI's functions that get and set; a Boolean is a C int in FMI 2.0.
+_TYPES: dict[str, Any] = {
+    "Real": c_double, "Float64": c_double, "Float32": ctypes.c_float, "Integer": c_int, "Boolean": c_bool,
+    "Int8": ctypes.c_int8, "UInt8": ctypes.c_uint8, "Int16": ctypes.c_int16, "UInt16": ctypes.c_uint16,
+    "Int32": ctypes.c_int32, "UInt32": c_uint32, "Int64": ctypes.c_int64, "UInt64": ctypes.c_uint64,
+}  # fmt: skip
+_NEEDED = ("EnterInitializationMode", "ExitInitializationMode", "DoStep", "Terminate", "FreeInstance")
+
+
+class _Callbacks(ctypes.Structure):
+    """What an FMU of FMI 2.0 may call."""
+
+    _fields_ = [(name, c_void_p) for name in ("logger", "allocate", "free", "step_finished", "environment")]
+
+
+class CallError(Exception):
+    """A function of an FMU returned worse than a warning."""
+
+    def __init__(self, function: str, status: int) -> None:
+        super().__init__(f"{function} returned {status}")
+        self.function, self.status = function, status
+
+
+class Slave:
+    """The library at ``library``, and from :meth:`instantiate` to :meth:`free` its instance.
+
+    Raises OSError where it does not load or lacks a function.
+    """
+
+    component = 0  # address of the instance
+
+    def __init__(self, library: Path, fmi: int) -> None:
+        self._prefix, self.fmi = f"fmi{fmi}", fmi
+        here = os.getcwd()
+        os.chdir(library.parent)  # for libraries that lie beside it
+        try:
+            self.dll = ctypes.CDLL(str(library))
+        finally:
+            os.chdir(here)
+        try:
+            for name in (*_NEEDED, "SetupExperiment" if fmi == 2 else "InstantiateCoSimulation"):
+                self.function(name)
+        except OSError:
+            self.free_library()
+            raise
+
+    def function(self, name: str) -> Any:
+        """Return one of its functions, without the beginning of the name.  Raises OSError where there is none."""
+        try:
+            return self.dll[self._prefix + name]
+        except AttributeError:
+            raise OSError(f"it has no function {self._prefix}{name}") from None
+
+    def instantiate(self, name: str, token: str, resources: Path, log: _bank.Log, returns_early: bool = False) -> bool:
+        """Make the instance, whose messages go to ``log``; False where it refuses."""
+        if self.fmi == 2:
+            libc = ctypes.CDLL(None)
+            allocate, free = (ctypes.cast(each, c_void_p).value for each in (libc.calloc, libc.free))
+            self._callbacks = _Callbacks(_bank.LOGGER2, allocate, free, None, log.address)
+            make, where, kind = self.function("Instantiate"), resources.as_uri(), (c_int(_CO_SIMULATION),)
+            more: tuple[Any, ...] = (byref(self._callbacks), c_int(0), c_int(1))
+            arguments = (*kind, c_char_p(token.encode()), c_char_p(where.encode()), *more)
+        else:
+            make, where = self.function("InstantiateCoSimulation"), f"{resources}{os.sep}"
+            flags = (c_bool(False), c_bool(True), c_bool(False), c_bool(returns_early))  # visible, logging, events
+            more = (*flags, None, c_size_t(0), c_void_p(log.address), c_void_p(_bank.LOGGER3), None)
+            arguments = (c_char_p(token.encode()), c_char_p(where.encode()), *more)
+        make.restype = c_void_p
+        self.component = make(c_char_p(name.encode()), *arguments) or 0
+        return bool(self.component)
+
+    def bind(self, name: str, *arguments: Any) -> Callable[[], None]:
+        """Return a call of a function with C arguments that are made once.  It raises CallError."""
+        function = self._prefix + name
+        call = partial(self.function(name), c_void_p(self.component), *arguments)
+
+        def checked() -> None:
+            status = call()
+            if status > 1:  # neither OK nor a warning
+                raise CallError(function, status)
+
+        return checked
+
+    def call(self, name: str, *arguments: Any) -> None:
+        """Call a function with C arguments.  Raises CallError."""
+        self.bind(name, *arguments)()
+
+    def set_up(self) -> None:
+        """Begin a simulation at time 0, before anything is set."""
+        if self.fmi == 2:
+            self.call("SetupExperiment", c_int(0), c_double(0.0), c_double(0.0), c_int(0), c_double(0.0))
+
+    def enter_initialization(self) -> None:
+        """Enter initialization mode."""
+        none = (c_bool(False), c_double(0.0), c_double(0.0), c_bool(False), c_double(0.0))
+        self.call("EnterInitializationMode", *(() if self.fmi == 2 else none))
+
+    def make_values(self, kind: str, values: int | Sequence[float]) -> Any:
+        """Return a C array of a type of FMI, of a size or with values."""
+        c_type: Any = c_int if kind == "Boolean" and self.fmi == 2 else _TYPES[kind]
+        if isinstance(values, int):
+            return (c_type * values)()
+        return (c_type * len(values))(*values)
+
+    def bind_values(self, way: str, kind: str, references: Sequence[int], values: Any) -> Callable[[], None]:
+        """Return a call that sets or gets (``way``: ``Set`` or ``Get``) variables of one type from or to an array."""
+        count = len(references)
+        arguments = ((c_uint32 * count)(*references), c_size_t(count), values)
+        return self.bind(f"{way}{kind}", *arguments, *(() if self.fmi == 2 else (c_size_t(len(values)),)))
+
+    def bind_step(self, now: c_double, step: float) -> Callable[[], None]:
+        """Return a call that advances the instance by ``step`` s from the time that ``now`` has then."""
+        if self.fmi == 2:
+            return self.bind("DoStep", now, c_double(step), c_int(1))
+        results = [*(byref(c_bool()) for _ in range(3)), byref(c_double())]
+        return self.bind("DoStep", now, c_double(step), c_bool(True), *results)
+
+    def terminate(self) -> None:
+        """End the simulation, whatever the FMU says to that."""
+        self.function("Terminate")(c_void_p(self.component))
+
+    def free(self) -> None:
+        """Free the instance and let go of the library."""
+        if self.component:
+            self.function("FreeInstance")(c_void_p(self.component))
+        self.free_library()
+
+    def free_library(self) -> None:
+        """Let go of the library, whose instance is never freed."""
+        ctypes.CDLL(None).dlclose(c_void_p(self.dll._handle))

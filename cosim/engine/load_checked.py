@@ -1,0 +1,168 @@
+"""Loading of an engine for a flight: checked where it is not of the library, measured, and ready for a bank."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+from cosim.base.errors import InputError
+from cosim.base.storage.cache import RecentCache
+from cosim.base.storage.files import write_if_possible
+from cosim.base.storage.user import cache_folder
+from cosim.base.trust import need_trust
+from cosim.engine import check
+from cosim.engine.fmu.air import STANDARD_AIR, Air
+from cosim.engine.isolated import leave_host, measure_in, take_host
+from cosim.engine.load import load_unchecked
+from cosim.engine.measure import EngineMeasurement, make_measurement_adapter
+from cosim.engine.response import find_curve_problems
+from cosim.engine.source import EngineSource, find_source, resolve_parameters
+from cosim.engine.spec import EngineSpec, make_behaviour_key
+
+
+def load_engine(
+    name_or_path: str,
+    parameters: Mapping[str, float],
+    step: float,
+    *,
+    unchecked: bool = False,
+    measured: EngineMeasurement | None = None,
+    air: Air = STANDARD_AIR,
+    isolated: bool | None = None,
+) -> EngineSpec:
+    """Find, validate and measure an engine that will be stepped by ``step`` seconds.
+
+    As :func:`cosim.engine.load.load_unchecked`, but an engine that is not of the library is refused if ``hexjet fmu
+    check`` finds it unfit; ``unchecked`` leaves that out.
+
+    ``isolated``: whether it runs in a process of its own, by default as its mapping file says, and else if it is not of
+    the library.  This process never loads one that does.  An archive is code, which the user has to trust.
+
+    Raises InputError: one line that names the engine, what is wrong, and what is allowed.
+    """
+    source = find_source(name_or_path)
+    need_trust(source.code, f"engine {source.path.name}")
+    foreign = source.engine is None
+    if isolated is None:
+        isolated = foreign if source.mapping.isolated is None else source.mapping.isolated
+    measure_foreign: Callable[[str, Mapping[str, float], float, Air], EngineMeasurement] | None = None
+    if foreign and not unchecked:
+        measure_foreign = measure_checked
+    elif isolated:
+        measure_foreign = measure_isolated
+    spec = load_unchecked(
+        name_or_path,
+        parameters,
+        step,
+        measured=measured,
+        air=air,
+        measure_foreign=measure_foreign,
+        source=source,
+    )
+    return replace(spec, isolated=isolated)
+
+
+_fit_engines: set[tuple[str, str, float]] = set()  # checked in this process: sha256 of the archive, mapping, step
+_measured: RecentCache[EngineMeasurement] = RecentCache(256)
+
+
+def measure_isolated(
+    name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR
+) -> EngineMeasurement:
+    """Measure an engine's static curve and response in another process, once in this one.
+
+    Raises EngineError where that fails.
+    """
+    source = find_source(name_or_path)
+    archive, (_, settings) = source.archive, resolve_parameters(source, parameters)
+    small = source.engine is None
+
+    def measure() -> EngineMeasurement:
+        host = take_host([archive])
+        host.label = ""
+        try:
+            return measure_in(host, archive, settings, step, air, small)
+        finally:
+            leave_host(host)
+
+    return _measured.get((*make_behaviour_key(archive, settings, air), archive.start, step, small), measure)
+
+
+def measure_checked(
+    name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR
+) -> EngineMeasurement:
+    """Check a user's FMU, and return its static curve and response.
+
+    The result is cached by archive, mapping file, parameters, step and air, and a fit FMU is not checked again: in
+    another ``air`` than the standard one at sea level, and with other parameters in the same process, it is only
+    measured.
+
+    Raises InputError if it is unfit: one line with the first problem.  EngineError if it fails while it is measured.
+    """
+    source = find_source(name_or_path)
+    key = source.archive.sha256, source.mapping.model_dump_json(), step
+    path = _cache_path(source, parameters, step, air)
+    measured, is_new = _read_cached(path), key not in _fit_engines
+    if measured is None and is_new and air == STANDARD_AIR:
+        report, measured = check.check_and_measure(name_or_path, step, parameters, check.TIME_LIMIT_S)
+        _need_no_problems(source, report.problems)
+        assert measured is not None
+    elif measured is None:
+        if is_new:
+            measure_checked(name_or_path, parameters, step)
+        measured = measure_isolated(name_or_path, parameters, step, air)
+        rest = source.archive.starting.rest_n
+        _need_no_problems(source, find_curve_problems(measured.curve, measured.quiet, rest))
+    if is_new:
+        write_if_possible(path, make_measurement_adapter().dump_json(measured).decode())
+    _fit_engines.add(key)
+    return measured
+
+
+def _need_no_problems(source: EngineSource, problems: Sequence[str]) -> None:
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise InputError(
+            f"{source.path}: is not fit to fly: {problems[0]}{more}; hexjet fmu check says all, "
+            "--unchecked-engine flies it all the same"
+        )
+
+
+def _cache_path(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> Path:
+    """Return the path of an engine's cached measurement; its name is a hash of everything that it depends on."""
+    key = {
+        "archive": source.archive.sha256,
+        "mapping": source.mapping.model_dump(mode="json"),
+        "parameters": dict(sorted(parameters.items())),
+        "step": step,
+        "air": air,
+        "python": sys.version,
+        "code": _code(),
+    }
+    name = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
+    return cache_folder() / "engines" / f"{name}.json"
+
+
+@cache
+def _code() -> str:
+    """Return a hash of this package's modules, so that results of older versions are not used."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*")):
+        if path.suffix in (".py", ".c"):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _read_cached(path: Path) -> EngineMeasurement | None:
+    """Return a cached measurement, or None if there is none that can be read."""
+    try:
+        measured = make_measurement_adapter().validate_json(path.read_bytes())
+        sane = len(measured.curve.throttle) == len(measured.curve.thrust) > 1 and measured.response.delay >= 0
+        return measured if sane else None
+    except (OSError, ValueError):
+        return None

@@ -1,0 +1,190 @@
+"""Where an engine comes from: its file, its archive, its definition or mapping file, and its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from cosim.base.errors import InputError, nearest
+from cosim.base.removed import describe_removed
+from cosim.base.storage.cache import RecentCache
+from cosim.base.storage.files import read_file
+from cosim.base.storage.paths import data_folder
+from cosim.base.trust import Code
+from cosim.engine.fmu.archive import Archive, read_archive
+from cosim.engine.fmu.container import read_bytes
+from cosim.engine.fmu.description import read_description
+from cosim.engine.fmu.mapping import MappingFile, is_mapping, read_mapping
+from cosim.engine.fmu.ports import PortError, PortMap
+from cosim.engine.fmu.starting import Setting, convert_value
+from cosim.engine.fmu.uncertainty import Uncertainty
+from cosim.engine.fmu.variables import ConstantValue
+from cosim.engine.library import (
+    FMI2_SUFFIX,
+    BuildError,
+    EngineDefinition,
+    archive_path,
+    build_all,
+    list_engines,
+    read_engine,
+)
+
+
+def list_engine_names() -> list[str]:
+    """Return the shipped engines' names; each exists as FMI 3.0, and with ``-fmi2`` appended as FMI 2.0."""
+    return list_engines(data_folder("engines"))
+
+
+def build_engines(names: list[str] | None = None) -> list[Path]:
+    """Build the FMUs of the shipped engines, those up to date excepted, and return the paths of all.
+
+    Raises InputError if one cannot be built.
+    """
+    try:
+        return build_all(data_folder("engines"), data_folder("fmus"), names)
+    except BuildError as error:
+        raise InputError(str(error)) from error
+
+
+_definitions: RecentCache[EngineDefinition] = RecentCache(64)
+
+
+@dataclass(frozen=True)
+class EngineSource:
+    """Source of an engine: the named file, its archive, and its definition or mapping file."""
+
+    path: Path  # path of the archive, or of the mapping file that names it
+    archive: Archive
+    engine: EngineDefinition | None  # its definition, if it is one of the library
+    mapping: MappingFile
+
+    @property
+    def uncertainty(self) -> Uncertainty | None:
+        """How well its parameters are known, by its definition or its mapping file; None where neither says it."""
+        if self.engine is not None and self.engine.uncertainty:
+            return Uncertainty.model_validate(self.engine.uncertainty)
+        return self.mapping.uncertainty
+
+    @property
+    def code(self) -> list[Code]:
+        """Code that the engine runs: its archive, unless it is one of the library."""
+        archive = self.archive
+        return [Code(archive.path, (self.path, archive.path))] if self.engine is None else []
+
+
+def _refuse_misspelt_file(path: Path) -> None:
+    """Raise InputError with the likeliest engine's file beside ``path``, where a name is that of a file."""
+    from difflib import get_close_matches
+
+    files = [file.name for file in Path().iterdir() if file.suffix.lower() == ".fmu"] if path.suffix else []
+    if meant := get_close_matches(path.name, files, n=1):
+        raise InputError(f"engine {path}: no such file; did you mean {meant[0]!r}?")
+
+
+def find_source(name_or_path: str) -> EngineSource:
+    """Find an engine by its name in the library, the path of its archive, or that of a mapping file.
+
+    Raises InputError for an unknown name (lists the known ones) or a file that cannot be used.
+    """
+    path = Path(name_or_path)
+    if removed := describe_removed(path.suffix.lower()):
+        raise InputError(f"engine {name_or_path}: {removed}")
+    if is_mapping(path):
+        _refuse_engine_not_left(path)
+        mapping, fmu, ports = read_mapping(path)
+        try:
+            archive = read_archive(fmu, ports)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+        if mapping.uncertainty is not None:
+            mapping.uncertainty.check_parameters(archive.parameters, archive.start, str(path))
+        return EngineSource(path, archive, None, mapping)
+    if path.suffix.lower() == ".fmu" or len(path.parts) > 1 or path.is_file():
+        return EngineSource(path, read_archive(path), None, _without_mapping(path.name))
+    name = name_or_path.removesuffix(FMI2_SUFFIX)
+    folder = data_folder("engines") / name
+    if not (folder / "engine.toml").is_file():
+        _refuse_misspelt_file(path)
+        allowed = nearest(name, list_engine_names())
+        raise InputError(
+            f"unknown engine {name_or_path!r}; {allowed}, or the path of an .fmu, or of a .toml that maps one"
+        )
+    engine = _definition(folder)
+    path = archive_path(data_folder("fmus"), name, 2 if name_or_path != name else 3)
+    if not path.is_file():
+        raise InputError(f"engine {name_or_path}: {path} has not been built; run: hexjet fmu build")
+    known = PortMap(ports=engine.ports, search=False)
+    return EngineSource(path, read_archive(path, known), engine, _without_mapping(path.name))
+
+
+def _refuse_engine_not_left(path: Path) -> None:
+    """Refuse the engine of an identification that left none."""
+    if not path.exists() and (path.parent / "identification.json").is_file():
+        raise InputError(f"{path}: the identification left no engine; {path.parent / 'report.html'} says why")
+
+
+@lru_cache(64)
+def _without_mapping(fmu: str) -> MappingFile:
+    """Return a mapping file that states nothing: pydantic looks at the signature of every default as it makes one."""
+    return MappingFile.model_construct(fmu=fmu)
+
+
+def _definition(folder: Path) -> EngineDefinition:
+    path = folder / "engine.toml"
+    try:
+        return _definitions.get((folder, read_file(path)), lambda: read_engine(folder))
+    except BuildError as error:
+        raise InputError(str(error)) from error
+
+
+def check_whole_steps(archive: Archive, engine: EngineDefinition | None, step: float) -> None:
+    """Raise InputError for a communication step that is no multiple of the engine's internal step."""
+    internal = engine.internal_step if engine else archive.internal_step
+    if internal is None:
+        return
+    count = round(step / internal)
+    if count < 1 or abs(step - count * internal) > 1e-9 * step:
+        below = max(1, int(step / internal))
+        raise InputError(
+            f"{archive.path}: step {step:g} s is not a whole multiple of the engine's internal step {internal:g} s; "
+            f"step_s of the scenario or the vehicle may be {below * internal:g} or {(below + 1) * internal:g}"
+        )
+
+
+def resolve_parameters(
+    source: EngineSource, overrides: Mapping[str, ConstantValue]
+) -> tuple[dict[str, float], tuple[Setting, ...]]:
+    """Return every parameter's value, and the settings for those of the mapping file and of ``overrides``.
+
+    Raises InputError for an unknown parameter, one that the simulation sets itself, or a value out of range.
+    """
+    archive = source.archive
+    parameters = {v.name: v for v in archive.parameters if v.name != archive.start}
+    values = {name: v.start for name, v in parameters.items() if v.start is not None}
+    settings = []
+    for name, specified in {**source.mapping.parameters, **overrides}.items():
+        if name not in parameters:
+            allowed = nearest(name, list(parameters)) if parameters else "it has none"
+            raise InputError(f"{archive.path}: {name}{_why_no_parameter(archive, name)}; {allowed}")
+        try:
+            values[name] = convert_value(parameters[name], specified, str(archive.path))
+        except PortError as error:
+            raise InputError(str(error)) from error
+        settings.append((parameters[name], values[name]))
+    return values, tuple(settings)
+
+
+def _why_no_parameter(archive: Archive, name: str) -> str:
+    """Return why a name is no parameter that can be set, in words that follow it."""
+    if name == archive.start:
+        return " is set by the simulation itself"
+    if any(v.name == name for v in archive.inputs):
+        return " is an input, which a mapping file holds under [inputs], and no parameter"
+    for v in read_description(read_bytes(archive.path))[0].modelVariables:
+        if v.name == name and v.causality == "parameter":
+            return f" is a parameter of type {v.type}, which cannot be set"
+        if v.name == name:
+            return f" is of causality {v.causality or 'local'}, and no parameter"
+    return ": no such parameter"
