@@ -23,13 +23,17 @@ from cosim.base import protocols, signals
 from cosim.results.report.marks import parts_of
 
 
+# Blocks of a flight that nobody writes from outside: a sentence a method says units and order.
+BLOCKS = ("Allocator", "Controller", "Engines", "Pilot", "Sensors")
+
+
 def documented() -> Iterator[tuple[str, Any]]:
     """What a user calls or writes: exports of the package with their methods, and the protocols'."""
     own = {name: CALLED(name) for name in cosim.__all__}
     own |= {
         name: each
         for name, each in vars(protocols).items()
-        if getattr(each, "_is_protocol", False) and name != "Protocol"
+        if getattr(each, "_is_protocol", False) and name not in {"Protocol", *BLOCKS}
     }
     for name, each in own.items():
         yield name, each
