@@ -5,14 +5,12 @@
  */
 #define _GNU_SOURCE
 #include <fenv.h>
-#include <limits.h>
 #include <math.h>
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 #include <unistd.h>
 #if defined(__SSE2__)
 #include <xmmintrin.h>
@@ -33,7 +31,7 @@ typedef void (*Logger3)(void *, int, const char *, const char *);
 enum { LATE = 101 }; /* one more than the delay in steps */
 
 typedef struct {
-    char fault[64], resources[PATH_MAX];
+    char fault[64];
     double throttle, start, y, line[LATE];
     long steps;
     Logger2 logger2;
@@ -109,12 +107,11 @@ static void say(const Engine *e, const char *text) { mention(e, ERROR, text); }
 static void rest(Engine *e)
 {
     e->throttle = e->start = 0.0;
-    if (!is(e, "bad-reset"))
-        memset(e->line, 0, sizeof(e->line)), e->y = 0.0;
+    memset(e->line, 0, sizeof(e->line)), e->y = 0.0;
     e->steps = 0;
 }
 
-static Engine *create(const char *token, const char *resources, Logger2 logger2, Logger3 logger3, void *environment)
+static Engine *create(const char *token, Logger2 logger2, Logger3 logger3, void *environment)
 {
     Engine *e = calloc(1, sizeof(Engine));
     e->logger2 = logger2;
@@ -122,9 +119,6 @@ static Engine *create(const char *token, const char *resources, Logger2 logger2,
     e->environment = environment;
     const char *colon = strchr(token, ':');
     snprintf(e->fault, sizeof(e->fault), "%s", colon ? colon + 1 : "");
-    if (strncmp(resources, "file://", 7) == 0)
-        resources += 7;
-    snprintf(e->resources, sizeof(e->resources), "%s", resources);
     strike(e, "instantiate");
     if (strncmp(token, "broken:", 7) != 0) {
         say(e, "the token is not mine");
@@ -147,17 +141,6 @@ static Engine *create(const char *token, const char *resources, Logger2 logger2,
             memset(memory, 1, block);
             usleep(2000);
         }
-    }
-    if (is(e, "delete")) {
-        char path[PATH_MAX + 20];
-        snprintf(path, sizeof(path), "%s/table.txt", e->resources);
-        FILE *table = fopen(path, "r");
-        if (!table) {
-            say(e, "table.txt is missing");
-            return NULL;
-        }
-        fclose(table);
-        remove(path);
     }
     if (is(e, "spawn") && fork() == 0) {
         sleep(30);
@@ -202,8 +185,6 @@ static int advance(Engine *e, double time, double step)
         return FATAL;
     if (is(e, "grid") && fabs(step - 0.003) > 1e-9)
         return say(e, "my step is 0.003 s"), ERROR;
-    if (is(e, "leak"))
-        sink += ((char *)calloc(1, 200))[0];
     if (is(e, "chatter"))
         for (int i = 0; i < 20; i++)
             printf("step %ld: everything is fine, thank you for asking\n", e->steps);
@@ -245,11 +226,6 @@ static double thrust(Engine *e)
         return force - 5.0;
     if (is(e, "shared"))
         return force + shared;
-    if (is(e, "chance")) {
-        struct timespec now;
-        clock_gettime(CLOCK_MONOTONIC, &now);
-        return force + 1e-9 * (double)now.tv_nsec;
-    }
     if (is(e, "process"))
         return force * (1.0 + 1e-6 * (double)getpid());
     return force;
@@ -289,15 +265,15 @@ __attribute__((destructor)) static void unloaded(void) { hang(); }
 void *fmi2Instantiate(const char *name, int kind, const char *token, const char *resources, const Callbacks2 *callbacks,
                       int visible, int logging)
 {
-    (void)name, (void)kind, (void)visible, (void)logging;
-    return create(token, resources ? resources : "", callbacks->logger, NULL, callbacks->environment);
+    (void)name, (void)kind, (void)resources, (void)visible, (void)logging;
+    return create(token, callbacks->logger, NULL, callbacks->environment);
 }
 void fmi2FreeInstance(Engine *e) { destroy(e); }
 int fmi2SetupExperiment(Engine *e) { return (void)e, OK; }
 int fmi2EnterInitializationMode(Engine *e) { return initialize(e); }
 int fmi2ExitInitializationMode(Engine *e) { return (void)e, OK; }
 int fmi2Terminate(Engine *e) { return strike(e, "terminate"), OK; }
-int fmi2Reset(Engine *e) { return strike(e, "reset"), rest(e), OK; }
+int fmi2Reset(Engine *e) { return rest(e), OK; }
 int fmi2GetReal(Engine *e, const uint32_t r[], size_t n, double v[]) { return get(e, r, n, v); }
 int fmi2SetReal(Engine *e, const uint32_t r[], size_t n, const double v[]) { return set(e, r, n, v); }
 #ifndef WITHOUT_STEP
@@ -308,15 +284,15 @@ void *fmi3InstantiateCoSimulation(const char *name, const char *token, const cha
                                   bool events, bool early, const uint32_t required[], size_t count, void *environment,
                                   Logger3 logger, void *update)
 {
-    (void)name, (void)visible, (void)logging, (void)events, (void)early, (void)required, (void)count, (void)update;
-    return create(token, resources ? resources : "", NULL, logger, environment);
+    (void)name, (void)resources, (void)visible, (void)logging, (void)events, (void)early, (void)required, (void)count, (void)update;
+    return create(token, NULL, logger, environment);
 }
 void fmi3FreeInstance(Engine *e) { destroy(e); }
 int fmi3EnterInitializationMode(Engine *e) { return initialize(e); }
 int fmi3ExitInitializationMode(Engine *e) { return (void)e, OK; }
 int fmi3EnterStepMode(Engine *e) { return (void)e, OK; }
 int fmi3Terminate(Engine *e) { return strike(e, "terminate"), OK; }
-int fmi3Reset(Engine *e) { return strike(e, "reset"), rest(e), OK; }
+int fmi3Reset(Engine *e) { return rest(e), OK; }
 int fmi3GetFloat64(Engine *e, const uint32_t r[], size_t n, double v[], size_t m) { return (void)m, get(e, r, n, v); }
 int fmi3SetFloat64(Engine *e, const uint32_t r[], size_t n, const double v[], size_t m) { return (void)m, set(e, r, n, v); }
 int fmi3DoStep(Engine *e, double t, double h, bool no, bool *event, bool *terminate, bool *early, double *last)
