@@ -303,7 +303,7 @@ def test_no_library_of_an_isolated_engine_is_loaded_here(tmp_path: Path, monkeyp
 
     monkeypatch.setattr(bank, "FmuInstance", loaded)
     monkeypatch.setattr(measure, "FmuInstance", loaded)
-    rows = [lever(), force(), ("rho", "density", "input", 'unit="kg/m3" start="1.225"')]
+    rows = [lever(), force(), ("density", "density", "input", 'unit="kg/m3" start="1.225"')]
     path = foreign(tmp_path, "lagging", "lag=0.1", rows)
     hover = Scenario.load("hover").replace(engine=str(path), controller="baseline", duration_s=0.1, expect=[])
     assert "density" in load_engine(str(path), {}, STEP).archive.ports
