@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from places import ROOT
 
+import cosim
+import cosim.api
 from cosim.base.errors import InputError
 from cosim.cli.added import ADDED
 from cosim.cli.main import cli
@@ -115,3 +119,16 @@ def test_it_is_said_where_it_is_used_at_a_terminal(at_a_terminal: bool, monkeypa
         cli.main(["fly", "--help"], standalone_mode=False)
         sys.stderr.flush()
         assert (b"fly of added-commands is not reached" in err.getvalue()) == at_a_terminal
+
+
+def test_names_that_tools_add_are_those_that_are_typed() -> None:
+    entries = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    own = {
+        name
+        for name in cosim.__all__
+        if name not in {*cosim._WHERE, *cosim._ROOMS, "EngineError", "FlightError", "InputError"}
+    }
+    own |= {name for name in cosim.api.__all__ if name not in cosim.api._WHERE}
+    assert own == {name for name in entries["hexjet.api"] if "." not in name}
+    for name in own:
+        assert getattr(cosim if name in cosim.__all__ else cosim.api, name).__module__.startswith("hexjet_")
