@@ -22,7 +22,6 @@ import cosim
 from cosim.base import protocols, signals
 from cosim.results.report.marks import parts_of
 
-
 # Blocks of a flight that nobody writes from outside: a sentence a method says units and order.
 BLOCKS = ("Allocator", "Controller", "Engines", "Pilot", "Sensors")
 
