@@ -34,9 +34,11 @@ DUTY = {
     "aircraft_check": "a vehicle looked over",
     "campaign": "many flights",
     "shelf": "the folder of runs as a page",
+    "api": "what from cosim import gives",
     "cli": "one file a command",
 }
-PUBLIC = {"blocks", "commands", "files", "logs", "loops", "pages", "studies"}  # names handed on to programs outside
+# Names handed on to programs outside.
+PUBLIC = {"blocks", "commands", "files", "laws", "logs", "loops", "pages", "studies"}
 BLUE, GREY, INK = "#2a78d6", "#8a939b", "#1c2733"
 
 
