@@ -18,7 +18,7 @@ from cosim.campaign.study.distributions import Vary, first_repeated, parse_numbe
 from cosim.campaign.study.draws import flight_seed
 from cosim.campaign.study.engine_draw import EngineDraw, default_draw, engine_draw
 from cosim.campaign.study.key import Key, Value
-from cosim.campaign.study.keys import engine_source, with_values
+from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.model_notes import design_warnings, nominal_model_notes
 from cosim.campaign.study.normal_space import FURTHEST, NormalSpace, draw_seed
 from cosim.campaign.study.options import NothingVariesError, open_study

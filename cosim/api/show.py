@@ -15,6 +15,8 @@ from cosim.spec.controller_name import is_design
 from cosim.spec.file_kind import AIRCRAFT, SCENARIO, STUDY
 
 if TYPE_CHECKING:
+    from cosim.engine import EngineSpec
+    from cosim.engine.library import EngineDefinition
     from cosim.spec.vehicle import Vehicle
 
 KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
@@ -383,7 +385,7 @@ def _thrusts(vehicle: Vehicle, weight: float) -> Iterator[Number]:
     """Yield what the engines give that it is made for; ``weight`` in N."""
     assert vehicle.engine is not None
     kinds = [jet.engine or vehicle.engine for jet in vehicle.jets]
-    full = {kind: _loaded(kind).curve.thrust[-1] for kind in dict.fromkeys(kinds)}
+    full = {kind: _library_engine(kind)[1].curve.thrust[-1] for kind in dict.fromkeys(kinds)}
     yield Number("engine", vehicle.engine, "", "what it is made for")
     for kind, thrust in full.items():
         at = ", ".join(str(number) for number, engine in enumerate(kinds, 1) if engine == kind)
@@ -394,11 +396,7 @@ def _thrusts(vehicle: Vehicle, weight: float) -> Iterator[Number]:
 
 
 def _engine(name: str) -> Iterator[Number]:
-    from cosim.engine.source import find_source
-
-    definition = find_source(name).engine
-    assert definition is not None  # it is an engine of the library
-    spec = _loaded(name)
+    definition, spec = _library_engine(name)
     throttle = spec.curve.throttle
     yield Number("full thrust", spec.curve.thrust[-1], "N", f"at rest, at throttle {throttle[-1]:g}")
     idle = spec.curve.thrust[0] if spec.curve.thrust[0] > _NO_THRUST * spec.curve.thrust[-1] else 0.0
@@ -419,13 +417,13 @@ def _engine(name: str) -> Iterator[Number]:
         )
 
 
-def _loaded(engine: str) -> Any:
-    """Load an engine at its own step.  Raises InputError."""
-    from cosim.engine import load_engine
-    from cosim.engine.source import find_source
+def _library_engine(name: str) -> tuple[EngineDefinition, EngineSpec]:
+    """Return the definition of a shipped engine, and the engine loaded at its own step.  Raises InputError."""
+    from cosim.engine import find_source, load_engine
 
-    definition = find_source(engine).engine
-    return load_engine(engine, {}, 0.004 if definition is None else definition.internal_step)
+    source = find_source(name)
+    assert source.engine is not None
+    return source.engine, load_engine(source, {}, source.engine.internal_step)
 
 
 def _controller(name: str) -> Iterator[Number]:

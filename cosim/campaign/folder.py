@@ -21,7 +21,7 @@ from cosim.campaign.study.distributions import Vary
 from cosim.campaign.study.keys import with_values
 from cosim.campaign.study.study import Study
 from cosim.control.predictors.registry import BASELINE
-from cosim.engine import EngineSpec, load_engine
+from cosim.engine import EngineSpec, find_source, load_engine
 from cosim.results.expectations import allowed_metric_names
 from cosim.results.requirements.stated import check_signals
 from cosim.results.resolved_scenario import copy_controller, copy_vehicle, engine_files, resolve
@@ -208,8 +208,8 @@ def _values(base: Scenario, vary: Vary, sources: dict[str, Path | bytes]) -> lis
         if vary.key == "aircraft" and isinstance(value, str) and is_aircraft_path(value):
             value = copy_vehicle(value, base.folder, sources)
         elif isinstance(value, str) and is_file(value):
-            file, unchecked, apart = str(base.folder / value), base.engine_unchecked, base.engine_isolated
-            spec: EngineSpec = load_engine(file, {}, base.step_s, unchecked=unchecked, isolated=apart)
+            source, unchecked, apart = find_source(value, base.folder), base.engine_unchecked, base.engine_isolated
+            spec: EngineSpec = load_engine(source, {}, base.step_s, unchecked=unchecked, isolated=apart)
             value = engine_files([spec], sources)[id(spec)]
         values.append(value)
     return values

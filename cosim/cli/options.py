@@ -106,10 +106,10 @@ def warn_of_fmu_defects(*engines: str, folder: Path = Path(), isolated: bool | N
 
     for engine in dict.fromkeys(engines):
         if is_file(engine):
+            from cosim.engine import find_source
             from cosim.engine.check import note_harmless_violations
-            from cosim.engine.source import find_source
 
-            source = find_source(str(folder / engine))
+            source = find_source(engine, folder)
             lines = note_harmless_violations(source.archive)
             if isolated is False or (isolated is None and source.mapping.isolated is False):
                 lines.append("isolated = false: a crash or a hang of its library ends hexjet, and this flight's log")

@@ -17,15 +17,18 @@ if TYPE_CHECKING:
     from cosim.engine.isolated import IsolatedBank as IsolatedBank
     from cosim.engine.isolated import make_bank as make_bank
     from cosim.engine.load_checked import load_engine as load_engine
+    from cosim.engine.source import EngineSource as EngineSource
     from cosim.engine.source import build_engines as build_engines
+    from cosim.engine.source import find_source as find_source
     from cosim.engine.source import list_engine_names as list_engine_names
     from cosim.engine.spec import EngineSpec as EngineSpec
     from cosim.engine.spec import file_label as file_label
 
 _MODULES = {
-    "Air": "fmu.air", "CheckReport": "check_report", "EngineBank": "bank", "EngineSpec": "spec",
-    "IsolatedBank": "isolated", "build_engines": "source", "check_fmu": "check", "file_label": "spec",
-    "list_engine_names": "source", "load_engine": "load_checked", "make_bank": "isolated",
+    "Air": "fmu.air", "CheckReport": "check_report", "EngineBank": "bank", "EngineSource": "source",
+    "EngineSpec": "spec", "IsolatedBank": "isolated", "build_engines": "source", "check_fmu": "check",
+    "file_label": "spec", "find_source": "source", "list_engine_names": "source", "load_engine": "load_checked",
+    "make_bank": "isolated",
 }  # fmt: skip
 
 

@@ -61,7 +61,7 @@ DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
 
 
 def check_fmu(
-    name_or_path: str,
+    engine: str,
     step: float | None = None,
     parameters: Mapping[str, ConstantValue] | None = None,
     time_limit_s: float = TIME_LIMIT_S,
@@ -73,14 +73,17 @@ def check_fmu(
 
     Raises InputError if the file cannot be used as an engine at all: one line that says why.
     """
-    return check_and_measure(name_or_path, step, parameters or {}, time_limit_s)[0]
+    return check_and_measure(engine, step, parameters or {}, time_limit_s)[0]
 
 
 def check_and_measure(
-    name_or_path: str, step: float | None, parameters: Mapping[str, ConstantValue], time_limit_s: float = TIME_LIMIT_S
+    engine: str | EngineSource,
+    step: float | None,
+    parameters: Mapping[str, ConstantValue],
+    time_limit_s: float = TIME_LIMIT_S,
 ) -> tuple[CheckReport, EngineMeasurement | None]:
     """Return the report of :func:`check_fmu`, and what a flight needs to know, None where it could not be measured."""
-    source = find_source(name_or_path)
+    source = find_source(engine)
     need_trust(source.code, f"engine {source.path.name}")
     archive = source.archive
     step = step or (source.engine.internal_step if source.engine else DEFAULT_STEP_S)
@@ -105,7 +108,7 @@ def check_and_measure(
     )
     if report.problems:
         return report, None
-    check = _Check(name_or_path, source, {v.name: value for v, value in settings}, settings, report, time_limit_s)
+    check = _Check(source, {v.name: value for v, value in settings}, settings, report, time_limit_s)
     check.ask_all()
     return report, check.measured
 
@@ -115,14 +118,13 @@ class _Check:
 
     def __init__(
         self,
-        name: str,
         source: EngineSource,
         parameters: Mapping[str, float],
         settings: tuple[Setting, ...],
         report: CheckReport,
         time_limit_s: float,
     ) -> None:
-        self._name, self._source, self._parameters, self._settings = name, source, parameters, settings
+        self._source, self._parameters, self._settings = source, parameters, settings
         self._report, self._step = report, report.step
         self._time_limit_s, self._deadline = time_limit_s, monotonic() + time_limit_s
         self._host: EngineHost | None = None
@@ -202,7 +204,7 @@ class _Check:
             )
         for problem in find_curve_problems(measured.curve, measured.quiet, rest):
             self._fail("responds", problem)
-        self._spec = load_unchecked(self._name, self._parameters, self._step, measured=measured, source=self._source)
+        self._spec = load_unchecked(self._source, self._parameters, self._step, lambda *_: measured)
         self._record_responses(measured, rest)
 
     def _record_responses(self, measured: EngineMeasurement, rest: float) -> None:

@@ -11,66 +11,51 @@ from cosim.engine.fmu.mapping import is_mapping
 from cosim.engine.fmu.port_kinds import AMBIENT
 from cosim.engine.fmu.uncertainty import ParameterRange, Uncertainty
 from cosim.engine.fmu.variables import Variable
-from cosim.engine.measure import EngineMeasurement, measure_once
+from cosim.engine.measure import EngineMeasurement
 from cosim.engine.response import ResponseError, settling_window
 from cosim.engine.rundown import MODELLED, FlameOutLaw, make_flame_out_law
-from cosim.engine.source import EngineSource, check_whole_steps, find_source, resolve_parameters
-from cosim.engine.spec import EngineSpec, file_label
+from cosim.engine.source import EngineSource, check_whole_steps, resolve_parameters
+from cosim.engine.spec import EngineSpec
 
 
 def load_unchecked(
-    name_or_path: str,
+    source: EngineSource,
     parameters: Mapping[str, float],
     step: float,
-    *,
-    measured: EngineMeasurement | None = None,
+    measure: Callable[[EngineSource, Mapping[str, float], float, Air], EngineMeasurement],
     air: Air = STANDARD_AIR,
-    measure_foreign: Callable[[str, Mapping[str, float], float, Air], EngineMeasurement] | None = None,
-    source: EngineSource | None = None,
 ) -> EngineSpec:
-    """Find, validate and measure an engine that will be stepped by ``step`` seconds.
+    """Validate an engine that will be stepped by ``step`` seconds, and have it measured.
 
-    The engine is an FMI 2.0 or 3.0 co-simulation FMU, by its name in the library, by path, or by the path of a mapping
-    file; see ``cosim.engine.fmu.mapping`` for it, ``ports`` for how its ports are found.
-
-    ``measured``: the result of an earlier measurement.  ``measure_foreign``: measures the engine, from the other
-    arguments, where this process should not.  ``source``: the engine, where it was found before.
-
-    ``air``: in which it is measured, if it has a port for any of it; without one it is the same in every air.
+    ``measure`` is called with the other arguments, and with the standard ``air`` where the engine has no port for any.
 
     Raises InputError: one line that names the engine, what is wrong, and what is allowed.
     """
-    source = source or find_source(name_or_path)
-    archive, engine, mapping = source.archive, source.engine, source.mapping
-    check_whole_steps(archive, engine, step)
+    archive, definition, mapping = source.archive, source.engine, source.mapping
+    check_whole_steps(archive, definition, step)
     if not any(port in archive.ports for port in AMBIENT):
         air = STANDARD_AIR
     resolved, settings = resolve_parameters(source, parameters)
-    uncertainty, ledger = source.uncertainty, engine.ledger if engine else {}
+    uncertainty, ledger = source.uncertainty, definition.ledger if definition else {}
     delay = resolved.get(ledger.get("delay", ""))
     try:
-        if measured is None and measure_foreign is not None:
-            measured = measure_foreign(name_or_path, parameters, step, air)
-            if engine is not None:
-                measured = measured._replace(small=None)
-        elif measured is None:
-            measured = measure_once(archive, settings, archive.start, step, air, small=engine is None)
+        measured = measure(source, parameters, step, air)
     except (EngineError, InstanceError, ResponseError) as error:
         raise InputError(f"{archive.path}: {error}") from error
     return EngineSpec(
-        name=name_or_path if engine else file_label(source.path),
-        title=engine.title if engine else mapping.title or archive.model,
-        library=engine is not None,
+        name=source.name,
+        title=definition.title if definition else mapping.title or archive.model,
+        library=definition is not None,
         path=archive.path,
         fmi=archive.version,
         sha256=archive.sha256,
         parameters=resolved,
         curve=measured.curve,
-        internal_step=engine.internal_step if engine else archive.internal_step,
+        internal_step=definition.internal_step if definition else archive.internal_step,
         pole=resolved.get(ledger.get("pole", "")),
         delay_samples=None if delay is None else round(delay),
         start=measured.start,
-        rotor_inertia=engine.rotor_inertia if engine else mapping.rotor.inertia_kg_m2,
+        rotor_inertia=definition.rotor_inertia if definition else mapping.rotor.inertia_kg_m2,
         flame_out=_flame_out(source),
         specified_delay=mapping.ledger.delay_s,
         mapping=source.path if is_mapping(source.path) else None,
@@ -79,7 +64,6 @@ def load_unchecked(
         settling_window=settling_window(measured.response.delay),
         quiet=measured.quiet,
         air=air,
-        isolated=bool(mapping.isolated),
         small_step=measured.small,
         logged_outputs=_logged(source),
         uncertainty=uncertainty,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -19,66 +19,55 @@ from cosim.engine import check
 from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.isolated import leave_host, measure_in, take_host
 from cosim.engine.load import load_unchecked
-from cosim.engine.measure import EngineMeasurement, make_measurement_adapter
+from cosim.engine.measure import EngineMeasurement, make_measurement_adapter, measure_once
 from cosim.engine.response import find_curve_problems
 from cosim.engine.source import EngineSource, find_source, resolve_parameters
 from cosim.engine.spec import EngineSpec, make_behaviour_key
 
 
 def load_engine(
-    name_or_path: str,
+    engine: str | EngineSource,
     parameters: Mapping[str, float],
     step: float,
     *,
     unchecked: bool = False,
-    measured: EngineMeasurement | None = None,
     air: Air = STANDARD_AIR,
     isolated: bool | None = None,
 ) -> EngineSpec:
     """Find, validate and measure an engine that will be stepped by ``step`` seconds.
 
-    As :func:`cosim.engine.load.load_unchecked`, but an engine that is not of the library is refused if ``hexjet fmu
-    check`` finds it unfit; ``unchecked`` leaves that out.
+    The engine is an FMI 2.0 or 3.0 co-simulation FMU, by its name in the library, by path, or by the path of a mapping
+    file; see ``cosim.engine.fmu.mapping`` for it, ``ports`` for how its ports are found.  One not of the library
+    is refused if ``hexjet fmu check`` finds it unfit; ``unchecked`` leaves that out.
 
     ``isolated``: whether it runs in a process of its own, by default as its mapping file says, and else if it is not of
     the library.  This process never loads one that does.  An archive is code, which the user has to trust.
 
     Raises InputError: one line that names the engine, what is wrong, and what is allowed.
     """
-    source = find_source(name_or_path)
+    source = find_source(engine)
     need_trust(source.code, f"engine {source.path.name}")
     foreign = source.engine is None
     if isolated is None:
         isolated = foreign if source.mapping.isolated is None else source.mapping.isolated
-    measure_foreign: Callable[[str, Mapping[str, float], float, Air], EngineMeasurement] | None = None
-    if foreign and not unchecked:
-        measure_foreign = measure_checked
-    elif isolated:
-        measure_foreign = measure_isolated
-    spec = load_unchecked(
-        name_or_path,
-        parameters,
-        step,
-        measured=measured,
-        air=air,
-        measure_foreign=measure_foreign,
-        source=source,
-    )
-    return replace(spec, isolated=isolated)
+    measure = measure_checked if foreign and not unchecked else measure_isolated if isolated else _measure_here
+    return replace(load_unchecked(source, parameters, step, measure, air), isolated=isolated)
 
 
 _fit_engines: set[tuple[str, str, float]] = set()  # checked in this process: sha256 of the archive, mapping, step
 _measured: RecentCache[EngineMeasurement] = RecentCache(256)
 
 
-def measure_isolated(
-    name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR
-) -> EngineMeasurement:
+def _measure_here(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> EngineMeasurement:
+    archive, (_, settings) = source.archive, resolve_parameters(source, parameters)
+    return measure_once(archive, settings, archive.start, step, air, small=source.engine is None)
+
+
+def measure_isolated(source: EngineSource, parameters: Mapping[str, float], step: float, air: Air) -> EngineMeasurement:
     """Measure an engine's static curve and response in another process, once in this one.
 
     Raises EngineError where that fails.
     """
-    source = find_source(name_or_path)
     archive, (_, settings) = source.archive, resolve_parameters(source, parameters)
     small = source.engine is None
 
@@ -94,7 +83,7 @@ def measure_isolated(
 
 
 def measure_checked(
-    name_or_path: str, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR
+    source: EngineSource, parameters: Mapping[str, float], step: float, air: Air = STANDARD_AIR
 ) -> EngineMeasurement:
     """Check a user's FMU, and return its static curve and response.
 
@@ -104,18 +93,17 @@ def measure_checked(
 
     Raises InputError if it is unfit: one line with the first problem.  EngineError if it fails while it is measured.
     """
-    source = find_source(name_or_path)
     key = source.archive.sha256, source.mapping.model_dump_json(), step
     path = _cache_path(source, parameters, step, air)
     measured, is_new = _read_cached(path), key not in _fit_engines
     if measured is None and is_new and air == STANDARD_AIR:
-        report, measured = check.check_and_measure(name_or_path, step, parameters, check.TIME_LIMIT_S)
+        report, measured = check.check_and_measure(source, step, parameters, check.TIME_LIMIT_S)
         _need_no_problems(source, report.problems)
         assert measured is not None
     elif measured is None:
         if is_new:
-            measure_checked(name_or_path, parameters, step)
-        measured = measure_isolated(name_or_path, parameters, step, air)
+            measure_checked(source, parameters, step)
+        measured = measure_isolated(source, parameters, step, air)
         rest = source.archive.starting.rest_n
         _need_no_problems(source, find_curve_problems(measured.curve, measured.quiet, rest))
     if is_new:

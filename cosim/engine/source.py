@@ -30,6 +30,7 @@ from cosim.engine.library import (
     list_engines,
     read_engine,
 )
+from cosim.engine.spec import file_label
 
 
 def list_engine_names() -> list[str]:
@@ -55,6 +56,7 @@ _definitions: RecentCache[EngineDefinition] = RecentCache(64)
 class EngineSource:
     """Source of an engine: the named file, its archive, and its definition or mapping file."""
 
+    name: str  # in the library, or that of its file
     path: Path  # path of the archive, or of the mapping file that names it
     archive: Archive
     engine: EngineDefinition | None  # its definition, if it is one of the library
@@ -83,14 +85,18 @@ def _refuse_misspelt_file(path: Path) -> None:
         raise InputError(f"engine {path}: no such file; did you mean {meant[0]!r}?")
 
 
-def find_source(name_or_path: str) -> EngineSource:
+def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSource:
     """Find an engine by its name in the library, the path of its archive, or that of a mapping file.
+
+    A path is seen from ``folder``; a source that was found before is returned as it is.
 
     Raises InputError for an unknown name (lists the known ones) or a file that cannot be used.
     """
-    path = Path(name_or_path)
+    if isinstance(engine, EngineSource):
+        return engine
+    path = folder / engine
     if removed := describe_removed(path.suffix.lower()):
-        raise InputError(f"engine {name_or_path}: {removed}")
+        raise InputError(f"engine {path}: {removed}")
     if is_mapping(path):
         _refuse_engine_not_left(path)
         mapping, fmu, ports = read_mapping(path)
@@ -100,23 +106,21 @@ def find_source(name_or_path: str) -> EngineSource:
             raise InputError(f"{path}: {error}") from error
         if mapping.uncertainty is not None:
             mapping.uncertainty.check_parameters(archive.parameters, archive.start, str(path))
-        return EngineSource(path, archive, None, mapping)
-    if path.suffix.lower() == ".fmu" or len(path.parts) > 1 or path.is_file():
-        return EngineSource(path, read_archive(path), None, _without_mapping(path.name))
-    name = name_or_path.removesuffix(FMI2_SUFFIX)
-    folder = data_folder("engines") / name
-    if not (folder / "engine.toml").is_file():
-        _refuse_misspelt_file(path)
+        return EngineSource(file_label(path), path, archive, None, mapping)
+    if path.suffix.lower() == ".fmu" or len(Path(engine).parts) > 1 or path.is_file():
+        return EngineSource(file_label(path), path, read_archive(path), None, _without_mapping(path.name))
+    name = engine.removesuffix(FMI2_SUFFIX)
+    home = data_folder("engines") / name
+    if not (home / "engine.toml").is_file():
+        _refuse_misspelt_file(Path(engine))
         allowed = nearest(name, list_engine_names())
-        raise InputError(
-            f"unknown engine {name_or_path!r}; {allowed}, or the path of an .fmu, or of a .toml that maps one"
-        )
-    engine = _definition(folder)
-    path = archive_path(data_folder("fmus"), name, 2 if name_or_path != name else 3)
+        raise InputError(f"unknown engine {engine!r}; {allowed}, or the path of an .fmu, or of a .toml that maps one")
+    definition = _definition(home)
+    path = archive_path(data_folder("fmus"), name, 2 if engine != name else 3)
     if not path.is_file():
-        raise InputError(f"engine {name_or_path}: {path} has not been built; run: hexjet fmu build")
-    known = PortMap(ports=engine.ports, search=False)
-    return EngineSource(path, read_archive(path, known), engine, _without_mapping(path.name))
+        raise InputError(f"engine {engine}: {path} has not been built; run: hexjet fmu build")
+    known = PortMap(ports=definition.ports, search=False)
+    return EngineSource(engine, path, read_archive(path, known), definition, _without_mapping(path.name))
 
 
 def _refuse_engine_not_left(path: Path) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.base.errors import InputError
-from cosim.engine import Air, EngineSpec, load_engine, make_bank
+from cosim.engine import Air, EngineSpec, find_source, load_engine, make_bank
 from cosim.engine.fmu.port_kinds import ASIDE
 from cosim.engine.wrappers import EngineChain
 from cosim.simulation.engine_reference import make_engine_reference
 from cosim.simulation.script.mismatch import compute_engine_mismatch
 from cosim.spec.scenario import Scenario, Station
-from cosim.spec.vehicle import Vehicle, file_seen_from, is_file
+from cosim.spec.vehicle import Vehicle, file_seen_from
 from cosim.vehicle.airframe import start_height
 from cosim.vehicle.atmosphere import standard_air
 
@@ -80,10 +80,8 @@ class _Loader:
         """Load an engine; ``tried``: its archive was found fit, and runs in a process of its own or does not."""
         scenario, key = self._scenario, (engine, frozenset(parameters.items()))
         if key not in self._loaded:
-            # a file is seen from the scenario's folder
-            source = str(scenario.folder / engine) if is_file(engine) else engine
             self._loaded[key] = load_engine(
-                source,
+                find_source(engine, scenario.folder),
                 parameters,
                 scenario.step_s,
                 unchecked=scenario.engine_unchecked or tried is not None,

@@ -48,7 +48,7 @@ def list_engine_code(engine: str, folder: Path) -> list[Code]:
     """Return what an engine runs that is no shipped one; a file is seen from ``folder``."""
     if is_file(engine):
         with suppress(InputError, OSError):
-            return find_source(str(folder / engine)).code
+            return find_source(engine, folder).code
     return []
 
 

@@ -17,7 +17,8 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.campaign.study.key import Key, Value
-from cosim.campaign.study.keys import FLOWN_PARAMETERS, FLOWN_STATIONS, engine_source, flown_engine_keys
+from cosim.campaign.study.keys import FLOWN_PARAMETERS, FLOWN_STATIONS, flown_engine_keys
+from cosim.engine import EngineSource, find_source
 from cosim.engine.fmu.uncertainty import Uncertainty, cut_normal
 from cosim.simulation.engines import list_stations
 from cosim.spec.scenario import Scenario
@@ -87,13 +88,14 @@ class EngineDraw:
         return columns
 
 
-def engine_draw(scenario: Scenario) -> EngineDraw:
+def engine_draw(scenario: Scenario, source: EngineSource | None = None) -> EngineDraw:
     """Return the draws of a scenario's engine.  Raises InputError for an engine that states no uncertainty."""
-    table = engine_source(scenario, scenario.engine).uncertainty
+    source = find_source(source or scenario.engine, scenario.folder)
+    table = source.uncertainty
     if table is None:
         raise InputError(f"vary engine: {scenario.engine} has no [uncertainty] in a mapping file; {HOW}")
     vehicle, _ = scenario.resolved_vehicle()
-    keys = {key.path: key for key in flown_engine_keys(scenario, len(vehicle.jets))}
+    keys = {key.path: key for key in flown_engine_keys(scenario, source, len(vehicle.jets))}
     stated = {number: station for number, station in scenario.stations.items() if station.engine is not None}
     stations = [
         str(number)
@@ -117,9 +119,10 @@ def default_draw(scenario: Scenario, nominal: bool, varied: Collection[str] = ()
     ``nominal`` says so, and where a key of ``varied`` is drawn with it or brings another engine.  Raises InputError.
     """
     others = _describe_stations_not_drawn(scenario)
-    if engine_source(scenario, scenario.engine).uncertainty is None:
+    source = find_source(scenario.engine, scenario.folder)
+    if source.uncertainty is None:
         return None, others
-    draw = engine_draw(scenario)
+    draw = engine_draw(scenario, source)
     drawn = {key.path for key in draw.keys}
     other = next((key for key in varied if key in drawn or brings_engine(key)), None)
     if nominal or other is not None:
@@ -135,7 +138,7 @@ def _describe_stations_not_drawn(scenario: Scenario) -> str:
     found: dict[str, list[str]] = {}
     for number, station in enumerate(list_stations(scenario, vehicle), 1):
         engine = station.engine if station else None
-        if engine is not None and engine_source(scenario, engine).uncertainty is not None:
+        if engine is not None and find_source(engine, scenario.folder).uncertainty is not None:
             found.setdefault(engine, []).append(str(number))
     stations = "; ".join(f"{', '.join(numbers)}: {engine}" for engine, numbers in found.items())
     return f"[uncertainty] of engines at single stations is not drawn ({stations})" if found else ""

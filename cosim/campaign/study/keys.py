@@ -34,7 +34,7 @@ from cosim.simulation.controllers.source import find_controller_source
 from cosim.simulation.controllers.source import list_installed as custom_controllers
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario, parameter_files
-from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of, is_file
+from cosim.spec.vehicle import PredictorTuning, aircraft_names, engine_of
 from cosim.spec.vehicle.sensor_profile import STATED, profile_names
 
 WHOLE_STEPS = ("start_s", "duration_s", "width_s", "delay_s")  # keys of entries that are counted in control steps
@@ -95,23 +95,22 @@ def all_keys(scenario: Scenario) -> list[Key]:
     of_scenario = [
         key for name, field in Scenario.model_fields.items() for key in _scenario_keys(scenario, name, field)
     ]
-    source = engine_source(scenario, scenario.engine)
+    source = find_source(scenario.engine, scenario.folder)
     return [
         *of_scenario,
         *custom_keys(scenario),
         *(key for key in _table_keys("vehicle", vehicle) if not key.path.startswith(CUSTOM_TUNING)),
         *_predictor_keys(vehicle.control.predictor),
         *_parameters("engine_parameters", source, scenario.engine_parameters),
-        *flown_engine_keys(scenario, len(vehicle.jets)),
+        *flown_engine_keys(scenario, source, len(vehicle.jets)),
     ]
 
 
-def flown_engine_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
+def flown_engine_keys(scenario: Scenario, source: EngineSource, jets: int) -> Iterator[Key]:
     """Yield the keys of the engine as no controller knows it, and those of each of the ``jets`` stations."""
-    source = engine_source(scenario, scenario.engine)
     flown = {**scenario.engine_parameters, **scenario.mismatch.engine_parameters}
     yield from _parameters(FLOWN_PARAMETERS, source, flown)
-    yield from _station_keys(scenario, jets)
+    yield from _station_keys(scenario, source, jets)
 
 
 def matching(keys: Iterable[Key], pattern: str) -> list[Key]:
@@ -376,11 +375,6 @@ def _is_union(annotation: Any) -> bool:
     return get_origin(annotation) in (Union, UnionType)
 
 
-def engine_source(scenario: Scenario, engine: str) -> EngineSource:
-    """Return where an engine is from; a file's path is relative to the scenario's folder.  Raises InputError."""
-    return find_source(str(scenario.folder / engine) if is_file(engine) else engine)
-
-
 def _parameters(path: str, source: EngineSource, values: Mapping[str, float]) -> Iterator[Key]:
     """Yield the parameters that an engine declares and the simulation does not set itself."""
     nominals = {**resolve_parameters(source, {})[0], **values}
@@ -404,7 +398,7 @@ def _declared(name: str, unit: str | None) -> str:
     return unit if unit and unit != "1" else unit_of(name)
 
 
-def _station_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
+def _station_keys(scenario: Scenario, common_source: EngineSource, jets: int) -> Iterator[Key]:
     """Yield the keys of the engine at each station: which it is, and its parameters."""
 
     names = tuple(list_engine_names())
@@ -414,7 +408,7 @@ def _station_keys(scenario: Scenario, jets: int) -> Iterator[Key]:
         values = station.parameters if station else {}
         yield Key(f"stations.{number}.engine", "choice", engine or scenario.engine, choices=names)
         common = scenario.engine_parameters if engine is None else {}
-        source = engine_source(scenario, engine or scenario.engine)
+        source = find_source(engine or common_source, scenario.folder)
         known = {**common, **values}
         yield from _parameters(f"stations.{number}.parameters", source, known)
         flown = scenario.mismatch.engine_parameters if engine is None else {}

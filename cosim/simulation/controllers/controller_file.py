@@ -13,7 +13,7 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.removed import WRITTEN_BEFORE
 from cosim.base.storage.toml import Model, NotNegative, merge, parse_setting, read_toml, set_path, validate
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.engine import EngineSpec, load_engine
+from cosim.engine import EngineSpec, find_source, load_engine
 from cosim.spec.file_kind import DESIGN, check_kind
 from cosim.spec.scenario import FlownParameters, Scenario, find_scenario, parameter_files
 from cosim.spec.scenario.parameter_file import parse_table
@@ -277,8 +277,9 @@ def list_differences(scenario: Scenario, path: Path, noted: bool = True) -> list
 
     file = validate(ControllerFile, read_toml(path), str(path))
     made = file.design
-    engine, unchecked, apart = str(scenario.engine), scenario.engine_unchecked, scenario.engine_isolated
-    spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
+    source, parameters = find_source(scenario.engine, scenario.folder), scenario.engine_parameters
+    unchecked, apart = scenario.engine_unchecked, scenario.engine_isolated
+    spec = load_engine(source, parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
     lines = _proof_and_engine(made, spec) if noted else []
     if made.engine_sha256 in (spec.identity, spec.sha256) and (
         any(spec.parameters.get(key) != value for key, value in made.engine_parameters.items())

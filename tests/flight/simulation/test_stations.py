@@ -18,7 +18,7 @@ from cosim.base.storage.paths import data_folder
 from cosim.cli.main import main
 from cosim.cli.options import load_scenario
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap, invert
-from cosim.engine import EngineBank, load_engine
+from cosim.engine import EngineBank, EngineSource, load_engine
 from cosim.flight import fly
 from cosim.results.resolved_scenario import resolve
 from cosim.results.run import open_run
@@ -237,9 +237,9 @@ def test_the_ledger_of_mixed_engines_is_what_can_be_measured() -> None:
 def test_each_engine_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
     loaded = []
 
-    def count(name: str, parameters: Any, step: float, **options: Any) -> Any:
-        loaded.append(name)
-        return load_engine(name, parameters, step, **options)
+    def count(source: EngineSource, parameters: Any, step: float, **options: Any) -> Any:
+        loaded.append(source.name)
+        return load_engine(source, parameters, step, **options)
 
     monkeypatch.setattr(cosim.simulation.engines, "load_engine", count)
     turbojet = {"engine": "turbojet"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
@@ -573,10 +574,14 @@ def test_a_wrong_file_is_refused(tmp_path: Path, change: tuple[str, str], said: 
         apply_controller(Scenario.load("roll-doublet"), path)
 
 
-def test_a_file_for_another_engine_is_told() -> None:
+def test_a_file_for_another_engine_is_told(tmp_path: Path) -> None:
     path = DESIGNS / "edf-as-flown.toml"
     other = apply_controller("roll-doublet", path, ['engine="edf"'])
     assert "designed for engine edf-as-flown" in list_differences(other, path)[0]
+    shutil.copy(load_engine("edf", {}, other.step_s).path, tmp_path / "own.fmu")
+    table = {"name": "own", "duration_s": 1.0, "engine": "own.fmu", "engine_unchecked": True}
+    own = Scenario.from_table(table, tmp_path, "own")  # whose engine is seen from its folder
+    assert "designed for engine edf-as-flown" in list_differences(own, path)[0]
     later = apply_controller("roll-doublet", path, ["engine_parameters.delay_samples=30"])
     assert any("engine parameters" in text or "designed for engine" in text for text in list_differences(later, path))
     heavier = apply_controller(

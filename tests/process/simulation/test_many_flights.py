@@ -296,7 +296,7 @@ def test_what_is_measured_here_is_judged_as_in_a_trial(tmp_path: Path, monkeypat
     measured = EngineMeasurement(falling, Response(7, 0.1, 0.0, 20.0), None, NO_CHANGE)
     monkeypatch.setattr(load_checked, "measure_isolated", lambda *_: measured)
     with pytest.raises(InputError, match=r"theirs.fmu: is not fit to fly: its thrust does not rise with the throttle"):
-        load_checked.measure_checked(str(path), {"delay_samples": 7.0}, STEP, STANDARD_AIR)
+        load_checked.measure_checked(source, {"delay_samples": 7.0}, STEP, STANDARD_AIR)
 
 
 def test_unpacked_files_are_used_again_if_nobody_changed_them() -> None:

@@ -20,6 +20,7 @@ from cosim.engine import (
     EngineBank,
     EngineSpec,
     build_engines,
+    find_source,
     list_engine_names,
     load_engine,
 )
@@ -430,6 +431,15 @@ SOURCES = "; it has sources: python -m fmpy compile makes one of them"
 def test_a_missing_binary_is_told_with_what_there_is(tmp_path: Path) -> None:
     assert refusal(str(changed(for_windows)(tmp_path))).endswith(f"/edf.so (it has: x86_64-windows){SOURCES}")
     assert refusal(str(changed(no_binary)(tmp_path))).endswith(f"/edf.so (it has: no binary at all){SOURCES}")
+
+
+def test_an_engine_that_was_found_is_handed_on(tmp_path: Path) -> None:
+    path = shutil.copy(archive("edf", 3), tmp_path / "theirs.fmu")
+    source = find_source("theirs.fmu", tmp_path)
+    assert find_source(source, tmp_path / "elsewhere") is source
+    assert source == find_source(str(path))
+    assert load_engine(source, {}, STEP, unchecked=True) == load_engine(str(path), {}, STEP, unchecked=True)
+    assert [find_source(name).name for name in ("edf", "edf-fmi2")] == ["edf", "edf-fmi2"]
 
 
 def test_loading_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:

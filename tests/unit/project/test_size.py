@@ -12,7 +12,7 @@ from places import ROOT
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
     "benchmarks": 5_500,
-    "cosim": 64_950,
+    "cosim": 64_900,
     "docs": 6_500,
     "tests": 73_650,
     "tools/hexjet_design": 8_350,

@@ -19,7 +19,7 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
-from cosim.engine import EngineSpec, load_engine
+from cosim.engine import EngineSpec, find_source, load_engine
 from cosim.engine.fmu.uncertainty import CUT, Uncertainty, cut_normal
 from cosim.engine.fmu.variables import INTEGERS
 from cosim.simulation.controllers.controller_file import Requirements
@@ -50,12 +50,13 @@ class EngineSensitivity:
         self.table, self._step = spec.uncertainty, scenario.step_s
         self._thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
         self._moved: list[tuple[float, EngineSpec, EngineSpec] | None] = []
+        source = find_source(str(spec.mapping) if spec.mapping else spec.name)
         widths = zip(self.table.parameters, self.table.deviation, self.table.spreads, strict=True)
         for name, deviation, spread in widths:
             low, high = _moved(spec, name, max(deviation, spread))
             ends = [
                 load_engine(
-                    str(spec.mapping) if spec.mapping else spec.name,
+                    source,
                     {**scenario.engine_parameters, name: value},
                     scenario.step_s,
                     unchecked=True,

@@ -111,13 +111,14 @@ class LoopJudge:
         return self._scenario.replace(controller=controller, controller_parameters={})
 
     def _known_plants(self) -> Plants | str:
-        from cosim.engine import load_engine
+        from cosim.engine import find_source, load_engine
         from hexjet_design.measured.computed import make_plants
 
         if self._plants is None:
             scenario = self._scenario if self._built_in else self._with(BASELINE.name)
-            engine, unchecked, apart = scenario.engine, scenario.engine_unchecked, scenario.engine_isolated
-            spec = load_engine(engine, scenario.engine_parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
+            source, parameters = find_source(scenario.engine, scenario.folder), scenario.engine_parameters
+            unchecked, apart = scenario.engine_unchecked, scenario.engine_isolated
+            spec = load_engine(source, parameters, scenario.step_s, unchecked=unchecked, isolated=apart)
             self._plants = make_plants(scenario, self._vehicle, spec)
         return self._plants
 

@@ -21,6 +21,7 @@ import numpy as np
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import AXES
 from cosim.base.storage.files import write_whole
+from cosim.engine import find_source
 from cosim.results.summary import versions
 from cosim.spec.controller_name import short_name
 from cosim.spec.scenario import Scenario
@@ -36,7 +37,6 @@ from cosim.studies import (
     Workers,
     design_warnings,
     eccentricity,
-    engine_source,
     fly_again,
     is_campaign,
     judge_claim,
@@ -225,7 +225,7 @@ def _evidence(
     searched: Mapping[str, Part],
 ) -> Evidence:
     """Return what is on record of the model and of this proof."""
-    source = engine_source(scenario, scenario.engine)
+    source = find_source(scenario.engine, scenario.folder)
     uncertainty = source.uncertainty
     again = [*(one.is_same for one in worst), *(part.result["is_same"] for part in searched.values() if part.result)]
     rankings = [rank_keys(table, 0, name) for name in (SUCCESS, *(metric.name for metric in table.metrics))]
