@@ -8,7 +8,6 @@ from functools import lru_cache
 from pathlib import Path
 
 from cosim.base.errors import InputError, nearest
-from cosim.base.removed import describe_removed
 from cosim.base.storage.cache import RecentCache
 from cosim.base.storage.files import read_file
 from cosim.base.storage.paths import data_folder
@@ -95,8 +94,6 @@ def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSour
     if isinstance(engine, EngineSource):
         return engine
     path = folder / engine
-    if removed := describe_removed(path.suffix.lower()):
-        raise InputError(f"engine {path}: {removed}")
     if is_mapping(path):
         _refuse_engine_not_left(path)
         mapping, fmu, ports = read_mapping(path)
@@ -107,7 +104,7 @@ def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSour
         if mapping.uncertainty is not None:
             mapping.uncertainty.check_parameters(archive.parameters, archive.start, str(path))
         return EngineSource(file_label(path), path, archive, None, mapping)
-    if path.suffix.lower() == ".fmu" or len(Path(engine).parts) > 1 or path.is_file():
+    if path.suffix.lower() in (".fmu", ".ssp") or len(Path(engine).parts) > 1 or path.is_file():
         return EngineSource(file_label(path), path, read_archive(path), None, _without_mapping(path.name))
     name = engine.removesuffix(FMI2_SUFFIX)
     home = data_folder("engines") / name

@@ -12,6 +12,8 @@ from typing import IO
 from xml.etree import ElementTree
 from xml.parsers import expat
 
+from cosim.base.removed import describe_removed
+
 DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError)  # from zipfile, on bad archives
 DESCRIPTION = "modelDescription.xml"
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
@@ -77,6 +79,8 @@ def note_unusual_names(path: Path) -> list[str]:
 
 def read_bytes(path: Path) -> bytes:
     """Return a file's contents; raise UnusableError if it is missing, not a regular file or above ``MOST_PACKED``."""
+    if removed := describe_removed(path.suffix.lower()):
+        raise UnusableError(removed)
     try:
         status = path.stat()
         if stat.S_ISDIR(status.st_mode):

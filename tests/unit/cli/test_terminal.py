@@ -134,17 +134,11 @@ def test_no_file_writes_to_the_terminal_as_it_likes(tmp_path: Path, hexjet: Hexj
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     summary |= dict.fromkeys(("title", "scenario", "reason", "engine", "controller"), HOSTILE)
     (tmp_path / "run" / "summary.json").write_text(json.dumps(summary))
-    for arguments in (
-        ("show", "title.toml"),
-        ("show", "key.toml"),
-        ("show", "run"),
-        ("report", "run"),
-        ("show", HOSTILE),
-    ):
-        done = hexjet(arguments[0], *(str(tmp_path / each) if each != HOSTILE else each for each in arguments[1:]))
+    for words in (("show", "title.toml"), ("show", "key.toml"), ("show", "run"), ("report", "run"), ("show", HOSTILE)):
+        done = hexjet(words[0], *(str(tmp_path / each) if each != HOSTILE else each for each in words[1:]))
         printed = done.out + done.err
-        assert "x1b" in printed, arguments
-        assert not set(HOSTILE) & set("\x1b\x07\x9b\u202e") & set(printed), arguments
+        assert "x1b" in printed, words
+        assert not set(HOSTILE) & set("\x1b\x07\x9b\u202e") & set(printed), words
 
 
 def test_a_refusal_echoes_eighty_characters_of_a_value(tmp_path: Path, hexjet: Hexjet) -> None:
@@ -161,13 +155,8 @@ def test_a_refusal_echoes_eighty_characters_of_a_value(tmp_path: Path, hexjet: H
 
 def test_a_value_too_long_for_a_name_is_refused_in_a_line(hexjet: Hexjet) -> None:
     long = 10_000 * "y"
-    for arguments in (
-        ("fly", long),
-        ("fly", "hover", "--engine", long),
-        ("show", long),
-        ("sweep", "hover", "--vary", long),
-    ):
-        status, out, line = hexjet(*arguments)
+    for call in (("fly", long), ("fly", "hover", "--engine", long), ("show", long), ("sweep", "hover", "--vary", long)):
+        status, out, line = hexjet(*call)
         assert (status, out, line.count("\n")) == (2, "", 1)
         assert (81 * "y" in line, "yyy..." in line) == (False, True), line
 

@@ -200,17 +200,14 @@ def refusal(name: str, parameters: dict[str, float] | None = None, step: float =
 
 
 def test_unknown_engine_lists_the_known_ones() -> None:
-    assert refusal("turbo") == (
-        "unknown engine 'turbo'; did you mean 'turbojet'? allowed: edf, edf-as-flown, fitted, jetcat-p300, motor, p220, "
-        "p220-2025, "
-        "turbine-100, turbine-20, turbine-220, turbojet, or the path of an .fmu, or of a .toml that maps one"
-    )
+    assert refusal("turbo").startswith("unknown engine 'turbo'; did you mean 'turbojet'? allowed: edf, edf-as-flown, ")
 
 
-def test_a_system_of_fmus_is_told_as_what_left() -> None:
-    assert refusal("jet.ssp").startswith(
-        "engine jet.ssp: a system of FMUs (SSP) as an engine left in version 0.3.0; use"
-    )
+def test_a_system_of_fmus_is_told_as_what_left(tmp_path: Path) -> None:
+    left = "jet.ssp: a system of FMUs (SSP) as an engine left in version 0.3.0; use"
+    assert refusal("jet.ssp").startswith(left)
+    (tmp_path / "mapping.toml").write_text('fmu = "jet.ssp"\n')
+    assert left in refusal(str(tmp_path / "mapping.toml"))
 
 
 def test_a_misspelt_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -385,7 +382,7 @@ BROKEN: dict[str, tuple[Breaker, str]] = {
     "no binary": (changed(no_binary), "has no binary for this machine, binaries/"),
     "garbage library": (
         changed(garbage_library),
-        "its shared library does not load: Failed to load shared library binaries/",
+        "its shared library does not load: binaries/",
     ),
     "other library": (changed(library_of_the_other_version), "its shared library does not load: "),
     "wrong token": (
