@@ -380,10 +380,7 @@ BROKEN: dict[str, tuple[Breaker, str]] = {
     ),
     "wrong platform": (changed(for_windows), "has no binary for this machine, binaries/"),
     "no binary": (changed(no_binary), "has no binary for this machine, binaries/"),
-    "garbage library": (
-        changed(garbage_library),
-        "its shared library does not load: binaries/",
-    ),
+    "garbage library": (changed(garbage_library), "its shared library does not load: binaries/"),
     "other library": (changed(library_of_the_other_version), "its shared library does not load: "),
     "wrong token": (
         edited('instantiationToken="{', 'instantiationToken="{0'),

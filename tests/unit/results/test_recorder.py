@@ -38,16 +38,7 @@ from cosim.results.log import recorder as recorder_module
 from cosim.results.log.arrow import ParquetLog, StreamSink, stream_to_parquet
 from cosim.results.log.columns import COLUMNS, NAMES
 from cosim.results.log.recorder import BackgroundSink, MemorySink, Recorder
-from cosim.results.run import (
-    LOG,
-    RUN_FILES,
-    SCENARIO,
-    STREAM,
-    SUMMARY,
-    Run,
-    begin_run,
-    open_run,
-)
+from cosim.results.run import LOG, RUN_FILES, SCENARIO, STREAM, SUMMARY, Run, begin_run, open_run
 
 BLOCK = 250  # rows in one second of flight
 

@@ -16,15 +16,7 @@ import cosim.engine.isolated
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import jet_axis
-from cosim.base.signals import (
-    ZERO3,
-    Ambient,
-    Disturbance,
-    EngineOutput,
-    PerJet,
-    Sample,
-    Vector3,
-)
+from cosim.base.signals import ZERO3, Ambient, Disturbance, EngineOutput, PerJet, Sample, Vector3
 from cosim.engine import EngineBank
 from cosim.flight import fly
 from cosim.simulation.build import build
