@@ -25,6 +25,7 @@ from benchmarks.timing import Action, Cost, Job
 from cosim import FlightError
 from cosim.base.signals import JETS
 from cosim.engine import EngineBank, load_engine
+from cosim.files import scratch
 
 ENGINE = "edf-as-flown-fmi2"
 STEP = 0.004
@@ -182,7 +183,7 @@ def _fmpy(stack: ExitStack) -> Stepper:
     fmpy: Any = import_module("fmpy")
     path, throttle, thrust = _fmu()
     description = fmpy.read_model_description(path)
-    folder = fmpy.extract(path, stack.enter_context(TemporaryDirectory()))
+    folder = fmpy.extract(path, stack.enter_context(TemporaryDirectory(dir=scratch())))
     slaves = [fmpy.instantiate_fmu(folder, description) for _ in range(JETS)]
     for slave in slaves:
         stack.callback(slave.freeInstance)

@@ -106,7 +106,7 @@ def test_a_controller_of_ones_own_flies_and_shuts_engines_off() -> None:
         assert lit == [True, not sample.command.attitude[0]] + [True] * 2 + [not sample.command.attitude[0], True]
 
 
-@pytest.mark.parametrize("part", ["controller", "disturbances"])
+@pytest.mark.parametrize("part", ["controller"])
 def test_a_block_from_outside_is_the_built_in_one_to_the_last_bit(part: str) -> None:
     assert repr(flown(lambda simulation: setattr(simulation, part, Delegate(getattr(simulation, part))))) == repr(
         flown()
@@ -137,17 +137,6 @@ def test_sensors_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
     ill = flown(None, ROLL.replace(fault=[bias], monitor=False))
     # what is sampled at the end of the step in which the fault begins is biased
     assert [sample.measured.altitude - sample.state.altitude for sample in ill[50:52]] == [0.0, pytest.approx(0.5)]
-
-
-def test_disturbances_of_ones_own_push_as_newton_says() -> None:
-    class Push:
-        def at(self, k: int) -> Disturbance:
-            return Disturbance(force=(0.0, 5.525, 0.0))
-
-    samples = flown(
-        lambda simulation: setattr(simulation, "disturbances", Push()), ROLL.replace(command=[], duration_s=0.1)
-    )
-    assert samples[-1].state.velocity[1] == pytest.approx(samples[-1].k * 0.004, rel=0.02)  # 1 m/s^2, less what drags
 
 
 def test_engines_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -193,7 +193,7 @@ def test_what_cannot_be_asked_is_one_line(arguments: list[str], message: str) ->
 
 def test_a_failure_that_comes_out_otherwise_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows that nobody flew: the cases are flown, and are not as the rows say; the status is 1."""
-    monkeypatch.setattr("cosim.campaign.run.choose_workers", lambda *_: nullcontext(Here()))
+    monkeypatch.setattr("cosim.studies.choose_workers", lambda *_: nullcontext(Here()))
     varied = ["--vary", f"{WIND}=normal(0,1)", "--controller", "smith", "--set", "duration_s=0.1"]
     asked = ["hover", *varied, "--target", "1e-2", "--budget", "1200", "--out", str(tmp_path / "rare")]
     ended = CliRunner().invoke(command, asked, standalone_mode=False)

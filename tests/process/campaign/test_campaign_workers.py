@@ -279,7 +279,7 @@ def test_a_flight_that_does_not_end_is_ended(study: Study, rows: list[Row], note
 def test_processes_that_do_not_start_end_it(study: Study, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(local, "STARTS", 3)
     with LocalWorkers(2, fly=tools.Deadly()) as workers:  # type: ignore[arg-type]
-        with pytest.raises(FlightError, match="3 processes in a row ended before they could fly; the last left with"):
+        with pytest.raises(FlightError, match="3 processes in a row ended before they could fly; the last ended with"):
             list(workers.fly(study, flights(study)))
         assert all_gone()
 

@@ -123,7 +123,7 @@ def checkout(tmp_path: Path) -> Path:
         ignore=shutil.ignore_patterns("__pycache__", "web", "data", "*mypyc*", "*.cpython*"),
     )
     for path in PACKAGE.rglob("_*.cpython*"):
-        if not path.name.startswith("_native"):
+        if not path.name.startswith("_native") and path.suffix != ".pyc":
             shutil.copy(path, tmp_path / path.relative_to(ROOT))
     (tmp_path / "setup.py").write_text("")
     for name in MODULES:

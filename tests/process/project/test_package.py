@@ -31,7 +31,7 @@ COMPILED = (
     () if UNCOMPILED else ("base/frames.py", "vehicle/tank.py")
 )  # a few stand for all: `make setup` compiles those
 METADATA = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-PACKAGES = ("cosim", "hexjet_paper")
+PACKAGES = {"cosim": ROOT / "cosim", **{path.name: path for path in (ROOT / "tools").glob("hexjet_*")}}
 DATA = ("aircraft", "engines", "scenarios", "studies")
 ENGINES = sorted(path.parent.name for path in (ROOT / "engines").glob("*/engine.toml"))
 SCENARIOS = sorted(path.stem for path in (ROOT / "scenarios").glob("*.toml"))
@@ -128,12 +128,12 @@ def test_the_wheel_carries_everything_a_flight_needs(wheel: Path) -> None:
     assert SCENARIOS
     fmus = {f"cosim/data/fmus/{name}{version}.fmu" for name in ENGINES for version in ("", "-fmi2")}
     data = {f"cosim/data/{name}" for folder in DATA for name in source_files(folder)}
-    code = {path.relative_to(ROOT).as_posix() for name in PACKAGES for path in (ROOT / name).rglob("*.py")}
+    code = {path.relative_to(folder.parent).as_posix() for folder in PACKAGES.values() for path in folder.rglob("*.py")}
     templates = {
-        path.relative_to(ROOT).as_posix()
+        path.relative_to(folder.parent).as_posix()
         for pattern in ("**/templates/*", "groundstation/web/static/**/*")
-        for package in PACKAGES
-        for path in (ROOT / package).glob(pattern)
+        for folder in PACKAGES.values()
+        for path in folder.glob(pattern)
         if path.is_file()
     }
     assert templates
@@ -322,7 +322,7 @@ def packages() -> Any:
 def test_the_package_imports_what_it_asks_for(packages: Any) -> None:
     """And asks for nothing that it never imports."""
     found = set()
-    for path in (path for name in PACKAGES for path in (ROOT / name).rglob("*.py")):
+    for path in (path for folder in PACKAGES.values() for path in folder.rglob("*.py")):
         if path.name == "_messages.py":
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

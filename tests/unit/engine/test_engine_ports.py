@@ -10,6 +10,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -820,14 +822,19 @@ def test_an_fmu_with_an_input_clock_is_refused(odd: Path) -> None:
         read_archive(path, ports)
 
 
-def test_variables_of_two_types_may_share_a_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_variables_of_two_types_may_share_a_reference() -> None:
     """FMI 2.0 counts its references anew for every type."""
     calls: list[tuple[object, ...]] = []
-    monkeypatch.setattr(FmuInstance, "call", lambda self, *args: calls.append(args))
+    slave = SimpleNamespace(
+        make_values=lambda kind, values: (kind, values),
+        bind_values=lambda verb, kind, references, values: lambda: calls.append((verb + kind, references, values[1])),
+    )
     real, whole = variable("gain", "parameter"), replace(variable("samples", "parameter"), type="Integer")
     settings = [(replace(real, reference=1), 2.0), (replace(whole, reference=1), 3.0)]
-    FmuInstance.__new__(FmuInstance).write(settings)
-    assert calls == [("setReal", [1], [2.0]), ("setInteger", [1], [3])]
+    instance: Any = FmuInstance.__new__(FmuInstance)
+    instance.fmu, instance.archive = slave, SimpleNamespace(fmi=2)
+    instance.write(settings)
+    assert calls == [("SetReal", [1], [2.0]), ("SetInteger", [1], [3])]
 
 
 def test_the_order_of_the_ports_is_that_of_the_c_loop() -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from loads import acted
-from places import DESIGNS
 
 from cosim.base.errors import InputError
 from cosim.base.signals import (
@@ -20,7 +19,6 @@ from cosim.base.signals import (
 from cosim.engine import load_engine
 from cosim.flight import fly
 from cosim.identify.sweep import identify_axis
-from cosim.simulation.controllers.controller_file import apply_controller, list_differences
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle.airframe import Airframe
@@ -212,24 +210,6 @@ def test_a_servo_stated_whole_before_there_were_banks_has_none() -> None:
         vehicle, _ = load_vehicle("hexjet-p220", {"servo": stated})
         assert vehicle.servo is not None
         assert vehicle.servo.bank_inertia_kg_m2 == inertia
-
-
-def test_a_controller_file_from_before_the_banks_flies_without_them_and_says_so(tmp_path: Path) -> None:
-    text = (DESIGNS / "p220.toml").read_text(encoding="utf-8")
-    line = "bank_inertia_kg_m2 = 0.08\n"
-    assert text.count(line) == 1
-    old, new = tmp_path / "old.toml", tmp_path / "new.toml"
-    old.write_text(text.replace(line, ""), encoding="utf-8")
-    new.write_text(text, encoding="utf-8")
-    for path, inertia in ((old, 0.0), (new, 0.08)):
-        scenario = apply_controller("full-scale-pitch-doublet", path)
-        vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle)
-        assert vehicle.servo is not None
-        assert vehicle.servo.bank_inertia_kg_m2 == inertia
-        said = list_differences(scenario, path)
-        assert [line for line in said if "reaction of its tilting banks" in line] == (said if path is old else [])
-    again = apply_controller("full-scale-pitch-doublet", old, ["vehicle.servo.bank_inertia_kg_m2=0.08"])
-    assert "flown with {'servo': {'bank_inertia_kg_m2': 0.08}}" in list_differences(again, old)[0]
 
 
 def test_the_zeros_of_the_full_scale_vehicle_are_where_its_page_says() -> None:
