@@ -27,9 +27,6 @@ typedef int (*GetAny)(void *, const uint32_t[], size_t, void *, size_t);
 typedef int (*SetInteger2)(void *, const unsigned int[], size_t, const int[]);
 typedef int (*GetInteger2)(void *, const unsigned int[], size_t, int[]);
 typedef int (*Step3)(void *, double, double, bool, bool *, bool *, bool *, double *);
-typedef int (*Mode3)(void *);
-typedef int (*SetClock3)(void *, const uint32_t[], size_t, const bool[]);
-typedef int (*Update3)(void *, bool *, bool *, bool *, bool *, bool *, double *);
 
 enum { OK = 0, WARNING = 1, DISCARD = 2 };
 
@@ -41,7 +38,7 @@ enum { THRUST, OUTPUTS = 7 };
 static const char *const INPUT_NAMES[INPUTS] = {"throttle", "ambient_pressure", "ambient_temperature", "air_speed", "altitude", "mach", "density", "total_pressure", "total_temperature"};
 static const char *const OUTPUT_NAMES[OUTPUTS] = {"thrust", "spool_speed", "exhaust_temperature", "fuel_flow", "force_forward", "force_right", "torque"};
 
-enum { BLOCKS = 4, MOST_PARTS = 10000, CLOCKS = 16 };
+enum { BLOCKS = 4, MOST_PARTS = 10000 };
 
 /* What values are passed as, in the order of cosim.engine.fmu.instance.VALUES. */
 typedef enum { DOUBLE, FLOAT, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64, KINDS } Kind;
@@ -52,7 +49,6 @@ typedef struct {
     Kind kind;
     size_t references, values;
     size_t first_references, first_values; /* the part that is set in every step: the throttles */
-    bool clocked;                          /* it is set when the clock of the ports ticks, and only then */
     uint32_t *reference;
     double *value;
     void *other_value; /* the same in a kind that is not double */
@@ -66,36 +62,17 @@ typedef struct {
     double scale, offset, low, high;
 } Place;
 
-/* One of the engines that an instance holds. */
-typedef struct {
-    Py_ssize_t station; /* of the vehicle, from 0; -1: it serves none, and keeps the throttle that it began with */
-    Place input[INPUTS], output[OUTPUTS];
-    Place drag;          /* of the ram, taken from a gross thrust */
-    double port[INPUTS]; /* what the inputs were last set to */
-} Lane;
-
-/* An input clock of FMI 3.0: it ticks before every so many parts of a step, from a first one on. */
-typedef struct {
-    uint32_t reference;
-    long long every, shift;
-} Clock;
-
-/* One instance. */
+/* One instance, which serves one station. */
 typedef struct {
     int fmi; /* 2 or 3 */
     void *instance;
-    uintptr_t step;                      /* function */
-    uintptr_t enter, update, leave;      /* functions of FMI 3.0's event mode; 0 if it is not used */
+    uintptr_t step; /* function */
     bool has_ambient, has_derived;
-    bool one_speed; /* its engines have one air speed, the mean of theirs */
     int sets, gets; /* blocks that there are */
     Block set[BLOCKS], get[BLOCKS];
-    uintptr_t set_clock; /* function */
-    size_t clocks;
-    Clock clock[CLOCKS];
-    long long parts; /* that a step is made in, so that every clock ticks between two */
-    Py_ssize_t lanes;
-    Lane *lane;
+    Place input[INPUTS], output[OUTPUTS];
+    Place drag;          /* of the ram, taken from a gross thrust */
+    double port[INPUTS]; /* what the inputs were last set to */
     long long steps; /* communication steps done, warming up included: FMU time = steps * step */
 } Engine;
 
@@ -187,10 +164,10 @@ static void derive(double port[INPUTS])
     port[TOTAL_TEMPERATURE] = t * ram;
 }
 
-static void place_input(Engine *e, Lane *lane, int port, double wanted)
+static void place_input(Engine *e, int port, double wanted)
 {
-    const Place *p = &lane->input[port];
-    lane->port[port] = wanted;
+    const Place *p = &e->input[port];
+    e->port[port] = wanted;
     if (p->block < 0)
         return;
     double value = p->scale * wanted;
@@ -205,44 +182,44 @@ static void place_input(Engine *e, Lane *lane, int port, double wanted)
     e->set[p->block].value[p->index] = value;
 }
 
-static Fault place_throttle(Engine *e, Lane *lane, double throttle)
+static Fault place_throttle(Engine *e, double throttle)
 {
     if (!isfinite(throttle))
         return (Fault){"input", OK, INPUT_NAMES[THROTTLE]};
-    place_input(e, lane, THROTTLE, throttle);
+    place_input(e, THROTTLE, throttle);
     return NO_FAULT;
 }
 
 /* What has changed of the ambient (pressure, temperature, air speed) of one engine. */
-static Fault place_ambient(Engine *e, Lane *lane, const double *ambient, bool *changed)
+static Fault place_ambient(Engine *e, const double *ambient, bool *changed)
 {
     bool here = false;
     for (int i = PRESSURE; i < BASE; i++) {
         const double wanted = ambient[i - PRESSURE];
-        if (wanted == lane->port[i] || (lane->input[i].block < 0 && !e->has_derived))
+        if (wanted == e->port[i] || (e->input[i].block < 0 && !e->has_derived))
             continue;
         if (!isfinite(wanted))
             return (Fault){"input", OK, INPUT_NAMES[i]};
-        place_input(e, lane, i, wanted);
+        place_input(e, i, wanted);
         here = true;
     }
     if (here && e->has_derived) {
-        derive(lane->port);
+        derive(e->port);
         for (int i = BASE; i < INPUTS; i++) {
-            if (!isfinite(lane->port[i]))
+            if (!isfinite(e->port[i]))
                 return (Fault){"input", OK, INPUT_NAMES[i]};
-            place_input(e, lane, i, lane->port[i]);
+            place_input(e, i, e->port[i]);
         }
     }
     *changed = *changed || here;
     return NO_FAULT;
 }
 
-/* One call for each type: the throttles, or with ``all`` the ambient too; not what a clock sets. */
+/* One call for each type: the throttle, or with ``all`` the ambient too. */
 static Fault set_inputs(const Engine *e, bool all)
 {
     for (int i = 0; i < e->sets; i++) {
-        const int status = e->set[i].clocked ? OK : set_block(e, &e->set[i], all);
+        const int status = set_block(e, &e->set[i], all);
         if (status > WARNING)
             return FAULT("set", status);
     }
@@ -259,53 +236,6 @@ static Fault get_outputs(const Engine *e)
     return NO_FAULT;
 }
 
-/* Tick the first ``due`` of these clocks in event mode, and set what goes with them; the first clock is the ports'. */
-static Fault tick(const Engine *e, const uint32_t references[], size_t due)
-{
-    bool active[CLOCKS];
-    for (size_t i = 0; i < due; i++)
-        active[i] = true;
-    int status = ((SetClock3)e->set_clock)(e->instance, references, due, active);
-    if (status > WARNING)
-        return FAULT("clock", status);
-    for (int i = 0; references[0] == e->clock[0].reference && i < e->sets; i++) {
-        status = e->set[i].clocked ? set_block(e, &e->set[i], true) : OK;
-        if (status > WARNING)
-            return FAULT("set", status);
-    }
-    return NO_FAULT;
-}
-
-/* FMI 3.0: from step mode through event mode and back, with the ticks of clocks that are due. */
-static Fault handle_events(const Engine *e, const uint32_t references[], size_t due)
-{
-    if (!e->update)
-        return FAULT("event", OK);
-    int status = ((Mode3)e->enter)(e->instance);
-    if (status > WARNING)
-        return FAULT("enter", status);
-    if (due) {
-        const Fault fault = tick(e, references, due);
-        if (fault.what)
-            return fault;
-    }
-    bool again = true;
-    for (int i = 0; again; i++) {
-        bool terminate = false, nominals = false, states = false, timed = false;
-        double next = 0.0;
-        again = false;
-        if (i == MOST_PARTS)
-            return FAULT("endless", OK);
-        status = ((Update3)e->update)(e->instance, &again, &terminate, &nominals, &states, &timed, &next);
-        if (status > WARNING)
-            return FAULT("update", status);
-        if (terminate)
-            return FAULT("terminate", OK);
-    }
-    status = ((Mode3)e->leave)(e->instance);
-    return status > WARNING ? FAULT("leave", status) : NO_FAULT;
-}
-
 /* One communication step, in as many parts as an FMU that returns early makes of it. */
 static Fault step3(const Engine *e, double time, double step)
 {
@@ -320,39 +250,16 @@ static Fault step3(const Engine *e, double time, double step)
             return FAULT("step", status);
         if (terminate)
             return FAULT("terminate", status);
-        if (event) {
-            const Fault fault = handle_events(e, NULL, 0);
-            if (fault.what)
-                return fault;
-        }
+        if (event)
+            return FAULT("event", OK);
         if (!early || reached >= end - close)
             return NO_FAULT;
-        if (!(reached >= now) || (reached == now && !event))
+        if (!(reached > now))
             return FAULT("early", status);
         now = reached;
         length = end - now;
     }
     return FAULT("parts", OK);
-}
-
-/* A step of FMI 3.0 in the parts that its clocks ask for, each after the ticks that are due at its beginning. */
-static Fault step_with_clocks(const Engine *e, double time, double step)
-{
-    const double part = step / (double)e->parts;
-    for (long long n = 0; n < e->parts; n++) {
-        const long long now = e->steps * e->parts + n;
-        uint32_t references[CLOCKS];
-        size_t due = 0;
-        for (size_t i = 0; i < e->clocks; i++)
-            if (now >= e->clock[i].shift && (now - e->clock[i].shift) % e->clock[i].every == 0)
-                references[due++] = e->clock[i].reference;
-        Fault fault = due ? handle_events(e, references, due) : NO_FAULT;
-        if (!fault.what)
-            fault = step3(e, time + (double)n * part, part);
-        if (fault.what)
-            return fault;
-    }
-    return NO_FAULT;
 }
 
 /* Set what was placed, make one step, and get what is given at its end. */
@@ -367,7 +274,7 @@ static Fault advance(Engine *e, double step, bool all)
         if (status > WARNING)
             fault = FAULT("step", status);
     } else {
-        fault = e->clocks ? step_with_clocks(e, time, step) : step3(e, time, step);
+        fault = step3(e, time, step);
     }
     e->steps++;
     return fault.what ? fault : get_outputs(e);
@@ -458,20 +365,12 @@ static PyType_Spec log_spec = {"cosim.engine._bank.Log", sizeof(Log), 0, Py_TPFL
 
 /* --- Bank --- */
 
-/* Which engine of which instance serves a station. */
-typedef struct {
-    Engine *engine;
-    Lane *lane;
-} Server;
-
 typedef struct {
     PyObject_HEAD
     double step; /* s */
     long long next; /* the flight step that comes next; -1 after a failure */
     Py_ssize_t count; /* of stations */
-    Py_ssize_t instances;
-    Engine *engines;
-    Server *at; /* by station */
+    Engine *engines;  /* by station */
     PyObject *record;           /* the type of what step returns: a tuple of as many tuples as there are outputs */
     PyObject *silent[OUTPUTS];  /* NaN for every engine, where no engine has the output; else NULL */
     int reported[OUTPUTS], reports; /* the outputs that some engine has, thrust first, and how many */
@@ -490,19 +389,19 @@ static PyObject *fail(Bank *self, Py_ssize_t index, Fault fault)
     return NULL;
 }
 
-/* (function, kind, (reference, ...), (value, ...), first references, first values, clocked) */
+/* (function, kind, (reference, ...), (value, ...), first references, first values) */
 static bool read_block(PyObject *row, Block *b)
 {
     PyObject *references, *values;
     unsigned long long call;
-    int kind, clocked;
+    int kind;
     Py_ssize_t first_references, first_values;
     if (!PyTuple_Check(row)) {
         PyErr_SetString(PyExc_TypeError, "a block is a tuple");
         return false;
     }
-    if (!PyArg_ParseTuple(row, "KiO!O!nnp", &call, &kind, &PyTuple_Type, &references, &PyTuple_Type, &values,
-                          &first_references, &first_values, &clocked))
+    if (!PyArg_ParseTuple(row, "KiO!O!nn", &call, &kind, &PyTuple_Type, &references, &PyTuple_Type, &values,
+                          &first_references, &first_values))
         return false;
     const Py_ssize_t n = PyTuple_Size(references), m = PyTuple_Size(values);
     if (!call || kind < DOUBLE || kind >= KINDS || m < n || first_references < 0 || first_references > n || first_values < first_references ||
@@ -523,7 +422,6 @@ static bool read_block(PyObject *row, Block *b)
     b->values = (size_t)m;
     b->first_references = (size_t)first_references;
     b->first_values = (size_t)first_values;
-    b->clocked = clocked;
     for (Py_ssize_t i = 0; i < n; i++)
         b->reference[i] = (uint32_t)PyLong_AsUnsignedLong(PyTuple_GetItem(references, i));
     for (Py_ssize_t i = 0; i < m; i++)
@@ -552,102 +450,57 @@ static bool read_place(PyObject *row, const Block blocks[BLOCKS], Place *p)
     return true;
 }
 
-/* (station, inputs, outputs, port values) */
-static bool read_lane(PyObject *row, Engine *e, Lane *lane)
+static bool read_ports(PyObject *inputs, PyObject *outputs, Engine *e)
 {
-    PyObject *inputs, *outputs;
-    if (!PyTuple_Check(row)) {
-        PyErr_SetString(PyExc_TypeError, "an engine of an instance is a tuple");
-        return false;
-    }
-    if (!PyArg_ParseTuple(row, "nO!O!(dddd)", &lane->station, &PyTuple_Type, &inputs, &PyTuple_Type, &outputs,
-                          &lane->port[THROTTLE], &lane->port[PRESSURE], &lane->port[TEMPERATURE],
-                          &lane->port[AIR_SPEED]))
-        return false;
     if (PyTuple_Size(inputs) != INPUTS || PyTuple_Size(outputs) != OUTPUTS + 1) {
         PyErr_SetString(PyExc_ValueError, "an engine needs all its ports");
         return false;
     }
     bool good = true;
     for (int i = 0; good && i < INPUTS; i++)
-        good = read_place(PyTuple_GetItem(inputs, i), e->set, &lane->input[i]);
+        good = read_place(PyTuple_GetItem(inputs, i), e->set, &e->input[i]);
     for (int i = 0; good && i < OUTPUTS; i++)
-        good = read_place(PyTuple_GetItem(outputs, i), e->get, &lane->output[i]);
-    good = good && read_place(PyTuple_GetItem(outputs, OUTPUTS), e->get, &lane->drag);
+        good = read_place(PyTuple_GetItem(outputs, i), e->get, &e->output[i]);
+    good = good && read_place(PyTuple_GetItem(outputs, OUTPUTS), e->get, &e->drag);
     for (int i = PRESSURE; good && i < INPUTS; i++)
-        e->has_ambient = e->has_ambient || lane->input[i].block >= 0;
+        e->has_ambient = e->has_ambient || e->input[i].block >= 0;
     for (int i = BASE; good && i < INPUTS; i++)
-        e->has_derived = e->has_derived || lane->input[i].block >= 0;
-    if (good && (lane->input[THROTTLE].block < 0 || lane->output[THRUST].block < 0)) {
+        e->has_derived = e->has_derived || e->input[i].block >= 0;
+    if (good && (e->input[THROTTLE].block < 0 || e->output[THRUST].block < 0)) {
         PyErr_SetString(PyExc_ValueError, "an engine needs a throttle and a thrust");
         good = false;
     }
     return good;
 }
 
-/* ((reference, every, shift), ...) */
-static bool read_clocks(PyObject *rows, Engine *e)
-{
-    if (PyTuple_Size(rows) > CLOCKS || e->parts < 1) {
-        PyErr_SetString(PyExc_ValueError, "too many clocks, or no part of a step");
-        return false;
-    }
-    for (Py_ssize_t i = 0; i < PyTuple_Size(rows); i++) {
-        Clock *clock = &e->clock[i];
-        if (!PyArg_ParseTuple(PyTuple_GetItem(rows, i), "ILL", &clock->reference, &clock->every, &clock->shift))
-            return false;
-        if (clock->every < 1 || clock->shift < 0 || !e->set_clock || !e->update) {
-            PyErr_SetString(PyExc_ValueError, "a clock needs an interval, and functions to tick it");
-            return false;
-        }
-    }
-    e->clocks = (size_t)PyTuple_Size(rows);
-    return true;
-}
-
-/* (fmi, instance, step, (enter, update, leave, set clock), steps done, set blocks, get blocks, one speed, parts of a
- * step, clocks, engines) */
+/* (fmi, instance, step, steps done, set blocks, get blocks, inputs, outputs, port values) */
 static bool read_engine(PyObject *row, Engine *e)
 {
-    unsigned long long instance, step, enter, update, leave, set_clock;
-    PyObject *sets, *gets, *lanes, *clocks;
-    int one_speed;
+    unsigned long long instance, step;
+    PyObject *sets, *gets, *inputs, *outputs;
     if (!PyTuple_Check(row)) {
         PyErr_SetString(PyExc_TypeError, "an instance is a tuple");
         return false;
     }
-    if (!PyArg_ParseTuple(row, "iKK(KKKK)LO!O!pLO!O!", &e->fmi, &instance, &step, &enter, &update, &leave, &set_clock,
-                          &e->steps, &PyTuple_Type, &sets, &PyTuple_Type, &gets, &one_speed, &e->parts, &PyTuple_Type,
-                          &clocks, &PyTuple_Type, &lanes))
+    if (!PyArg_ParseTuple(row, "iKKLO!O!O!O!(dddd)", &e->fmi, &instance, &step, &e->steps, &PyTuple_Type, &sets,
+                          &PyTuple_Type, &gets, &PyTuple_Type, &inputs, &PyTuple_Type, &outputs, &e->port[THROTTLE],
+                          &e->port[PRESSURE], &e->port[TEMPERATURE], &e->port[AIR_SPEED]))
         return false;
     if ((e->fmi != 2 && e->fmi != 3) || !instance || !step || PyTuple_Size(sets) > BLOCKS ||
-        PyTuple_Size(gets) > BLOCKS || PyTuple_Size(lanes) < 1) {
-        PyErr_SetString(PyExc_ValueError, "an instance needs FMI 2 or 3, an address, a function and an engine");
+        PyTuple_Size(gets) > BLOCKS) {
+        PyErr_SetString(PyExc_ValueError, "an instance needs FMI 2 or 3, an address and a function");
         return false;
     }
     e->instance = (void *)(uintptr_t)instance;
     e->step = (uintptr_t)step;
-    e->enter = (uintptr_t)enter;
-    e->update = (uintptr_t)update;
-    e->leave = (uintptr_t)leave;
-    e->set_clock = (uintptr_t)set_clock;
-    e->one_speed = one_speed;
-    e->lane = PyMem_Calloc((size_t)PyTuple_Size(lanes), sizeof(Lane));
-    if (!e->lane) {
-        PyErr_NoMemory();
-        return false;
-    }
-    e->lanes = PyTuple_Size(lanes);
     e->sets = (int)PyTuple_Size(sets);
     e->gets = (int)PyTuple_Size(gets);
-    bool good = read_clocks(clocks, e);
+    bool good = true;
     for (int i = 0; good && i < e->sets; i++)
         good = read_block(PyTuple_GetItem(sets, i), &e->set[i]);
     for (int i = 0; good && i < e->gets; i++)
         good = read_block(PyTuple_GetItem(gets, i), &e->get[i]);
-    for (Py_ssize_t i = 0; good && i < e->lanes; i++)
-        good = read_lane(PyTuple_GetItem(lanes, i), e, &e->lane[i]);
-    return good;
+    return good && read_ports(inputs, outputs, e);
 }
 
 static void free_engines(Engine *engines, Py_ssize_t count)
@@ -659,18 +512,15 @@ static void free_engines(Engine *engines, Py_ssize_t count)
             PyMem_Free(b->value);
             PyMem_Free(b->other_value);
         }
-        PyMem_Free(engines[i].lane);
     }
     PyMem_Free(engines);
 }
 
 static void bank_clear(Bank *self)
 {
-    free_engines(self->engines, self->instances);
-    PyMem_Free(self->at);
+    free_engines(self->engines, self->count);
     self->engines = NULL;
-    self->at = NULL;
-    self->count = self->instances = 0;
+    self->count = 0;
     Py_CLEAR(self->record);
     for (int i = 0; i < OUTPUTS; i++)
         Py_CLEAR(self->silent[i]);
@@ -683,7 +533,7 @@ static bool make_silent(Bank *self)
     for (int i = 0; i < OUTPUTS; i++) {
         bool reported = false;
         for (Py_ssize_t j = 0; j < self->count; j++)
-            reported = reported || self->at[j].lane->output[i].block >= 0;
+            reported = reported || self->engines[j].output[i].block >= 0;
         if (reported) {
             self->reported[self->reports++] = i;
             continue;
@@ -695,33 +545,6 @@ static bool make_silent(Bank *self)
         if (!self->silent[i])
             return false;
     }
-    return true;
-}
-
-/* Who serves which station: each from 0 on by one. */
-static bool assign(Bank *self)
-{
-    Py_ssize_t count = 0;
-    for (Py_ssize_t i = 0; i < self->instances; i++)
-        for (Py_ssize_t j = 0; j < self->engines[i].lanes; j++)
-            count += self->engines[i].lane[j].station >= 0;
-    self->at = PyMem_Calloc((size_t)count + 1, sizeof(Server));
-    if (!self->at) {
-        PyErr_NoMemory();
-        return false;
-    }
-    for (Py_ssize_t i = 0; i < self->instances; i++)
-        for (Py_ssize_t j = 0; j < self->engines[i].lanes; j++) {
-            Lane *lane = &self->engines[i].lane[j];
-            if (lane->station < 0)
-                continue;
-            if (lane->station >= count || self->at[lane->station].lane) {
-                PyErr_SetString(PyExc_ValueError, "every station from 0 on needs one engine");
-                return false;
-            }
-            self->at[lane->station] = (Server){&self->engines[i], lane};
-        }
-    self->count = count;
     return true;
 }
 
@@ -745,7 +568,7 @@ static int bank_init(Bank *self, PyObject *args, PyObject *kwargs)
     bool good = self->engines != NULL;
     if (!good)
         PyErr_NoMemory();
-    self->instances = good ? count : 0;
+    self->count = good ? count : 0;
     self->step = step;
     self->next = 0;
     Py_INCREF(record);
@@ -753,7 +576,7 @@ static int bank_init(Bank *self, PyObject *args, PyObject *kwargs)
     for (Py_ssize_t i = 0; good && i < count; i++)
         good = read_engine(PyTuple_GetItem(rows, i), &self->engines[i]);
     Py_DECREF(rows);
-    if (!good || !assign(self)) {
+    if (!good) {
         bank_clear(self);
         return -1;
     }
@@ -767,11 +590,11 @@ static void bank_dealloc(PyObject *self)
 }
 
 /* What one engine gives, of what was got: those of the reported outputs, NaN for one that it has not. */
-static Fault read_outputs(const Bank *self, const Engine *e, const Lane *lane, double ports[OUTPUTS])
+static Fault read_outputs(const Bank *self, const Engine *e, double ports[OUTPUTS])
 {
     for (int n = 0; n < self->reports; n++) {
         const int i = self->reported[n];
-        const Place *p = &lane->output[i];
+        const Place *p = &e->output[i];
         ports[i] = NAN;
         if (p->block < 0)
             continue;
@@ -782,7 +605,7 @@ static Fault read_outputs(const Bank *self, const Engine *e, const Lane *lane, d
             return (Fault){"nan", OK, OUTPUT_NAMES[i]};
         ports[i] = value;
     }
-    const Place *drag = &lane->drag;
+    const Place *drag = &e->drag;
     if (drag->block >= 0) {
         ports[THRUST] -= drag->scale * e->get[drag->block].value[drag->index] + drag->offset;
         if (!isfinite(ports[THRUST]))
@@ -791,31 +614,26 @@ static Fault read_outputs(const Bank *self, const Engine *e, const Lane *lane, d
     return NO_FAULT;
 }
 
-/* hold(index, throttle, count, together=False) -> [thrust, ...] */
+/* hold(index, throttle, count) -> [thrust, ...] */
 static PyObject *bank_hold(Bank *self, PyObject *args)
 {
     Py_ssize_t index, count;
     double throttle;
-    int together = 0;
-    if (!PyArg_ParseTuple(args, "ndn|p", &index, &throttle, &count, &together))
+    if (!PyArg_ParseTuple(args, "ndn", &index, &throttle, &count))
         return NULL;
     if (index < 0 || index >= self->count || count < 0) {
         PyErr_SetString(PyExc_IndexError, "hold: no such engine, or a negative count");
         return NULL;
     }
-    const Server at = self->at[index];
-    Engine *e = at.engine;
+    Engine *e = &self->engines[index];
     PyObject *list = PyList_New(count);
     for (Py_ssize_t i = 0; list && i < count; i++) {
         double ports[OUTPUTS];
-        Fault fault = NO_FAULT;
-        for (Py_ssize_t j = 0; !fault.what && j < e->lanes; j++)
-            if (together || &e->lane[j] == at.lane)
-                fault = place_throttle(e, &e->lane[j], throttle);
+        Fault fault = place_throttle(e, throttle);
         if (!fault.what)
             fault = advance(e, self->step, false);
         if (!fault.what)
-            fault = read_outputs(self, e, at.lane, ports);
+            fault = read_outputs(self, e, ports);
         PyObject *item = fault.what ? fail(self, index, fault) : PyFloat_FromDouble(ports[THRUST]);
         if (!item || PyList_SetItem(list, i, item) < 0) {
             Py_DECREF(list);
@@ -862,30 +680,14 @@ static PyObject *as_record(const Bank *self, PyObject *output)
     return record;
 }
 
-/* Read what the engines of an instance give into the output; false: an error is set. */
-static bool take_outputs(Bank *self, const Engine *e, PyObject *output)
+/* Read what the engine of a station gives into the output; false: an error is set. */
+static bool take_outputs(Bank *self, Py_ssize_t station, PyObject *output)
 {
-    for (Py_ssize_t j = 0; j < e->lanes; j++) {
-        const Lane *lane = &e->lane[j];
-        if (lane->station < 0)
-            continue;
-        double ports[OUTPUTS];
-        const Fault fault = read_outputs(self, e, lane, ports);
-        if (fault.what)
-            fail(self, lane->station, fault);
-        if (fault.what || !put_output(self, output, lane->station, ports))
-            return false;
-    }
-    return true;
-}
-
-/* The first station that an instance serves. */
-static Py_ssize_t first_of(const Engine *e)
-{
-    for (Py_ssize_t j = 0; j < e->lanes; j++)
-        if (e->lane[j].station >= 0)
-            return e->lane[j].station;
-    return 0;
+    double ports[OUTPUTS];
+    const Fault fault = read_outputs(self, &self->engines[station], ports);
+    if (fault.what)
+        fail(self, station, fault);
+    return !fault.what && put_output(self, output, station, ports);
 }
 
 /* outputs() -> record */
@@ -893,12 +695,11 @@ static PyObject *bank_outputs(Bank *self, PyObject *unused)
 {
     (void)unused;
     PyObject *output = new_output(self);
-    for (Py_ssize_t i = 0; output && i < self->instances; i++) {
-        const Engine *e = &self->engines[i];
-        const Fault fault = get_outputs(e);
+    for (Py_ssize_t i = 0; output && i < self->count; i++) {
+        const Fault fault = get_outputs(&self->engines[i]);
         if (fault.what)
-            fail(self, first_of(e), fault);
-        if (fault.what || !take_outputs(self, e, output)) {
+            fail(self, i, fault);
+        if (fault.what || !take_outputs(self, i, output)) {
             Py_DECREF(output);
             return NULL;
         }
@@ -919,44 +720,24 @@ static bool read_air(PyObject *ambient, Py_ssize_t count, double *pressure, doub
     return !PyErr_Occurred();
 }
 
-/* The mean air speed of the stations that an instance serves; speeds are floats or an error is set. */
-static double mean_speed(const Engine *e, PyObject *speeds)
-{
-    double sum = 0.0;
-    Py_ssize_t count = 0;
-    for (Py_ssize_t j = 0; j < e->lanes; j++)
-        if (e->lane[j].station >= 0) {
-            sum += PyFloat_AsDouble(PyTuple_GetItem(speeds, e->lane[j].station));
-            count++;
-        }
-    return sum / (double)count;
-}
-
-/* Place throttles and ambient, and make the step, of one instance; false: an error is set.  The air is pressure,
+/* Place throttle and ambient, and make the step, of one station; false: an error is set.  The air is pressure,
  * temperature and room for a speed. */
-static bool step_engine(Bank *self, Engine *e, PyObject *throttles, PyObject *speeds, double *air)
+static bool step_engine(Bank *self, Py_ssize_t station, PyObject *throttles, PyObject *speeds, double *air)
 {
+    Engine *e = &self->engines[station];
     bool changed = false;
     const bool aired = speeds && e->has_ambient;
-    if (aired && e->one_speed)
-        air[2] = mean_speed(e, speeds);
-    for (Py_ssize_t j = 0; j < e->lanes; j++) {
-        Lane *lane = &e->lane[j];
-        if (lane->station < 0)
-            continue;
-        const double throttle = PyFloat_AsDouble(PyTuple_GetItem(throttles, lane->station));
-        if (aired && !e->one_speed)
-            air[2] = PyFloat_AsDouble(PyTuple_GetItem(speeds, lane->station));
-        if ((throttle == -1.0 || air[2] == -1.0) && PyErr_Occurred())
-            return false;
-        Fault fault = place_throttle(e, lane, throttle);
-        if (aired && !fault.what)
-            fault = place_ambient(e, lane, air, &changed);
-        if (fault.what)
-            return fail(self, lane->station, fault) != NULL;
-    }
-    const Fault fault = advance(e, self->step, changed);
-    return fault.what ? fail(self, first_of(e), fault) != NULL : true;
+    const double throttle = PyFloat_AsDouble(PyTuple_GetItem(throttles, station));
+    if (aired)
+        air[2] = PyFloat_AsDouble(PyTuple_GetItem(speeds, station));
+    if ((throttle == -1.0 || air[2] == -1.0) && PyErr_Occurred())
+        return false;
+    Fault fault = place_throttle(e, throttle);
+    if (aired && !fault.what)
+        fault = place_ambient(e, air, &changed);
+    if (!fault.what)
+        fault = advance(e, self->step, changed);
+    return fault.what ? fail(self, station, fault) != NULL : true;
 }
 
 /* step(k, throttles, ambient) -> record */
@@ -975,9 +756,8 @@ static PyObject *bank_step(Bank *self, PyObject *const *args, Py_ssize_t nargs)
     if (args[2] != Py_None && !read_air(args[2], self->count, &air[0], &air[1], &speeds))
         return NULL;
     PyObject *output = new_output(self);
-    for (Py_ssize_t i = 0; output && i < self->instances; i++) {
-        Engine *e = &self->engines[i];
-        if (!step_engine(self, e, args[1], speeds, air) || !take_outputs(self, e, output)) {
+    for (Py_ssize_t i = 0; output && i < self->count; i++) {
+        if (!step_engine(self, i, args[1], speeds, air) || !take_outputs(self, i, output)) {
             Py_DECREF(output);
             return NULL;
         }
@@ -996,8 +776,7 @@ static PyObject *bank_stop(Bank *self, PyObject *unused)
 }
 
 static PyMethodDef bank_methods[] = {
-    {"hold", (PyCFunction)bank_hold, METH_VARARGS, "hold(index, throttle, count, together=False): step one engine, return its thrusts [N].\n\n"
-     "Others in its instance keep their throttles, or, together, have the same."},
+    {"hold", (PyCFunction)bank_hold, METH_VARARGS, "hold(index, throttle, count): step one engine, return its thrusts [N]."},
     {"outputs", (PyCFunction)bank_outputs, METH_NOARGS, "outputs(): what the engines report now."},
     {"step", (PyCFunction)(void (*)(void))bank_step, METH_FASTCALL,
      "step(k, throttles, ambient): flight step k of all engines."},

@@ -5,21 +5,18 @@ from cosim.base.signals import Ambient, EngineOutput
 LOGGER2: int
 LOGGER3: int
 
-Block = tuple[int, int, tuple[int, ...], tuple[float, ...], int, int, bool]
+Block = tuple[int, int, tuple[int, ...], tuple[float, ...], int, int]
 Place = tuple[int, int, float, float, float, float]
-Lane = tuple[int, tuple[Place | None, ...], tuple[Place | None, ...], tuple[float, ...]]
 Row = tuple[
     int,
     int,
     int,
-    tuple[int, ...],
     int,
     tuple[Block, ...],
     tuple[Block, ...],
-    bool,
-    int,
-    tuple[tuple[int, int, int], ...],
-    tuple[Lane, ...],
+    tuple[Place | None, ...],
+    tuple[Place | None, ...],
+    tuple[float, ...],
 ]
 
 class FailureError(Exception):
@@ -32,7 +29,7 @@ class Log:
 
 class Bank:
     def __init__(self, engines: Sequence[Row], step: float, record: type[EngineOutput] = ...) -> None: ...
-    def hold(self, index: int, throttle: float, count: int, together: bool = ...) -> list[float]: ...
+    def hold(self, index: int, throttle: float, count: int) -> list[float]: ...
     def outputs(self) -> EngineOutput: ...
     def step(self, k: int, throttles: tuple[float, ...], ambient: Ambient | None) -> EngineOutput: ...
     def stop(self) -> None: ...

@@ -81,7 +81,7 @@ class EngineBank:
                 raise EngineError(f"{self._label(station)}: {error}") from error
 
     def _make_native(self) -> None:
-        rows = [instance.make_row(0, station) for station, instance in enumerate(self._instances)]
+        rows = [instance.make_row() for instance in self._instances]
         self._native = _bank.Bank(tuple(rows), self._step, EngineOutput)
 
     def _label(self, station: int) -> str:

@@ -212,11 +212,8 @@ class FmuInstance:
         reported = status <= 1 and math.isfinite(value.value)
         return f"; it came as far as its own time {value.value:g} s" if reported else ""
 
-    def make_row(self, done: int = 0, station: int = 0) -> _bank.Row:
-        """Return the C loop's description of this instance, which has made ``done`` communication steps.
-
-        ``station``: the one that it serves, counted from 0.
-        """
+    def make_row(self, done: int = 0) -> _bank.Row:
+        """Return the C loop's description of this instance, which has made ``done`` communication steps."""
         archive = self.archive
         sets, inputs = self._call_blocks("Set", INPUTS)
         gets, outputs = self._call_blocks("Get", (*OUTPUTS, "ram_drag"))
@@ -224,14 +221,12 @@ class FmuInstance:
             archive.fmi,
             self._slave.component,
             self._address("DoStep"),
-            (0, 0, 0, 0),
             self._start_steps + done,
             sets,
             gets,
-            False,
-            1,
-            (),
-            ((station, inputs, outputs, tuple(self._inputs[name] for name in BASE)),),
+            inputs,
+            outputs,
+            tuple(self._inputs[name] for name in BASE),
         )
 
     def _address(self, name: str) -> int:
@@ -267,7 +262,7 @@ class FmuInstance:
             function = self._address(f"{way}{kind}")
             # Of the inputs only the throttle, the first port, is set in every step.
             first = (1, len(ports[names[0]].variable.starts)) if number == 0 else (0, 0)
-            blocks.append((function, VALUES[kind], tuple(first_index), tuple(values), *first, False))
+            blocks.append((function, VALUES[kind], tuple(first_index), tuple(values), *first))
         return tuple(blocks), tuple(places.get(name) for name in names)
 
     def close(self) -> None:
