@@ -60,6 +60,7 @@ class EngineHost:
         listed = list(archives)
         self.archives = frozenset(archive.sha256 for archive in listed)
         self.label = ""  # before each error
+        self._folder = os.stat(".")  # from which paths are seen there
         # What it leaves when it is killed goes with this process's own temporary files.
         environ = dict(os.environ) | {"TMPDIR": str(scratch())}
         self._host = Host.open(python_command(_SERVE), environ, MAX_MEGABYTES, stderr=subprocess.DEVNULL)
@@ -70,7 +71,8 @@ class EngineHost:
     def is_reusable(self) -> bool:
         """Whether it may serve other engines of its archives."""
         small = measure_megabytes(self._host.pid) <= MAX_IDLE_MEGABYTES
-        return self.is_sound and small and self._deadline == inf and self._host.poll() is None
+        is_here = os.path.samestat(self._folder, os.stat("."))
+        return self.is_sound and small and is_here and self._deadline == inf and self._host.poll() is None
 
     def call(self, question: tuple[Any, ...], limit: float, moment: Moment) -> Any:
         """Return an answer that is no row of doubles, tuples as lists, or raise the error that the process met."""

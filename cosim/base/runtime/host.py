@@ -182,12 +182,10 @@ class Host(subprocess.Popen[bytes]):
             return _describe_status(self.wait(patience))
         return ""
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *error: Any) -> None:
         """End it: whoever leaves with an error would wait for ever for one that waits to be asked."""
         self.end()
-        for stream in (self.stdin, self.stdout, self.stderr):
-            if stream is not None:
-                stream.close()
+        super().__exit__(*error)
 
     def end(self, patience: float = 0.0) -> None:
         """Close its pipes, kill it and all that came from it, in whatever session, and wait until it is gone.

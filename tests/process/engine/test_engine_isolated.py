@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 import re
+import shutil
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -23,6 +24,7 @@ from cosim import Scenario, fly
 from cosim.base.errors import EngineError, InputError
 from cosim.base.runtime.pipes import Pipes
 from cosim.base.signals import Ambient
+from cosim.base.storage.paths import data_folder
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
 from cosim.engine import EngineBank, IsolatedBank, bank, isolated, load_engine, measure
@@ -52,6 +54,17 @@ def test_a_bank_apart_gives_the_same_numbers() -> None:
             apart.close()
             apart.close()
     assert runs[0] == runs[1]
+
+
+def test_an_engine_is_found_from_the_folder_of_each_flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that served one bank serves the next, and sees relative paths as this process does then."""
+    for name in ("one", "other"):
+        folder = tmp_path / name
+        folder.mkdir()
+        shutil.copy(data_folder("fmus") / "edf.fmu", folder / f"{name}.fmu")
+        monkeypatch.chdir(folder)
+        with IsolatedBank([load_engine(f"{name}.fmu", {}, STEP)] * 2, STEP) as flown:
+            assert flown.reset(0.5).thrust[0] > 0.0
 
 
 def test_a_flight_is_the_same_with_its_engines_apart() -> None:
