@@ -83,8 +83,8 @@ def _delay(
         lines.append(f"whether the delay is longer than {longest:g} s, the end of the search. Next: --longest-delay")
     if not straight and command_row > 0.1 * chosen.total[0]:
         lines.append(
-            f"when within its row of {1e3 * command_row:.3g} ms the command moved: the delay is at most that much "
-            f"less. Next: the same logged every {1e3 * chosen.total[0] / 20.0:.2g} ms"
+            f"when within its row of {1e3 * command_row:.3g} ms the command moved: the delay is up to that much "
+            f"longer. Next: the same logged every {1e3 * chosen.total[0] / 20.0:.2g} ms"
         )
     return lines
 
