@@ -44,9 +44,9 @@ def find_entries(kind: str) -> dict[str, EntryPoint]:
     return found
 
 
-def list_tools(group: str) -> list[EntryPoint]:
-    """Return the entry points of a group whose package is there: a wheel or a checkout may lack it."""
-    return [each for each in entry_points(group=group) if find_spec(each.module.partition(".")[0]) is not None]
+def list_tools(group: str, **which: Any) -> list[EntryPoint]:
+    """Return the entry points of a group, or of a ``name`` in it, whose package is there: a wheel may lack it."""
+    return [each for each in entry_points(group=group, **which) if find_spec(each.module.partition(".")[0])]
 
 
 def load_tool_member(name: str) -> Any:
@@ -66,7 +66,7 @@ def load_hook(name: str) -> Any | None:
 
 
 def _load_member(group: str, name: str) -> Any | None:
-    return next((each.load() for each in list_tools(group) if each.name == name), None)
+    return next((each.load() for each in list_tools(group, name=name)), None)
 
 
 def entry_name(entry: EntryPoint) -> str:
