@@ -140,7 +140,8 @@ def test_nothing_piles_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     after, *rest = some(100)
     assert rest == [libraries, descriptors]
     assert kept[0] == kept[1]
-    assert after - before < 100 * 5_000
+    # The heap of a busy process still grows by some pages; a model that is not freed takes thirty times the limit.
+    assert after - before < 100 * 30_000
 
 
 # ---- files that change are read again, also where their size and date stay what they were
