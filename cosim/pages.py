@@ -1,8 +1,9 @@
-"""What reports and pages are made of: tables of Markdown between a page's marks, and pages of HTML with figures.
+"""What reports and pages are made of: tables of Markdown between a page's marks, and pages of HTML, a list of cards.
 
 Figures are dicts of Plotly's schema; the colours are those of the reports, ``"#rrggbb"``.
 """
 
+from cosim.results.report.cards import Card, Page, code, coloured, link, marked
 from cosim.results.report.marks import cell, check_marks, filled, page_parts, parts_of, row, table, write_marks
 from cosim.results.report.page import render
 from cosim.results.report.plot import (
@@ -31,15 +32,21 @@ __all__ = [
     "MAGENTA",
     "ORANGE",
     "RED",
+    "Card",
+    "Page",
     "axis_name",
     "bars",
     "beneath",
     "cell",
     "check_marks",
     "closest",
+    "code",
+    "coloured",
     "dotted",
     "filled",
     "layout",
+    "link",
+    "marked",
     "page_parts",
     "panels",
     "parts_of",

@@ -11,7 +11,7 @@ from cosim.base.errors import FlightError
 from cosim.base.storage.files import check_results_folder, map_os_errors, write_files
 
 if TYPE_CHECKING:
-    from cosim.identify.page import Page
+    from cosim.results.report.cards import Page
 
 RECORD = "identification.json"  # every identification leaves it: a folder without it is somebody else's
 PICTURE = "measured.svg"

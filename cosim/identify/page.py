@@ -1,75 +1,43 @@
-"""The page that every identification, validation and replay leaves."""
+"""The head of the page of every identification, validation and replay, and the figure of their signals."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.identify.verdict import EXPLAINED, NOT_EXPLAINED, Judgement
-from cosim.results.report.page import Flights, render
+from cosim.results.report.cards import Card, Page
 from cosim.results.report.plot import BLUE, GREY, HOVER, MAGENTA, ORANGE, Figure, beneath, panels, trace
 
 # First column of a table of parameters.
 WITH_BOUNDS = "with 95 % bounds"
-TEMPLATE = Path(__file__).parent / "templates" / "identification.html"
 MOST_POINTS = 4000  # a curve
-MOST_NUMBERS = 5  # of the line that a page begins with
 _BADGES = {EXPLAINED: "met", NOT_EXPLAINED: "unmet"}
 
 
-class Card(NamedTuple):
-    """One part of a page, in the order in which it is shown."""
+def judged_page(judgement: Judgement, page: Page) -> Page:
+    """Return a page with a verdict, its evidence and the first model's numbers at its head."""
+    return replace(
+        page,
+        verdict=judgement.verdict,
+        badge=_BADGES.get(judgement.verdict, "none"),
+        evidence=judgement.evidence,
+        answer=_answer(page.cards),
+    )
 
-    title: str
-    columns: Sequence[str] = ()  # of a table, with
-    rows: Iterable[Sequence[str]] = ()
-    text: str = ""
-    figure: str = ""  # by name
-    lines: Sequence[str] = ()  # of a list
-    code: str = ""
 
-
-@dataclass(frozen=True)
-class Page:
-    """The page of an identification, of a validation, or of a replay."""
-
-    kind: str
-    heading: str
-    summary: str
-    source: str
-    judgement: Judgement
-    cards: Sequence[Card]
-    figures: dict[str, Any]
-    notes: Sequence[str] = ()
-    refused: Sequence[str] = ()  # why there is no model or engine, a line a reason
-
-    flights: Flights | None = None  # replayed in three dimensions
-
-    @property
-    def badge(self) -> str:
-        """The class of the verdict's badge."""
-        return _BADGES.get(self.judgement.verdict, "none")
-
-    @property
-    def answer(self) -> str:
-        """The first model's numbers in one line; an empty string where there is no table of models."""
-        for card in self.cards:
-            rows = list(card.rows)
-            if card.title == "Models" and rows and len(rows[0]) > 1:
-                parts = [(*row[0].partition(", "), row[1]) for row in rows if row[1]]
-                texts = [f"{name} {value} {unit}" for name, comma, unit, value in parts if comma]
-                return f"{card.columns[1]}: {', '.join(texts[:MOST_NUMBERS])}."
-        return ""
-
-    def write(self, path: Path) -> None:
-        """Write it.  Raises FlightError if the file cannot be written."""
-        many = self.flights is not None and len(self.flights.runs) > 1
-        render(TEMPLATE, path, self.figures, self.flights, page=self, two=many)
+def _answer(cards: Sequence[Card | None], limit: int = 5) -> list[str]:
+    """Return the first model's numbers in one line, at most ``limit``; none where there is no table of models."""
+    for card in cards:
+        if card is not None and card.title == "Models" and card.rows and len(card.rows[0]) > 1:
+            parts = [(*row[0].partition(", "), row[1]) for row in card.rows if row[1]]
+            texts = [f"{name} {value} {unit}" for name, comma, unit, value in parts if comma]
+            return [f"{card.columns[1]}: {', '.join(texts[:limit])}."]
+    return []
 
 
 class Signals(NamedTuple):

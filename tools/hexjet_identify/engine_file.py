@@ -13,7 +13,7 @@ from cosim.base.errors import FlightError
 from cosim.base.trust import remember_written
 from cosim.files import map_os_errors
 from cosim.identify.files import PICTURE, write_identification
-from cosim.identify.page import Page
+from cosim.pages import Page
 from hexjet_identify.picture import draw_picture
 
 FITTED, FITTED_STEP_S = "fitted", 0.004  # the library's engine of a fitted form, and its internal step

@@ -14,8 +14,9 @@ import numpy as np
 from cosim.base.arrays import Array, Complex
 from cosim.base.storage.toml import toml_text
 from cosim.identify.files import write_identification
-from cosim.identify.page import WITH_BOUNDS, Card, Page
+from cosim.identify.page import WITH_BOUNDS, judged_page
 from cosim.identify.sweep.result import Identification, equations, fit_rows, rate_response
+from cosim.results.report.cards import Card, Page
 from cosim.results.report.plot import BLUE, GREEN, GREY, HOVER, MAGENTA, ORANGE, Figure, axis_name, panels, trace
 
 BOUNDS = (
@@ -41,7 +42,7 @@ def write(identification: Identification, folder: Path) -> dict[str, Path]:
     if is_axis and not identification.refused:
         texts["model"] = toml_text(identification.model_table())
     removed = ("model.toml",) if is_axis and "model" not in texts else ()
-    return write_identification(folder, identification.to_dict(), page(identification), texts, removed=removed)
+    return write_identification(folder, identification.to_dict(), make_page(identification), texts, removed=removed)
 
 
 def _csv(identification: Identification) -> str:
@@ -58,7 +59,7 @@ def _csv(identification: Identification) -> str:
     return "\n".join(lines) + "\n"
 
 
-def page(identification: Identification) -> Page:
+def make_page(identification: Identification) -> Page:
     """Return the page of an identification."""
     sweep, is_axis = identification.sweep, identification.kind == "axis"
     columns = [WITH_BOUNDS, *(fit.label for fit in identification.fits)]
@@ -68,19 +69,22 @@ def page(identification: Identification) -> Page:
         Card("Models", columns, fit_rows(identification), BOUNDS, code=equation),
         Card("Frequency response", text=f"{identification.channel}, in {unit}.", figure="response"),
     ]
-    return Page(
-        "identification by a sweep",
-        f"{identification.subject}: {identification.channel}" + (f", engine {identification.engine}" * is_axis),
+    swept = (
         f"Swept from {sweep.from_hz:.3g} to {sweep.to_hz:.3g} Hz in {sweep.duration_s:g} s, amplitude "
         f"{sweep.amplitude:.3g} {identification.command_unit}; "
-        f"sampled every {1e3 * identification.response.step:g} ms.",
-        identification.source,
-        identification.judgement,
+        f"sampled every {1e3 * identification.response.step:g} ms."
+    )
+    page = Page(
+        "identification by a sweep",
+        f"{identification.subject}: {identification.channel}" + (f", engine {identification.engine}" * is_axis),
         cards,
         {"response": response_figure(identification)},
-        identification.notes,
-        [f"no model: {reason}" for reason in identification.refused],
+        summary=[swept],
+        problems=[f"no model: {reason}" for reason in identification.refused],
+        notes=identification.notes,
+        source=identification.source,
     )
+    return judged_page(identification.judgement, page)
 
 
 def response_figure(identification: Identification) -> Figure:

@@ -9,7 +9,8 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.engine.fmu.uncertainty import Uncertainty
-from cosim.identify.page import WITH_BOUNDS, Card, Page, draw_signals
+from cosim.identify.page import WITH_BOUNDS, draw_signals, judged_page
+from cosim.pages import Card, Page
 from hexjet_identify.bench.evidence import describe_held_back
 from hexjet_identify.bench.grey_box import GreyIdentification
 from hexjet_identify.bench.grey_model import STEP_S, output_unit
@@ -43,17 +44,17 @@ def page(result: GreyIdentification) -> Page:
         *movement_cards(result.held_back, units[1], result.swing),
         Card("Measured and modelled", figure="signals"),
     ]
-    return Page(
+    shown = Page(
         "identification from a bench",
         f"{result.choices.engine}: {', '.join(result.names)}",
-        summary(result),
-        " ".join(str(record.path) for record in result.records),
-        result.judgement,
         cards,
         {"signals": draw_signals(lay_behind(result.parts, result.residual), units)},
-        result.notes,
-        [] if result.leaves_engine else ["no engine: with these parameters it does not explain the log"],
+        summary=[summary(result)],
+        problems=[] if result.leaves_engine else ["no engine: with these parameters it does not explain the log"],
+        notes=result.notes,
+        source=" ".join(str(record.path) for record in result.records),
     )
+    return judged_page(result.judgement, shown)
 
 
 def engine_table(result: GreyIdentification) -> dict[str, object]:

@@ -11,7 +11,8 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.storage.toml import toml_text
 from cosim.files import data_folder
-from cosim.identify.page import WITH_BOUNDS, Card, Page, Signals, draw_signals
+from cosim.identify.page import WITH_BOUNDS, Signals, draw_signals, judged_page
+from cosim.pages import Card, Page
 from cosim.results.report.plot import BLUE, GREY, HOVER, panels, trace
 from hexjet_identify.bench.evidence import MOVEMENT_COLUMNS, HeldBack, describe_held_back, movement_rows, output_swing
 from hexjet_identify.bench.fit import Estimate, Part
@@ -86,10 +87,17 @@ def page(result: BenchIdentification) -> Page:
     figures = {"signals": draw_signals(signals, units), "curve": draw_curve(result)}
     source = " ".join(str(record.path) for record in result.records)
     reason = why_no_engine(result)
-    return Page(
-        "identification from a bench", ", ".join(record.path.name for record in result.records), summary(result),
-        source, result.judgement, cards, figures, result.notes, [f"no engine: {reason}"] if reason else [],
-    )  # fmt: skip
+    shown = Page(
+        "identification from a bench",
+        ", ".join(record.path.name for record in result.records),
+        cards,
+        figures,
+        summary=[summary(result)],
+        problems=[f"no engine: {reason}"] if reason else [],
+        notes=result.notes,
+        source=source,
+    )
+    return judged_page(result.judgement, shown)
 
 
 def describe_held(result: BenchIdentification) -> str:

@@ -10,7 +10,8 @@ import numpy as np
 
 from cosim.base.storage.toml import toml_text
 from cosim.files import data_folder
-from cosim.identify.page import WITH_BOUNDS, Card, Page, Signals, draw_signals
+from cosim.identify.page import WITH_BOUNDS, Signals, draw_signals, judged_page
+from cosim.pages import Card, Page
 from cosim.results.report.plot import BLUE, GREEN, HOVER, panels, trace
 from hexjet_identify.engine_file import (
     DEVIATIONS_95,
@@ -70,10 +71,17 @@ def page(result: LogIdentification) -> Page:
     heading = f"{result.path.name}: {result.what}"
     reason = why_no_engine(result) if result.engine else ""
     refused = [f"no engine: {reason}"] if reason else []
-    return Page(
-        "identification from a log", heading, summary(result), str(result.path), result.judgement, cards, figures,
-        result.notes, refused,
-    )  # fmt: skip
+    shown = Page(
+        "identification from a log",
+        heading,
+        cards,
+        figures,
+        summary=[summary(result)],
+        problems=refused,
+        notes=result.notes,
+        source=str(result.path),
+    )
+    return judged_page(result.judgement, shown)
 
 
 def why_no_engine(result: LogIdentification) -> str:

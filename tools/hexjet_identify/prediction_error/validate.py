@@ -13,10 +13,11 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, read_json, write_files
-from cosim.identify.page import Card, Page, Signals, draw_signals
+from cosim.identify.page import Signals, draw_signals, judged_page
 from cosim.identify.sweep.fit import Model as Continuous
 from cosim.identify.sweep.result import MISFIT
 from cosim.identify.verdict import NOT_EXPLAINED, NOT_TOLD, Judgement, judge_model, shared_record
+from cosim.pages import Card, Page
 from cosim.spec.vehicle import RateModel, read_models
 from hexjet_identify.engine_file import DEVIATIONS_95
 from hexjet_identify.logs import FlightLog, LogSignals, signals_of
@@ -327,14 +328,17 @@ def page(validation: Validation) -> Page:
     signals = [
         Signals(times, command, times, output, fit, output - fit) for times, command, output, fit in validation.signals
     ]
-    return Page(
+    compared = (
+        f"{model.path}, flown with {model.signals.command}; {validation.seconds:.1f} s compared, every "
+        f"{1e3 * validation.step:.3g} ms."
+    )
+    shown = Page(
         "validation",
         f"{model.what}: the model beside {validation.log.name}",
-        f"{model.path}, flown with {model.signals.command}; {validation.seconds:.1f} s compared, every "
-        f"{1e3 * validation.step:.3g} ms.",
-        str(validation.log),
-        validation.judgement,
         [Card("How well it fits", ("measure", "value"), rows(validation), ERROR), Card(MODELLED, figure="signals")],
         {"signals": draw_signals(signals, units)},
-        validation.notes,
+        summary=[compared],
+        notes=validation.notes,
+        source=str(validation.log),
     )
+    return judged_page(validation.judgement, shown)

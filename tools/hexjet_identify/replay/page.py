@@ -12,7 +12,8 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.signals import AXES
 from cosim.base.storage.files import write_files
-from cosim.identify.page import Card, Page
+from cosim.identify.page import judged_page
+from cosim.pages import Card, Page
 from cosim.results.log.columns import COLUMNS
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.log.tables import TIME
@@ -71,18 +72,17 @@ def page(result: Replay) -> Page:
         Card("Measured over modelled, by frequency", text=RATIO, figure="ratio"),
         *(Card(f"{title}, measured and modelled", figure=name) for name, title in _TITLES.items() if name in drawn),
     ]
-    return Page(
+    shown = Page(
         "replay of a recorded flight",
         f"{result.aircraft} with {result.engine}, flown again with the commands of {result.log}",
-        "",
-        result.log,
-        result.judgement,
         cards,
         drawn,
-        result.notes,
-        [result.fault] if result.fault else [],
-        Flights("replay", runs, {}) if runs else None,
+        problems=[result.fault] if result.fault else [],
+        notes=result.notes,
+        source=result.log,
+        flights=Flights("replay", runs, {}) if runs else None,
     )
+    return judged_page(result.judgement, shown)
 
 
 def _describe_comparison(result: Replay) -> str:
