@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from cosim.base.signals import AXES
 from cosim.results.comparison import (
@@ -20,15 +21,39 @@ from cosim.results.comparison import (
 )
 from cosim.results.events import list_events
 from cosim.results.log.tables import TIME
+from cosim.results.report.cards import Card, Page, code, coloured, link, marked
 from cosim.results.report.flight import axis_cell, verdict, verdict_badge
 from cosim.results.report.flight_figures import comparison_figures, subtract_first
-from cosim.results.report.page import TEMPLATES, Flights, render
+from cosim.results.report.page import Flights
 from cosim.results.report.plot import run_colour
 from cosim.results.report.requirements import compared_margins
 from cosim.results.report.signals_data import FlightData, describe_run, run_data
 from cosim.results.run import REPORT, Run
 from cosim.results.summary import Summary
 from cosim.results.wording import AXIS_ROWS, NONE, WHOLE_ROWS, display_unit, metric, show_value
+
+STRIPS = (
+    (
+        "attitude",
+        "Attitude",
+        "True angles. Zoom by dragging, on any strip: all follow. Double click to see everything again. Values are "
+        "those at the cursor.",
+    ),
+    (
+        "difference",
+        "Differences",
+        "The first flight is the zero: true angles and height of the others less its own, and how far both are from "
+        "each other, level.",
+    ),
+    ("rate", "Rates", "As the gyro gives them."),
+    ("effort", "Control effort", "What the controllers asked for."),
+    ("height", "Height", "Above the ground."),
+    ("track", "Track", "Seen from above, both axes to one scale; from the open circle to the filled one."),
+)
+MARKED = (
+    "True angles against the set-point. Overshoot is stated in percent of each step, the worst step counts; settled is "
+    "within 5 % of the step for good; – means that there is none. Where all fly the same scenario the least is green."
+)
 
 
 def compare_report(runs: Sequence[Run], path: Path) -> None:
@@ -54,35 +79,83 @@ def write_comparison(flights: Sequence[ComparedFlight], compared: Sequence[LogCo
         step = median_step(times)
         even = bool(np.allclose(times, step * np.arange(times.size), rtol=0.0, atol=1e-6 * step))
         data.append(run_data(FlightData(log, label, run_colour(number), step_s=step, times=None if even else times)))
-    render(
-        TEMPLATES / "compare.html",
-        path,
-        {},
-        Flights("comparison", data, strips),
-        strips=strips,
-        title=title,
-        description=description,
-        runs=[
-            {
-                "flight": flight,
-                "colour": run_colour(number),
-                "summary": summary,
-                "link": "" if flight.run is None else _link(flight.run, path),
-            }
-            for number, (flight, summary) in enumerate(zip(flights, summaries, strict=True))
-        ],
-        verdict=verdict,
-        verdict_badge=verdict_badge,
-        rows=comparison_rows(summaries),
-        requirements=compared_margins(summaries),
-        pairs=[
-            {"pair": pair, "colour": run_colour(number), "inputs": inputs_between(flights[0], flights[number])}
-            for number, pair in enumerate(compared, 1)
-        ],
-        describe_pair=describe_pair,
-        by_time=by_time,
-        signal_cells=signal_cells,
+    colours = [run_colour(number) for number in range(len(flights))]
+    named = [coloured(flight.label, colour) for flight, colour in zip(flights, colours, strict=True)]
+    cards = [
+        *[Card(title, text=text, figure=name, is_half=name in ("height", "track"))
+          for name, title, text in STRIPS if name in strips],
+        _metrics_card(summaries, named),
+        _requirements_card(summaries, named),
+        *[card for number, pair in enumerate(compared, 1)
+          for card in _pair_cards(pair, colours[number], inputs_between(flights[0], flights[number]))],
+    ]  # fmt: skip
+    page = Page(
+        "comparison",
+        title,
+        cards,
+        answer=[_answer(flight, name, path) for flight, name in zip(flights, named, strict=True)],
+        summary=[*([description] if description else []), *filter(None, map(_describe_flight, flights))],
+        flights=Flights("comparison", data, strips),
     )
+    page.write(path)
+
+
+def _answer(flight: ComparedFlight, name: Markup, path: Path) -> Markup:
+    """Return how a flight ended, and where its own page is."""
+    if flight.run is None:
+        return Markup("{} a log without a run: it has no metrics.").format(name)
+    badge, word = verdict_badge(flight.run.summary)
+    own = link("full report", _link(flight.run, path)) if _link(flight.run, path) else ""
+    sentence = verdict(flight.run.summary)
+    return Markup("{} {} {} {}").format(name, marked(word, f"badge {badge}"), sentence, marked(own, "small"))
+
+
+def _describe_flight(flight: ComparedFlight) -> str:
+    """Return what flew, and the file that a log was read from."""
+    parts = []
+    if flight.run is not None:
+        summary = flight.run.summary
+        parts += [
+            f"{summary.scenario}, {summary.aircraft}, engine {summary.engine_shown}, controller "
+            f"{summary.controller_shown}, seed {summary.seed}"
+        ]
+        if summary.expectations_met is not None:
+            parts += ["as expected" if summary.expectations_met else "not as expected"]
+    parts += [flight.source] if flight.source else []
+    return f"{flight.label}: {'; '.join([*parts, *flight.remarks])}" if parts else ""
+
+
+def _metrics_card(summaries: Sequence[Summary | None], named: Sequence[str]) -> Card | None:
+    rows = comparison_rows(summaries)
+    cells = [[marked(cell["text"], "best") if cell["best"] else cell["text"] for cell in row["cells"]] for row in rows]
+    listed = [(row["axis"], row["title"], *texts, row["unit"]) for row, texts in zip(rows, cells, strict=True)]
+    return Card("Metrics", ("axis", "metric", *named, "unit"), listed, MARKED) if rows else None
+
+
+def _requirements_card(summaries: Sequence[Summary | None], named: Sequence[str]) -> Card | None:
+    rows = [
+        (row["name"], *(marked(text or NONE, kind) for text, kind in row["cells"]), code(row["formula"]))
+        for row in compared_margins(summaries)
+    ]
+    return Card("Margins of requirements", ("requirement", *named, "formula"), rows) if rows else None
+
+
+def _pair_cards(pair: LogComparison, colour: str, inputs: Sequence[tuple[str, str, str]]) -> Iterator[Card]:
+    """Yield what two flights have alike, which inputs differ, and which signals do."""
+    name = f"{pair.second} against {pair.first}"
+    unlike = [signal_cells(signal) for signal in by_time(pair.signals)]
+    alike = [signal.name for signal in pair.signals if signal.same]
+    same = f"The same to the last bit: {', '.join(alike)}." if alike and unlike else ""
+    yield Card(coloured(name, colour), text=same, lines=[" ".join(describe_pair(pair))])
+    if inputs:
+        yield Card(f"{name}: what went into both and differs", ("key", pair.first, pair.second), inputs)
+    if unlike:
+        text = (
+            "By the first step on which they differ, in any bit. Largest and RMS of what "
+            f"{pair.second} is less {pair.first}, over the steps on which both are numbers."
+        )
+        columns = ("signal", "first differs [s]", "largest", "at [s]", "RMS", "unit")
+        yield Card(f"{name}: signals that differ", columns, unlike, text)
 
 
 def _headline(summaries: Sequence[Summary]) -> tuple[str, str]:

@@ -28,7 +28,7 @@ def test_a_page_shows_its_head_and_its_cards_in_order(tmp_path: Path) -> None:
         "A &amp; B", '<span class="badge met">shown', '<p class="verdict">the answer', '<p class="unmet">a problem',
         '<p class="dim">done so', "<li>because", '<p class="note">beware', "<dt>seed</dt><dd>1", "<h2>Numbers",
         "<p>alone", '<th class="nowrap">value', "lag &lt;1&gt;", "small print", '<code class="command">hexjet',
-        '<section class="card half">', "<summary>Curves", 'data-figure="a"', 'data-figure="b"', "<footer>from here",
+        '<section class="card half">', '"heading">Curves', 'data-figure="a"', 'data-figure="b"', "<footer>from here",
     ]  # fmt: skip
     places = [text.find(each) for each in shown]
     assert -1 not in places

@@ -633,7 +633,7 @@ def test_runs_are_laid_over_each_other(tmp_path: Path) -> None:
     links = [attrs["href"] for tag, attrs in page.elements if tag == "a"]
     assert links == ["a/report.html", "b/report.html"]
     assert all((tmp_path / str(link)).is_file() for link in links)
-    cells = [attrs for tag, attrs in page.elements if tag == "td" and attrs.get("class") == "best"]
+    cells = [attrs for tag, attrs in page.elements if tag == "span" and attrs.get("class") == "best"]
     assert cells
     values = [f"{run.metrics['roll'].overshoot_percent:.1f}" for run in (ringing, calm)]
     assert f"Overshoot {values[0]} {values[1]} %" in page.text
