@@ -67,6 +67,7 @@ class DigestSink:
         """See :class:`cosim.results.log.recorder.KeepingSink`."""
         names = [column.name for column in columns]
         chosen = names if self._whole else [require(name, names) for name in self._names]
+        self._chosen = tuple(chosen)
         self._indices = [names.index(name) for name in chosen]
         self._described = tuple(columns[index] for index in self._indices)
         self._digest = Digest(names)
@@ -81,4 +82,4 @@ class DigestSink:
 
     def log(self) -> Log:
         """Return the rows that were kept."""
-        return MemoryLog(self._kept, self._names, self._described)
+        return MemoryLog(self._kept, self._chosen, self._described)

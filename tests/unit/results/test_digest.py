@@ -118,6 +118,18 @@ def test_only_what_was_asked_for_is_kept(flight: list[Sample]) -> None:
         DigestSink(["rol_rad"])
 
 
+def test_all_columns_are_kept_by_their_names(flight: list[Sample]) -> None:
+    """Metrics of the user's that name no columns read any; the others have to find theirs beside them."""
+    whole, sink = MemorySink(), DigestSink(columns(), whole=True)
+    for each in (whole, sink):
+        recorder = Recorder(STEP, each)
+        for sample in flight:
+            recorder.observe(sample)
+        recorder.flush()
+    assert sink.log().columns == whole.log().columns
+    assert flight_metrics(sink.log(), STEP) == flight_metrics(whole.log(), STEP)
+
+
 def test_a_flight_of_nothing() -> None:
     sink = DigestSink(columns())
     assert sink.hexdigest() == log_digest(MemorySink().log()) == spelled_out(NAMES, np.empty((len(NAMES), 0)))
