@@ -17,9 +17,8 @@ from cosim.base.storage.files import read_file, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.base.trust import remember_written
 from cosim.campaign.installed import FILES, installed_versions
-from cosim.campaign.study.distributions import Vary
 from cosim.campaign.study.keys import with_values
-from cosim.campaign.study.study import Study
+from cosim.campaign.study.study import Study, flatten_settings
 from cosim.control.predictors.registry import BASELINE
 from cosim.engine import EngineSpec, find_source, load_engine
 from cosim.results.expectations import allowed_metric_names
@@ -147,8 +146,18 @@ def freeze(study: Study) -> FrozenStudy:
         scenario["controller"] = _controller(base.controller, base.folder, sources)
     renamed = study.resolved(Path(SCENARIO)).changed(
         controllers=controllers,
-        vary=[vary.model_copy(update={"values": _values(base, vary, sources)}) for vary in study.vary],
-    )
+        vary=[
+            vary if vary.values is None
+            else vary.model_copy(update={"values": [_copied(base, vary.key, value, sources) for value in vary.values]})
+            for vary in study.vary
+        ],
+        case=[
+            case.model_copy(update={"settings": {
+                key: _copied(base, key, value, sources) for key, value in flatten_settings(case.settings)
+            }})
+            for case in study.case
+        ],
+    )  # fmt: skip
     reserved = next((name for name in sources if name in CAMPAIGN_FILES), None)
     if reserved is not None:
         raise InputError(f"scenario {base.name}: a file named {reserved!r} cannot be copied into a campaign's folder")
@@ -179,7 +188,8 @@ def _scenario(
         "controller_parameters": base.controller_parameters,
         "changed": list_changes(base, flown_parameters(base)),
     }
-    swapped = {vary.key.split(".")[-1] for vary in study.vary} & {"aircraft", "engine"}
+    changed = [*(vary.key for vary in study.vary), *study.case_keys]
+    swapped = {key.split(".")[-1] for key in changed} & {"aircraft", "engine"}
     if swapped:
         names = engine_files([simulation.engine, *simulation.stations], sources)
         stations = {number: station.model_dump(exclude_none=True) for number, station in base.stations.items()}
@@ -199,20 +209,15 @@ def _scenario(
     return data
 
 
-def _values(base: Scenario, vary: Vary, sources: dict[str, Path | bytes]) -> list[Any] | None:
-    """Return the values of a key; aircraft and engine files by the names of their copies in the campaign's folder."""
-    if vary.values is None or vary.key.split(".")[-1] not in ("aircraft", "engine"):
-        return vary.values
-    values: list[Any] = []
-    for value in vary.values:
-        if vary.key == "aircraft" and isinstance(value, str) and is_aircraft_path(value):
-            value = copy_vehicle(value, base.folder, sources)
-        elif isinstance(value, str) and is_file(value):
-            source, unchecked, apart = find_source(value, base.folder), base.engine_unchecked, base.engine_isolated
-            spec: EngineSpec = load_engine(source, {}, base.step_s, unchecked=unchecked, isolated=apart)
-            value = engine_files([spec], sources)[id(spec)]
-        values.append(value)
-    return values
+def _copied(base: Scenario, key: str, value: Any, sources: dict[str, Path | bytes]) -> Any:
+    """Return a value of a key; an aircraft or an engine file by the name of its copy in the campaign's folder."""
+    if key == "aircraft" and isinstance(value, str) and is_aircraft_path(value):
+        return copy_vehicle(value, base.folder, sources)
+    if key.split(".")[-1] == "engine" and isinstance(value, str) and is_file(value):
+        source, unchecked, apart = find_source(value, base.folder), base.engine_unchecked, base.engine_isolated
+        spec: EngineSpec = load_engine(source, {}, base.step_s, unchecked=unchecked, isolated=apart)
+        return engine_files([spec], sources)[id(spec)]
+    return value
 
 
 def _controller(name: str, folder: Path, sources: dict[str, Path | bytes]) -> str:

@@ -16,7 +16,7 @@ from cosim.campaign.folder import STUDY, extend_asked, is_campaign
 from cosim.campaign.store import Campaign, Store, Tally, count_flights, open_campaign
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.options import open_study
-from cosim.campaign.study.plan import Flight, scenario_of, stopping_rule
+from cosim.campaign.study.plan import Flight, case_of, scenario_of, stopping_rule
 from cosim.campaign.study.sequential import default_runs
 from cosim.campaign.study.study import Study, study_code, study_names
 from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256, verdict_of, with_autopilot
@@ -237,7 +237,7 @@ def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **
             folder = (
                 Path(out) if out is not None else new_folder(Path("runs"), f"{campaign.study.name}-flight-{number}")
             )
-            _, run = with_autopilot(campaign.study, scenario, folder)
+            _, run = with_autopilot(campaign.study, scenario, folder, case_of(row))
         else:
             run = fly(scenario, out, **options)
     except InputError as error:

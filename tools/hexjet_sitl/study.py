@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -63,11 +63,17 @@ class AutopilotTable(Model):
         check_faults(self.name, scenario)
         require_program(self.name, self.program(folder))
 
-    def fly(self, scenario: Scenario, study_folder: Path, folder: Path, page: bool) -> tuple[Run, int, int]:
-        """Fly a scenario into ``folder``; return its run, the states told, and the answers that never came."""
+    @property
+    def columns(self) -> dict[str, type[int]]:
+        """The columns of a row: the states that it was told, and the answers that never came."""
+        return {"autopilot_frames": int, "autopilot_missing": int}
+
+    def fly(self, scenario: Scenario, study_folder: Path, folder: Path, page: bool) -> tuple[Run, dict[str, Any]]:
+        """Fly a scenario into ``folder``; return its run, and its columns."""
         with reserve_instance() as instance:
             stated = self.model_dump(include={"gains", "lines", "parameters", "channels"})
             setup = Setup(instance, self.timeout_s, **stated)
             program = require_program(self.name, self.program(study_folder))
             flown = fly_autopilot(scenario, prepare(self.name, scenario, folder, program, setup), folder, page=page)
-        return flown.run, flown.counts.frames, flown.counts.missing
+        counts = flown.counts
+        return flown.run, {"autopilot_frames": counts.frames, "autopilot_missing": counts.missing}

@@ -1,4 +1,4 @@
-"""The table ``[autopilot]`` of a study: what a campaign asks of the tool that flies autopilots of others."""
+"""The table ``[autopilot]`` of a study: what a campaign asks of a tool that flies in the place of the controller."""
 
 from __future__ import annotations
 
@@ -17,10 +17,18 @@ if TYPE_CHECKING:
 class StudyAutopilot(Protocol):
     """The autopilot that flies every flight of a study in the place of the controller.
 
-    It is a model of pydantic, the entry point ``study.autopilot`` of the group ``hexjet.hooks``.
+    It is a model of pydantic, the entry point ``study.autopilot`` of the group ``hexjet.hooks``, or
+    ``study.autopilot.NAME`` for one name alone.
     """
 
     name: str
+
+    @property
+    def columns(self) -> Mapping[str, type[float | int | str | bool | None]]:
+        """The columns that it adds to a row, with their types."""
+
+    def model_dump(self, **options: Any) -> dict[str, Any]:
+        """Return the table, as pydantic does."""
 
     @property
     def before_s(self) -> float:
@@ -35,8 +43,10 @@ class StudyAutopilot(Protocol):
     def check(self, scenario: Scenario, folder: Path) -> None:
         """Raise InputError for a program that is not here, and for a scenario that it cannot fly."""
 
-    def fly(self, scenario: Scenario, study_folder: Path, folder: Path, page: bool) -> tuple[Run, int, int]:
-        """Fly a scenario into ``folder``; return its run, the states told, and the answers that never came.
+    def fly(
+        self, scenario: Scenario, study_folder: Path, folder: Path, page: bool
+    ) -> tuple[Run, dict[str, float | int | str | bool | None]]:
+        """Fly a scenario into ``folder``; return its run, and values of its row: its columns, and what it judges.
 
         Raises InputError and FlightError.
         """
@@ -46,7 +56,7 @@ def read_autopilot(table: Any) -> StudyAutopilot:
     """Return the autopilot that a study's table states.  Raises InputError for a wrong key, and without the tool."""
     if not isinstance(table, Mapping):
         raise ValueError("must be a table")
-    model = load_hook("study.autopilot")
+    model = load_hook(f"study.autopilot.{table.get('name')}") or load_hook("study.autopilot")
     if model is None:
         raise ValueError("needs hexjet_sitl, which is not installed; the sources of hexjet-cosim have it")
     autopilot: StudyAutopilot = validate(model, table, "")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from math import inf, log
+from math import inf, log, pi, sin
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
@@ -17,6 +17,7 @@ from cosim.base.storage.toml import Model, Positive, Scalar, parse_value, valida
 T = TypeVar("T")
 FORMS = ("range", "values", "normal", "lognormal", "triangular", "uncertainty")
 UNCERTAIN = "engine"  # the one key that may be drawn by the uncertainty that its file states
+CASE = "case"  # the key of a study's named cases
 RELATIVE: dict[str, Literal["", "factor", "offset"]] = {"=": "", "*=": "factor", "+=": "offset"}
 USAGE = (
     "write it as KEY=LO:HI, KEY=LO:HI:LEVELS, KEY=A,B,C, KEY=log(LO:HI), KEY=normal(MEAN,SD,LO,HI), "
@@ -76,6 +77,18 @@ class Triangular(Model):
 CALLS: dict[str, type[Model]] = {"normal": Normal, "lognormal": LogNormal, "triangular": Triangular}
 
 
+class Correlation(Model):
+    """The rank correlation (Spearman's) of what is drawn for two keys; their distributions stay as they are."""
+
+    keys: tuple[str, str]
+    rank: Annotated[float, Field(gt=-1.0, lt=1.0)]
+
+    @property
+    def normal(self) -> float:
+        """The correlation of two normal variables with this rank correlation: 2 sin(pi rank / 6) (Pearson, 1907)."""
+        return 2.0 * sin(pi * self.rank / 6.0)
+
+
 class Vary(Model):
     """One key and what it is drawn from: exactly one of the ``FORMS``.
 
@@ -90,7 +103,7 @@ class Vary(Model):
     range: tuple[float, float] | None = None
     levels: Annotated[int, Field(ge=2, le=100_000)] | None = None
     scale: Literal["linear", "log"] = "linear"
-    values: Annotated[list[Scalar], Field(min_length=2)] | None = None
+    values: list[Scalar] | None = None
     normal: Normal | None = None
     lognormal: LogNormal | None = None
     triangular: Triangular | None = None
@@ -103,6 +116,8 @@ class Vary(Model):
         if len(forms) != 1:
             allowed = ", ".join(form for form in FORMS if form != "uncertainty" or self.key == UNCERTAIN)
             raise ValueError(f"{self.key}: give one of {allowed}; {' and '.join(forms) or 'none'} given")
+        if self.values is not None and len(self.values) < (1 if self.key == CASE else 2):
+            raise ValueError(f"{self.key}: values: needs at least 2")
         if self.range is None and (self.levels is not None or self.scale != "linear"):
             raise ValueError(f"{self.key}: levels and scale go with a range, not with {forms[0]}")
         if self.uncertainty and (self.key != UNCERTAIN or self.relative):

@@ -21,7 +21,7 @@ from typing import Any, Protocol, TypeVar, overload
 import numpy as np
 
 from cosim.base.arrays import Array
-from cosim.campaign.study.distributions import Vary
+from cosim.campaign.study.distributions import CASE, Vary
 from cosim.campaign.study.engine_draw import SMALLEST, EngineDraw
 from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.study import Study
@@ -66,7 +66,7 @@ class Draws(LazySequence[Draw]):
     def __init__(self, study: Study) -> None:
         self._count = study.draws
         self._seed = study.seed
-        self._names = study.drawn
+        self._names, self._case_seeds = study.drawn, study.case_seeds
         engine = study.engine_draw()
         sides = len(study.vary) + (0 if engine is None else engine.sides)
         self._points: Points = DESIGNS[study.design](study, sides)
@@ -90,8 +90,10 @@ class Draws(LazySequence[Draw]):
     def _draw(self, first: int, end: int) -> Iterator[Draw]:
         points = self._points(first, end)
         columns = [column for bend in self._bend for column in bend(points)]
-        for number, values in enumerate(zip(*columns, strict=True), start=first):
-            yield Draw(number, flight_seed(self._seed, number), dict(zip(self._names, values, strict=True)))
+        for number, row in enumerate(zip(*columns, strict=True), start=first):
+            values = dict(zip(self._names, row, strict=True))
+            seed = self._case_seeds.get(values.get(CASE, ""))
+            yield Draw(number, flight_seed(self._seed, number) if seed is None else seed, values)
 
 
 def draws(study: Study) -> Draws:

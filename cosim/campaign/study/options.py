@@ -15,7 +15,7 @@ from cosim.base.trust import mention
 from cosim.campaign.study.distributions import UNCERTAIN, parse_number, parse_vary, vary_tables
 from cosim.campaign.study.engine_draw import default_draw
 from cosim.campaign.study.sequential import default_runs, parse_claim
-from cosim.campaign.study.study import DESIGNS, Correlation, Study, flatten_settings, study_names
+from cosim.campaign.study.study import DESIGNS, Correlation, Study, flatten_settings, study_names, vary_cases
 from cosim.spec.controller_name import seen_from, short_name
 from cosim.spec.file_kind import SCENARIO, STUDY, check_kind
 from cosim.spec.scenario import Range, Scenario, scenario_names
@@ -54,6 +54,7 @@ def open_study(
     data, folder, where = _read_source(name)
     listed = [_resolve_files(parse_vary(text).model_dump(mode="json", exclude_none=True)) for text in vary]
     try:
+        data = dict(vary_cases(data))
         stated = vary_tables(data.get("vary", []))
     except ValueError as error:
         raise InputError(f"{where}: vary: {error}") from error
@@ -99,7 +100,7 @@ def _is_engine_drawn(data: Mapping[str, Any], folder: Path, where: str) -> bool:
     left_out = ("correlate", "controllers", "repeats", "until")
     kept = {key: value for key, value in data.items() if key not in left_out}
     study = Study.unchecked({**kept, "vary": [UNCERTAIN], "design": "random", "runs": 1}, folder, where)
-    return default_draw(study.base(), False, keys)[0] is not None
+    return default_draw(study.base(), False, [*keys, *study.case_keys])[0] is not None
 
 
 def _retitle(data: Mapping[str, Any], settings: Sequence[str], controllers: Sequence[str]) -> dict[str, str]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cosim.base.errors import InputError, nearest
+from cosim.campaign.study.distributions import CASE
 from cosim.campaign.study.draws import Draws, LazySequence
 from cosim.campaign.study.key import Value
 from cosim.campaign.study.keys import with_values
@@ -101,7 +102,14 @@ def stopping_rule(study: Study) -> StoppingRule | None:
 def scenario_of(study: Study, flight: Flight) -> Scenario:
     """Return the scenario of one flight without expectations.  Raises InputError if its values make none."""
     controller = study.tried[0] if study.autopilot is not None else seen_from(flight.controller, study.folder)
-    return with_values(study.base(), {**flight.values, "controller": controller, "seed": flight.seed})
+    values = {key: value for key, value in flight.values.items() if key != CASE}
+    return with_values(study.base(case_of(flight.values)), {**values, "controller": controller, "seed": flight.seed})
+
+
+def case_of(values: Mapping[str, Value | None]) -> str | None:
+    """Return the name of the case among the values of a flight or a row, None without cases."""
+    case = values.get(CASE)
+    return None if case is None else str(case)
 
 
 def _relative_name(folder: Path, controller: str) -> str:

@@ -6,8 +6,8 @@ with every controller of the study, so that controllers are compared on the same
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from math import pi, prod, sin
+from collections.abc import Mapping
+from math import prod
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,13 +16,13 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator, Pri
 
 from cosim.base.errors import FlightError, InputError, nearest
 from cosim.base.storage.files import write_whole
-from cosim.base.storage.paths import data_folder, files_in
 from cosim.base.storage.toml import Model, read_toml, set_path, split_key, toml_text, validate
 from cosim.base.trust import Code, is_code_forbidden, need_trust
 from cosim.campaign.study.autopilot import StudyAutopilot, read_autopilot
-from cosim.campaign.study.distributions import Vary, first_repeated, parse_vary, vary_tables
+from cosim.campaign.study.case import Case, find_study, flatten_settings, study_names, vary_cases
+from cosim.campaign.study.distributions import CASE, Correlation, Vary, first_repeated, parse_vary, vary_tables
 from cosim.campaign.study.engine_draw import EngineDraw, brings_engine, default_draw, engine_draw
-from cosim.campaign.study.key import Key
+from cosim.campaign.study.key import Key, Value
 from cosim.campaign.study.keys import CUSTOM_PARAMETERS, custom_keys, find_key, with_values
 from cosim.campaign.study.sequential import MAX_TESTED, parse_claim
 from cosim.campaign.study.values import check_vary
@@ -35,7 +35,10 @@ from cosim.simulation.user_code import list_aircraft_code, list_block_code, list
 from cosim.spec.controller_name import is_design, seen_from
 from cosim.spec.scenario import Range, RequireEntry, Scenario, find_scenario, unique_names
 
-__all__ = ["Correlation", "Study", "Vary", "check", "find_study", "parse_vary", "study_names"]
+__all__ = [
+    "Case", "Correlation", "Study", "Vary", "check", "find_study", "flatten_settings", "parse_vary", "study_names",
+    "vary_cases",
+]  # fmt: skip
 
 Design = Literal["grid", "latin-hypercube", "random", "sobol"]
 DESIGNS: tuple[Design, ...] = ("grid", "latin-hypercube", "random", "sobol")
@@ -52,18 +55,6 @@ def _without_repeats(names: list[str]) -> list[str]:
     if repeated is not None:
         raise ValueError(f"{repeated} is there twice")
     return names
-
-
-class Correlation(Model):
-    """The rank correlation (Spearman's) of what is drawn for two keys; their distributions stay as they are."""
-
-    keys: tuple[str, str]
-    rank: Annotated[float, Field(gt=-1.0, lt=1.0)]
-
-    @property
-    def normal(self) -> float:
-        """The correlation of two normal variables with this rank correlation: 2 sin(pi rank / 6) (Pearson, 1907)."""
-        return 2.0 * sin(pi * self.rank / 6.0)
 
 
 class Study(Model):
@@ -84,6 +75,7 @@ class Study(Model):
     repeats: Annotated[int, Field(ge=1, le=MAX_DRAWS)] = 1  # repeats of a whole grid with other seeds
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 1
     vary: Annotated[list[Vary], Field(min_length=1), BeforeValidator(vary_tables)]
+    case: list[Case] = Field(default_factory=list)  # the key case is varied over them, unless vary names some of them
     nominal_engine: bool = False  # flown as it is stated; else hexjet sweep draws one that states its uncertainty
     correlate: list[Correlation] = Field(default_factory=list)
     success: dict[str, Range] = Field(default_factory=dict)  # metrics that must hold beside a completed flight
@@ -96,7 +88,7 @@ class Study(Model):
 
     _folder: Path = PrivateAttr(default_factory=Path)
     _where: str = PrivateAttr(default="study")
-    _base: Scenario | None = PrivateAttr(default=None)  # once it is needed
+    _bases: dict[str | None, Scenario] = PrivateAttr(default_factory=dict)  # by case, once they are needed
     _keys: dict[str, Key] = PrivateAttr(default_factory=dict)
     _drawn: list[str] | None = PrivateAttr(default=None)
 
@@ -123,24 +115,51 @@ class Study(Model):
         """The names in rows of who flies: the controllers, or the autopilot in their place."""
         return self.tried if self.autopilot is None else [self.autopilot.name]
 
-    def base(self) -> Scenario:
-        """Return the scenario with the study's settings, before any draw; what it expected is left out."""
-        if self._base is None:
+    def base(self, case: str | None = None) -> Scenario:
+        """Return the scenario with the study's settings and a case's, before any draw; expectations are left out."""
+        if case not in self._bases:
             path = _scenario_path(self.scenario, self.folder)
             data = read_toml(path)
-            origin = Scenario.as_filed(path) if self.settings else None
-            for key, value in flatten_settings(self.settings):
-                set_path(data, split_key(key), value, f"{self._where}: settings")
+            own = self._case(case).settings if case is not None else {}
+            origin = Scenario.as_filed(path) if self.settings or own else None
             where = f"{self._where}: settings" if self.settings else str(path)
+            for settings, place in ((self.settings, where), (own, f"{self._where}: case {case!r}")):
+                for key, value in flatten_settings(settings):
+                    set_path(data, split_key(key), value, place)
+                where = place if settings else where
             changed = {**data, "expect": []}
             if self.require:
                 required = [entry.model_dump(exclude_defaults=True) for entry in self.require]
                 changed["require"] = [*data.get("require", []), *required]
-            self._base = Scenario.from_table(changed, path.parent, where, origin)
-        return self._base
+            self._bases[case] = Scenario.from_table(changed, path.parent, where, origin)
+        return self._bases[case]
+
+    def _case(self, name: str) -> Case:
+        return next(case for case in self.case if case.name == name)
+
+    @property
+    def case_keys(self) -> list[str]:
+        """The keys of the scenario that some case sets."""
+        return list(dict.fromkeys(key for case in self.case for key, _ in flatten_settings(case.settings)))
+
+    @property
+    def case_seeds(self) -> dict[Value, int]:
+        """The seeds of the cases that state one, by name."""
+        return {case.name: case.settings["seed"] for case in self.case if "seed" in case.settings}
+
+    def autopilot_of(self, case: str | None) -> StudyAutopilot:
+        """Return the autopilot as it flies a case.  Raises ValueError for a wrong key."""
+        assert self.autopilot is not None
+        changes = self._case(case).autopilot if case is not None else {}
+        if not changes:
+            return self.autopilot
+        stated = self.autopilot.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+        return read_autopilot({**stated, **changes})
 
     def key(self, name: str) -> Key:
         """Return a varied key, with the nominal value that factors and offsets start from."""
+        if name == CASE and self.case:
+            return Key(CASE, "choice", None, choices=tuple(case.name for case in self.case))
         if name not in self._keys:
             base = self.base()
             if name.startswith(CUSTOM_PARAMETERS):  # of any controller that is flown
@@ -236,7 +255,7 @@ class Study(Model):
     def changed(self, **changes: Any) -> Study:
         """Return a copy with these fields changed, not checked against the scenario."""
         copy = self.model_copy(update=changes)
-        copy._base, copy._keys, copy._drawn = None, {}, None
+        copy._bases, copy._keys, copy._drawn = {}, {}, None
         return copy
 
     def save(self, path: Path) -> None:
@@ -268,6 +287,11 @@ class Study(Model):
         study._folder, study._where = folder, where
         files = [seen_from(name, folder) for name in study.controllers]
         return study.model_copy(update={"controllers": files}) if files != study.controllers else study
+
+    @model_validator(mode="before")
+    @classmethod
+    def _vary_cases(cls, data: Any) -> Any:
+        return vary_cases(data) if isinstance(data, Mapping) else data
 
     @model_validator(mode="after")
     def _autopilot_flies_alone(self) -> Study:
@@ -361,7 +385,11 @@ def study_code(study: Study) -> list[Code]:
     """Return the files that a study names and that run: of its scenario, its controllers and what it varies."""
     base = study.base()
     code = [
-        *list_scenario_code(base),
+        *(
+            each
+            for case in (None, *(case.name for case in study.case))
+            for each in list_scenario_code(study.base(case))
+        ),
         *(each for name in study.controllers for each in list_block_code(name, study.folder)),
     ]
     for vary in study.vary:
@@ -386,6 +414,8 @@ def check(study: Study, where: str) -> None:
     _check_names(study, where)
     custom = [name for name, _ in flatten_settings(study.settings) if name.startswith(CUSTOM_PARAMETERS)]
     try:
+        for case in study.case:
+            _check_case(study, case)
         for name in custom:
             study.key(name)
         for vary in study.vary:
@@ -400,10 +430,24 @@ def check(study: Study, where: str) -> None:
         raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from error
 
 
+def _check_case(study: Study, case: Case) -> None:
+    """Refuse a case that makes no scenario, or one whose rows would need columns of their own."""
+    base, flown = study.base(), study.base(case.name)
+    if [entry.name for entry in flown.require] != [entry.name for entry in base.require]:
+        raise InputError(f"case {case.name!r}: require: must have the names that the scenario has")
+    if case.autopilot:
+        if study.autopilot is None:
+            raise InputError(f"case {case.name!r}: autopilot: the study has no table [autopilot]")
+        try:
+            study.autopilot_of(case.name)
+        except ValueError as error:
+            raise InputError(f"case {case.name!r}: autopilot: {error}") from error
+
+
 def _check_uncertain_engine(study: Study) -> None:
     """Refuse an engine that states no uncertainty, and keys that are drawn with it already or bring another engine."""
     drawn = study.drawn
-    for key in [vary.key for vary in study.vary if not vary.uncertainty]:
+    for key in [*(vary.key for vary in study.vary if not vary.uncertainty), *study.case_keys]:
         if drawn.count(key) > 1:
             raise InputError(f"vary {key}: engine draws it by its [uncertainty] already; leave one of them out")
         if brings_engine(key):
@@ -426,37 +470,15 @@ def _check_names(study: Study, where: str) -> None:
             raise InputError(f"{where}: vary {vary.key}: {ROW_COLUMNS[vary.key]}")
         if vary.key in checked:
             raise InputError(f"{where}: vary {vary.key}: is there twice")
+        if vary.key in study.case_keys:
+            raise InputError(f"{where}: vary {vary.key}: a case sets it")
         checked.add(vary.key)
+    if repeated := first_repeated([case.name for case in study.case]):
+        raise InputError(f"{where}: case {repeated!r} is there twice")
 
 
 def _levels(vary: Vary) -> int:
     return len(vary.values) if vary.values is not None else vary.levels or 1
-
-
-def study_names() -> list[str]:
-    """Return the name of every study that is shipped."""
-    return files_in("studies")
-
-
-def find_study(name: str | Path) -> Path:
-    """Return the file of a study given by name or path."""
-    path = Path(name)
-    if path.suffix == ".toml" or path.is_file():
-        if not path.is_file():
-            raise InputError(f"{path}: no such study file")
-        return path
-    if str(name) not in study_names():
-        raise InputError(f"unknown study {str(name)!r}; {nearest(str(name), study_names())}, or a path")
-    return data_folder("studies") / f"{name}.toml"
-
-
-def flatten_settings(settings: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, Any]]:
-    """Return nested tables as dotted keys, as the command line has them."""
-    for key, value in settings.items():
-        if isinstance(value, Mapping) and value:
-            yield from flatten_settings(value, f"{above}{key}.")
-        else:
-            yield f"{above}{key}", value
 
 
 def _check_together(study: Study) -> None:

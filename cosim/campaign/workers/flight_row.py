@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from cosim.base.errors import MACHINE_TROUBLE, FlightError, InputError
 from cosim.base.storage.scratch import temporary
 from cosim.campaign.study.keys import CUSTOM_PARAMETERS
-from cosim.campaign.study.plan import Flight, scenario_of
+from cosim.campaign.study.plan import Flight, case_of, scenario_of
 from cosim.flight import fly_watched as fly
 from cosim.results import metrics
 from cosim.results.log.columns import logged_vehicle
@@ -64,8 +64,6 @@ NOT_FLOWN = (
     "what cannot be flown is no success wherever flights are counted, refutes no claim, and is no failure that a "
     "search finds"
 )
-# of an autopilot of others: states that it was told, and answers that never came
-_LOCKSTEP: Kinds = {"autopilot": str, "autopilot_frames": int, "autopilot_missing": int}
 _KINDS: Kinds = {"float": float, "int": int, "bool": bool, "choice": str}
 
 
@@ -77,8 +75,8 @@ def kinds(study: Study, custom: Sequence[str] | None = None) -> Kinds:
     """
     varied = {name: _kind(study, name) for name in study.drawn}
     measured = dict.fromkeys([*_metrics(), *(custom_metric_names(study) if custom is None else custom)], float)
-    lockstep = _LOCKSTEP if study.autopilot is not None else {}
-    return _FIRST | varied | _OUTCOME | _margin_kinds(study) | measured | _LAST | _plugin_kinds(study) | lockstep
+    flown = {"autopilot": str, **study.autopilot.columns} if study.autopilot is not None else {}
+    return _FIRST | varied | _OUTCOME | _margin_kinds(study) | measured | _LAST | _plugin_kinds(study) | flown
 
 
 def fly_one(study: Study, flight: Flight) -> Row:
@@ -91,7 +89,7 @@ def fly_one(study: Study, flight: Flight) -> Row:
         scenario = scenario_of(study, flight)
         if study.autopilot is not None:
             with temporary("autopilot-") as folder:
-                outcome, _ = with_autopilot(study, scenario, folder / "run", page=False)
+                outcome, _ = with_autopilot(study, scenario, folder / "run", case_of(flight.values), page=False)
         else:
             sink = _sink(scenario)
             outcome = _outcome_row(study, fly(scenario, sink=sink), sink.hexdigest())
@@ -105,24 +103,24 @@ def fly_one(study: Study, flight: Flight) -> Row:
     return failed_row(study, flight, "") | outcome | {"wall_s": time.perf_counter() - begin, "worker": _worker()}
 
 
-def with_autopilot(study: Study, scenario: Scenario, folder: Path, page: bool = True) -> tuple[Row, Run]:
-    """Fly the study's autopilot, recorded whole in ``folder``, and return the values for its row, and the run.
+def with_autopilot(
+    study: Study, scenario: Scenario, folder: Path, case: str | None = None, page: bool = True
+) -> tuple[Row, Run]:
+    """Fly the study's autopilot as its case has it, recorded in ``folder``; return the values for its row, and the run.
 
     What it was made from is the scenario as the study has it: the record of the autopilot's commands is of the flight.
     Raises InputError and FlightError.
     """
-    assert study.autopilot is not None
-    run, frames, missing = study.autopilot.fly(scenario, study.folder, folder, page)
+    autopilot = study.autopilot_of(case)
+    run, flown = autopilot.fly(scenario, study.folder, folder, page)
     digest = hashlib.sha256("\n".join([inputs(run), scenario.model_dump_json()]).encode()).hexdigest()
     row = _outcome_row(study, run, log_digest(run.log)) | {
         "controller_sha256": None,
         "controller_repeatable": None,
         "inputs_sha256": digest,
-        "autopilot": study.autopilot.name,
-        "autopilot_frames": frames,
-        "autopilot_missing": missing,
+        "autopilot": autopilot.name,
     }
-    return row, run
+    return row | flown, run
 
 
 def custom_metric_names(study: Study) -> list[str]:

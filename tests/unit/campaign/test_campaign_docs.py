@@ -89,7 +89,7 @@ def test_the_study_on_the_page_is_one(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(text.replace(', "designed.toml"', ""))
     study = Study.load(tmp_path / "mine.toml")
     unsaid = set(Study.model_fields) - set(study.table())
-    optional = {"description", "repeats", "autopilot", "until", "nominal_engine"}
+    optional = {"case", "description", "repeats", "autopilot", "until", "nominal_engine"}
     assert unsaid <= optional, "the page leaves out a key of a study's file"
     assert all(f"`{key} = " in PAGE or f"`{key}`" in PAGE or f"[{key}]" in PAGE for key in unsaid - {"description"})
     for key in unsaid:

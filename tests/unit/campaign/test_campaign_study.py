@@ -254,7 +254,7 @@ range = [5.0, 6.0]
         ("range = [5.0, 6.0]", "", "vehicle.mass_kg: give one of range, values, normal, lognormal, triangular; none given"),
         ("range = [5.0, 6.0]", "range = [5.0, 6.0]\nvalues = [1, 2]", "give one of range, values, normal, lognormal, triangular; range and values"),
         ("range = [5.0, 6.0]", "values = [1, 2]\nlevels = 3", "levels and scale go with a range, not with values"),
-        ("range = [5.0, 6.0]", "values = []", "vary.0.values: needs at least 2"),
+        ("range = [5.0, 6.0]", "values = []", "vehicle.mass_kg: values: needs at least 2"),
         ("range = [5.0, 6.0]", "values = 3", "vary.0.values"),
         ("range = [5.0, 6.0]", 'range = [5.0, "6"]', "must be a number"),
         ("range = [5.0, 6.0]", "normal = { mean = 5.0, sd = 1.0, low = 4.0 }", "unknown key 'vary.0.normal.low'"),
