@@ -15,7 +15,6 @@ from cosim.base.errors import FlightError, InputError, notify
 
 if TYPE_CHECKING:
     from cosim.base.protocols import Observer
-    from cosim.results.autopilot.autopilot_record import PilotRecord
     from cosim.results.autopilot.request_log import Replay
     from cosim.results.log.recorder import KeepingSink
     from cosim.results.run import Recording, Run
@@ -146,7 +145,12 @@ def fly_watched(
         replay = _replay(simulation) if scenario.requests is not None else None
         folder = None if out is None else Path(out)
         recording = record(simulation, folder, sink=sink)
-        noting = _pilot_record(replay, folder, simulation.dt) if replay is not None and folder else None
+        noting = None
+        if replay is not None and folder:
+            from cosim.results.autopilot.autopilot_record import PilotRecord
+            from cosim.results.run import AUTOPILOT
+
+            noting = PilotRecord(replay.pilot, folder / AUTOPILOT, simulation.dt)
         pace = Pace(simulation.dt, realtime_factor)
         watching = [*simulation.plugins.observers, *observers, *([noting] if noting else [])]
         watching += [watch(simulation, pace, folder, realtime_factor)] if watch else []
@@ -185,13 +189,6 @@ def _replay(simulation: Simulation) -> Replay:
     assert scenario.requests is not None
     pilot = attach_autopilot(simulation, not scenario.initial.on_ground)
     return Replay(pilot, read_requests(scenario.folder / scenario.requests))
-
-
-def _pilot_record(replay: Replay, folder: Path, step_s: float) -> PilotRecord:
-    from cosim.results.autopilot.autopilot_record import PilotRecord
-    from cosim.results.run import AUTOPILOT
-
-    return PilotRecord(replay.pilot, folder / AUTOPILOT, step_s)
 
 
 def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Scenario, Source | None]:

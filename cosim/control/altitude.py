@@ -87,19 +87,19 @@ class AltitudeController:
         if self._fade is not None:
             acceleration += self._fade_change(self._fade, height_error, measured.velocity[2], acceleration)
         throttle = self._throttle_for((self._mass - burnt) * acceleration / cosine)
-        return throttle if self._lead is None else self._apply_lead(self._lead, throttle, unallocated.collective)
+        lead = self._lead
+        if lead is None:
+            return throttle
+        # The lead starts settled when height control begins.
+        residual = unallocated.collective if self._started else 0.0
+        if not self._started:
+            lead.settle(throttle)
+        self._started = True
+        return lead.update(throttle, residual)
 
     def climb(self, height_error: float) -> float:
         """Return the commanded climb rate [m/s] at ``height_error`` metres below the set-point."""
         return clip(self._position * height_error, self._down, self._up)
-
-    def _apply_lead(self, lead: Lead, throttle: float, unallocated: float) -> float:
-        """Return the led throttle; the lead starts settled when height control begins."""
-        if not self._started:
-            lead.settle(throttle)
-            unallocated = 0.0
-        self._started = True
-        return lead.update(throttle, unallocated)
 
     def _fade_change(self, fade: Fade, height_error: float, sink: float, new: float) -> float:
         """Return the fading difference of the old gains' acceleration to the ``new`` one; the integral is common."""

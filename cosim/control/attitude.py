@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from math import sqrt
-from typing import Final
 
 from cosim.base.frames import from_euler
 from cosim.base.limits import clamp
 from cosim.base.signals import Command, Measured, Vector3
 from cosim.control.bumpless import Fade
 from cosim.spec.vehicle import AttitudeGains
-
-# Chosen by us: without an engine a vehicle has little thrust to spare, and one that leans more as it touches tips over.
-MOST_LEAN_RAD: Final = 0.25
 
 
 class AttitudeController:
@@ -56,10 +52,13 @@ class AttitudeController:
             return command.rate
         return self._rates_for(self.error(command, measured))
 
-    def update_tilt_first(self, command: Command, measured: Measured, lean: tuple[float, float]) -> Vector3:
+    def update_tilt_first(
+        self, command: Command, measured: Measured, lean: tuple[float, float], max_lean: float = 0.25
+    ) -> Vector3:
         """Return the body rates [rad/s] of a vehicle that holds no heading: zero about the body's z axis.
 
-        The lean that is asked for is kept within ``MOST_LEAN_RAD``; ``lean`` [rad], roll and pitch, is added to it.
+        The lean that is asked for is kept within ``max_lean`` [rad]: without an engine a vehicle has little thrust to
+        spare, and one that leans more as it touches tips over.  ``lean`` [rad], roll and pitch, is added to it.
 
         The error is taken apart, ``q_e = q_l q_z``, into the least turn that brings the body's z axis to where it is
         asked for, ``q_l`` about an axis in the body's xy plane, and a turn about z from there, which is left: with
@@ -70,8 +69,8 @@ class AttitudeController:
             return command.rate
         roll, pitch, yaw = command.attitude
         size = sqrt(roll * roll + pitch * pitch)
-        if size > MOST_LEAN_RAD:
-            scale = MOST_LEAN_RAD / size
+        if size > max_lean:
+            scale = max_lean / size
             command = command._replace(attitude=(scale * roll, scale * pitch, yaw))
         ex, ey, ez = self.error(command, measured)
         n = sqrt(max(0.0, 1.0 - 0.25 * (ex * ex + ey * ey)))

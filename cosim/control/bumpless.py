@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from math import exp
 
-TIME = 0.5  # s, over which the difference fades; chosen by us: slow against the rate loops, short for a pilot
-_NEGLIGIBLE = 1e-9  # for commands of order 1: below this the difference is dropped
-
 
 class Fade:
-    """Old answer minus new answer at the step of the change, dying out exponentially."""
+    """Old answer minus new answer at the step of the change, dying out exponentially.
 
-    def __init__(self, step: float) -> None:
-        self._keep = exp(-step / TIME)
+    ``fade_s``: slow against the rate loops, short for a pilot; ``negligible``: of commands of order 1, dropped.
+    """
+
+    def __init__(self, step: float, fade_s: float = 0.5, negligible: float = 1e-9) -> None:
+        self._keep, self._negligible = exp(-step / fade_s), negligible
         self._value = 0.0
 
     def begin(self, difference: float) -> None:
@@ -22,5 +22,5 @@ class Fade:
     def update(self) -> float:
         """Return the rest of the difference, one step later."""
         value = self._value * self._keep
-        self._value = value if value > _NEGLIGIBLE or value < -_NEGLIGIBLE else 0.0
+        self._value = value if value > self._negligible or value < -self._negligible else 0.0
         return self._value

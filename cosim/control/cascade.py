@@ -32,8 +32,6 @@ from cosim.control.rate import RateController
 from cosim.control.schedule import GainSchedule
 from cosim.spec.vehicle import Vehicle
 
-# s from switching engines on to where they must run: chosen by us, longer than a jet takes to spool up to idle
-_LONGEST_START: Final = 10.0
 _FLY: Final = EngineState.FLY
 _SIGNALS: Final = ControlSignals  # a module-level Final, which compiled code accesses directly
 
@@ -181,10 +179,11 @@ class Cascade:
             self._clear_losses(engines)
         return health
 
-    def _update_monitor(self, monitor: EngineMonitor, engines: EngineOutput) -> PerJet:
+    def _update_monitor(self, monitor: EngineMonitor, engines: EngineOutput, longest_start_s: float = 10.0) -> PerJet:
+        """Return the part of its thrust that each engine gives; a start is longer than a jet's up to idle."""
         if self._engines_off or self._is_cold:
             # Engines that are off on purpose, or have yet to start, cannot be monitored.
-            self._starting = _LONGEST_START
+            self._starting = longest_start_s
         elif self._starting > 0.0:
             self._starting -= self._step
             if monitor.have_started(self._throttle, engines):

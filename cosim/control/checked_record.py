@@ -8,13 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import Enum
-from math import isfinite
+from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, NamedTuple, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
 from cosim.base.errors import InputError
-
-_HINTS: dict[type[Any], dict[str, Any]] = {}
 
 
 class Bounds(NamedTuple):
@@ -32,10 +30,9 @@ class CheckedRecord:
         dataclass(frozen=True)(cls)
 
     def __post_init__(self) -> None:
-        hints = _hints(type(self))
-        for name, hint in hints.items():
-            where = f"{type(self).__name__}.{name}"
-            object.__setattr__(self, name, _check(getattr(self, name), hint, where))
+        kind: Any = type(self)
+        for name, hint in _hints(kind).items():
+            object.__setattr__(self, name, _check(getattr(self, name), hint, f"{kind.__name__}.{name}"))
 
 
 def make(kind: type[Any], values: Any, where: str) -> Any:
@@ -71,10 +68,9 @@ def _plain_value(value: Any) -> Any:
     return plain(value) if isinstance(value, CheckedRecord) else value
 
 
+@cache
 def _hints(kind: type[Any]) -> dict[str, Any]:
-    if kind not in _HINTS:
-        _HINTS[kind] = get_type_hints(kind, include_extras=True)
-    return _HINTS[kind]
+    return get_type_hints(kind, include_extras=True)
 
 
 def _check(value: Any, hint: Any, where: str) -> Any:
@@ -86,7 +82,10 @@ def _check(value: Any, hint: Any, where: str) -> Any:
         (inner,) = (arg for arg in args if arg is not NoneType)
         return _check(value, inner, where)
     if origin is Annotated:
-        return _bounded(_number(value, args[0], where), args[1], where)
+        number, (lower, upper) = _number(value, args[0], where), args[1]
+        if not lower <= number <= upper:
+            raise InputError(f"{where} = {number!r}: must be from {lower:g} to {upper:g}")
+        return number
     if origin is tuple:
         return _items(value, args, where)
     if isinstance(hint, type) and issubclass(hint, Enum):
@@ -125,16 +124,6 @@ def _number(value: Any, kind: type[float] | type[int], where: str) -> float:
         if value != value or abs(value) > 2**53 or int(value) != value:
             raise InputError(f"{where} = {value!r}: must be a whole number")
         return int(value)
-    try:
-        number = float(value)
-    except OverflowError:
-        number = float("inf")
-    if not isfinite(number):
+    if not abs(value) < 1e300:
         raise InputError(f"{where} = {value!r}: must be a finite number")
-    return number
-
-
-def _bounded(value: float, bounds: Bounds, where: str) -> float:
-    if not bounds.lower <= value <= bounds.upper:
-        raise InputError(f"{where} = {value!r}: must be from {bounds.lower:g} to {bounds.upper:g}")
-    return value
+    return float(value)

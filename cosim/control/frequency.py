@@ -21,9 +21,6 @@ from cosim.base.protocols import Predictor
 from cosim.control.predictors.linear import Pair, PairResponse
 from cosim.spec.vehicle import RateGains, RateModel
 
-_TAPS = 20_000
-_ENDED = 1e-13  # an impulse response that stays below this has ended
-
 
 class Margins(BaseModel):
     """The margins of an open loop; of several crossings, those of the one with the smallest margin.
@@ -57,14 +54,20 @@ def impulse_response(predictor: Callable[[], Predictor], model: RateModel) -> Pa
     return lambda z: (_transform(of_rate, z), _transform(of_command, z) / z)
 
 
-def _impulse(predictor: Predictor, model: RateModel, unit: tuple[float, float]) -> Array:
+def _impulse(
+    predictor: Predictor,
+    model: RateModel,
+    unit: tuple[float, float],
+    ended_below: float = 1e-13,
+    max_taps: int = 20_000,
+) -> Array:
     values = [predictor.update(*unit)]
     wait = int(model.delay_samples) + 2  # nothing may come before that
     ended = 0
     while ended <= wait:
         values.append(predictor.update(0.0, 0.0))
-        ended = ended + 1 if abs(values[-1]) < _ENDED else 0
-        if len(values) > _TAPS:
+        ended = ended + 1 if abs(values[-1]) < ended else 0
+        if len(values) > max_taps:
             raise InputError(f"{type(predictor).__name__}: its impulse response does not end; it must be stable alone")
     return np.array(values)
 

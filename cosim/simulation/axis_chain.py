@@ -111,21 +111,11 @@ def levers(vehicle: Vehicle, index: int) -> list[float]:
 
 
 def axis_gain(vehicle: Vehicle, index: int, span_n: float) -> float:
-    """Return the angular acceleration at rest [rad/s^2] of one unit of the command of an axis.
+    """Return the angular acceleration at rest [rad/s^2] of one unit of the command of an axis, 0 roll to 2 yaw.
 
-    Parameters
-    ----------
-    vehicle
-        Places of the jets [m, body], moments of inertia, mass and allocation.
-    index
-        0 roll, 1 pitch, 2 yaw.
-    span_n
-        Thrust that a command of 1 adds to one engine at rest, N.
-
-    Returns
-    -------
-    rad/s^2 per share of the thrust where throttles turn the axis, per rad where banks do, and 1 with the allocation
-    ``effectiveness``, whose command is the acceleration itself.
+    It is per share of the thrust where throttles turn the axis, per rad where banks do, and 1 with the allocation
+    ``effectiveness``, whose command is the acceleration itself.  ``span_n``: thrust [N] that a command of 1 adds to one
+    engine at rest.
     """
     if vehicle.allocation == "effectiveness":
         return 1.0
@@ -191,21 +181,9 @@ def rotor_momentum_lead(
 ) -> Vector3:
     """Return how a command turns the vehicle by its rotors' momentum: by so much of its change in a control step.
 
-    Parameters
-    ----------
-    vehicle
-        Jets with the sense in which their rotors turn, hinges that turn them, the tensor of inertia.
-    engines, thrusts
-        At each station, and in hover [N].
-    moves
-        By how much each thrust [N], then each hinge [rad], moves per rad/s^2 of command; others are left out.
-    step
-        Control step, s.
-
-    Returns
-    -------
     About x, y and z of the body, rad/s^2 per rad/s^2 of change, so in control steps; 0 where no rotor's inertia is
-    stated.
+    stated.  ``engines`` and ``thrusts`` [N, in hover]: at each station; ``moves``: of each thrust [N], then each hinge
+    [rad], per rad/s^2 of command; ``step`` [s].
     """
     rotors = RotorDynamics(vehicle.jets, engines, step, vehicle.hinges)
     if not rotors.is_active or not any(moves):

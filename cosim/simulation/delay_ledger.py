@@ -47,7 +47,6 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Hinge, Surface, Vehicle
 
 BESIDE = 0.05  # of an axis: chosen by us, see above
-LISTED = 0.01  # of an axis: a hinge that gives less is not named
 MEASURED = ", measured with a small step around half throttle"
 AT_HOVER = ", measured with small steps around the throttle of hover"
 
@@ -163,11 +162,12 @@ class _Hover:
             ("thrust of the step's end acts over all of it", "engines, then airframe", "exchange", -1.0),
         ]
 
-    def _by_servos(self, shares: Sequence[float]) -> list[tuple[str, str, str, float | None]]:
+    def _by_servos(self, shares: Sequence[float], listed: float = 0.01) -> list[tuple[str, str, str, float | None]]:
+        """Return the lag and the exchange; a hinge that gives less than ``listed`` of the axis is not named."""
         servos = list_servos(self._vehicle)
         poles = [filter_pole(servo.lag_s, self._step) for servo in servos]
         lag = _mean([1.0 / (1.0 - pole) for pole in poles], shares)
-        moving = [servo for servo, share in zip(servos, shares, strict=True) if abs(share) >= LISTED]
+        moving = [servo for servo, share in zip(servos, shares, strict=True) if abs(share) >= listed]
         names = [servo.name for servo in moving if isinstance(servo, (Hinge, Surface))]
         owner = f"lag_s of {', '.join(names)}" if names else "servo.lag_s"
         mean = ", mean by their shares of the moment" if len({servo.lag_s for servo in moving}) > 1 else ""

@@ -13,11 +13,9 @@ from cosim.engine import EngineSpec, make_bank
 
 _HOVER_STEP = (0.4, 0.6)  # throttle; chosen by us: about hover, wide enough for the lag and not for the limits
 _OTHER_STEPS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # where a real engine's lag is another one
-_LONGEST_S = 20.0
-_BEGIN = 1e-6  # fraction of the change at which an answer has begun
+# s of stepping, by which an answer is over; and the fraction of a change that is none.
+_LONGEST_S, _NO_CHANGE = 20.0, 1e-6
 _SMALL = (0.001, 0.05)  # of throttle, either way: the second for an ECU that does not see the first
-_VISIBLE = 0.5  # least change of thrust by a small step, over that of the static curve
-_ENDED = 1e-6  # of the change: an answer has ended once it was within this for a second
 
 
 class SmallStepResponse(NamedTuple):
@@ -80,7 +78,8 @@ def _measure_around(spec: EngineSpec, throttle: float, step: float, sizes: tuple
                 ends.append((output.thrust[0], output.spool_speed[0] if spec.has_port("spool_speed") else 0.0))
             (less, slow), (more, fast) = ends
             expected = spec.thrust_at(high) - spec.thrust_at(low)
-            if abs(more - less) < _VISIBLE * abs(expected) or more == less:
+            # The change is visible from half of that of the static curve on.
+            if abs(more - less) < 0.5 * abs(expected) or more == less:
                 continue
             answers = [_remaining_change(bank, throttle, end, step) for end in (low, high) if end != throttle]
             late = [sum(remaining_fraction) for remaining_fraction in answers]
@@ -99,7 +98,7 @@ def _remaining_change(bank: Engines, first: float, then: float, step: float) -> 
     for k in range(round(_LONGEST_S / step)):
         remaining_fraction = (after - bank.step(k, (then,)).thrust[0]) / change
         course.append(remaining_fraction)
-        quiet = quiet + 1 if abs(remaining_fraction) < _ENDED else 0
+        quiet = quiet + 1 if abs(remaining_fraction) < _NO_CHANGE else 0
         if quiet * step >= 1.0:
             break
     return course
@@ -140,7 +139,7 @@ def _measure_response(bank: Engines, first: float, then: float, step: float) -> 
     begin = None
     for k in range(round(_LONGEST_S / step)):
         fraction = (bank.step(k, (then,)).thrust[0] - before) / (after - before)
-        if begin is None and abs(fraction) > _BEGIN:
+        if begin is None and abs(fraction) > _NO_CHANGE:
             begin = k
         if begin is not None and fraction >= 1.0 - exp(-1.0):
             return (k + 1 - begin) * step, begin * step

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
 LEANING = ("roll_deg", "pitch_deg", "rate_p_deg_s", "rate_q_deg_s", "rate_r_deg_s")
 TRACKED = ("north_m", "east_m", "altitude_m", "yaw_deg")  # the columns of a track
-_ON_THE_GRID = 1e-9  # of a step, so that a row on the grid counts from its own step on
 
 
 class GuidedPilot:
@@ -275,7 +274,8 @@ class SplineTrack:
             if name not in columns:
                 raise InputError(f"{path}: line 1: no column {name}; a track has time_s, north_m and east_m")
         self.states = [name for name in TRACKED[2:] if name in columns]
-        self._slack = _ON_THE_GRID * scenario.step_s
+        # A row on the grid counts from its own step on.
+        self._slack = 1e-9 * scenario.step_s
         self._yaw = [radians(value) for value in columns["yaw_deg"]] if "yaw_deg" in columns else None
         self._pieces = {name: _spline(self._times, columns[name]) for name in TRACKED[:3] if name in columns}
         for t in self._times:

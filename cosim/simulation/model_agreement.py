@@ -56,16 +56,6 @@ from cosim.spec.vehicle import RateModel, Vehicle
 Response = tuple[Array, Complex]
 
 NOTED = 0.15  # relative difference of gain, delay or lag
-LEAST_SAMPLES = 2.0  # least difference of delay that is noted, samples
-UNFIT_GAIN = 1.5  # ratio of the gains, either way
-UNFIT_DELAY = 1.0 / 3.0  # fraction of all delay of the vehicle
-UNFIT_LAG = 0.5
-
-_CLEAR = (0.05,)  # step of the throttle for engines that tremble at rest
-_GRID = 0.05  # fraction of the throttle range
-_POINTS = 96
-_LOWEST = 0.02  # rad/s
-_HIGHEST = 0.8 * np.pi  # rad per step
 
 
 @dataclass(frozen=True)
@@ -96,19 +86,22 @@ class ModelAgreement:
 
     @property
     def is_unfit(self) -> bool:
-        """Whether they differ by so much that a predictor with this model does not do its work."""
-        return self._excess(UNFIT_GAIN, UNFIT_DELAY, UNFIT_LAG) > 1.0
+        """Whether a predictor with this model does not do its work: gain, delay, lag beyond these."""
+        return self._excess(1.5, 1.0 / 3.0, 0.5) > 1.0
 
     @property
     def distance(self) -> float:
         """The difference in units of the threshold of a note."""
         return self._excess(1.0 + NOTED, NOTED, NOTED)
 
-    def _excess(self, gain: float, delay: float, lag: float) -> float:
-        """Return the largest of the three differences, over its limit; a model of the other sign is beyond any."""
+    def _excess(self, gain: float, delay: float, lag: float, least_samples: float = 2.0) -> float:
+        """Return the largest of the three differences, over its limit; a model of the other sign is beyond any.
+
+        ``gain``: ratio, either way; ``delay``: of all delay of the vehicle, ``least_samples`` at least.
+        """
         if self.is_opposite:
             return inf
-        samples = max(LEAST_SAMPLES, delay * self.vehicle_delay)
+        samples = max(least_samples, delay * self.vehicle_delay)
         return max(
             abs(log(self.ratio)) / log(gain),
             abs(self.model_delay - self.vehicle_delay) / samples,
@@ -292,16 +285,16 @@ def _engine_response(vehicle: Vehicle, engine: EngineSpec, step: float) -> Respo
     elif engine.library:
         around = measure_small_steps(engine, hover, step)
     else:
-        around = measure_small_steps(engine, round(hover / _GRID) * _GRID, step, _CLEAR)
+        around = measure_small_steps(engine, round(hover / 0.05) * 0.05, step, (0.05,))
     return _transform(around.response, step) if around.response else None
 
 
 @lru_cache(64)
-def _transform(course: tuple[float, ...], step: float) -> Response:
-    """Return the frequency response of a course after a step of the throttle."""
-    omega = np.geomspace(_LOWEST, _HIGHEST / step, _POINTS)
+def _transform(course: tuple[float, ...], step: float, points: int = 96) -> Response:
+    """Return the frequency response of a course after a step of the throttle, from 0.02 rad/s on."""
+    omega = np.geomspace(0.02, 0.8 * np.pi / step, points)
     # the thrust of a step's end acts over all of it; the command of that step is known one sample before its end
-    back, value = np.exp(-1j * omega * step), np.zeros(_POINTS, complex)
+    back, value = np.exp(-1j * omega * step), np.zeros(points, complex)
     for push in np.diff(np.array(course), prepend=0.0)[::-1]:
         value = (value + push) * back
     return omega, value

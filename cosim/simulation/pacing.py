@@ -10,7 +10,6 @@ from typing import NamedTuple
 # the clock; after a longer one the schedule moves instead: a ground station would see the vehicle race, and sticks and
 # set-points, which are a fifth of a second old then, would act at the wrong time.
 CATCH_UP = 0.1  # s of wall time
-_WINDOW = 1.0  # s of wall time over which the factor that is reached is measured
 
 
 class PaceReport(NamedTuple):
@@ -63,7 +62,8 @@ class Pace:
         self._k = k
         now = self._clock()
         window_start, first_k = self._window_start
-        if now - window_start >= _WINDOW:
+        # The factor that is reached is measured over a second.
+        if now - window_start >= 1.0:
             self._reached = (k - first_k) * self._dt / (now - window_start)
             self._load = 1.0 - min(1.0, self._slept / (now - window_start))
             self._window_start, self._slept = (now, k), 0.0

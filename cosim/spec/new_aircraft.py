@@ -26,26 +26,10 @@ MODELS = """\
 
 
 def new_aircraft(name: str, base: str, folder: Path) -> Path:
-    """Write ``vehicle.toml`` of an aircraft that flies as ``base`` does.
+    """Write and return ``vehicle.toml`` of an aircraft that flies as ``base``, a shipped one, does.
 
-    Parameters
-    ----------
-    name : str
-        The new aircraft's name: letters, digits, - and _.
-    base : str
-        Name of a shipped aircraft.
-    folder : Path
-        Created if it does not exist; it must not contain an aircraft already.
-
-    Returns
-    -------
-    Path
-        The new ``vehicle.toml``.
-
-    Raises
-    ------
-    InputError
-        For a name that cannot be one, an unknown base, or a folder that is used or cannot be written.
+    ``folder`` is made if need be.  Raises InputError for a name that cannot be one, an unknown base, or a folder that
+    has an aircraft already or cannot be written.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
         raise InputError(f"{name!r} is no name for an aircraft: letters, digits, - and _, a letter or digit first")

@@ -46,7 +46,6 @@ from cosim.vehicle.mass_change import MassChange, PointMass, find_centre
 from cosim.vehicle.model_file import read_model
 from cosim.vehicle.model_trial import check_model_loads
 
-NEAR_GROUND: Final = 2.0  # m: below this height the contacts are looked at
 # JSBSim's methods, by the end of their property's name and its number for them
 RECTANGULAR: Final = 1.0
 ADAMS_BASHFORTH_2: Final = 3.0
@@ -70,13 +69,10 @@ SETTLING: Final = (0.05, 2.0)
 MAKE_UP: Final = {IN_THE_AIR: 0.5, ON_THE_GROUND: 1.0}
 
 _POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
-_RANKINE: Final = 5.0 / 9.0  # K, exact
 _NED = ("north", "east", "down")
 _NONE: Final[Any] = ZERO3  # one shared object
 _STATE: Final = State  # compiled code finds this without looking in a dictionary
 _number = itertools.count()  # numbers the airframes of this process
-# Key of the random numbers of a JSBSim file's own; 0 to 6 are those of sensors, plug-ins and stand.
-_MODEL_KEY: Final = 7
 
 Node = Callable[[str], Property]  # a property by its name
 Payload = tuple[float, float, float, float]  # kg, then its place, m from the centre of gravity as built, body
@@ -150,8 +146,9 @@ class Airframe:
         self._dt = step / substeps
         # JSBSim has two generators, each with its seed in a C int: turbulence, and the model's sensors and <random/>.
         # Equal seeds would draw equal numbers in both, and seeds that differ by little begin alike, so the second one
-        # is drawn.  The generator takes its seed modulo 2^31 - 1, and 0 as 1.
-        drawn = np.random.SeedSequence(seed, spawn_key=(_MODEL_KEY,)).generate_state(1)[0]
+        # is drawn, with a key of its own: 0 to 6 are those of sensors, plug-ins and stand.  The generator takes its
+        # seed modulo 2^31 - 1, and 0 as 1.
+        drawn = np.random.SeedSequence(seed, spawn_key=(7,)).generate_state(1)[0]
         self._seeds = {
             "atmosphere/randomseed": float(seed % 2**31),
             "simulation/randomseed": float(1 + drawn % (2**31 - 2)),
@@ -221,7 +218,9 @@ class Airframe:
         self._temperature: Get = node("atmosphere/T-R").get_double_value
         self._surfaces: list[Set] = [node(surface.property).set_double_value for surface in self._vehicle.surfaces]
         if self._vehicle.fuel:
-            self._set_burnt = node(f"inertia/pointmass-weight-lbs[{self._last_point_mass()}]").set_double_value
+            # The last point mass is the one that :func:`render` adds for it.
+            weights = self._fdm.query_property_catalog("inertia/pointmass-weight-lbs").splitlines()
+            self._set_burnt = node(f"inertia/pointmass-weight-lbs[{len(weights) - 1}]").set_double_value
 
     def _contacts(self, kind: str) -> list[Get]:
         """Return the getters of whether each contact of this kind touches."""
@@ -230,11 +229,6 @@ class Airframe:
 
     def _node(self, name: str) -> Property:
         return self._jsbsim.node(name)
-
-    def _last_point_mass(self) -> int:
-        """Return the index of the point mass that :func:`render` adds for the burnt fuel."""
-        weights = self._fdm.query_property_catalog("inertia/pointmass-weight-lbs").splitlines()
-        return len(weights) - 1
 
     def _set(self, name: str, value: float) -> None:
         self._node(name).set_double_value(value)
@@ -479,7 +473,7 @@ class Airframe:
 
     def air(self) -> tuple[float, float]:
         """Return static pressure [Pa] and temperature [K] of the air where the vehicle is."""
-        return self._pressure() * _POUND_SQUARE_FOOT, self._temperature() * _RANKINE
+        return self._pressure() * _POUND_SQUARE_FOOT, self._temperature() * (5.0 / 9.0)
 
     def _start_gust(self, velocity: Vector3, rise: float, hold: float, fall: float) -> None:
         gust = "atmosphere/cosine-gust"
@@ -504,7 +498,8 @@ class Airframe:
         angles: Vector3 = euler
         roll, pitch, yaw = angles
         height = (self._over_ellipsoid() - self._ground) * FOOT
-        near = height < NEAR_GROUND
+        # Below 2 m the contacts are looked at.
+        near = height < 2.0
         on_ground = near and any(touches() > 0.0 for touches in self._legs)
         hull_contact = near and any(touches() > 0.0 for touches in self._hull)
         self._touching = on_ground or hull_contact

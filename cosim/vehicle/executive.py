@@ -28,7 +28,6 @@ VERSION: Final[str] = jsbsim.__version__
 _DEBUG: Final = "JSBSIM_DEBUG"
 # JSBSim's exceptions, and those of C++ that its binding turns into ones of Python
 Complaint: Final = RuntimeError
-MOST_LINES: Final = 20  # lines of JSBSim's that are kept of one model
 # A name that JSBSim can look for: any other ends the process
 _STEP: Final = r"(?:\.{1,2}|[A-Za-z_][A-Za-z0-9_.-]*(?:\[[0-9]{1,6}\])?)"
 _NAME: Final = re.compile(rf"/?{_STEP}(?:/{_STEP})*")
@@ -38,7 +37,9 @@ _property_cache: RecentCache[tuple[str, ...]] = RecentCache(64)
 
 
 class _LogCapture(jsbsim.FGLogger):
-    """Collects JSBSim's warnings and errors, in place of printing them."""
+    """Collects JSBSim's warnings and errors, so many of one model, in place of printing them."""
+
+    max_lines = 20
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -50,7 +51,7 @@ class _LogCapture(jsbsim.FGLogger):
 
     def flush(self) -> None:
         line, self._text = " ".join(self._text.split()), ""
-        if line and line not in self.lines and len(self.lines) < MOST_LINES:
+        if line and line not in self.lines and len(self.lines) < self.max_lines:
             self.lines.append(line)
 
 

@@ -19,9 +19,6 @@ from cosim.base.storage.scratch import scratch
 from cosim.vehicle.executive import VERSION, Complaint, Executive
 from cosim.vehicle.model_file import FLOWN, find_line
 
-CPU_S: Final = 20  # s of processor time of a trial; JSBSim's own aircraft take 0.1 s
-MEGABYTES: Final = 4096  # most address space of a trial
-RUNS: Final = 5  # runs of JSBSim after its start
 _CODE: Final = "from cosim.vehicle.model_trial import try_model; try_model(sys.argv[1])"
 
 
@@ -44,21 +41,24 @@ def check_model_loads(xml: bytes, model: Path, text: bytes) -> None:
     write_if_possible(cached, f"{model}\n")
 
 
-def try_model(file: str) -> None:
+def try_model(file: str, runs: int = 5) -> None:
     """Load a model and run it a little in this process; its errors are reported by the process that flies it."""
     with suppress(InputError, Complaint, MemoryError):
         executive = Executive(Path(file), None, "model", 0.001)
         executive.start()
-        for _ in range(RUNS):
+        for _ in range(runs):
             executive.run()
 
 
-def _find_failure(xml: bytes) -> str:
-    """Return how a process that loads a model fails; empty if it ends well."""
+def _find_failure(xml: bytes, cpu_s: int = 20, megabytes: int = 4096) -> str:
+    """Return how a process that loads a model fails; empty if it ends well.
+
+    It may take so many s of processor time, of which JSBSim's own aircraft need 0.1, and so much address space.
+    """
     file = scratch() / "tried.xml"
     file.write_bytes(xml)
     try:
-        run_code(_CODE, str(file), seconds=CPU_S, megabytes=MEGABYTES)
+        run_code(_CODE, str(file), seconds=cpu_s, megabytes=megabytes)
     except HostError as error:
         return str(error)
     finally:

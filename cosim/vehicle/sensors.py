@@ -22,11 +22,10 @@ from cosim.vehicle._noise import Noise
 T = TypeVar("T")
 Fix = tuple[Any, Any]  # position and velocity: vectors that are handed on as they are
 
-_DRAWS = 13  # standard normals a step: gyro 3, attitude 3, position 3, velocity 3, height 1
-_FORCE_DRAWS = 3  # of the accelerometer
-_BLOCK = 256  # steps drawn at once
+# Steps drawn at once, each of 13 standard normals: gyro 3, attitude 3, position 3, velocity 3, height 1; and 3 of the
+# accelerometer.
+_DRAWS, _FORCE_DRAWS = (256, 13), (256, 3)
 _MEASURED: Final = Measured  # compiled code finds this without looking in a dictionary
-_BIAS_KEY = 6  # key of the random numbers for biases; the others' are 0 and 1
 
 
 class Latency(Generic[T]):
@@ -111,7 +110,8 @@ class SensorSuite:
         self._filter_gain = 1.0 - exp(-step / gyro.filter_s) if gyro.filter_s > 0.0 else 1.0
         on = 1.0 if noisy else 0.0
         self._gyro_noise = gyro.noise_rad_s * on
-        drawn = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BIAS_KEY,))).standard_normal(6).tolist()
+        # The random numbers for biases have a key of their own; the others' are 0 and 1.
+        drawn = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6,))).standard_normal(6).tolist()
         self._gyro_bias = _draw_bias(gyro.bias_rad_s, gyro.bias_sigma_rad_s, drawn[:3], on)
         self._gyro_resolution = gyro.resolution_rad_s
         self._attitude_noise = attitude.noise_rad * on
@@ -181,12 +181,12 @@ class SensorSuite:
         gyro_error = ZERO3
         n: list[float] = []
         if self._noisy:
-            m = self._next_force_draws()
+            m = _next(self._force_draws, self._force_rng, _FORCE_DRAWS)
             s = self._force_noise
             x, y, z = force
             bx, by, bz = self._force_bias
             force = (x + s * m[0] + bx, y + s * m[1] + by, z + s * m[2] + bz)
-            n = self._next_draws()
+            n = _next(self._draws, self._rng, _DRAWS)
             s = self._gyro_noise
             bp, bq, br = self._gyro_bias
             gyro_error = (s * n[0] + bp, s * n[1] + bq, s * n[2] + br)
@@ -224,10 +224,8 @@ class SensorSuite:
     def _sample_at_once(self, noise: Any, state: State, new_fix: bool) -> Measured:
         """Return the measurements of sensors that have noise and filter alone."""
         if not self._left:
-            self._left = _BLOCK
-            noise.fill(
-                self._rng.standard_normal((_BLOCK, _DRAWS)), self._force_rng.standard_normal((_BLOCK, _FORCE_DRAWS))
-            )
+            self._left = _DRAWS[0]
+            noise.fill(self._rng.standard_normal(_DRAWS), self._force_rng.standard_normal(_FORCE_DRAWS))
         self._left -= 1
         answer: tuple[Any, Any, Any, Any, Any, Any] = noise.sample(state, self._rate, new_fix)
         self._rate = answer[0]
@@ -243,18 +241,6 @@ class SensorSuite:
             altitude = self._height_line.update(altitude)
         fix: tuple[Any, Any] = self._gnss_line.update(self._fix)
         return _MEASURED(rate, attitude, fix[0], fix[1], altitude, self._force_line.update(force))
-
-    def _next_draws(self) -> list[float]:
-        if not self._draws:
-            self._draws = self._rng.standard_normal((_BLOCK, _DRAWS)).tolist()
-            self._draws.reverse()
-        return self._draws.pop()
-
-    def _next_force_draws(self) -> list[float]:
-        if not self._force_draws:
-            self._force_draws = self._force_rng.standard_normal((_BLOCK, _FORCE_DRAWS)).tolist()
-            self._force_draws.reverse()
-        return self._force_draws.pop()
 
 
 class FaultySensors:
@@ -289,6 +275,13 @@ class FaultySensors:
                 _freeze(measured, fault.sensor, last) if isinstance(fault, SensorDropout) else _shift(measured, fault)
             )
         return measured
+
+
+def _next(draws: list[list[float]], generator: Any, shape: tuple[int, int]) -> list[float]:
+    """Return the next step's standard normals, of which a block is drawn at once."""
+    if not draws:
+        draws.extend(reversed(generator.standard_normal(shape).tolist()))
+    return draws.pop()
 
 
 def _freeze(measured: Measured, sensor: str, last: Measured) -> Measured:

@@ -22,11 +22,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-CELLS: Final = (16, 12, 8, 6, 4, 3, 2, 1)  # pieces of a hinge's range: as many as CORNERS allow
-# most corners of one set of engines on common hinges; chosen by us: a program then takes milliseconds
-CORNERS: Final = 400
-MOST_CORNERS: Final = 6000  # with more corners no bound is computed
-WIDEST: Final = 0.5  # rad, most half-width of a piece: its triangle is out by 14 %
+# Pieces of a hinge's range: as many as allowed.
+CELLS: Final = (16, 12, 8, 6, 4, 3, 2, 1)
 
 
 class Objective(NamedTuple):
@@ -141,13 +138,17 @@ def _deflects_outside_carrier(layout: Layout, jet: int) -> bool:
     return False
 
 
-def _cells(spans: list[float], ends: int) -> int:
-    """Return the number of pieces of each range; 0: more than allowed."""
-    enough = [n for n in CELLS if all(span / n <= 2.0 * WIDEST for span in spans)]
-    few = [n for n in enough if ends * (2 * n + 1) ** len(spans) <= CORNERS]
+def _cells(spans: list[float], ends: int, corners: int = 400, max_corners: int = 6000, widest: float = 1.0) -> int:
+    """Return the number of pieces of each range; 0: more than allowed.
+
+    A piece of the ``widest`` [rad] has a triangle that is out by 14 %.  With so many ``corners`` of one set of engines
+    on common hinges a program takes milliseconds; with more than ``max_corners`` no bound is computed.
+    """
+    enough = [n for n in CELLS if all(span / n <= widest for span in spans)]
+    few = [n for n in enough if ends * (2 * n + 1) ** len(spans) <= corners]
     if few:
         return few[0]
-    return enough[-1] if enough and ends * (2 * enough[-1] + 1) ** len(spans) <= MOST_CORNERS else 0
+    return enough[-1] if enough and ends * (2 * enough[-1] + 1) ** len(spans) <= max_corners else 0
 
 
 def _arc(low: float, high: float, cells: int, effect: float) -> tuple[Array, Array]:

@@ -28,12 +28,9 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 DOWN: Final = 2  # the row of body z in force and moment
-TOLERANCE: Final = 1e-7  # tolerance of the constraints, relative to the weight
 RESOLUTION: Final = 1e-3  # relative gap between bound and attained value that three digits do not show
-ROUNDING: Final = 1e-6  # moments below this fraction of the weight times 1 m are rounding
 CUTS: Final = 12  # most bisections of the hinges' ranges; a few are usual
 OFFSET: Final = 0.1  # fraction of a range to a second start, where the linear programs of a climb may have no answer
-STARTS: Final = 8  # starts of climbs where no bound gives one
 
 
 class Range(NamedTuple):
@@ -164,7 +161,8 @@ class Reach:
         queue: list[tuple[float, int, Array, Array, Bound]] = [(-root.upper, 0, self._low, self._high, root)]
         while queue:
             most = max(closed, -queue[0][0])
-            if Range(least, most).is_exact or most - least <= ROUNDING * self._weight or most == -inf:
+            # Moments below a millionth of the weight times 1 m are rounding.
+            if Range(least, most).is_exact or most - least <= 1e-6 * self._weight or most == -inf:
                 break
             _, _, low, high, bound = heappop(queue)
             least = max(least, self._climb(objective, bound.thrust, bound.angles))
@@ -184,16 +182,15 @@ class Reach:
         most = max([closed, *(-part[0] for part in queue)])
         return Range(least, max(least, most))
 
-    def _search(self, objective: Objective) -> float:
+    def _search(self, objective: Objective, starts: int = 8) -> float:
         """Return the best of climbs from rest and from points of a Halton sequence, which fills the ranges evenly."""
         from scipy.stats import qmc
 
         even = 0.5 * (self._least + self._most)
-        starts = [
-            self._rest,
-            *qmc.scale(qmc.Halton(len(self._rest), scramble=False).random(STARTS), self._low, self._high),
-        ]
-        return max(self._climb(objective, even, start) for start in starts)
+        points = qmc.Halton(len(self._rest), scramble=False).random(starts)
+        return max(
+            self._climb(objective, even, start) for start in (self._rest, *qmc.scale(points, self._low, self._high))
+        )
 
     def _climb(self, objective: Objective, thrust: Array, at: Array) -> float:
         """Return what a climb from these thrusts and angles attains; where it fails, from a point close to them."""
@@ -208,7 +205,8 @@ class Reach:
         best = self._optimise(objective, start, low, high)
         return best if best > -inf else self._optimise(objective, np.clip(offset, low, high), low, high)
 
-    def _optimise(self, objective: Objective, start: Array, low: Array, high: Array) -> float:
+    def _optimise(self, objective: Objective, start: Array, low: Array, high: Array, tolerance: float = 1e-7) -> float:
+        """Return what a program of quadratic programs ends at, with constraints to this fraction of the weight."""
         import numpy as np
         from scipy.optimize import minimize
 
@@ -250,7 +248,7 @@ class Reach:
         )
         wrench, _ = wrench_of(np.clip(result.x, low, high))
         residual = np.max(np.abs(rows @ wrench - values))
-        return float(objective.goal @ wrench) if residual <= TOLERANCE else -inf
+        return float(objective.goal @ wrench) if residual <= tolerance else -inf
 
     def _linear(self, thrust: Array, at: Any) -> tuple[Array, Array]:
         """Return force and moment of each jet per thrust, hinges ``at`` [rad], and their change per rad of each hinge.

@@ -50,9 +50,7 @@ AHEAD: Final = ((FORWARD,),)  # row added in forward flight
 # rad, of a tilt from the force that is wanted; chosen by us: the front turned back and the rear ahead, against each
 # other, is a solution that no small step leads out of
 ASTRAY: Final = 0.6
-FLATTEST: Final = 0.05  # least ratio of lift to forward force demanded of the jets, which allows for what surfaces lift
 GIVEN: Final = 1e-10  # residuals below this fraction of the weight, or times the radius of gyration, are rounding
-NEARLY: Final = 1e-4  # the same for a design, which searches for the largest demand that is met
 PASSES: Final = 6  # most Newton iterations in a step; two are usual from the previous solution
 FIRST_PASSES: Final = 60  # most Newton iterations without a previous solution
 
@@ -118,6 +116,16 @@ class Constants(NamedTuple):
     levels: list[tuple[int, ...]]
     servo_limits: list[tuple[float, float]]
     neutral: list[float]
+
+
+class SolverOptions(NamedTuple):
+    """Start, limits and priorities of a solution, in place of the allocator's own."""
+
+    last: list[float]  # thrusts [N] and servos to begin from
+    thrust_limits: list[tuple[float, float]]  # of each thrust, N
+    levels: list[tuple[int, ...]]
+    servo_limits: list[tuple[float, float]]
+    neutral: list[float]  # positions of the servos if there is a choice
 
 
 class EffectivenessAllocator:
@@ -196,7 +204,9 @@ class EffectivenessAllocator:
         self._preferred = [even] * self._jets
         self._last = [even] * self._jets + [effector.rest for effector in self._effectors]
         wanted = [0.0, 0.0, self._weight, 0.0, 0.0, 0.0]
-        found, missing = self._solve_by(wanted, self._weight, FIRST_PASSES, False, [*LEVELS, *HORIZONTAL])
+        usual, self._levels = self._levels, [*LEVELS, *HORIZONTAL]
+        found, missing = self._solve(wanted, self._weight, FIRST_PASSES, False)
+        self._levels = usual
         self._missing = [missing[row] * self._norms[row] for row in range(6)]
         self._balanced = all(abs(self._missing[row]) <= 1e-6 for row in (ROLL, PITCH, LIFT))
         self._preferred = found[: self._jets]
@@ -253,12 +263,6 @@ class EffectivenessAllocator:
         found, missing = self._solve(self._wanted(self._weight, torque, ZERO3), self._weight, FIRST_PASSES, False)
         return found, [0.0 if -GIVEN <= m * norm <= GIVEN else m for m, norm in zip(missing, self._norms, strict=True)]
 
-    def thrust_part(self, axis: int) -> float:
-        """Return the part of a small angular acceleration about an axis that thrusts give in hover; hinges the rest."""
-        moves, effects = self.unit_changes(axis)
-        given = [move * effect for move, effect in zip(moves, effects, strict=True)]
-        return sum(given[: self._jets]) if any(given) else 1.0
-
     def unit_changes(self, axis: int) -> tuple[list[float], list[float]]:
         """Return each effector's change per rad/s^2 about an axis in hover, and the acceleration about it per change.
 
@@ -291,9 +295,10 @@ class EffectivenessAllocator:
             most = min(most, low)
         return most
 
-    def _gives(self, axis: int, size: float) -> bool:
+    def _gives(self, axis: int, size: float, missed: float = 1e-4) -> bool:
+        """Return whether hover gives an angular acceleration, but for this fraction of weight and moment."""
         _, missing = self.solve_hover((size * (axis == 0), size * (axis == 1), size * (axis == 2)))
-        return all(abs(missing[row]) * self._norms[row] <= NEARLY for row in (ROLL, PITCH, LIFT, YAW))
+        return all(abs(missing[row]) * self._norms[row] <= missed for row in (ROLL, PITCH, LIFT, YAW))
 
     # ---- a step
 
@@ -335,7 +340,8 @@ class EffectivenessAllocator:
         asked = lift
         for number in range(self._hinges, len(self._effectors)):  # jets do not counteract the lift of surfaces
             asked += self.pressure * last[jets + number] * self._effectors[number].wrench[2]
-        asked = lift + max(0.0, FLATTEST * max(force, least) - asked)
+        # Lift is at least this fraction of the force ahead, which allows for what surfaces lift.
+        asked = lift + max(0.0, 0.05 * max(force, least) - asked)
         without = force
         if asked < least:  # the engines' least thrust points forward
             force = max(force, sqrt(least * least - asked * asked))
@@ -343,15 +349,16 @@ class EffectivenessAllocator:
         wanted[PITCH] += pitch
         wanted[FORWARD] = force
         whole, along = max(hypot(force, asked), least), atan2(force, asked)
-        neutral, preferred, servo_limits = self._neutral, self._preferred, self._servo_limits
+        neutral, preferred, servo_limits, levels = self._neutral, self._preferred, self._servo_limits, self._levels
         self._neutral, self._servo_limits = list(neutral), list(servo_limits)
         for tilt in tilts:
             low, high = servo_limits[tilt]
             middle = self._neutral[tilt] = min(max(along, low), high)
             self._servo_limits[tilt] = (max(low, middle - ASTRAY), min(high, middle + ASTRAY))
         self._preferred = self._shared(cos(along) * cos(along))
-        found, missing = self._solve_by(wanted, whole, PASSES, True, self._levels_ahead)
-        self._neutral, self._preferred, self._servo_limits = neutral, preferred, servo_limits
+        self._levels = self._levels_ahead
+        found, missing = self._solve(wanted, whole, PASSES, True)
+        self._neutral, self._preferred, self._servo_limits, self._levels = neutral, preferred, servo_limits, levels
         missing[LIFT] += lift - asked
         missing[FORWARD] += without - force
         return self._actuation(found, missing), missing[FORWARD]
@@ -401,28 +408,21 @@ class EffectivenessAllocator:
             answer.append(least if share < least else (most if share > most else share))
         return tuple(answer)
 
-    def _solve(self, wanted: list[float], lift: float, passes: int, rated: bool) -> tuple[list[float], list[float]]:
-        """Return thrusts [N] and angles for a wrench, and its residual; ``rated``: within the servos' rates."""
-        return self._solve_by(wanted, lift, passes, rated, self._levels)
-
-    def _solve_by(
-        self, wanted: list[float], lift: float, passes: int, rated: bool, levels: list[tuple[int, ...]]
+    def _solve(
+        self, wanted: list[float], lift: float, passes: int, rated: bool, options: SolverOptions | None = None
     ) -> tuple[list[float], list[float]]:
-        """Solve as :meth:`_solve`, with the rows in these levels.  Raises FlightError for what is not finite."""
+        """Return thrusts [N] and angles for a wrench, and its residual; ``rated``: within the servos' rates.
+
+        With ``options`` also with the servos' lead.  Raises FlightError for what is not finite.
+        """
+        last, limits, levels = self._last, self._thrust_limits, self._levels
+        servo_limits, neutral, pressure, preferred = self._servo_limits, self._neutral, self.pressure, self._preferred
+        lead = rated and options is not None
+        if options is not None:
+            last, limits, levels, servo_limits, neutral = options
         try:
             return self._solver.solve(
-                wanted,
-                lift,
-                self.pressure,
-                passes,
-                rated,
-                False,
-                self._last,
-                self._thrust_limits,
-                levels,
-                self._preferred,
-                self._servo_limits,
-                self._neutral,
+                wanted, lift, pressure, passes, rated, lead, last, limits, levels, preferred, servo_limits, neutral
             )
         except ValueError as error:
             raise FlightError(f"the allocation cannot be solved: {error}") from error

@@ -10,16 +10,10 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from math import ceil, exp, floor, inf
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from cosim.base.signals import EngineOutput, JetHealth, PerJet
 from cosim.spec.vehicle import MonitorSettings
-
-_LOST_GAIN: Final = 0.2  # fraction of the commanded thrust below which an engine counts as lost; chosen by us
-_FOLLOWS: Final = 0.3  # fraction of the commanded change; an engine that moved less does not follow it; chosen by us
-_EXACT: Final = 0.5  # fraction of the threshold within which an engine is taken to follow its command at that moment
-# times the confirmation: over so long a fall is looked at by itself; chosen by us: the least with room for it
-_SUDDEN: Final = 5
 
 
 class EngineReference(NamedTuple):
@@ -90,7 +84,8 @@ class EngineMonitor:
             _Engine(_filter_gain(step, reference.shortest / factor), _filter_gain(step, reference.longest * factor))
             for reference in references
         ]
-        self._sudden = _SUDDEN * self._confirm if sudden else 0  # steps
+        # Over five times the confirmation, the least with room for it, a fall is looked at by itself.
+        self._sudden = 5 * self._confirm if sudden else 0  # steps
         periods = max(1, self._confirm - 1)
         self._decay = [exp(-periods * step / reference.lag) if reference.lag > 0.0 else 0.0 for reference in references]
         self._sudden_decay = [(1.0 - engine.fast) ** self._sudden for engine in self._engines]
@@ -149,7 +144,8 @@ class EngineMonitor:
                 deficit = max(deficit, self._sudden_deficit(i, x))
             if excess <= threshold and deficit <= threshold:
                 engine.outside = 0
-                if excess <= _EXACT * threshold and deficit <= _EXACT * threshold:
+                # Within half of the threshold it is taken to follow its command at that moment.
+                if excess <= 0.5 * threshold and deficit <= 0.5 * threshold:
                     engine.agreed, engine.agreed_reference = x, 0.5 * (low + high)
                 continue
             engine.outside += 1
@@ -205,8 +201,11 @@ class EngineMonitor:
             for reference, u, f, w in reports
         )
 
-    def _assess(self, i: int, x: float) -> bool:
-        """Set the health of an engine that has been outside for long enough; return whether it changed."""
+    def _assess(self, i: int, x: float, lost_below: float = 0.2, follows_above: float = 0.3) -> bool:
+        """Set the health of an engine that has been outside for long enough; return whether it changed.
+
+        It counts as lost below this fraction of the commanded thrust, and follows above this one of the change.
+        """
         engine = self._engines[i]
         reference, gain = 0.5 * (engine.low + engine.high), engine.gain
         decay = self._decay[i]
@@ -214,13 +213,13 @@ class EngineMonitor:
         if gain == 0.0:
             return self._set_health(i, 0.0, heading)
         change, commanded_change = abs(x - engine.agreed), gain * abs(reference - engine.agreed_reference)
-        if change < _FOLLOWS * commanded_change:
+        if change < follows_above * commanded_change:
             return engine.outside >= self._stuck and self._set_health(i, 0.0, x)
         if x > engine.high + self._threshold:
             # It is slow to come down, or runs away.
             return change > commanded_change and self._set_health(i, 0.0, heading)
         gain_estimate = min(1.0, heading / reference) if reference > 0.0 else 1.0
-        return self._set_health(i, 0.0 if gain_estimate < _LOST_GAIN else gain_estimate, 0.0)
+        return self._set_health(i, 0.0 if gain_estimate < lost_below else gain_estimate, 0.0)
 
     def _set_health(self, i: int, gain: float, fixed: float) -> bool:
         engine = self._engines[i]

@@ -31,7 +31,6 @@ from collections.abc import Sequence
 from math import atan2
 from typing import Final, NamedTuple
 
-from cosim.base.errors import FlightError
 from cosim.base.limits import clamp
 from cosim.base.signals import ZERO3, Actuation, PerJet, Vector3
 from cosim.control.allocation.effectiveness import (
@@ -49,20 +48,14 @@ from cosim.control.allocation.effectiveness import (
     YAW,
     AllocationModel,
     EffectivenessAllocator,
+    SolverOptions,
 )
 
-# Chosen by us.
-TRIMMED: Final = 0.7  # fraction of the hinges' ranges available to balance thrusts; the rest turns the vehicle
-PUSHED: Final = 1.0  # gain on the lift that reported thrusts lack, added to the demand: halves the engines' lag
-SLOPE_S: Final = 0.02  # time constant of the reports' slope: short against any jet
-SHORT: Final = 0.01  # lift deficit over the weight from which on hinges are kept near the most lift
-LEAN_S: Final = 0.1  # time constant of the lean: hinges move as fast, and the lean is not to follow each
-LEAN_RAD: Final = 0.2  # the most lean while the reported thrusts cannot hold the weight
-HELD_LEAN_RAD: Final = 0.1  # the most lean from then on: the vehicle should touch down level
+# Lift deficit over the weight from which on hinges are kept near the most lift; chosen by us.
+SHORT: Final = 0.01
 # what hinges beside reported thrusts are for, where they carry engines, and where they only deflect thrust
 TURNING: Final = ((ROLL, PITCH), (YAW,), (LIFT,), (FORWARD, RIGHT))
 DEFLECTING: Final = ((ROLL, PITCH), (YAW,))
-UNBALANCED: Final = 100.0  # weight of missing roll and pitch against missing lift, where most lift is searched for
 
 
 class EngineLag(NamedTuple):
@@ -70,16 +63,6 @@ class EngineLag(NamedTuple):
 
     delay: float  # s until a throttle command has acted
     step: float  # s
-
-
-class SolverOptions(NamedTuple):
-    """Start, limits and priorities of a solution, in place of the allocator's own."""
-
-    last: list[float]  # thrusts [N] and servos to begin from
-    thrust_limits: list[tuple[float, float]]  # of each thrust, N
-    levels: list[tuple[int, ...]]
-    servo_limits: list[tuple[float, float]]
-    neutral: list[float]  # positions of the servos if there is a choice
 
 
 class HingedRecovery(EffectivenessAllocator):
@@ -120,7 +103,8 @@ class HingedRecovery(EffectivenessAllocator):
         ]
         if self._reported:
             lag = self._lag
-            share = lag.step / (SLOPE_S + lag.step)
+            # The time constant of the reports' slope is short against any jet.
+            share = lag.step / (0.02 + lag.step)
             for i, (now, before) in enumerate(zip(given, self._reported, strict=True)):
                 self._rising[i] += share * ((now - before) / lag.step - self._rising[i])
         else:
@@ -163,23 +147,30 @@ class HingedRecovery(EffectivenessAllocator):
         self._short, self._lifting, self.lean = True, [], (0.0, 0.0)
         return super().allocate_forward(force, lift, pitch, torque, tilts)
 
-    def _carried(self, lift: float) -> tuple[list[float], list[float]]:
-        """Return thrusts [N] and servos for the lift in balance, and the residual; see the module's text."""
+    def _carried(self, lift: float, trimmed: float = 0.7) -> tuple[list[float], list[float]]:
+        """Return thrusts [N] and servos for the lift in balance, and the residual; see the module's text.
+
+        The lift that reported thrusts lack is added to the demand, which halves the engines' lag.  ``trimmed``: the
+        fraction of the hinges' ranges to balance thrusts with; the rest turns the vehicle.
+        """
         pushed = lift
         for thrust in self._reported:
-            pushed -= PUSHED * thrust
-        pushed += PUSHED * lift
-        part = 0.0 if self._turning_on else TRIMMED
+            pushed -= thrust
+        pushed += lift
+        part = 0.0 if self._turning_on else trimmed
         reach = [
             (effector.rest + part * (low - effector.rest), effector.rest + part * (high - effector.rest))
             for effector, (low, high) in zip(self._effectors, self._servo_limits, strict=True)
         ]
         wanted, stand = [0.0, 0.0, pushed, 0.0, 0.0, 0.0], self._hovers[self._jets :]
         options = SolverOptions(self._carrying, self._thrust_limits, [*LEVELS, *HORIZONTAL], reach, stand)
-        return self._solve_within(options, wanted, lift, PASSES, False)
+        return self._solve(wanted, lift, PASSES, False, options)
 
-    def _lifts(self, servos: list[float]) -> bool:
-        """Return whether the reported thrusts cannot hold the weight in balance; then hinges follow the most lift."""
+    def _lifts(self, servos: list[float], unbalanced: float = 100.0) -> bool:
+        """Return whether the reported thrusts cannot hold the weight in balance; then hinges follow the most lift.
+
+        ``unbalanced``: the cost of missing roll and pitch against missing lift, where that is searched for.
+        """
         rest, weight = self._neutral, [0.0, 0.0, self._weight, 0.0, 0.0, 0.0]
         starts, passes = [self._lifting], PASSES
         if not self._lifting:
@@ -190,7 +181,7 @@ class HingedRecovery(EffectivenessAllocator):
         norms, costs = self._norms, []
         for _, missing in found:
             turned = abs(missing[ROLL]) * norms[ROLL] + abs(missing[PITCH]) * norms[PITCH]
-            costs.append(UNBALANCED * turned + abs(missing[LIFT]) * norms[LIFT])
+            costs.append(unbalanced * turned + abs(missing[LIFT]) * norms[LIFT])
         self._lifting, missing = found[costs.index(min(costs))]
         return missing[LIFT] * norms[LIFT] > SHORT
 
@@ -214,24 +205,8 @@ class HingedRecovery(EffectivenessAllocator):
         """Return servos for the reported thrusts, searched from ``servos``, and the residual of ``wanted``."""
         last, ends = [*self._reported, *servos], [(thrust, thrust) for thrust in self._reported]
         options = SolverOptions(last, ends, self._turns, servo_limits, neutral)
-        found, missing = self._solve_within(options, wanted, wanted[LIFT], passes, rated)
+        found, missing = self._solve(wanted, wanted[LIFT], passes, rated, options)
         return found[self._jets :], missing
-
-    def _solve_within(
-        self, options: SolverOptions, wanted: list[float], lift: float, passes: int, rated: bool
-    ) -> tuple[list[float], list[float]]:
-        """Solve as :meth:`_solve`, by ``options``; ``rated``: as far as servos move in a step, with their lead.
-
-        Raises FlightError for what is not finite.
-        """
-        last, limits, levels, servo_limits, neutral = options
-        pressure, preferred = self.pressure, self._preferred
-        try:
-            return self._solver.solve(
-                wanted, lift, pressure, passes, rated, rated, last, limits, levels, preferred, servo_limits, neutral
-            )
-        except ValueError as error:
-            raise FlightError(f"the allocation cannot be solved: {error}") from error
 
     def _turns_on(self, wanted: Sequence[float], missing: Sequence[float], servos: Sequence[float]) -> bool:
         """Return whether saturated hinges and the coming thrusts turn the vehicle against the demand."""
@@ -242,10 +217,16 @@ class HingedRecovery(EffectivenessAllocator):
         moments, _ = self._solver.linear([*coming, *servos], self.pressure)
         return moments[ROLL] * wanted[ROLL] + moments[PITCH] * wanted[PITCH] <= 0.0
 
-    def _lean(self, missing: Sequence[float], lift: float) -> None:
-        """Let :attr:`lean` follow the force that is given: what is missing of none ahead and aside, and a lift [N]."""
-        share, (roll, pitch) = self._lag.step / (LEAN_S + self._lag.step), self.lean
-        most = LEAN_RAD if self._short else HELD_LEAN_RAD
+    def _lean(
+        self, missing: Sequence[float], lift: float, lean_s: float = 0.1, max_rad: float = 0.2, held_rad: float = 0.1
+    ) -> None:
+        """Let :attr:`lean` follow the force that is given: what is missing of none ahead and aside, and a lift [N].
+
+        ``lean_s``: its time constant; hinges move as fast, and it is not to follow each.  ``max_rad``: at most while
+        the reported thrusts cannot hold the weight; ``held_rad``: from then on, to touch down level.
+        """
+        share, (roll, pitch) = self._lag.step / (lean_s + self._lag.step), self.lean
+        most = max_rad if self._short else held_rad
         to_roll = clamp(atan2(missing[RIGHT], lift), most)
         to_pitch = clamp(atan2(-missing[FORWARD], lift), most)
         self.lean = (roll + share * (to_roll - roll), pitch + share * (to_pitch - pitch))

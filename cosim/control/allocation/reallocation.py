@@ -32,13 +32,7 @@ if TYPE_CHECKING:
 _KEPT = 0.15  # fraction of hover thrust kept either way for height while roll is used; chosen by us: 1.5 m/s^2 of climb
 # fractions of that reserve, tried in turn: an engine that runs away leaves little room downward
 _PARTS_KEPT = (1.0, 0.5, 0.25, 0.1)
-# cost of the largest departure of a jet from its nominal command, against roll authority: spreads the load
-_EXCESS_COST = 0.05
-_ROUNDING = 1e-9  # share m
-_LEAST_GAIN = 1e-6  # gain in collective below which a second direction is not used
 _FLAT = 1e-9  # throttle per collective below which a jet counts as constant
-# cost of pitch moment left to the tilt, against roll authority: throttle balances pitch where it can
-_RESIDUAL_COST = 1e3
 
 
 @dataclass(frozen=True)
@@ -83,7 +77,7 @@ def plan(
     import numpy as np
 
     low, high = limits.throttle_min, limits.throttle_max
-    rows, side = _rows(jets), _side(jets)
+    rows, side = _rows(jets), np.array([-1.0 if jet.position_m[1] > 0.0 else 1.0 for jet in jets])
     gain = np.array([engine.gain for engine in health])
     fixed = np.array([engine.fixed for engine in health])
     free = np.flatnonzero(gain > 0.0)
@@ -133,7 +127,8 @@ def plan(
             given @ boost - per_collective if boost.any() else np.zeros(3),
         )
     ]
-    constant, per_up, per_reach, per_boost = (0.0 if abs(value) < _ROUNDING else value for value in left)
+    # Below a billionth of a share m they are rounding.
+    constant, per_up, per_reach, per_boost = (0.0 if abs(value) < 1e-9 else value for value in left)
     everything = np.zeros((4, len(jets)))
     everything[0] = [engine.command for engine in health]
     everything[:, free] = (trim, up, roll, boost)
@@ -204,12 +199,6 @@ def _rows(jets: Sequence[Jet]) -> Array:
     return np.array([[1.0, jet.position_m[1], jet.position_m[0]] for jet in jets]).T
 
 
-def _side(jets: Sequence[Jet]) -> Array:
-    import numpy as np
-
-    return np.array([-1.0 if jet.position_m[1] > 0.0 else 1.0 for jet in jets])
-
-
 def command_to_torque(jets: int, allocator: Any) -> list[list[float]]:
     """Return the pseudo-inverse of a bank or rotor allocation, which gives the demand back from the commands.
 
@@ -277,7 +266,7 @@ def _boost(trim: Array, up: Array, centre: float, top: tuple[float, Array], high
     ]
     reached = min(room, default=0.0)
     gain = top[0] - centre - reached
-    if gain <= _LEAST_GAIN:
+    if gain <= 1e-6:
         return np.zeros(len(trim))
     boost: Array = (top[1] - trim - reached * up) / gain
     boost[np.abs(boost) < _FLAT] = 0.0
@@ -321,7 +310,9 @@ def _weights(
             wanted.append(np.full(n, sign * value))
     unequal = np.vstack([corners, -corners, *excess])
     bound = np.concatenate([np.full(4 * n, high), np.full(4 * n, -low), *wanted])
-    cost = np.concatenate([np.zeros(3 * n), [-1.0], np.full(4, _RESIDUAL_COST), np.full(3, _EXCESS_COST)])
+    # Against roll authority: pitch moment left to the tilt is dear, as throttle balances pitch where it can, and the
+    # largest departure of a jet from its nominal command costs a little, which spreads the load.
+    cost = np.concatenate([np.zeros(3 * n), [-1.0], np.full(4, 1e3), np.full(3, 0.05)])
     bounds = [(None, None)] * (3 * n) + [(0.0, None)] * 8
     solution = _linprog(cost, (unequal, bound), (equal, np.concatenate([trim, up, np.zeros(3)])), bounds)
     if solution is None or solution.x[3 * n] < 1e-6:

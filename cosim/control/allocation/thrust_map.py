@@ -49,7 +49,7 @@ class ThrustMap:
         self.low, self.span = reference.thrust[0], reference.span
         # None: the throttle is the fraction, to the last bit
         self.stations: list[Inverse | None] = [
-            None if reference.is_straight and _same(curve, reference) else inverse[id(curve)] for curve in stations
+            None if reference.is_straight and curve[1:] == reference[1:] else inverse[id(curve)] for curve in stations
         ]
         self.identity = not any(self.stations)
         self.inverse = inverse[id(reference)] if reference.is_straight else None  # None: a straight line
@@ -76,10 +76,6 @@ class ThrustMap:
         return tuple(throttles)
 
 
-def _same(one: StaticCurve, other: StaticCurve) -> bool:
-    return one is other or (one.throttle, one.thrust) == (other.throttle, other.thrust)
-
-
 def invert(curve: StaticCurve) -> Inverse:
     """Return the map from thrust at rest [N] to throttle, linear between the points and beyond the ends.
 
@@ -93,9 +89,7 @@ def invert(curve: StaticCurve) -> Inverse:
                 f"engine {curve.engine}: its thrust at rest must grow with the throttle, "
                 f"but from throttle {u:g} to {v:g} it {does}{g:.6g} N"
             )
-
     slopes = [(v - u) / (b - a) for (u, v), (a, b) in zip(pairwise(throttles), pairwise(thrusts), strict=True)]
-
     return Inverse(throttles, thrusts, slopes)
 
 
@@ -112,9 +106,6 @@ class Inverse:
         self._throttle, self._thrust, self._slope = self.throttles[line], thrusts[line], self.slopes[line]
         self._above = thrusts[line] if line > 0 else -inf
         self._to = thrusts[line + 1] if line < last else inf
-
-    def __call__(self, thrust: float) -> float:
-        return self.at(thrust)
 
     def at(self, thrust: float) -> float:
         """Return the throttle that gives ``thrust`` [N]."""

@@ -11,13 +11,14 @@ from cosim.control.autopilot.manoeuvres.remote import Remote
 from cosim.control.autopilot.modes import DIRECT, LandedState, Mode
 from cosim.control.autopilot.parameters import NOTHING
 
-_MOVING = 0.2  # rad/s: a vehicle that turns like this is being carried; chosen by us
-
 
 class Arming:
     """Arming, the engines' state, and the reasons against either.
 
     ``since`` is the step of arming, of the start of a take-off, or of standing again; ``flew``: since arming."""
+
+    # rad/s: a vehicle that turns like this is being carried.
+    max_rate = 0.2
 
     def __init__(self, course: Course, remote: Remote, watch: Watch, step: float) -> None:
         self._parameters, self._estimates, self._landmarks = course.parameters, course.estimates, course.landmarks
@@ -79,7 +80,7 @@ class Arming:
         lean = degrees(max(abs(roll), abs(pitch)))
         if lean > limit:
             reasons.append(f"not level: leans {lean:.0f} deg, {limit:g} deg are allowed")
-        if max(abs(rate) for rate in estimates.measured.rate) > _MOVING:
+        if max(abs(rate) for rate in estimates.measured.rate) > self.max_rate:
             reasons.append("it is being moved")
         if report.starting:
             reasons.append(f"engine {', '.join(map(str, report.starting))} has yet to start")

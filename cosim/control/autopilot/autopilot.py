@@ -17,12 +17,12 @@ from cosim.control.autopilot.request_handler import HANDLERS, refuse
 from cosim.control.autopilot.requests import Answer, Request, Result
 from cosim.control.autopilot.status import Status
 
-# m/s: sinking faster than this is no contact; chosen by us.
-_MAX_SETTLE_SINK = 1.0
-
 
 class Autopilot(FlightState):
     """Flight modes of one vehicle: the requests of ground stations become the command of every control step."""
+
+    # m/s: sinking faster than this is no contact.
+    max_settle_sink = 1.0
 
     # --- what there is to see --------------------------------------------------------------------------------------
 
@@ -250,7 +250,7 @@ class Autopilot(FlightState):
         if landing.collective is None and self.mode is Mode.HOLD and course.position is None and has_contact:
             # No request has asked it to leave the ground.
             landing.collective, self.landed = self.report.collective, LandedState.LANDING
-        is_down = has_contact and self.estimates.now.velocity[2] < _MAX_SETTLE_SINK
+        is_down = has_contact and self.estimates.now.velocity[2] < self.max_settle_sink
         if landing.collective is not None:
             if is_down:
                 return self._command_settling(k, landing.collective)

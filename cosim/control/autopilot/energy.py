@@ -16,17 +16,18 @@ from cosim.control.autopilot.guidance.course import SLOW, Course
 from cosim.control.autopilot.guidance.descent import descent_rate
 from cosim.control.autopilot.guidance.ground_speed import GroundSpeed
 
-# Chosen by us, with the reason.
-_MEASURED_S = 10.0  # over so long the burn is averaged: longer than climbs and gusts
-_SETTLING_S = 5.0  # in the air before the measured burn is used
-_MOST_BURN = 0.05  # 1/s: a gauge that falls faster was reset; no tank is emptied within 20 s
-_END_S = 3.0  # from the ground's touch until it stands, or from spooling up until it climbs
-
 
 class Energy:
     """Remaining fuel or battery, and the energy that flights to positions need.
 
     ``hover``: the collective at which the vehicle hovers."""
+
+    # s over which the burn is averaged, longer than climbs and gusts; and in the air before it is used.
+    mean_s, settling_s = 10.0, 5.0
+    # 1/s: a gauge that falls faster was reset; no tank is emptied within 20 s.
+    max_burn = 0.05
+    # s from the ground's touch until it stands, or from spooling up until it climbs.
+    end_s = 3.0
 
     def __init__(self, course: Course, ground_speed: GroundSpeed, hover: float, step: float) -> None:
         self._course, self._parameters, self._landmarks = course, course.parameters, course.landmarks
@@ -58,19 +59,16 @@ class Energy:
         else:
             self.remaining = None
         if flying and before is not None and self.remaining is not None:
-            self._measure((before - self.remaining) / self._step)
-
-    def _measure(self, rate: float) -> None:
-        """Update the mean of the burn."""
-        if 0.0 <= rate <= _MOST_BURN:
-            weight = self._step / _MEASURED_S
-            self._rate += weight * (rate - self._rate)
-            self._weight += weight * (1.0 - self._weight)
+            rate = (before - self.remaining) / self._step
+            if 0.0 <= rate <= self.max_burn:
+                weight = self._step / self.mean_s
+                self._rate += weight * (rate - self._rate)
+                self._weight += weight * (1.0 - self._weight)
 
     @property
     def burn(self) -> float:
         """The fraction that a second in the air takes; 0: not known."""
-        if self._weight * _MEASURED_S > _SETTLING_S * (1.0 - 0.5 * _SETTLING_S / _MEASURED_S):
+        if self._weight * self.mean_s > self.settling_s * (1.0 - 0.5 * self.settling_s / self.mean_s):
             return self._rate / self._weight
         endurance = self._parameters["HJ_ENDURANCE"]
         return self.hover_burn or (1.0 / endurance if endurance > 0.0 else 0.0)
@@ -88,7 +86,7 @@ class Energy:
         braking = (v - end) * limits.lateness + (v * v - end * end) / (2.0 * limits.braking)
         steady = max(0.0, above - braking) / v
         slowing = limits.lateness * log(v / end) + (v - end) / limits.braking
-        return limits.lateness + steady + slowing + max(0.0, min(height, slow)) / end + _END_S
+        return limits.lateness + steady + slowing + max(0.0, min(height, slow)) / end + self.end_s
 
     def travel_time(self, distance: float, climb: float, speed: float | None = None) -> float:
         """Return how long the way to a position at this distance and height difference [m] takes, both together.
@@ -107,7 +105,7 @@ class Energy:
             self._parameters["HJ_SPOOL_TIME"]
             + self._course.guide.limits.lateness
             + self.travel_time(0.0, height)
-            + _END_S
+            + self.end_s
         )
 
     def return_time(self, position: Pair, altitude: float) -> float:

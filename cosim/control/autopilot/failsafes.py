@@ -17,26 +17,21 @@ from cosim.control.autopilot.parameters import LAND, NOTHING, Parameters
 from cosim.control.autopilot.requests import FenceZone
 
 Act = Callable[[int, str], None]  # takes an action of the parameters and the reason
-# Chosen by us: times longer than a gust's or a manoeuvre's; beyond 0.7 of the lean little is left to steer with.
-_LOST_CONTROL_S = 0.5
-_WIND_S = 2.0
-_MOST_WIND = 0.7
-_FURTHER_M = 2.0  # outside the fence: beyond where it was taken over; GNSS noise is less
-_PATIENCE_S = 10.0  # outside the fence, taken over, and nothing was done to come back: it acts again
 OUTSIDE = "outside the fence"
 _TO_GROUND = ("attitude lost", "gyro lost")  # estimates in place of these get worse with time
-# Of the tank, chosen by us too.
-_LOOK_S = 0.1  # s between checks: a thousandth of a short-lived tank
-_DOWN_FRACTION = 0.5  # fraction of the margin of the return: the descent alone goes wrong in fewer ways
-_LAST_FRACTION = 0.3  # of it, where a landing that was taken over begins again: the error of the estimate itself
-_LAST_FLOOR = 0.5  # fraction of the landing's reserve, likewise
-_AGAIN = 1.1  # times a threshold: with more than that left it may act again, after a descent that a pilot flew
-_LANDING_PATIENCE_S = 10.0  # s between warnings that nothing is left to wait for
 _RETURNS, _LANDS, _LANDS_AGAIN = 1, 2, 3
 
 
 class Watch:
     """Monitors every step; calls ``act`` with a parameter's action and the reason when an event begins."""
+
+    # s of a lean that counts as lost control, and of a wind that is told of: longer than a gust or a manoeuvre.
+    lost_control_s, wind_s = 0.5, 2.0
+    # Fraction of the lean that is allowed: with more taken by wind little is left to steer with.
+    max_wind = 0.7
+    # Where a pilot took over outside the fence it acts again so many m further out (GNSS noise is less), or after
+    # so many s outside.
+    further_m, patience_s = 2.0, 10.0
 
     def __init__(self, parameters: Parameters, energy: Energy, step: float, act: Act) -> None:
         self._parameters = parameters
@@ -86,7 +81,7 @@ class Watch:
         """Return whether the vehicle has leaned further than its limit for half a second; called once a step."""
         is_leaning = upright(measured.attitude) < cos(radians(self._parameters["HJ_TIP_LEAN"]))
         self._lean_s = self._lean_s + self._step if is_leaning else 0.0
-        return self._lean_s >= _LOST_CONTROL_S
+        return self._lean_s >= self.lost_control_s
 
     def describe_outside(self, north: float, east: float, altitude: float, home: Home | None) -> str:
         """Return why a position is outside the fence; empty if it is inside."""
@@ -130,8 +125,8 @@ class Watch:
     def _check_wind(self, fix: Fix) -> None:
         most = GRAVITY * tan(radians(self._parameters["HJ_LEAN_MAX"]))
         before = self._wind_s
-        self._wind_s = before + self._step if hypot(*fix.disturbance) > _MOST_WIND * most else 0.0
-        if before < _WIND_S <= self._wind_s:
+        self._wind_s = before + self._step if hypot(*fix.disturbance) > self.max_wind * most else 0.0
+        if before < self.wind_s <= self._wind_s:
             self._act(NOTHING, "wind takes most of the lean that is allowed")
 
     def _check_fence(self, position: tuple[float, float], altitude: float, home: Home | None, acting: bool) -> None:
@@ -151,7 +146,7 @@ class Watch:
             # A pilot took over in this step.
             self._fence_has_acted, self._excess, self._waited_s = False, excess, 0.0
         self._waited_s += self._step
-        if self._excess is None or excess > self._excess + _FURTHER_M or self._waited_s > _PATIENCE_S:
+        if self._excess is None or excess > self._excess + self.further_m or self._waited_s > self.patience_s:
             self._excess, self._waited_s = excess, 0.0
             self._act(int(self._parameters["HJ_FENCE_ACT"]), f"{OUTSIDE}: {why}")
 
@@ -163,9 +158,18 @@ class TankWatch:
     parameters in per cent are the least.
     """
 
+    # s between checks: a thousandth of a short-lived tank; and between warnings that nothing is left to wait for.
+    interval_s, patience_s = 0.1, 10.0
+    # Fraction of the margin of the return: the descent alone goes wrong in fewer ways.
+    down_fraction = 0.5
+    # Where a landing that was taken over begins again: of that margin, and of the landing's reserve.
+    last_fraction, last_floor = 0.3, 0.5
+    # With so many times a threshold left it may act again, after a descent that a pilot flew.
+    rearm_factor = 1.1
+
     def __init__(self, parameters: Parameters, energy: Energy, step: float, act: Act) -> None:
         self._parameters, self._energy, self._act = parameters, energy, act
-        self._interval, self._patience = max(1, round(_LOOK_S / step)), round(_LANDING_PATIENCE_S / step)
+        self._interval, self._patience = max(1, round(self.interval_s / step)), round(self.patience_s / step)
         self.reset()
 
     def reset(self) -> None:
@@ -186,9 +190,9 @@ class TankWatch:
         p, percent, margin = self._parameters, 100.0 * remaining, self._energy.margin
         home, down = self._energy.needed_fractions()
         low = max(p["HJ_FUEL_LOW"], 100.0 * (1.0 + margin) * home)
-        critical = max(p["HJ_FUEL_CRIT"], 100.0 * (1.0 + _DOWN_FRACTION * margin) * down)
-        if mode not in (Mode.RTL, Mode.LAND) and percent > _AGAIN * critical:
-            self._level = 0 if percent > _AGAIN * low else min(self._level, _RETURNS)
+        critical = max(p["HJ_FUEL_CRIT"], 100.0 * (1.0 + self.down_fraction * margin) * down)
+        if mode not in (Mode.RTL, Mode.LAND) and percent > self.rearm_factor * critical:
+            self._level = 0 if percent > self.rearm_factor * low else min(self._level, _RETURNS)
         if percent <= critical and self._level < _LANDS:
             self._level = _LANDS
             self._act(LAND, self._describe("down", down, critical > p["HJ_FUEL_CRIT"], "critical"))
@@ -211,8 +215,8 @@ class TankWatch:
         if mode is Mode.LAND:
             self._warned_at = None
             return
-        last = 100.0 * (1.0 + _LAST_FRACTION * self._energy.margin) * down
-        last = max(_LAST_FLOOR * self._parameters["HJ_FUEL_CRIT"], last)
+        last = 100.0 * (1.0 + self.last_fraction * self._energy.margin) * down
+        last = max(self.last_floor * self._parameters["HJ_FUEL_CRIT"], last)
         why = self._describe("down", down, True, "")
         if self._level == _LANDS and percent <= last:
             self._level, self._warned_at = _LANDS_AGAIN, None

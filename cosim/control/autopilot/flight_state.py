@@ -32,15 +32,6 @@ from cosim.control.autopilot.requests import InjectFault
 from cosim.control.autopilot.tuning import Blocks, ControlLoops, LiveTuning
 from cosim.spec.vehicle import PilotSettings, PositionGains, Vehicle
 
-# Attitude gain over velocity gain, at least: else the position law is too fast; chosen by us.
-_MIN_GAIN_RATIO = 2.5
-# s of GNSS before its position may become home; chosen by us.
-_HOME_DELAY_S = 1.0
-# s for which hinges that turn engines push the vehicle aside when one is lost: by then throttles have followed.  Taken
-# for wind, the push made it lean when it was over.
-_PUSHED_S = 3.0
-# Messages that are kept; chosen by us.
-_MAX_MESSAGES = 200
 # What failsafes do, the more cautious the later.
 _ACTIONS = {Mode.HOLD: "holding", Mode.RTL: "returning", Mode.LAND: "landing"}
 
@@ -66,6 +57,12 @@ class FlightState:
     ``engines``: at the start; where they fly, it begins in the air, armed, holding.  ``noisy``: the sensors have their
     noise, which distinguishes a receiver that has stopped from one that stands still.
     """
+
+    # s for which hinges that turn engines push the vehicle aside when one is lost: by then throttles have followed.
+    # Taken for wind, the push made it lean when it was over.
+    pushed_s = 3.0
+    # s of GNSS before its position may become home.
+    home_delay_s = 1.0
 
     def __init__(
         self,
@@ -111,10 +108,10 @@ class FlightState:
         # whether hinges that turn engines push it aside after a loss, before throttles have followed
         catch = vehicle.control.monitor is not None and vehicle.control.monitor.catch
         self._is_pushed_by_hinges = catch and vehicle.layout().moves
-        self._push_steps = round(_PUSHED_S / step)
+        self._push_steps = round(self.pushed_s / step)
         # whether it cannot hold its heading without an engine
         self._loses_heading = self._is_pushed_by_hinges or vehicle.allocation == "rotors"
-        self._home_delay = round(_HOME_DELAY_S / step)
+        self._home_delay = round(self.home_delay_s / step)
         self.reset()
 
     def reset(self, measured: Measured | None = None) -> None:
@@ -124,7 +121,7 @@ class FlightState:
         # the reason of the acting failsafe; empty where none acts
         self.failsafe = ""
         # the last messages to ground stations
-        self.messages: deque[Message] = deque(maxlen=_MAX_MESSAGES)
+        self.messages: deque[Message] = deque(maxlen=200)
         self._message_count = 0
         self.k = -1
         self.report = Report(not self._airborne, 0.0)
@@ -247,20 +244,20 @@ class FlightState:
         self.messages.append(Message(self._message_count, k, severity, text))
 
 
-def _settings(vehicle: Vehicle) -> tuple[PositionGains, PilotSettings, float]:
+def _settings(vehicle: Vehicle, min_ratio: float = 2.5) -> tuple[PositionGains, PilotSettings, float]:
     """Return a vehicle's position gains and pilot settings, and the smaller attitude gain of roll and pitch, 1/s.
 
-    Raises InputError where it has none, or a position law that is too fast for its attitude loop.
+    Raises InputError where it has none, or an attitude gain below ``min_ratio`` times that of the velocity.
     """
     gains, settings = vehicle.control.position, vehicle.control.pilot
     if gains is None or settings is None:
         missing = "position" if gains is None else "pilot"
         raise InputError(f"vehicle.control.{missing} is missing: {vehicle.name} cannot be flown from a ground station")
     slowest = min(vehicle.control.attitude.gain_1_s[:2])
-    if gains.velocity_1_s > slowest / _MIN_GAIN_RATIO or gains.position_1_s > gains.velocity_1_s / 2.0:
+    if gains.velocity_1_s > slowest / min_ratio or gains.position_1_s > gains.velocity_1_s / 2.0:
         raise InputError(
             f"vehicle.control.position: velocity_1_s {gains.velocity_1_s:g} and position_1_s "
             f"{gains.position_1_s:g} are too fast for {vehicle.name}, whose attitude gain is {slowest:g} 1/s: at "
-            f"most {slowest / _MIN_GAIN_RATIO:.3g}, and at most half of velocity_1_s"
+            f"most {slowest / min_ratio:.3g}, and at most half of velocity_1_s"
         )
     return gains, settings, slowest

@@ -10,8 +10,6 @@ from cosim.base.signals import Quaternion
 
 Pair = tuple[float, float]
 
-_LEAST_UPRIGHT = 0.5  # beyond a lean of 60 degrees the acceleration is no longer read off the attitude
-
 
 def limit_length(north: float, east: float, limit: float) -> Pair:
     """Return a vector, shortened to the length ``limit`` if it is longer."""
@@ -19,10 +17,13 @@ def limit_length(north: float, east: float, limit: float) -> Pair:
     return (north, east) if size <= limit else (north * limit / size, east * limit / size)
 
 
-def lean_acceleration(attitude: Quaternion) -> Pair:
-    """Return the horizontal acceleration, m/s^2 NED, of thrust along the body's -z that holds the weight."""
+def lean_acceleration(attitude: Quaternion, least_upright: float = 0.5) -> Pair:
+    """Return the horizontal acceleration, m/s^2 NED, of thrust along the body's -z that holds the weight.
+
+    Beyond a lean with the cosine ``least_upright`` it is no longer read off the attitude.
+    """
     w, x, y, z = attitude
-    scale = -2.0 * GRAVITY / max(upright(attitude), _LEAST_UPRIGHT)
+    scale = -2.0 * GRAVITY / max(upright(attitude), least_upright)
     return (scale * (x * z + w * y), scale * (y * z - w * x))
 
 

@@ -17,9 +17,8 @@ from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS, number_of
 from cosim.spec.vehicle import Control, Jet, PilotSettings, PositionGains, PredictorTuning
 
-_FLOAT32 = 1e-6  # relative: a bound that went through a 32-bit float is still the bound
-_PX4_ROTORS = 12  # CA_ROTOR0 to CA_ROTOR11
-_LARGEST = 10.0  # times the default is the most a gain may be; chosen by us: beyond it no loop here is stable
+# Times the default is the most a gain may be; chosen by us: beyond it no loop here is stable.
+_LARGEST = 10.0
 
 
 class EnumValue(NamedTuple):
@@ -92,7 +91,8 @@ class Parameters:
             raise InputError(f"{name} = {value:g}: cannot be changed, it is {self._values[name]:g}")
         if line.kind == "int" and value != int(value):
             raise InputError(f"{name} = {value!r}: must be a whole number")
-        slack = _FLOAT32 * max(abs(line.least), abs(line.most))
+        # A bound that went through a 32-bit float is still the bound.
+        slack = 1e-6 * max(abs(line.least), abs(line.most))
         if not line.least - slack <= value <= line.most + slack:
             unit = f" {line.unit}" if line.unit else ""
             raise InputError(f"{name} = {value:g}: must be from {line.least:g} to {line.most:g}{unit}")
@@ -272,7 +272,7 @@ def _of_px4() -> Iterator[Parameter]:
     yield Parameter("SYS_FAILURE_EN", "int", 0, 0, 1, "", "System", "failures on request", off_on)
 
 
-def _geometry(jets: Sequence[Jet]) -> Iterator[Parameter]:
+def _geometry(jets: Sequence[Jet], max_jets: int = 12) -> Iterator[Parameter]:
     """Where the engines are, as PX4's allocation states it: FRD from the centre of gravity; none beyond its twelve.
 
     The direction of a thrust is told where it is not straight up, which is what PX4 takes it to be.
@@ -283,7 +283,7 @@ def _geometry(jets: Sequence[Jet]) -> Iterator[Parameter]:
 
     if jets:
         yield line("CA_ROTOR_COUNT", "int", len(jets), "", "engines")
-    for number, jet in enumerate(jets[:_PX4_ROTORS]):
+    for number, jet in enumerate(jets[:max_jets]):
         name = f"CA_ROTOR{number}"
         for letter, place in zip("XYZ", jet.position_m, strict=True):
             yield line(f"{name}_P{letter}", "float", place, "m", f"engine {number + 1}: place along {letter.lower()}")

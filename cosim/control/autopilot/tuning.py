@@ -17,9 +17,6 @@ from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.rate import RateController
 from cosim.spec.vehicle import AltitudeGains, AttitudeGains, Control, PredictorTuning, RateGains
 
-# steps of history that a predictor selected in flight starts from: 4 s at 250 Hz, 40 delays of a jet
-CATCH_UP_STEPS = 1000
-
 PredictorMaker = Callable[[str, float, PredictorTuning], list[Predictor]]
 
 
@@ -62,7 +59,8 @@ class LiveTuning:
         self._control = control
         self._blocks = blocks
         self._step = step
-        blocks.rate.keep_history(CATCH_UP_STEPS)
+        # What a predictor selected in flight starts from: 4 s at 250 Hz, 40 delays of a jet.
+        blocks.rate.keep_history(1000)
 
     def set(self, name: str, value: float) -> None:
         """Store a value and let it act from the next step on.  Raises InputError where it is not allowed."""

@@ -20,35 +20,23 @@ whatever is asked of them, and leave no roll: so lift never asks for less than a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 from cosim.base.constants import GRAVITY
 from cosim.base.signals import PerJet
 from cosim.control.allocation.thrust_map import ThrustMap
 from cosim.spec.vehicle import EngineLead, Vehicle
 
-# s behind the delay until it is level, and until it climbs as asked for: sums of the time constants.  Chosen by us:
-# shorter, and jets at their limits roll it over; longer, and the lean takes it aside faster than it may touch
-_LEVEL_S: Final = 1.15
-_CLIMB_S: Final = 0.9
-_SLOPE_S: Final = 0.02  # time constant of the reports' slope; chosen by us: short against any jet
-# of what the engines give, the least that lift asks for; chosen by us: turbine-100 slows no faster for a step down by
-# more than eight tenths, and roll has to find it slower on one side than on the other
-_LEAST_LIFT: Final = 0.7
-# Within these bounds the recovery is complete and the usual loops fly again.  Chosen by us: they were designed for less
-_CLIMB: Final = 0.3  # m/s, largest error of the climb rate
-_UPRIGHT: Final = 0.995  # cosine of the lean: 6 deg
-_ROLL: Final = 0.15  # rad/s
-_LIFT: Final = 0.03  # largest difference of lift and weight, as a fraction of the weight
-
 
 class _EngineResponse:
-    """The engines' output of one quantity, and its prediction over their delay."""
+    """The engines' output of one quantity, and its prediction over their delay.
 
-    def __init__(self, natural: float, damping: float, delay: int, step: float) -> None:
+    ``slope_s``: time constant of the reports' slope, short against any jet.
+    """
+
+    def __init__(self, natural: float, damping: float, delay: int, step: float, slope_s: float = 0.02) -> None:
         self._square, self._twice = natural * natural, 2.0 * damping * natural
         self._delay, self._step = delay, step
-        self._weight = step / (_SLOPE_S + step)
+        self._weight = step / (slope_s + step)
         self.reset(0.0, 0.0)
 
     def reset(self, value: float, command: float) -> None:
@@ -86,10 +74,22 @@ class _EngineResponse:
 class Recovery:
     """Roll and collective while engines are lost and their thrust is not yet made up for; see the module's text.
 
-    ``delay``: of the engines [s].  Raises ValueError where the lead is of another form than the engine stated above.
+    ``delay``: of the engines [s].  ``level_s`` and ``climb_s`` [s]: behind the delay until it is level, and until it
+    climbs as asked for, sums of the time constants; shorter, and jets at their limits roll it over; longer, and the
+    lean takes it aside faster than it may touch.
+    Raises ValueError where the lead is of another form than the engine stated above.
     """
 
-    def __init__(self, vehicle: Vehicle, thrust_map: ThrustMap, lead: EngineLead, delay: float, step: float) -> None:
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        thrust_map: ThrustMap,
+        lead: EngineLead,
+        delay: float,
+        step: float,
+        level_s: float = 1.15,
+        climb_s: float = 0.9,
+    ) -> None:
         if lead.damping is None:
             raise ValueError("the catch needs an engine of second order")
         steps = round(delay / step)
@@ -104,7 +104,7 @@ class Recovery:
             total_lever += lever if lever >= 0.0 else -lever
         self._moment = thrust_map.span * total_lever  # N m per unit of roll
         self._step = step
-        self._a, self._b = 4.0 / (_LEVEL_S + steps * step), 3.0 / (_CLIMB_S + steps * step)
+        self._a, self._b = 4.0 / (level_s + steps * step), 3.0 / (climb_s + steps * step)
         self.is_complete = False
 
     def reset(self, thrust: PerJet, gains: Sequence[float], weight: float) -> None:
@@ -149,11 +149,13 @@ class Recovery:
         step, inertia, roll, lift = self._step, self._inertia, self._roll, self._lift
         climb_error = climb - climb_setpoint
         balance = mass * GRAVITY / upright
+        # The usual loops fly again within 0.3 m/s of climb, 6 deg of lean, 0.15 rad/s and 3 % of lift: they were
+        # designed for less.
         self.is_complete = (
-            -_CLIMB < climb_error < _CLIMB
-            and upright > _UPRIGHT
-            and -_ROLL < rate < _ROLL
-            and -_LIFT * balance < lift.predicted - balance < _LIFT * balance
+            -0.3 < climb_error < 0.3
+            and upright > 0.995
+            and -0.15 < rate < 0.15
+            and -0.03 * balance < lift.predicted - balance < 0.03 * balance
         )
         for moment, force in zip(roll.predict(), lift.predict(), strict=True):
             lean += step * rate
@@ -170,8 +172,12 @@ class Recovery:
 
     @property
     def least_collective(self) -> float:
-        """The least collective that leaves room for a roll moment."""
-        return (_LEAST_LIFT * self._lift.predicted - self._low) / self._span
+        """The least collective that leaves room for a roll moment: 0.7 of what the engines give.
+
+        turbine-100 slows no faster for a step down by more than eight tenths, and roll has to find it slower on one
+        side than on the other.
+        """
+        return (0.7 * self._lift.predicted - self._low) / self._span
 
     def record_command(self, roll: float, collective: float) -> None:
         """Remember the commands that were allocated."""

@@ -34,16 +34,8 @@ from cosim.spec.vehicle import Vehicle
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# Chosen by us.  Of the rate at which the vehicle counts as lost, where it is to spin at most: the rest is for thrust
-# beyond the weight.
-_MOST_SPIN: Final = 0.9
-# Chosen by us.  A lean of 1 rad weighs as much as a rate of 10 rad/s, and as a moment of 100 rad/s^2: the first lean,
-# of less than half a radian, then takes less than the pair has to give beside the weight.
-_RATE_WEIGHT: Final = 0.1  # s
-_BEND: Final = 100.0  # rad/s^2 per rad
-_GRID: Final = 0.5  # rad/s, spacing of the stored gains
-_STEP: Final = 0.01  # s, step of the recursion; short against the spin's turn and the loop's tenth of a second
-_LONGEST: Final = 10.0  # s of spin-up, and of the recursion before it at the last spin
+# rad/s, spacing of the stored gains.
+_GRID: Final = 0.5
 
 Gains = tuple[tuple[float, ...], ...]
 
@@ -94,10 +86,13 @@ class ReducedAttitude:
         self._gains = [self._feedback_for(jet, lag) for jet in range(4)]
         self.is_flying = False
 
-    def _equilibrium(self, weight: float, limit: float) -> tuple[float, float]:
-        """Return the final spin [rad/s], and the thrust of the rotor across that keeps it there [N]."""
+    def _equilibrium(self, weight: float, limit: float, max_spin: float = 0.9) -> tuple[float, float]:
+        """Return the final spin [rad/s], and the thrust of the rotor across that keeps it there [N].
+
+        ``max_spin``: of the rate ``limit`` at which the vehicle is lost; the rest is for thrust beyond the weight.
+        """
         lever, damping = abs(self._reactions[0]), self._damping[2]
-        opposite = max(self._least, 0.5 * (weight - damping * _MOST_SPIN * limit / lever))
+        opposite = max(self._least, 0.5 * (weight - damping * max_spin * limit / lever))
         return lever * (weight - 2.0 * opposite) / damping, opposite
 
     def _feedback_for(self, failed: int, lag: float) -> Gains:
@@ -207,20 +202,27 @@ def linear_model(
 
 
 @cache
-def feedback_gains(axis: tuple[float, float], last: float, inertia: Vector3, damping: Vector3, lag: float) -> Gains:
-    """Return the feedback gains by spin, every ``_GRID`` from none to the ``last`` one, signed [rad/s]."""
+def feedback_gains(
+    axis: tuple[float, float], last: float, inertia: Vector3, damping: Vector3, lag: float, step: float = 0.01
+) -> Gains:
+    """Return the feedback gains by spin, every ``_GRID`` from none to the ``last`` one, signed [rad/s].
+
+    A lean of 1 rad weighs as much as a rate of 10 rad/s, and as a moment of 100 rad/s^2: the first lean, of less than
+    half a radian, then takes less than the pair has to give beside the weight.  ``step`` of the recursion [s]: short
+    against the spin's turn and the loop's tenth of a second; 10 s of spin-up follow on 10 s at the last spin.
+    """
     import numpy as np
 
-    q = np.diag([_RATE_WEIGHT**2, _RATE_WEIGHT**2, 1.0, 1.0, 0.0]) * _STEP
-    weight = _STEP / (inertia[0] * _BEND) ** 2
+    q = np.diag([0.1**2, 0.1**2, 1.0, 1.0, 0.0]) * step
+    weight = step / (inertia[0] * 100.0) ** 2
     lasting = inertia[2] / damping[2]
-    count = round(_LONGEST / _STEP)
+    count = round(10.0 / step)
     cost = np.zeros((5, 5))
     spins: list[float] = []
     gains: list[NDArray[Any]] = []
     for k in range(2 * count, 0, -1):
-        spin = last if k > count else last * (1.0 - np.exp(-(k - 1) * _STEP / lasting))
-        a, b = _discretise(*linear_model(axis, spin, inertia, damping, lag))
+        spin = last if k > count else last * (1.0 - np.exp(-(k - 1) * step / lasting))
+        a, b = _discretise(*linear_model(axis, spin, inertia, damping, lag), step)
         row = b @ cost
         gain = (row @ a) / (weight + row @ b)
         cost = q + a.T @ cost @ (a - np.outer(b, gain))
@@ -232,12 +234,12 @@ def feedback_gains(axis: tuple[float, float], last: float, inertia: Vector3, dam
     return tuple([tuple(row) for row in table.tolist()])
 
 
-def _discretise(a: NDArray[Any], b: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _discretise(a: NDArray[Any], b: NDArray[Any], step: float) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return a system over a step with the input held: the exponential series to the fifth power."""
     import numpy as np
 
     system = np.zeros((6, 6))
-    system[:5, :5], system[:5, 5] = a * _STEP, b * _STEP
+    system[:5, :5], system[:5, 5] = a * step, b * step
     term = transition = np.eye(6)
     for n in range(1, 6):
         term = term @ system / n

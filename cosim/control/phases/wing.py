@@ -40,13 +40,9 @@ from cosim.spec.vehicle import WingControl
 
 # kg/m^3, at sea level in the standard atmosphere (ISO 2533): what is known of the air without a sensor for it
 DENSITY: Final = 1.225
-MOST_LEAD_M_S: Final = 2.0  # largest lead of the set-point over the speed: at a limit it would run away; chosen by us
-ALPHA_MARGIN: Final = 0.005  # rad, margin above the least angle of attack, where the wing can lift no less
-LEAST_PRESSURE: Final = 1e-3  # Pa: less than this carries nothing
 # Of the largest angle of attack, the most lead of the nose.  Chosen by us, by flights in wind from behind: where lift
 # is missing the height loop asks for more for good, which bends no path, and the nose would rise until the wing stalls.
 MOST_LEAD: Final = 0.25
-STEEPEST_RAD: Final = 0.35  # steepest path that pitch follows; chosen by us, well beyond the climb of the height loop
 
 
 def dynamic_pressure(measured: Measured) -> float:
@@ -183,8 +179,20 @@ class WingFlight(FlightLaw):
         demand.allocated = demand.collective - actuation.unallocated.collective
         return actuation
 
-    def attitude(self, command: Command, speed_setpoint: float, measured: Measured) -> Command:
-        """Return the command with the attitude for a speed ahead [m/s]; called once a step, before the loops."""
+    def attitude(
+        self,
+        command: Command,
+        speed_setpoint: float,
+        measured: Measured,
+        max_lead_m_s: float = 2.0,
+        steepest_rad: float = 0.35,
+        least_pressure: float = 1e-3,
+    ) -> Command:
+        """Return the command with the attitude for a speed ahead [m/s]; called once a step, before the loops.
+
+        ``max_lead_m_s``: of the set-point over the speed, else at a limit it would run away; ``steepest_rad``: the path
+        that pitch follows, well beyond the climb of the height loop; ``least_pressure``: less [Pa] carries nothing.
+        """
         step, open_speed = self._step, self._open
         speeding, braking = self._limits
         speed, side_speed = speeds(measured)
@@ -195,7 +203,7 @@ class WingFlight(FlightLaw):
         previous = self._setpoint
         speeds_up = speed_setpoint * previous >= 0.0 and abs(speed_setpoint) > abs(previous)
         limit = speeding if speeds_up else braking
-        self._setpoint = speed + clamp(previous + clamp(speed_setpoint - previous, limit * step) - speed, MOST_LEAD_M_S)
+        self._setpoint = speed + clamp(previous + clamp(speed_setpoint - previous, limit * step) - speed, max_lead_m_s)
         error = self._setpoint - speed
         if self._missing_ahead * error <= 0.0:
             integral = self._integral + self._integral_gain * step * error
@@ -205,9 +213,9 @@ class WingFlight(FlightLaw):
         self._speed = speed
         opening = clamp(max(speed, 0.0) / open_speed, 1.0)
         self._pressure = 0.5 * DENSITY * speed * speed
-        alpha = opening * self._table.angle_for(self._vertical / max(self._pressure, LEAST_PRESSURE))
+        alpha = opening * self._table.angle_for(self._vertical / max(self._pressure, least_pressure))
         self._alpha += step / (self._alpha_lag + step) * (alpha - self._alpha)
-        self._path = path = opening * clamp(atan2(-down, max(speed, open_speed)), STEEPEST_RAD)
+        self._path = path = opening * clamp(atan2(-down, max(speed, open_speed)), steepest_rad)
         # A path that bends has to turn the nose too, and the attitude follows late.  The alpha that is short until then
         # would cost lift, at 25 m/s more than half of what the height loop asks for.
         bend = opening * (self._vertical / self._mass - GRAVITY) / max(speed, open_speed)
@@ -230,14 +238,15 @@ class WingFlight(FlightLaw):
         self._vertical = vertical - max(0.0, along) * s  # thrust along the body lifts where the nose is up
         return WingDemand(along, (up * c - ahead * s) / max(LEAST_UPRIGHT, cos(roll)), -moment)
 
-    def report_residual(self, ahead: float, unallocated: Unallocated) -> Unallocated:
+    def report_residual(self, ahead: float, unallocated: Unallocated, margin: float = 0.005) -> Unallocated:
         """Return the allocation residual as the loops are to know it, and keep that of the force ahead [N].
 
-        Jets that cannot push down are no limit of the height loop while the wing can still lift less.
+        Jets that cannot push down are no limit of the height loop while the wing can still lift less: as long as it
+        stands by ``margin`` [rad] above its least angle of attack.
         """
         self._missing_ahead = ahead
         least = self._alphas[0]
-        if unallocated.collective < 0.0 and self._alpha > least + ALPHA_MARGIN:
+        if unallocated.collective < 0.0 and self._alpha > least + margin:
             return Unallocated(unallocated.roll, unallocated.pitch, unallocated.yaw, 0.0)
         return unallocated
 

@@ -75,9 +75,11 @@ def _by_effectiveness(
         )
         for hinge in vehicle.hinges
     ]
+    # What each surface does per unit and Pa, as the vehicle's own JSBSim model gives it.
+    effects = query_model("surfaces", scenario, vehicle, Airframe.surface_effects) if vehicle.surfaces else []
     effectors += [
         Effector(*surface.range, 0.0, surface.rate_limit_1_s * step, surface.effort, effect)
-        for surface, effect in zip(vehicle.surfaces, _surface_effects(scenario, vehicle), strict=True)
+        for surface, effect in zip(vehicle.surfaces, effects, strict=True)
     ]
     model = AllocationModel(
         vehicle.name,
@@ -106,11 +108,6 @@ def _engine_lateness(scenario: Scenario, vehicle: Vehicle, stations: Sequence[En
     references = [make_engine_reference(spec, scenario.step_s) for spec in stations]
     delay, lag = max(reference.delay for reference in references), max(reference.lag for reference in references)
     return EngineLag(delay + lag / 3.0, scenario.step_s)
-
-
-def _surface_effects(scenario: Scenario, vehicle: Vehicle) -> list[tuple[float, ...]]:
-    """Return what each surface does per unit and Pa, as the vehicle's own JSBSim model gives it."""
-    return query_model("surfaces", scenario, vehicle, Airframe.surface_effects) if vehicle.surfaces else []
 
 
 def query_model(what: str, scenario: Scenario, vehicle: Vehicle, query: Callable[[Airframe], T]) -> T:

@@ -34,10 +34,6 @@ from cosim.simulation.engine_reference import make_engine_reference
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import EngineLead, Vehicle, WingControl
 
-# How finely the corridor of a wing is asked of its model, and at which speed: as surfaces are; chosen by us
-WING_ROWS = 16
-WING_AT_M_S = 20.0
-
 
 def make_cascade(
     scenario: Scenario,
@@ -127,12 +123,18 @@ def _effectiveness_laws(scenario: Scenario, vehicle: Vehicle, loops: Loops) -> l
 
 
 def _wing(
-    scenario: Scenario, vehicle: Vehicle, settings: WingControl, loops: Loops, allocator: EffectivenessAllocator
+    scenario: Scenario,
+    vehicle: Vehicle,
+    settings: WingControl,
+    loops: Loops,
+    allocator: EffectivenessAllocator,
+    rows: int = 16,
+    at_m_s: float = 20.0,
 ) -> WingFlight:
-    """Return flight ahead on the wing of the vehicle's own JSBSim model."""
+    """Return flight ahead on the wing of the vehicle's own JSBSim model, asked in so many rows at a speed."""
     least, most = settings.alpha_rad
-    alphas = [least + (most - least) * row / WING_ROWS for row in range(WING_ROWS + 1)]
-    lift, drag, moment = query_model("wing", scenario, vehicle, lambda frame: frame.wing_effects(alphas, WING_AT_M_S))
+    alphas = [least + (most - least) * row / rows for row in range(rows + 1)]
+    lift, drag, moment = query_model("wing", scenario, vehicle, lambda frame: frame.wing_effects(alphas, at_m_s))
     names = [hinge.name for hinge in vehicle.hinges]
     tilts = [names.index(name) for name in settings.tilts]
     table = WingTable(tuple(alphas), tuple(lift), tuple(drag), tuple(moment))

@@ -21,10 +21,8 @@ from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_
 
 NO_PROOF = "has no proof flights: made with --no-proof, or for another autopilot, or before designs had them"
 LAW = "optimal"  # the law of an entry point that a design has a form of, beside the predictors
-SAME_STEP_S = 1e-9  # control steps nearer to each other than this are one
 NOISE_SHARE = 0.0833  # of the room of the command: three standard deviations of noise take a quarter of it
 STEP_RAD = 0.1745  # 10 deg, the size of the roll doublet
-MAX_OVERSHOOT = 0.2  # of a step: what a peak sensitivity alone does not keep where an engine swings by itself
 
 
 class Requirements(Model):
@@ -36,7 +34,7 @@ class Requirements(Model):
     # of gain and lag, by which one engine of the proof is off; None: the least of 0.3 and the gain's tolerance
     engine_spread: Annotated[float | None, Field(ge=0.0, lt=1.0, exclude_if=lambda value: value is None)] = None
     min_bandwidth_hz: NotNegative = 0.16  # of roll and pitch: 1 rad/s, within 5 % in 3 s, a side of the roll doublet
-    max_overshoot: float = MAX_OVERSHOOT
+    max_overshoot: float = 0.2  # of a step, where an engine swings by itself
     noise_share: float = NOISE_SHARE
     step_rad: float = STEP_RAD  # an attitude step of this size must not saturate
 
@@ -147,7 +145,7 @@ class ControllerFile(Model):
 
     def check_step(self, path: Path, step: float) -> None:
         """Raise InputError where it was made for another control step than ``step`` [s]."""
-        if abs(step - self.design.step_s) > SAME_STEP_S:
+        if abs(step - self.design.step_s) > 1e-9:
             raise InputError(f"{path}: designed for steps of {self.design.step_s:g} s, not of {step:g} s")
 
 
@@ -220,25 +218,12 @@ def _older_than_banks(file: ControllerFile, original: Vehicle) -> bool:
 def apply_controller(
     scenario: Scenario | str | Path, path: Path, settings: Sequence[str] = (), aircraft: str | None = None
 ) -> Scenario:
-    """Return a scenario with a controller file over it, and settings over both.
+    """Return a scenario, or that of a name or a file, with a controller file over it, and settings over both.
 
-    Parameters
-    ----------
-    scenario : Scenario or str or Path
-        What is flown; or its name, or the path of its file.  What it expects was stated with other gains and is left
-        out.
-    path : Path
-        The controller file.
-    settings : sequence of str
-        ``KEY=VALUE``, the value as TOML has it.
-    aircraft : str or None
-        Who flies it; None: the scenario's aircraft, or the design's with its engine where the scenario's file names
-        none.
-
-    Raises
-    ------
-    InputError
-        For a file that was made for another aircraft or another control step, and as :meth:`Scenario.load`.
+    What it expects was stated with other gains and is left out.  ``settings``: ``KEY=VALUE``, the value as TOML has it.
+    ``aircraft``: who flies it; None: the scenario's, or the design's with its engine where the scenario's file names
+    none.
+    Raises InputError for a file made for another aircraft or control step, and as :meth:`Scenario.load`.
     """
     if isinstance(scenario, Scenario):
         original: Scenario | None = scenario.origin or scenario
@@ -274,7 +259,6 @@ def list_differences(scenario: Scenario, path: Path, noted: bool = True) -> list
 
     Without ``noted`` those are left out that the flight's own record has (:func:`list_design_notes`).
     """
-
     file = validate(ControllerFile, read_toml(path), str(path))
     made = file.design
     source, parameters = find_source(scenario.engine, scenario.folder), scenario.engine_parameters

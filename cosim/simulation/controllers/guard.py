@@ -34,7 +34,6 @@ from cosim.base.signals import (
 )
 from cosim.control.belief import Belief
 
-_ROUNDING: Final = 1e-9  # of a throttle: this far outside 0 to 1 is the rounding of somebody's arithmetic
 _AXIS_ANSWERS: Final = tuple([f"the answer for {axis}" for axis in AXES])
 _TILTS: Final = ("the tilt of the left servo", "the tilt of the right servo")
 _FLY: Final = EngineState.FLY
@@ -269,7 +268,8 @@ class GuardedController(Guarded):
         """Return the throttles, limited to 0 to 1, of which only rounding may be outside.  Raises FlightError."""
         throttle = self._guard.check_numbers(throttles, self._names, "throttles: update")
         for name, value in zip(self._names, throttle, strict=True):
-            if not -_ROUNDING <= value <= 1.0 + _ROUNDING:
+            # So little outside is the rounding of somebody's arithmetic.
+            if not -1e-9 <= value <= 1.0 + 1e-9:
                 raise self._guard.make_error(f"{name} = {value:g}: must be from 0 to 1")
         return tuple([clip(value, 0.0, 1.0) for value in throttle])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError, notify
@@ -95,9 +94,10 @@ def make_predictors(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) ->
     spec = PREDICTORS[scenario.controller]
     models = find_models(vehicle, engine) if spec.needs_model else {}
     if spec.needs_model and not models:
+        known = ", ".join(sorted(vehicle.identified))
         raise InputError(
             f"controller {scenario.controller!r} needs an identified model of {vehicle.name} with engine "
-            f"{engine.family!r}; there are {_list_engines(vehicle.identified)}; "
+            f"{engine.family!r}; there are {f'models for: {known}' if known else 'none'}; "
             + _advise_design(scenario, vehicle, engine)
         )
     models_at_step = find_step_models(scenario, vehicle, engine)
@@ -126,7 +126,3 @@ def _advise_design(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> 
         f"one is made, with gains to go with it, by: hexjet design --engine {engine_name}{aircraft} --out {file} "
         f"(then fly with --controller {file}; or fly --controller {BASELINE.name})"
     )
-
-
-def _list_engines(models: Mapping[str, Any]) -> str:
-    return f"models for: {', '.join(sorted(models))}" if models else "none"

@@ -27,7 +27,6 @@ from cosim.control.belief import Belief
 
 START_S = 60.0  # chosen by us: until it says what it is; an interpreter on a busy machine takes seconds
 END_S = 1.0  # time limit of its end after its input was closed
-MOST_FRAMES = 50_000  # frames that are kept for the check that answers repeat: 200 s of steps of 4 ms
 _LINE = 1_000_000  # limit of a line, bytes
 _STEP = wire.frame_layout(0)  # the step's number, with which every frame begins
 
@@ -78,6 +77,8 @@ def _description(host: Host, label: str) -> dict[str, Any]:
 class ProcessBlock:
     """A block of :mod:`cosim.simulation.controllers.guard` that asks a process; ``limit`` s for each answer."""
 
+    # Frames that are kept for the check that answers repeat: 200 s of steps of 4 ms.
+    max_frames = 50_000
     shown: tuple[float, ...] = ()
 
     def __init__(
@@ -159,7 +160,7 @@ class ProcessBlock:
         assert self._host is not None
         frame = self._in.pack(float(self._k), *wire.numbers(arguments, self._level, self._ahead))
         answer = self._exchange(self._host, frame, self._k)
-        if len(self._frames_sent) < MOST_FRAMES:
+        if len(self._frames_sent) < self.max_frames:
             self._frames_sent.append(frame)
             self._frames_received.append(answer)
         self._k += 1

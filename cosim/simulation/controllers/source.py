@@ -16,7 +16,7 @@ import pickle
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import EntryPoint, PackageNotFoundError, packages_distributions, version
 from math import isfinite
 from pathlib import Path
@@ -194,7 +194,7 @@ def from_object(value: Any) -> Source:
     label = f"{cls.__module__}.{cls.__qualname__}"
     path = find_source_file(cls)
     files = {} if path is None else {path.name: path}
-    make = None if isinstance(value, type) else _copier(value)
+    make = None if isinstance(value, type) else partial(copy.deepcopy, value)
     check_repeatable = path is not None and path.suffix == ".py" and cls.__qualname__.isidentifier()
     if check_repeatable and (isinstance(value, type) or _is_default(value, cls)):
         return _from_attributes("controller", f"{path}:{cls.__name__}", value, make, files)
@@ -204,10 +204,6 @@ def from_object(value: Any) -> Source:
 
 def _constant(value: Any) -> Callable[[], Any]:
     return lambda: value
-
-
-def _copier(value: Any) -> Callable[[], Any]:
-    return lambda: copy.deepcopy(value)
 
 
 def _is_default(value: Any, cls: type) -> bool:

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from io import StringIO
 from math import cos, isfinite, log, pi, radians, sin
 from pathlib import Path
-from typing import Final
 
 from cosim.base.errors import InputError, nearest
 from cosim.base.signals import Command
@@ -27,17 +26,7 @@ from cosim.spec.scenario import (
 
 Waveform = Callable[[int], float]
 STICKS = ("roll", "pitch", "yaw", "throttle")
-# indices in SIGNALS
-_ROLL: Final = 0
-_PITCH: Final = 1
-_YAW: Final = 2
-_ALTITUDE: Final = 3
-_P: Final = 4
-_Q: Final = 5
-_R: Final = 6
-_COLLECTIVE: Final = 7
-_AHEAD: Final = 8
-_IN_DEGREES = frozenset({_ROLL, _PITCH, _YAW, _P, _Q, _R})
+_IN_DEGREES = frozenset(index for index, signal in enumerate(SIGNALS) if "deg" in signal)
 
 
 class CommandScript:
@@ -67,20 +56,17 @@ class CommandScript:
                 signal = SIGNALS.index(entry.signal)
                 wave = _waveform(entry, scenario, start, where)
                 self._waves.append((signal, _scaled(wave, radians(1.0)) if signal in _IN_DEGREES else wave))
-            if any(signal == _COLLECTIVE for signal, _ in self._waves[before:]):
+            if any(SIGNALS[signal] == "collective" for signal, _ in self._waves[before:]):
                 collective.append(start)
-        commanded = {signal for signal, _ in self._waves}
-        self.signals = [SIGNALS[signal] for signal in sorted(commanded)]
-        self._rate_mode = bool(commanded & {_P, _Q, _R})
+        self.signals = [SIGNALS[signal] for signal in sorted({signal for signal, _ in self._waves})]
+        self._rate_mode = any(signal.startswith("rate_") for signal in self.signals)
         # the height is held until the first command of the collective begins
         self._collective_from = min(collective, default=None)
-        self._base = [0.0] * len(SIGNALS)
-        self._base[_YAW] = radians(scenario.initial.attitude_deg[2])
-        self._base[_ALTITUDE] = height
+        yaw = radians(scenario.initial.attitude_deg[2])
         # the speed ahead at the start, from there on the vehicle's own law flies to what is asked for
         north, east, _ = scenario.initial.velocity_ned_m_s
-        self._base[_AHEAD] = north * cos(self._base[_YAW]) + east * sin(self._base[_YAW])
-        self._ahead = _AHEAD in commanded
+        self._base = [0.0, 0.0, yaw, height, 0.0, 0.0, 0.0, 0.0, north * cos(yaw) + east * sin(yaw)]
+        self._ahead = "ahead_m_s" in self.signals
         self._last_values: list[float] = []
         self._last = Command((0.0, 0.0, 0.0), height)
 
@@ -94,13 +80,14 @@ class CommandScript:
         has_begun = self._collective_from is not None and k >= self._collective_from
         if values != self._last_values or has_begun != (self._last.collective is not None):
             self._last_values = values
+            roll, pitch, yaw, altitude, p, q, r, collective, ahead = values
             self._last = Command(
-                (values[_ROLL], values[_PITCH], values[_YAW]),
-                values[_ALTITUDE],
-                (values[_P], values[_Q], values[_R]) if self._rate_mode else None,
-                values[_COLLECTIVE] if has_begun else None,
+                (roll, pitch, yaw),
+                altitude,
+                (p, q, r) if self._rate_mode else None,
+                collective if has_begun else None,
                 None,
-                values[_AHEAD] if self._ahead else None,
+                ahead if self._ahead else None,
             )
         return self._last
 
@@ -206,13 +193,14 @@ def _sticks(entry: SticksCommand, scenario: Scenario, start: int, where: str) ->
     zeros = [0.0] * len(times)
     position = {name: _interpolated(times, columns.get(name, zeros), "linear", step, start) for name in STICKS}
     end = min(start + int(min(times[-1], scenario.duration_s) / step) + 1, scenario.steps)
-    return [
-        (_ROLL, _scaled(position["roll"], tilt)),
+    waves = (
+        _scaled(position["roll"], tilt),
         # stick forward is positive and asks for nose down
-        (_PITCH, _scaled(position["pitch"], -tilt)),
-        (_YAW, _running_sum(position["yaw"], radians(entry.yaw_rate_deg_s) * step, start, end)),
-        (_ALTITUDE, _running_sum(position["throttle"], entry.climb_m_s * step, start, end)),
-    ]
+        _scaled(position["pitch"], -tilt),
+        _running_sum(position["yaw"], radians(entry.yaw_rate_deg_s) * step, start, end),
+        _running_sum(position["throttle"], entry.climb_m_s * step, start, end),
+    )
+    return list(enumerate(waves))  # in the order of SIGNALS
 
 
 def _running_sum(wave: Waveform, factor: float, start: int, end: int) -> Waveform:

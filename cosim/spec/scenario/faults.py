@@ -1,16 +1,12 @@
 """Models of a scenario's faults: of engines, servos and sensors."""
 
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from cosim.base.constants import Sensor
 from cosim.base.signals import MOST_JETS
 from cosim.base.storage.toml import Duration, Model, Seconds, Vector
-
-
-def _as_list(jet: Any) -> Any:
-    return jet if isinstance(jet, list) else [jet]
 
 
 def _station_number(text: str) -> str:
@@ -27,7 +23,12 @@ def _once_each(jets: list[int]) -> list[int]:
 
 StationNumber = Annotated[str, AfterValidator(_station_number)]
 JetNumber = Annotated[int, Field(ge=1, le=MOST_JETS)]
-Jets = Annotated[list[JetNumber], Field(min_length=1), BeforeValidator(_as_list), AfterValidator(_once_each)]
+Jets = Annotated[
+    list[JetNumber],
+    Field(min_length=1),
+    BeforeValidator(lambda jet: jet if isinstance(jet, list) else [jet]),
+    AfterValidator(_once_each),
+]
 
 
 class TimedFault(Model):

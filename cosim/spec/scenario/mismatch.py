@@ -1,6 +1,7 @@
 """Differences between the simulated vehicle and the one the controller is designed for."""
 
-from typing import Annotated, Any
+from operator import not_
+from typing import Annotated
 
 from pydantic import Field
 
@@ -11,14 +12,6 @@ from cosim.spec.scenario.faults import StationNumber
 Factor = Annotated[float, Field(gt=0.0, le=10.0)]
 
 
-def _is_empty(table: dict[str, Any]) -> bool:
-    return not table
-
-
-def _is_one(factor: float) -> bool:
-    return factor == 1.0
-
-
 class Mismatch(Model):
     """Differences of the simulated vehicle from its nominal data, which the controller does not know.
 
@@ -27,7 +20,9 @@ class Mismatch(Model):
     """
 
     mass_factor: Factor = 1.0  # of the mass; the moments of inertia stay
-    inertia_factor: Annotated[Factor, Field(exclude_if=_is_one)] = 1.0  # of all moments and products of inertia
+    inertia_factor: Annotated[Factor, Field(exclude_if=lambda factor: factor == 1.0)] = (
+        1.0  # of all moments and products of inertia
+    )
     centre_m: Vector = (0.0, 0.0, 0.0)  # where the centre of gravity is, body, from where it is taken to be
     thrust_factor: Factor = 1.0  # of every engine's thrust, at the same reported spool speed
     thrust_factor_1: Factor = 1.0  # of one jet's beside, of the first six
@@ -38,9 +33,9 @@ class Mismatch(Model):
     thrust_factor_6: Factor = 1.0
     delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # control steps by which every engine is later
     # of every engine that is the scenario's, by the FMU's names
-    engine_parameters: Annotated[dict[str, float], Field(exclude_if=_is_empty)] = {}
+    engine_parameters: Annotated[dict[str, float], Field(exclude_if=not_)] = {}
     # of one station's engine, over those of all
-    stations: Annotated[dict[StationNumber, dict[str, float]], Field(exclude_if=_is_empty)] = {}
+    stations: Annotated[dict[StationNumber, dict[str, float]], Field(exclude_if=not_)] = {}
 
     @property
     def single_factors(self) -> tuple[float, ...]:

@@ -32,8 +32,6 @@ from cosim.spec.scenario.substeps import SUBSTEPS, check_measured_step, runs_for
 from cosim.spec.vehicle import STEP_S, Step, Vehicle, is_aircraft_path
 from cosim.spec.vehicle.sensor_profile import STATED, load_with_profile, profile_names, refuse_restated
 
-_CELL = 200  # letters of a value in a notebook's table
-
 
 class Scenario(Model):
     """One flight: the keys of a scenario's TOML are its attributes, and units are in their names.
@@ -107,16 +105,11 @@ class Scenario(Model):
     def _one_flies(self) -> Self:
         if self.requests is not None and self.command:
             raise ValueError("requests: the autopilot flies then, there can be no command")
-        if self.initial.engines == "off":
-            self._check_cold_start()
-        return self
-
-    def _check_cold_start(self) -> None:
-        """Refuse engines that are off at the start where nobody would start them."""
-        if self.requests is None or not self.initial.on_ground:
+        if self.initial.engines == "off" and (self.requests is None or not self.initial.on_ground):
             raise ValueError(
                 'initial.engines = "off": only on the ground, and with an autopilot (requests) that is armed'
             )
+        return self
 
     def __repr__(self) -> str:
         flown = f"{self.aircraft}, engine {self.engine}, controller {self.controller}"
@@ -470,9 +463,9 @@ def likely_key(name: str) -> str | None:
     return next(iter([*same, *(path for path, key in keys.items() if key.startswith(f"{name}_"))]), None)
 
 
-def _shorten(text: str) -> str:
-    """Return a text that fits a cell."""
-    return text if len(text) <= _CELL else f"{text[: _CELL - 3]}..."
+def _shorten(text: str, letters: int = 200) -> str:
+    """Return a text that fits a cell of a notebook's table."""
+    return text if len(text) <= letters else f"{text[: letters - 3]}..."
 
 
 def _code_names(changes: Mapping[str, Any]) -> Iterator[str]:

@@ -19,9 +19,6 @@ from cosim.spec.vehicle import is_aircraft_path, load_vehicle
 
 SUBSTEPS = 4  # of who states none
 CAMPAIGN = "campaign"
-# over those with SUBSTEPS; chosen by us: twice the noise with which shipped vehicles see attitude and height
-CAMPAIGN_DEG = 0.1
-CAMPAIGN_MM = 20.0
 _FORM = re.compile(r"\s*(?P<size>[0-9]+(?:\.[0-9]+)?(?:e-?[0-9]+)?)\s*(?P<unit>deg|mm)\s*")
 _POSITIVE = Annotated[float, Field(gt=0.0)]
 
@@ -51,12 +48,15 @@ class StepErrors(Model):
             kept = runs
         return kept
 
-    def for_campaigns(self) -> int:
-        """Return the fewest runs, two or more, off by at most CAMPAIGN_DEG and CAMPAIGN_MM more than SUBSTEPS are."""
+    def for_campaigns(self, more_deg: float = 0.1, more_mm: float = 20.0) -> int:
+        """Return the fewest runs, two or more, off by at most so much more than SUBSTEPS are.
+
+        That is twice the noise with which shipped vehicles see attitude and height; chosen by us.
+        """
         rows = {
             runs: (turned, off) for runs, turned, off in zip(self.runs, self.attitude_deg, self.place_mm, strict=True)
         }
-        most_deg, most_mm = rows[SUBSTEPS][0] + CAMPAIGN_DEG, rows[SUBSTEPS][1] + CAMPAIGN_MM
+        most_deg, most_mm = rows[SUBSTEPS][0] + more_deg, rows[SUBSTEPS][1] + more_mm
         return min(runs for runs, (turned, off) in rows.items() if runs > 1 and turned <= most_deg and off <= most_mm)
 
     def smallest_error(self, unit: str) -> float:
@@ -83,27 +83,11 @@ def measured_errors(aircraft: str) -> StepErrors | None:
 
 
 def runs_for(error: str, aircraft: str, where: str) -> int:
-    """Return the fewest JSBSim runs a step with which a vehicle's shipped flights keep to an error.
+    """Return the fewest JSBSim runs a step, 1 to 8, with which a vehicle's shipped flights keep to an error.
 
-    Parameters
-    ----------
-    error : str
-        ``"0.01 deg"`` of attitude or ``"1 mm"`` of place; ``"campaign"``: 0.1 deg and 20 mm more than with
-        :data:`SUBSTEPS`.
-    aircraft : str
-        The vehicle's name.
-    where : str
-        Name of the scenario in error messages.
-
-    Returns
-    -------
-    int
-        Runs, 1 to 8.
-
-    Raises
-    ------
-    InputError
-        For another form, a vehicle of which nothing was measured, and an error below what was.
+    The error is ``"0.01 deg"`` of attitude or ``"1 mm"`` of place; ``"campaign"``: 0.1 deg and 20 mm more than with
+    :data:`SUBSTEPS`.  Raises InputError, which begins with ``where``, for another form, a vehicle of which nothing was
+    measured, and an error below what was.
     """
     form = _FORM.fullmatch(error)
     said = f"{where}: substeps = {error!r}"

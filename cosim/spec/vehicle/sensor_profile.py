@@ -36,23 +36,7 @@ def load_with_profile(
 ) -> tuple[Vehicle, Path]:
     """Read an aircraft with a profile written over its sensors, and what a scenario states over that.
 
-    Parameters
-    ----------
-    aircraft, overrides, where, folder
-        As :func:`cosim.spec.vehicle.load_vehicle`.
-    profile
-        A name of :func:`profile_names`.
-    step
-        Control step [s]; a profile's latency is rounded to a whole number of them.
-
-    Returns
-    -------
-    The vehicle, and the folder of its file.
-
-    Raises
-    ------
-    InputError
-        As :func:`cosim.spec.vehicle.load_vehicle`.
+    As :func:`cosim.spec.vehicle.load_vehicle`; a profile's latency is rounded to a whole number of control steps [s].
     """
     vehicle, own_folder = load_vehicle(aircraft, overrides, where, folder)
     tables = _tables(profile)
@@ -68,19 +52,7 @@ def load_with_profile(
 def refuse_restated(stated: dict[str, Any], profiles: Iterable[str], where: str) -> None:
     """Refuse another profile over a file whose own sensors would hide it, as the scenario of a run does.
 
-    Parameters
-    ----------
-    stated
-        The file's own ``vehicle.sensors``.
-    profiles
-        The file's profile, and the one that is to be flown.
-    where
-        What the file is called, for the error.
-
-    Raises
-    ------
-    InputError
-        If the file states a value that one of the profiles states.
+    ``stated``: the file's ``vehicle.sensors``.  Raises InputError if it has a value that one of the profiles states.
     """
     for sensor, table in (item for profile in profiles for item in _tables(profile).items()):
         for key in table:

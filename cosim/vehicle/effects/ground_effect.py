@@ -7,25 +7,21 @@ from collections.abc import Sequence
 from cosim.spec.vehicle import GroundEffect, Jet
 from cosim.vehicle.effects.effect import Effect, Load
 
-# Wyatt, Static tests of ground effect on planforms fitted with a centrally-located round lifting jet, ARC CP 749, 1964,
-# as later reports quote it.
-COEFFICIENT = 0.012
-EXPONENT = 2.3
-LEAST_HEIGHT = 0.3  # least height over D - d; chosen: the law has no limit towards the ground, lift loss has
 
-
-def lift_loss(height: float, planform: float, jet: float) -> float:
+def lift_loss(height: float, planform: float, jet: float, least_height: float = 0.3) -> float:
     """Return the fraction of the thrust that a jet's entrainment between planform and ground takes.
 
-    Wyatt's correlation:
+    Wyatt's correlation (Static tests of ground effect on planforms fitted with a centrally-located round lifting jet,
+    ARC CP 749, 1964, as later reports quote it):
 
         dL / T = 0.012 (h / (D - d))^-2.3
 
     ``height`` h of the planform above the ground [m], ``planform`` its angular mean diameter D [m], ``jet`` the
-    diameter d of its one round jet [m].  It is constant below 0.3 (D - d).
+    diameter d of its one round jet [m].  Chosen by us: it is constant below ``least_height`` times (D - d), as the law
+    has no limit towards the ground, and lift loss has.
     """
     span = planform - jet
-    return float(COEFFICIENT * max(height / span, LEAST_HEIGHT) ** -EXPONENT)
+    return float(0.012 * max(height / span, least_height) ** -2.3)
 
 
 class LiftLoss(Effect):

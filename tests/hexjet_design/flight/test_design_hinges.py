@@ -17,7 +17,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.signals import AXES
 from cosim.engine import EngineSpec, load_engine, make_bank
 from cosim.flight import fly
-from cosim.simulation.axis_chain import compute_hinge_reactions, list_hinged_parts
+from cosim.simulation.axis_chain import compute_axis_fractions, compute_hinge_reactions, list_hinged_parts
 from cosim.simulation.build import build
 from cosim.simulation.controllers.allocators import make_effectiveness
 from cosim.simulation.controllers.controller_file import Requirements, apply_controller, read_controller
@@ -73,7 +73,7 @@ def test_the_room_of_an_axis_is_what_its_servos_follow() -> None:
     hinge = vehicle.hinges[0]
     turn = min(0.26, hinge.rate_limit_rad_s * hinge.lag_s)
     alone = vehicle.mass_kg * GRAVITY * 0.2 / vehicle.inertia_kg_m2[0] * turn
-    share = 1.0 - make_effectiveness(*_hover("quadjet")).thrust_part(0)
+    share = sum(compute_axis_fractions(vehicle, make_effectiveness(*_hover("quadjet")), 0).servos)
     assert of["roll"].room == pytest.approx(alone / share, rel=1e-4)
 
 

@@ -16,52 +16,32 @@ from cosim.base.signals import ZERO3, Measured, Quaternion, Vector3
 from cosim.control.autopilot.estimation.kalman import Kalman
 from cosim.control.autopilot.estimation.position import (
     BIAS_WALK,
-    MIN_FORCE_NOISE,
-    MIN_POSITION_NOISE,
-    MIN_VELOCITY_NOISE,
     STANDING_NOISE,
     PositionEstimator,
+    trusted_noise,
 )
 from cosim.spec.vehicle import PositionGains, Sensors
 
 # Noise below which no sensor is trusted, whatever it states: rad, rad/s, m.
-_MIN_ANGLE_NOISE = 2e-4
-_MIN_RATE_NOISE = 0.002
-_MIN_HEIGHT_NOISE = 0.01
+_MIN_NOISE = (2e-4, 0.002, 0.01)
 # The rest is chosen by us, with the reason.
-# rad/s per root s: a MEMS gyro's zero (5 mdeg/s per K) while it warms by some K in a minute.
-_GYRO_BIAS_WALK = 2e-5
 # rad/s: calibrated while it stands; and 17 deg/s, when it turns out that the bias is not what it was.
 _GYRO_BIAS_AT_START, _GYRO_BIAS_UNKNOWN = 0.01, 0.3
-# Times the attitude gain: a rate loop is some four times as fast, and has a tenth of its own time to wait.
-_RATE_BANDWIDTH_RATIO = 30.0
 # The disagreement of gyro and attitude, averaged over so many s, is a surprise from so many standard deviations of the
 # mean and so many rad on (what filters and sampling leave unexplained in a manoeuvre), once in so many s.
 _MEAN_S, _SURPRISE, _MIN_SURPRISE, _BETWEEN_S = 0.1, 8.0, 2e-3, 0.5
-# rad between two samples: the gyro saw nothing of it, and no noise of this sensor does it.
-_JUMP = 0.02
 # Repeated samples of gyro or attitude while the other moves.
 _STOPPED = 5
 # rad/s for so many s: four times the noise of a sample; the controllers would lean by less than a degree.
 _BIASED, _BIASED_S = 0.02, 0.3
 # m/s^2: 10 mg, more than is left after any calibration; and the most that is taken for a bias.
 _BIAS_AT_START, _MAX_BIAS = 0.1, 0.5
-# m/s^2: without an accelerometer any vertical acceleration of a flight is possible.
-_UNSENSED_ACCELERATION = 3.0
-# m/s^2: forces of stiff legs change by as much within a step, so that their samples are off by it.
-_CONTACT_FORCE_NOISE = 2.0
 # Squared normalised error: five standard deviations, passed by chance once in 1.7 million.
 _GATE = 25.0
 # s without news from a barometer or accelerometer that has stopped, and from a receiver.
 _FAILED_S, _SILENT_S = 0.1, 1.0
 # s of contradiction by which a barometer loses trust, and of agreement by which it regains it.
 _IMPLAUSIBLE_S, _AGREEMENT_S = 0.5, 1.0
-# Half a minute over which the receiver's height is compared with the barometer's.
-_OFFSET_EPOCHS = 300
-# s without a fix: the lean alone is off by half a metre by then for a degree that it is wrong.
-_BLIND_S = 1.0
-# m/s, one deviation: a speed that is less sure is not told as valid; as PX4's COM_VEL_FS_EVH.
-SPEED_SURE = 1.0
 # One deviation: a twelfth of the weight pushes sideways unseen.
 LEAN_SURE = radians(5.0)
 
@@ -120,18 +100,18 @@ class Estimator:
         self._dt = step
         self._filter_gain = 1.0 - exp(-step / gyro.filter_s) if gyro.filter_s > 0.0 else 1.0
         self._attitude_latency = max(0, attitude.latency_samples - gyro.latency_samples)
-        angle_noise = max(attitude.noise_rad, _MIN_ANGLE_NOISE)
+        angle_noise = max(attitude.noise_rad, _MIN_NOISE[0])
         self._angle_noise = angle_noise**2
-        self._rate_noise = max(gyro.noise_rad_s, _MIN_RATE_NOISE) ** 2
-        # of two integrators behind white noise: the filter's bandwidth squared is walk over measurement noise
-        self._rate_walk = (_RATE_BANDWIDTH_RATIO * gain) ** 2 * sqrt(self._angle_noise * step)
+        self._rate_noise = max(gyro.noise_rad_s, _MIN_NOISE[1]) ** 2
+        # Of two integrators behind white noise: the filter's bandwidth squared is walk over measurement noise.  Thirty
+        # times the attitude gain: a rate loop is some four times as fast, and has a tenth of its own time to wait.
+        self._rate_walk = (30.0 * gain) ** 2 * sqrt(self._angle_noise * step)
         self._angle = Kalman(step, 0, (0.0, angle_noise, _GYRO_BIAS_AT_START))
         self._period, self._latency = gnss.period_samples, gnss.latency_samples
-        height_noise = max(sensors.barometer.noise_m, _MIN_HEIGHT_NOISE)
-        velocity_noise = max(gnss.velocity_noise_m_s, MIN_VELOCITY_NOISE)
+        height_noise = max(sensors.barometer.noise_m, _MIN_NOISE[2])
+        position_noise, velocity_noise, force_noise = trusted_noise(sensors)
         self._height_noise, self._velocity_noise = height_noise**2, velocity_noise**2
-        self._position_noise = max(gnss.position_noise_m, MIN_POSITION_NOISE) ** 2
-        self._force_noise = max(sensors.accelerometer.noise_m_s2, MIN_FORCE_NOISE) ** 2
+        self._position_noise, self._force_noise = position_noise**2, force_noise**2
         self.vertical = Kalman(step, self._latency, (height_noise, velocity_noise, _BIAS_AT_START))
         noisy = noisy and max(gnss.position_noise_m, gnss.velocity_noise_m_s) > 0.0
         self._position = PositionEstimator(gains, sensors, step, noisy, reckons=True)
@@ -252,7 +232,8 @@ class Estimator:
     @property
     def has_position(self) -> bool:
         """Whether GNSS fixes arrive."""
-        return self._position.silent <= _BLIND_S
+        # The lean alone is off by half a metre after a second, for a degree that it is wrong.
+        return self._position.silent <= 1.0
 
     @property
     def failures(self) -> tuple[str, ...]:
@@ -270,11 +251,13 @@ class Estimator:
         """How reliable the estimates are."""
         (position_deviation, speed), (height, climb) = self._position.deviation, self.vertical.deviation
         lean, has_position = sqrt(self._angle.vv), self.has_position
+        # m/s, one deviation: a speed that is less sure is not told as valid; as PX4's COM_VEL_FS_EVH.
+        sure = 1.0
         return EstimateQuality(
             has_position,
-            has_position or speed < SPEED_SURE,
+            has_position or speed < sure,
             self.has_height or self.has_fix,
-            climb < SPEED_SURE,
+            climb < sure,
             self.has_attitude or lean < LEAN_SURE,
             self.has_rate and not self.is_biased,
             self.has_force,
@@ -304,8 +287,11 @@ class Estimator:
         attitude = measured.attitude if self.has_attitude else self._attitude
         return attitude, _sum(measured.rate if self.has_rate else ZERO3, self.gyro_bias, -1.0)
 
-    def _turn(self, rate: Vector3) -> None:
-        """Predict one step by the gyro; without one the bias is minus the rate, and may change quickly."""
+    def _turn(self, rate: Vector3, bias_walk: float = 2e-5) -> None:
+        """Predict one step by the gyro; without one the bias is minus the rate, and may change quickly.
+
+        ``bias_walk``: rad/s per root s, a MEMS gyro's zero (5 mdeg/s per K) that warms by some K in a minute.
+        """
         dt, has_rate, angle, raw = self._dt, self.has_rate, self._angle, ZERO3
         if has_rate:
             raw = _scale(_sum(rate, self._last_rate, self._filter_gain - 1.0), 1.0 / self._filter_gain)
@@ -323,11 +309,14 @@ class Estimator:
         self._attitude = normalize(multiply(self._attitude, (1.0, x, y, z)))
         self._past.append(self._attitude)
         self._past.popleft()
-        walk = _GYRO_BIAS_WALK if has_rate else self._rate_walk
+        walk = bias_walk if has_rate else self._rate_walk
         angle.spread(dt, -1.0, self._rate_noise * dt if has_rate else 0.0, walk * walk * dt)
 
-    def _compare_attitude(self, attitude: Quaternion) -> None:
-        """Correct attitude and bias by the sensor's attitude less the gyro's of the same instant."""
+    def _compare_attitude(self, attitude: Quaternion, max_jump: float = 0.02) -> None:
+        """Correct attitude and bias by the sensor's attitude less the gyro's of the same instant.
+
+        ``max_jump``: rad between two samples that the gyro saw nothing of; no noise of the sensor does it.
+        """
         w, x, y, z = multiply(conjugate(self._past[0]), attitude)
         error = _scale((x, y, z), 2.0 if w >= 0.0 else -2.0)
         total = self._angle.vv + self._angle_noise
@@ -337,7 +326,7 @@ class Estimator:
             if self._has_jumped:
                 return
         jump = _largest(_sum(error, self._last_error, -1.0))
-        if jump > max(_JUMP, 10.0 * sqrt(2.0 * self._angle_noise)) and self.has_rate:
+        if jump > max(max_jump, 10.0 * sqrt(2.0 * self._angle_noise)) and self.has_rate:
             self._has_jumped = True
             return
         self._detect_new_bias(error, total)
@@ -388,15 +377,21 @@ class Estimator:
         # Where nothing moves, no sensor can be said to have stopped.
         return new_height or not new_force
 
-    def _predict_height(self, attitude: Quaternion, force: Vector3, has_contact: bool) -> None:
+    def _predict_height(
+        self, attitude: Quaternion, force: Vector3, has_contact: bool, unsensed: float = 3.0, contact_noise: float = 2.0
+    ) -> None:
+        """Predict one step, without an accelerometer for any acceleration of a flight, ``unsensed`` m/s^2.
+
+        ``contact_noise``: m/s^2, by which the forces of stiff legs change within a step.
+        """
         dt, vertical = self._dt, self.vertical
         if self.has_force and force[2] == force[2]:
             self._lift = -rotate(attitude, force)[2]
             acceleration = self._lift - GRAVITY + vertical.u.real
-            noise = dt * (max(self._force_noise, _CONTACT_FORCE_NOISE**2) if has_contact else self._force_noise)
+            noise = dt * (max(self._force_noise, contact_noise**2) if has_contact else self._force_noise)
         else:
             # Constant over a second, not white from step to step.
-            self._lift, acceleration, noise = GRAVITY, 0.0, _UNSENSED_ACCELERATION**2
+            self._lift, acceleration, noise = GRAVITY, 0.0, unsensed**2
         vertical.move(acceleration)
         vertical.spread(dt, 1.0, noise, BIAS_WALK**2 * dt)
 
@@ -421,8 +416,11 @@ class Estimator:
         if not self._is_implausible:
             self._correct_height(0, error, self._height_noise)
 
-    def _take_fix(self, height: float, rate: float, still: bool) -> None:
-        """Correct by a GNSS epoch: velocity always, height where there is no barometer."""
+    def _take_fix(self, height: float, rate: float, still: bool, offset_epochs: int = 300) -> None:
+        """Correct by a GNSS epoch: velocity always, height where there is no barometer.
+
+        ``offset_epochs``: over so many, half a minute, the receiver's height is compared with the barometer's.
+        """
         vertical, latency = self.vertical, self._latency * self._dt
         fresh = still or (height, rate) != self._last_fix
         self._last_fix = (height, rate)
@@ -442,7 +440,7 @@ class Estimator:
         self._correct_height(1, error, self._velocity_noise, latency)
         apart = height - vertical.delayed[0].real
         if self.has_height:
-            self._epochs = min(self._epochs + 1, _OFFSET_EPOCHS)
+            self._epochs = min(self._epochs + 1, offset_epochs)
             self._offset += (apart - self._offset) / self._epochs
             self._is_handed_over = False
         elif self._epochs:

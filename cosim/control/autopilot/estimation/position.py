@@ -14,16 +14,8 @@ from cosim.control.autopilot.estimation.position_gains import settling_gains
 from cosim.control.autopilot.geometry import Pair, lean_acceleration
 from cosim.spec.vehicle import PositionGains, Sensors
 
-# Noise below which no sensor is trusted, whatever it states: m, m/s, m/s^2.
-MIN_POSITION_NOISE = 0.1
-MIN_VELOCITY_NOISE = 0.02
-MIN_FORCE_NOISE = 0.05
-# m/s^2: 10 mg of the accelerometer and 1 degree of the attitude, together.
-_BIAS_AT_START = 0.2
 # m/s^2 per root s: the zero of a MEMS accelerometer (0.15 mg/K) that warms by less than 1 K in a second.
 BIAS_WALK = 0.001
-# m/s^2, constant over a second: what the lean does not explain, where no accelerometer senses it; chosen by us.
-_UNSENSED_ACCELERATION = 0.5
 # m/s: the noise of standing still as a reading of the velocity.
 STANDING_NOISE = 0.02
 
@@ -34,6 +26,18 @@ class Fix(NamedTuple):
     position: Pair
     velocity: Pair
     disturbance: Pair
+
+
+def trusted_noise(
+    sensors: Sensors, position: float = 0.1, velocity: float = 0.02, force: float = 0.05
+) -> tuple[float, float, float]:
+    """Return the noise of GNSS position [m] and velocity [m/s] and of the accelerometer [m/s^2], at least these."""
+    gnss = sensors.gnss
+    return (
+        max(gnss.position_noise_m, position),
+        max(gnss.velocity_noise_m_s, velocity),
+        max(sensors.accelerometer.noise_m_s2, force),
+    )
 
 
 class PositionEstimator:
@@ -57,14 +61,14 @@ class PositionEstimator:
         self._step, self._noisy, self._reckons = step, noisy, reckons
         self._period, self._latency = gnss.period_samples, gnss.latency_samples
         self._gains, self._deviations = settling_gains(gains, gnss, step)
-        position_noise = max(gnss.position_noise_m, MIN_POSITION_NOISE)
-        velocity_noise = max(gnss.velocity_noise_m_s, MIN_VELOCITY_NOISE)
+        position_noise, velocity_noise, force_noise = trusted_noise(sensors)
         self._position_noise, self._velocity_noise = position_noise**2, velocity_noise**2
-        force_noise = max(sensors.accelerometer.noise_m_s2, MIN_FORCE_NOISE)
         # white from step to step: its spectral density is the variance times the step
         self._force_noise = step * (force_noise**2 + (GRAVITY * sensors.attitude.noise_rad) ** 2)
         self._lean = Kalman(step, self._latency, (0.0, 0.0, 0.0))
-        self.reckoning = Kalman(step, self._latency, (position_noise, velocity_noise, _BIAS_AT_START))
+        # m/s^2: 10 mg of the accelerometer and 1 degree of the attitude, together.
+        bias_at_start = 0.2
+        self.reckoning = Kalman(step, self._latency, (position_noise, velocity_noise, bias_at_start))
         self.reset((0.0, 0.0))
 
     def reset(self, position: Pair) -> None:
@@ -144,10 +148,15 @@ class PositionEstimator:
             by_lean = complex(north, east) + reckoning.turn * reckoning.u
         reckoning.move(by_lean)
 
-    def _correct_reckoning(self, p: complex, v: complex, fresh: bool, still: bool, lean_deviation: float) -> None:
-        """Correct at the end of the time between two fixes."""
+    def _correct_reckoning(
+        self, p: complex, v: complex, fresh: bool, still: bool, lean_deviation: float, unsensed: float = 0.5
+    ) -> None:
+        """Correct at the end of the time between two fixes.
+
+        ``unsensed``: the acceleration that the lean does not explain, where none is sensed, m/s^2 over a second.
+        """
         reckoning, T, lean_variance = self.reckoning, self._period * self._step, lean_deviation**2
-        turn, noise = (reckoning.turn, self._force_noise) if self._has_force else (0j, _UNSENSED_ACCELERATION**2)
+        turn, noise = (reckoning.turn, self._force_noise) if self._has_force else (0j, unsensed**2)
         reckoning.spread(T, turn, noise, BIAS_WALK**2 * T + GRAVITY**2 * max(0.0, lean_variance - self._lean_variance))
         self._lean_variance = lean_variance
         if still:

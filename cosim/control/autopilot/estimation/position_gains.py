@@ -9,20 +9,21 @@ import numpy as np
 
 from cosim.spec.vehicle import PositionGains, PositionSensor
 
-_LEAST_POSITION_NOISE = 0.01  # m, m/s: a receiver stated as perfect is still not trusted beyond this
-_LEAST_VELOCITY_NOISE = 0.001
-_EPOCHS = 600  # after which the gains have settled: a minute at 10 Hz
-
 
 @lru_cache
 def settling_gains(
-    gains: PositionGains, sensor: PositionSensor, step: float
+    gains: PositionGains,
+    sensor: PositionSensor,
+    step: float,
+    least_noise: tuple[float, float] = (0.01, 0.001),
+    epochs: int = 600,
 ) -> tuple[list[list[list[float]]], list[tuple[float, float]]]:
     """Return the Kalman gains (3 x 2) of each GNSS epoch, and by number of epochs the deviations of its two readings.
 
     Gains are of position, velocity and disturbance by position and velocity, deviations of position and velocity.  The
     last gains stay.  They vary from the first fix on, so that the noise of position is averaged away while the vehicle
-    stands, instead of staying for the half minute that the settled filter needs.
+    stands, instead of staying for the half minute that the settled filter needs; after so many ``epochs``, a minute at
+    10 Hz, they have settled.  ``least_noise``: m, m/s; a receiver stated as perfect is not trusted beyond it.
     """
     T = sensor.period_samples * step
     F = np.array([[1.0, T, 0.5 * T * T], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
@@ -31,14 +32,12 @@ def settling_gains(
     Q = qa * np.array([[T**3 / 3, T**2 / 2, 0.0], [T**2 / 2, T, 0.0], [0.0, 0.0, 0.0]])
     Q += qb * np.array([[T**5 / 20, T**4 / 8, T**3 / 6], [T**4 / 8, T**3 / 3, T**2 / 2], [T**3 / 6, T**2 / 2, T]])
     H = np.eye(2, 3)
-    noise = (
-        max(sensor.position_noise_m, _LEAST_POSITION_NOISE) ** 2,
-        max(sensor.velocity_noise_m_s, _LEAST_VELOCITY_NOISE) ** 2,
-    )
+    stated = (sensor.position_noise_m, sensor.velocity_noise_m_s)
+    noise = [max(each, least) ** 2 for each, least in zip(stated, least_noise, strict=True)]
     R = np.diag(noise)
     P = np.diag([noise[0], noise[1], 0.0])
     gains_by_epoch, deviations = [], [(sqrt(noise[0]), sqrt(noise[1]))]
-    for _ in range(_EPOCHS):
+    for _ in range(epochs):
         P = F @ P @ F.T + Q
         K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
         P = (np.eye(3) - K @ H) @ P

@@ -9,9 +9,6 @@ from cosim.base.signals import Vector3
 from cosim.control.autopilot.geometry import Pair
 from cosim.spec.vehicle import Vehicle
 
-# Multiple of the largest commanded lean, chosen by us: it overshoots, but hovers still.
-_LEAN_SHARE = 1.5
-
 
 def estimate_wind(
     vehicle: Vehicle, push: Pair, velocity: Pair, euler: Vector3, thrust: Sequence[float], density: float
@@ -29,7 +26,7 @@ def estimate_wind(
     that leans half as far again as it may be asked to: lean and thrust then do not explain how it moves.
     """
     gains, (forward, side, _) = vehicle.control.position, vehicle.aero.drag_area_m2
-    max_lean = 0.5 * pi if gains is None else min(_LEAN_SHARE * gains.lean_rad, 0.5 * pi)
+    max_lean = 0.5 * pi if gains is None else min(1.5 * gains.lean_rad, 0.5 * pi)
     is_tipped = cos(euler[0]) * cos(euler[1]) < cos(max_lean)
     linear, mass = _mass_flow(vehicle, thrust), vehicle.mass_kg
     has_drag = linear != 0.0 or min(forward, side) > 0.0

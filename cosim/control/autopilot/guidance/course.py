@@ -19,7 +19,6 @@ GROUND_M = 0.3  # m above the ground: a height below this asks the vehicle to st
 REACHED_M = 0.4  # m of height error at which a take-off or climb is over, or a waypoint's height is reached
 ABOVE_M = 0.7  # m from home: below 0.5 m/s the descent begins
 SLOW = 0.5  # m/s
-_NEAR_M = 2.0  # m from home: no climb and no flight is needed to land there
 
 
 class Landmarks:
@@ -113,7 +112,8 @@ class Course:
         landmarks = self.landmarks
         home = landmarks.home or Home(*position, landmarks.home_altitude)
         target = landmarks.nearest(home, position)
-        if hypot(target[0] - position[0], target[1] - position[1]) < _NEAR_M:
+        # m from home: no climb and no flight is needed to land there.
+        if hypot(target[0] - position[0], target[1] - position[1]) < 2.0:
             return target, altitude, True
         height = home.altitude + self.parameters["RTL_RETURN_ALT"]
         rally = (point.altitude for point in landmarks.rally if (point.north, point.east) == target)

@@ -11,13 +11,8 @@ from typing import NamedTuple
 
 from cosim.base.constants import GRAVITY
 from cosim.base.limits import clamp
+from cosim.control.altitude import LEAST_UPRIGHT
 from cosim.control.autopilot.guidance.shaper import MEAN, ROOM_FRACTION
-
-# Chosen by us.
-_CATCH_FRACTION = 0.5  # fraction of the excess thrust planned for catching a fall; the rest is for lean and error
-_LEAST_UPRIGHT = 0.5  # thrust is not raised further for a lean beyond 60 degrees
-_TRIM = 0.4 * GRAVITY  # m/s^2, what the floor may learn of a weight that it is wrong about
-_SENSED_S = 0.15  # the climb rate is a GNSS receiver's: 0.1 s late, and 0.05 s old on average
 
 
 class HeightLimits(NamedTuple):
@@ -76,6 +71,13 @@ class CollectiveFloor:
     limit of their acceleration have none left between them to keep the vehicle level with.
     """
 
+    # Fraction of the excess thrust planned for catching a fall; the rest is for lean and error.
+    catch_fraction = 0.5
+    # m/s^2, what the floor may learn of a weight that it is wrong about.
+    max_trim = 0.4 * GRAVITY
+    # s: the climb rate is a GNSS receiver's, 0.1 s late, and 0.05 s old on average.
+    sensed_s = 0.15
+
     def __init__(
         self,
         hover: float,
@@ -91,9 +93,9 @@ class CollectiveFloor:
         self._least, self._most = throttle_min, throttle_max
         self._step = step
         margins = thrust_margins(hover, idle, throttle_min, throttle_max)
-        self._braking, self._slowing = (_CATCH_FRACTION * margin for margin in margins)
-        self._late = 4.0 * (answer + _SENSED_S)
-        self._k = 0.5 / (near + _SENSED_S)
+        self._braking, self._slowing = (self.catch_fraction * margin for margin in margins)
+        self._late = 4.0 * (answer + self.sensed_s)
+        self._k = 0.5 / (near + self.sensed_s)
         self._most_change = (throttle_max - throttle_min) * step / max(answer, step)
         self.reset()
 
@@ -124,7 +126,7 @@ class CollectiveFloor:
         least = self._collective(up, upright, weight)
         self.is_acting = least > collective
         if self.is_acting:
-            self._trim = clamp(self._trim + 0.25 * k * k * (sink - v) * self._step, _TRIM)
+            self._trim = clamp(self._trim + 0.25 * k * k * (sink - v) * self._step, self.max_trim)
         else:
             self._trim = 0.0
         return self.limit_rate(max(collective, least))
@@ -134,7 +136,7 @@ class CollectiveFloor:
         return self._collective(max(up, -self._slowing), upright, weight)
 
     def _collective(self, up: float, upright: float, weight: float) -> float:
-        thrust = (self._hover + self._idle) * weight * (1.0 + up / GRAVITY) / max(upright, _LEAST_UPRIGHT)
+        thrust = (self._hover + self._idle) * weight * (1.0 + up / GRAVITY) / max(upright, LEAST_UPRIGHT)
         return min(max(thrust - self._idle, self._least), self._most)
 
     def limit_rate(self, collective: float) -> float:

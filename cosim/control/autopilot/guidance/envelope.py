@@ -16,9 +16,6 @@ from cosim.spec.vehicle import Vehicle
 
 _SHAPING = ("HJ_ATT_", "HJ_RLIM_", "HJ_STICK_LEAN", "HJ_YAW_RATE")  # parameters that the limits of attitude follow from
 _CLIMBING = ("HJ_ALT_P", "HJ_CLIMB_P", "HJ_CLIMB_AUTO", "HJ_DESC_AUTO")  # and those of height
-# Chosen by us, for where height control takes over from a throttle.
-_AT_REST = 0.25  # m/s: the loop of height answers it with some 1/50 of the weight, 1/100 of the throttle
-_NEAR_HOVER = 0.1  # of the throttle: so near a pilot finds it by hand, and so little of a step tilts nothing
 
 
 class Envelope:
@@ -30,6 +27,11 @@ class Envelope:
     of what full throttle adds to it; ``answer``: delay and lag [s] with which the thrust answers, about hover and the
     longest.
     """
+
+    # m/s: the loop of height answers it with some 1/50 of the weight, 1/100 of the throttle.
+    max_rest_climb = 0.25
+    # Of the throttle: so near a pilot finds hover by hand, and so little of a step tilts nothing.
+    near_hover = 0.1
 
     def __init__(
         self,
@@ -113,11 +115,11 @@ class Envelope:
         wanted = self.floor.collective_for(-p["HJ_CLIMB_P"] * climb, lean, weight)
         given = self._limit(wanted, ground, remaining)
         if self._is_by_stick:
-            is_fast = abs(climb - clip(climb, -p["HJ_SPEED_DN"], p["HJ_SPEED_UP"])) > _AT_REST
-            is_far = abs(given - self.floor.collective_for(0.0, lean, weight)) > _NEAR_HOVER
+            is_fast = abs(climb - clip(climb, -p["HJ_SPEED_DN"], p["HJ_SPEED_UP"])) > self.max_rest_climb
+            is_far = abs(given - self.floor.collective_for(0.0, lean, weight)) > self.near_hover
             self._is_by_stick, self._is_braking = False, is_fast or is_far
         else:
-            self._is_braking = abs(climb) > _AT_REST or given != wanted
+            self._is_braking = abs(climb) > self.max_rest_climb or given != wanted
         return given if self._is_braking else None
 
     def _limit(self, collective: float, ground: float, remaining: float | None) -> float:

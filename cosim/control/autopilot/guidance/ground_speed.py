@@ -12,13 +12,6 @@ from cosim.control.autopilot.guidance.tracker import BRAKE_FRACTION
 from cosim.control.phases.wing import DENSITY
 from cosim.spec.vehicle import Vehicle
 
-# Chosen by us, with the reason.
-_MEAN_S = 10.0  # s, averaging time of the wind: gusts are shorter, and the estimated push is seconds late
-_STEADY = 0.2  # fraction of HJ_ACC_HOR: while the speed changes faster than this, what pushes is not the wind alone
-_FOLLOWS = 1.0  # m/s, largest velocity error: beyond it the speed is still changing
-_RAMPS = 0.5 + 0.5 / BRAKE_FRACTION  # distance over v^2 / a that speeding up to v and braking take
-_LEAST_SPEED = 0.1  # m/s: it does not get home at all, so that the way takes longer than any tank lasts
-
 
 class GroundSpeed:
     """Speed over the ground and time of a flight to a position, against the estimated wind.
@@ -28,9 +21,16 @@ class GroundSpeed:
     The wind is estimated while the vehicle flies or hovers steadily, and taken to blow against it on every way.
     """
 
+    # s, averaging time of the wind: gusts are shorter, and the estimated push is seconds late.
+    mean_s = 10.0
+    # Steady is a speed that changes by less than this fraction of HJ_ACC_HOR, and is off by less than so many m/s.
+    max_acceleration, max_error_m_s = 0.2, 1.0
+    # m/s: it does not get home at all, so that the way takes longer than any tank lasts.
+    least_speed = 0.1
+
     def __init__(self, course: Course, vehicle: Vehicle, catch_up: float, step: float) -> None:
         self._course, self._vehicle, self._parameters = course, vehicle, course.parameters
-        self._catch_up, self._weight_step = catch_up, step / _MEAN_S
+        self._catch_up, self._weight_step = catch_up, step / self.mean_s
         # in hover every jet is taken to bear as much: what the air swallowed by them takes is a part of the drag
         self._thrust = [vehicle.mass_kg * GRAVITY / len(vehicle.jets)] * len(vehicle.jets)
         self.reset()
@@ -46,7 +46,8 @@ class GroundSpeed:
             return
         fix = estimates.fix
         velocity_error = hypot(track.velocity[0] - fix.velocity[0], track.velocity[1] - fix.velocity[1])
-        if velocity_error > _FOLLOWS or hypot(*track.acceleration) > _STEADY * self._parameters["HJ_ACC_HOR"]:
+        fastest = self.max_acceleration * self._parameters["HJ_ACC_HOR"]
+        if velocity_error > self.max_error_m_s or hypot(*track.acceleration) > fastest:
             return
         wind = estimate_wind(self._vehicle, fix.disturbance, fix.velocity, estimates.euler, self._thrust, DENSITY)
         if wind is not None:
@@ -69,7 +70,7 @@ class GroundSpeed:
         air = drag_limited_speed(self._vehicle, lean, self._thrust, DENSITY)
         if air is None:
             return self._parameters.table["MPC_XY_VEL_MAX"].default
-        return max(_LEAST_SPEED, air - hypot(*self.wind))
+        return max(self.least_speed, air - hypot(*self.wind))
 
     @property
     def speed(self) -> float:
@@ -83,10 +84,12 @@ class GroundSpeed:
         ahead; from when it brakes the vehicle closes in on it at no more than ``catch_up``.
         """
         p, greatest = self._parameters, self.max_speed
+        # Distance over v^2 / a that speeding up to v and braking take.
+        ramps = 0.5 + 0.5 / BRAKE_FRACTION
         a, catch_up = p["HJ_ACC_HOR"], min(self._catch_up, greatest)
-        top = min(speed, sqrt(distance * a / _RAMPS))
-        set_point_time = distance / top + _RAMPS * top / a + a / p["HJ_JERK_HOR"]
+        top = min(speed, sqrt(distance * a / ramps))
+        set_point_time = distance / top + ramps * top / a + a / p["HJ_JERK_HOR"]
         excess_speed = max(0.0, top - greatest)
-        lag = _RAMPS * excess_speed * excess_speed / a + excess_speed * max(0.0, distance / top - _RAMPS * top / a)
+        lag = ramps * excess_speed * excess_speed / a + excess_speed * max(0.0, distance / top - ramps * top / a)
         remaining = max(0.0, lag - catch_up * greatest / (BRAKE_FRACTION * a))
         return set_point_time + remaining / catch_up + 2.0 / max(p["HJ_VEL_P"], 0.1) + 1.0 / max(p["HJ_POS_P"], 0.1)

@@ -13,8 +13,6 @@ from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
 from cosim.control.autopilot.parameters import Parameters
 
-_LEAD = 1.0  # m, most by which the height set-point may lead the vehicle beyond what its climb rate needs
-
 
 class Guide:
     """Keeps the set-points of position, height and heading; each starts from where the vehicle is.
@@ -22,6 +20,9 @@ class Guide:
     A set-point that was not used in the step before is taken up from the present state, so that changing modes does
     not step the command of anything but the acceleration.
     """
+
+    # m, by which the height set-point may lead the vehicle beyond what its climb rate needs.
+    max_lead = 1.0
 
     def __init__(
         self,
@@ -163,7 +164,7 @@ class Guide:
     def _waits(self, change: float) -> bool:
         """Return whether the vehicle lags so far that the height set-point stops to wait for it."""
         ahead = self.altitude - self._measured.altitude
-        if abs(ahead) < _LEAD + abs(self._climb) / self._gain() or ahead * change <= 0.0:
+        if abs(ahead) < self.max_lead + abs(self._climb) / self._gain() or ahead * change <= 0.0:
             return False
         self._climb = 0.0
         self._height.start((self.altitude, 0.0), (0.0, 0.0))

@@ -21,10 +21,8 @@ from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.spec.vehicle import EngineLead, Vehicle
 
 # Chosen by us.
-LEAST_ACCELERATION = 0.02  # rad/s^2 about an axis that hardly anything turns: set-points creep there, and do not stand
 ROOM_FRACTION = 0.25  # fraction of the available torque used for commands; the rest is for wind, noise and overshoot
 MEAN = 0.5  # of the attitude loop's time constant: the acceleration asked for takes this long to build up
-_SLOWEST = 0.1  # 1/s: an attitude loop with less gain than this is not flown
 
 
 class AttitudeLimits(NamedTuple):
@@ -39,7 +37,12 @@ class AttitudeLimits(NamedTuple):
 
 
 def attitude_limits(
-    gain: Sequence[float], authority: Sequence[float], lean: float, yaw_rate: float, rate_limit: Sequence[float]
+    gain: Sequence[float],
+    authority: Sequence[float],
+    lean: float,
+    yaw_rate: float,
+    rate_limit: Sequence[float],
+    least_gain: float = 0.1,
 ) -> AttitudeLimits:
     """Return the bounds from the attitude loop's gains K (roll, pitch, yaw; 1/s) and the usable angular accelerations.
 
@@ -51,9 +54,10 @@ def attitude_limits(
 
     so that content faster than the loop's own answer is taken out.  Heading: ``yaw_rate``, ``yaw_rate min(K, K_yaw)``,
     and the same again.  ``authority``: see :func:`angular_authority`; no rate is beyond ``rate_limit``.
+    An attitude loop with less than ``least_gain`` [1/s] is not flown.
     """
-    k = max(min(gain[0], gain[1]), _SLOWEST)
-    k_yaw = max(min(k, gain[2]), _SLOWEST)
+    k = max(min(gain[0], gain[1]), least_gain)
+    k_yaw = max(min(k, gain[2]), least_gain)
     a = min(k * k * lean, authority[0], authority[1])
     turn = min(yaw_rate, rate_limit[2])
     a_yaw = min(turn * k_yaw, authority[2])
@@ -95,14 +99,16 @@ def angular_authority(vehicle: Vehicle, hover: float, idle: float, gain: Sequenc
     return (authority[0], authority[1], authority[2])
 
 
-def _by_layout(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float]) -> Vector3:
+def _by_layout(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float], least: float = 0.02) -> Vector3:
     """Return the angular authority [rad/s^2] where every throttle and hinge may have a part.
 
-    It is a quarter of what the layout attains about each axis, with the slowest hinge taken for all."""
+    It is a quarter of what the layout attains about each axis, with the slowest hinge taken for all; of ``least``
+    [rad/s^2] about one that hardly anything turns, where set-points creep and do not stand.
+    """
     per_jet = vehicle.mass_kg * GRAVITY / len(vehicle.jets) / (hover + idle)
     limits, jets = vehicle.control.allocation, len(vehicle.jets)
-    least, most = ([per_jet * (fraction + idle)] * jets for fraction in (limits.throttle_min, limits.throttle_max))
-    reach = compute_reach(vehicle, least, most)
+    low, high = ([per_jet * (fraction + idle)] * jets for fraction in (limits.throttle_min, limits.throttle_max))
+    reach = compute_reach(vehicle, low, high)
     lines = [tuple(sign * (n == axis) for n in range(3)) for axis in range(3) for sign in (1.0, -1.0)]
     sizes = [size.lower for size in reach.section(lines)]
     slowest = max([hinge.lag_s for hinge in vehicle.hinges], default=0.0)
@@ -110,7 +116,7 @@ def _by_layout(vehicle: Vehicle, hover: float, idle: float, gain: Sequence[float
     for axis, name in enumerate(AXES):
         extra = max(1.0 + gain[axis] * slowest, _extra(getattr(vehicle.control.lead, name, None), gain[axis]))
         moment = max(0.0, min(sizes[2 * axis], sizes[2 * axis + 1]))
-        authority.append(ROOM_FRACTION * max(moment / vehicle.inertia_kg_m2[axis], LEAST_ACCELERATION) / extra)
+        authority.append(ROOM_FRACTION * max(moment / vehicle.inertia_kg_m2[axis], least) / extra)
     return (authority[0], authority[1], authority[2])
 
 

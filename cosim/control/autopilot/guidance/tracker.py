@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 from cosim.control.autopilot.geometry import Pair
 
-_LONGEST_MEAN = 10.0  # s: a set-point that answers later than this is of no use to a pilot
 BRAKE_FRACTION = 0.75  # fraction of the acceleration planned for braking, so that some is left to turn with
 
 
@@ -34,11 +33,14 @@ class Tracker:
         self.limit(acceleration, jerk)
         self.start((0.0, 0.0), (0.0, 0.0))
 
-    def limit(self, acceleration: float, jerk: float) -> None:
-        """Set new limits, m/s^2 and m/s^3; the mean's length changes at the next start."""
+    def limit(self, acceleration: float, jerk: float, longest_s: float = 10.0) -> None:
+        """Set new limits, m/s^2 and m/s^3; the mean's length changes at the next start.
+
+        ``longest_s``: a set-point that answers later than this is of no use to a pilot.
+        """
         self._a = acceleration * self._step  # m/s a step
         self._b = BRAKE_FRACTION * self._a
-        self._count = max(1, ceil(min(acceleration / jerk, _LONGEST_MEAN) / self._step))
+        self._count = max(1, ceil(min(acceleration / jerk, longest_s) / self._step))
 
     def start(self, position: Pair, velocity: Pair) -> None:
         """Start the set-point from this position, at this velocity and without acceleration."""

@@ -11,8 +11,6 @@ from cosim.control.autopilot.geometry import Pair, wrap
 from cosim.control.autopilot.guidance.course import LOWEST_M, Course
 from cosim.control.autopilot.requests import Orbit, OrbitYaw
 
-_CHECKPOINTS = 36  # points of a circle that must be inside the fence
-
 
 class Circle:
     """The course round a centre, with a count of its turns."""
@@ -43,10 +41,10 @@ class Circle:
             raise InputError(f"orbit refused: {why}")
         return centre, altitude
 
-    def describe_outside(self, centre: Pair, radius: float, altitude: float) -> str:
-        """Return why a circle leaves the fence; empty: it does not."""
-        for n in range(_CHECKPOINTS):
-            angle = 2.0 * pi * n / _CHECKPOINTS
+    def describe_outside(self, centre: Pair, radius: float, altitude: float, points: int = 36) -> str:
+        """Return why one of so many points of a circle leaves the fence; empty: none does."""
+        for n in range(points):
+            angle = 2.0 * pi * n / points
             north, east = centre[0] + radius * cos(angle), centre[1] + radius * sin(angle)
             if why := self._watch.describe_outside(north, east, altitude, self._landmarks.home):
                 return why

@@ -10,12 +10,8 @@ from cosim.control.autopilot.guidance.course import LOWEST_M, REACHED_M, Course
 from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import Home
 
-# Chosen by us, with the reason.
-_LIFT_M = 0.3  # m above the ground at which a vehicle with no leg in contact is in the air
-_CLEAR_M = 1.0  # above the ground by three deviations more than this is in the air, whatever the legs say
-_LIFT_S = 10.0  # after spooling up without leaving the ground, the take-off is given up
-_DOUBTED_S = 1.0  # contact that neither height nor weight confirms, for so long: the switch is broken
-_SETTLE_S = 0.7  # s from contact to idle
+# m above the ground at which a vehicle with no leg in contact is in the air; chosen by us.
+_LIFT_M = 0.3
 
 
 class TakeOff:
@@ -23,6 +19,9 @@ class TakeOff:
 
     ``hover``: the collective at which it hovers; ``idle``: that of the engines at idle.
     """
+
+    # s after spooling up without leaving the ground, when the take-off is given up.
+    give_up_s = 10.0
 
     def __init__(self, course: Course, hover: float, idle: float, step: float) -> None:
         self._parameters, self._estimates, self._landmarks = course.parameters, course.estimates, course.landmarks
@@ -62,7 +61,7 @@ class TakeOff:
         """Return the command so many steps after the beginning; None: the vehicle does not leave the ground."""
         guide, since = self._course.guide, steps * self._step
         spool = self._parameters["HJ_SPOOL_TIME"]
-        if since > spool + _LIFT_S:
+        if since > spool + self.give_up_s:
             return None
         yaw = guide.to_yaw(None)
         if since < spool:
@@ -90,6 +89,11 @@ class Landing:
 
     :class:`Touchdown` evaluates the legs' contact; this class checks it against the height.
     """
+
+    # m: above the ground by three deviations more than this is in the air, whatever the legs say.
+    clear_m = 1.0
+    # s of contact that neither height nor weight confirms: the switch is broken; and from contact to idle.
+    max_doubt_s, settle_s = 1.0, 0.7
 
     def __init__(self, course: Course, touchdown: Touchdown, hover: float, idle: float, step: float) -> None:
         self._estimates, self._landmarks = course.estimates, course.landmarks
@@ -119,7 +123,7 @@ class Landing:
     def has_lifted(self) -> bool:
         """Whether the vehicle, which has just been on the ground, is in the air for certain."""
         above = self._estimates.altitude - self._landmarks.ground
-        clear = above - 3.0 * self._estimates.altitude_deviation > _CLEAR_M
+        clear = above - 3.0 * self._estimates.altitude_deviation > self.clear_m
         return clear or (self.touchdown.is_off_ground and above > _LIFT_M)
 
     def lift_off(self) -> None:
@@ -153,7 +157,7 @@ class Landing:
 
     def reject_switch(self) -> bool:
         """Return True once, when the switch has reported too long a ground that cannot be there and is ignored."""
-        if self._doubt_s <= _DOUBTED_S or self.touchdown.switch_failed:
+        if self._doubt_s <= self.max_doubt_s or self.touchdown.switch_failed:
             return False
         self.touchdown.switch_failed = True
         return True
@@ -167,7 +171,7 @@ class Landing:
     def settle(self, collective: float) -> Command:
         """Return the command that takes the thrust away, from this collective on."""
         self._course.descending = True
-        self.collective = max(self._idle, collective - self._step * self._hover / _SETTLE_S)
+        self.collective = max(self._idle, collective - self._step * self._hover / self.settle_s)
         yaw = self._course.guide.to_yaw(None)
         return Command((0.0, 0.0, yaw), self._estimates.altitude, None, self.collective)
 

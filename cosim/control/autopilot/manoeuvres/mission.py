@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 from cosim.control.autopilot.requests import ItemKind, MissionItem
 
-_MOST_JUMPS = 10_000  # most jumps in a row: more are a circle without anything to fly
-
 
 class Mission:
     """Items and progress.  ``current`` is the index of the present item; past the end the mission is done."""
@@ -50,9 +48,9 @@ class Mission:
         self.current += 1
         return self.skip_jumps()
 
-    def skip_jumps(self) -> MissionItem | None:
-        """Follow jumps from the present item, and pass items that are not flown."""
-        for _ in range(_MOST_JUMPS):
+    def skip_jumps(self, max_jumps: int = 10_000) -> MissionItem | None:
+        """Follow jumps from the present item, and pass items that are not flown; more jumps in a row are a circle."""
+        for _ in range(max_jumps):
             item = self.item
             if item is not None and item.kind is ItemKind.LEFT_OUT:
                 self.current += 1

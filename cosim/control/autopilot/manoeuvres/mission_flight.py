@@ -14,8 +14,6 @@ from cosim.control.autopilot.manoeuvres.mission import Mission, find_endless_jum
 from cosim.control.autopilot.manoeuvres.return_flight import ReturnFlight
 from cosim.control.autopilot.requests import ItemKind, MissionItem, MissionUpload, Orbit
 
-_MOST_ITEMS = 1000  # of a mission, jumps included, for which energy is estimated; chosen by us
-
 
 class MissionFlight:
     """Flies :attr:`mission` along the course; circle and return are flown by their own classes."""
@@ -62,17 +60,18 @@ class MissionFlight:
         """Return the altitude [m] at which an item is flown: its own, or the lowest of automatic flight."""
         return None if item.altitude is None else max(item.altitude, self._landmarks.lowest_altitude)
 
-    def find_shortage(self, energy: Energy) -> tuple[int, str]:
+    def find_shortage(self, energy: Energy, max_items: int = 1000) -> tuple[int, str]:
         """Return the first item for which fuel or battery are short, there and home, and why; empty: none.
 
-        Estimated from here.  Speeds that items ask for are left out, and what ends only on request ends at once.
+        Estimated from here for so many items, jumps included.  Speeds that items ask for are left out, and what ends
+        only on request ends at once.
         """
         mission = Mission()
         mission.load(self.mission.items)
         mission.restart(self.mission.current)
         position, altitude, seconds = self._estimates.fix.position, self._estimates.altitude, 0.0
         item = mission.skip_jumps()
-        for _ in range(_MOST_ITEMS):
+        for _ in range(max_items):
             if item is None or item.kind in (ItemKind.LAND, ItemKind.RETURN):
                 break
             target = (item.north, item.east) if item.north is not None and item.east is not None else position

@@ -14,11 +14,6 @@ from cosim.spec.vehicle import AllocationLimits
 
 Setpoint = OffboardAttitude | OffboardVelocity | OffboardPosition
 
-# Chosen by us, with the reason.
-_LOW = 0.05  # throttle below this is "off" on the ground
-_UP = 0.6  # throttle above this asks to leave the ground
-_DEAD = 0.05  # dead band around the centre, as a fraction of full stick
-_CLIMBS = 0.1  # m/s: slower commands count as level
 _NEVER = -(10**9)  # a step long before the first
 _CENTRED = Sticks(0.0, 0.0, 0.0, 0.5)
 
@@ -28,6 +23,11 @@ class Remote:
 
     ``hover``: the collective of the sticks' centre; ``limits``: those of the collective.
     """
+
+    # Throttle on the ground: below the first it is off, above the second it asks to leave the ground.
+    off_throttle, up_throttle = 0.05, 0.6
+    # m/s: slower commands count as level.
+    least_climb = 0.1
 
     def __init__(self, course: Course, limits: AllocationLimits, hover: float, step: float) -> None:
         self._parameters, self._estimates = course.parameters, course.estimates
@@ -67,7 +67,7 @@ class Remote:
             return ["mode OFFBOARD needs set-points, and there are none"]
         if mode in BY_STICK and not self.sticks_fresh(k):
             return [f"mode {mode.value} needs sticks, and there are none"]
-        if mode in DIRECT and self.sticks is not None and self.sticks.throttle > _LOW:
+        if mode in DIRECT and self.sticks is not None and self.sticks.throttle > self.off_throttle:
             return ["the throttle stick is not down"]
         return []
 
@@ -75,12 +75,12 @@ class Remote:
         """Return whether the sticks or the set-point need the vehicle to leave the ground."""
         sticks, setpoint = self.sticks, self.setpoint
         if mode in BY_STICK and sticks is not None and self.sticks_fresh(k):
-            return sticks.throttle > (_LOW if mode in DIRECT else _UP)
+            return sticks.throttle > (self.off_throttle if mode in DIRECT else self.up_throttle)
         if mode is Mode.OFFBOARD:
             if isinstance(setpoint, OffboardAttitude):
-                return setpoint.thrust > _LOW
+                return setpoint.thrust > self.off_throttle
             if isinstance(setpoint, OffboardVelocity):
-                return setpoint.down < -_CLIMBS
+                return setpoint.down < -self.least_climb
             if isinstance(setpoint, OffboardPosition):
                 return -setpoint.down > self._estimates.altitude + GROUND_M
         return False
@@ -127,13 +127,13 @@ class Remote:
         if isinstance(setpoint, OffboardPosition):
             return course.fly_to((setpoint.north, setpoint.east), -setpoint.down, setpoint.yaw)
         climb = min(parameters["HJ_SPEED_UP"], max(-parameters["HJ_SPEED_DN"], -setpoint.down))
-        course.descending = climb < -_CLIMBS
+        course.descending = climb < -self.least_climb
         lean = guide.at_velocity(limit_length(setpoint.north, setpoint.east, parameters["MPC_XY_VEL_MAX"]))
         yaw = guide.to_yaw(setpoint.yaw) if setpoint.yaw_rate is None else guide.at_yaw_rate(setpoint.yaw_rate)
         return guide.command(lean, guide.at_climb(climb), yaw)
 
 
-def _dead(stick: float) -> float:
-    """Return a stick's deflection without its dead zone, still 1 at the end."""
-    size = max(0.0, abs(stick) - _DEAD) / (1.0 - _DEAD)
+def _dead(stick: float, zone: float = 0.05) -> float:
+    """Return a stick's deflection without its dead zone around the centre, still 1 at the end."""
+    size = max(0.0, abs(stick) - zone) / (1.0 - zone)
     return size if stick > 0.0 else -size

@@ -9,21 +9,6 @@ from __future__ import annotations
 
 from cosim.base.protocols import Report
 
-# Chosen by us; times are long against the bounce of a leg (damping ratio 0.6 at 7 Hz: gone in 0.1 s).
-_TOUCH_S = 0.2  # s of contact that count as a touch
-_BOUNCE_S = 0.1  # s without contact that end a touch
-_BOUNCING_S = 1.0  # since the last contact: with nearly its weight in thrust it hops for so long at landing speed
-_STAND_S = 0.5  # s without thrust until the vehicle stands
-_FELT_S = 1.0  # s of a touch that is felt without a switch
-_FALLING = 1.0  # m/s: faster than any landing, so a switch that reports contact here is broken
-_STILL = 0.2  # m/s
-_LIGHT = 0.6  # of hover thrust: less than the vehicle could descend with for long
-_LOAD = 0.15  # of the weight on the legs: three times what lift and thrust are off from each other in a descent
-_LOAD_S = 0.2
-_FREE_FALL = 0.7  # of the weight, felt for _CARRIED_S with the legs reporting contact: they report what is not so
-_REST_S = 2.0  # without motion while nothing is asked for; at a tenth less than its weight it would sink 2 m/s by then
-_SETTLED_S = 5.0  # s over which the hover thrust is estimated
-
 
 class Touchdown:
     """Contact from the leg switch, and from lift and thrust where the switch is silent or has proved wrong.
@@ -31,7 +16,27 @@ class Touchdown:
     ``hover``: the collective at which it hovers with full tanks; ``idle``: what the engines give at none, on the same
     scale.  What the collective of level flight really is (fuel burns, engines are lost) is learnt in the air.
     ``spool``: s in which the engines follow a command, for certain.
+
+    Times are long against the bounce of a leg (damping ratio 0.6 at 7 Hz: gone in 0.1 s); all are chosen by us.
     """
+
+    # s of contact that count as a touch, without contact that end it, and of a touch that is felt without a switch.
+    touch_s, bounce_s, felt_s = 0.2, 0.1, 1.0
+    # s since the last contact: with nearly its weight in thrust it hops for so long at landing speed.
+    bouncing_s = 1.0
+    # s without thrust until the vehicle stands; and without motion while nothing is asked for, by when it would sink
+    # 2 m/s at a tenth less than its weight.
+    stand_s, rest_s = 0.5, 2.0
+    # m/s: faster than any landing, so a switch that reports contact here is broken; and as good as still.
+    falling, still = 1.0, 0.2
+    # Of hover thrust: less than the vehicle could descend with for long.
+    light = 0.6
+    # Of the weight on the legs, for so many s: three times what lift and thrust are off from each other in a descent.
+    load, load_s = 0.15, 0.2
+    # Of the weight, felt for as long with the legs reporting contact: they report what is not so.
+    free_fall = 0.7
+    # s over which the hover thrust is estimated.
+    hover_s = 5.0
 
     def __init__(self, hover: float, step: float, idle: float = 0.0, spool: float = 0.0) -> None:
         self._full = hover + idle
@@ -44,7 +49,7 @@ class Touchdown:
         """Forget the last flight and trust the switch again."""
         self._contact_s = self._no_contact_s = self._felt_s = self._light_s = 0.0
         self._load_s = self._hanging_s = self._resting_s = 0.0
-        self._since_contact = _BOUNCING_S  # s since the legs last reported contact
+        self._since_contact = self.bouncing_s  # s since the legs last reported contact
         self._thrust = 1.0  # thrust over weight, an upper bound of what the engines give
         self._hover = 1.0  # estimated over nominal hover thrust: what the vehicle hovers with
         self.switch_failed = False
@@ -63,33 +68,33 @@ class Touchdown:
             else self._thrust + 2.0 * dt / self._spool * (thrust_fraction - self._thrust)
         )
         if flying and lift is not None and 0.5 < lift < 1.5 and not report.legs:
-            self._hover += dt / _SETTLED_S * (thrust_fraction / lift - self._hover)
-        light = report.collective < _LIGHT * (self._hover * self._full - self._idle)
-        bearing = lift is not None and lift - self._thrust / self._hover > _LOAD
+            self._hover += dt / self.hover_s * (thrust_fraction / lift - self._hover)
+        light = report.collective < self.light * (self._hover * self._full - self._idle)
+        bearing = lift is not None and lift - self._thrust / self._hover > self.load
         self._load_s = self._load_s + dt if bearing else 0.0
-        quiet = descending and light and self.carries_weight and -_STILL < sink < _STILL
+        quiet = descending and light and self.carries_weight and abs(sink) < self.still
         self._felt_s = self._felt_s + dt if quiet else 0.0
         legs = report.legs and not self.switch_failed
-        self._hanging_s = self._hanging_s + dt if legs and light and lift is not None and lift < _FREE_FALL else 0.0
-        if legs and ((sink > _FALLING and self._contact_s > _TOUCH_S) or self._hanging_s > _LOAD_S):
+        self._hanging_s = self._hanging_s + dt if legs and light and lift is not None and lift < self.free_fall else 0.0
+        if legs and ((sink > self.falling and self.is_touching) or self._hanging_s > self.load_s):
             self.switch_failed = True
             legs = False
         self._since_contact = 0.0 if legs else self._since_contact + dt
-        if legs or self._felt_s > _FELT_S:
+        if legs or self._felt_s > self.felt_s:
             self._contact_s += dt
             self._no_contact_s = 0.0
         else:
             self._no_contact_s += dt
-            if self._no_contact_s > _BOUNCE_S:
+            if self._no_contact_s > self.bounce_s:
                 self._contact_s = 0.0
         self._light_s = self._light_s + dt if light and self._contact_s > 0.0 else 0.0
-        resting = descending and self._contact_s > 0.0 and -_STILL < sink < _STILL
+        resting = descending and self.has_contact and abs(sink) < self.still
         self._resting_s = self._resting_s + dt if resting else 0.0
 
     @property
     def carries_weight(self) -> bool:
         """Whether the legs carry weight: for a moment at least, the sensed force exceeds the thrust."""
-        return self._load_s > _LOAD_S
+        return self._load_s > self.load_s
 
     @property
     def has_contact(self) -> bool:
@@ -99,22 +104,22 @@ class Touchdown:
     @property
     def is_touching(self) -> bool:
         """Whether the vehicle has been in contact for a moment at least."""
-        return self._contact_s > _TOUCH_S
+        return self._contact_s > self.touch_s
 
     @property
     def is_bouncing(self) -> bool:
         """Whether the legs have touched the ground a moment ago."""
-        return self._since_contact < _BOUNCING_S
+        return self._since_contact < self.bouncing_s
 
     @property
     def is_off_ground(self) -> bool:
         """Whether there has been no contact, for a moment at least."""
-        return self._contact_s == 0.0 and self._no_contact_s > _BOUNCE_S
+        return self._contact_s == 0.0 and self._no_contact_s > self.bounce_s
 
     @property
     def is_standing(self) -> bool:
         """Whether the vehicle is on the ground with the thrust gone."""
-        return self._contact_s > _STAND_S and self._light_s > _STAND_S
+        return self._contact_s > self.stand_s and self._light_s > self.stand_s
 
     @property
     def legs_bear_weight(self) -> bool:
@@ -123,4 +128,4 @@ class Touchdown:
         Engines around a lost one may give most of the weight for their balance.  If they give nearly all of it no load
         is to be felt; a vehicle that neither falls nor climbs away then stands.
         """
-        return self._contact_s > _STAND_S and (self._load_s > _STAND_S or self._resting_s > _REST_S)
+        return self._contact_s > self.stand_s and (self._load_s > self.stand_s or self._resting_s > self.rest_s)
