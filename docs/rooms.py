@@ -28,7 +28,6 @@ DUTY = {
     "results": "log, metrics, run, page",
     "flight": "fly(): a scenario to a run",
     "stepper": "a flight that a program steps",
-    "gym": "Gymnasium's environment",
     "identify": "from a sweep to a model",
     "groundstation": "MAVLink, local page",
     "aircraft_check": "a vehicle looked over",
@@ -38,7 +37,7 @@ DUTY = {
     "cli": "one file a command",
 }
 # Names handed on to programs outside.
-PUBLIC = {"blocks", "commands", "files", "laws", "logs", "loops", "pages", "studies"}
+PUBLIC = {"blocks", "commands", "files", "gym", "laws", "logs", "loops", "pages", "studies"}
 BLUE, GREY, INK = "#2a78d6", "#8a939b", "#1c2733"
 
 

@@ -17,6 +17,7 @@ MAX_LINES = {
     "tests": 73_650,
     "tools/hexjet_design": 8_350,
     "tools/hexjet_export": 3_900,
+    "tools/hexjet_gym": 310,
     "tools/hexjet_identify": 12_650,
     "tools/hexjet_laws": 650,
     "tools/hexjet_paper": 4_550,

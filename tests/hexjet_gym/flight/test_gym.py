@@ -19,9 +19,9 @@ gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not instal
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-from cosim.gym import ANGLE, CLIMB, HEIGHT, HexJetEnv, time_on_target  # noqa: E402
+from hexjet_gym import ANGLE, CLIMB, HEIGHT, HexJetEnv, time_on_target  # noqa: E402
 
-ID = "cosim.gym:HexJet-v0"
+ID = "hexjet_gym:HexJet-v0"
 QUICK = Scenario.load("roll-doublet").replace(duration_s=0.08, expect=[])
 QUAD = Scenario.load("hover").replace(
     aircraft="quadrotor", engine="motor", controller="smith", step_s=0.0025, duration_s=0.1, expect=[]
@@ -244,8 +244,8 @@ def test_the_pages_environment_flies() -> None:
 
 
 def test_without_the_extra_it_says_which_one() -> None:
-    script = "import sys; sys.modules['gymnasium'] = None\nimport cosim.gym"
+    script = "import sys; sys.modules['gymnasium'] = None\nimport hexjet_gym"
     answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
     assert answer.stderr.splitlines()[-1] == (
-        "ModuleNotFoundError: cosim.gym needs gymnasium, which is not installed: pip install 'hexjet-cosim[gym]'"
+        "ModuleNotFoundError: hexjet_gym needs gymnasium, which is not installed: pip install 'hexjet-cosim[gym]'"
     )
