@@ -22,7 +22,6 @@ from cosim.vehicle.effects.intakes import IntakeDrag
 
 VEHICLE, _ = load_vehicle("trijet")
 PAGE = " ".join((ROOT / "aircraft" / "trijet" / "README.md").read_text(encoding="utf-8").split())
-TURBOJET_KG, FAN_KG, STEP_S = 0.35, 0.25, 0.004
 TURBOJET_N, FAN_N = 24.0, 9.80665 * 0.2554 / (1.0 - 0.8748)
 
 
@@ -55,16 +54,6 @@ def test_each_kind_of_engine_swallows_its_own_air() -> None:
     forces, _ = acted(alone, [ZERO3] * 3, (0.0,) * 4, thrust, wind=(0.0, 8.0, 0.0))
     assert alone.is_active
     assert [y for _, y, _ in forces] == pytest.approx([0.0, 0.0, pushes[2]], rel=1e-12)
-
-
-def margin(p: float, i: float, lag: float) -> float:
-    """Phase margin [deg] of a rate loop, in closed form over a grid."""
-    w = np.logspace(-1.0, 2.0, 20000)
-    s = 1j * w
-    gyro = VEHICLE.sensors.gyro.filter_s
-    loop = (p + i / s) / s * np.exp(-2.0 * STEP_S * s) / ((1.0 + lag * s) * (1.0 + gyro * s))
-    at = int(np.argmin(np.abs(np.log(np.abs(loop)))))
-    return 180.0 + degrees(np.angle(loop[at]))
 
 
 def test_it_hovers_with_its_hinges_at_rest_and_all_engines_at_the_same_share() -> None:
@@ -117,20 +106,3 @@ def test_an_axis_on_hinges_is_identified_in_angular_acceleration() -> None:
     ratio = found.response.value / exact
     assert np.abs(ratio) == pytest.approx(1.0, abs=0.1)
     assert np.degrees(np.angle(ratio)) == pytest.approx(0.0, abs=10.0)
-
-
-@pytest.mark.long
-def test_the_figures_of_its_verdict() -> None:
-    """Long."""
-    flown = {
-        name: fly(Scenario.load(f"trijet-{name}").replace(expect=[])).summary.flat_metrics
-        for name in ("roll-doublet", "pitch-doublet", "hover-in-wind", "gust")
-    }
-    roll, pitch = (flown[f"{axis}-doublet"][f"{axis}.settling_time_s"] for axis in ("roll", "pitch"))
-    assert f"settles in {roll:.2f} s in roll and {pitch:.2f} s in pitch" in PAGE
-    assert f"8 m/s of wind within {flown['hover-in-wind']['position.max_abs_error_m']:.1f} m" in PAGE
-    turned = flown["gust"]["yaw.max_abs_error_rad"]
-    assert turned is not None
-    assert f"by {degrees(turned):.0f}° in `trijet-gust`" in PAGE
-    burning = fly(Scenario.load("trijet-hover").replace(expect=[])).log["fuel_kg"]
-    assert (burning[0] - burning[-1]) / 6.0 * 300.0 == pytest.approx(0.5, rel=0.1)  # five minutes

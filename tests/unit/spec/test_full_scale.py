@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator
 from math import exp, log, sqrt
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from loads import acted
-from places import DESIGNS, DOCS
+from places import DESIGNS
 from scipy.spatial.transform import Rotation
 
 from cosim.base.constants import GRAVITY
@@ -376,8 +375,6 @@ def test_the_shipped_gains_are_what_the_design_wrote(aircraft: str, engine: str)
 
 # --- two reports of one engine, and what an ECU may add ---------------------------------------------------------------
 
-PAGE, DATA = ((DOCS / name).read_text(encoding="utf-8") for name in ("full-scale.md", "tables/full-scale.md"))
-
 
 def test_the_faster_engine_is_lost_late_and_the_slower_is_not() -> None:
     """100 ms of ECU, in hover, with the gains that the vehicle ships."""
@@ -386,36 +383,3 @@ def test_the_faster_engine_is_lost_late_and_the_slower_is_not() -> None:
         late = {"engine": engine, "engine_parameters": {"delay_samples": 25}, "expect": []}
         outcomes[engine] = fly(Scenario.load("full-scale-hover").replace(**late)).outcome
     assert outcomes["p220"] == "completed" != outcomes["p220-2025"]
-
-
-def figures(sentence: str) -> list[float]:
-    """The figures that stand for ``{}`` in a sentence of the page, which is there once."""
-    page = " ".join((PAGE + DATA).replace("**", "").split())
-    found = re.findall(r"([-\d.]+)".join(map(re.escape, sentence.split("{}"))), page)
-    assert len(found) == 1, sentence
-    return [float(each) for each in ([found[0]] if isinstance(found[0], str) else found[0])]
-
-
-def rounded(said: float, found: float, digits: int) -> bool:
-    return abs(said - found) <= 0.5001 * 10.0**-digits
-
-
-def test_the_intakes_by_hand() -> None:
-    """docs/full-scale.md: m h / J_xx, and the pole of s^3 + k g."""
-    vehicle, _ = load_vehicle("hexjet-p220")
-    flow = vehicle.airflow
-    assert flow is not None
-    share = vehicle.mass_kg * 9.80665 / 6.0 / flow.at_thrust_n
-    air = 6.0 * flow.kg_s * share**flow.exponent
-    lever = BASE.jets[0].position_m[2] * length_scale(vehicle.mass_kg, BASE.mass_kg) - flow.intake_m
-    k = air * -lever / vehicle.inertia_kg_m2[0]
-    (said,) = figures("Six engines swallow {} kg/s in hover")
-    assert rounded(said, air, 1)
-    for sentence in ("m h / J_xx = {} rad/s² per m/s at h = {} m",):
-        slope, height = figures(sentence)
-        assert rounded(slope, k, 2)
-        assert rounded(height, -lever, 2)
-    (height,) = figures("With the cranks where the scaling law puts them, {} m of lever")
-    assert rounded(height, -lever, 2)
-    (rate,) = figures("has s³ + k g = 0, an unstable oscillation of {} rad/s")
-    assert rounded(rate, (k * 9.80665) ** (1.0 / 3.0), 1)

@@ -212,18 +212,6 @@ def test_a_servo_stated_whole_before_there_were_banks_has_none() -> None:
         assert vehicle.servo.bank_inertia_kg_m2 == inertia
 
 
-def test_the_zeros_of_the_full_scale_vehicle_are_where_its_page_says() -> None:
-    vehicle, folder = load_vehicle("hexjet-p220")
-    assert vehicle.servo is not None
-    thrust = vehicle.mass_kg * 9.80665
-    zero = sqrt(thrust * vehicle.jets[0].position_m[2] / (2.0 * vehicle.servo.bank_inertia_kg_m2))
-    page = (folder / "README.md").read_text()
-    assert f"±j {zero:.1f} rad/s (T = {thrust:.1f} N in hover" in page
-    assert "0.28 kg m" in page  # 3 x 1.85 kg x 0.05 m
-    assert round(3 * 1.85 * 0.05, 2) == 0.28
-    assert f"{3 * 1.85 * 0.05 * vehicle.jets[0].position_m[2]:.3f} kg m² from J_b" in page
-
-
 def test_banks_heavier_than_the_vehicle_are_refused() -> None:
     with pytest.raises(InputError, match=r"servo\.bank_inertia_kg_m2 0\.03: two banks are a part of the vehicle"):
         load_vehicle("hexjet", {"servo": {"bank_inertia_kg_m2": 0.03}})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import log, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from cosim.simulation.build import build
 from cosim.spec.scaling import scale_vehicle
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import GroundEffect, Vehicle, load_vehicle
-from cosim.vehicle.airframe import standing_height
 from cosim.vehicle.effects.ground_effect import HotGas, LiftLoss, lift_loss
 
 PLATE = {"planform_m": 0.4, "jet_m": 0.1}
@@ -123,26 +121,6 @@ def test_grows_with_the_vehicle() -> None:
 def test_wrong_tables(table: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         build(Scenario.load("hover").replace(vehicle={"ground_effect": table}, expect=[]))
-
-
-def test_the_page_has_the_vehicles_geometry() -> None:
-    """aircraft/hexjet-p220/README.md: both diameters, and what the law makes of them; nothing is on."""
-    vehicle, effect = p220()
-    assert not effect.suckdown
-    assert not effect.hot_gas
-    square = 8.0 * 0.8954 / 2.0 * log(1.0 + sqrt(2.0)) / pi
-    assert effect.planform_m == pytest.approx(square, rel=0.01)
-    flow = vehicle.airflow
-    assert flow is not None
-    speed = flow.at_thrust_n / flow.kg_s
-    static = 993.15 - speed**2 / (2.0 * 1150.0)
-    area = 6.0 * flow.kg_s / (101325.0 / (287.05 * static) * speed)
-    assert effect.jet_m == pytest.approx(sqrt(4.0 * area / pi), rel=0.005)
-    assert effect.planform_z_m == vehicle.jets[0].position_m[2]
-    text = page()
-    for height in (standing_height(vehicle), 1.0, 2.0):
-        loss = lift_loss(height - effect.planform_z_m, effect.planform_m, effect.jet_m)
-        assert f"| {height:.2f} m | {100.0 * loss:.1f} % |" in text
 
 
 @pytest.mark.parametrize("engine", ["p220", "p220-2025"])

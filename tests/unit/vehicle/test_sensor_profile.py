@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from places import DOCS
 
 from cosim import Scenario, fly
 from cosim.base import frames
 from cosim.base.errors import InputError
 from cosim.base.signals import State
 from cosim.campaign.study.keys import all_keys, with_values
-from cosim.results.report.marks import parts_of
 from cosim.spec.vehicle import Sensors, load_vehicle
 from cosim.spec.vehicle.sensor_profile import describe_profile, profile_names
 from cosim.vehicle.sensors import SensorSuite
@@ -157,37 +155,3 @@ def test_a_study_varies_it() -> None:
     key = next(key for key in all_keys(DOUBLET) if key.path == "sensors")
     assert (key.nominal, key.choices) == ("stated", ("stated", "measured"))
     assert with_values(DOUBLET, {"sensors": "measured"}).resolved_vehicle()[0].sensors == flown(sensors="measured")
-
-
-def test_the_page_says_what_the_profile_states() -> None:
-    """Each row has the value that flies, and the figures of its source give that value."""
-    page, own, measured = (DOCS / "sensors.md").read_text(encoding="utf-8"), flown(), flown(sensors="measured")
-    gyro, force = measured.gyro, measured.accelerometer
-    late, parts = 4 * measured.attitude.latency_samples, (5, 5, 2)  # ms
-    assert (late, 1000 // 200) == (sum(parts), parts[0])
-    assert measured.attitude.ahrs_time_constant_s == 1.0 / 0.2
-    assert gyro.bias_sigma_rad_s == pytest.approx(np.radians(0.015 * 10.0), abs=5e-5)
-    assert force.bias_sigma_m_s2 == pytest.approx(35.0 / 70.0 * 10.0 * 9.80665e-3, abs=5e-4)
-    rows = {
-        "attitude late": (f"{late} ms", "200 Hz", f"{parts[0]} ms", f"{parts[2]} ms"),
-        "lean from the accelerometer": (f"{measured.attitude.ahrs_time_constant_s:g} s", "0.2 1/s"),
-        "gyro, constant bias": (f"{gyro.bias_sigma_rad_s:g} rad/s", "0.15 deg/s", "0.015 deg/s per K", "10 K"),
-        "gyro, resolution": (f"{gyro.resolution_rad_s:.3g} rad/s", "16.4 steps per deg/s"),
-        "accelerometer, constant bias": (f"{force.bias_sigma_m_s2:g} m/s^2", "35 mg from 0 to 70 °C", "10 K"),
-        "accelerometer, resolution": (f"{force.resolution_m_s2:.2g} m/s^2", "2048 steps per g"),
-    }
-    for cell, texts in rows.items():
-        (row,) = (line for line in page.splitlines() if line.startswith(f"| {cell} |"))
-        assert [text for text in texts if text not in row] == []
-    whole = " ".join(page.split())
-    assert "is the true one with {} mrad of white noise".format(f"{1e3 * own.attitude.noise_rad:g}") in whole
-    assert "low-pass ({} ms on the Hex-Jet".format(f"{1e3 * own.gyro.filter_s:g}") in whole
-    assert "barometer, whose {} m stand for".format(f"{own.barometer.noise_m:g}") in whole
-
-
-def test_the_page_has_its_flights() -> None:
-    page = (DOCS / "sensors.md").read_text(encoding="utf-8")
-    rows = parts_of(page, "docs/sensors.md")["flights"].splitlines()[2:]
-    assert [row.split("|")[1].strip() for row in rows] == [
-        "roll doublet, baseline", "roll doublet, Smith", "full-scale roll doublet", "full-scale gust", "landing",
-    ]  # fmt: skip

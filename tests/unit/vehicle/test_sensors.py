@@ -6,9 +6,7 @@ from math import atan2, exp, sin, sqrt
 
 import numpy as np
 import pytest
-from places import DOCS
 
-from cosim import Scenario, fly
 from cosim.base import frames
 from cosim.base.signals import ZERO3, Measured, State
 from cosim.spec.vehicle import Sensors, Servo, load_vehicle
@@ -285,20 +283,6 @@ def test_without_the_time_constant_the_lean_is_the_true_one() -> None:
     assert record(sensors, states) == record(sensors, states)
     with pytest.raises(ValueError, match="ahrs_time_constant_s"):
         suite(attitude={"ahrs_time_constant_s": -1.0})
-
-
-@pytest.mark.parametrize("name", ["gust", "roll-doublet"])
-def test_flights_with_an_ahrs_are_as_the_page_says(name: str) -> None:
-    """docs/design.md: greatest error of roll, and how far the vehicle goes, by time constant."""
-    cells = []
-    for tau in (0.0, 5.0, 1.0):
-        flight = Scenario.load(name)
-        asked = dict(flight.vehicle) | {"sensors": {"attitude": {"ahrs_time_constant_s": tau}}}
-        log = fly(flight.replace(vehicle=asked, expect=[])).log
-        wrong = np.degrees(np.abs(log["roll_rad"] - log["roll_measured_rad"]).max())
-        cells.append(f"{wrong:.1f}°, {np.hypot(log['north_m'], log['east_m']).max():.0f} m")
-    page = (DOCS / "design.md").read_text()
-    assert f"| `{name}` | {' | '.join(cells)} |" in page
 
 
 # --- servo ---------------------------------------------------------------------------------------------------------
