@@ -77,9 +77,9 @@ class SweepResult(Result):
         return [Table("", titles, rows)] if rows else []
 
     def _figures(self) -> Mapping[str, Any]:
-        from cosim.campaign.analysis.page import report_contents
+        from cosim.campaign.analysis.page import make_page
 
-        return report_contents(self.campaign)[0]
+        return make_page(self.campaign).figures
 
 
 def study_settings(

@@ -105,6 +105,7 @@ def _variable_text(v: dict[str, Any]) -> str:
     unit = "" if v["unit"] in (None, "1") else f" {v['unit']}"
     value = v.get("value", v["start"])
     start = "" if value is None else f" = {value if isinstance(value, str) else f'{value:g}'}{unit}"
+    start += f", from {v['start']:g}" if isinstance(value, float) and v["start"] not in (None, value) else ""
     limits = "" if v["min"] is None and v["max"] is None else f", {_limit(v['min'])} to {_limit(v['max'])}"
     what = f": {v['description']}" if v["description"] else ""
     return f"{v['name']}{start or unit}{limits}{what}"

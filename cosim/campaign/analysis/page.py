@@ -1,13 +1,16 @@
-"""The page of a campaign: what its template asks for, and the scenario files of the flights it points to."""
+"""The page of a campaign, and the scenario files of the flights it points to."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 
 from cosim.base.arrays import Array
 from cosim.base.storage.files import parse_json
@@ -15,8 +18,10 @@ from cosim.campaign.analysis.claim import judge_claim
 from cosim.campaign.analysis.figures import KIND_COLOURS, campaign_figures
 from cosim.campaign.analysis.sensitivity import Ranking, joint
 from cosim.campaign.analysis.stability_map import MAP_KEYS, map_tables
+from cosim.campaign.analysis.statistics import Interval, Proportion
 from cosim.campaign.analysis.summary import (
     SUCCESS,
+    Spread,
     compare_controllers,
     controller_indices,
     count_kinds,
@@ -26,20 +31,19 @@ from cosim.campaign.analysis.summary import (
     ranked_result,
     success_fractions,
 )
-from cosim.campaign.analysis.table import FlightTable, KeyColumn, describe_criterion, if_here, read_flight_table
-from cosim.campaign.analysis.worst_cases import case_rows
+from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn, describe_criterion, if_here, read_flight_table
+from cosim.campaign.analysis.worst_cases import CASE_COLUMNS, case_rows
 from cosim.campaign.folder import REPORT
 from cosim.campaign.study.engine_draw import DRAWN_BY
 from cosim.campaign.study.keys import FLOWN_STATIONS
 from cosim.campaign.workers.flight_row import describe_not_flown
-from cosim.results.report.page import render
+from cosim.results.report.cards import Card, Page, code, coloured, link
 from cosim.results.report.plot import run_colour
 
 if TYPE_CHECKING:
     from cosim.campaign.store import Campaign
     from cosim.campaign.study.study import Correlation, Study, Vary
 
-MAX_REASONS = 12
 DESIGNS = {
     "grid": "a grid of every combination",
     "latin-hypercube": "a Latin hypercube",
@@ -61,8 +65,44 @@ STOPPED = (
     "Both suppose a number of flights that was fixed before. This study stops by its rule: what holds is what is said "
     "of its claim above."
 )
+CLASSES = "Classes of equal count, with 95 % intervals (Wilson)."
+GRID_SHARES = "Shares of the grid's points and not probabilities: every combination counts alike, however likely it is."
+BOUNDS = (
+    "Thick is Wilson's interval, which holds 95 % on average; thin is Clopper and Pearson's exact one, which never "
+    "holds less: quote it where a requirement must be shown to hold."
+)
+ENDINGS = "Missed: flew to its end, outside what counts as success. Failed: not flown to a verdict; no success."
+PAIR_COLUMNS = (
+    "second against first", "draws", "both succeed", "only the second", "only the first", "neither",
+    "difference [points]", "95 %, paired", "p, McNemar",
+)  # fmt: skip
+SAME_DRAWS = "Only draws that both controllers have flown count: the same numbers, noise and turbulence."
+TESTS = (
+    "The interval is Newcombe's for pairs (method 10); p, of McNemar's exact test, is corrected for the number of "
+    "comparisons (Holm)."
+)
+DIFFERENCE_COLUMNS = ("metric", "draws", "median difference", "95 %", "p, Wilcoxon", "unit")
+DIFFERENCES = (
+    "Negative: the second's is smaller. Only flights that completed and have the metric count: where one controller "
+    "loses the hard draws, both are compared on the easier ones. The interval is bounded by order statistics; p is not "
+    "corrected for the number of metrics."
+)
+RANKING_COLUMNS = ("controller", "key", "index [%]", "95 %", "rank correlation", "95 %", "partial", "")
+FIRST_ORDER = (
+    "First-order index: the share of the variance that would go if the key were known, for an effect of any shape, "
+    "corrected for chance. Shaded is what the largest of all keys reaches by chance in 19 of 20 cases; a pale bar is "
+    "not above it. A key that acts only together with others has no bar: the map shows it."
+)
+CORRELATED = "Correlated keys share what they explain; the partial correlation holds the others."
+NOT_RANKED = "Too few flights (30 are needed), or they all came out alike: nothing can be ranked."
+SPREADS = (
+    "Median, the span of the middle 90 %, and of how many flights: those that completed and have the metric. Where "
+    "many are lost these are the survivors' figures. The curves are of all flights: what one lacks of 100 % did not "
+    "complete, or has none."
+)
+CASES_SAY = "Each can be flown again alone and recorded in full, by its number or from its scenario file."
 NONE = "–"
-TEMPLATE = Path(__file__).parent / "templates" / "campaign.html"
+MAP = Path(__file__).parent / "templates" / "stability_map.html"
 
 
 def write_campaign_report(campaign: Campaign) -> Path:
@@ -71,62 +111,241 @@ def write_campaign_report(campaign: Campaign) -> Path:
     Raises FlightError if a file cannot be written.
     """
     path = campaign.folder / REPORT
-    figures, values = report_contents(campaign)
-    render(TEMPLATE, path, figures, **values)
+    make_page(campaign).write(path)
     return path
 
 
-def report_contents(campaign: Campaign) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the figures of the report and the values for its template; write the scenario files of its cases."""
-    table, study = read_flight_table(campaign), campaign.study
-    proportions = success_fractions(table)
-    names, controllers = [SUCCESS, *(metric.name for metric in table.metrics)], controller_indices(table)
-    rankings = {name: [rank_keys(table, controller, name) for controller in controllers] for name in names}
+def make_page(campaign: Campaign) -> Page:
+    """Return the page of a campaign; write the scenario files of its cases."""
+    table, study, claim = read_flight_table(campaign), campaign.study, judge_claim(campaign)
+    names = [SUCCESS, *(metric.name for metric in table.metrics)]
+    rankings = {name: [rank_keys(table, each, name) for each in controller_indices(table)] for name in names}
     leading = next((name for name in names if any(rankings[name])), SUCCESS)
-    order = order_by_influence(table, rankings[leading])
-    figures = campaign_figures(table, proportions, rankings, order)
-    claim = judge_claim(campaign)
+    order, fractions = order_by_influence(table, rankings[leading]), success_fractions(table)
+    figures = campaign_figures(table, fractions, rankings, order)
     if len(table.keys) > 1 and table.flight.size:
         mapped = order[:MAP_KEYS]
-        figures["map-tables"] = map_tables(
-            table, mapped, strongest_pair(table, mapped, leading, rankings[leading]), leading
+        pair = strongest_pair(table, mapped, leading, rankings[leading])
+        figures["map-tables"] = map_tables(table, mapped, pair, leading)
+    finished = claim.is_finished if claim is not None else table.flight.size == campaign.of
+    count = f"{table.flight.size:,} flights" if finished else f"{table.flight.size:,} of {campaign.of:,} flights"
+    named = [coloured(name, run_colour(n)) for n, name in enumerate(table.controllers)]
+    claims = [] if claim is None else [f"{line}." for line in claim.lines()]
+    told = f"A flight succeeds if it {describe_criterion(study.success)}. {study.description.strip()}".strip()
+    pages = [_nothing_yet()] if not table.flight.size else [
+        Card("Share of the grid" if table.grid else "Probability", figure="probability", is_half=True),
+        Card("What the flights came to", figure="outcomes", is_half=True),
+        _success_card(table, named, fractions, STOPPED if claims else INTERVALS.get(study.design, "")),
+        Card("Stability map", content=_map()) if "map-tables" in figures else None,
+        *_comparison_cards(table, named),
+        *_ranking_cards(table, named, rankings, bool(study.correlate)),
+        Card("Success over each key", text=f"All other keys as they come. {'' if table.grid else CLASSES}",
+             figure=[name for name in figures if name.startswith("key-")], lines=[Markup(" ").join(named)]),
+        _metrics_card(table, named),
+        _reasons_card(campaign, table, named),
+        Card("Worst cases", CASE_COLUMNS, case_rows(campaign, table, named), CASES_SAY,
+             code=f"hexjet fly {shlex.quote(campaign.folder.as_posix())} --flight NUMBER"),
+    ]  # fmt: skip
+    return Page(
+        "campaign",
+        study.title or study.name,
+        [*pages, _keys_card(study, table), *_data_cards(campaign)],
+        figures,
+        verdict=count,
+        badge="completed" if finished else "failed",
+        answer=[*(_answer(*each, table.grid, bool(claims)) for each in zip(named, fractions, strict=True)), *claims],
+        summary=[told],
+        notes=warnings(campaign, table, stops=claim is not None),
+        facts=head_rows(campaign, table),
+        are_figures_linked=False,
+    )
+
+
+def _nothing_yet() -> Card:
+    return Card("Flights", lines=["No flight is finished yet: there is nothing to show."])
+
+
+def _map() -> Markup:
+    """Return the map, whose keys and colour are chosen: the one part of the page with a script of its own."""
+    colours = json.dumps(KIND_COLOURS)
+    return Markup(MAP.read_text(encoding="utf-8").replace("KIND_COLOURS", colours))
+
+
+def _answer(name: Markup, found: Proportion, is_grid: bool, stops: bool) -> Markup:
+    """Return how often a controller succeeds, in a sentence."""
+    if found.value is None:
+        return Markup("{}: no flight yet.").format(name)
+    share, counted = f"{100.0 * found.value:.1f} %", f"{found.hits:,} of {found.of:,}"
+    if is_grid:
+        return Markup("{}: {} of the grid's flights succeed ({}).").format(name, share, counted)
+    bounds = "" if stops else f" (95 % interval {_span(found.wilson, '.1f', 100.0)} %)"
+    return Markup("{}: {} succeed, {}{}.").format(name, share, counted, bounds)
+
+
+def _span(ends: Interval | None, form: str, factor: float = 1.0) -> str:
+    return "" if ends is None else f"{factor * ends[0]:{form}} to {factor * ends[1]:{form}}"
+
+
+def _points(fraction: float | None) -> str:
+    if fraction is None:
+        return NONE
+    text = f"{100.0 * fraction:+.1f}"
+    return text[1:] if text[1:] == "0.0" else text
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.3g}" if value else "0"
+
+
+def _chance(p: float) -> str:
+    return "< 0.0001" if p < 1e-4 else f"{p:.2g}"
+
+
+def _card(
+    title: str,
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    text: str,
+    is_grid: bool,
+    is_folded: bool = False,
+    figure: str | Sequence[str] = "",
+) -> Card:
+    """Return a card; of a grid, which is no sample, without the columns of bounds and of tests."""
+    kept = [n for n, column in enumerate(columns) if not (is_grid and column.startswith(("95 %", "p, ")))]
+    return Card(title, [columns[n] for n in kept], [[row[n] for n in kept] for row in rows], text, figure,
+                is_folded=is_folded)  # fmt: skip
+
+
+def _success_card(table: FlightTable, named: Sequence[str], found: Sequence[Proportion], note: str) -> Card:
+    kinds = [name for name in KINDS if name != SUCCESS]
+    share = "share [%]" if table.grid else "probability [%]"
+    rows = [
+        (
+            name, f"{each.of:,}", f"{each.hits:,}", NONE if each.value is None else f"{100.0 * each.value:.1f}",
+            _span(each.wilson, ".1f", 100.0), _span(each.exact, ".1f", 100.0),
+            *(f"{count_kinds(table, number)[kind]:,}" for kind in kinds),
         )
-    return figures, {
-        "study": study,
-        "controllers": [
-            {
-                "name": name,
-                "colour": run_colour(controller),
-                "share": proportion,
-                "kinds": count_kinds(table, controller),
-            }
-            for controller, (name, proportion) in enumerate(zip(table.controllers, proportions, strict=True))
-        ],
-        "table": table,
-        "finished": claim.is_finished if claim is not None else table.flight.size == campaign.of,
-        "planned": campaign.of,
-        "claims": [] if claim is None else list(claim.lines()),
-        "facts": head_rows(campaign, table),
-        "success_is": describe_criterion(study.success),
-        "interval_note": INTERVALS.get(study.design, "") if claim is None else STOPPED,
-        "kind_colours": KIND_COLOURS,
-        "keys": key_rows(study, table),
-        "correlations": [describe_correlation(correlation) for correlation in study.correlate],
-        "comparisons": compare_controllers(table),
-        "spreads": [[find_spread(table, each, metric.name) for each in controllers] for metric in table.metrics],
-        "rankings": {
-            name: [(number, found) for number, found in enumerate(ranking) if found is not None]
-            for name, ranking in rankings.items()
-            if any(ranking)
-        },
-        "labels": {SUCCESS: SUCCESS} | {metric.name: metric.label for metric in table.metrics},
-        "reasons": reason_rows(campaign, table),
-        "cases": case_rows(campaign, table),
-        "warnings": warnings(campaign, table, stops=claim is not None),
-        "most_curves": len([name for name in figures if name.startswith("key-")]),
-        "python": python_lines(campaign.folder),
-        "made_from": collect_sources(campaign),
-    }
+        for number, (name, each) in enumerate(zip(named, found, strict=True))
+    ]  # fmt: skip
+    columns = ("controller", "flights", "successes", share, "95 %, Wilson", "95 %, exact", *kinds)
+    text = f"{GRID_SHARES if table.grid else f'{BOUNDS} {note}'} {ENDINGS}"
+    title = "Success over the grid" if table.grid else "Probability of success"
+    return _card(title, columns, rows, text, table.grid)
+
+
+def _comparison_cards(table: FlightTable, named: Sequence[str]) -> Iterator[Card]:
+    """Yield the controllers against each other on the same draws: their successes, then their metrics."""
+    compared = compare_controllers(table)
+    against = [Markup("{} against {}").format(named[each.second], named[each.first]) for each in compared]
+    rows = [
+        (
+            name, *(f"{count:,}" for count in (pairs.draws, pairs.both, pairs.second, pairs.first, pairs.neither)),
+            _points(pairs.difference),
+            "" if each.interval is None else f"{_points(each.interval[0])} to {_points(each.interval[1])}",
+            _chance(each.p_holm),
+        )
+        for name, each in zip(against, compared, strict=True)
+        for pairs in (each.pairs,)
+    ]  # fmt: skip
+    if rows:
+        text = f"{SAME_DRAWS} {'Counts of points, and no test.' if table.grid else TESTS}"
+        yield _card("Controllers on the same draws", PAIR_COLUMNS, rows, text, table.grid)
+    for name, each in zip(against, compared, strict=True):
+        differences = [
+            (
+                metric.label, f"{found.draws:,}", _signed(metric.factor * found.median),
+                "" if found.interval is None
+                else " to ".join(_signed(metric.factor * end) for end in found.interval),
+                _chance(found.p), metric.unit,
+            )
+            for metric in table.metrics
+            if (found := each.metrics.get(metric.name)) is not None
+        ]  # fmt: skip
+        if differences:
+            title = Markup("Metrics, {}, over the {:,} draws that both completed").format(name, each.completed)
+            yield _card(title, DIFFERENCE_COLUMNS, differences, DIFFERENCES, table.grid, is_folded=len(compared) > 1)
+
+
+def _ranking_cards(
+    table: FlightTable, named: Sequence[str], rankings: Mapping[str, Sequence[Ranking | None]], is_correlated: bool
+) -> Iterator[Card]:
+    """Yield what drives success, then what drives each metric, folded."""
+    labels = {SUCCESS: SUCCESS} | {metric.name: metric.label for metric in table.metrics}
+    ranked = {name: ranking for name, ranking in rankings.items() if any(ranking)}
+    if not ranked:
+        yield Card("What drives it", lines=[NOT_RANKED])
+    for name, ranking in ranked.items():
+        found = [(number, each) for number, each in enumerate(ranking) if each is not None]
+        rows = [
+            (
+                named[number] if effect is each.effects[0] else "", code(effect.key),
+                f"{100.0 * max(effect.index, 0.0):.1f}", _span(effect.interval, ".1f", 100.0),
+                NONE if effect.rank is None else f"{effect.rank:+.2f}", _span(effect.rank_interval, "+.2f"),
+                NONE if effect.partial is None else f"{effect.partial:+.2f}",
+                "" if effect.real else "index not above chance",
+            )
+            for number, each in found
+            for effect in each.effects
+        ]  # fmt: skip
+        counted = "; ".join(
+            f"{table.controllers[number]}: {each.flights:,} flights, chance reaches {100.0 * each.floor:.1f} %, the "
+            f"keys one at a time explain {100.0 * each.explained:.0f} %"
+            for number, each in found
+        )
+        is_first = name == next(iter(ranked))
+        first = f"{FIRST_ORDER} {CORRELATED if is_correlated else ''}" if is_first else ""
+        text = f"{counted}. The rest is effects of several keys together, and noise. {first}".strip()
+        title = f"What drives it: {labels[name]}"
+        yield _card(title, RANKING_COLUMNS, rows, text, table.grid, not is_first, f"ranking-{name}")
+
+
+def _metrics_card(table: FlightTable, named: Sequence[str]) -> Card | None:
+    rows = [
+        (
+            metric.label,
+            *(_spread(find_spread(table, each, metric.name), metric.factor) for each in controller_indices(table)),
+            metric.unit,
+        )
+        for metric in table.metrics
+    ]
+    figures = [f"metric-{number}" for number in range(len(rows))]
+    return Card("Metrics", ("metric", *named, "unit"), rows, SPREADS, figures) if rows else None
+
+
+def _spread(found: Spread | None, factor: float) -> str:
+    if found is None:
+        return NONE
+    none = f", {found.none:,} have none" if found.none else ""
+    span = _span((found.low, found.high), ".3g", factor)
+    return f"{factor * found.median:.3g} ({span}); {found.flights:,} of {found.of:,}{none}"
+
+
+def _reasons_card(campaign: Campaign, table: FlightTable, named: Sequence[str]) -> Card:
+    rows, title = reason_rows(campaign, table), "Why flights were no success"
+    if not rows:
+        return Card(title, lines=["Every flight was one."])
+    return Card(title, ("reason", *named), rows, "Reasons that differ in their numbers only (…) are one.")
+
+
+def _keys_card(study: Study, table: FlightTable) -> Card:
+    rows = [(code(r["path"]), r["drawn"], r["nominal"], r["observed"], r["unit"]) for r in key_rows(study, table)]
+    asked = "; ".join(describe_correlation(correlation) for correlation in study.correlate)
+    lines = [f"Rank correlations asked for: {asked}."] if asked else []
+    settings = ", ".join(f"{key} = {value}" for key, value in study.settings.items())
+    lines += [f"Set in all flights: {settings}."] if settings else []
+    return Card("What varies", ("key", "drawn from", "nominal", "flown", "unit"), rows, lines=lines)
+
+
+def _data_cards(campaign: Campaign) -> Iterator[Card]:
+    stored = Markup("{} Parquet files in {}, the study in {}.").format(
+        "One row a flight: what was drawn, what came of it, every metric in SI units, a hash of its log.",
+        link("flights/", "flights/"),
+        link("study.toml", "study.toml"),
+    )
+    yield Card("The data", lines=[stored], code="\n".join(python_lines(campaign.folder)))
+    if made_from := collect_sources(campaign):
+        rows = [(name, ", ".join(values)) for name, values in made_from.items()]
+        yield Card("What the flights were made from", ("file", "version or hash"), rows)
 
 
 # ---- the head
@@ -316,8 +535,11 @@ def _joint(rows: Any, first: Array, second: Array, values: Array) -> float:
 # ---- why flights were no success, and the data
 
 
-def reason_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
-    """Return the reasons of flights without success, the commonest first, with the count of every controller."""
+def reason_rows(campaign: Campaign, table: FlightTable, limit: int = 12) -> list[list[str]]:
+    """Return the reasons of flights without success, the commonest first, with the count of every controller.
+
+    ``limit``: so many have a row of their own.
+    """
     counted = [
         count_reasons(table, table.rows_of(controller), campaign.study.success)
         for controller in controller_indices(table)
@@ -326,12 +548,10 @@ def reason_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
         {name for counter in counted for name in counter},
         key=lambda name: (-sum(counter[name] for counter in counted), name),
     )
-    rows = [{"reason": name, "counts": [counter[name] for counter in counted]} for name in names[:MAX_REASONS]]
-    others = names[MAX_REASONS:]
-    if others:
-        counts = [sum(counter[name] for name in others) for counter in counted]
-        rows.append({"reason": f"{len(others)} other reasons", "counts": counts})
-    return rows
+    rows = [(name, [counter[name] for counter in counted]) for name in names[:limit]]
+    if others := names[limit:]:
+        rows.append((f"{len(others)} other reasons", [sum(counter[name] for name in others) for counter in counted]))
+    return [[name, *(f"{count:,}" if count else NONE for count in counts)] for name, counts in rows]
 
 
 def python_lines(folder: Path) -> list[str]:

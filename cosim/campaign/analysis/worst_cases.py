@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import shlex
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,11 +13,11 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import map_os_errors, read_file, write_whole
 from cosim.base.storage.toml import toml_text
 from cosim.base.trust import CodeRefusedError, is_code_forbidden
-from cosim.campaign.analysis.summary import SUCCESS, controller_indices, unmet_criteria
+from cosim.campaign.analysis.summary import SUCCESS, unmet_criteria
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.folder import CASES, SCENARIO
 from cosim.campaign.study.plan import scenario_of
-from cosim.results.report.plot import run_colour
+from cosim.results.report.cards import link
 from cosim.results.resolved_scenario import resolve
 from cosim.simulation.build import build
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 LISTED = 3  # flights listed for each way of being bad
 NONE = "–"
+CASE_COLUMNS = ("controller", "flight", "draw", "why", "ended", "drawn", "scenario")
 
 
 class Case(NamedTuple):
@@ -37,15 +38,15 @@ class Case(NamedTuple):
     why: str
 
 
-def case_rows(campaign: Campaign, table: FlightTable) -> list[dict[str, Any]]:
-    """Return the worst flights of each controller, each with a scenario file of its own beside the report."""
+def case_rows(campaign: Campaign, table: FlightTable, named: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the worst flights of each controller, each with a scenario file of its own beside the report.
+
+    A row each, as :data:`CASE_COLUMNS` heads it; ``named``: the controllers.
+    """
     return [
-        {
-            "controller": table.controllers[controller],
-            "colour": run_colour(controller),
-            "rows": [_case_row(campaign, table, case) for case in worst_flights(campaign.study, table, controller)],
-        }
-        for controller in controller_indices(table)
+        (name, *_case_row(campaign, table, case))
+        for controller, name in enumerate(named)
+        for case in worst_flights(campaign.study, table, controller)
     ]
 
 
@@ -92,28 +93,25 @@ def eccentricity(table: FlightTable) -> Array:
     return np.sqrt(squares / max(count, 1))
 
 
-def _case_row(campaign: Campaign, table: FlightTable, case: Case) -> dict[str, Any]:
-    number = int(table.flight[case.row])
-    link, refused = write_case(campaign, case.row)
+def _case_row(campaign: Campaign, table: FlightTable, case: Case) -> tuple[str, ...]:
+    place, refused = write_case(campaign, case.row)
     metric = table.metrics[0] if table.metrics else None
     value = np.nan if metric is None else metric.factor * table.values[metric.name][case.row]
-    kind = KINDS[table.kind[case.row]]
+    kind, seconds = KINDS[table.kind[case.row]], table.duration[case.row]
     reason = table.reason[case.row]
     if kind == "missed":
         reason = " and ".join(unmet_criteria(table, case.row, campaign.study.success))
-    return {
-        "flight": number,
-        "draw": int(table.draw[case.row]),
-        "why": case.why,
-        "kind": kind,
-        "reason": "" if kind == SUCCESS else reason,
-        "lasted": f"after {seconds:.2f} s" if np.isfinite(seconds := table.duration[case.row]) else "not flown",
-        "metric": "" if metric is None or not np.isfinite(value) else f"{metric.label} {value:.3g} {metric.unit}",
-        "values": [(key.label, key.path, _value(key, case.row)) for key in table.keys],
-        "link": link,
-        "refused": refused,
-        "command": f"hexjet fly {shlex.quote(campaign.folder.as_posix())} --flight {number}",
-    }
+    ended = f"{kind} after {seconds:.2f} s" if np.isfinite(seconds) else f"{kind}, not flown"
+    ended += "" if kind == SUCCESS or not reason else f": {reason}"
+    ended += "" if metric is None or not np.isfinite(value) else f"; {metric.label} {value:.3g} {metric.unit}"
+    return (
+        str(table.flight[case.row]),
+        str(table.draw[case.row]),
+        case.why,
+        ended,
+        ", ".join(f"{key.label} {_value(key, case.row)}" for key in table.keys),
+        link(place, place) if place else f"no scenario file: {refused}",
+    )
 
 
 def _value(key: KeyColumn, row: int) -> str:

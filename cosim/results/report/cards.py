@@ -16,7 +16,7 @@ _NUMBER = re.compile(r"[<>≥≤+−–-]?\s*\d|[–-]?$")
 
 
 class Card(NamedTuple):
-    """One part of a page: its lines, table, text, code, figures and content are shown in this order.
+    """One part of a page: its lines, figures, table, text, code and content are shown in this order.
 
     A text may be HTML that :func:`code`, :func:`coloured`, :func:`link` or :func:`marked` made; any other is escaped.
     """
@@ -25,7 +25,7 @@ class Card(NamedTuple):
     # Of a table: what heads its columns, and its rows.
     columns: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
-    # Small print below the table and above the figures.
+    # Small print.
     text: str = ""
     # One or several of the page's figures, by name.
     figure: str | Sequence[str] = ""
@@ -66,54 +66,31 @@ def _alignment(cells: Sequence[str], max_number: int = 30, min_wrapped: int = 16
 
 @dataclass(frozen=True)
 class Page:
-    """A page: what is found is at its head, its cards are below, and where it is from stands at its foot.
+    """A page: what is found is at its head, its cards are below, and where it is from stands at its foot."""
 
-    Parameters
-    ----------
-    kind
-        What it is a page of: "margins measured in flight".
-    heading
-        Of what: vehicle, engine, scenario.
-    cards
-        Its parts, in the order in which they are shown; an entry of None is left out.
-    figures
-        Figures of Plotly's schema that cards name.
-    verdict, badge
-        The verdict in one or two words, and its colour: ``met``, ``unmet``, ``failed`` (a warning) or ``none``.
-    answer
-        The result, a sentence a line.
-    problems
-        Why it may not be used, a line each.
-    summary
-        What was done, a line each.
-    evidence
-        What the verdict is from, as a list.
-    notes
-        What to look out for, a line each.
-    facts
-        Names and values.
-    source
-        Where it is from.
-    flights
-        Flights that are replayed in three dimensions, with their strips.
-    are_figures_linked
-        Whether figures over the same quantity are zoomed together.
-    """
-
+    # Of what it is a page ("margins measured in flight"), and of which vehicle, engine or scenario.
     kind: str
     heading: str
+    # In the order in which they are shown; an entry of None is left out.
     cards: Sequence[Card | None]
+    # Figures of Plotly's schema that cards name.
     figures: Mapping[str, Any] = field(default_factory=dict)
+    # The verdict in one or two words, and its colour: met, unmet, failed (a warning) or none.
     verdict: str = ""
     badge: str = "none"
+    # Lines: the result, why it may not be used, what was done, what the verdict is from, what to look out for.
     answer: Sequence[str] = ()
     problems: Sequence[str] = ()
     summary: Sequence[str] = ()
     evidence: Sequence[str] = ()
     notes: Sequence[str] = ()
+    # Names and values.
     facts: Sequence[tuple[str, str]] = ()
+    # Where it is from.
     source: str = ""
+    # Flights that are replayed in three dimensions, with their strips.
     flights: Flights | None = None
+    # Whether figures over the same quantity are zoomed together.
     are_figures_linked: bool = True
 
     def write(self, path: Path) -> None:

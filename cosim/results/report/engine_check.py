@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 from cosim.base.storage.files import write_files
 from cosim.engine.check_report import CheckReport
@@ -12,7 +11,6 @@ from cosim.engine.response import NO_CHANGE
 from cosim.results.report.cards import Card, Page, marked
 from cosim.results.report.plot import BLUE, HOVER, ORANGE, Figure, panels, trace
 from cosim.results.run import REPORT
-from cosim.results.wording import NONE
 
 WAYS = (("up", "opened, 0 to 1", ORANGE), ("down", "closed, 1 to 0", BLUE))
 
@@ -32,22 +30,15 @@ def make_page(report: CheckReport) -> Page:
     """Return the page of a checked engine."""
     figures = check_figures(report)
     still = f"Each point held until the thrust stands still to {NO_CHANGE:.0e} of itself."
-    steps = [f"{label}: {text}. " for label, text in report.response_lines() if label.startswith("throttle")]
-    tried = f"FMI {report.fmi_version}, tried at steps of {1e3 * report.step:g} ms in a process of its own."
     marks = {"yes": "met", "no": "unmet"}
-    both = len(figures) == 2
+    both, found = len(figures) == 2, [(label, marked(text, marks.get(text, ""))) for label, text in report.lines()]
     cards = [
         Card("Thrust at rest", text=still, figure="curve", is_half=both) if "curve" in figures else None,
-        Card("Throttle opened and closed", text=f"{''.join(steps)}Dotted: where the delay ends.", figure="response",
-             is_half=both) if "response" in figures else None,
-        Card("Questions", ("question", "answer"),
-             [(label, marked(text, marks.get(text, ""))) for label, text in report.verdict_lines()]),
-        Card("Ports", ("port", "variable", "unit in the FMU", "throttle 0", "throttle 1", "one of it", "found"),
-             [_port_row(port) for port in report.ports]),
-        Card("Parameters", ("parameter", "value", "start", "least", "most", "unit", "what it is"),
-             [_parameter_row(parameter) for parameter in report.parameters],
-             lines=() if report.parameters else ("None.",)),
-    ]  # fmt: skip
+        Card("Throttle opened and closed", text="Dotted: where the delay ends.", figure="response", is_half=both)
+        if "response" in figures
+        else None,
+        Card("What was found", ("finding", "what it is"), found),
+    ]
     return Page(
         "engine check",
         report.name,
@@ -56,25 +47,12 @@ def make_page(report: CheckReport) -> Page:
         verdict="fit to fly" if report.ok else "not fit to fly",
         badge="met" if report.ok else "unmet",
         problems=report.problems,
-        summary=[f"{report.path}: {tried}", *report.notes],
+        summary=[
+            f"{report.path}: FMI {report.fmi_version}, tried at steps of {1e3 * report.step:g} ms.",
+            *report.notes,
+        ],
         source=f"sha256 {report.sha256}",
     )
-
-
-def _port_row(port: dict[str, Any]) -> tuple[str, ...]:
-    is_fixed = port["from"] is None
-    one = f"{port['scale'] + port['offset']:g} {port['si']}" if is_fixed and port["si"] != "1" else NONE
-    name, ends = port["port"].replace("_", " "), (_number(port["from"]), _number(port["to"]))
-    return name, port["name"], port["unit"] or NONE, *ends, one, port["found"]
-
-
-def _parameter_row(parameter: dict[str, Any]) -> tuple[str, ...]:
-    numbers = [_number(parameter[key]) for key in ("value", "start", "min", "max")]
-    return parameter["name"], *numbers, parameter["unit"] or NONE, parameter["description"] or ""
-
-
-def _number(value: float | str | None) -> str:
-    return NONE if value is None else value if isinstance(value, str) else f"{value:g}"
 
 
 def check_figures(report: CheckReport) -> dict[str, Figure]:

@@ -182,8 +182,7 @@ def test_the_report_has_the_parameters_that_were_measured(tmp_path: Path) -> Non
     assert values["pole"] == (PAPER["edf"][1], 0.9)
     assert values["delay_samples"] == (0.0, 0.0)
     page = write_check(report, tmp_path / "checked").read_text()
-    assert f"<td>gain</td><td>0.25</td><td>{PAPER['edf'][0]:g}</td>" in re.sub(' class="[^"]*"', "", page)
-    assert any(label == "parameter" and text.startswith("gain = 0.25") for label, text in report.lines())
+    assert f"gain = 0.25, from {PAPER['edf'][0]:g}, " in page
     assert {"name": "gain", "value": 0.25}.items() <= json.loads((tmp_path / "checked" / "check.json").read_text())[
         "parameters"
     ][0].items()
