@@ -3,7 +3,7 @@
 Figures are dicts of Plotly's schema; the colours are those of the reports, ``"#rrggbb"``.
 """
 
-from cosim.results.report.cards import Card, Page, code, coloured, link, marked
+from cosim.results.report.cards import Card, Page, code, coloured, link, marked, sentence
 from cosim.results.report.marks import cell, check_marks, filled, page_parts, parts_of, row, table, write_marks
 from cosim.results.report.page import render
 from cosim.results.report.plot import (
@@ -53,6 +53,7 @@ __all__ = [
     "render",
     "row",
     "run_colour",
+    "sentence",
     "share",
     "table",
     "trace",

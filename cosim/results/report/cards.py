@@ -117,6 +117,11 @@ def link(text: str, address: str) -> Markup:
     return Markup('<a href="{}">{}</a>').format(address, text) if address else escape(text)
 
 
+def sentence(text: str) -> str:
+    """Return a line as a sentence: with a capital first and a full stop last."""
+    return f"{text[:1].upper()}{text[1:]}."
+
+
 def marked(text: str, kind: str) -> Markup:
     """Return a text in the style of a kind: ``met``, ``unmet``, ``note``, ``best``, ``dim`` or ``small``."""
     return Markup('<span class="{}">{}</span>').format(kind, text)

@@ -62,6 +62,8 @@ class MarginsResult(FolderResult):
         notes = [f"{axis}: {note}" for axis, each in measured.axes.items() for note in each.notes]
         more = [line for each in measured.axes.values() for line in (uncertainty_line(each), limit_line(each)) if line]
         missing = [f"not computed: {measured.uncomputed}"] if measured.uncomputed else []
+        if measured.uncertainty_source is not None:
+            missing.append(f"uncertainty of the engine: {measured.uncertainty_source or 'of no stated source'}")
         first = f"margins of {measured.controller_shown} on {scenario.aircraft}, engine {scenario.engine}"
         return [first, judgement_line(measured.judged), *more, *notes, *missing]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -23,7 +22,7 @@ from cosim.commands import (
 )
 
 if TYPE_CHECKING:
-    from hexjet_design.measured.margins import MeasuredMargins
+    from hexjet_design.measured.api import MarginsResult
 
 BANDS = ("enough", "narrow")  # that may be asked for
 
@@ -81,52 +80,17 @@ def margins(options: Margins) -> int:
     with output_to_stderr(options.as_json), part_progress("margins", options.as_json) as show:
         result = measure(loaded, axes, progress=CommandProgress(show), **chosen)
     name = f"margins-{folder_name(result.measured.controller)}"
-    paths = result.write(options.run_folder(name)).files
-    options.answer(result.to_dict, lambda: print_margins(result.measured, paths))
+    result.write(options.run_folder(name))
+    options.answer(result.to_dict, lambda: print_margins(result))
     return FLIGHT_FAILED if result.kept is False else DONE
 
 
-def print_margins(margins: MeasuredMargins, paths: dict[str, Path]) -> None:
-    """Print a table an axis, what is to be said about it, where the page is, and the judgement last."""
-    from hexjet_design.measured.judgement import COLUMNS as JUDGED_COLUMNS
-    from hexjet_design.measured.judgement import judgement_line
-    from hexjet_design.measured.page import (
-        ENGINE_COLUMNS,
-        columns,
-        engine_rows,
-        heading,
-        judged_rows,
-        limit_line,
-        rows,
-        uncertainty_line,
-    )
-
-    scenario = margins.scenario
-    say(f"[bold]{margins.controller_shown}[/bold] on {scenario.aircraft}, engine {scenario.engine}", marked=True)
-    for measured in margins.axes.values():
-        heads = columns(measured)
-        show_table(
-            heads, rows(measured), range(len(heads)), title=heading(measured), title_justify="left", title_style=""
-        )
-        for line in (uncertainty_line(measured), limit_line(measured)):
-            if line is not None:
-                say(line)
-        for note in measured.notes:
-            say(f"note: {measured.axis}: {note}")
-    if margins.uncertainty_source is not None:
-        say(f"uncertainty of the engine: {margins.uncertainty_source or 'of no stated source'}", wrap=False)
-        show_table(ENGINE_COLUMNS, engine_rows(margins.engine_ranges), [1, 2, 3])
-    if margins.uncomputed:
-        say(f"not computed: {margins.uncomputed}")
-    judged = judged_rows(margins)
-    show_table(
-        JUDGED_COLUMNS,
-        judged,
-        (2, 3),
-        title="beside their limits",
-        title_justify="left",
-        title_style="",
-        pad_edge=False,
-    )
-    say(f"report: {paths['report']}", wrap=False)
-    say(judgement_line(margins.judged))
+def print_margins(result: MarginsResult) -> None:
+    """Print its tables, what is to be said about them, where the page is, and the judgement last."""
+    first, judged, *more = result.lines()
+    say(first)
+    for table in result.tables():
+        numbers = range(1, len(table.columns))
+        show_table(table.columns, table.rows, numbers, title=table.title, title_justify="left", title_style="")
+    for line in [*more, f"report: {result.report}", judged]:
+        say(line, wrap=False)

@@ -11,7 +11,7 @@ import numpy as np
 
 from cosim.base.storage.files import write_files
 from cosim.engine.fmu.uncertainty import ParameterRange
-from cosim.pages import BLUE, GREY, ORANGE, beneath, panels, render, trace
+from cosim.pages import BLUE, GREY, ORANGE, Card, Page, beneath, marked, panels, sentence, trace
 from hexjet_design.figures import Curve, Figure, bode, nyquist
 from hexjet_design.measured.axis_margins import AxisMargins
 from hexjet_design.measured.engine_range import EngineRange
@@ -19,7 +19,11 @@ from hexjet_design.measured.judgement import COLUMNS as JUDGED_COLUMNS
 from hexjet_design.measured.judgement import judgement_line
 from hexjet_design.measured.margins import MeasuredMargins
 
-TEMPLATE = Path(__file__).parent / "templates" / "margins.html"
+MEASURED = (
+    "The loop is broken between the controller and its actuators, all other loops closed, while the vehicle holds "
+    "still and burns no fuel. Off: measured less computed, of gains that of their factors. Bounds: 95 %, from the "
+    "periods' spread."
+)
 COLUMNS = ("quantity", "measured", "95 % bounds", "computed", "off")
 OVER_ENGINE = "over the engine's uncertainty, 95 %"
 ENGINE_COLUMNS = ("parameter", "nominal", "95 % range", "deviation between engines")
@@ -138,29 +142,38 @@ def write(margins: MeasuredMargins, folder: Path) -> dict[str, Path]:
     paths = {"json": folder / "margins.json", "response": folder / "response.csv", "report": folder / "report.html"}
     data = json.dumps(margins.to_dict(), indent=2, allow_nan=False) + "\n"
     write_files({paths["json"]: data, paths["response"]: _csv(margins)})
-    tables = [
-        (
-            axis,
-            heading(measured),
-            columns(measured),
-            rows(measured),
-            measured.notes,
-            [uncertainty_line(measured), limit_line(measured)],
-        )
-        for axis, measured in margins.axes.items()
-    ]
-    engine = engine_rows(margins.engine_ranges)
-    render(
-        TEMPLATE,
-        paths["report"],
-        figures(margins),
-        found=margins,
-        answers=[answer(measured) for measured in margins.axes.values()],
-        tables=tables,
-        engine=(ENGINE_COLUMNS, engine),
-        judgement=(judgement_line(margins.judged), JUDGED_COLUMNS, judged_rows(margins)),
-    )
+    make_page(margins).write(paths["report"])
     return paths
+
+
+def make_page(margins: MeasuredMargins) -> Page:
+    """Return the page of measured margins: beside their limits, then by axis."""
+    scenario, cards = margins.scenario, [Card("Beside their limits", JUDGED_COLUMNS, judged_rows(margins))]
+    for axis, measured in margins.axes.items():
+        name = axis.capitalize()
+        more = [sentence(line) for line in (uncertainty_line(measured), limit_line(measured)) if line]
+        cards += [
+            Card(f"{name}: open loop", figure=f"bode_{axis}", is_half=True),
+            Card(f"{name}: Nyquist", figure=f"nyquist_{axis}", is_half=True),
+            Card(f"{name}: sensitivity", figure=f"peak_{axis}"),
+            Card(heading(measured), columns(measured), rows(measured), " ".join(more),
+                 lines=[marked(note, "unmet") for note in measured.notes]),
+        ]  # fmt: skip
+    cards += [Card("How well the engine is known", ENGINE_COLUMNS, engine_rows(margins.engine_ranges))]
+    summary = [f"Not computed: {margins.uncomputed}."] if margins.uncomputed else []
+    if margins.uncertainty_source is not None:
+        summary += [f"Uncertainty of the engine: {margins.uncertainty_source or 'of no stated source'}."]
+    if source := margins.source:
+        summary += [f"{source.level} of {source.label}, sha256 {source.sha256}"]
+    return Page(
+        "margins measured in flight",
+        f"{margins.controller_shown} on {scenario.aircraft}, engine {scenario.engine}",
+        cards if margins.engine_ranges else cards[:-1],
+        figures(margins),
+        answer=[*map(answer, margins.axes.values()), sentence(judgement_line(margins.judged))],
+        summary=summary,
+        source=MEASURED,
+    )
 
 
 def figures(margins: MeasuredMargins) -> dict[str, Figure]:
