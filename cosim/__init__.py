@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from cosim.api.checks import check_aircraft, check_engine, map_engine
     from cosim.api.compare import compare
     from cosim.api.export import export
+    from cosim.api.flights import fly
     from cosim.api.identify import identify
     from cosim.api.show import show
     from cosim.api.studies import sweep
     from cosim.base.signals import Command
     from cosim.base.trust import trust
-    from cosim.flight import fly
     from cosim.results.report.time_plot import plot
     from cosim.results.run import Run, open_run
     from cosim.results.summary import versions
@@ -93,7 +93,7 @@ _WHERE = {
     "check_engine": "cosim.api.checks",
     "compare": "cosim.api.compare",
     "export": "cosim.api.export",
-    "fly": "cosim.flight",
+    "fly": "cosim.api.flights",
     "map_engine": "cosim.api.checks",
     "load_vehicle": "cosim.spec.vehicle",
     "Run": "cosim.results.run",

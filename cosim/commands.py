@@ -1,25 +1,41 @@
 """What a command of another package shares with those of ``hexjet``.
 
-An entry point of the group ``hexjet.commands`` names a command of click.  It returns its exit status, 0 (``DONE``), or
-raises ``cosim.InputError`` (status 2) or ``cosim.FlightError`` (status 1, ``FLIGHT_FAILED``), whose message is then the
-one line on standard error.
+An entry point of the group ``hexjet.commands`` names a :class:`Command`: a function, whose arguments are the options,
+and what the command line adds to it.  The function raises ``cosim.InputError`` (status 2) or ``cosim.FlightError``
+(status 1), whose message is then the one line on standard error.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cosim.api.flights import FlightResult
 from cosim.base.errors import nearest
 from cosim.base.runtime.threads import one_thread
-from cosim.cli import opt
-from cosim.cli.console import CommandProgress, echo, output_to_stderr, part_progress, say, show_table, terminal
-from cosim.cli.flight.fly import print_run
-from cosim.cli.groups import Group
-from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example, is_given, load_scenario, warn_of_fmu_defects
-from cosim.cli.outputs import Out
+from cosim.cli.console import (
+    CommandProgress,
+    echo,
+    output_to_stderr,
+    part_progress,
+    say,
+    show_result,
+    show_table,
+    terminal,
+)
+from cosim.cli.declare import Command
+from cosim.cli.old import opt
+from cosim.cli.old.options import DONE, FLIGHT_FAILED, Flight, example, is_given, load_scenario, warn_of_fmu_defects
+from cosim.cli.old.outputs import Out
+
+if TYPE_CHECKING:
+    from cosim.results.run import Run
 
 __all__ = [
     "DONE",
     "FLIGHT_FAILED",
+    "Command",
     "CommandProgress",
     "Flight",
-    "Group",
     "Out",
     "echo",
     "example",
@@ -32,7 +48,13 @@ __all__ = [
     "part_progress",
     "print_run",
     "say",
+    "show_result",
     "show_table",
     "terminal",
     "warn_of_fmu_defects",
 ]
+
+
+def print_run(run: Run) -> None:
+    """Print what a flight came to."""
+    show_result(FlightResult(run))

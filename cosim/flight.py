@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.base.errors import FlightError, InputError, notify
+from cosim.base.errors import FlightError, InputError
 
 if TYPE_CHECKING:
     from cosim.base.protocols import Observer
@@ -22,64 +22,6 @@ if TYPE_CHECKING:
     from cosim.simulation.pacing import Pace
     from cosim.simulation.step import Simulation
     from cosim.spec.scenario import Scenario
-
-
-def fly(
-    scenario: Scenario | str | Path,
-    out: Path | str | None = None,
-    *,
-    controller: Any = None,
-    observers: Sequence[Observer] = (),
-    realtime_factor: float | None = None,
-    report: bool = True,
-    shared_assets: bool = False,
-) -> Run:
-    """Fly a scenario to its end, record every step, and give back the finished run.
-
-    A crash, a divergence or a failing engine is an outcome, not an exception.  What the summary notes, and what else
-    the command would say of the flight, becomes warnings, ``cosim.base.errors.Notice``.
-
-    Parameters
-    ----------
-    scenario : Scenario or str or Path
-        Who flies, what is asked of it and what disturbs it; or its name, or the path of its file.
-    out : Path or str or None
-        The run's folder, made if need be; without it the log stays in memory.
-    controller : str or Path or object or None
-        In place of the scenario's: a name or a file as ``hexjet fly --controller`` takes it, one of ``hexjet design``
-        among them; or a class or an object of one's own, see docs/own-controller.md.
-    observers : sequence of Observer
-        They see every step.
-    realtime_factor : float or None
-        Seconds of flight in a second of the clock, 1.0 is real time; None: as fast as it goes.
-    report : bool
-        Whether ``report.html`` is written into the folder.
-    shared_assets : bool
-        Whether what draws that page goes into one folder beside those of runs, rather than into each page.
-
-    Returns
-    -------
-    Run
-        Summary and log; every column is one float64 a control step, in the unit that its name says.
-
-    Raises
-    ------
-    InputError
-        If the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
-    """
-    check_arguments(scenario, out, realtime_factor)
-    run = fly_watched(
-        scenario,
-        out,
-        controller=controller,
-        observers=observers,
-        realtime_factor=realtime_factor,
-        report=report,
-        shared_assets=shared_assets,
-    )
-    for text in (*list_warnings(run.scenario, controller), *run.summary.notes):
-        notify(text)
-    return run
 
 
 def list_warnings(scenario: Scenario, controller: Any = None) -> list[str]:
@@ -95,7 +37,7 @@ def list_warnings(scenario: Scenario, controller: Any = None) -> list[str]:
 
 
 def check_arguments(scenario: object, out: object, realtime_factor: object) -> None:
-    """Raise InputError where an argument of :func:`fly` is of no type that it takes."""
+    """Raise InputError where an argument of ``cosim.fly`` is of no type that it takes."""
     from cosim.spec.scenario import Scenario
 
     for name, value, allowed in (
@@ -124,7 +66,7 @@ def fly_watched(
     watch: Callable[[Simulation, Pace, Path | None, float | None], Observer] | None = None,
     sink: KeepingSink | None = None,
 ) -> Run:
-    """Fly as :func:`fly` does, for what watches the simulation or keeps its own part of the log.
+    """Fly a scenario as ``cosim.fly`` does, for what watches the simulation or keeps its own part of the log.
 
     ``watch`` makes a further observer of the flight when it is built, from the simulation, its pace, the folder and the
     planned duration [s].  ``sink`` keeps of the log what it wants to, at least the columns of
@@ -194,7 +136,7 @@ def _replay(simulation: Simulation) -> Replay:
 def opened(scenario: Scenario | str | Path, controller: Any = None) -> tuple[Scenario, Source | None]:
     """Return a scenario with the controller to fly, and that controller where a program handed it over.
 
-    The parameters are those of :func:`fly`.  Raises InputError.
+    The parameters are those of ``cosim.fly``.  Raises InputError.
     """
     from cosim.simulation.controllers.controller_file import apply_controller
     from cosim.simulation.controllers.source import from_object

@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 from designed_and_flown import about_ends, agrees, as_measured, predict, still_doublet
 
+from cosim import fly
 from cosim.campaign import open_campaign
 from cosim.cli.main import main as hexjet
-from cosim.flight import fly
 from cosim.results.log.digest import log_digest
 from cosim.results.report.marks import check_marks, table, write_marks
 from cosim.results.run import open_run

@@ -26,6 +26,8 @@ BEFORE_MB = 863.0  # a fresh installation of commit 2f44bdb, with pymavlink, plo
 COMPILER = "cmake"  # what FMPy asks for to compile with, and nothing else needs
 WHAT = {  # every package that pyproject.toml names for those who fly, and why it is needed
     "click": "the command line",
+    "cyclopts": "the command line: options out of the signatures of functions",
+    "docstring-parser": "the texts of options, out of docstrings",
     "fastcrc": "checksums of MAVLink frames: a lockstep's, a log's",
     "fmpy": "FMUs: descriptions, binaries of this machine",
     "jinja2": "reports",

@@ -19,7 +19,6 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
 
-import click
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
@@ -29,8 +28,9 @@ from cosim.base.storage.toml import read_toml
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.key import unit_of
 from cosim.campaign.study.study import Study
-from cosim.cli.main import INTERRUPTED, TERMINATED, cli
-from cosim.cli.options import DONE, FLIGHT_FAILED, WRONG_INPUT
+from cosim.cli import table as commands
+from cosim.cli.declare import Command
+from cosim.cli.main import DONE, FLIGHT_FAILED, INTERRUPTED, TERMINATED, WRONG_INPUT
 from cosim.engine.fmu.mapping import MappingFile
 from cosim.results.log.columns import log_columns
 from cosim.results.metrics import Metrics
@@ -60,55 +60,23 @@ def cell(text: str) -> str:
 # --- commands ---------------------------------------------------------------------------------------------------------
 
 
-def commands() -> Iterator[tuple[str, click.Context]]:
-    """Every command with its context, groups before what is in them."""
-    root = click.Context(cli, info_name="hexjet", **cli.context_settings)
-
-    def inside(context: click.Context) -> Iterator[tuple[str, click.Context]]:
-        command = context.command
-        if context is not root:
-            yield context.command_path, context
-        if isinstance(command, click.Group):
-            for name in command.list_commands(context):
-                found = command.get_command(context, name)
-                assert found is not None
-                if not found.hidden:
-                    yield from inside(click.Context(found, info_name=name, parent=context))
-
-    return inside(root)
-
-
 def commands_page() -> str:
     """Every command: usage, what it does, arguments and options."""
     said = (
         "# Commands\n\nAs `hexjet COMMAND --help` prints it. `hexjet --version` says which version runs. [What a command "
         "leaves behind as its exit status, and what it reads from the environment](environment.md).\n"
     )
-    return said + "".join(_command(path, context) for path, context in commands())
+    return said + "".join(_command(name) for name in commands.list_names())
 
 
-def _command(path: str, context: click.Context) -> str:
-    command = context.command
-    usage = " ".join(command.collect_usage_pieces(context))
-    shown = f"\n## {path}\n\n```text\n{path} {usage}\n```\n\n{_prose(command.help or '')}\n"
-    rows = []
-    for parameter in command.get_params(context):
-        record = parameter.get_help_record(context)
-        if record is not None and "--help" not in record[0]:
-            rows.append([f"`{record[0].replace('|', chr(92) + '|')}`", cell(record[1])])
-    if rows:
-        shown += f"\n{table(('option', 'meaning'), rows)}"
-    if command.epilog:
-        shown += f"\n```text\n{inspect.cleandoc(command.epilog.removeprefix(chr(8))).strip()}\n```\n"
-    return shown
-
-
-def _prose(text: str) -> str:
-    """A command's help: paragraphs, and blocks that are not to be wrapped."""
-    parts = inspect.cleandoc(text).split("\n\n")
-    return "\n\n".join(
-        f"```text\n{part.removeprefix(chr(8)).strip()}\n```" if part.startswith("\b") else cell(part) for part in parts
-    )
+def _command(name: str) -> str:
+    command = commands.load(name)
+    if not isinstance(command, Command):
+        return f"\n## hexjet {name}\n\n```text\n{command.help(80)}\n```\n"
+    about = "\n\n".join(map(cell, command.texts[0].split("\n\n")))
+    rows = [[f"`{each.label.replace('|', chr(92) + '|')}`", cell(each.meaning)] for each in command.rows]
+    shown = f"\n## hexjet {name}\n\n{about}\n\n{table(('option', 'meaning'), rows)}"
+    return f"{shown}\n```text\nhexjet {name} {command.example}\n```\n"
 
 
 # --- keys of files ----------------------------------------------------------------------------------------------------

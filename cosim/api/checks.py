@@ -16,6 +16,14 @@ if TYPE_CHECKING:
     from cosim.engine.make.mapping_file import BegunMapping
 
 CHECK = ("check.json", "report.html")
+_MOMENTS = (
+    "Largest moment either way while the weight is held and the other two moments are zero; all throttles and hinges "
+    "are free within their limits."
+)
+_NOT_EXACT = (
+    "Two numbers are what is attained and what nothing exceeds; one with at least, or none found: what lies beyond is "
+    "not known."
+)
 
 
 class EngineCheckResult(FolderResult):
@@ -213,7 +221,7 @@ class AircraftCheckResult(Result):
         check = self.check
         faults = [f"{line.name}: {line.fault}" for line in check.lines if line.fault]
         verdict = "fit to fly" if check.is_fit else "not fit to fly"
-        return [f"{check.aircraft} with {check.engine}: {verdict}", *faults]
+        return [f"{check.aircraft} ({check.title}) with {check.engine}: {verdict}", *faults]
 
     def tables(self) -> list[Table]:
         """Return what was checked, and the moments with each engine lost."""
@@ -224,9 +232,10 @@ class AircraftCheckResult(Result):
                 moments = ["falls" if row.cannot_hover else "none found", "", ""]
             rows.append((", ".join(map(str, row.lost)) or "none", f"{row.lift:.2f}", *moments))
         lines = [(line.name, line.text, line.fault) for line in self.check.lines]
+        meaning = _MOMENTS if self.check.is_exact else f"{_MOMENTS} {_NOT_EXACT}"
         return [
             Table("", ("checked", "what it is", "fault"), lines),
-            Table("", ("engine lost", "lift / weight", "roll, N m", "pitch, N m", "yaw, N m"), rows),
+            Table(meaning, ("engine lost", "lift / weight", "roll, N m", "pitch, N m", "yaw, N m"), rows),
         ]
 
 

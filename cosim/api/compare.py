@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from fnmatch import fnmatchcase
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,11 +14,12 @@ from cosim.base.trust import without_code
 from cosim.results.run import Run
 
 if TYPE_CHECKING:
-    from cosim.results.comparison import ComparedFlight, LogComparison
+    from cosim.results.comparison import ComparedFlight, LogComparison, Signal
 
 PAGE = "comparison.html"
 LETTERS = "ABCDEFGH"  # one per distinguishable colour
 SIGNALS = ("roll_rad", "pitch_rad", "yaw_rad", "altitude_m", "north_m", "east_m", "collective")
+MAX_INPUTS = 12  # lines on inputs of a pair; the page has all
 EARLIEST = 5  # number of further signals shown: the first that differ
 
 
@@ -32,9 +34,12 @@ class CompareResult(Result):
         Each flight but the first against the first: its ``signals`` have the largest difference, and when.
     """
 
-    def __init__(self, flights: Sequence[ComparedFlight], compared: Sequence[LogComparison]) -> None:
+    def __init__(
+        self, flights: Sequence[ComparedFlight], compared: Sequence[LogComparison], signal: Sequence[str] = ()
+    ) -> None:
         self.flights = tuple(flights)
         self.compared = tuple(compared)
+        self._patterns = signal
         self.files = {}
 
     def write(self, page: Path | str) -> CompareResult:
@@ -74,25 +79,48 @@ class CompareResult(Result):
         return _to_dict(self.flights, self.compared, self.report)
 
     def lines(self) -> list[str]:
-        """Return what each flight is, and how far the others are from the first."""
-        from cosim.results.report.comparison import describe_pair
+        """Return what each flight is, how far the others are from the first, and which inputs are not the same."""
+        from cosim.results.report.comparison import describe_pair, inputs_between
 
-        flights = [f"{flight.label}: {describe(flight)}" for flight in self.flights]
-        return [*flights, *(" ".join(describe_pair(pair)) for pair in self.compared)]
+        lines = [f"{flight.label[0]} {flight.source}: {describe(flight)}" for flight in self.flights]
+        for pair, flight in zip(self.compared, self.flights[1:], strict=True):
+            lines.append(" ".join(describe_pair(pair)))
+            inputs = inputs_between(self.flights[0], flight)
+            lines += [f"  {key}: {one}; {flight.label[0]} {other}" for key, one, other in inputs[:MAX_INPUTS]]
+            if len(inputs) > MAX_INPUTS:
+                lines.append(f"  and {len(inputs) - MAX_INPUTS} inputs more that are not the same")
+        return lines
 
     def tables(self) -> list[Table]:
-        """Return the metrics side by side, and of each pair the signals that differ first."""
-        from cosim.results.report.comparison import by_time, comparison_rows, signal_cells
+        """Return the metrics side by side, and of each pair the signals that were chosen or that differ first."""
+        from cosim.results.report.comparison import comparison_rows, signal_cells
 
         rows = [
-            (f"{row['axis']} {row['title']}", *(cell["text"] for cell in row["cells"]), row["unit"])
+            (
+                f"{row['axis']} {row['title']}" if row["axis"] != "whole flight" else row["title"],
+                *(cell["text"] for cell in row["cells"]),
+                row["unit"],
+            )
             for row in comparison_rows([None if each.run is None else each.run.summary for each in self.flights])
         ]
-        tables = [Table("", ("metric", *(flight.label for flight in self.flights), "unit"), rows)] if rows else []
+        tables = [Table("", ("metric", *(flight.label[0] for flight in self.flights), "unit"), rows)] if rows else []
         for pair, flight in zip(self.compared, self.flights[1:], strict=True):
-            cells = [signal_cells(signal) for signal in by_time(pair.signals)[:EARLIEST]]
-            tables += [Table(flight.label, SIGNAL_TITLES, cells)] if cells else []
+            cells = [
+                (signal.name, "the same", "", "", "", "") if signal.same else signal_cells(signal)
+                for signal in self._select(pair)
+            ]
+            tables += [Table(flight.label, SIGNAL_TITLES, cells)] if cells and not pair.same else []
         return tables
+
+    def _select(self, pair: LogComparison) -> list[Signal]:
+        """Return the signals of a pair's table: those of the patterns, or where it flew and the first to differ."""
+        from cosim.results.report.comparison import by_time
+
+        if self._patterns:
+            return [each for each in pair.signals if any(fnmatchcase(each.name, one) for one in self._patterns)]
+        names = dict.fromkeys([*SIGNALS, *(signal.name for signal in by_time(pair.signals)[:EARLIEST])])
+        found = {signal.name: signal for signal in pair.signals}
+        return [found[name] for name in names if name in found]
 
 
 SIGNAL_TITLES = ("signal", "first at, s", "largest", "at, s", "RMS", "unit")
@@ -101,7 +129,10 @@ SIGNAL_TITLES = ("signal", "first at, s", "largest", "at, s", "RMS", "unit")
 @checked()
 def compare(
     *flights: str | Path | Run,
+    flight: Sequence[int] = (),
+    signal: Sequence[str] = (),
     shift: Mapping[str, float] | None = None,
+    page: bool = True,
     out: str | Path | None = None,
     progress: Progress | None = None,
 ) -> CompareResult:
@@ -112,8 +143,15 @@ def compare(
     *flights : str or Path or Run
         A run or its folder; ``DIR:N``, a flight of a campaign, which is flown again; a scenario, flown here and now; a
         table, CSV or Parquet; or a log of another flight controller.
+    flight : sequence of int
+        These flights of the campaigns among them; the same as ``DIR:N``.
+    signal : sequence of str
+        Patterns of the signals in the tables, such as ``thrust_*``; by default attitude, place, collective and the
+        first that differ.
     shift : mapping or None
-        Seconds that are added to the times of a flight, by its letter: ``{"B": -12.4}``.
+        Seconds that are added to the times of a flight, by its letter A, B, ...: of a log whose clock began elsewhere.
+    page : bool
+        Write the page, or none.
     out : str or Path or None
         The page or its folder; without it nothing is written.
     progress : Progress or None
@@ -132,15 +170,20 @@ def compare(
     from cosim.results.comparison import compare_with_first
 
     hears = progress or Progress()
+    flights = tuple(expand_campaigns(flights, flight))
     if not 2 <= len(flights) <= len(LETTERS):
         raise InputError(
             f"compare: {len(flights)} flight{'s' if len(flights) != 1 else ''}; allowed: 2 to {len(LETTERS)}"
         )
+    out = out if page else None
     if out is not None and page_path(Path(out)).exists():
         raise InputError(f"{page_path(Path(out))}: is there already; choose another name or remove it")
     loaded = [_load_flight(letter, each, hears.note) for letter, each in zip(LETTERS, flights, strict=False)]
     loaded = _shift_times(loaded, shift or {})
-    result = CompareResult(loaded, compare_with_first(loaded))
+    result = CompareResult(loaded, compare_with_first(loaded), signal)
+    for pattern in signal:
+        if not any(fnmatchcase(each.name, pattern) for pair in result.compared for each in pair.signals):
+            raise InputError(f"compare: signal: no signal that the flights share is called {pattern!r}")
     return result if out is None else result.write(out)
 
 
@@ -152,25 +195,26 @@ def page_path(out: Path) -> Path:
 def write_page(names: Sequence[str], folder: Path) -> Path:
     """Write the comparison of these flights as a page in a new folder and return its path; none is flown."""
     with without_code():
-        page = compare(*expand_campaigns(names, ()), out=folder).report
+        page = compare(*names, out=folder).report
     assert page is not None
     return page
 
 
-def expand_campaigns(names: Sequence[str], flights: Sequence[int]) -> list[str]:
-    """Return the flights that are meant, one text each; a campaign's folder stands for the ``flights`` of it."""
+def expand_campaigns(names: Sequence[str | Path | Run], flights: Sequence[int]) -> list[str | Path | Run]:
+    """Return the flights that are meant; a campaign's folder stands for the ``flights`` of it."""
     from cosim.campaign.folder import is_campaign
 
-    requested: list[str] = []
+    requested: list[str | Path | Run] = []
+    campaigns = [name for name in names if not isinstance(name, Run) and is_campaign(Path(name))]
     for name in names:
-        if not is_campaign(Path(name)):
+        if name not in campaigns:
             requested.append(name)
         elif not flights:
-            raise InputError(f"{name}: is a campaign; say which flight: {name}:0, or --flight 0")
+            raise InputError(f"{name}: is a campaign; say which flight: {name}:0, or flight 0")
         else:
-            requested += [f"{name.rstrip('/')}:{number}" for number in flights]
-    if flights and not any(is_campaign(Path(name)) for name in names):
-        raise InputError("--flight: none of these is a campaign")
+            requested += [f"{str(name).rstrip('/')}:{number}" for number in flights]
+    if flights and not campaigns:
+        raise InputError("compare: flight: none of these is a campaign")
     return requested
 
 
@@ -220,7 +264,7 @@ def _shift_times(flights: Sequence[ComparedFlight], shifts: Mapping[str, float])
         index = LETTERS.find(letter.strip().upper()) if letter.strip() else -1
         if not 0 <= index < len(moved) or not isfinite(by):
             allowed = ", ".join(LETTERS[: len(moved)])
-            raise InputError(f"--shift {letter}={by:g}: is not one of {allowed} = a number of seconds")
+            raise InputError(f"compare: shift: {letter}={by:g}: is not one of {allowed} = a number of seconds")
         moved[index] = shift_times(moved[index], by)
     return moved
 

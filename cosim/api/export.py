@@ -43,6 +43,6 @@ def export(
     if folder is None:
         raise InputError("export: this run is in memory alone; fly it with out=FOLDER")
     if to != "ulog" and rates != "all":
-        raise InputError(f"--rates: is for --to ulog; {to} has every step")
+        raise InputError(f"export: rates: is for ulog alone; {to} has every step")
     options = {"rates": rates} if to == "ulog" else {}
     return export_log(to, folder, None if out is None else Path(out), **options)

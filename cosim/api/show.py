@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cosim.api.call import Result, Table, checked
+from cosim.api.flights import FlightResult
+from cosim.api.listing import KINDS, Kind, catalogue
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError, similar
-from cosim.base.storage.paths import data_folder, files_in, names_in
+from cosim.base.storage.paths import data_folder
 from cosim.base.trust import without_code
 from cosim.spec.controller_name import is_design
 from cosim.spec.file_kind import AIRCRAFT, SCENARIO, STUDY
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
     from cosim.engine.library import EngineDefinition
     from cosim.spec.vehicle import Vehicle
 
-KINDS = ("scenarios", "studies", "engines", "aircraft", "controllers")
 _MEANINGS = {  # of the first part of a key in the file of a scenario or a study
     "duration_s": "planned length of the flight",
     "step_s": "control step",
@@ -101,7 +102,9 @@ class ShowResult(Result):
         return self.to_list()[0]
 
     def lines(self) -> list[str]:
-        """Return name, kind and title of each, and what it is."""
+        """Return name, kind and title of each, and what it is; of a run what its flight came to."""
+        if (flight := self._flight()) is not None:
+            return flight.lines()
         return [
             line
             for item in self.items
@@ -110,14 +113,20 @@ class ShowResult(Result):
         ]
 
     def tables(self) -> list[Table]:
-        """Return the numbers of each, in the units of a screen."""
+        """Return the numbers of each, in the units of a screen; of a run the tables of its flight."""
+        if (flight := self._flight()) is not None:
+            return flight.tables()
         return [Table("", ("number", "value", "unit", "meaning"), number_rows(item)) for item in self.items]
+
+    def _flight(self) -> FlightResult | None:
+        """Return the flight of a run, None for anything else."""
+        from cosim.results.run import open_run
+
+        return FlightResult(open_run(self.items[0]["name"])) if self.items[0]["kind"] == "runs" else None
 
 
 @checked()
-def show(
-    name: str | Path, kind: Literal["scenarios", "studies", "engines", "aircraft", "controllers"] | None = None
-) -> ShowResult:
+def show(name: str | Path, kind: Kind | None = None) -> ShowResult:
     """Show what something is that can be flown, or was: its numbers, their units and what they mean, from its files.
 
     To measure the thrust of an engine, its FMU is held at throttles until it stands still.
@@ -475,23 +484,3 @@ def _text(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def catalogue(kind: str) -> list[dict[str, Any]]:
-    """Return the entries of one kind, each with ``name`` and ``title``."""
-    if kind in ("scenarios", "studies"):
-        return [_entry(name, data_folder(kind) / f"{name}.toml") for name in files_in(kind)]
-    if kind == "controllers":
-        from cosim.control.predictors.registry import PREDICTORS
-        from cosim.simulation.controllers.source import list_installed as custom_controllers
-
-        built_in = [{"name": spec.name, "title": spec.title} for spec in PREDICTORS.values()]
-        return built_in + [{"name": name, "title": title} for name, title in custom_controllers()]
-    marker = {"aircraft": "vehicle.toml", "engines": "engine.toml"}[kind]
-    return [_entry(name, data_folder(kind) / name / marker) for name in names_in(kind, marker)]
-
-
-def _entry(name: str, path: Path) -> dict[str, Any]:
-    from cosim.base.storage.toml import read_toml
-
-    return {"name": name, "title": str(read_toml(path).get("title", ""))}

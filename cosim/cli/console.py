@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from shutil import get_terminal_size
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any, Self
 
-import click
-
-from cosim.api.call import Progress
+from cosim.api.call import Progress, Result
 from cosim.base.wording import printable, printable_line
 
 if TYPE_CHECKING:
@@ -107,14 +108,103 @@ class CommandProgress(Progress):
         self._show(part, done, of)
 
 
+class TerminalProgress(Progress):
+    """Shows a call on a terminal: notes on standard error, and a bar of how far it is and how long the rest takes.
+
+    Ctrl-C is answered in a line; ``goes_on`` is the command that goes on in the folder of the call.
+    """
+
+    def __init__(self, quiet: bool, goes_on: str | None = None, notes: str = "note") -> None:
+        self._notes = notes
+        self._is_shown = not quiet and sys.stderr is not None and sys.stderr.isatty()
+        self._goes_on = goes_on
+        self._bar: Bar | None = None
+        self._folder: Path | None = None
+        self._done = self._of = 0
+        self._is_concluding = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+            _bars.remove(self._bar)
+        if isinstance(error, KeyboardInterrupt) and self._goes_on is not None:
+            error.add_note(REPORTED)
+            echo(f"hexjet: stopped{self._describe_kept()}", err=True)
+
+    def _describe_kept(self) -> str:
+        if not self._of:
+            return " before the first flight"
+        kept = "what was flown is kept" if self._is_concluding else f"{self._done} of {self._of} flights are kept"
+        return f"; {kept}: {self._goes_on} {self._folder} --resume goes on"
+
+    def begin(self, folder: Path) -> None:
+        """Keep the folder."""
+        self._folder = folder
+
+    def note(self, text: str) -> None:
+        """Print it on standard error."""
+        with without_bars():
+            echo(f"hexjet: {self._notes}: {printable_line(text)}", err=True)
+
+    def update(self, part: str, done: int, of: int) -> None:
+        """Show how far the call is."""
+        self._is_concluding = done == of == 0
+        if not self._is_concluding:
+            self._done, self._of = done, of
+        if self._is_shown:
+            bar = self._bar = self._bar or self._start()
+            bar.update(bar.task_ids[0], description=printable(part), completed=done, total=of or None)
+
+    def _start(self) -> Bar:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
+
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        # The processor is for the flights.
+        bar = Bar(*columns, console=Console(stderr=True), transient=True, refresh_per_second=2)
+        bar.add_task("")
+        bar.start()
+        _bars.append(bar)
+        return bar
+
+
+REPORTED = "told"  # note of an interruption: the command has reported what is kept
+
+
+def show_result(result: Result) -> None:
+    """Print a result: its lines, its tables, and where its files are."""
+    from rich.markup import escape
+
+    first, *others = result.lines() or [""]
+    say(f"[bold]{escape(first)}[/bold]", marked=True)
+    for line in others:
+        say(line, wrap=" runs/" not in line)
+    for table in result.tables():
+        if table.title:
+            say(table.title)
+        right = [n for n in range(len(table.columns)) if _is_numeric([row[n] for row in table.rows if n < len(row)])]
+        show_table(table.columns, table.rows, right, plain=True, pad_edge=False)
+    for kind, path in sorted(result.files.items(), key=lambda each: each[0] == "report"):
+        say(f"{kind}: {path}", wrap=False)
+
+
+def _is_numeric(cells: Sequence[str]) -> bool:
+    """Whether the cells of a column are numbers, so far as they have anything in them."""
+    return all(re.match(r"[-+<>]?\s*\.?\d", cell) for cell in cells if cell.strip("- "))
+
+
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
     """Print a text as it is, but for control characters; ``err``: on standard error."""
-    click.echo(printable(text), err=err, nl=nl)
+    print(printable(text), file=sys.stderr if err else sys.stdout, end="\n" if nl else "", flush=True)
 
 
 def note(text: str) -> None:
     """Print a note on standard error."""
-    click.echo(f"hexjet: note: {printable_line(text)}", err=True)
+    echo(f"hexjet: note: {printable_line(text)}", err=True)
 
 
 def say(text: str, *, wrap: bool = True, marked: bool = False) -> None:
@@ -161,6 +251,29 @@ def show_table(
         table.add_row(*row)
     if table.row_count:
         terminal().print(table, **({"highlight": False, "markup": False} if plain else {}))
+
+
+def lay_out(
+    usage: str, about: str, sections: Mapping[str, Sequence[tuple[str, str]]], example: str = "",
+    width: int | None = None,
+) -> str:  # fmt: skip
+    """Return a help: usage, text, sections of names with meanings, example; ``width``: else the terminal's."""
+    wide = width or min(get_terminal_size((80, 24)).columns, 110)
+    lines = [*wrap(f"Usage: {usage}", wide, subsequent_indent="  "), ""]
+    for paragraph in about.split("\n\n"):
+        lines += [*wrap(paragraph, wide, initial_indent="  ", subsequent_indent="  "), ""]
+    for title, rows in sections.items():
+        if not rows:
+            continue
+        column = min(max(len(name) for name, _ in rows), 26) + 4
+        lines.append(f"{title}:")
+        for name, meaning in rows:
+            text = wrap(meaning, max(wide - column, 20), break_long_words=False, break_on_hyphens=False) or [""]
+            head = f"  {name:{column - 2}}"
+            lines += [f"  {name}"] if len(name) > column - 4 else [(head + text.pop(0)).rstrip()]
+            lines += [" " * column + line for line in text]
+        lines.append("")
+    return "\n".join([*lines, *([f"Example:\n  {example}"] if example else [])]).rstrip()
 
 
 def terminal() -> Any:

@@ -37,13 +37,26 @@ def list_engine_names() -> list[str]:
     return list_engines(data_folder("engines"))
 
 
-def build_engines(names: list[str] | None = None) -> list[Path]:
-    """Build the FMUs of the shipped engines, those up to date excepted, and return the paths of all.
+def build_engines(engines: list[str] | None = None) -> list[Path]:
+    """Build the FMUs of the shipped engines from their sources; those up to date are left alone.
 
-    Raises InputError if one cannot be built.
+    Parameters
+    ----------
+    engines : list of str or None
+        Names of engines; None: all.
+
+    Returns
+    -------
+    list of Path
+        The FMU of each.
+
+    Raises
+    ------
+    InputError
+        If one cannot be built.
     """
     try:
-        return build_all(data_folder("engines"), data_folder("fmus"), names)
+        return build_all(data_folder("engines"), data_folder("fmus"), engines)
     except BuildError as error:
         raise InputError(str(error)) from error
 

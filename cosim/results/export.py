@@ -41,7 +41,10 @@ def export_log(to: str, folder: Path, out: Path | None = None, **options: Any) -
     """
     path, run = log_path(to, folder if out is None else out), open_run(folder)
     if path.name in RUN_FILES and path.resolve().parent == folder.resolve():
-        is_log, copy = path.name == LOG, "the log is Parquet already; --out FILE makes a copy that says what was flown"
+        is_log, copy = (
+            path.name == LOG,
+            "the log is Parquet already; another file (out) is a copy that says what was flown",
+        )
         raise InputError(f"{path}: {copy if is_log else 'belongs to the run itself; choose another name'}")
     write = _OWN.get(to) or next(each for each in list_tools(GROUP) if each.name.partition(".")[0] == to).load()
     try:
@@ -62,7 +65,7 @@ def log_path(to: str, out: Path) -> Path:
     if out.is_dir() or not any(out.suffix.lower() in each for each in endings.values()):
         return out / f"flight{endings[to][0]}"
     if out.suffix.lower() not in endings[to]:
-        raise InputError(f"--out {out}: --to {to} writes {' or '.join(endings[to])}")
+        raise InputError(f"out: {out}: {to} writes {' or '.join(endings[to])}")
     return out
 
 

@@ -25,18 +25,35 @@ MODELS = """\
 """
 
 
-def new_aircraft(name: str, base: str, folder: Path) -> Path:
-    """Write and return ``vehicle.toml`` of an aircraft that flies as ``base``, a shipped one, does.
+def new_aircraft(name: str, base: str = "hexjet", out: str | Path | None = None) -> Path:
+    """Write the folder of an aircraft of your own, which flies as it is: a copy of one that is shipped.
 
-    ``folder`` is made if need be.  Raises InputError for a name that cannot be one, an unknown base, or a folder that
-    has an aircraft already or cannot be written.
+    Parameters
+    ----------
+    name : str
+        The new aircraft's name: letters, digits, - and _.
+    base : str
+        Name of a shipped aircraft.
+    out : str or Path or None
+        Made if need be; there must not be an aircraft in it. None: a folder of its name here.
+
+    Returns
+    -------
+    Path
+        The new ``vehicle.toml``.
+
+    Raises
+    ------
+    InputError
+        For a name that cannot be one, an unknown base, or a folder that is used or cannot be written.
     """
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
         raise InputError(f"{name!r} is no name for an aircraft: letters, digits, - and _, a letter or digit first")
     if name in aircraft_names():
         raise InputError(f"{name}: is the name of an aircraft that is shipped; choose another")
     if base not in aircraft_names():
-        raise InputError(f"base (--from) {base}: must be one that is shipped; {nearest(base, aircraft_names())}")
+        raise InputError(f"base: {base!r}: must be one that is shipped; {nearest(base, aircraft_names())}")
+    folder = Path(name if out is None else out)
     source = find_aircraft(base)
     original, path = load_vehicle(base)[0], folder / VEHICLE
     text = source.read_text(encoding="utf-8")
@@ -46,7 +63,7 @@ def new_aircraft(name: str, base: str, folder: Path) -> Path:
     text = text.replace(f'title = "{original.title}"', f'title = "{name}, begun as a copy of {base}"', 1)
     text = re.sub(r'^model = ".*"\n', "", text, flags=re.MULTILINE)
     if path.exists():
-        raise InputError(f"{path}: is there already; choose another name, or another folder with --out")
+        raise InputError(f"{path}: is there already; choose another name, or another folder (out)")
     with map_os_errors(InputError, path):
         folder.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")

@@ -7,8 +7,8 @@ from typing import Any
 
 from pilot_flights import Asked
 
+from cosim import fly
 from cosim.control.autopilot import requests as rq
-from cosim.flight import fly
 from cosim.results.autopilot.request_log import Entry
 from cosim.results.log.columns import log_columns, logged_vehicle
 from cosim.results.log.digest import DigestSink, log_digest

@@ -14,7 +14,6 @@ from cosim.commands import (
     FLIGHT_FAILED,
     CommandProgress,
     Flight,
-    Group,
     echo,
     example,
     load_scenario,
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
 _TITLES = {"px4": "PX4", "ardupilot": "ArduPilot"}
 
 
-@click.group(cls=Group)
+@click.group()
 def sitl() -> None:
     """Let an external autopilot fly the vehicle: a program of its own, in strict lockstep with the flight.
 

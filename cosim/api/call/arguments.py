@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import functools
-import inspect
 from collections.abc import Callable
 from math import inf, isfinite
 from pathlib import Path
 from types import UnionType
-from typing import Any, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin
 
 from cosim.base.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    import inspect
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -45,6 +47,8 @@ def checked(**limits: Limits) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
         @functools.wraps(call)
         def with_check(*arguments: P.args, **named: P.kwargs) -> R:
+            import inspect
+
             signature = inspect.signature(call)
             for name in named:
                 if name not in signature.parameters:
@@ -80,6 +84,8 @@ def _check_value(where: str, value: Any, limits: Limits | None) -> None:
 
 def _adapters(call: Callable[..., Any]) -> dict[str, Any]:
     """Return what checks each argument."""
+    import inspect
+
     from pydantic import InstanceOf, TypeAdapter
 
     def as_instances(hint: Any) -> Any:

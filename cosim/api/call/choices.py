@@ -45,18 +45,19 @@ def choose(
     settings: Sequence[str] | Mapping[str, object] = (),
     seed: int | None = None,
     note: Note = lambda text: None,
+    model: str | Path | None = None,
 ) -> Scenario:
     """Return the scenario with these choices written over it.  Raises InputError for a wrong one."""
     from cosim.spec.scenario import Scenario
 
     texts = tuple(as_settings(settings))
     engines = () if engine is None else (str(engine),) if isinstance(engine, (str, Path)) else tuple(engine)
-    if isinstance(scenario, Scenario) and not (texts or engines or controller or aircraft or seed is not None):
+    if isinstance(scenario, Scenario) and not (texts or engines or controller or aircraft or model or seed is not None):
         return scenario
     named = None if controller is None else str(controller)
     mention([*texts, *engines, named], Path())
-    vehicle = None if aircraft is None else str(aircraft)
-    return load_scenario(scenario, named, engines, seed, texts, aircraft=vehicle, note=note)
+    vehicle, models = None if aircraft is None else str(aircraft), None if model is None else Path(model)
+    return load_scenario(scenario, named, engines, seed, texts, models, vehicle, note)
 
 
 def load_scenario(
@@ -187,6 +188,27 @@ def aircraft_settings(aircraft: str | None) -> list[str]:
     engine = engine_of(aircraft)
     with_engine = [] if engine is None else [f"engine={json.dumps(engine)}"]
     return [f"aircraft={json.dumps(aircraft)}", *with_engine]
+
+
+def list_fmu_defects(*engines: str, folder: Path = Path(), isolated: bool | None = None) -> list[str]:
+    """Return what of a foreign FMU's description, seen from ``folder``, is not as FMI has it.
+
+    And what is risked where ``isolated``, of the scenario, or its mapping file has it fly in this process.
+    """
+    from cosim.spec.vehicle import is_file
+
+    lines = []
+    for engine in dict.fromkeys(engines):
+        if is_file(engine):
+            from cosim.engine import find_source
+            from cosim.engine.check import note_harmless_violations
+
+            source = find_source(engine, folder)
+            found = note_harmless_violations(source.archive)
+            if isolated is False or (isolated is None and source.mapping.isolated is False):
+                found.append("isolated = false: a crash or a hang of its library ends hexjet, and this flight's log")
+            lines += [f"{engine}: {line}" for line in found]
+    return lines
 
 
 def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:

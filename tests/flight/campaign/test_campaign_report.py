@@ -20,6 +20,7 @@ from patience import PATIENCE
 from scipy import stats
 from scipy.stats import qmc
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.campaign.analysis.figures import distribution, group_medians
 from cosim.campaign.analysis.page import make_page, write_campaign_report
@@ -65,7 +66,6 @@ from cosim.campaign.analysis.worst_cases import eccentricity, worst_flights, wri
 from cosim.campaign.store import Campaign
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.workers.flight_row import fly_one
-from cosim.flight import fly
 from cosim.results.log.arrow import read_table, write_table
 from cosim.results.log.digest import log_digest
 from cosim.results.report.page import figure_json

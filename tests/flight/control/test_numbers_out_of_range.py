@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from packed_columns import unpack
 
+from cosim import fly
 from cosim.base.errors import FlightError, InputError
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
-from cosim.flight import fly
 from cosim.results.report.signals_data import pack
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario

@@ -14,9 +14,9 @@ from long_cases import long_after
 from pilot_flights import Flight
 from places import ROOT
 
+from cosim.api.listing import catalogue
 from cosim.base.frames import from_euler
 from cosim.base.signals import Sample, Vector3
-from cosim.cli.results.runs import catalogue
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.guidance.descent import (
     CollectiveFloor,

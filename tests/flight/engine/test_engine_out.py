@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from places import DESIGNS, DOCS
 
+from cosim import fly
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.engine import make_bank
 from cosim.engine.wrappers import EngineChain
-from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import read_controller
 from cosim.simulation.engine_reference import make_engine_reference

@@ -17,13 +17,13 @@ from long_cases import long_case
 from places import DESIGNS, script
 from stated_figures import stated
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.base.signals import EngineOutput, PerJet, Sample
 from cosim.control.allocation.engine_monitor import EngineMonitor, EngineReference
 from cosim.engine import EngineBank, load_engine
 from cosim.engine.rundown import ELECTRIC, MODELLED, FlameOutLaw
 from cosim.engine.wrappers import EngineChain
-from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.simulation.controllers.source import Source

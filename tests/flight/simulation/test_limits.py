@@ -12,10 +12,10 @@ import pytest
 from command_tools import Hexjet
 from flights import STEP, setup
 
+from cosim import fly
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
-from cosim.flight import fly
 from cosim.results.limits import (
     ALTERNATING_PERCENT,
     AXIS_LIMITED,

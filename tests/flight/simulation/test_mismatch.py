@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.base.frames import cross
 from cosim.base.signals import EngineOutput
 from cosim.engine.rundown import MODELLED
 from cosim.engine.wrappers import EngineChain
-from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.simulation.engines import flown_engines, load_engines

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.control.autopilot.guidance.descent import height_limits, thrust_margins
 from cosim.control.autopilot.guidance.tracker import Tracker
-from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario

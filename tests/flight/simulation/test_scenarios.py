@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from long_cases import long_case
 
+from cosim import fly
 from cosim.base.errors import InputError
-from cosim.flight import fly
 from cosim.results.log.recorder import Log
 from cosim.spec.scenario import Initial, Scenario, scenario_names
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cosim import fly
 from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import (
     Ambient,
@@ -17,7 +18,6 @@ from cosim.base.signals import (
     Sample,
     Unallocated,
 )
-from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import sum_samples

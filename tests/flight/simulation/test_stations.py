@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 import cosim.simulation.engines
+from cosim import fly
 from cosim.api.call.choices import engine_choices
 from cosim.base.errors import InputError
 from cosim.base.signals import Sample
 from cosim.base.storage.paths import data_folder
 from cosim.cli.main import main
-from cosim.cli.options import load_scenario
+from cosim.cli.old.options import load_scenario
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap, invert
 from cosim.engine import EngineBank, EngineSource, load_engine
-from cosim.flight import fly
 from cosim.results.resolved_scenario import resolve
 from cosim.results.run import open_run
 from cosim.simulation.build import build

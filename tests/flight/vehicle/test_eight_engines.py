@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.base.signals import MOST_JETS
 from cosim.base.storage.paths import data_folder
@@ -19,7 +20,6 @@ from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
-from cosim.flight import fly
 from cosim.results.events import list_events
 from cosim.results.export import export_log
 from cosim.results.metrics import activity, fuel_burnt

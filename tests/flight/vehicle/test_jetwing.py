@@ -14,11 +14,11 @@ import pytest
 from places import ROOT
 from scipy.optimize import fsolve
 
+from cosim import fly
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Command, Measured
 from cosim.control.phases.wing import MOST_LEAD, WingFlight, WingTable
-from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Environment, Initial, Scenario

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from cosim.flight import fly
+from cosim import fly
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 

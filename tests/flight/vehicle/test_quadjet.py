@@ -7,7 +7,7 @@ from math import degrees
 import numpy as np
 from places import ROOT
 
-from cosim.flight import fly
+from cosim import fly
 from cosim.results.log.digest import log_digest
 from cosim.spec.scenario import Scenario
 

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.control.allocation.allocation import RotorAllocator
-from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle

@@ -9,10 +9,10 @@ import pytest
 from loads import acted
 from places import ROOT
 
+from cosim import fly
 from cosim.base.constants import GRAVITY
 from cosim.base.signals import ZERO3
 from cosim.control.allocation.effectiveness import EffectivenessAllocator
-from cosim.flight import fly
 from cosim.identify.sweep import identify_axis
 from cosim.simulation.axis_chain import compute_axis_fractions
 from cosim.simulation.build import build

@@ -15,22 +15,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from places import DESIGNS
 from state_space import Body, Loop, first_order
 from stored_designs import LINEAR, small_step, stored
 
-from cosim import open_run
+from cosim import fly, open_run
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml, toml_text
 from cosim.campaign.study.model_notes import design_warnings
 from cosim.campaign.study.options import open_study
-from cosim.cli.main import cli, main
+from cosim.cli.main import main
 from cosim.control.predictors.linear import model_response, observer_response
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.predictors.state import ModalPredictor, Modes, modal_observer
 from cosim.engine import load_engine
-from cosim.flight import fly
 from cosim.loops import (
     grid,
     impulse_response,
@@ -600,7 +598,7 @@ def test_a_file_whose_proof_failed_later_is_told(tmp_path: Path) -> None:
     assert list_differences(flown, path, noted=False) == []
 
 
-def test_a_file_without_a_proof_is_told(tmp_path: Path) -> None:
+def test_a_file_without_a_proof_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A run keeps it, as the flight again does, and a study says it before it flies: nobody else would know."""
     table = read_toml(DESIGNS / "edf-as-flown.toml")
     del table["design"]["proof"]
@@ -612,8 +610,9 @@ def test_a_file_without_a_proof_is_told(tmp_path: Path) -> None:
     assert NO_PROOF.startswith("has no proof flights: made with --no-proof")
     note = f"unproved.toml: {NO_PROOF}"
     arguments = ["fly", "roll-doublet", "--controller", str(path), "--set", "duration_s=0.1", "--out"]
-    said = CliRunner().invoke(cli, [*arguments, str(tmp_path / "run")])
-    assert note in " ".join(said.output.split())
+    with pytest.raises(SystemExit):
+        main([*arguments, str(tmp_path / "run")])
+    assert note in " ".join(capsys.readouterr().out.split())
     run = open_run(tmp_path / "run")
     assert note in run.summary.notes
     assert note in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from places import DESIGNS
 
+from cosim import fly
 from cosim.engine import list_engine_names
-from cosim.flight import fly
 from cosim.simulation.controllers.controller_file import apply_controller, read_controller
 from cosim.spec.vehicle import load_vehicle
 

@@ -12,11 +12,11 @@ import pytest
 from long_cases import long_after, long_case
 from places import ROOT
 
+from cosim import fly
 from cosim.base.arrays import Array
 from cosim.base.constants import GRAVITY
 from cosim.base.signals import AXES
 from cosim.engine import EngineSpec, load_engine, make_bank
-from cosim.flight import fly
 from cosim.simulation.axis_chain import compute_axis_fractions, compute_hinge_reactions, list_hinged_parts
 from cosim.simulation.build import build
 from cosim.simulation.controllers.allocators import make_effectiveness

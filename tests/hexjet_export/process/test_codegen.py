@@ -15,10 +15,10 @@ from exported_controllers import CASES, CC, HEXJET, LOOPS, STRICT, driven, made,
 from long_cases import long_after
 from places import DESIGNS, DOCS, TOOLS
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.cli.main import main
 from cosim.control.predictors.registry import PREDICTORS
-from cosim.flight import fly
 from cosim.simulation.build import build
 from hexjet_export.controller import measure
 from hexjet_export.controller.export import ExportedController, export_controller

@@ -18,8 +18,8 @@ import pytest
 from command_tools import Hexjet
 from engine_tools import Driven, driven, rewrite
 
+from cosim import fly
 from cosim.base.errors import InputError
-from cosim.flight import fly
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
 from hexjet_export.controller import measure

@@ -7,9 +7,9 @@ import pytest
 from places import ROOT
 from stated_figures import stated
 
+from cosim import fly
 from cosim.base.constants import GRAVITY
 from cosim.control.predictors.linear import model_response
-from cosim.flight import fly
 from cosim.results.report.marks import page_parts
 from cosim.spec.vehicle import load_vehicle
 from hexjet_paper import numbers, readings

@@ -23,9 +23,9 @@ from patience import PATIENCE
 from places import ROOT, TOOLS
 from pydantic import TypeAdapter
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.cli.main import main
-from cosim.flight import fly
 from cosim.loops import margins
 from cosim.results.report.marks import page_parts
 from cosim.results.report.page import figure_json

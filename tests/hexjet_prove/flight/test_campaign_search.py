@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
@@ -21,7 +22,6 @@ from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.cli.main import main
 from cosim.engine import load_engine
-from cosim.flight import fly
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 from hexjet_design.assessment import shipped_tuning

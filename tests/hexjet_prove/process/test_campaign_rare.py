@@ -14,13 +14,13 @@ import pytest
 from campaign_tools import windy, without_chance
 from click.testing import CliRunner
 
+from cosim import fly
 from cosim.base.errors import FlightError, InputError
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.flight_row import Row, fly_one
 from cosim.campaign.workers.local import LocalWorkers
-from cosim.flight import fly
 from cosim.results.log.arrow import read_table
 from cosim.results.log.digest import log_digest
 from cosim.spec.scenario import Scenario

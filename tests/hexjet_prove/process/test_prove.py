@@ -15,6 +15,7 @@ import pytest
 from command_tools import Done, Hexjet
 from places import DESIGNS, ROOT
 
+from cosim import fly
 from cosim.api.call.choices import choose
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
@@ -26,7 +27,6 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.flight_row import NOT_FLOWN, Row, failed_row, fly_one
 from cosim.cli.main import main
-from cosim.flight import fly
 from cosim.results.log.digest import log_digest
 from cosim.results.run import open_run
 from hexjet_prove.proof.prove import Request, conclude, fly_study, prove

@@ -15,9 +15,9 @@ from arducopter_standin import DEFAULTS, PLACE_S, TITLE, Radio, begin_log, insta
 from command_tools import Hexjet
 from patience import FLIGHT_PATIENCE, PATIENCE
 
+from cosim import fly
 from cosim.base.errors import FlightError, InputError
 from cosim.base.geodesy import Geodesy
-from cosim.flight import fly
 from cosim.results.run import Run, open_run
 from cosim.spec.scenario import Scenario
 from hexjet_identify.logs.dataflash import read_notes

@@ -11,8 +11,8 @@ from typing import Any
 from autopilot_standins import ArduPilotStandIn, Px4StandIn
 from patience import PATIENCE
 
+from cosim import fly
 from cosim.base.geodesy import Geodesy
-from cosim.flight import fly
 from cosim.spec.scenario import Scenario
 from hexjet_sitl.ardupilot import ArduPilot
 from hexjet_sitl.lockstep import Autopilot, Setup, StartTiming

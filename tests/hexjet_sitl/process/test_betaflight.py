@@ -17,11 +17,11 @@ from autopilot_standins import free_port
 from command_tools import Hexjet
 from stated_figures import stated
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import ZERO3, Sample
 from cosim.engine import load_engine
-from cosim.flight import fly
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from hexjet_design.assessment import margins

@@ -347,7 +347,7 @@ def test_a_terminal_shows_how_far_it_is(monkeypatch: pytest.MonkeyPatch, quiet: 
     """Done of all and successes by controller; what was flown in another session counts for no rate."""
     from cosim.api.studies import tell_tally
     from cosim.campaign.store import Tally
-    from cosim.cli.sweep import sweep_progress
+    from cosim.cli.console import TerminalProgress
 
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
@@ -357,7 +357,7 @@ def test_a_terminal_shows_how_far_it_is(monkeypatch: pytest.MonkeyPatch, quiet: 
     monkeypatch.setattr("sys.stderr", terminal)
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("TERM", "xterm")
-    with sweep_progress(quiet=quiet) as progress:
+    with TerminalProgress(quiet) as progress:
         tell = tell_tally(progress)
         for done in range(90, 101):
             tally.add("smith", done < 100, "completed")

@@ -20,6 +20,7 @@ from long_cases import long_after
 from patience import PATIENCE, stretched
 from places import TOOLS
 
+from cosim import fly
 from cosim.base.errors import FlightError, InputError
 from cosim.campaign.study.plan import Flight, flights, scenario_of
 from cosim.campaign.study.study import Study
@@ -27,7 +28,6 @@ from cosim.campaign.workers import local
 from cosim.campaign.workers.flight_row import Row, fly_one, kinds
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.campaign.workers.tasks import run_in_order
-from cosim.flight import fly
 from cosim.results.log.digest import log_digest
 
 
@@ -59,8 +59,8 @@ NEEDLESS = ("scipy.stats", "scipy.optimize", "pandas", "hexjet_sitl.prepare")
     "code",
     [
         "import cosim.campaign.workers.local",  # what a process does before its first flight
-        "from cosim.cli.main import cli; cli.main(['sweep', 'hover', '--vary', 'vehicle.mass_kg*=0.9:1.1', '--runs', '2', "
-        "'--set', 'duration_s=0.1', '--workers', '1', '--out', {out!r}], standalone_mode=False)",
+        "from cosim.cli.main import run; run(['sweep', 'hover', '--vary', 'vehicle.mass_kg*=0.9:1.1', '--runs', '2', "
+        "'--set', 'duration_s=0.1', '--workers', '1', '--out', {out!r}])",
     ],
 )
 def test_a_campaign_loads_nothing_that_takes_long_and_that_it_does_not_use(code: str, tmp_path: Path) -> None:

@@ -127,7 +127,7 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
         (["fly", "hover", "--set", "duration_s=true"], "duration_s = True: must be a number"),
         (["fly", "hover", "--set", "vehicle.name='a/b'"], "name = 'a/b'"),
         (["fly", "hover", "--seed", "-1"], "seed = -1"),
-        (["fly", "hover", "--seed", "x"], "'x' is not a valid integer"),
+        (["fly", "hover", "--seed", "x"], "--seed: 'x' is not a whole number"),
         (["fly", "hover", "--engine", "turbojet"], "needs an identified model of hexjet with engine 'turbojet'"),
         (["fly"], "Missing argument 'SCENARIO'"),
         (["fly", "hover", "--winds", "3"], "No such option"),

@@ -10,12 +10,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import click
 import pytest
 from command_tools import Hexjet
 from patience import PATIENCE
 
-from cosim.cli.main import cli
 from cosim.results.run import open_run
 
 HEXJET = [sys.executable, "-c", "from cosim.cli.start import main; main()"]
@@ -71,12 +69,9 @@ def hearing() -> Iterator[None]:
 
 @pytest.mark.usefixtures("hearing")
 def test_every_command_answers_sigterm_as_ctrl_c(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
-    def ask(number: signal.Signals) -> click.Command:
-        return click.Command("ask", callback=lambda: os.kill(os.getpid(), number))
-
     before = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)]
     for number, status in ((signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 143)):
-        monkeypatch.setattr(type(cli), "get_command", lambda group, context, name, number=number: ask(number))
+        monkeypatch.setattr("cosim.cli.main.run", lambda words, number=number: os.kill(os.getpid(), number))
         done = hexjet("ask")
         assert (done.status, done.out) == (status, "")
         assert done.err.strip() == "hexjet: stopped; what was written before is kept"
@@ -85,11 +80,7 @@ def test_every_command_answers_sigterm_as_ctrl_c(hexjet: Hexjet, monkeypatch: py
 
 def test_what_is_ignored_stays_ignored(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
     """As nohup asks for."""
-    monkeypatch.setattr(
-        type(cli),
-        "get_command",
-        lambda group, context, name: click.Command("ask", callback=lambda: os.kill(os.getpid(), signal.SIGHUP)),
-    )
+    monkeypatch.setattr("cosim.cli.main.run", lambda words: os.kill(os.getpid(), signal.SIGHUP) or 0)
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         assert hexjet("ask").status == 0

@@ -20,12 +20,13 @@ from known_benches import Truth, bench_log
 from patience import PATIENCE
 
 import cosim
+from cosim import fly
 from cosim.base import trust
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.campaign import open_campaign
 from cosim.cli.main import main
-from cosim.flight import fly, record
+from cosim.flight import record
 from cosim.results.run import LOG, REPORT, SUMMARY, open_run
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario

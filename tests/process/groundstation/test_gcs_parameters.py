@@ -13,11 +13,11 @@ import pytest
 from patience import PATIENCE
 from session_pilot import Pilot, flown
 
+from cosim import fly
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Mode
 from cosim.control.autopilot.parameters import Caution
 from cosim.control.autopilot.requests import Answer, Result
-from cosim.flight import fly
 from cosim.groundstation.exchange import Exchange, Restart
 from cosim.groundstation.session import RecordOptions, Session
 from cosim.results.autopilot.request_log import read_requests

@@ -21,11 +21,12 @@ import pytest
 from patience import PATIENCE
 from session_pilot import Pilot, flown
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Mode, Severity
 from cosim.control.autopilot.requests import Answer, Result
-from cosim.flight import fly, fly_watched
+from cosim.flight import fly_watched
 from cosim.groundstation.exchange import (
     SENDERS,
     WAITING_PER_SENDER,

@@ -13,13 +13,13 @@ from patience import PATIENCE
 from places import ROOT
 
 from benchmarks.measures.process import start_python
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.engine import IsolatedBank, check_fmu, load_engine
 from cosim.engine.make.controller_fmu import make_command
-from cosim.flight import fly
 from cosim.groundstation.mavlink.services.logs import LogStore
 from cosim.simulation.controllers.process import request_description
 from cosim.spec.scenario import Scenario

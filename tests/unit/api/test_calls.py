@@ -17,7 +17,6 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-import click
 import pytest
 from patience import PATIENCE
 from places import DOCS, ROOT
@@ -26,8 +25,8 @@ import cosim
 from cosim import InputError
 from cosim.api import Progress, Result
 from cosim.base.errors import Notice
-from cosim.cli.main import cli
-from cosim.cli.results.show import show as show_command
+from cosim.cli import table
+from cosim.cli.main import run as run_command
 from cosim.spec.scenario import Scenario
 from cosim.spec.scenario.changes import Changes
 from hexjet_prove.surveys.failsafes import WINDS_M_S
@@ -134,7 +133,6 @@ OTHERWISE = {"inertia_tolerance": "inertia", "mass_tolerance": "mass", "thrust_t
         ("hexjet_prove.api.searches:search", "hexjet_prove.command.searches:Search", 1.0),
         ("hexjet_prove.api.searches:rare", "hexjet_prove.command.searches:Rare", 1.0),
         ("hexjet_prove.api.prove:prove", "hexjet_prove.command.prove:Prove", 1.0),
-        ("api.identify:identify", "cli.controllers.identify:SweptEngine", 1.0),
         ("hexjet_prove.api.surveys:failsafes", "hexjet_prove.command.surveys:FailsafeOptions", 1.0),
         ("hexjet_prove.api.surveys:faults", "hexjet_prove.command.surveys:Faults", 1.0),
         ("hexjet_identify.api.replay:replay", "hexjet_identify.commands.replay:Replayed", 0.01),
@@ -188,7 +186,7 @@ def test_a_package_that_is_called_stays_a_package() -> None:
 
 def test_what_is_shown_is_what_the_command_prints(capsys: pytest.CaptureFixture[str]) -> None:
     shown = cosim.show("roll-doublet")
-    show_command.main(["roll-doublet", "--json"], standalone_mode=False)
+    run_command(["show", "roll-doublet", "--json"])
     assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(shown.to_list()))
     assert str(shown).startswith("roll-doublet, scenario: ")
     assert "<td>duration_s</td>" in shown._repr_html_()
@@ -300,12 +298,8 @@ def test_an_example_imports_what_is_public(path: Path) -> None:
 
 def test_the_page_has_the_function_of_every_command_or_says_why_there_is_none() -> None:
     page = re.sub(r"```.*?```", "", (DOCS / "python.md").read_text(encoding="utf-8"), flags=re.DOTALL)
-    context = click.Context(cli)
-    names = set(cli.list_commands(context))
-    for group in ("aircraft", "fmu"):
-        found = cli.get_command(context, group)
-        assert isinstance(found, click.Group)
-        names = names - {group} | {f"{group} {name}" for name in found.commands}
+    names = {name for name in table.list_names() if name.partition(" ")[0] in ("aircraft", "fmu")}
+    names |= {name.partition(" ")[0] for name in table.list_names()} - {"aircraft", "fmu"}
     named = re.findall(r"`([^`]+)`", page)
     assert [name for name in sorted(names) if not any(each.split("(")[0].startswith(name) for each in named)] == []
     functions = {name for name in cosim.__all__ if inspect.isroutine(getattr(cosim, name))} - {

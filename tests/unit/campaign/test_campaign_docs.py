@@ -9,7 +9,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 import pytest
 from places import ROOT, script
@@ -18,7 +17,7 @@ from cosim.campaign import folder
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study, study_names
-from cosim.cli.main import cli
+from cosim.cli import table
 from cosim.results.report.marks import page_parts
 from hexjet_prove.proof.design_study import design_study, find_design
 from hexjet_prove.search import folder as searches
@@ -38,11 +37,10 @@ OF_A_SWEEP = ("vary", "correlate", "success", "settings", "controllers", "design
 OF_ONE_KEY = ("over", "tolerance", "share")
 
 
-def parsed(words: list[str]) -> click.Context:
-    """The command that these words are, not run."""
-    name, command, rest = cli.resolve_command(click.Context(cli), list(words))
-    assert command is not None
-    return command.make_context(name, list(rest))
+def parsed(words: list[str]) -> dict[str, Any]:
+    """The arguments of the command that these words are, not run."""
+    name, rest = table.find(words)
+    return table.load(name).read(rest)
 
 
 def test_there_is_something_to_read() -> None:
@@ -54,11 +52,11 @@ def test_there_is_something_to_read() -> None:
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_a_command_is_one(words: list[str]) -> None:
     """Its options exist, and what it asks for can be flown; folders and files of the reader's own are left alone."""
-    options = parsed(words).params
+    options = parsed(words)
     name = str(options.get("name", ""))
     flown = words[0] == "sweep" and "--keys" not in words
     if flown and not name.startswith("runs/") and not {"mine.toml", "fitted/engine.toml"} & set(words):
-        open_study(name, **{option: options[option] for option in OF_A_SWEEP if options[option]})
+        open_study(name, **{option: options[option] for option in OF_A_SWEEP if options.get(option)})
     if words[0] == "search":
         elsewhere = (
             "workers",

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import split_key
 from cosim.campaign.study.key import Key
 from cosim.campaign.study.keys import all_keys, find_key, matching, with_values
-from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario, scenario_names
 from cosim.spec.vehicle import load_vehicle

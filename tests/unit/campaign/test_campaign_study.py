@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim.api.show import catalogue
+from cosim.api.listing import catalogue
 from cosim.base.errors import InputError
 from cosim.campaign.study.distributions import (
     LogNormal,

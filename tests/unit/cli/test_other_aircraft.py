@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.cli.options import load_scenario
+from cosim.cli.old.options import load_scenario
 from cosim.simulation.build import build
 from hexjet_export.controller.form import make_form
 

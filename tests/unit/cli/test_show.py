@@ -9,18 +9,18 @@ from typing import Any
 import pytest
 
 from cosim import fly
-from cosim.api.show import _file_rows, _table, catalogue
+from cosim.api.listing import catalogue
+from cosim.api.show import _file_rows, _table
 from cosim.base.errors import InputError
 from cosim.base.storage.toml import read_toml
-from cosim.cli.flight.fly import _print_checked
-from cosim.cli.results.show import show
+from cosim.cli.main import run
 from cosim.spec.new_aircraft import new_aircraft
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 
 
 def shown(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[dict[str, Any]]:
-    assert show.main([*arguments, "--json"], standalone_mode=False) == 0
+    assert run(["show", *arguments, "--json"]) == 0
     found: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
     return found
 
@@ -64,7 +64,7 @@ def test_an_engine_and_a_scenario(capsys: pytest.CaptureFixture[str]) -> None:
     assert {"name": "duration_s", "value": 15.0, "unit": "s", "meaning": "planned length of the flight"} in gust[
         "numbers"
     ]
-    assert show.main(["gust"], standalone_mode=False) == 0
+    assert run(["show", "gust"]) == 0
     assert "velocity_ned_m_s=[0, 8, 0]" in " ".join(capsys.readouterr().out.split())
 
 
@@ -78,7 +78,7 @@ def test_every_controller_and_a_name_that_there_is_not(capsys: pytest.CaptureFix
     for entry in catalogue("controllers"):
         assert shown(capsys, entry["name"])[0]["kind"] == "controllers"
     with pytest.raises(InputError, match="called 'gusty'; did you mean 'gust'") as complaint:
-        show.main(["gusty"], standalone_mode=False)
+        run(["show", "gusty"])
     assert "hexjet list" in str(complaint.value)
 
 
@@ -107,7 +107,7 @@ def test_another_file_is_no_design(name: str, tmp_path: Path, monkeypatch: pytes
     (tmp_path / "scenarios" / "hover.toml").write_text('name = "hover"\n')
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"cannot be shown|nothing is called"):
-        show.main([name], standalone_mode=False)
+        run(["show", name])
 
 
 def test_a_run_shows_what_fly_printed_and_by_how_much_its_limits_were_kept(
@@ -117,7 +117,7 @@ def test_a_run_shows_what_fly_printed_and_by_how_much_its_limits_were_kept(
     folder = tmp_path / "run"
     scenario = Scenario.load("roll-doublet").replace(duration_s=6.0, expect=[])
     summary = fly(scenario, folder).summary
-    assert show.main([str(folder)], standalone_mode=False) == 0
+    assert run(["show", str(folder)]) == 0
     printed = capsys.readouterr().out
     assert max(len(line) for line in printed.splitlines() if not line.startswith("report: ")) <= 80
     rows = [line.split() for line in printed.partition(" limit or expectation")[2].splitlines()]
@@ -135,18 +135,7 @@ def test_a_run_shows_what_fly_printed_and_by_how_much_its_limits_were_kept(
     with pytest.raises(
         InputError, match=r"summary.json: cannot be shown; allowed: a name of hexjet list, the folder of a run"
     ):
-        show.main([str(folder / "summary.json")], standalone_mode=False)
-
-
-def test_a_limit_alone_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    summary = fly(Scenario.load("hover").replace(duration_s=1.0, expect=[])).summary
-    (lonely,) = [result for result in summary.requirements if result.name == "speed.max_m_s"]
-    _print_checked(summary.model_copy(update={"requirements": [lonely]}))
-    line = f"limit: largest ground speed ≤ {summary.limits['speed.max_m_s']:.4g} m/s: margin {lonely.margin:.4g} m/s, "
-    assert capsys.readouterr().out.startswith(line + "decided at ")
-    lost = summary.model_copy(update={"outcome": "crashed"})
-    _print_checked(lost)
-    assert capsys.readouterr().out == ""
+        run(["show", str(folder / "summary.json")])
 
 
 @pytest.mark.parametrize(
@@ -164,7 +153,7 @@ def test_what_cannot_be_shown_is_answered_with_what_can(
         (tmp_path / each).mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError) as refused:
-        show.main([name], standalone_mode=False)
+        run(["show", name])
     assert str(refused.value).startswith(line)
 
 

@@ -10,14 +10,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import click
 import pytest
 from command_tools import Hexjet
 from places import ROOT, TESTS
 
 from cosim.base.wording import printable_line
 from cosim.cli import main as command
-from cosim.cli.flight.fly import print_run
+from cosim.commands import print_run
 from cosim.results.run import open_run
 from hexjet_design.command import fly_command
 
@@ -50,10 +49,10 @@ def test_without_a_width_a_pipe_has_one(monkeypatch: pytest.MonkeyPatch, capsys:
 def test_a_process_without_memory_ends_in_a_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(**_: object) -> None:
+    def fail(words: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(command.cli, "main", fail)
+    monkeypatch.setattr(command, "run", fail)
     with pytest.raises(SystemExit) as end:
         command.main([])
     assert end.value.code == 1
@@ -63,7 +62,7 @@ def test_a_process_without_memory_ends_in_a_line(
 def test_a_terminal_without_the_signs_and_one_that_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     poor = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr(sys, "stdout", poor)
-    monkeypatch.setattr(command.cli, "main", lambda **_: print_run(open_run(RUN)))
+    monkeypatch.setattr(command, "run", lambda words: print_run(open_run(RUN)) or 0)
     with pytest.raises(SystemExit) as end:
         command.main([])
     assert end.value.code == 0
@@ -76,9 +75,9 @@ def test_a_terminal_without_the_signs_and_one_that_is_closed(monkeypatch: pytest
 def test_who_stops_reading_makes_no_failure() -> None:
     """``hexjet ... | head -1`` ends with 0."""
     script = (
-        "from cosim.cli import main as m; import click\n"
-        "@click.command()\ndef lines():\n    for k in range(100000): click.echo('line')\n"
-        "m.cli = lines; m.main([])"
+        "from cosim.cli import main as m\n"
+        "m.run = lambda words: [m.echo('line') for k in range(100000)] and 0\n"
+        "m.main([])"
     )
     reading = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE)
     assert reading.stdout is not None
@@ -87,14 +86,11 @@ def test_who_stops_reading_makes_no_failure() -> None:
     assert reading.wait() == 0
 
 
-@pytest.mark.parametrize("raised", [KeyboardInterrupt(), click.Abort()])
-def test_ctrl_c_is_answered_in_a_line(
-    raised: BaseException, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def stopped(**_: object) -> None:
-        raise raised
+def test_ctrl_c_is_answered_in_a_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def stopped(words: object) -> None:
+        raise KeyboardInterrupt
 
-    monkeypatch.setattr(command.cli, "main", stopped)
+    monkeypatch.setattr(command, "run", stopped)
     with pytest.raises(SystemExit) as end:
         command.main([])
     assert (end.value.code, capsys.readouterr().err) == (130, "hexjet: stopped; what was written before is kept\n")
@@ -165,5 +161,5 @@ def test_one_module_of_the_command_line_prints() -> None:
     """It takes the control characters out."""
     for path in (ROOT / "cosim" / "cli").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
-        printers = re.findall(r"click\.echo\(|(?<![\w.])print\((?!f\"\\r|\"\\r)", text)
+        printers = re.findall(r"(?<![\w.])print\((?!f\"\\r|\"\\r)", text)
         assert not printers or path.name == "console.py", path

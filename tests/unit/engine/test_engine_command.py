@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from engine_tools import STEP, Array, Driven, archive, driven
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.engine import build_engines, load_engine
-from cosim.flight import fly
 from cosim.spec.scenario import Scenario
 
 LIMITED = ["p220", "p220-2025", "turbine-20", "turbine-100", "turbine-220"]

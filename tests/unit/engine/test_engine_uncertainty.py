@@ -12,7 +12,7 @@ import pytest
 from engine_tools import archive
 
 from cosim.base.errors import InputError
-from cosim.cli.results.show import show
+from cosim.cli.main import run as run_command
 from cosim.engine import load_engine
 from cosim.engine.fmu.uncertainty import CUT, lower_factor, without_uncertainty
 from cosim.engine.source import find_source
@@ -125,7 +125,7 @@ def test_the_table_is_no_part_of_the_engine_however_it_is_written(written: str, 
 
 
 def test_show_prints_a_mapping_file_with_its_uncertainty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert show.main([str(mapping(tmp_path)), "--json"], standalone_mode=False) == 0
+    assert run_command(["show", str(mapping(tmp_path)), "--json"]) == 0
     (engine,) = json.loads(capsys.readouterr().out)
     rows = {number["name"]: number for number in engine["numbers"]}
     assert engine["description"] == "uncertainty: bench.csv: 6 steps"

@@ -13,11 +13,11 @@ import pytest
 from mavlink_tools import snapshot
 from pyulog import ULog
 
+from cosim import fly
 from cosim.base.frames import to_euler
 from cosim.base.geodesy import Geodesy
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.requests import Answer, Result
-from cosim.flight import fly
 from cosim.groundstation.mavlink.streams import STREAMS
 from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState, VehicleConstants
 from cosim.groundstation.session import make_ground_scenario

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.flight import fly
+from cosim import fly
 from cosim.groundstation.exchange import Exchange
 from cosim.groundstation.session import RecordOptions, Session
 from cosim.groundstation.session_flight import estimate_hourly_mb

@@ -18,8 +18,8 @@ from mavlink_bench import Bench, ReadyStore, Station
 from patience import PATIENCE
 from pyulog import ULog
 
+from cosim import fly
 from cosim.control.autopilot.parameters import Parameters, table
-from cosim.flight import fly
 from cosim.groundstation.mavlink.services.ftp import (
     BURST_LENGTH,
     SESSIONS,

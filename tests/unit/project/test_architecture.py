@@ -303,7 +303,7 @@ def test_an_import_stays_light(module: str) -> None:
     "script",
     [
         "from cosim import fly",
-        "from cosim.cli.main import cli; cli.main(['--help'], 'hexjet', standalone_mode=False)",
+        "from cosim.cli.main import run; run(['--help'])",
     ],
 )
 def test_what_only_names_a_flight_loads_no_model(script: str) -> None:

@@ -14,11 +14,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import click
 import pytest
 from places import DOCS, ROOT
 
-from cosim.cli.main import COMMANDS, cli
+from cosim.cli import table
 from cosim.results.log.columns import log_columns
 from cosim.results.metrics import metric_names
 from cosim.spec.scenario import Scenario
@@ -41,28 +40,13 @@ def made(reference: dict[str, Any]) -> dict[str, str]:
 # --- the reference has everything -------------------------------------------------------------------------------------
 
 
-def below(command: click.Command, path: str) -> Iterator[tuple[str, click.Command]]:
-    """Every command of the tree, read from click itself."""
-    if isinstance(command, click.Group):
-        context = click.Context(command)
-        for name in command.list_commands(context):
-            found = command.get_command(context, name)
-            assert found is not None
-            yield f"{path} {name}", found
-            yield from below(found, f"{path} {name}")
-
-
 def test_every_command_with_every_option(made: dict[str, str]) -> None:
     page = made["commands.md"]
-    parts = dict(re.findall(r"^## (hexjet [\w -]+)\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL))
-    found = dict(below(cli, "hexjet"))
-    assert set(parts) == set(found)
-    assert set(COMMANDS) <= {path.split()[1] for path in parts}
-    for path, command in found.items():
-        for parameter in command.params:
-            if isinstance(parameter, click.Option) and not parameter.hidden:
-                assert all(opt in parts[path] for opt in parameter.opts), (path, parameter.name)
-                assert (parameter.help or "").strip(), (path, parameter.name)
+    parts = dict(re.findall(r"^## hexjet ([\w -]+)\n(.*?)(?=^## |\Z)", page, re.MULTILINE | re.DOTALL))
+    assert list(parts) == table.list_names()
+    for name, part in parts.items():
+        for option in getattr(table.load(name), "rows", ()):
+            assert f"`{option.label}".replace("|", "\\|") in part, (name, option.label)
 
 
 @pytest.mark.parametrize("model", ["Scenario", "Vehicle", "Study", "MappingFile", "ControllerFile"])
@@ -192,22 +176,14 @@ def test_the_pages_that_open_in_place_are_made_and_shown(website: dict[str, Any]
 # --- the tutorial -----------------------------------------------------------------------------------------------------
 
 
-def test_the_commands_of_the_tutorial_exist(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every one with its options, as click reads them; nothing is flown."""
+def test_the_commands_of_the_tutorial_exist() -> None:
+    """Every one with its options, as the command line reads them; nothing is flown."""
     lines = re.findall(r"^hexjet .*$", (DOCS / "tutorial.md").read_text(encoding="utf-8"), re.MULTILINE)
     commands = [command for line in lines for command in line.split(" && ")]
     assert len(commands) > 8
     for line in commands:
-        name, *arguments = shlex.split(line, comments=True)[1:]
-        command: click.Command | None = cli.get_command(click.Context(cli), name)
-        assert command is not None, line
-        while isinstance(command, click.Group):
-            command, arguments = command.get_command(click.Context(command), arguments[0]), arguments[1:]
-            assert command is not None, line
-        for parameter in command.params:  # a file need not be there yet
-            if isinstance(parameter.type, click.Path):
-                monkeypatch.setattr(parameter.type, "exists", False)
-        command.make_context(name, arguments)
+        name, words = table.find(shlex.split(line, comments=True)[1:])
+        table.load(name).read(words)
 
 
 @pytest.mark.long

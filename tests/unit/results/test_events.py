@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
-from cosim.flight import fly
+from cosim import fly
 from cosim.results.events import (
     find_contacts,
     find_disturbances,

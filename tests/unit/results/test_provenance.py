@@ -7,11 +7,10 @@ from hashlib import sha256
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 from cosim import InputError, Scenario, Stepper, fly, open_run
 from cosim.campaign.study.keys import with_values
-from cosim.cli.main import cli
+from cosim.cli.main import run as run_command
 from cosim.flight import opened
 from cosim.results.report.comparison import compare_report, run_labels
 from cosim.shelf.index import read_entry
@@ -31,17 +30,19 @@ def design(tmp_path: Path) -> Path:
 
 
 @pytest.mark.unit
-def test_a_run_names_its_design_everywhere_and_flies_again_alone(design: Path, tmp_path: Path) -> None:
+def test_a_run_names_its_design_everywhere_and_flies_again_alone(
+    design: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "run"
     arguments = ["fly", "roll-doublet", "--controller", str(design), "--set", "duration_s=0.2", "--out", str(out)]
-    said = CliRunner().invoke(cli, arguments)
+    run_command(arguments)
     run = open_run(out)
     (given,) = run.summary.parameter_files
     assert (given.kind, given.file, given.changed) == ("design", "my-design.toml", ())
     assert (out / "my-design.toml").read_bytes() == design.read_bytes()
     name = f"my-design {given.sha256[:8]} (state-disturbance)"
     assert run.summary.controller_shown == name
-    assert f"controller {name}" in " ".join(said.output.split())
+    assert f"controller {name}" in " ".join(capsys.readouterr().out.split())
     assert given.sha256 in (out / "scenario.toml").read_text()
     assert given.sha256 in (out / "report.html").read_text()
     assert read_entry(out).details["controller"] == name
@@ -160,9 +161,7 @@ def test_models_from_a_file_are_recorded(tmp_path: Path) -> None:
     stated = load_vehicle("hexjet")[0].model_dump(mode="json", exclude_none=True)["identified"]
     model, out = tmp_path / "model.toml", tmp_path / "run"
     model.write_bytes(toml_text({"identified": stated}).encode())
-    CliRunner().invoke(
-        cli, ["fly", "roll-doublet", "--model", str(model), "--set", "duration_s=0.2", "--out", str(out)]
-    )
+    run_command(["fly", "roll-doublet", "--model", str(model), "--set", "duration_s=0.2", "--out", str(out)])
     summary = open_run(out).summary
     assert [(given.kind, given.file, given.changed) for given in summary.parameter_files] == [
         ("models", "model.toml", ())

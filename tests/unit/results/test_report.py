@@ -18,13 +18,12 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects
 import pytest
-from click.testing import CliRunner
 from flights import STEP, samples, scenario, setup
 from packed_columns import unpack
 
+from cosim.api.flights import report
 from cosim.base.errors import FlightError, InputError
 from cosim.base.signals import Command, Sample
-from cosim.cli.results.runs import report
 from cosim.flight import with_page
 from cosim.results.comparison import ComparedFlight
 from cosim.results.log.columns import NAMES
@@ -197,9 +196,9 @@ def test_what_draws_pages_is_written_once_beside_the_folders_of_runs(run: Run, t
 
 def test_the_page_of_a_campaign_shares_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cosim.campaign.folder.is_campaign", lambda folder: True)
-    said = CliRunner().invoke(report, [str(tmp_path), "--shared-assets"])
-    assert isinstance(said.exception, InputError)
-    assert str(said.exception) == f"--shared-assets: {tmp_path} is a campaign, whose page has all in it; leave it out"
+    with pytest.raises(InputError) as refused:
+        report(tmp_path, shared_assets=True)
+    assert str(refused.value) == f"shared_assets: {tmp_path} is a campaign, whose page has all in it; leave it out"
 
 
 def test_a_figure_plotly_would_not_accept_is_noticed() -> None:

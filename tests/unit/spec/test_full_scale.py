@@ -10,20 +10,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from loads import acted
 from places import DESIGNS
 from scipy.spatial.transform import Rotation
 
+from cosim import fly
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import jet_axis
 from cosim.base.signals import ZERO3, Disturbance, State
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
-from cosim.cli.main import cli
-from cosim.cli.options import load_scenario
-from cosim.flight import fly
+from cosim.cli.main import run
+from cosim.cli.old.options import load_scenario
 from cosim.results.expectations import check_expected, find_expectation
 from cosim.simulation.build import build
 from cosim.spec.scaling import _LAW, length_scale, scale_vehicle
@@ -330,12 +329,11 @@ def test_a_copy_may_state_its_own(name: str) -> None:
     assert (folder / vehicle.model).resolve() == (data_folder("aircraft") / "hexjet" / BASE.model).resolve()
 
 
-def test_an_aircraft_is_named_on_the_command_line(tmp_path: Path) -> None:
+def test_an_aircraft_is_named_on_the_command_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """With the engine it is made for; what the scenario expects of another aircraft is not asked of it."""
     arguments = ["fly", "hover", "--aircraft", "hexjet-p220", "--controller", "baseline", "--json"]
-    answer = CliRunner().invoke(cli, [*arguments, "--out", str(tmp_path / "run")])
-    assert answer.exit_code == 0, answer.output
-    summary = json.loads(answer.stdout)
+    assert run([*arguments, "--out", str(tmp_path / "run")]) == 0
+    summary = json.loads(capfd.readouterr().out)
     assert (summary["aircraft"], summary["engine"]) == ("hexjet-p220", "p220")
     assert summary["expectations_met"] is None
     assert Scenario.load(tmp_path / "run" / "scenario.toml").aircraft == "hexjet-p220"

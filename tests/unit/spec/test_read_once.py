@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.base.storage import toml
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights
 from cosim.campaign.workers.flight_row import fly_one
-from cosim.flight import fly
 from cosim.results.run import open_run
 from cosim.spec.scenario import Scenario
 from cosim.spec.scenario import scenario as scenario_file

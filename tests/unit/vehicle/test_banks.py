@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from loads import acted
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.base.signals import (
     ZERO3,
@@ -17,7 +18,6 @@ from cosim.base.signals import (
     Vector3,
 )
 from cosim.engine import load_engine
-from cosim.flight import fly
 from cosim.identify.sweep import identify_axis
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle

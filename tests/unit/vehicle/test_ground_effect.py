@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from loads import acted
 
+from cosim import fly
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
-from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.spec.scaling import scale_vehicle
 from cosim.spec.scenario import Scenario

@@ -13,12 +13,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import cosim.engine.isolated
+from cosim import fly
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import jet_axis
 from cosim.base.signals import ZERO3, Ambient, Disturbance, EngineOutput, PerJet, Sample, Vector3
 from cosim.engine import EngineBank
-from cosim.flight import fly
 from cosim.simulation.build import build
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Environment, Initial, Scenario

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cosim.cli.sweep import FLEET, CampaignOptions, sweep_progress
+from cosim.cli.old.sweep import FLEET, CampaignOptions, sweep_progress
 from cosim.commands import DONE, FLIGHT_FAILED, example, opt, output_to_stderr, say, show_table
 
 if TYPE_CHECKING:

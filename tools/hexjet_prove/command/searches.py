@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from cosim.cli.sweep import AIRCRAFT, ENGINE, JSON, METRICS, WIND, WORKERS, CampaignOptions, report_interruption
+from cosim.cli.old.sweep import AIRCRAFT, ENGINE, JSON, METRICS, WIND, WORKERS, CampaignOptions, report_interruption
 from cosim.commands import (
     DONE,
     FLIGHT_FAILED,

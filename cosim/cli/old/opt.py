@@ -12,9 +12,8 @@ from typing import Any, NamedTuple, TypeVar, cast, overload
 import click
 
 from cosim.base.errors import nearest
-from cosim.cli.complete import complete_by
 from cosim.cli.console import echo
-from cosim.cli.outputs import Out
+from cosim.cli.old.outputs import Out
 
 T = TypeVar("T")
 
@@ -187,8 +186,7 @@ def takes(record: type[R]) -> Callable[[Callable[[R], int]], Callable[..., int]]
             return command(record(**values))
 
         for field, declared in reversed(record.options().items()):
-            attributes = complete_by(field, declared.names) | declared.attributes
-            call = declared.declare(field, *declared.names, **attributes)(call)
+            call = declared.declare(field, *declared.names, **declared.attributes)(call)
         return call
 
     return with_options

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from cosim.base.wording import printable
-from cosim.cli import opt
 from cosim.cli.console import echo, note, output_to_stderr
-from cosim.cli.options import DONE, FLIGHT_FAILED, Flight, example
+from cosim.cli.old import opt
+from cosim.cli.old.options import DONE, FLIGHT_FAILED, Flight, example
 
 if TYPE_CHECKING:
     from cosim.groundstation.links import Links

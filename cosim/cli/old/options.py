@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,39 +10,13 @@ from click.core import ParameterSource
 
 from cosim.api.call import choices
 from cosim.base.errors import InputError
-from cosim.cli import opt
 from cosim.cli.console import echo, note
+from cosim.cli.old import opt
 
 if TYPE_CHECKING:
     from cosim.spec.scenario import Scenario
 
 DONE, FLIGHT_FAILED, WRONG_INPUT = 0, 1, 2
-
-
-REPORTED = "told"  # note of an interruption: the command has reported what is kept
-
-
-class Terminated(KeyboardInterrupt):
-    """SIGTERM, by which a batch system or a service manager asks a process to end."""
-
-
-@contextmanager
-def treat_sigterm_as_interrupt() -> Iterator[None]:
-    """Answer SIGTERM, and the end of the terminal (SIGHUP), as Ctrl-C is answered; not what is ignored (nohup)."""
-
-    def end(number: int, frame: object) -> None:
-        raise Terminated
-
-    handlers = {}
-    if threading.current_thread() is threading.main_thread():  # only the main thread may set signal handlers
-        for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):  # not every system has the second
-            if signal.getsignal(number) is not signal.SIG_IGN:
-                handlers[number] = signal.signal(number, end)
-    try:
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
 
 
 def example(text: str) -> str:
@@ -98,23 +68,9 @@ def refuse_others(why: str, *allowed: str) -> None:
 
 
 def warn_of_fmu_defects(*engines: str, folder: Path = Path(), isolated: bool | None = None) -> None:
-    """Tell on standard error what of a foreign FMU's description, seen from ``folder``, is not as FMI has it.
-
-    And what is risked where ``isolated``, of the scenario, or its mapping file has it fly in this process.
-    """
-    from cosim.spec.vehicle import is_file
-
-    for engine in dict.fromkeys(engines):
-        if is_file(engine):
-            from cosim.engine import find_source
-            from cosim.engine.check import note_harmless_violations
-
-            source = find_source(engine, folder)
-            lines = note_harmless_violations(source.archive)
-            if isolated is False or (isolated is None and source.mapping.isolated is False):
-                lines.append("isolated = false: a crash or a hang of its library ends hexjet, and this flight's log")
-            for line in lines:
-                echo(f"hexjet: warning: {engine}: {line}", err=True)
+    """Tell on standard error what of a foreign FMU's description, seen from ``folder``, is not as FMI has it."""
+    for line in choices.list_fmu_defects(*engines, folder=folder, isolated=isolated):
+        echo(f"hexjet: warning: {line}", err=True)
 
 
 def load_scenario(

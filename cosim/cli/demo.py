@@ -5,13 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from cosim.base.errors import FlightError, InputError
-from cosim.cli.console import echo
-from cosim.cli.flight.fly import print_metrics
-from cosim.flight import fly_watched as fly
+from cosim import FlightError, InputError, Scenario, compare, fly
+from cosim.cli.console import echo, show_result
 from cosim.flight import new_folder
-from cosim.results.report.comparison import compare_report
-from cosim.spec.scenario import Scenario
 
 
 def main() -> int:
@@ -24,10 +20,7 @@ def main() -> int:
         run = fly(scenario.replace(controller=controller), folder / controller)
         echo(f"{controller:9} {run.summary.ending} ({run.summary.realtime_factor:.0f} x real time)")
         runs.append(run)
-    print_metrics(runs, by="controller")
-    path = folder / "comparison.html"
-    compare_report(runs, path)
-    echo(f"Comparison: {path}")
+    show_result(compare(*runs, out=folder))
     for run in runs:
         echo(f"{run.summary.controller:10}: {run.folder}/report.html")
     return 0 if runs[1].summary.expectations_met else 1

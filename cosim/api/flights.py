@@ -1,0 +1,323 @@
+"""One flight: what ``hexjet fly`` calls, and what it comes to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cosim.api.call.result import Progress, Result, Table
+from cosim.base.errors import InputError, notify
+
+if TYPE_CHECKING:
+    from cosim.base.protocols import Observer
+    from cosim.base.signals import Sample
+    from cosim.results.run import Run
+    from cosim.results.summary import Summary
+    from cosim.spec.scenario import Scenario
+
+
+class FlightResult(Result):
+    """What a flight came to.
+
+    Attributes
+    ----------
+    run : Run
+        Everything.
+    """
+
+    def __init__(self, run: Run) -> None:
+        from cosim.results.run import REPORT
+
+        self.run = run
+        self.files = {} if run.folder is None else {"report": run.folder / REPORT}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``hexjet fly --json`` prints: the run's summary."""
+        return self.run.summary.model_dump(mode="json")
+
+    def lines(self) -> list[str]:
+        """Return how it ended, what flew, what is to be known of the verdict, and what is not as it was expected."""
+        from cosim.base.outcomes import Verdict
+        from cosim.results.verdict import NOTHING_EXPECTED
+
+        summary, controller = self.run.summary, self.run.summary.own_controller
+        speed = "" if summary.realtime_factor is None else f", {summary.realtime_factor:.0f} x real time"
+        lines = [
+            f"{summary.scenario}: {summary.ending}",
+            f"{summary.aircraft}, engine {summary.engine_shown}{_other_engines(summary)}, controller "
+            f"{summary.controller_shown}, seed {summary.seed}"
+            f"{f', sensors {summary.sensors}' if summary.sensors else ''}: {summary.duration_s:.2f} s flown{speed}",
+        ]
+        lines += [NOTHING_EXPECTED] if summary.verdict == Verdict.NOTHING_CHECKED else []
+        lines += [f"note: {note}" for note in summary.notes]
+        lines += [f"beyond its limit: {text}" for text in summary.exceeded]
+        lines += [f"requirement {each.describe()}" for each in summary.requirements if each.source == "require"]
+        if controller is not None and controller.repeatable is False:
+            name = summary.controller
+            lines.append(f"controller {name} is not repeatable: asked the same again, it answered otherwise")
+        if controller is not None and controller.level == "controller" and self.run.scenario.monitored:
+            lines.append(
+                f"engines were not watched: {summary.controller} is a whole controller, and sees to lost ones itself"
+            )
+        return [*lines, *summary.own_metrics_failed, *(f"not as expected: {text}" for text in summary.complaints)]
+
+    def tables(self) -> list[Table]:
+        """Return the metrics of the axes and of the whole flight, and what was checked, each with its margin."""
+        from cosim.results.report.flight import axis_cell, whole_rows
+        from cosim.results.report.requirements import CHECKED, checked_rows
+        from cosim.results.wording import AXIS_ROWS
+
+        summary, metrics = self.run.summary, self.run.metrics
+        axes = [
+            (
+                _lower(f"{row.title}, {row.unit}"),
+                *(axis_cell(each, row.key, row.factor, row.digits) for each in metrics.values()),
+            )
+            for row in AXIS_ROWS
+        ]
+        whole = [(_lower(row["label"]), row["value"], row["limit"], row["unit"]) for row in whole_rows(summary)]
+        checked = [cells for _, cells in checked_rows(summary)] if summary.outcome == "completed" else []
+        tables = [Table("", ("metric", *metrics), axes), Table("", ("whole flight", "value", "limit", "unit"), whole)]
+        return [each for each in (*tables, Table("", CHECKED, checked)) if each.rows]
+
+
+def _lower(title: str) -> str:
+    return title.lower().replace("rmse", "RMSE")
+
+
+def _other_engines(summary: Summary) -> str:
+    """Return the engines of another kind, and the stations where they are, as text."""
+    at: dict[str, list[str]] = {}
+    for number, station in enumerate(summary.stations, 1):
+        if station.engine != summary.engine:
+            at.setdefault(station.engine, []).append(str(number))
+    return "".join(f", {engine} at {' and '.join(numbers)}" for engine, numbers in at.items())
+
+
+def report(folder: str | Path, *, shared_assets: bool = False) -> Result:
+    """Write the report of a run or of a campaign again.
+
+    A run that was killed is finished first, with all that it recorded; a campaign may still be flown.  No code of the
+    folder is run: metrics of your own are those that the flights left.
+
+    Parameters
+    ----------
+    folder : str or Path
+        The folder of a run or of a campaign.
+    shared_assets : bool
+        Of a run: whether what draws the page goes into one folder beside those of runs, rather than into each page.
+
+    Returns
+    -------
+    Result
+        What the run or the campaign came to.
+
+    Raises
+    ------
+    InputError
+        If there is neither.
+    """
+    from cosim.campaign.folder import is_campaign
+    from cosim.results.report.flight import write_report
+    from cosim.results.run import REPORT, open_run
+
+    folder = Path(folder)
+    if is_campaign(folder):
+        if shared_assets:
+            raise InputError(f"shared_assets: {folder} is a campaign, whose page has all in it; leave it out")
+        from cosim.api.studies import SweepResult
+        from cosim.campaign import open_campaign
+        from cosim.campaign.analysis.page import write_campaign_report
+
+        campaign = open_campaign(folder)
+        return SweepResult(campaign, write_campaign_report(campaign))
+    run = open_run(folder)
+    write_report(run, folder / REPORT, shared_assets)
+    return FlightResult(run)
+
+
+def load(
+    scenario: Scenario | str | Path,
+    *,
+    controller: str | Path | None = None,
+    aircraft: str | Path | None = None,
+    engine: str | Path | Sequence[str] | None = None,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    model: str | Path | None = None,
+    seed: int | None = None,
+    metrics: Sequence[str] = (),
+    observers: Sequence[str] = (),
+    sensors: str | None = None,
+    wind: str | None = None,
+    unchecked_engine: bool = False,
+    progress: Progress | None = None,
+) -> Scenario:
+    """Return a scenario with what :func:`fly` writes over it.  Raises InputError for a wrong choice."""
+    from cosim.api.call.choices import choose, plugin_changes
+
+    hears = progress or Progress()
+    chosen = choose(scenario, controller, aircraft, engine, settings, seed, hears.note, model)
+    changes = plugin_changes(tuple(metrics), tuple(observers), sensors, wind)
+    if sensors or wind:  # its expectations do not apply with them
+        changes["expect"] = []
+    if unchecked_engine:
+        changes["engine_unchecked"] = True
+    return chosen.replace(**changes) if changes else chosen
+
+
+def fly(
+    scenario: Scenario | str | Path,
+    out: Path | str | None = None,
+    *,
+    controller: Any = None,
+    aircraft: str | Path | None = None,
+    engine: str | Path | Sequence[str] | None = None,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    model: str | Path | None = None,
+    seed: int | None = None,
+    metrics: Sequence[str] = (),
+    observers: Sequence[Observer | str] = (),
+    sensors: str | None = None,
+    wind: str | None = None,
+    unchecked_engine: bool = False,
+    realtime_factor: float | None = None,
+    mavlink: Sequence[str] = (),
+    flightgear: str | None = None,
+    report: bool = True,
+    shared_assets: bool = False,
+    progress: Progress | None = None,
+) -> Run:
+    """Fly a scenario to its end, record every step, and give back the finished run.
+
+    A crash, a divergence or a failing engine is an outcome, not an exception.  Notes become warnings,
+    ``cosim.base.errors.Notice``.
+
+    Parameters
+    ----------
+    scenario : Scenario or str or Path
+        Who flies, what is asked of it and what disturbs it: the name of a scenario, or the path of its file.
+    out : Path or str or None
+        The run's folder, made if need be; without it the log stays in memory.
+    controller : str or Path or object or None
+        In place of the scenario's: a name, a file of a design with all gains, or one of your own: ``FILE.py:Class``,
+        ``package.module:Class``, ``FILE.fmu``, ``process:FILE ARGUMENTS``; in Python a class or an object too.
+    aircraft : str or Path or None
+        In place of the scenario's, with the engine that it is made for: a name or a folder.
+    engine : str or Path or sequence of str or None
+        In place of the scenario's: a name, an FMU or its mapping file; ``N=NAME`` is the one at station N alone.
+    settings : sequence of str or mapping
+        Written over the scenario's, as ``vehicle.mass_kg=6.0``; its expectations are not checked then.
+    model : str or Path or None
+        A file of identified models, by which the controller predicts.
+    seed : int or None
+        In place of the scenario's.
+    metrics : sequence of str
+        Metrics of your own beside the built-in ones: ``FILE.py:Name``, ``package.module:Name`` or an entry point.
+    observers : sequence of Observer or str
+        They see every step; named in the same way.
+    sensors : str or None
+        Sensors of your own behind the built-in ones, named in the same way, or a profile of these: ``measured``.
+    wind : str or None
+        A wind of your own over time and place, named in the same way, or a table over time, ``FILE.csv``.
+    unchecked_engine : bool
+        Whether an FMU flies that the check of engines finds unfit, or has not seen.
+    realtime_factor : float or None
+        Seconds of flight in a second of the clock, 1 is real time; None: as fast as it goes, or 1 where somebody
+        watches by ``mavlink`` or ``flightgear``.
+    mavlink : sequence of str
+        Where ground stations watch, such as ``udpout:127.0.0.1:14550``.
+    flightgear : str or None
+        Where FlightGear shows it, ``[HOST:]PORT``, begun with ``--fdm=null --native-fdm=socket,in,60,,PORT,udp``.
+    report : bool
+        Whether ``report.html`` is written into the folder.
+    shared_assets : bool
+        Whether what draws that page goes into one folder beside those of runs, rather than into each page.
+    progress : Progress or None
+        Hears notes and how far the flight is.
+
+    Returns
+    -------
+    Run
+        Summary and log; every column is one float64 a control step, in the unit that its name says.
+
+    Raises
+    ------
+    InputError
+        If the scenario, the vehicle, the engine or the folder is not usable; nothing is written then.
+    """
+    from cosim.flight import check_arguments, fly_watched, list_warnings
+
+    check_arguments(scenario, out, realtime_factor)
+    named = [each for each in observers if isinstance(each, str)]
+    own = None if controller is None or isinstance(controller, (str, Path)) else controller
+    loaded = load(
+        scenario, controller=None if own is not None else controller, aircraft=aircraft, engine=engine,
+        settings=settings, model=model, seed=seed, metrics=metrics, observers=named, sensors=sensors, wind=wind,
+        unchecked_engine=unchecked_engine, progress=progress,
+    )  # fmt: skip
+    told = list_warnings(loaded, controller)
+    if progress is not None:
+        for text in (*told, *_list_engine_notes(loaded)):
+            progress.note(text)
+    is_watched = bool(mavlink or flightgear)
+    with ExitStack() as stack:
+        watching: list[Observer] = [each for each in observers if not isinstance(each, str)]
+        watching += [_FlightProgress(progress, loaded)] if progress is not None else []
+        watching += [stack.enter_context(_flightgear(flightgear, loaded))] if flightgear is not None else []
+        run = fly_watched(
+            loaded,
+            out,
+            controller=own,
+            observers=watching,
+            realtime_factor=(1.0 if is_watched else None) if realtime_factor is None else realtime_factor or None,
+            report=report,
+            shared_assets=shared_assets,
+            watch=_watch_by_links(mavlink, stack) if mavlink else None,
+        )
+    for text in (*told, *run.summary.notes) if progress is None else ():
+        notify(text)
+    return run
+
+
+class _FlightProgress:
+    """Tells how far a flight is, twice a second of it."""
+
+    def __init__(self, progress: Progress, scenario: Scenario) -> None:
+        self._progress, self._scenario = progress, scenario
+        self._every = max(1, round(0.5 / scenario.step_s))
+
+    def observe(self, sample: Sample) -> None:
+        """Tell of the step."""
+        if sample.k % self._every == 0:
+            self._progress.update(self._scenario.name, sample.k, self._scenario.steps)
+
+
+def _list_engine_notes(scenario: Scenario) -> list[str]:
+    """Return what of the FMUs of a scenario is not as it may seem."""
+    from cosim.api.call.choices import list_fmu_defects
+
+    engines = (station.engine for station in scenario.stations.values() if station.engine)
+    return list_fmu_defects(scenario.engine, *engines, folder=scenario.folder, isolated=scenario.engine_isolated)
+
+
+def _watch_by_links(links: Sequence[str], stack: ExitStack) -> Any:
+    """Return what lets ground stations watch a flight, whose links are open as long as the ``stack``."""
+    from cosim.groundstation.links import Links
+
+    return stack.enter_context(Links(tuple(links))).make_read_only_observer()
+
+
+@contextmanager
+def _flightgear(port: str, scenario: Scenario) -> Iterator[Observer]:
+    """Yield FlightGear as an observer; a tool has it by an entry point."""
+    from cosim.base.plugins.entry_points import load_hook
+
+    if (viewer_of := load_hook("flightgear")) is None:
+        raise InputError("flightgear: none of the tools that are installed sends to FlightGear")
+    viewer = viewer_of(port, scenario.environment)
+    try:
+        yield viewer
+    finally:
+        viewer.close()

@@ -1,0 +1,75 @@
+"""The names of what can be flown: what ``hexjet list`` calls."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from cosim.api.call import Result, checked
+from cosim.base.storage.paths import data_folder, files_in, names_in
+
+Kind = Literal["scenarios", "studies", "engines", "aircraft", "controllers"]
+KINDS = get_args(Kind)
+
+
+class CatalogueResult(Result):
+    """What can be flown.
+
+    Attributes
+    ----------
+    catalogues : dict
+        Of each kind a list of entries, each with ``name`` and ``title``.
+    """
+
+    def __init__(self, catalogues: dict[str, list[dict[str, Any]]]) -> None:
+        self.catalogues = catalogues
+        self.files = {}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entries by their kind."""
+        return dict(self.catalogues)
+
+    def lines(self) -> list[str]:
+        """Return a heading for each kind, and a line for each entry."""
+        lines = []
+        for kind, entries in self.catalogues.items():
+            width = max((len(entry["name"]) for entry in entries), default=0)
+            lines += [kind, *(f"  {entry['name']:{width}}  {entry['title']}" for entry in entries)]
+        return lines
+
+
+@checked()
+def list_items(kind: Kind | None = None) -> CatalogueResult:
+    """List what can be flown: scenarios, studies, engines, aircraft, controllers.
+
+    Parameters
+    ----------
+    kind : str or None
+        These alone; None: all.
+
+    Returns
+    -------
+    CatalogueResult
+        Names and titles.
+    """
+    return CatalogueResult({each: catalogue(each) for each in ([kind] if kind else KINDS)})
+
+
+def catalogue(kind: str) -> list[dict[str, Any]]:
+    """Return the entries of one kind, each with ``name`` and ``title``."""
+    if kind in ("scenarios", "studies"):
+        return [_entry(name, data_folder(kind) / f"{name}.toml") for name in files_in(kind)]
+    if kind == "controllers":
+        from cosim.control.predictors.registry import PREDICTORS
+        from cosim.simulation.controllers.source import list_installed as custom_controllers
+
+        built_in = [{"name": spec.name, "title": spec.title} for spec in PREDICTORS.values()]
+        return built_in + [{"name": name, "title": title} for name, title in custom_controllers()]
+    marker = {"aircraft": "vehicle.toml", "engines": "engine.toml"}[kind]
+    return [_entry(name, data_folder(kind) / name / marker) for name in names_in(kind, marker)]
+
+
+def _entry(name: str, path: Path) -> dict[str, Any]:
+    from cosim.base.storage.toml import read_toml
+
+    return {"name": name, "title": str(read_toml(path).get("title", ""))}

@@ -1,0 +1,1 @@
+"""What some commands do beside the functions of the package that they call."""

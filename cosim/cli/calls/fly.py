@@ -1,0 +1,92 @@
+"""What ``hexjet fly`` does beside ``cosim.fly``: it names the run's folder, and repeats a flight of a campaign."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from cosim.api.call import Progress
+from cosim.api.flights import FlightResult, load
+from cosim.api.flights import fly as fly_scenario
+from cosim.base.errors import InputError
+
+_LOADED = (
+    "controller", "aircraft", "engine", "settings", "model", "seed", "metrics", "observers", "sensors", "wind",
+    "unchecked_engine",
+)  # fmt: skip
+
+
+class RepeatedResult(FlightResult):
+    """A flight of a campaign that was flown again."""
+
+    def __init__(self, repeated: Any) -> None:
+        super().__init__(repeated.run)
+        self.repeated = repeated
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the summary, and whether it is the same."""
+        again = self.repeated
+        return super().to_dict() | {"flight": again.number, "same": again.same, "otherwise": again.otherwise}
+
+    def lines(self) -> list[str]:
+        """Return the lines of the flight, and whether it is what it was."""
+        return [*super().lines(), f"flight {self.repeated.number}: {self.repeated.verdict}", *self.repeated.otherwise]
+
+
+def fly(
+    scenario: str,
+    *,
+    realtime: bool = False,
+    flight: int | None = None,
+    out: str | None = None,
+    realtime_factor: float | None = None,
+    progress: Progress | None = None,
+    **choices: Any,
+) -> FlightResult:
+    """Fly a scenario to its end; leave a folder with summary, resolved scenario, log and report.
+
+    Parameters
+    ----------
+    scenario : str
+        The name of a scenario, the path of its file, or with ``flight`` the folder of a campaign.
+    realtime : bool
+        Pace the flight in real time.
+    flight : int or None
+        Fly this flight of the campaign in the folder again, as it was.
+
+    Returns
+    -------
+    FlightResult
+        What it came to.
+
+    Raises
+    ------
+    InputError
+        For wrong choices.
+    """
+    from cosim.flight import new_folder
+    from cosim.results.run import finish_killed
+    from cosim.spec.controller_name import folder_name, short_name
+
+    if flight is not None:
+        from cosim.campaign import fly_again, open_campaign
+
+        if choices or realtime or realtime_factor is not None:
+            raise InputError("flight: a flight of a campaign is flown as it was; leave other choices out")
+        campaign = open_campaign(Path(scenario))
+        folder = Path(out) if out else new_folder(Path("runs"), f"{campaign.study.name}-flight-{flight}")
+        return RepeatedResult(fly_again(campaign, flight, folder))
+    if realtime and realtime_factor is not None:
+        raise InputError("realtime and realtime_factor (--rtf): give one of them")
+    finish_killed(Path(scenario))
+    chosen = {name: choices.pop(name) for name in _LOADED if name in choices}
+    loaded = load(scenario, progress=progress, **chosen)
+    label = short_name(chosen["controller"]) if "controller" in chosen else loaded.controller
+    run = fly_scenario(
+        loaded,
+        out or new_folder(Path("runs"), f"{loaded.name}-{folder_name(label)}"),
+        realtime_factor=1.0 if realtime else realtime_factor,
+        progress=progress,
+        **choices,
+    )
+    return FlightResult(run)

@@ -1,1 +1,0 @@
-"""Commands that make a controller and judge it."""

@@ -1,0 +1,461 @@
+"""A command out of a function: its arguments are the options, its description is the help, its result is printed."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import import_module
+from json import dumps
+from math import isfinite
+from pathlib import Path
+from types import UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args, get_origin
+
+from cosim.api.call import Progress
+from cosim.base.errors import InputError, nearest
+from cosim.base.removed import describe_removed
+from cosim.base.trust import trust_everything, without_code
+from cosim.cli.console import TerminalProgress, echo, lay_out, output_to_stderr, show_result
+
+if TYPE_CHECKING:
+    from cyclopts import App, CycloptsError
+
+DONE, FLIGHT_FAILED = 0, 1
+# Options whose name is not that of the argument: several values are given one by one.
+_NAMES = {
+    "controllers": "controller", "engines": "engine", "metrics": "metric", "observers": "observer", "settings": "set",
+}  # fmt: skip
+# What stands for a value, by the name of its argument.
+_METAVARS = {
+    "aircraft": "NAME|DIR", "controller": "NAME|FILE", "controllers": "NAME|FILE", "engine": "NAME|FILE",
+    "folder": "DIR", "metrics": "NAME", "observers": "NAME", "out": "DIR", "scenario": "NAME|FILE", "sensors": "NAME",
+    "settings": "KEY=VALUE", "wind": "NAME|FILE",
+}  # fmt: skip
+_KINDS = {int: "N", float: "X", str: "TEXT", Path: "FILE"}
+# Endings of files that commands write or read; any other name, such as runs/v1.2, is a folder's.
+_FILES = frozenset((
+    ".bin", ".c", ".csv", ".fmu", ".h", ".htm", ".html", ".jpg", ".json", ".jsonl", ".log", ".mat", ".mcap", ".md",
+    ".parquet", ".pdf", ".png", ".py", ".svg", ".tlog", ".toml", ".txt", ".ulg", ".ulog", ".yaml", ".zip",
+))  # fmt: skip
+_JSON, _TRUST = "as_json", "trust"  # options that a command adds to those of its function
+_HELP = ("-h", "--help")
+
+
+class _Unknown:
+    """A type that is imported for type checkers alone; no option has a value of it."""
+
+
+class _Types(dict[str, Any]):
+    """The names of a module, in which one that is imported for type checkers alone is :class:`_Unknown`."""
+
+    def __missing__(self, name: str) -> Any:
+        return getattr(__import__("builtins"), name, _Unknown)
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option or an argument of a command, for one argument of its function."""
+
+    argument: str
+    names: tuple[str, ...]  # none: it is an argument of the command too
+    kind: Any  # of the value, or of each of several
+    several: bool
+    pairs: tuple[type, type] | None  # types of name and value where the function takes a mapping
+    metavar: str
+    text: str
+    default: Any
+    required: bool
+    limits: Any
+
+    @property
+    def label(self) -> str:
+        """What the help shows of it."""
+        if self.kind is bool:
+            return self.names[0] if not self.default else f"{self.names[0]}/--no-{self.names[0][2:]}"
+        return f"{self.names[0]} {self.metavar}" if self.names else self.metavar
+
+    @property
+    def meaning(self) -> str:
+        """What it is, what is allowed, and its default."""
+        parts = [self.text] if self.text else []
+        choices = get_args(self.kind) if get_origin(self.kind) is Literal else ()
+        parts += [f"[{'|'.join(map(str, choices))}]"] if choices else []
+        parts += [f"[{self.limits}]"] if self.limits is not None else []
+        is_stated = self.default not in (None, False, True, "", ()) and not self.required
+        parts += [f"[default: {self.default}]"] if is_stated else []
+        return "  ".join(parts)
+
+
+@dataclass(frozen=True)
+class Command:
+    """How a function is called from the command line."""
+
+    # Words behind ``hexjet``.
+    name: str
+    # ``module:name``, imported when the command runs or its help is shown.
+    function: str
+    # The rest of a command line after ``hexjet NAME``.
+    example: str
+    # Names of options that are not those of their arguments, by argument, blanks between several: the first is
+    # shown, the others are known too.
+    options: Mapping[str, str] = field(default_factory=dict)
+    # What stands for values in the help, by argument, where it is not what their names stand for everywhere.
+    metavars: Mapping[str, str] = field(default_factory=dict)
+    # Arguments that the command states itself, which are no options.
+    given: Mapping[str, Any] = field(default_factory=dict)
+    # Values of options that may stand without one, by argument.
+    bare: Mapping[str, str] = field(default_factory=dict)
+    # Makes the name of the folder in ``runs/`` that is written where ``out`` is not named, of all arguments; None:
+    # none is.
+    folder: Callable[[Mapping[str, Any]], str | None] | None = None
+    # Whether a result is status 0; else it is 1.
+    succeeded: Callable[[Any], bool] = lambda result: True
+    # What the help says of the exit status.
+    ends: str = ""
+    # Whether it may run code of the user's, which ``--trust`` allows.
+    runs_code: bool = True
+    # Print a result, and make what ``--json`` prints; without ``data`` there is no such option.
+    show: Callable[[Any], None] = show_result
+    data: Callable[[Any], Any] | None = lambda result: result.to_dict()
+    # Endings of files that ``out`` may be; else it is a folder.
+    writes: tuple[str, ...] = ()
+    # Another function, ``module:name``, whose arguments are handed on by the ``**choices`` of this one: they are
+    # options too, and have its texts.
+    like: str = ""
+    # Arguments that are no options.
+    hidden: tuple[str, ...] = ()
+    # What a note of the call is called on standard error.
+    notes: str = "note"
+    # Called before the function with all arguments, such as for warnings.
+    before: Callable[[Mapping[str, Any]], None] = lambda arguments: None
+
+    @cached_property
+    def call(self) -> Callable[..., Any]:
+        """The function."""
+        return _import(self.function)
+
+    @cached_property
+    def sources(self) -> list[Callable[..., Any]]:
+        """The function, and that whose arguments it hands on."""
+        return [self.call, *([_import(self.like)] if self.like else [])]
+
+    @cached_property
+    def parameters(self) -> dict[str, tuple[inspect.Parameter, Callable[..., Any]]]:
+        """The arguments of the function with those that it hands on, each with the function that has it."""
+        found: dict[str, tuple[inspect.Parameter, Callable[..., Any]]] = {}
+        for function in self.sources:
+            for name, parameter in inspect.signature(function).parameters.items():
+                if parameter.kind is not parameter.VAR_KEYWORD:
+                    found.setdefault(name, (parameter, function))
+        return found
+
+    @cached_property
+    def texts(self) -> tuple[str, dict[str, str]]:
+        """What the function is for, and what each of its arguments is, as its docstring says it."""
+        from docstring_parser import parse
+        from docstring_parser.common import DocstringStyle
+
+        first, *others = [parse(inspect.getdoc(each) or "", DocstringStyle.NUMPYDOC) for each in self.sources]
+        about = [text for text in (first.short_description, first.long_description, self.ends) if text]
+        parameters = [each for parsed in (*reversed(others), first) for each in parsed.params]
+        of = {each.arg_name.lstrip("*"): _as_typed(each.description or "") for each in parameters}
+        return "\n\n".join(_as_typed(text) for text in about), of
+
+    @cached_property
+    def declared(self) -> list[Option]:
+        """Every option and argument but those of this class, in the function's order; texts are left out."""
+        found = (self._declare(parameter, function) for parameter, function in self.parameters.values())
+        return [option for option in found if option is not None]
+
+    def _declare(self, parameter: inspect.Parameter, function: Callable[..., Any]) -> Option | None:
+        """Return the option of an argument; None where it has none."""
+        name, several = parameter.name, parameter.kind is parameter.VAR_POSITIONAL
+        if name in self.given or name in self.hidden:
+            return None
+        read = _read_type(parameter.annotation, function)
+        if read is None:
+            return None
+        kind, repeats, pairs = read
+        base = _NAMES.get(name, name.removesuffix("_s")).replace("_", "-")
+        names = tuple(self.options.get(name, f"--{base}").split())
+        # The name that Python has is known too.
+        names = tuple(dict.fromkeys((*names, f"--{base}", f"--{name.replace('_', '-')}")))
+        is_argument = parameter.kind is not parameter.KEYWORD_ONLY and not self._is_option(parameter)
+        metavar = self.metavars.get(name) or _METAVARS.get(name) or _KINDS.get(kind, "CHOICE")
+        unit = name.rpartition("_")[2]
+        metavar = unit.upper() if kind is float and unit in ("s", "hz", "mb") else metavar
+        if is_argument:
+            metavar = self.metavars.get(name, name.upper())
+        default = () if several else parameter.default
+        limits = vars(function).get("limits", {}).get(name)
+        required = default is parameter.empty
+        return Option(
+            name, () if is_argument else names, kind, repeats or several, pairs, metavar, "",
+            None if required else default, required, limits,
+        )  # fmt: skip
+
+    def _is_option(self, parameter: inspect.Parameter) -> bool:
+        """Whether an argument that Python takes by its place is an option: a folder to write, and what has a name."""
+        return parameter.name == "out" or parameter.name in self.options
+
+    @property
+    def rows(self) -> list[Option]:
+        """Every option and argument with its text, those that all commands have last."""
+        texts = self.texts[1]
+        rows = []
+        for option in self.declared:
+            text = texts.get(option.argument, "")
+            if option.argument == "out" and self.folder is not None:
+                text = "The folder that is written, by default a new one in runs/."
+            rows.append(Option(**vars(option) | {"text": text}))
+        return rows + self._added
+
+    @property
+    def _added(self) -> list[Option]:
+        """The options that are none of the function's."""
+        added = [("--json", _JSON, "Print one JSON object and nothing else.")] if self.data is not None else []
+        if self.runs_code:
+            text = "Run code though you never flew what is in its folder, Python, FMUs and programs, and remember it."
+            added.append(("--trust", _TRUST, text))
+        return [
+            Option(name, (option,), bool, False, None, "", text, False, False, None) for option, name, text in added
+        ]
+
+    def help(self, width: int | None = None) -> str:
+        """Return the help, ``width`` columns wide, by default as the terminal."""
+        options, arguments = [each for each in self.rows if each.names], [each for each in self.rows if not each.names]
+        usage = [each.metavar + ("..." if each.several else "") for each in arguments]
+        usage = [text if each.required else f"[{text}]" for text, each in zip(usage, arguments, strict=True)]
+        return lay_out(
+            " ".join(["hexjet", self.name, "[OPTIONS]", *usage]),
+            self.texts[0],
+            {
+                "Arguments": [(each.label, each.meaning) for each in arguments],
+                "Options": [*((each.label, each.meaning) for each in options), ("--help", "Show this and end.")],
+            },
+            self.example and f"hexjet {self.name} {self.example}",
+            width,
+        )
+
+    def app(self, *, with_help: bool = False) -> App:
+        """Return what reads the options; ``with_help``: for the completion of a shell, with their texts."""
+        from cyclopts import App, Parameter
+
+        from cosim.cli.complete import completer_of
+
+        kind = inspect.Parameter
+        parameters = []
+        for option in self.rows if with_help else [*self.declared, *self._added]:
+            default = () if option.several else kind.empty if option.required else option.default
+            stated = Parameter(
+                name=option.names or option.metavar,
+                negative=[f"--no-{name[2:]}" for name in option.names] if option.default is True else (),
+                validator=_check(option),
+                help=option.text,
+                completer=completer_of(option.argument, option.names),
+                consume_multiple=False,
+                show_default=False,
+            )
+            value: Any = list[option.kind] if option.several and option.names else option.kind  # type: ignore[name-defined]
+            place: Any = kind.KEYWORD_ONLY if option.names else kind.POSITIONAL_ONLY
+            if option.several and not option.names:
+                place, default = kind.VAR_POSITIONAL, kind.empty
+            typed: Any = Annotated[Union[value, None] if default is None else value, stated]  # noqa: UP007 - made of a value
+            parameters.append(kind(option.argument, place, default=default, annotation=typed))
+
+        def read(*values: Any, **named: Any) -> None:
+            """Stand for the function."""
+
+        signature = inspect.Signature(sorted(parameters, key=lambda each: each.kind))
+        vars(read)["__signature__"] = signature
+        read.__annotations__ = {name: each.annotation for name, each in signature.parameters.items()}
+        read.__doc__ = self.texts[0].partition("\n")[0] if with_help else None
+        app = App(name=self.name.split()[-1], help_flags=_HELP if with_help else [], version_flags=[])
+        app.default(read)
+        return app
+
+    def read(self, words: Sequence[str]) -> dict[str, Any]:
+        """Return the arguments that a command line states.  Raises InputError."""
+        from cyclopts import CycloptsError
+
+        try:
+            _, bound, _ = self.app().parse_args(
+                list(self._complete_bare(words)), exit_on_error=False, print_error=False, help_on_error=False
+            )
+        except CycloptsError as error:
+            raise InputError(self._explain(error)) from None
+        arguments = dict(bound.arguments)
+        for option in self.declared:
+            if option.pairs is not None and option.argument in arguments:
+                arguments[option.argument] = _as_mapping(option, arguments[option.argument])
+        return arguments
+
+    def check_out(self, out: str | None) -> None:
+        """Raise InputError where ``out`` ends like a file of another kind than the command writes."""
+        ending = Path(out or "").suffix.lower()
+        if out is not None and ending in _FILES and ending not in self.writes and not Path(out).is_dir():
+            wanted = f"a file that ends in {' or '.join(self.writes)}, or a folder" if self.writes else "a folder"
+            raise InputError(f"--out {out}: names a file by its ending; hexjet {self.name} writes {wanted}")
+
+    def _complete_bare(self, words: Sequence[str]) -> Iterator[str]:
+        """Yield the words, with a value behind an option that may stand without one."""
+        values = {name: self.bare[each.argument] for each in self.declared if each.argument in self.bare
+                  for name in each.names}  # fmt: skip
+        for word, following in zip(words, [*words[1:], "-"], strict=False):
+            yield f"{word}={values[word]}" if word in values and following.startswith("-") else word
+
+    def _explain(self, error: CycloptsError) -> str:
+        """Return the line for words that are no options of this command."""
+        from cyclopts import exceptions
+
+        text, token = " ".join(str(error).split()), cast(Any, getattr(error, "token", None))
+        if isinstance(error, exceptions.UnknownOptionError):
+            text = self._explain_unknown(token.keyword or token.value)
+        elif isinstance(error, exceptions.CoercionError) and token is not None and error.argument is not None:
+            choices = error.argument.get_choices()
+            where = token.keyword or error.argument.name
+            kind = next((each.kind for each in self.declared if where in (*each.names, each.metavar)), str)
+            wanted = "a whole number" if kind is int else "a number"
+            text = f"{where}: {token.value!r} is not {wanted}"
+            text = f"{where}: {token.value!r}: {nearest(token.value, choices)}" if choices else text
+        elif isinstance(error, exceptions.UnusedCliTokensError):
+            text = f"{' '.join(error.unused_tokens or ())}: one argument too many"
+        elif (
+            isinstance(error, exceptions.MissingArgumentError) and error.keyword is None and error.argument is not None
+        ):
+            text = f"Missing argument {error.argument.name!r}"
+        elif isinstance(error, exceptions.ValidationError) and error.argument is not None:
+            text = f"{error.argument.name}: {error.exception_message}"
+        return f"{text} (hexjet {self.name} --help)"
+
+    def _explain_unknown(self, name: str) -> str:
+        """Return what to use instead of an option that is not there."""
+        if (removed := describe_removed(f"hexjet {self.name} {name}")) is not None:
+            return f"{name}: {removed}"
+        options = [*self.declared, *self._added]
+        if any("--set" in each.names for each in options):
+            from cosim.spec.scenario import likely_key
+
+            if (key := likely_key(name.lstrip("-").replace("-", "_"))) is not None:
+                return f"No such option {name!r}; it is a key of the scenario: --set {key}=..."
+        from difflib import get_close_matches
+
+        close = get_close_matches(name, [each.names[0] for each in options if each.names])
+        return f"No such option {name!r}{f'; did you mean {close[0]!r}?' if close else ''}"
+
+    def run(self, words: Sequence[str]) -> int:
+        """Run it with the words of a command line, print what it came to, and return the exit status."""
+        if set(_HELP) & set(words[: [*words, "--"].index("--")]):
+            echo(self.help())
+            return DONE
+        arguments = self.read(words)
+        self.check_out(arguments.get("out"))
+        as_json = arguments.pop(_JSON, False)
+        if arguments.pop(_TRUST, False):
+            trust_everything()
+        arguments |= self.given
+        parameters = {name: parameter for name, (parameter, _) in self.parameters.items()}
+        if self.folder is not None and arguments.get("out") is None:
+            from cosim.flight import new_folder
+
+            if (name := self.folder(_Arguments(parameters, arguments))) is not None:
+                arguments["out"] = str(new_folder(Path("runs"), name))
+        with ExitStack() as stack:
+            stack.enter_context(nullcontext() if self.runs_code else without_code())
+            stack.enter_context(output_to_stderr(as_json))
+            self.before(_Arguments(parameters, arguments))
+            if "progress" in parameters:
+                goes_on = f"hexjet {self.name}" if "resume" in parameters else None
+                arguments["progress"] = stack.enter_context(TerminalProgress(as_json, goes_on, self.notes))
+            result = self.call(*_by_place(parameters, arguments), **arguments)
+        if as_json and self.data is not None:
+            echo(dumps(self.data(result)))
+        else:
+            self.show(result)
+        return DONE if self.succeeded(result) else FLIGHT_FAILED
+
+
+class _Arguments(dict[str, Any]):
+    """Arguments of a call, those that are not stated with their defaults."""
+
+    def __init__(self, parameters: Mapping[str, inspect.Parameter], stated: Mapping[str, Any]) -> None:
+        super().__init__({name: each.default for name, each in parameters.items()} | dict(stated))
+
+
+def _import(name: str) -> Callable[..., Any]:
+    """Return a function ``module:name``."""
+    module, _, function = name.partition(":")
+    found: Callable[..., Any] = getattr(import_module(module), function)
+    return found
+
+
+def _by_place(parameters: Mapping[str, inspect.Parameter], arguments: dict[str, Any]) -> list[Any]:
+    """Take the arguments out that a function takes by their places alone, and return them."""
+    values: list[Any] = []
+    for name, parameter in parameters.items():
+        if parameter.kind is parameter.VAR_POSITIONAL:
+            values += arguments.pop(name, ())
+    return values
+
+
+def _read_type(annotation: Any, function: Callable[..., Any]) -> tuple[Any, bool, tuple[type, type] | None] | None:
+    """Return the type of an option's value, whether there may be several, and the types of pairs; None: no option."""
+    if isinstance(annotation, str):
+        annotation = eval(annotation, {}, _Types(inspect.unwrap(function).__globals__))
+    members = get_args(annotation) if get_origin(annotation) in (Union, UnionType) else (annotation,)
+    if Progress in members:
+        return None
+    for member in members:
+        origin, inner = get_origin(member), get_args(member)
+        if origin is Literal or (origin is tuple and Ellipsis not in inner):
+            return member, False, None
+        if origin in (Sequence, list, tuple, Iterable):
+            read = _read_type(inner[0], function)
+            return None if read is None else (read[0], True, None)
+    for member in members:
+        if get_origin(member) is Mapping:
+            return str, True, get_args(member)
+    for kind in (bool, int, float, str, Path):
+        if kind in members:
+            return kind, False, None
+    return (str, False, None) if Any in members else None
+
+
+def _check(option: Option) -> Callable[[Any, Any], None]:
+    """Return what refuses a number that is not finite or beyond the limits of an argument."""
+
+    def check(kind: Any, value: Any) -> None:
+        for each in value if isinstance(value, (list, tuple)) else (value,):
+            if isinstance(each, float) and not isfinite(each):
+                raise ValueError(f"{each} is not a finite number")
+            if option.limits is not None and each is not None and each not in option.limits:
+                raise ValueError(f"{each:g}; allowed: {option.limits}")
+
+    return check
+
+
+def _as_mapping(option: Option, texts: Sequence[str]) -> dict[Any, Any]:
+    """Return texts ``NAME=VALUE`` as a mapping.  Raises InputError."""
+    assert option.pairs is not None
+    pairs: dict[Any, Any] = {}
+    of_name, of_value = option.pairs
+    for text in texts:
+        name, equals, value = text.partition("=")
+        try:
+            if not equals or not name.strip() or not value.strip():
+                raise ValueError
+            pairs[of_name(name.strip())] = of_value(value.strip())
+        except ValueError:
+            raise InputError(f"{option.names[0]} {text}: must be {option.metavar}") from None
+    return pairs
+
+
+def _as_typed(text: str) -> str:
+    """Return a text of a docstring as a terminal shows it: without marks of code, and without Python's None."""
+    text = re.sub(r"(^|[.;] )None: ", lambda found: f"{found[1]}{'By' if found[1] != '; ' else 'by'} default ", text)
+    paragraphs = text.replace("``", "").split("\n\n")
+    return "\n\n".join(" ".join(each.split()) for each in paragraphs)

@@ -1,0 +1,1 @@
+"""Commands that are still written for click, and what they share."""

@@ -1,0 +1,148 @@
+"""Every command of ``hexjet``: in which group of the help it stands, and where it is declared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from cosim.base.errors import InputError, nearest
+from cosim.base.removed import describe_removed
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+    from cosim.cli.declare import Command
+
+ADDED = "hexjet.commands"  # entry points: NAME adds hexjet NAME, and GROUP.NAME adds hexjet GROUP NAME
+GROUPS = {
+    "Fly": {
+        "fly": "fly a scenario and leave a run's folder",
+        "replay": "fly a recorded flight again, and judge the model by it",
+    },
+    "Look": {
+        "list": "list what can be flown",
+        "show": "show one of them, or a run, with its numbers",
+        "open": "look through runs in the browser",
+        "compare": "lay flights over each other",
+        "report": "write the page of a run or a campaign again",
+    },
+    "Design": {
+        "aircraft": "begin an aircraft of your own, and check one",
+        "fmu": "build and check engines as FMUs",
+        "identify": "fit a model to a chirp or a log",
+        "design": "design predictor and gains for an engine",
+        "margins": "measure gain, phase and delay margins in flight",
+        "validate": "fly a model with the commands of a log",
+    },
+    "Prove": {
+        "sweep": "fly a scenario many times with what varies drawn",
+        "search": "find the smallest change that breaks a controller",
+        "rare": "find the probability of a rare failure",
+        "prove": "show or refute a claim, on one page",
+        "faults": "fly every single fault",
+        "failsafes": "let everything fail that the autopilot answers",
+        "paper": "reproduce the paper",
+    },
+    "Connect": {
+        "gcs": "wait on the ground for a ground station",
+        "sitl": "let an external autopilot fly the vehicle",
+        "export": "write a log, a controller or the vehicle for other tools",
+    },
+    "Develop": {
+        "bench": "measure what a flight costs on this machine",
+    },
+}
+OTHERS = "Of other packages"
+LINES = {name: line for commands in GROUPS.values() for name, line in commands.items()}
+# Commands of this package, each declared under its name in cosim/cli/commands.py, with _ between its words.
+OWN = frozenset((
+    "aircraft check", "aircraft new", "compare", "export", "fly", "fmu build", "fmu check", "fmu map", "gcs",
+    "identify engine", "identify pitch", "identify roll", "identify yaw", "list", "open", "report", "show", "sweep",
+))  # fmt: skip
+_COLLECTIONS = frozenset(("aircraft", "export", "fmu", "identify", "sitl"))  # commands of two words begin with these
+
+
+@cache
+def added() -> Mapping[str, tuple[EntryPoint, ...]]:
+    """Return what installed packages add, by the words of its command; read only where it is needed."""
+    from importlib.metadata import entry_points
+
+    found: dict[str, tuple[EntryPoint, ...]] = {}
+    for entry in entry_points(group=ADDED):
+        name = entry.name.replace(".", " ")
+        found[name] = (*found.get(name, ()), entry)
+    return found
+
+
+def is_here(entry: EntryPoint) -> bool:
+    """Return whether the package of an entry point is there; a wheel leaves out some of the sources."""
+    from importlib.util import find_spec
+
+    try:
+        return find_spec(entry.module.partition(".")[0]) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+def list_names(collection: str = "") -> list[str]:
+    """Return the commands that there are; ``collection``: those whose first word it is."""
+    names = {*OWN, *(name for name, entries in added().items() if is_here(entries[0]))}
+    return sorted(name for name in names if not collection or name.startswith(f"{collection} "))
+
+
+def is_collection(name: str) -> bool:
+    """Return whether commands of two words begin with a name."""
+    return name in _COLLECTIONS or any(each.startswith(f"{name} ") for each in added())
+
+
+def is_collection_alone(words: list[str]) -> bool:
+    """Return whether words ask for the help of a collection."""
+    return is_collection(words[0]) and (len(words) == 1 or words[1] in ("-h", "--help"))
+
+
+def find(words: list[str]) -> tuple[str, list[str]]:
+    """Return the command that a command line begins with, and the words behind it.  Raises InputError for none."""
+    first = words[0]
+    if first in OWN and first not in _COLLECTIONS:
+        return first, words[1:]
+    for count in (2, 1):
+        name = " ".join(words[:count])
+        if len(words) >= count and (name in OWN or name in added()):
+            return name, words[count:]
+    if is_collection(first):
+        if (removed := describe_removed(f"hexjet {' '.join(words[:2])}")) is not None:
+            raise InputError(f"{words[1]}: {removed}")
+        inner = [name.partition(" ")[2] for name in list_names(first)]
+        raise InputError(f"No such command {words[1]!r}; {nearest(words[1], inner)} (hexjet {first} --help)")
+    names = {name.partition(" ")[0] for name in list_names()}
+    raise InputError(f"No such command {first!r}; {nearest(first, names)} (hexjet --help)")
+
+
+def load(name: str) -> Command:
+    """Return a command; nothing but its own declaration is imported for it.  Raises InputError for one of a package."""
+    from cosim.cli.old.unconverted import OLD, Unconverted
+
+    if name in OLD:
+        return Unconverted.load(name)  # type: ignore[return-value]
+    if name in OWN:
+        command: Command = getattr(import_module("cosim.cli.commands"), name.replace(" ", "_"))
+        return command
+    entry, *others = added()[name]
+    packages = [each.dist.name if each.dist else "an installed package" for each in (entry, *others)]
+    if others:
+        raise InputError(f"{name}: {' and '.join(packages)} both add it; uninstall all but one")
+    try:
+        loaded: Any = entry.load()
+    except Exception as error:  # whatever the module of somebody else does
+        if isinstance(error, ModuleNotFoundError) and error.name == entry.module.partition(".")[0]:
+            reason = f"needs {error.name!r}, which is not installed; the sources of {packages[0]} have it"
+            raise InputError(f"{name}: {reason}") from None
+        text = f"{entry.value} of {packages[0]} cannot be loaded: {type(error).__name__}: {error}"
+        raise InputError(f"{name}: {text.partition(chr(10))[0]}") from None
+    if hasattr(loaded, "params") and hasattr(loaded, "main"):
+        return Unconverted(name, loaded)  # type: ignore[return-value]
+    if not hasattr(loaded, "run"):
+        raise InputError(f"{name}: {entry.value} of {packages[0]} is no cosim.commands.Command")
+    return loaded  # type: ignore[no-any-return]
