@@ -7,17 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from cosim.pages import GREY, RED, closest, dotted, render, run_colour
+from cosim.pages import GREY, RED, Card, Page, closest, dotted, run_colour, sentence
 from cosim.spec.controller_name import short_name
 from hexjet_prove.rare.estimate import probability_text
 from hexjet_prove.rare.simulation import RareResult, SavedRare, describe_plan
 from hexjet_prove.rare.subset import Repeat
-from hexjet_prove.search.page import text
-from hexjet_prove.search.question import case_rows
+from hexjet_prove.search.page import cases_card, list_facts
 
 Figure = dict[str, Any]
 
-TEMPLATE = Path(__file__).parent / "templates" / "rare.html"
+CURVES = "A failure is a margin below 0, dotted; the interval is made from how far the curves lie apart there."
+SHIFTED = (
+    "Where each key is in the failures, in standard deviations of what is drawn: of all flights the mean is 0 and the "
+    "spread 1. Furthest out first."
+)
 POINTS = 40  # of a curve, each at a margin that so many parts of a level's flights lie apart
 SHOWN = 12  # keys of the table, those that the failures are furthest out in
 LIMITS = (
@@ -29,23 +32,31 @@ LIMITS = (
 def write_page(saved: SavedRare, path: Path) -> None:
     """Write the page of a simulation.  Raises FlightError if the file cannot be written."""
     result = saved.result
-    base = result.study.base()
-    render(
-        TEMPLATE,
-        path,
+    base, plan = result.study.base(), describe_plan(result.plan, len(result.groups))
+    notes = (result.estimate.method, result.search_note, result.groups_note, result.study.engine_note)
+    deciders = describe_deciders(result)
+    cards = [
+        Card("How rare each margin is", text=f"{sentence(plan)} {CURVES} {LIMITS}.", figure="levels"),
+        Card("The simulations", ("requirements", "flights", "thresholds", "probability"), repeat_rows(result),
+             is_half=True),
+        Card("What the failures have in common", ("key", "mean", "spread"), shift_rows(result),
+             f"{SHIFTED} {sentence(deciders) if deciders else ''}", is_half=True) if result.shifts else None,
+        cases_card("The most likely failures that were met", saved, path, ("flight", "standard deviations"),
+                   lambda case: (str(case.flight), f"{case.distance:.2f}")),
+    ]  # fmt: skip
+    page = Page(
+        "rare failures",
+        result.study.name,
+        cards,
         {"levels": _levels(result)},
-        result=result,
-        base=base,
-        controller=short_name(result.controller),
-        sentence=result.sentence,
-        plan=describe_plan(result.plan, len(result.groups)),
-        limits=LIMITS,
-        repeats=repeat_rows(result),
-        shifts=shift_rows(result),
-        deciders=describe_deciders(result),
-        cases=case_rows(saved, path),
-        text=text,
+        answer=[sentence(result.sentence)],
+        problems=[sentence(line) for line in (result.contradiction, result.seed_note) if line],
+        summary=[sentence(line) for line in notes if line],
+        facts=list_facts(
+            base, result.flights, [("controller", short_name(result.controller)), ("seed", str(result.study.seed))]
+        ),
     )
+    page.write(path)
 
 
 def describe_result(result: RareResult) -> list[str]:

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from math import log10
 from pathlib import Path
 from typing import Any
 
-from cosim.pages import GREEN, GREY, RED, closest, dotted, render, run_colour
+from cosim.pages import GREEN, GREY, RED, Card, Page, closest, dotted, link, marked, run_colour, sentence
 from cosim.spec.controller_name import short_name
-from cosim.spec.scenario import flown_parameters, list_changes
+from cosim.spec.scenario import Scenario, flown_parameters, list_changes
 from cosim.studies import Value
-from hexjet_prove.search.question import case_rows
+from hexjet_prove.search.question import Answered, case_rows
 from hexjet_prove.search.result import SavedSearch
 from hexjet_prove.search.search import Edge, SearchResult
 from hexjet_prove.search.span import Span
 
 Figure = dict[str, Any]
 
-TEMPLATE = Path(__file__).parent / "templates" / "search.html"
-
+BOUNDARY = (
+    "The first value that breaks; a triangle where it holds to the end of the range. Dotted: where the search starts."
+)
 ROW_PX = 44
 
 
@@ -29,24 +31,60 @@ COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change",
 def write_page(searched: SavedSearch, path: Path) -> None:
     """Write the page of a search.  Raises FlightError if the file cannot be written."""
     result = searched.result
-    columns, rows = table(result)
-    base = result.study.base()
-    render(
-        TEMPLATE,
-        path,
-        figures(result),
-        result=result,
-        base=base,
-        title="" if list_changes(base, flown_parameters(base)) else base.title,
-        controllers=[short_name(name) for name in result.study.controller_names],
-        answers=[_answer(result, edge) for edge in result.edges[:MOST_ANSWERS]],
-        columns=columns,
-        rows=rows,
-        fine=[describe_resolution(span) for span in result.plan.spans],
-        together=together_lines(result),
-        cases=case_rows(searched, path),
-        text=str,
+    base, drawn = result.study.base(), figures(result)
+    names, seeds = [short_name(name) for name in result.study.controller_names], result.plan.seeds
+    facts = [("controller" if len(names) == 1 else "controllers", ", ".join(names))]
+    facts += [("seed" if len(seeds) == 1 else "seeds", ", ".join(map(str, seeds)))]
+    criterion = [sentence(line) for line in (result.criterion, result.engine_note) if line]
+    several = len(result.plan.spans) > 1
+    fine = [f"{line}." for line in (*map(describe_resolution, result.plan.spans), *together_lines(result))]
+    cards = [
+        Card("The boundary", text=BOUNDARY, figure="curve") if "curve" in drawn else None,
+        *(Card(span.key.path, text="Green: holds; red: breaks; dotted: where the search starts.", figure=f"key{number}")
+          for number, span in enumerate(result.plan.spans) if f"key{number}" in drawn),
+        Card("Each key alone" if several else "Where it breaks", *table(result), " ".join(fine)),
+        cases_card("The flights that show it", searched, path),
+    ]  # fmt: skip
+    page = Page(
+        "the smallest change that breaks",
+        base.name if list_changes(base, flown_parameters(base)) else base.title or base.name,
+        cards,
+        drawn,
+        answer=[_answer(result, edge) for edge in result.edges[:MOST_ANSWERS]],
+        summary=criterion,
+        facts=list_facts(base, result.flights, facts),
+        are_figures_linked=False,
     )
+    page.write(path)
+
+
+def list_facts(base: Scenario, flights: int, more: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return what the page of a search, or of rare failures, says of its flights."""
+    named = [("scenario", base.name), ("aircraft", base.aircraft_name), ("engine", str(base.engine))]
+    return [*named, *more, ("flights", f"{flights:,}")]
+
+
+def cases_card(
+    title: str,
+    answered: Answered[Any, Any],
+    page: Path,
+    columns: Sequence[str] = (),
+    cells: Callable[[Any], Sequence[str]] = lambda case: (),
+) -> Card | None:
+    """Return the flights that were flown again, with their pages; None where there are none.
+
+    ``columns`` and ``cells``: what is said of a case besides.
+    """
+    rows, listed = [], list(case_rows(answered, page))
+    for each in listed:
+        case = each["case"]
+        values = ", ".join(f"{key} = {text(value)}" for key, value in case.values.items())
+        same = marked("bit for bit", "met") if case.same else marked("no", "unmet")
+        rows.append((link(case.name, each["report"]), *cells(case), values, str(case.seed), case.reason, same))
+    commands = [f"hexjet fly {each['command']}" for each in listed if each["report"]]
+    titles = ("case", *columns, "values", "seed", "ending", "as in the search")
+    note = "Flown again from their own scenario files, recorded in full."
+    return Card(title, titles, rows, note, code="\n".join(commands)) if rows else None
 
 
 def text(value: Value | None, unit: str = "") -> str:

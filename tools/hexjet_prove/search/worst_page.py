@@ -5,14 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from cosim.pages import bars, closest, render, run_colour
+from cosim.pages import Card, Page, bars, closest, run_colour, sentence
 from cosim.spec.controller_name import short_name
-from hexjet_prove.search.page import ROW_PX, text
-from hexjet_prove.search.question import Answered, case_rows
+from hexjet_prove.search.page import ROW_PX, cases_card, list_facts, text
+from hexjet_prove.search.question import Answered
 from hexjet_prove.search.result import Case
 from hexjet_prove.search.worst_case import WorstCase, WorstSearch, important
 
-TEMPLATE = Path(__file__).parent / "templates" / "worst.html"
+MEANT = (
+    "A margin below 0 is a failure. The share is of the squared distance from the middle; without it: the key is put "
+    "back to the middle and all others are kept; with it alone: all others are put back."
+)
 SHOWN = 12  # keys of a controller in the table
 NONE = "–"
 
@@ -41,19 +44,20 @@ def _rows(case: WorstCase) -> list[list[str]]:
 def write_page(saved: Answered[WorstSearch, Case], path: Path) -> None:
     """Write the page of a search.  Raises FlightError if the file cannot be written."""
     result = saved.result
-    render(
-        TEMPLATE,
-        path,
+    base, kind = result.study.base(), "most likely failure" if result.plan.likely else "worst case"
+    page = Page(
+        f"the {kind}",
+        result.study.title or base.title or base.name,
+        [
+            Card("Which keys matter", titles(result), rows(result), MEANT, "places"),
+            cases_card("The flight", saved, path),
+        ],
         {"places": _places(result)},
-        result=result,
-        base=result.study.base(),
-        lines=result.lines(),
-        notes=result.notes,
-        columns=titles(result),
-        rows=rows(result),
-        cases=case_rows(saved, path),
-        text=text,
+        answer=[f"{line}." for line in result.lines()],
+        summary=[sentence(note) for note in result.notes],
+        facts=list_facts(base, result.flights, [("searched in", result.plan.where)]),
     )
+    page.write(path)
 
 
 def _places(result: WorstSearch) -> dict[str, Any]:
