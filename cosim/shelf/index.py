@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import secrets
 import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
@@ -13,8 +12,6 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
-
-from markupsafe import Markup
 
 from cosim.base.errors import InputError
 from cosim.base.storage.files import map_os_errors, parse_json, read_file, read_text
@@ -25,7 +22,7 @@ from cosim.results.summary import ParametersRecord
 from cosim.spec.controller_name import describe_controller
 
 INDEX = "index.html"
-GENERATOR = "hexjet open"
+GENERATOR = "hexjet open"  # in the title of the page
 TEMPLATE = Path(__file__).resolve().parent / "templates" / "shelf.html"
 RUN, CAMPAIGN, PAGE, UNFINISHED, LOG = "run", "campaign", "page", "unfinished", "log"
 SCENARIO = "scenario.toml"
@@ -59,22 +56,17 @@ def write_index(folder: Path) -> Path:
     Raises InputError where the folder cannot be read or has an ``index.html`` that is not ours, FlightError where the
     page cannot be written.
     """
-    from cosim.results.report.page import render
+    from markupsafe import Markup
+
+    from cosim.results.report.cards import Card, Page
 
     rows = [entry._asdict() | {"page": _link(entry), "text": _searched_text(entry)} for entry in list_entries(folder)]
     page = folder / INDEX
     if page.exists() and GENERATOR not in read_file(page, first=1000).decode(errors="replace"):
         raise InputError(f"{page}: was not written by hexjet open; move it, or the page would replace it")
     data = json.dumps(rows, allow_nan=False).replace("<", "\\u003c")
-    render(
-        TEMPLATE,
-        page,
-        {},
-        generator=GENERATOR,
-        folder=folder.resolve().name,
-        rows=Markup(data),
-        nonce=secrets.token_urlsafe(16),
-    )
+    content = Markup(TEMPLATE.read_text(encoding="utf-8").replace("{}</script>", f"{data}</script>", 1))
+    Page(GENERATOR, f"Runs in {folder.resolve().name}", [Card("", content=content)]).write(page)
     return page
 
 
