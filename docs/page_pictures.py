@@ -61,7 +61,6 @@ PAGES = {
         ["search roll-doublet --vary mismatch.delay_samples=0:60:5 --controller smith --tolerance 2 --out searched"],
         "searched/search.html",
     ),
-    "faults": Page(["faults --kind flame-out --controller smith --out faults"], "faults/survival.html"),
     "identify": Page(["identify roll --engine edf-as-flown --out identified"], "identified/report.html"),
     "identify-log": Page([*DOUBLET, MODEL], "logged/report.html"),
     "validation": Page([*DOUBLET, MODEL, "validate logged baseline --out validated"], "validated/report.html"),

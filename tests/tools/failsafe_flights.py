@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from pilot_flights import Asked
 
 from cosim import fly
+from cosim.base.storage.scratch import temporary
+from cosim.base.storage.toml import toml_text
 from cosim.control.autopilot import requests as rq
 from cosim.results.autopilot.request_log import Entry
 from cosim.results.log.columns import log_columns, logged_vehicle
@@ -17,8 +21,8 @@ from cosim.results.run import Run
 from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
-from hexjet_prove.surveys import failsafe_table as tables
 from hexjet_prove.surveys import failsafes as table
+from hexjet_prove.surveys.failsafe_flight import OWN, FailsafeAutopilot
 from hexjet_prove.surveys.survey import load_subject
 
 
@@ -30,10 +34,15 @@ def again(scenario: Path, digest: str) -> Run:
     return run
 
 
-def again_of_the_table(flight: table.FailsafeFlight, folder: Path) -> Run:
-    """The same of a flight of the table."""
-    row = flight.row
-    return again(tables.write_flight(folder, tables.file_name(row), flight.scenario, flight.entries), row.log_sha256)
+def flown_case(scenario: Scenario, repeated: bool = False, **case: Any) -> Any:
+    """What a flight of a survey's case, begun in the air, came to; ``repeated``: and from its folder again."""
+    with temporary("failsafe-") as folder:
+        pilot = FailsafeAutopilot(name="failsafes", **case)
+        run, row = pilot.fly(scenario, Path(), folder / "run", page=False)
+        if repeated:
+            again(folder / "run" / "scenario.toml", log_digest(run.log))
+    values = {name: float("nan") if value is None else value for name, value in row.items()}
+    return SimpleNamespace(reason=run.reason, **{name.removeprefix(OWN): value for name, value in values.items()})
 
 
 class Flight(Asked):
@@ -82,4 +91,8 @@ class Flight(Asked):
         self._recorder.flush()
         simulation = self.simulation
         scenario = simulation.scenario.replace(fault=[], duration_s=round(simulation.k * simulation.dt, 9))
-        return again(tables.write_flight(folder, "again", scenario, self._entries), self._digest.hexdigest())
+        lines = [{"step": entry.step, "sender": entry.sender} | rq.to_dict(entry.request) for entry in self._entries]
+        (folder / "again.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+        stated = scenario.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+        (folder / "again.toml").write_text(toml_text(stated | {"requests": "again.jsonl"}), encoding="utf-8")
+        return again(folder / "again.toml", self._digest.hexdigest())

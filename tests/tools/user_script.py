@@ -41,7 +41,7 @@ def study(folder: Path) -> float:
         highest += len(design("turbojet", start=designed.controller).lines())
     measured = margins(scenario, ["roll"], limit=True).axes["roll"].response.margins["phase_deg"]
     identified = identify("roll", "edf", from_hz=0.5).model.delay_samples
-    held = sum(row.verdict == "held" for row in faults(kinds=["flame-out"]).survival.rows)
+    held = sum(row.verdict == "held" for row in faults(kinds=["flame-out"]).survey.rows)
     won += held if check_engine("edf", settings={"gain": 0.3}).is_fit else len(identify_log(folder, "roll").tables())
     apart = compare(run, "hover", shift={"B": 0.1}).compared[0].same
     path: Path = export(run, "mcap")

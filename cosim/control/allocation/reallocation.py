@@ -17,8 +17,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from itertools import product
+from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import InputError
 from cosim.base.signals import JetHealth
@@ -51,20 +51,6 @@ class Plan:
     roll_range: tuple[float, float]  # roll range; beyond it no collective is left
     boost: tuple[float, ...]
     pitch: tuple[float, float, float, float]
-
-
-class Attainable(NamedTuple):
-    """What the engines that are left can do at rest, level and without tilt, with no roll and no pitch moment.
-
-    ``thrust`` is the most they lift over the weight; ``roll`` the largest roll moment either way while they hold
-    the weight, over what all engines give, None if they cannot hold it.  On a multirotor yaw is balanced too, unless
-    ``yaw`` is False.
-    """
-
-    lost: tuple[int, ...]  # jets 1 to 6
-    thrust: float
-    roll: float | None
-    yaw: bool
 
 
 def plan(
@@ -142,54 +128,6 @@ def plan(
         boost=tuple(everything[3].tolist()),
         pitch=(constant, per_up, per_reach, per_boost),
     )
-
-
-def attainable(
-    jets: Sequence[Jet], limits: AllocationLimits, hover: float, idle: float, lost: Sequence[int], yaw: bool = True
-) -> Attainable:
-    """Return what is attainable without the jets ``lost`` (1 to 6), by linear programs over the commands' limits."""
-    import numpy as np
-
-    left = [i for i in range(len(jets)) if i + 1 not in lost]
-    rows = _rows(jets)
-    if yaw and any(jet.reaction_m for jet in jets):
-        rows = np.vstack([rows, [jet.reaction_m for jet in jets]])
-    free, balance = rows[:, left], rows[1:, left]
-    weight = len(jets) * (idle + hover)
-    if not left:
-        return Attainable(tuple(sorted(lost)), 0.0, None, yaw)
-    bounds = (limits.throttle_min + idle, limits.throttle_max + idle)
-    best = _linprog(-free[0], eq=(balance, np.zeros(len(balance))), bounds=bounds)
-    thrust = -best.fun / weight if best is not None else 0.0
-    roll = None
-    if thrust >= 1.0:
-        everything = list(range(len(jets)))
-        roll = _roll_authority(rows, left, weight, bounds) / _roll_authority(rows, everything, weight, bounds)
-    return Attainable(tuple(sorted(lost)), float(thrust), roll, yaw)
-
-
-def attainable_sets(
-    jets: Sequence[Jet], limits: AllocationLimits, hover: float, idle: float, most_lost: int = 2
-) -> list[Attainable]:
-    """Return :func:`attainable` for each combination of up to ``most_lost`` lost jets; multirotors without yaw too."""
-    reacting = any(jet.reaction_m for jet in jets)
-    return [
-        attainable(jets, limits, hover, idle, lost, yaw)
-        for count in range(most_lost + 1)
-        for lost in combinations(range(1, len(jets) + 1), count)
-        for yaw in ((True, False) if reacting else (True,))
-    ]
-
-
-def _roll_authority(rows: Array, left: list[int], weight: float, bounds: tuple[float, float]) -> float:
-    """Return the smaller of the largest roll moments either way, with the weight carried and the rest balanced."""
-    import numpy as np
-
-    held = np.delete(rows[:, left], 1, axis=0)
-    wanted = np.zeros(len(held))
-    wanted[0] = weight
-    ends = [_linprog(sign * rows[1, left], eq=(held, wanted), bounds=bounds) for sign in (1.0, -1.0)]
-    return float(min(0.0 if end is None else -end.fun for end in ends))
 
 
 def _rows(jets: Sequence[Jet]) -> Array:

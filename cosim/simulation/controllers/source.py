@@ -16,7 +16,7 @@ import pickle
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from importlib.metadata import EntryPoint, PackageNotFoundError, packages_distributions, version
 from math import isfinite
 from pathlib import Path
@@ -350,6 +350,7 @@ def _from_entry(kind: str, name: str, entry: EntryPoint) -> Source:
     return _from_attributes(kind, name, member, None, {} if path is None else {path.name: path}, package, copied=False)
 
 
+@cache
 def find_package_version(module: str) -> str:
     """Return name and version of the installed package that a module belongs to; empty where it belongs to none."""
     top = module.split(".")[0]

@@ -21,7 +21,8 @@ from cosim.simulation.engine_reference import make_engine_reference
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import FlameOut, Scenario
 from cosim.spec.vehicle import load_vehicle
-from hexjet_prove.surveys.survey import judge_outcome, load_subject, measure_flight
+from hexjet_prove.surveys.faults import judge
+from hexjet_prove.surveys.survey import held_formula, load_subject, measure_flight
 
 STEP_S = 0.004
 HOME = {
@@ -158,8 +159,10 @@ def test_a_fall_under_engines_that_jump_is_the_closed_form() -> None:
 
 def flown(engine: str, jet: int, monitor: dict[str, object]) -> tuple[str, float]:
     """Return the verdict of a flight and the largest lean [deg] after the engine is out."""
-    run = fly(flight(engine, jet, monitor))
-    return judge_outcome(run)[0], measure_flight(run.log, 250)[0]
+    scenario = flight(engine, jet, monitor)
+    run = fly(scenario.replace(require=[{"name": "held", "formula": held_formula(scenario.duration_s)}]))
+    margin = next(each.margin for each in run.summary.requirements if each.name == "held")
+    return judge(run.outcome, margin), measure_flight(run.log, 250)[0]
 
 
 @pytest.mark.parametrize("engine", ["p220", "turbine-20", "turbine-100", "turbine-220"])

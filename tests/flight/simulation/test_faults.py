@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable
-from dataclasses import replace
 from math import exp, log, sqrt
 from pathlib import Path
 from typing import Any, get_args
@@ -14,12 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from long_cases import long_case
-from places import DESIGNS, script
+from places import DESIGNS
 from stated_figures import stated
 
 from cosim import fly
-from cosim.base.errors import InputError
+from cosim.base.errors import InputError, Notice
 from cosim.base.signals import EngineOutput, PerJet, Sample
+from cosim.campaign.study.plan import flights, scenario_of
 from cosim.control.allocation.engine_monitor import EngineMonitor, EngineReference
 from cosim.engine import EngineBank, load_engine
 from cosim.engine.rundown import ELECTRIC, MODELLED, FlameOutLaw
@@ -43,9 +43,9 @@ from cosim.spec.scenario import (
 )
 from cosim.spec.vehicle import MonitorSettings, load_vehicle
 from cosim.vehicle.servo import TiltServo
-from hexjet_prove.surveys.fault_page import write
-from hexjet_prove.surveys.faults import LOSS, Case, Limit, cases, scenario_of, summary, survival
-from hexjet_prove.surveys.survey import load_subject, measure_flight
+from hexjet_prove.api.surveys import faults
+from hexjet_prove.surveys.faults import CONFIRMATIONS_S, LOSSES, cases, plan_faults
+from hexjet_prove.surveys.survey import measure_flight
 
 STEP = 0.004
 KINDS = {get_args(fault.model_fields["kind"].annotation)[0] for fault in get_args(Fault)}
@@ -790,72 +790,53 @@ def test_the_table_has_every_fault_at_every_place() -> None:
     assert kinds == KINDS
     assert [case.place for case in found if case.kind == "flame-out"] == [f"jet {jet}" for jet in range(1, 7)]
     assert not [case for case in cases(load_vehicle("quadrotor")[0]) if "servo" in case.kind or case.place == "jet 5"]
-    for case in found:
-        scenario_of(load_subject("hexjet", "edf-as-flown"), case, "roll", "smith")  # is a scenario
+    plan = plan_faults("hexjet", limits=True)  # each is a scenario
+    assert len(plan.study.case) == 2 * (len(found) + len(LOSSES) + len(CONFIRMATIONS_S))
 
 
-def test_the_judge_reads_lean_height_and_detection() -> None:
-    case = Case("flame-out", "jet 1", {"kind": "flame_out", "jet": 1})
-    run = fly(scenario_of(load_subject("hexjet", "edf-as-flown"), case, "hover", "smith"))
+def test_a_small_table(tmp_path: Path) -> None:
+    found = faults("hexjet", "edf-as-flown", controllers=["baseline", "smith"], kinds=["none", "gyro bias"], workers=1,
+                   out=tmp_path / "table")  # fmt: skip
+    verdicts = {(row.kind, row.start, row.controller): row.verdict for row in found.survey.rows}
+    assert verdicts["none", "hover", "smith"] == verdicts["gyro bias 3 deg/s", "roll", "smith"] == "held"
+    # what the doublet's own scenario says of the baseline
+    assert verdicts["none", "roll", "baseline"] == "lost"
+    (table,) = found.tables()
+    assert table.columns == ["fault", "from", "baseline", "smith", "detected, s"]
+    assert [row[:2] for row in table.rows[:2]] == [["none", "hover"], ["none", "roll"]]
+    assert table.rows[0][3].startswith("1/1")
+    assert "hexjet: smith holds 4 of 4 flights" in found.lines()
+    lost = next(row for row in found.survey.rows if row.verdict == "lost")
+    again = found.fly_again(lost.flight)
+    assert again.same
+    assert again.run.reason == lost.reason  # as it was flown
+    with pytest.raises(InputError, match="no fault begins with 'flat'"):
+        faults("hexjet", kinds=["flat"])
+
+
+def test_lean_height_and_detection_are_measured_from_the_fault_on() -> None:
+    plan = plan_faults("hexjet", "edf-as-flown", ("smith",), ("flame-out",))
+    scenario = scenario_of(plan.study, flights(plan.study)[0])
+    run = fly(scenario)
     lean, lost, detected = measure_flight(run.log, 250)
     assert lean == pytest.approx(np.degrees(np.abs(run.log["roll_rad"]).max()), abs=2.0)
     assert lost == pytest.approx(run.log["altitude_m"][250] - run.log["altitude_m"][250:].min())
     assert detected == 255
-
-
-def test_a_small_table(tmp_path: Path) -> None:
-    """And what is written of it into docs/faults.md."""
-    found = survival("hexjet", "edf-as-flown", ("baseline", "smith"), ("none", "gyro bias"), workers=1)
-    verdicts = {(row.kind, row.start, row.controller): row.verdict for row in found.rows}
-    assert verdicts["none", "hover", "smith"] == verdicts["gyro bias 3 deg/s", "roll", "smith"] == "held"
-    # what the doublet's own scenario says of the baseline
-    assert verdicts["none", "roll", "baseline"] == "lost"
-    controllers, table = summary(found)
-    assert controllers == ["baseline", "smith"]
-    assert next((kind, start, cells[1].held) for kind, start, cells in table) == ("none", "hover", 1)
-    paths = write(found, tmp_path / "table")
-    lines = paths["table"].read_text().splitlines()
-    assert len(lines) == 1 + len(found.rows)
-    lost = next(n for n, row in enumerate(found.rows) if row.verdict == "lost")
-    case = lines[1 + lost].rpartition(",")[2]
-    assert f'href="{case}"' in paths["report"].read_text()
-    assert fly(Scenario.load(tmp_path / "table" / case)).reason == found.rows[lost].reason  # as it was flown
-    assert "gyro bias 3 deg/s" in paths["report"].read_text()
-    assert found.moments is not None
-    assert found.moments.moment == pytest.approx(5.525 * 9.80665 / 6 * 0.15)
-    scanned = [
-        Limit(LOSS, "hover", "smith", [0.2, 0.3, 0.5], [0.1, 0.4], None),
-        Limit(LOSS, "roll", "smith", [], [0.1, 0.2], 0.3),
-    ]
-    pages = script("surveys")
-    parts = pages.fault_parts(replace(found, limits=scanned))
-    assert tuple(parts) == pages.FAULT_MARKS
-    text = "".join(parts.values())
-    assert "0.15 m off the centre: 1.35 N m on 0.0416 kg m², 32.6 rad/s²." in text
-    row = "held 0.2 to 0.3 and 0.5, airborne 0.1 and 0.4, lost nowhere | airborne 0.1 to 0.2, lost at 0.3"
-    assert f"| {LOSS} | smith | {row} |" in text
-    assert "| fault | from | baseline | smith | detected after |" in text
-    assert "| none | hover | 1 of 1; " in text
-    assert "| 1 and 2; 3 and 4 | 1.48 | 39 % |" in text
-    with pytest.raises(InputError, match="no fault begins with 'flat'"):
-        survival("hexjet", kinds=("flat",))
+    measured = run.summary.own_metrics
+    assert list(measured.values()) == [lean, lost, pytest.approx(6 * STEP)]
 
 
 def test_the_gains_of_a_design_are_flown_and_its_file_is_kept(tmp_path: Path) -> None:
-    """Each refused in one line for another aircraft or step, and warned of with another engine."""
+    """Each refused in one line for another aircraft, and warned of with another engine."""
     path = DESIGNS / "turbojet.toml"
-    found = survival("hexjet", "edf", (str(path),), ("none",), workers=1)
-    assert {row.controller for row in found.rows} == {str(path)}
-    assert [text.partition(" (")[0] for text in found.warnings] == ["turbojet.toml: designed for engine turbojet"]
-    assert found.to_dict()["warnings"] == list(found.warnings)
-    page = write(found, tmp_path / "table")["report"].read_text(encoding="utf-8")
-    assert "designed for engine turbojet" in page
+    with pytest.warns(Notice, match=r"designed for engine turbojet"):
+        found = faults("hexjet", "edf", controllers=[str(path)], kinds=["none"], workers=1, out=tmp_path / "table")
+    assert {row.controller for row in found.survey.rows} == {"turbojet.toml"}
+    assert "designed for engine turbojet" in found.to_dict()["warnings"][0]
     assert (tmp_path / "table" / "turbojet.toml").read_bytes() == path.read_bytes()
-    scenario = scenario_of(load_subject("hexjet", "edf"), Case("none", "", None), "hover", str(path))
+    scenario = scenario_of(found.campaign.study, flights(found.campaign.study)[0])
     made = tomllib.loads(path.read_text(encoding="utf-8"))
     assert scenario.controller == made["controller"]
     assert scenario.vehicle["control"]["rate"] == made["vehicle"]["control"]["rate"]
-    with pytest.raises(InputError, match=r"turbojet.toml: designed for steps of 0.004 s, not of 0.002 s"):
-        scenario_of(load_subject("hexjet", "edf"), Case("none", "", None), "hover", str(path), 0.002)
     with pytest.raises(InputError, match=r"turbojet.toml: designed for aircraft 'hexjet', not for 'quadjet'"):
-        survival("quadjet", None, (str(path),), ("none",), workers=1)
+        plan_faults("quadjet", None, (str(path),), ("none",))

@@ -5,61 +5,54 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from collections.abc import Iterator
 from math import hypot, isnan
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_tools import Hexjet
-from failsafe_flights import Flight, again, again_of_the_table
+from failsafe_flights import Flight, again, flown_case
 from long_cases import long_after
-from places import DOCS, script
+from places import DOCS
 from stated_figures import stated
 
 from cosim.base.constants import GRAVITY
 from cosim.base.protocols import EngineState
+from cosim.campaign.run import fly_again
+from cosim.campaign.store import open_campaign
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import LandedState, Mode
 from cosim.results.report import marks
 from cosim.spec.vehicle import load_vehicle
+from hexjet_prove.api.surveys import failsafes
 from hexjet_prove.surveys import failsafe_flight
-from hexjet_prove.surveys import failsafe_table as tables
 from hexjet_prove.surveys import failsafes as table
+from hexjet_prove.surveys.failsafe_cases import Case, cases
 from hexjet_prove.surveys.survey import load_subject
 from hexjet_prove.surveys.tipping import tip_speed
 
 HEXJETS = ("hexjet", "hexjet-p220")
-mark = script("surveys").mark
 AT_REST = 0.1  # of the speed that it had: nine tenths of it is gone when it touches
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _tips_of_the_page() -> Iterator[None]:
-    """What tips a vehicle is the page's number, which is measured for two vehicles here and for all by the long tests."""
-    with pytest.MonkeyPatch.context() as patch:
-        for module in (table, failsafe_flight):
-            patch.setattr(module, "tip_speed", lambda aircraft, engine: tip_of(aircraft))
-        yield
-
-
-def case(name: str) -> table.Case:
-    return next(each for each in table.cases(load_vehicle("octojet")[0]) if each.name == name)  # it has most engines
-
-
 def flown(
-    name: str, aircraft: str = "hexjet", height: float = 3.0, wind: float = 0.0, speed: float = 0.0
-) -> table.FailsafeFlight:
+    name: str, aircraft: str = "hexjet", height: float = 3.0, wind: float = 0.0, speed: float = 0.0, **more: Any
+) -> Any:
+    """A flight that begins in the air; what tips the vehicle is the page's number, which the long tests measure."""
     subject = load_subject(aircraft)
     scenario = table.scenario_of(subject, table.default_controller(subject), height, wind)
-    return table.fly_case(table.Task(case(name), table.Start(height, wind, speed), scenario))
+    case = {"failsafe": name, "height_m": height, "speed_m_s": speed, "trip_m_s": tip_of(aircraft)}
+    return flown_case(scenario, **case | more)
 
 
 def tip_of(aircraft: str) -> float:
-    text = marks.parts_of((DOCS / "tables/failsafes.md").read_text(encoding="utf-8"), "")[mark(aircraft)]
+    text = marks.parts_of((DOCS / "tables/failsafes.md").read_text(encoding="utf-8"), "")[
+        f"failsafes after a take-off, {aircraft}"
+    ]
     return float(re.search(r"faster than ([\d.]+) m/s sideways", text)[1])  # type: ignore[index]
 
 
-def landed_or_slid(aircraft: str, row: table.Row) -> str:
+def landed_or_slid(aircraft: str, row: Any) -> str:
     """What a vehicle that came to rest on its legs is called, by how fast it moved sideways as it touched."""
     return "slid" if row.sideways_m_s > tip_of(aircraft) else "landed"
 
@@ -88,10 +81,9 @@ def landed_or_slid(aircraft: str, row: table.Row) -> str:
         ],
     ),
 )
-def test_losing_the_gnss_lands(aircraft: str, height: float, wind: float, speed: float, tmp_path: Path) -> None:
+def test_losing_the_gnss_lands(aircraft: str, height: float, wind: float, speed: float) -> None:
     """It crashed at 2.3 to 17 m/s, holding and at 5 m/s: the climb rate was the receiver's and stood still with it."""
-    one = flown("GNSS lost", aircraft, height, wind, speed)
-    row = one.row
+    row = flown("GNSS lost", aircraft, height, wind, speed, repeated=True)
     assert row.verdict == landed_or_slid(aircraft, row)
     assert row.reason == "position lost"
     # the last metres are flown at the landing's rate; more than that is what the legs touch with in wind
@@ -100,14 +92,13 @@ def test_losing_the_gnss_lands(aircraft: str, height: float, wind: float, speed:
     assert row.sideways_m_s < (AT_REST * speed if speed else 1.0)
     # a jet's rotor has not quite run down after ten seconds
     assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
-    again_of_the_table(one, tmp_path)
 
 
 @pytest.mark.parametrize("aircraft", long_after(2, table.TABLED))
 def test_losing_the_gnss_at_speed_stops_and_lands(aircraft: str) -> None:
     """It touched at 1.9 to 3.7 m/s sideways: the drag learnt at speed was taken for a push that went on at rest."""
     vehicle = load_vehicle(aircraft)[0]
-    row = flown("GNSS lost", aircraft, 30.0 if aircraft == "hexjet-100" else 10.0, 0.0, 5.0).row
+    row = flown("GNSS lost", aircraft, 30.0 if aircraft == "hexjet-100" else 10.0, 0.0, 5.0)
     assert row.verdict == landed_or_slid(aircraft, row)
     assert row.reason == "position lost"
     assert row.sideways_m_s < AT_REST * 5.0
@@ -153,9 +144,8 @@ def test_turbines_that_still_carry_it_let_a_vehicle_tip_much_sooner() -> None:
     stated("docs/tables/failsafes.md", sentence, gone("hexjet-p220"), tip_speed("hexjet-p220", "p220"))
 
 
-def test_what_touches_faster_sideways_has_not_landed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(failsafe_flight, "tip_speed", lambda aircraft, engine: 0.0)
-    row = flown("GNSS lost").row
+def test_what_touches_faster_sideways_has_not_landed() -> None:
+    row = flown("GNSS lost", trip_m_s=0.0)
     assert row.verdict == "slid"
     assert 0.0 < row.sideways_m_s < 0.3
     assert row.margin_m_s == -row.sideways_m_s
@@ -178,18 +168,14 @@ def test_what_touches_faster_sideways_has_not_landed(monkeypatch: pytest.MonkeyP
         ],
     ),
 )
-def test_every_sensor_lands_alone_and_with_the_gnss(
-    name: str, aircraft: str, height: float, wind: float, tmp_path: Path
-) -> None:
+def test_every_sensor_lands_alone_and_with_the_gnss(name: str, aircraft: str, height: float, wind: float) -> None:
     """Each once, over vehicles, heights and winds; the page has them all."""
-    one = flown(name, aircraft, height, wind)
-    row = one.row
+    row = flown(name, aircraft, height, wind, repeated=True)
     vehicle = load_vehicle(aircraft)[0]
     assert row.verdict == landed_or_slid(aircraft, row)
     assert row.reason in name or row.reason == "position lost"
     assert row.touchdown_m_s < 2.0 * vehicle.control.pilot.land_m_s  # type: ignore[union-attr]
     assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
-    again_of_the_table(one, tmp_path)
 
 
 def test_nothing_disarms_in_the_air_whatever_the_sensors_say(tmp_path: Path) -> None:
@@ -209,25 +195,22 @@ def test_nothing_disarms_in_the_air_whatever_the_sensors_say(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("jet", long_after(2, range(1, 7)))
-def test_with_any_engine_lost_the_landing_is_recognised_and_everything_is_off(jet: int, tmp_path: Path) -> None:
+def test_with_any_engine_lost_the_landing_is_recognised_and_everything_is_off(jet: int) -> None:
     """Half of them stood armed for ever, the others gave 31 N disarmed: idle went through the plan."""
-    one = flown(f"engine {jet} out", height=10.0)
-    row = one.row
+    row = flown(f"engine {jet} out", height=10.0, repeated=True)
     assert (row.verdict, row.reason) == ("landed", f"engine {jet} failed")
     assert row.touchdown_m_s < 1.0
     assert row.thrust_n == 0.0
     assert row.drift_m < 2.0
-    again_of_the_table(one, tmp_path)
 
 
 @pytest.mark.parametrize(
     ("aircraft", "jet"),
     long_after(1, [(aircraft, jet) for aircraft in ("hexjet-p220", "hexjet-100") for jet in range(1, 7)]),
 )
-def test_a_full_scale_vehicle_lands_with_any_engine_lost_and_knows_it(aircraft: str, jet: int, tmp_path: Path) -> None:
+def test_a_full_scale_vehicle_lands_with_any_engine_lost_and_knows_it(aircraft: str, jet: int) -> None:
     """It stood on running engines and slid 70 to 360 m, or was lost in the air; from 10 m it hit the ground at 4.4 m/s."""
-    one = flown(f"engine {jet} out", aircraft, 10.0)
-    row = one.row
+    row = flown(f"engine {jet} out", aircraft, 10.0, repeated=True)
     vehicle = load_vehicle(aircraft)[0]
     assert (row.verdict, row.reason) == (landed_or_slid(aircraft, row), f"engine {jet} failed")
     assert row.touchdown_m_s < vehicle.limits.touchdown_m_s
@@ -235,12 +218,11 @@ def test_a_full_scale_vehicle_lands_with_any_engine_lost_and_knows_it(aircraft: 
     assert row.drift_m < 9.3
     # jets that have not quite run down
     assert row.thrust_n < 1e-3 * vehicle.mass_kg * GRAVITY
-    again_of_the_table(one, tmp_path)
 
 
 def test_who_drifts_when_it_touches_does_not_trip() -> None:
     """Without GNSS and gyro it touches at 1 m/s sideways; on nearly its weight in thrust it hopped until it fell over."""
-    row = flown("GNSS and gyro lost", "hexjet-100", 10.0, 10.0).row
+    row = flown("GNSS and gyro lost", "hexjet-100", 10.0, 10.0)
     assert row.verdict == landed_or_slid("hexjet-100", row)
 
 
@@ -479,7 +461,7 @@ def test_a_minute_of_full_reversals_keeps_the_full_scale_vehicle(yaw: float, tmp
 
 @pytest.mark.parametrize(("aircraft", "wind"), [("hexjet", 0.0), ("hexjet-p220", 10.0)])
 def test_who_holds_is_where_and_as_high_as_it_was_to_hold(aircraft: str, wind: float) -> None:
-    row = flown("set-points lost", aircraft, 10.0, wind).row
+    row = flown("set-points lost", aircraft, 10.0, wind)
     assert row.verdict == "holds"
     # it held at north 0, east 0; the place and the height are the set-point's, measured through the sensors
     assert row.off_m < failsafe_flight.HOLD_RADIUS_M
@@ -492,30 +474,28 @@ def test_who_holds_is_where_and_as_high_as_it_was_to_hold(aircraft: str, wind: f
 def test_who_is_in_hold_elsewhere_does_not_hold(moved: rq.Goto, monkeypatch: pytest.MonkeyPatch) -> None:
     """A place or a height that jumps when HOLD begins: the mode alone would say that all is well."""
     monkeypatch.setattr(failsafe_flight, "LONGEST_HOLD_S", 12.0)
-    scenario = table.scenario_of(load_subject("hexjet"), "smith", 3.0, 0.0)
-    elsewhere = table.Case("elsewhere", (), (moved,), True)
-    row = table.fly_case(table.Task(elsewhere, table.Start(3.0, 0.0), scenario)).row
+    elsewhere = Case("elsewhere", (), (moved,), True)
+    monkeypatch.setattr(failsafe_flight, "cases", lambda vehicle: [elsewhere])
+    row = flown("elsewhere")
     assert row.verdict == "flies on"
     assert max(row.off_m, abs(row.height_off_m)) > 0.9
     assert row.margin_m < 0.0
 
 
-def test_the_command_writes_the_table(tmp_path: Path, hexjet: Hexjet) -> None:
-    done = hexjet(
-        *("failsafes", "--failsafe", "sticks", "--height", "3", "--wind", "0", "--workers", "1", "--json"),
-        *("--flights", "2"),
-        *("--out", str(tmp_path / "out")),
-    )
+def test_the_command_flies_a_campaign_that_goes_on_and_flies_again(tmp_path: Path, hexjet: Hexjet) -> None:
+    asked = ("failsafes", "--failsafe", "sticks", "--height", "3", "--wind", "0", "--workers", "1", "--flights", "2")
+    out = str(tmp_path / "out")
+    done = hexjet(*asked, "--json", "--out", out)
     assert done.status == 0, done.err
-    found = json.loads(done.out)
-    assert [(row["failsafe"], row["verdict"], row["thrust_n"]) for row in found["rows"]] == [
-        ("sticks lost", "holds", None)
-    ] * 2
-    assert (tmp_path / "out" / "failsafes.csv").read_text().count("\n") == 3
-    # at moments of their own, which the seed draws; and the flights fly again
-    assert len({row["hover_s"] for row in found["rows"]}) == 2
-    for row in found["rows"][1:]:  # the first flies like any
-        again(tmp_path / "out" / "flights" / f"sticks-lost-3m-0m_s-{row['number']}.toml", row["log_sha256"])
+    rows = json.loads(done.out)["rows"]
+    assert [(row["failsafe"], row["verdict"], row["thrust_n"]) for row in rows] == [("sticks lost", "holds", None)] * 2
+    # at moments of their own, which the seed draws
+    assert len({row["hover_s"] for row in rows}) == 2
+    begun = (tmp_path / "out" / "flights").stat().st_mtime_ns
+    assert json.loads(hexjet(*asked, "--json", "--out", out).out)["rows"] == rows
+    assert (tmp_path / "out" / "flights").stat().st_mtime_ns == begun
+    assert fly_again(open_campaign(out), 1, tmp_path / "again").same
+    again(tmp_path / "again" / "scenario.toml", rows[1]["log_sha256"])
 
 
 def test_one_command_writes_the_tables_of_several_vehicles(tmp_path: Path, hexjet: Hexjet) -> None:
@@ -525,7 +505,7 @@ def test_one_command_writes_the_tables_of_several_vehicles(tmp_path: Path, hexje
     assert done.status == 0, done.err
     for aircraft in both:
         assert f"{aircraft}, " in done.out
-        assert (tmp_path / "out" / aircraft / "failsafes.csv").is_file()
+        assert (tmp_path / "out" / aircraft / "report.html").is_file()
 
 
 @pytest.mark.parametrize(
@@ -552,7 +532,9 @@ def test_what_is_drawn_is_the_same_again_and_other_for_every_flight() -> None:
     """The moment, the noise and the tank: of the vehicle, the failsafe, the start, the number and the seed."""
     vehicle = load_vehicle("hexjet-p220")[0]
     conditions = table.Conditions(heights=(30.0,), winds=(0.0, 10.0), flights=4)
-    lost, fuel = case("GNSS lost"), case("fuel runs down")
+    lost, fuel = (
+        next(each for each in cases(vehicle) if each.name == name) for name in ("GNSS lost", "fuel runs down")
+    )
     assert [(*start, number) for start, number in conditions.starts(lost)] == [
         *((30.0, wind, 0.0, number) for number, wind in enumerate((0.0, 10.0, 0.0, 10.0), 1)),
         *((30.0, 0.0, 5.0, number) for number in range(1, 5)),
@@ -561,34 +543,36 @@ def test_what_is_drawn_is_the_same_again_and_other_for_every_flight() -> None:
     assert tall == [3.0, 3.0, 10.0, 10.0, 30.0, 30.0, 100.0, 300.0]
     stated("docs/failsafes.md", "What takes long, from {} and {} m, is one flight", *table.TALL_M)
     stated("docs/failsafes.md", "A flight takes off, hovers for {} to {} s, and then something fails", *table.HOVER_S)
-    scenario = table.scenario_of(load_subject("hexjet-p220", "p220"), "smith", 30.0, 0.0)
     with Flight("hexjet-p220") as flight:
         energy = flight.pilot.energy
 
-        def drawn(number: int, seed: int = 0) -> table.Task:
-            task = table.Task(fuel, table.Start(30.0, 0.0), scenario, number)
-            return table.draw_flight(task, vehicle, energy, seed)
+        def drawn(number: int, seed: int = 0) -> tuple[dict[str, Any], dict[str, Any]]:
+            planned = table.PlannedFlight(fuel, table.Start(30.0, 0.0), number)
+            return table.draw_flight(planned, vehicle, energy, seed)
 
         assert drawn(1) == drawn(1)
         several = [drawn(number) for number in range(1, 9)] + [drawn(1, seed=1)]
-        assert len({task.scenario.seed for task in several}) == 9
+        assert len({settings["seed"] for settings, _ in several}) == 9
         low, high = table.HOVER_S
-        assert all(low <= task.hover <= high for task in several)
-        assert len({task.hover for task in several}) > 4
-        for task in several:
+        hovers = [pilot["hover_s"] for _, pilot in several]
+        assert all(low <= hover <= high for hover in hovers)
+        assert len(set(hovers)) > 4
+        for (settings, _), hover in zip(several, hovers, strict=True):
             # a fifth of the tank, which is more than the way down from there takes, is left at the end of the hover
-            up = energy.burn * (energy.climb_time(30.0) + task.hover)
-            assert task.scenario.initial.fuel - up == pytest.approx(0.2, abs=1e-3)
+            up = energy.burn * (energy.climb_time(30.0) + hover)
+            assert settings["initial"]["fuel"] - up == pytest.approx(0.2, abs=1e-3)
 
 
 @pytest.mark.parametrize(
     ("aircraft", "height"),
     [("hexjet", 3.0), *(pytest.param(each, 10.0, marks=pytest.mark.long) for each in table.TABLED)],
 )
-def test_fuel_that_runs_down_after_a_take_off_brings_the_vehicle_home(aircraft: str, height: float) -> None:
+def test_fuel_that_runs_down_after_a_take_off_brings_the_vehicle_home(
+    aircraft: str, height: float, tmp_path: Path
+) -> None:
     """The tank as it burns, not a raised threshold; a battery where there is no tank."""
-    conditions = table.Conditions(heights=(height,), winds=(0.0,), flights=1)
-    (survey,) = table.failsafes([aircraft], kinds=["fuel"], conditions=conditions, workers=1)
+    asked: dict[str, Any] = {"kinds": ["fuel"], "heights": [height], "winds": [0.0], "flights": 1, "workers": 1}
+    survey = failsafes(aircraft, out=tmp_path / "out", **asked).survey
     (row,) = survey.rows
     assert row.verdict == "landed"
     assert "for the way down: " in row.reason or "energy low (20 %)" in row.reason
@@ -605,4 +589,4 @@ def test_a_cell_of_several_flights_tells_how_many_landed_and_the_worst() -> None
         dataclasses.replace(base, touchdown_m_s=0.7, thrust_n=float("nan"), number=2),
         dataclasses.replace(base, verdict="slid", sideways_m_s=2.5, wind_m_s=10.0, number=3),
     ]
-    assert tables.format_cell(rows) == "2 of 3 landed, 1 of 3 slid (wind 10 m/s), 0.70 m/s, sideways 2.50 m/s, 0.1 N"
+    assert table.format_cell(rows) == "2 of 3 landed, 1 of 3 slid (wind 10 m/s), 0.70 m/s, sideways 2.50 m/s, 0.1 N"

@@ -12,9 +12,10 @@ from uncertain_engines import fan
 from cosim.campaign.run import fly_again, run_campaign
 from cosim.campaign.store import Campaign
 from cosim.campaign.study.options import open_study
+from cosim.campaign.study.plan import flights, scenario_of
 from cosim.campaign.study.study import Study
-from hexjet_prove.surveys.failsafes import Conditions, failsafes
-from hexjet_prove.surveys.faults import survival
+from hexjet_prove.surveys.failsafes import Conditions, plan_failsafes
+from hexjet_prove.surveys.faults import plan_faults
 
 DESIGN = str(Path(__file__).parents[2] / "designs" / "edf.toml")
 
@@ -64,20 +65,19 @@ def test_the_same_flights_on_any_number_of_workers_resumed_and_again(tmp_path: P
 
 def test_surveys_draw_the_engine_for_each_case_the_same_for_every_controller(tmp_path: Path) -> None:
     file = str(fan(tmp_path, [3.0, 0.006, 0.02], [1.0, 0.002, 0.01]))
-    chosen: dict[str, Any] = {"controllers": ("baseline", DESIGN), "kinds": ("none", "gyro bias"), "workers": 1}
-    drawn = survival("hexjet", file, **chosen)
-    assert drawn.engine_note.startswith("the engine of each flight is drawn by the engine's [uncertainty]")
-    assert "; --nominal-engine flies it as it is stated" in drawn.to_dict()["engine_note"]
-    engines = [tuple(scenario.mismatch.engine_parameters.values()) for scenario in drawn.scenarios]
+    plan = plan_faults("hexjet", file, ("baseline", DESIGN), ("none", "gyro bias"))
+    assert plan.engine_note.startswith("the engine of each flight is drawn by the engine's [uncertainty]")
+    assert "; --nominal-engine flies it as it is stated" in plan.engine_note
+    scenarios = [scenario_of(plan.study, flight) for flight in flights(plan.study)]
+    engines = [tuple(scenario.mismatch.engine_parameters.values()) for scenario in scenarios]
     assert engines[::2] == engines[1::2]
     assert len(set(engines)) == len(engines) / 2 == 4
-    assert all(len(scenario.mismatch.stations) == 6 for scenario in drawn.scenarios)
-    part = survival("hexjet", file, **chosen | {"kinds": ("gyro bias",)})
-    assert part.rows == [row for row in drawn.rows if row.kind.startswith("gyro bias")]
-    nominal = survival("hexjet", file, **chosen | {"kinds": ("none",)}, nominal_engine=True)
+    assert all(len(scenario.mismatch.stations) == 6 for scenario in scenarios)
+    part = plan_faults("hexjet", file, ("baseline", DESIGN), ("gyro bias",))
+    assert part.study.case == [case for case in plan.study.case if case.name.startswith("gyro")]
+    nominal = plan_faults("hexjet", file, ("baseline",), ("none",), nominal_engine=True)
     assert "is not drawn" in nominal.engine_note
-    assert not nominal.scenarios[0].mismatch.engine_parameters
-    conditions = Conditions((3.0,), (0.0,), airborne=True)
-    (survey,) = failsafes(["hexjet"], file, "baseline", ["barometer"], conditions, workers=1)
-    assert survey.to_dict()["engine_note"] == drawn.engine_note
-    assert survey.flights[0].scenario.mismatch.engine_parameters
+    assert not scenario_of(nominal.study, flights(nominal.study)[0]).mismatch.engine_parameters
+    failing = plan_failsafes("hexjet", file, "baseline", ["barometer"], Conditions((3.0,), (0.0,), airborne=True))
+    assert failing.engine_note == plan.engine_note
+    assert scenario_of(failing.study, flights(failing.study)[0]).mismatch.engine_parameters

@@ -31,9 +31,8 @@ from cosim.control.attitude import AttitudeController
 from cosim.control.rate import RateController
 from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
+from hexjet_prove.api.surveys import faults
 from hexjet_prove.search.folder import resolve_search, run_search
-from hexjet_prove.surveys.fault_page import write as write_survey
-from hexjet_prove.surveys.faults import survival
 
 PAGE = ROOT / "docs" / "own-controller.md"
 DOUBLET = {"kind": "doublet", "signal": "roll_deg", "start_s": 0.04, "amplitude": 8.0, "width_s": 0.2}
@@ -404,15 +403,14 @@ def test_a_search_and_a_survey_of_faults_fly_it_and_say_which_it_was(mine: str, 
     """And the survey says where nothing watches the engines."""
     whole = of_page("cascade", tmp_path / "cascade.py") + ":Cascade"
     sha256 = {name: hashlib.sha256(Path(name.rpartition(":")[0]).read_bytes()).hexdigest() for name in (mine, whole)}
-    found = survival("hexjet", "edf-as-flown", (mine, whole), ("gyro bias",), workers=1)
-    assert {(row.controller, row.controller_sha256) for row in found.rows} == set(sha256.items())
-    by_start = {(row.start, row.controller): row for row in found.rows}
-    assert by_start["hover", mine].verdict == by_start["hover", whole].verdict == "held"
-    assert found.unmonitored_controllers == ["cascade.py:Cascade"]
-    assert [each["engine_monitor"] for each in found.to_dict()["own_controllers"]] == [True, False]
     out = tmp_path / "survey"
-    page = write_survey(found, out)["report"].read_text(encoding="utf-8")
-    assert "No engine monitor with cascade.py:Cascade" in page
+    asked: dict[str, Any] = {"controllers": [mine, whole], "kinds": ["gyro bias"], "workers": 1}
+    found = faults("hexjet", "edf-as-flown", out=out, **asked)
+    flown = {(row.controller, row.controller_sha256) for row in found.survey.rows}
+    assert flown == {(Path(name).name, value) for name, value in sha256.items()}
+    assert {row.verdict for row in found.survey.rows if row.start == "hover"} == {"held"}
+    assert "no engine monitor with cascade.py:Cascade" in "\n".join(found.lines())
+    assert [each["engine_monitor"] for each in found.to_dict()["own_controllers"]] == [True, False]
     assert (out / "mine.py").read_bytes() == Path(mine.removesuffix(":Mine")).read_bytes()
 
     vary = ["controller_parameters.share=0.5:1:2"]

@@ -104,16 +104,14 @@ def test_a_wrong_argument_is_one_line(
 def test_failsafes_without_winds_are_those_of_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
     winds = []
 
-    def fly(
-        aircraft: object, engine: object, controller: object, kinds: object, conditions: Any, *others: object
-    ) -> Any:
+    def plan(aircraft: object, engine: object, controller: object, kinds: object, conditions: Any) -> Any:
         winds.append(conditions.winds)
-        yield None
+        raise InputError("enough")
 
-    monkeypatch.setattr("hexjet_prove.surveys.failsafes.failsafes", fly)
-    cosim.failsafes()
-    cosim.failsafes(winds=[])
-    cosim.failsafes(winds=[3.0])
+    monkeypatch.setattr("hexjet_prove.surveys.failsafes.plan_failsafes", plan)
+    for given in ({}, {"winds": []}, {"winds": [3.0]}):
+        with pytest.raises(InputError, match="enough"):
+            cosim.failsafes(**given)
     assert winds == [WINDS_M_S, WINDS_M_S, (3.0,)]
 
 

@@ -91,7 +91,6 @@ def test_a_record_that_is_none_is_somebody_elses(content: str, tmp_path: Path) -
         (("margins", "hover"), "response.csv"),
         (("fmu", "check", "edf"), "check.json"),
         (("validate", "model.toml", "log.csv"), "report.html"),
-        (("faults", "--kind", "flame-out"), "survival.html"),
     ],
 )
 def test_results_are_refused_before_the_work(

@@ -6,7 +6,6 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import campaigns
@@ -48,7 +47,8 @@ from cosim.results.run import Run, open_run
 from cosim.spec.scenario import Range
 from hexjet_prove.proof.requirements import proven_requirements
 from hexjet_prove.search.search import describe_flight
-from hexjet_prove.surveys.survey import judge_outcome
+from hexjet_prove.surveys.faults import judge
+from hexjet_prove.surveys.survey import held_formula
 
 PAGE = (DOCS / "requirements.md").read_text(encoding="utf-8")
 STEP = 0.1
@@ -376,6 +376,8 @@ def test_the_verdict_of_a_survey_is_a_requirement(
 ) -> None:
     table = np.zeros((len(NAMES), len(degrees)))
     table[NAMES.index("yaw_setpoint_rad")] = np.radians(degrees)
-    summary = SimpleNamespace(outcome=outcome, planned_s=1.5, duration_s=0.5 * len(degrees), step_s=0.5)
-    run: Any = SimpleNamespace(log=MemoryLog([table], NAMES, COLUMNS), summary=summary)
-    assert judge_outcome(run) == (verdict, margin if margin is None else pytest.approx(margin, abs=1e-3))
+    flown = FlightSignals(MemoryLog([table], NAMES, COLUMNS), 0.5, {}, {})
+    lost = None if outcome == "completed" else Lost(0.5 * len(degrees), 1.5)
+    held = Requirement(name="held", formula=held_formula(1.5)).assess(flown, lost)
+    assert held.margin == (margin if margin is None else pytest.approx(margin, abs=1e-3))
+    assert judge(outcome, held.margin) is verdict

@@ -6,79 +6,53 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import FolderResult, Limits, Progress, Table, checked
+from cosim.api.call import Limits, Progress, Table, checked
+from cosim.api.studies import SweepResult
 from cosim.base.trust import mention
 
 if TYPE_CHECKING:
-    from hexjet_prove.surveys.failsafes import Failsafes
-    from hexjet_prove.surveys.faults import Survival
+    from cosim.studies import Campaign
+    from hexjet_prove.surveys.failsafes import FailsafeSurvey
+    from hexjet_prove.surveys.faults import FaultSurvey
 
-WRITTEN = ("survival.csv", "survival.html", "cases")
-AIRBORNE = ("failsafe", "wind, m/s", "moving, m/s", "ended", "down, m/s", "sideways, m/s", "thrust 10 s later, N")
 WORKERS = Limits(1, 64)
 
 
-class FaultsResult(FolderResult):
-    """Which single faults a vehicle survives, with which controller.
-
-    ``write`` leaves ``survival.csv``, ``survival.html`` and every flight as a scenario in ``cases``.
+class SurveyResult(SweepResult):
+    """A campaign with a case for each flight of a survey.
 
     Attributes
     ----------
-    survival : Survival
+    survey : FaultSurvey or FailsafeSurvey
         Everything; ``rows`` has a flight each.
     """
 
-    def __init__(self, survival: Survival) -> None:
-        self.survival = survival
-        self.files = {}
+    def __init__(self, campaign: Campaign, survey: FaultSurvey | FailsafeSurvey) -> None:
+        from cosim.studies import write_campaign_report
 
-    def _write(self, folder: Path) -> dict[str, Path]:
-        from hexjet_prove.surveys.fault_page import write
-
-        return write(self.survival, folder)
+        super().__init__(campaign, write_campaign_report(campaign))
+        self.survey = survey
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet faults --json`` prints."""
-        return self.survival.to_dict()
+        """Return what the command prints with ``--json``."""
+        return {"folder": str(self.campaign.folder), "report": str(self.report)} | self.survey.to_dict()
 
     def lines(self) -> list[str]:
-        """Return how many flights are held by each controller, and what is to be said of the engine."""
-        from cosim.spec.controller_name import label
-        from hexjet_prove.surveys.faults import summary
-
-        result = self.survival
-        controllers, survived = summary(result)
-        counts = [
-            (sum(cells[k].held for *_, cells in survived), sum(cells[k].flights for *_, cells in survived))
-            for k in range(len(controllers))
-        ]
-        flown = [
-            f"{result.aircraft}: {label(name)} holds {held} of {flights} flights"
-            for name, (held, flights) in zip(controllers, counts, strict=True)
-        ]
-        return [*flown, *([result.engine_note] if result.engine_note else []), *result.warnings]
+        """Return what flew, and how it is judged."""
+        return self.survey.lines()
 
     def tables(self) -> list[Table]:
-        """Return at how many of its places each fault is held, and what is left where jets are lost."""
-        from cosim.spec.controller_name import label
-        from hexjet_prove.surveys.faults import summary
+        """Return how the flights of each case ended."""
+        head, *lines = self.survey.table()
+        return [Table("", head, lines)]
 
-        controllers, survived = summary(self.survival)
-        held = []
-        for kind, start, cells in survived:
-            times = [time for cell in cells if cell.detected_s for time in cell.detected_s]
-            columns = [f"{cell.held}/{cell.flights}  {cell.lean_deg:3.0f} deg {cell.lost_m:4.1f} m" for cell in cells]
-            held.append((kind, start, *columns, f"{min(times):.3f} to {max(times):.3f}" if times else "-"))
-        left = []
-        for attainable in self.survival.attainable:
-            roll = "cannot hover" if attainable.roll is None else f"{100.0 * attainable.roll:.0f} %"
-            lost = ", ".join(map(str, attainable.lost)) or "none"
-            left.append((lost, f"{attainable.thrust:.2f}", roll, "yes" if attainable.yaw else "no"))
-        return [
-            Table("", ("fault", "from", *map(label, controllers), "detected, s"), held),
-            Table("", ("lost jets", "thrust over weight", "roll authority", "yaw balanced"), left),
-        ]
+
+class FaultsResult(SurveyResult):
+    """Which single faults a vehicle survives, with which controller."""
+
+
+class FailsafesResult(SurveyResult):
+    """How flights end after what an autopilot has an answer to."""
 
 
 @checked(workers=WORKERS)
@@ -113,7 +87,7 @@ def faults(
     workers : int
         Processes.
     out : str or Path or None
-        A folder for table, page and flights; without it nothing is written.
+        The campaign's folder, whose flights are not flown again; None: a new one in ``runs/``.
     progress : Progress or None
         Hears how far it is.
 
@@ -127,70 +101,16 @@ def faults(
     InputError
         For an aircraft, an engine, a controller or a fault that there is none of.
     """
-    from cosim.base.storage.files import check_results_folder
     from cosim.spec.controller_name import seen_from
-    from hexjet_prove.surveys.faults import survival
+    from hexjet_prove.surveys.faults import FaultSurvey, plan_faults
+    from hexjet_prove.surveys.survey import fly_study
 
     hears = progress or Progress()
-    check_results_folder(out, *WRITTEN)
     mention([*controllers, engine], Path())
     named = [seen_from(controller, Path()) for controller in controllers]
-    flown = None if engine is None else str(engine)
-    result = FaultsResult(
-        survival(str(aircraft), flown, named, list(kinds), workers, hears.update, limits, nominal_engine)
-    )
-    return result if out is None else result.write(out)
-
-
-class FailsafesResult(FolderResult):
-    """How flights end after what an autopilot has an answer to.
-
-    ``write`` leaves ``failsafes.csv``, and every flight as a scenario in ``flights``.
-
-    Attributes
-    ----------
-    survey : Failsafes
-        Everything; ``rows`` has a flight each.
-    """
-
-    def __init__(self, survey: Failsafes) -> None:
-        self.survey = survey
-        self.files = {}
-
-    def _write(self, folder: Path) -> dict[str, Path]:
-        from hexjet_prove.surveys.failsafe_table import write
-
-        return {"table": write(self.survey, folder)}
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet failsafes --json`` prints."""
-        return self.survey.to_dict()
-
-    def lines(self) -> list[str]:
-        """Return what flew, and what counts as a crash."""
-        found = self.survey
-        first = f"{found.aircraft}, {found.engine}, {found.controller}: {len(found.rows)} flights"
-        limits = (
-            f"a leg that touches faster than {found.limit_m_s:.2f} m/s counts as a crash; faster than "
-            f"{found.trip_m_s:.2f} m/s sideways it has slid"
-        )
-        return [first, limits, *([found.engine_note] if found.engine_note else [])]
-
-    def tables(self) -> list[Table]:
-        """Return how the flights of each failsafe ended."""
-        from hexjet_prove.surveys.failsafe_table import grid, summary
-
-        if not self.survey.airborne:
-            head, *lines = grid(self.survey)
-            return [Table("", head, lines)]
-        rows = []
-        for row in summary(self.survey):
-            worst = [
-                "-" if value != value else f"{value:{form}}"
-                for value, form in ((row.touchdown_m_s, ".2f"), (row.sideways_m_s, ".2f"), (row.thrust_n, ".1f"))
-            ]
-            rows.append((row.failsafe, f"{row.wind_m_s:g}", f"{row.speed_m_s:g}", row.ends, *worst))
-        return [Table("", AIRBORNE, rows)]
+    plan = plan_faults(str(aircraft), None if engine is None else str(engine), named, kinds, limits, nominal_engine)
+    campaign = fly_study(plan.study, out, workers, hears)
+    return FaultsResult(campaign, FaultSurvey(plan, campaign))
 
 
 @checked(workers=WORKERS, flights=Limits(1, 1000), seed=Limits(0))
@@ -240,7 +160,7 @@ def failsafes(
     workers : int
         Processes.
     out : str or Path or None
-        A folder for table and flights; without it nothing is written.
+        The campaign's folder, whose flights are not flown again; None: a new one in ``runs/``.
     progress : Progress or None
         Hears how far it is.
 
@@ -255,15 +175,13 @@ def failsafes(
         For an aircraft, an engine, a controller or a failsafe that there is none of, and a vehicle without an
         autopilot.
     """
-    from hexjet_prove.surveys.failsafes import WINDS_M_S, Conditions
-    from hexjet_prove.surveys.failsafes import failsafes as fly_all
+    from hexjet_prove.surveys.failsafes import WINDS_M_S, Conditions, FailsafeSurvey, plan_failsafes
+    from hexjet_prove.surveys.survey import fly_study
 
     hears = progress or Progress()
     mention([engine, controller], Path())
     wind_speeds = tuple(winds) or WINDS_M_S
     conditions = Conditions(tuple(heights), wind_speeds, moving, flights, airborne, seed, nominal_engine)
-    flown = None if engine is None else str(engine)
-    result = FailsafesResult(
-        next(iter(fly_all([str(aircraft)], flown, controller, list(kinds), conditions, workers, hears.update)))
-    )
-    return result if out is None else result.write(out)
+    plan = plan_failsafes(str(aircraft), None if engine is None else str(engine), controller, kinds, conditions)
+    campaign = fly_study(plan.study, out, workers, hears)
+    return FailsafesResult(campaign, FailsafeSurvey(plan, campaign))

@@ -6,29 +6,32 @@ disarmed for ten seconds, has crashed, or time is up.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from math import hypot, isnan, nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from math import hypot, inf, isnan, nan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.base.errors import InputError
 from cosim.base.outcomes import Verdict
 from cosim.control.autopilot.modes import LandedState, Mode
-from cosim.control.autopilot.requests import Arm, Goto, Request, Takeoff
-from cosim.results.autopilot.request_log import Entry
-from cosim.results.log.columns import log_columns, logged_vehicle
-from cosim.results.log.digest import DigestSink
-from cosim.results.log.recorder import Recorder
+from cosim.control.autopilot.requests import Arm, Goto, Request, SetParameter, Takeoff
+from cosim.files import Model
+from cosim.flight import record, with_page
+from cosim.results.autopilot.autopilot_record import PilotRecord
+from cosim.results.autopilot.request_log import RequestLog
+from cosim.results.run import AUTOPILOT, REQUESTS
 from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
-from cosim.spec.scenario import Scenario
-from hexjet_prove.surveys.tipping import tip_speed
+from hexjet_prove.surveys.failsafe_cases import Case, cases
 
 if TYPE_CHECKING:
     from cosim.base.signals import Sample
     from cosim.control.autopilot.autopilot import Autopilot
+    from cosim.results.run import Run
     from cosim.simulation.ending import Ending
     from cosim.simulation.step import Simulation
+    from cosim.spec.scenario import Scenario
 
 # Chosen by us.
 MOVING_S = 10.0  # on the way before anything fails: twice what reaching the speed and learning the drag there take
@@ -47,114 +50,112 @@ HOLD_HEIGHT_M = 0.4  # m of height error that counts as holding, and ends a clim
 LONGEST_HOLD_S = 60.0
 
 
-class Case(NamedTuple):
-    """One failsafe: requests from the beginning of the flight on, and those with which it is called."""
-
-    name: str
-    first_requests: tuple[Request, ...]
-    failing_requests: tuple[Request, ...]
-    holds: bool = False  # whether it ends in HOLD instead of on the ground
-    moving: bool = False  # flown without a position from then on, so it also begins moving
-    waits: bool = False  # whether the fuel runs down without a request until the autopilot acts
+# What is measured of a flight, NaN where there is no number; hexjet_prove.surveys.failsafes.Row says what each is.
+MEASURED = (
+    *("touchdown_m_s", "sideways_m_s", "thrust_n", "after_s", "drift_m", "off_m", "height_off_m", "hover_s"),
+    *("margin_m_s", "margin_m"),
+)
+OWN = "own."  # before a measured name in a campaign's row, as before those of the user's metrics
 
 
-class Start(NamedTuple):
-    """Where a flight is when something fails: m, m/s from abeam, m/s ahead (0: it holds)."""
+class FailsafeAutopilot(Model):
+    """The autopilot that flies a study of failsafes: the table ``[autopilot]``, and what a case writes over it.
 
-    height: float
-    wind: float
-    speed: float = 0.0
+    The methods are those of ``StudyAutopilot`` in ``cosim/campaign/study/autopilot.py``.
+    """
 
-    def __str__(self) -> str:
-        return f"{self.height:g} m, {self.wind:g} m/s" + (f", moving at {self.speed:g} m/s" if self.speed else "")
-
-
-class Task(NamedTuple):
-    """One flight that is to be flown."""
-
-    case: Case
-    start: Start
-    scenario: Scenario
+    name: Literal["failsafes"]
+    trip_m_s: float | None = None  # from which it tips over legs that catch; none: from no speed
+    failsafe: str = ""  # what fails; empty: nothing, which flies nowhere
+    height_m: float = 0.0  # above the ground, when it fails
+    speed_m_s: float = 0.0  # ahead; 0: it holds
     number: int = 0  # of the flights of its cell; 0: it begins in the air
-    hover: float = 0.0  # s from the end of the take-off until something fails
-
-
-@dataclass(frozen=True)
-class Row:
-    """The outcome of one flight."""
-
-    failsafe: str
-    height_m: float
-    wind_m_s: float
-    speed_m_s: float  # ahead, as it failed; 0: it held
-    verdict: Verdict
-    touchdown_m_s: float  # the fastest sinking in the step before a leg touched; NaN: none did
-    sideways_m_s: float  # the fastest over the ground in such a step; NaN: none touched
-    thrust_n: float  # of all engines together, ten seconds after disarming; NaN: it was not disarmed
-    after_s: float  # from the failure to the first touch; NaN: none
-    drift_m: float  # from where it was when it failed to where it ended
-    reason: str  # of a crash; else what the autopilot said it acted upon
-    # of what is to hold, at the end, from the place and the height that it was to hold; NaN: another failsafe
-    off_m: float
-    height_off_m: float
-    log_sha256: str  # of every sample of the flight (cosim.results.log.digest): what flies it again must have the same
-    number: int = 0  # of the flights of its cell; 0: it began in the air
-    hover_s: float = nan  # from the end of the take-off until it failed, or less where the fuel did not last; NaN: none
-    # by which its legs touched slower than they take, and than it tips; below 0: faster; NaN: none touched
-    margin_m_s: float = nan
-    margin_m: float = nan  # by which what is to hold is within of its place; below 0: it is not; NaN: another failsafe
+    hover_s: float = 0.0  # from the end of the take-off until something fails
+    endurance_s: float | None = None  # of a battery that is to run down
 
     @property
-    def start(self) -> Start:
-        """The position and velocity at which something failed."""
-        return Start(self.height_m, self.wind_m_s, self.speed_m_s)
+    def columns(self) -> dict[str, type[float | int | str | bool | None]]:
+        """The columns of a row: the verdict, and what was measured."""
+        return {"verdict": str, **{OWN + name: float for name in MEASURED}}
+
+    @property
+    def before_s(self) -> float:
+        """Nothing is flown before the first step."""
+        return 0.0
+
+    def program(self, folder: Path) -> Path | None:
+        """Return None: there is no program."""
+        return None
+
+    def seen_from(self, folder: Path) -> FailsafeAutopilot:
+        """Return itself: there is no file."""
+        return self
+
+    def check(self, scenario: Scenario, folder: Path) -> None:
+        """Raise InputError for a vehicle without an autopilot."""
+        with build(scenario) as simulation:
+            attach_autopilot(simulation, airborne=not scenario.initial.on_ground)
+
+    def fly(self, scenario: Scenario, study_folder: Path, folder: Path, page: bool) -> tuple[Run, dict[str, Any]]:
+        """Fly a scenario into ``folder``; return its run, which flies again from there, and what became of it."""
+        with build(scenario.replace(requests=REQUESTS)) as simulation:
+            case = next(case for case in cases(simulation.vehicle) if case.name == self.failsafe)
+            flight = FailsafeFlight(self, case, simulation, folder)
+            measured, verdict = flight.fly_case()
+            run = flight.finish()
+        row: dict[str, Any] = {OWN + name: None if isnan(value) else value for name, value in measured.items()}
+        row |= {"verdict": str(verdict), "success": verdict in (Verdict.LANDED, Verdict.HOLDS)}
+        return with_page(run) if page else run, row
 
 
-@dataclass(frozen=True)
 class FailsafeFlight:
-    """A row, with the scenario and the requests that fly it again."""
-
-    row: Row
-    scenario: Scenario
-    entries: tuple[Entry, ...]
-
-
-def fly_case(task: Task) -> FailsafeFlight:
-    """Fly one flight, in this process."""
-    with build(task.scenario) as simulation:
-        flight = _Flight(task, simulation, attach_autopilot(simulation, airborne=not task.number))
-        if task.number:
-            if not flight.take_off():
-                return flight.fail()
-            flight.ask(task.case.first_requests)
-            flight.fly(task.hover, lambda: task.case.waits and bool(flight.pilot.failsafe))
-        else:
-            flight.ask(task.case.first_requests)
-            flight.settle()
-        if task.start.speed:
-            # whatever it was on its way to; further than it comes, so that it does not brake
-            flight.ask((Goto(FAR_M, speed=task.start.speed),))
-            flight.fly(MOVING_S)
-        if task.case.waits:
-            flight.fly(LONGEST_SETTLING_S, lambda: bool(flight.pilot.failsafe))
-        return flight.fail()
-
-
-class _Flight:
     """A flight with its autopilot, its requests and what is measured of it."""
 
-    def __init__(self, task: Task, simulation: Simulation, pilot: Autopilot) -> None:
-        self.task, self.simulation, self.pilot = task, simulation, pilot
-        self._sink = DigestSink(())
-        columns = log_columns(logged_vehicle(simulation.vehicle), simulation.columns)
-        self._sink.begin(columns)
-        self._recorder = Recorder(simulation.dt, self._sink, columns)
-        self._entries: list[Entry] = []
-        self._sample: Sample | None = None
+    def __init__(self, table: FailsafeAutopilot, case: Case, simulation: Simulation, folder: Path) -> None:
+        self.table, self.case, self.simulation = table, case, simulation
+        self.pilot: Autopilot = attach_autopilot(simulation, airborne=not table.number)
+        self._recording = record(simulation, folder, {REQUESTS: b""})
+        self._requests = RequestLog(folder / REQUESTS)
+        self._record = PilotRecord(self.pilot, folder / AUTOPILOT, simulation.dt)
+        self._observe = (self._recording.observe, self._record.observe)
+        self._begin = time.perf_counter()
         self._ending: Ending | None = None
         self._touchdown = self._sideways = self._touched = nan
         self._acted = ""
         self.refused = ""  # why there is no take-off
+
+    def fly_case(self) -> tuple[dict[str, float], Verdict]:
+        """Fly until something fails, and on to the end; return what was measured, and what became of it."""
+        case, table = self.case, self.table
+        if table.number:
+            if not self.take_off():
+                return self.fail()
+            battery = () if table.endurance_s is None else (SetParameter("HJ_ENDURANCE", table.endurance_s),)
+            self.ask((*case.first_requests, *battery))
+            self.fly(table.hover_s, lambda: case.waits and bool(self.pilot.failsafe))
+        else:
+            self.ask(case.first_requests)
+            self.settle()
+        if table.speed_m_s:
+            # whatever it was on its way to; further than it comes, so that it does not brake
+            self.ask((Goto(FAR_M, speed=table.speed_m_s),))
+            self.fly(MOVING_S)
+        if case.waits:
+            self.fly(LONGEST_SETTLING_S, lambda: bool(self.pilot.failsafe))
+        return self.fail()
+
+    def finish(self) -> Run:
+        """Put the run's files into place; its scenario ends where the flight has ended.
+
+        The reason is that of a crash, or else what the autopilot said it acted upon.
+        """
+        ending = self._ending
+        reason = ending.reason if ending is not None else self.refused or self._acted or _last(self.pilot.messages)
+        self._requests.close()
+        self._record.close()
+        self._recording.shorten_scenario(self.simulation.k)
+        outcome = "completed" if ending is None else ending.outcome
+        return self._recording.finish(outcome, reason, time.perf_counter() - self._begin)
 
     def ask(self, requests: Sequence[Request]) -> None:
         """Ask for these before the next step.  Raises InputError where one is refused."""
@@ -162,9 +163,10 @@ class _Flight:
         for request in requests:
             answer = self.pilot.handle(request, k)
             if not answer.accepted:
-                name = self.task.case.name
-                raise InputError(f"{name}: {type(request).__name__} is refused before step {k}: {answer.text}")
-            self._entries.append(Entry(k, "table", request, ""))
+                raise InputError(
+                    f"{self.case.name}: {type(request).__name__} is refused before step {k}: {answer.text}"
+                )
+            self._requests.write(k, "table", request, answer)
 
     def fly(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
         """Step on for so long, until something is true, or it has crashed."""
@@ -185,10 +187,10 @@ class _Flight:
 
     def take_off(self) -> bool:
         """Climb from standing, once home is known, and hold; return False where there is too little fuel for it."""
-        height = self.task.start.height
+        height = self.table.height_m
         self.fly(STANDING_S)
         self.ask((Arm(),))
-        if self.task.case.waits:
+        if self.case.waits:
             self.refused = self.pilot.energy.describe_climb_shortage(self.pilot.status.altitude + height)
             if self.refused:
                 return False
@@ -197,16 +199,16 @@ class _Flight:
         self.fly(LONGEST_SETTLING_S + PER_METRE_S * height, is_up)
         return True
 
-    def fail(self) -> FailsafeFlight:
+    def fail(self) -> tuple[dict[str, float], Verdict]:
         """Let it fail, and fly until it has been disarmed for long enough, has crashed, or time is up."""
-        task, simulation, pilot, case = self.task, self.simulation, self.pilot, self.task.case
+        table, simulation, pilot, case = self.table, self.simulation, self.pilot, self.case
         dt, begin = simulation.dt, simulation.k
-        target, failed_at = HoldTarget(pilot, simulation, task.start.speed), simulation.state.position
+        target, failed_at = HoldTarget(pilot, simulation, table.speed_m_s), simulation.state.position
         self.ask(case.failing_requests)
         self._touchdown = self._sideways = self._touched = nan
         self._acted = pilot.failsafe if case.waits else ""
-        last = begin + round((LONGEST_HOLD_S if case.holds else LONGEST_S + PER_METRE_S * task.start.height) / dt)
-        watched, disarmed, thrust = LATER_S if task.number <= 1 else DISARMED_S, -1, nan
+        last = begin + round((LONGEST_HOLD_S if case.holds else LONGEST_S + PER_METRE_S * table.height_m) / dt)
+        watched, disarmed, thrust = LATER_S if table.number <= 1 else DISARMED_S, -1, nan
         while simulation.k < last and self._ending is None and not self.refused:
             k = simulation.k
             sample = self._step()
@@ -217,53 +219,43 @@ class _Flight:
                 break
             if case.holds and target.is_held() and (k - begin) * dt >= HOLD_S:
                 break
-        self._recorder.flush()
         x, y, _ = simulation.state.position
-        row = Row(
-            case.name,
-            *task.start,
-            self._verdict(disarmed >= 0, target),
-            self._touchdown,
-            self._sideways,
-            thrust,
-            self._touched * dt - begin * dt,
-            hypot(x - failed_at[0], y - failed_at[1]),
-            self._ending.reason if self._ending is not None else self.refused or self._acted or _last(pilot.messages),
-            *(target.deviation() if case.holds else (nan, nan)),
-            self._sink.hexdigest(),
-            task.number,
-            task.hover if task.number else nan,
-            self._touch_margin(),
-            target.margin() if case.holds else nan,
+        off, height_off = target.deviation() if case.holds else (nan, nan)
+        measured = (
+            *(self._touchdown, self._sideways, thrust, self._touched * dt - begin * dt),
+            *(hypot(x - failed_at[0], y - failed_at[1]), off, height_off, table.hover_s if table.number else nan),
+            *(self._touch_margin(), target.margin() if case.holds else nan),
         )
-        # times are rounded to steps, so what a product of floats is off does not matter; the file shall be readable
-        scenario = simulation.scenario.replace(fault=[], duration_s=round(simulation.k * dt, 9))
-        return FailsafeFlight(row, scenario, tuple(self._entries))
+        return dict(zip(MEASURED, measured, strict=True)), self._verdict(disarmed >= 0, target)
 
     def _step(self) -> Sample:
         simulation, previous = self.simulation, self.simulation.state
         sample = simulation.step()
-        self._recorder.observe(sample)
+        for look in self._observe:
+            look(sample)
         k, state = simulation.k, simulation.state
         if state.on_ground and not previous.on_ground:
             north, east, down = previous.velocity
             self._touchdown = max(down, 0.0 if isnan(self._touchdown) else self._touchdown)
             self._sideways = max(hypot(north, east), 0.0 if isnan(self._sideways) else self._sideways)
             self._touched = k if isnan(self._touched) else self._touched
-        self._ending = simulation.check_end(sample, [self._recorder.observe])
+        self._ending = simulation.check_end(sample, self._observe)
         return sample
 
     def _touch_margin(self) -> float:
         """Return by how much its legs touched slower than they take and than it tips, m/s; NaN where none touched."""
         if isnan(self._touched):
             return nan
-        scenario, limits = self.simulation.scenario, self.simulation.vehicle.limits
-        trip = tip_speed(scenario.aircraft, scenario.engine)
-        return min(limits.touchdown_m_s - self._touchdown, trip - self._sideways)
+        limit = self.simulation.vehicle.limits.touchdown_m_s
+        return min(limit - self._touchdown, self._trip_m_s - self._sideways)
+
+    @property
+    def _trip_m_s(self) -> float:
+        return inf if self.table.trip_m_s is None else self.table.trip_m_s
 
     def _verdict(self, disarmed: bool, target: HoldTarget) -> Verdict:
         """Return what became of it."""
-        simulation, on_ground = self.simulation, self.simulation.state.on_ground
+        on_ground = self.simulation.state.on_ground
         if self.refused:
             return Verdict.REFUSED
         if self._ending is not None:
@@ -271,11 +263,10 @@ class _Flight:
         if disarmed and not on_ground:
             return Verdict.CRASHED
         if disarmed:
-            is_fast = self._sideways > tip_speed(simulation.scenario.aircraft, simulation.scenario.engine)
-            return Verdict.SLID if is_fast else Verdict.LANDED
+            return Verdict.SLID if self._sideways > self._trip_m_s else Verdict.LANDED
         if self.pilot.landed is LandedState.ON_GROUND or on_ground:
             return Verdict.STANDS_ARMED
-        return Verdict.HOLDS if self.task.case.holds and target.is_held() else Verdict.FLIES_ON
+        return Verdict.HOLDS if self.case.holds and target.is_held() else Verdict.FLIES_ON
 
 
 class HoldTarget:

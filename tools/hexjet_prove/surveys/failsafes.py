@@ -2,48 +2,37 @@
 
 A flight takes off and hovers for a time that is drawn, in a steady wind from abeam (the axis on which the engines'
 delay is felt), or begins in the air, trimmed, holding; what loses the position begins moving ahead, too.  Then
-something fails (:mod:`hexjet_prove.surveys.failsafe_flight`).
+something fails (:mod:`hexjet_prove.surveys.failsafe_flight`).  All flights are one study with a case each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from math import radians
+from math import inf, isnan, nan
+from pathlib import Path
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cosim.base.errors import InputError
+from cosim.base.outcomes import Verdict
 from cosim.base.storage.files import to_json_record
-from cosim.control.autopilot.requests import (
-    Goto,
-    InjectFault,
-    LinkLost,
-    OffboardVelocity,
-    SetMode,
-    SetParameter,
-    Sticks,
-)
 from cosim.control.predictors.registry import BASELINE, SMITH
 from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_name
-from cosim.studies import EngineDraw, default_draw
+from cosim.studies import Campaign, Study, default_draw
+from hexjet_prove.surveys.failsafe_cases import Case, cases
 from hexjet_prove.surveys.failsafe_flight import (
     LONGEST_S,
     LONGEST_SETTLING_S,
+    MEASURED,
     MOVING_S,
+    OWN,
     PER_METRE_S,
-    Case,
-    FailsafeFlight,
-    Row,
-    Start,
-    Task,
-    fly_case,
 )
-from hexjet_prove.surveys.survey import Progress, Subject, draw_engine, fly_all, load_subject, select_cases
+from hexjet_prove.surveys.survey import Subject, load_subject, make_study, select_cases
 from hexjet_prove.surveys.tipping import tip_speed
 
 if TYPE_CHECKING:
@@ -58,62 +47,43 @@ WINDS_M_S = (0.0, 5.0, 10.0)
 SPEED_M_S = 5.0  # m/s, speed of moving starts: above any vehicle's cruise, below any drag that the lean cannot hold
 MOVING_FROM_M = 10.0  # they begin no lower
 HOVER_S = (2.0, 20.0)  # from the end of a take-off until something fails, drawn evenly
-GYRO_BIAS = radians(3.0)  # rad/s about the late axis: what a MEMS gyro's zero is off when it was never calibrated
+
+
+class Start(NamedTuple):
+    """Where a flight is when something fails: m, m/s from abeam, m/s ahead (0: it holds)."""
+
+    height: float
+    wind: float
+    speed: float = 0.0
+
+    def __str__(self) -> str:
+        return f"{self.height:g} m, {self.wind:g} m/s" + (f", moving at {self.speed:g} m/s" if self.speed else "")
 
 
 @dataclass(frozen=True)
-class Failsafes:
-    """The whole table of one vehicle."""
+class Row:
+    """The outcome of one flight; NaN where there is no number."""
 
-    aircraft: str
-    engine: str
-    controller: str
-    limit_m_s: float  # a leg that touches faster counts as a crash
-    trip_m_s: float  # from which it tips over legs that catch: what touches faster sideways has slid
-    flights: list[FailsafeFlight]
-    airborne: bool = False  # they began in the air
-    engine_note: str = ""  # whether an uncertain engine is drawn
-
-    @property
-    def rows(self) -> list[Row]:
-        """The outcomes of the flights."""
-        return [flight.row for flight in self.flights]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the table for JSON; null where there is no number."""
-        return {
-            "aircraft": self.aircraft,
-            "engine": self.engine,
-            "controller": self.controller,
-            **({"engine_note": self.engine_note} if self.engine_note else {}),
-            "limit_m_s": self.limit_m_s,
-            "trip_m_s": self.trip_m_s,
-            "rows": [to_json_record(row) for row in self.rows],
-        }
-
-
-def cases(vehicle: Vehicle, airborne: bool = False) -> list[Case]:
-    """Return every failsafe, sensors singly and the GNSS with each; without the fuel's if begun in the air."""
-    allowed = (SetParameter("SYS_FAILURE_EN", 1.0),)
-    gnss = InjectFault("sensor_dropout", sensor="gnss")
-    others = (
-        ("barometer lost", InjectFault("sensor_dropout", sensor="barometer")),
-        ("attitude lost", InjectFault("sensor_dropout", sensor="attitude")),
-        ("gyro biased", InjectFault("sensor_bias", sensor="gyro", vector=(GYRO_BIAS, 0.0, 0.0))),
-        ("gyro lost", InjectFault("sensor_dropout", sensor="gyro")),
-    )
-    jets = range(1, len(vehicle.jets) + 1)
-    return [
-        Case("GNSS lost", allowed, (gnss,), moving=True),
-        *(Case(name, allowed, (fault,)) for name, fault in others),
-        *(Case(f"GNSS and {name}", allowed, (gnss, fault), moving=True) for name, fault in others),
-        *(Case(f"engine {jet} out", allowed, (InjectFault("flame_out", (jet,)),)) for jet in jets),
-        Case("ground station lost", (), (LinkLost(),)),
-        *([] if airborne else [Case("fuel runs down", (), (), waits=True)]),
-        Case("fence passed", (Goto(8.0, 0.0),), (SetParameter("HJ_FENCE_RAD", 1.0),)),
-        Case("sticks lost", (), (Sticks(0.0, 0.0, 0.0, 0.5), SetMode("POSCTL")), True),
-        Case("set-points lost", (), (OffboardVelocity(0.0, 0.0, 0.0), SetMode("OFFBOARD")), True),
-    ]
+    failsafe: str
+    height_m: float
+    wind_m_s: float
+    speed_m_s: float  # ahead, as it failed; 0: it held
+    verdict: Verdict
+    touchdown_m_s: float  # the fastest sinking in the step before a leg touched
+    sideways_m_s: float  # the fastest over the ground in such a step
+    thrust_n: float  # of all engines together, ten seconds after disarming
+    after_s: float  # from the failure to the first touch
+    drift_m: float  # from where it was when it failed to where it ended
+    reason: str  # of a crash; else what the autopilot said it acted upon
+    # of what is to hold, at the end, from the place and the height that it was to hold
+    off_m: float
+    height_off_m: float
+    log_sha256: str  # of every sample of the flight (cosim.results.log.digest): what flies it again must have the same
+    number: int = 0  # of the flights of its cell; 0: it began in the air
+    hover_s: float = nan  # from the end of the take-off until it failed, or less where the fuel did not last
+    margin_m_s: float = nan  # by which its legs touched slower than they take, and than it tips; below 0: faster
+    margin_m: float = nan  # by which what is to hold is within of its place; below 0: it is not
+    flight: int = 0  # its number in the campaign
 
 
 @dataclass(frozen=True)
@@ -168,83 +138,155 @@ class Conditions:
         ]
 
 
-def failsafes(
-    aircraft: Sequence[str],
+class PlannedFlight(NamedTuple):
+    """One flight of a study."""
+
+    case: Case
+    start: Start
+    number: int  # of the flights of its cell; 0: it begins in the air
+
+    @property
+    def name(self) -> str:
+        """The name of its case in the study."""
+        height, wind, speed = self.start
+        return (
+            f"{self.case.name.lower().replace(' ', '-')}-{height:g}m-{wind:g}m_s"
+            + (f"-at-{speed:g}m_s" if speed else "")
+            + (f"-{self.number}" if self.number else "")
+        )
+
+
+class FailsafePlan(NamedTuple):
+    """The study of a survey, and what its cases are."""
+
+    subject: Subject
+    controller: str
+    trip_m_s: float
+    study: Study
+    flights: dict[str, PlannedFlight]  # by the names of their cases
+    airborne: bool
+    engine_note: str
+
+
+def plan_failsafes(
+    aircraft: str,
     engine: str | None = None,
     controller: str | None = None,
     kinds: Sequence[str] = (),
     conditions: Conditions = Conditions(),
-    workers: int = 2,
-    progress: Progress = lambda part, finished, total: None,
-) -> Iterator[Failsafes]:
-    """Fly every failsafe in all ``conditions``, one vehicle after the other.
+) -> FailsafePlan:
+    """Return the study of every failsafe in all ``conditions``.
 
     ``kinds`` are the beginnings of those to be flown.  ``engine`` None is the one that the aircraft is made for,
-    ``controller`` None smith, or baseline where there is no model.  ``progress`` is told what was flown,
-    how many flights are, and of how many.
-    Raises InputError for an unknown kind, aircraft, engine or controller, and for a vehicle without an autopilot; all
-    of that is found before the first flight.
+    ``controller`` None smith, or baseline where there is no model.
+    Raises InputError for an unknown kind, aircraft, engine or controller, and for a vehicle without an autopilot.
     """
     conditions.check()
-    plans = []
-    for name in aircraft:
-        subject = load_subject(name, engine)
-        plans.append((subject, *_plan(subject, controller, kinds, conditions)))
-    finished, total = 0, sum(len(tasks) for *_, tasks, _ in plans)
-    for subject, flown, tasks, note in plans:
-        label = aircraft_name(subject.aircraft)
-        flights = list(fly_all(fly_case, tasks, workers, progress, partial(_describe, label), finished, total))
-        finished += len(flights)
-        limits = subject.vehicle.limits.touchdown_m_s, tip_speed(subject.aircraft, subject.engine)
-        yield Failsafes(label, subject.engine, flown, *limits, flights, conditions.airborne, note)
-
-
-def _describe(aircraft: str, flight: FailsafeFlight) -> str:
-    return f"{aircraft}: {flight.row.failsafe}, {flight.row.start}"
-
-
-def _plan(
-    subject: Subject, controller: str | None, kinds: Sequence[str], conditions: Conditions
-) -> tuple[str, list[Task], str]:
-    """Return the controller, the flights of one vehicle, and a line on its engine; wrong input is found here."""
-    vehicle = subject.vehicle
-    chosen = select_cases(cases(vehicle, conditions.airborne), kinds, "failsafe", lambda case: case.name)
+    subject = load_subject(aircraft, engine)
+    chosen = select_cases(cases(subject.vehicle, conditions.airborne), kinds, "failsafe", lambda case: case.name)
     controller = controller or default_controller(subject)
-    tasks = [
-        Task(case, start, scenario_of(subject, controller, start.height, start.wind), number)
-        for case in chosen
-        for start, number in conditions.starts(case)
-    ]
-    with build(tasks[0].scenario) as simulation:
+    planned = [PlannedFlight(case, *start) for case in chosen for start in conditions.starts(case)]
+    scenario = scenario_of(subject, controller, planned[0].start.height, planned[0].start.wind)
+    with build(scenario) as simulation:
         energy = attach_autopilot(simulation, airborne=True).energy
-    draw, note = default_draw(tasks[0].scenario, conditions.nominal_engine)
-    tasks = [draw_flight(task, vehicle, energy, conditions.seed) if task.number else task for task in tasks]
-    return controller, [_with_engine(task, draw, conditions.seed) for task in tasks], note
+    draw, note = default_draw(scenario, conditions.nominal_engine)
+    trip, name = tip_speed(subject.aircraft, subject.engine), aircraft_name(subject.aircraft)
+    tables = []
+    for each in planned:
+        height, wind, _ = each.start
+        settings = {"seed": scenario.seed, **flight_settings(subject, height, wind)}
+        table: dict[str, Any] = {"failsafe": each.case.name, "height_m": height, "speed_m_s": each.start.speed}
+        if each.number:
+            drawn, more = draw_flight(each, subject.vehicle, energy, conditions.seed)
+            settings |= drawn
+            table |= {"number": each.number} | more
+        if draw is not None:
+            settings |= draw.named(f"{conditions.seed} {each.case.name} {each.start} {each.number}")
+        tables.append({"name": each.name, "settings": settings, "autopilot": table})
+    tallest = max(each.start.height for each in planned)
+    study = make_study(
+        f"failsafes-{name}",
+        f"Every failsafe of {name}, engine {subject.engine}",
+        flight_settings(subject, tallest, 0.0) | {"controller": controller},
+        tables,
+        autopilot={"name": "failsafes"} | ({} if trip == inf else {"trip_m_s": trip}),
+    )
+    flights = {each.name: each for each in planned}
+    return FailsafePlan(subject, controller, trip, study, flights, conditions.airborne, note)
 
 
-def _with_engine(task: Task, draw: EngineDraw | None, seed: int) -> Task:
-    name = f"{seed} {task.case.name} {task.start} {task.number}"
-    return task._replace(scenario=draw_engine(task.scenario, draw, name))
+class FailsafeSurvey:
+    """The flights of every failsafe of one vehicle: ``rows`` has a flight each."""
+
+    def __init__(self, plan: FailsafePlan, campaign: Campaign) -> None:
+        self.aircraft, self.engine = aircraft_name(plan.subject.aircraft), plan.subject.engine
+        self.controller, self.engine_note = plan.controller, plan.engine_note
+        # A leg that touches faster counts as a crash; what touches faster sideways than it tips has slid.
+        self.limit_m_s, self.trip_m_s = plan.subject.vehicle.limits.touchdown_m_s, plan.trip_m_s
+        self.rows = [_row(plan.flights[str(row["case"])], row) for row in map(campaign.row, range(len(campaign)))]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the table for JSON; null where there is no number."""
+        return {
+            "aircraft": self.aircraft,
+            "engine": self.engine,
+            "controller": self.controller,
+            **({"engine_note": self.engine_note} if self.engine_note else {}),
+            "limit_m_s": self.limit_m_s,
+            "trip_m_s": self.trip_m_s,
+            "rows": [to_json_record(row) for row in self.rows],
+        }
+
+    def table(self) -> list[list[str]]:
+        """Return a line for each failsafe and a column for each start: the head and the lines of a table."""
+        rows = sorted(self.rows, key=lambda row: (row.speed_m_s > 0.0, row.height_m))
+        columns = list(dict.fromkeys(map(_column, rows)))
+        cells: dict[tuple[str, str], list[Row]] = {}
+        for row in self.rows:
+            cells.setdefault((row.failsafe, _column(row)), []).append(row)
+        names = dict.fromkeys(row.failsafe for row in self.rows)
+        lines = [[name, *(format_cell(cells.get((name, column), ())) for column in columns)] for name in names]
+        return [["failsafe", *columns], *lines]
+
+    def lines(self) -> list[str]:
+        """Return what flew, and what counts as a crash."""
+        return [
+            f"{self.aircraft}, {self.engine}, {self.controller}: {len(self.rows)} flights; the fastest touch-down and "
+            "the most thrust of all flights of a cell",
+            f"a leg that touches faster than {self.limit_m_s:.2f} m/s counts as a crash; faster than "
+            f"{self.trip_m_s:.2f} m/s sideways it has slid",
+            *([self.engine_note] if self.engine_note else []),
+        ]
 
 
-def draw_flight(task: Task, vehicle: Vehicle, energy: Energy, seed: int) -> Task:
-    """Return a flight from the ground on, its moment and noise drawn, the tank as full as the failsafe needs."""
-    case, start = task.case, task.start
-    draw = Random(f"{seed} {vehicle.name} {case.name} {start} {task.number}")
+def _row(planned: PlannedFlight, row: Mapping[str, Any]) -> Row:
+    values: dict[str, Any] = {name: nan if row[OWN + name] is None else row[OWN + name] for name in MEASURED}
+    values |= {name: row[name] for name in ("reason", "log_sha256", "flight")}
+    return Row(planned.case.name, *planned.start, verdict=Verdict(row["verdict"]), number=planned.number, **values)
+
+
+def draw_flight(
+    planned: PlannedFlight, vehicle: Vehicle, energy: Energy, seed: int
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return settings and autopilot's table of a flight from the ground on.
+
+    Its moment and noise are drawn, the tank is as full as the failsafe needs.
+    """
+    case, start, number = planned
+    draw = Random(f"{seed} {vehicle.name} {case.name} {start} {number}")
     hover = float(round(draw.uniform(*HOVER_S)))
     initial: dict[str, Any] = {"on_ground": True}
+    table = {"hover_s": hover}
     if case.waits:
         # of the tank at the end of the hover: what the way down takes with its margin, or the least in per cent
         seconds = (1.0 + energy.margin) * energy.descent_time(start.height)
         reserve = energy.floor
         if vehicle.fuel is None:
-            endurance = max(hover / (1.0 - reserve), hover + seconds)
-            case = case._replace(first_requests=(SetParameter("HJ_ENDURANCE", float(round(endurance))),))
+            table["endurance_s"] = float(round(max(hover / (1.0 - reserve), hover + seconds)))
         else:
             up = energy.burn * (energy.climb_time(start.height) + hover)
             initial["fuel"] = min(1.0, round(up + max(reserve, energy.burn * seconds), 3))
-    scenario = task.scenario.replace(initial=initial, seed=draw.randrange(2**31))
-    return task._replace(case=case, scenario=scenario, hover=hover)
+    return {"initial": initial, "seed": draw.randrange(2**31)}, table
 
 
 def default_controller(subject: Subject) -> str:
@@ -252,13 +294,51 @@ def default_controller(subject: Subject) -> str:
     return SMITH.name if SMITH.name in subject.controllers() else BASELINE.name
 
 
-def scenario_of(subject: Subject, controller: str, height: float, wind: float) -> Scenario:
-    """Return the flight of one cell of the table, without what is asked in it; it begins in the air."""
-    return subject.scenario(
-        "failsafe",
-        controller,
+def flight_settings(subject: Subject, height: float, wind: float) -> dict[str, Any]:
+    """Return the settings of a flight, without what is asked in it; it begins in the air."""
+    return subject.settings(
         height,
         LONGEST_SETTLING_S + MOVING_S + LONGEST_S + 2.0 * PER_METRE_S * height,
         monitor=subject.vehicle.control.monitor is not None,
         environment={"wind_ned_m_s": [0.0, wind, 0.0]},
     )
+
+
+def scenario_of(subject: Subject, controller: str, height: float, wind: float) -> Scenario:
+    """Return the flight of one case, without what is asked in it; it begins in the air."""
+    settings = flight_settings(subject, height, wind)
+    return Scenario.from_table(settings | {"name": "failsafe", "controller": controller}, Path(), "failsafe")
+
+
+def _column(row: Row) -> str:
+    """Return the column's head for a flight whose wind is one of several in its cell."""
+    return f"{row.height_m:g} m" + (f", moving at {row.speed_m_s:g} m/s" if row.speed_m_s else "")
+
+
+def format_cell(rows: Sequence[Row]) -> str:
+    """Return the cell of several flights of the page's table: how many ended how, and the worst numbers of all."""
+    if not rows:
+        return "-"
+    counts: dict[str, list[Row]] = {}
+    for row in sorted(rows, key=lambda row: row.verdict not in ("landed", "holds")):
+        counts.setdefault(row.verdict, []).append(row)
+    ends = []
+    for verdict, flights in counts.items():
+        end = f"{len(flights)} of {len(rows)} {verdict}"
+        if verdict not in ("landed", "holds", "refused"):
+            end += f" (wind {' and '.join(f'{wind:g}' for wind in sorted({row.wind_m_s for row in flights}))} m/s)"
+        ends.append(end)
+
+    numbers = (
+        (_worst(rows, "off_m"), "{:.2f} m off"),
+        (_worst(rows, "touchdown_m_s"), "{:.2f} m/s"),
+        (_worst(rows, "sideways_m_s"), "sideways {:.2f} m/s"),
+        (_worst(rows, "drift_m") if rows[0].failsafe.startswith("GNSS") else nan, "{:.1f} m away"),
+        (_worst(rows, "thrust_n"), "{:.1f} N"),
+    )
+    return ", ".join([*ends, *(form.format(value) for value, form in numbers if not isnan(value))])
+
+
+def _worst(rows: Sequence[Row], column: str) -> float:
+    """Return the largest of a column's numbers; NaN where there is none."""
+    return max((value for row in rows if not isnan(value := getattr(row, column))), default=nan)

@@ -1,41 +1,29 @@
-"""Which single faults a vehicle survives, with which controller, and what decides it.
+"""Which single faults a vehicle survives, with which controller.
 
 Every fault is flown at every place where it can happen, from hover and from a commanded roll, with every controller
-that the vehicle has a model for.  A flight is judged by where it ends: *held* (level to a few degrees), *airborne*
-(neither crashed nor diverged, and no more than that) or *lost*.
+that the vehicle has a model for: a study with a case for each fault, place and start.  A flight is judged by where it
+ends: *held* (level to a few degrees), *airborne* (neither crashed nor diverged, and no more than that) or *lost*.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import nan
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from cosim.base.constants import GRAVITY
 from cosim.base.outcomes import Verdict
-from cosim.base.storage.toml import merge
-from cosim.control.allocation.reallocation import Attainable, attainable_sets
+from cosim.base.storage.files import to_json_record
 from cosim.control.predictors.registry import BASELINE
-from cosim.flight import fly_watched as fly
 from cosim.simulation.build import build
-from cosim.simulation.controllers.controller_file import list_differences, read_controller
-from cosim.spec.controller_name import is_design, label
-from cosim.spec.scenario import Scenario
+from cosim.spec.controller_name import label
 from cosim.spec.vehicle import Vehicle
-from cosim.studies import EngineDraw, default_draw
-from hexjet_prove.surveys.survey import (
-    Progress,
-    Subject,
-    draw_engine,
-    fly_all,
-    judge_outcome,
-    load_subject,
-    measure_flight,
-    select_cases,
-)
+from cosim.studies import MARGIN_OF, Campaign, Study, default_draw, design_warnings, with_values
+from hexjet_prove.surveys.survey import Subject, held_formula, load_subject, make_study, measure_flight, select_cases
 
 if TYPE_CHECKING:
+    from cosim.results.log.recorder import Log
     from cosim.simulation.controllers.source import Source
 
 WHOLE_CONTROLLER = "controller"  # a level: all of the cascade, the engine monitor with it
@@ -45,11 +33,9 @@ HEIGHT_M = 30.0
 SETTLED_S = {"hover": 1.0, "roll": 3.0}  # before the fault: in the roll, a step at 0.5 s has settled by then
 DROPOUTS = ("gyro", "attitude", "barometer", "gnss")
 AFTER_S = 6.0  # flown with the fault
-LOSS, CONFIRMATION = "thrust loss, share", "confirmation of a flame-out, s"
-SCANS: dict[str, list[float]] = {
-    LOSS: [k / 10 for k in range(1, 11)],
-    CONFIRMATION: [0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.16, 0.2, 0.3],
-}
+LIMIT = "limit"
+LOSSES = tuple(k / 10 for k in range(1, 11))
+CONFIRMATIONS_S = (0.02, 0.04, 0.06, 0.08, 0.1, 0.12, 0.16, 0.2, 0.3)
 
 
 class Case(NamedTuple):
@@ -58,6 +44,24 @@ class Case(NamedTuple):
     kind: str
     place: str
     fault: dict[str, Any] | None
+    settings: Mapping[str, Any] = {}
+
+    def name(self, start: str) -> str:
+        """Return the name that the case has in the study with a start."""
+        return "-".join(re.findall(r"\w+", f"{self.kind} {self.place} {start}"))
+
+    def settings_from(self, start: str) -> dict[str, Any]:
+        """Return what it sets in the scenario."""
+        begin = SETTLED_S[start]
+        roll = {"kind": "step", "signal": "roll_deg", "start_s": 0.5, "amplitude": ROLL_DEG}
+        return {
+            "duration_s": begin + AFTER_S,
+            "command": [roll] if start == "roll" else [],
+            "fault": [] if self.fault is None else [self.fault | {"start_s": begin}],
+            "metrics": METRICS[start],
+            "require": [{"name": "held", "formula": held_formula(begin + AFTER_S)}],
+            **self.settings,
+        }
 
 
 @dataclass(frozen=True)
@@ -75,74 +79,43 @@ class Row:
     reason: str
     controller_sha256: str | None = None  # of one from outside
     margin_deg: float | None = None  # by which it is held; below 0: it is not, and the less, the earlier it was lost
-    case: str = ""  # its scenario, as seen from the folder of the result
+    flight: int = 0  # its number in the campaign
 
 
-@dataclass(frozen=True)
-class Moments:
-    """The effect of one lost engine about roll before anything can be done about it."""
+class FaultMetrics:
+    """Metrics of a flight from the fault on: largest lean, height lost, time to the monitor's first verdict."""
 
-    thrust: float  # N, of one jet in hover
-    moment: float  # N m
-    acceleration: float  # rad/s^2
-    late: float  # s, until the counter-moment acts: confirmation and the engines' delay
-    rate: float  # rad/s, by then, had the engine gone out at once
-    angle: float  # rad, by then
+    names = ("lean_deg", "lost_m", "detected_s")
+    start: ClassVar[str]
 
-
-@dataclass(frozen=True)
-class Limit:
-    """The largest value of a quantity, on a grid, before the vehicle is lost."""
-
-    quantity: str
-    start: str
-    controller: str
-    held: list[float]  # held level there
-    airborne: list[float]  # airborne there, whether held level or not
-    lost_at: float | None  # the first point where it is lost; None: nowhere on the grid
+    def __call__(self, log: Log, step_s: float) -> dict[str, float | None]:
+        """Return them, None for what there is not."""
+        begin = round(SETTLED_S[self.start] / step_s)
+        lean, lost, detected = measure_flight(log, begin)
+        seconds = None if detected is None else (detected - begin + 1) * step_s
+        return {"lean_deg": lean, "lost_m": lost, "detected_s": seconds}
 
 
-@dataclass(frozen=True)
-class Survival:
-    """The whole table, and what explains it."""
+class FromHover(FaultMetrics):
+    """Those of a fault in hover."""
 
-    aircraft: str
-    engine: str
-    rows: list[Row]
-    attainable: list[Attainable]
-    moments: Moments | None  # of a vehicle whose engines have a known delay
-    limits: list[Limit]  # empty if they were not asked for
-    custom_controllers: tuple[Source, ...] = ()  # the controllers from outside
-    warnings: tuple[str, ...] = ()  # where a design is not flown as what it was made for
-    scenarios: tuple[Scenario, ...] = ()  # of the rows
-    engine_note: str = ""  # whether an uncertain engine is drawn
-
-    @property
-    def unmonitored_controllers(self) -> list[str]:
-        """The controllers with which no monitor watches the engines: they have to see to it themselves."""
-        return [source.label for source in self.custom_controllers if source.level == WHOLE_CONTROLLER]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the table for JSON."""
-        return {
-            "aircraft": self.aircraft,
-            "engine": self.engine,
-            **({"engine_note": self.engine_note} if self.engine_note else {}),
-            "warnings": list(self.warnings),
-            "own_controllers": [
-                {"name": source.name, "level": source.level, "sha256": source.sha256}
-                | {"engine_monitor": source.level != WHOLE_CONTROLLER}
-                for source in self.custom_controllers
-            ],
-            "rows": [asdict(row) for row in self.rows],
-            "attainable": [attainable._asdict() for attainable in self.attainable],
-            "moments": None if self.moments is None else asdict(self.moments),
-            "limits": [asdict(limit) for limit in self.limits],
-        }
+    start = "hover"
 
 
-def cases(vehicle: Vehicle) -> list[Case]:
-    """Return every single fault at every place; its size is chosen by us: large enough to matter, not hopeless."""
+class FromRoll(FaultMetrics):
+    """Those of a fault in a roll."""
+
+    start = "roll"
+
+
+METRICS = {each.start: [f"{__name__}:{each.__name__}"] for each in (FromHover, FromRoll)}
+
+
+def cases(vehicle: Vehicle, limits: bool = False) -> list[Case]:
+    """Return every single fault at every place; its size is chosen by us: large enough to matter, not hopeless.
+
+    ``limits``: also a loss of thrust, and a late confirmation of a flame-out, that grow along a grid, with jet 1.
+    """
     jets = [f"jet {jet}" for jet in range(1, len(vehicle.jets) + 1)]
     bank_servos = vehicle.actuators[: len(vehicle.actuators) - len(vehicle.surfaces)]
     servos = (vehicle.actuators, bank_servos) if vehicle.ranges else ((), ())
@@ -161,11 +134,19 @@ def cases(vehicle: Vehicle) -> list[Case]:
         ("gnss bias 0.5 m/s down", ("gnss",), {"kind": "sensor_bias", "velocity_bias": [0.0, 0.0, 0.5]}),
         *((f"dropout, {name}", (name,), {"kind": "sensor_dropout"}) for name in DROPOUTS),
     ]
-    return [Case("none", "", None)] + [
+    found = [
         Case(title, place, fault | _location(fault["kind"], place))
         for title, places, fault in kinds
         for place in places
     ]
+    for share in LOSSES if limits else ():
+        found.append(
+            Case(f"{LIMIT}, {share:.0%} thrust lost", "jet 1", {"kind": "thrust_loss", "share": share, "jet": 1})
+        )
+    for seconds in CONFIRMATIONS_S if limits else ():
+        settings = {"vehicle.control.monitor.confirm_s": seconds}
+        found.append(Case(f"{LIMIT}, found in {seconds:g} s", "jet 1", {"kind": "flame_out", "jet": 1}, settings))
+    return [Case("none", "", None), *found]
 
 
 def _location(kind: str, place: str) -> dict[str, Any]:
@@ -175,191 +156,141 @@ def _location(kind: str, place: str) -> dict[str, Any]:
     return {"servo" if kind == "servo_jam" else "sensor": place}
 
 
-class _Flight(NamedTuple):
-    case: Case
-    start: str
-    controller: str
-    scenario: Scenario
+class FaultPlan(NamedTuple):
+    """The study of a survey, and what its cases are."""
+
+    subject: Subject
+    study: Study
+    cases: dict[str, tuple[Case, str]]  # each with its start, by their names in the study
+    engine_note: str  # whether an uncertain engine is drawn
 
 
-def survival(
+def plan_faults(
     aircraft: str,
     engine: str | None = None,
     controllers: Sequence[str] = (),
     kinds: Sequence[str] = (),
-    workers: int = 2,
-    progress: Progress = lambda part, finished, total: None,
     limits: bool = False,
     nominal_engine: bool = False,
-) -> Survival:
-    """Fly every case; ``kinds`` are the beginnings of those to be flown, all if there are none.
+) -> FaultPlan:
+    """Return the study of every case; ``kinds`` are the beginnings of those to be flown, all if there are none.
 
-    ``limits`` asks for more: how large a loss of thrust, and how long a confirmation of a flame-out, may be.
-    ``engine`` None is the one that the aircraft is made for.  ``progress`` is told what was flown, how many flights
-    are, and of how many.
-    An engine that states its uncertainty is drawn by it for each case and start, the same for every controller, unless
-    ``nominal_engine``.
+    ``engine`` None is the one that the aircraft is made for.  An engine that states its uncertainty is drawn by it for
+    each case and start, the same for every controller, unless ``nominal_engine``.
     Raises InputError for an unknown kind, aircraft, engine or controller.
     """
     subject = load_subject(aircraft, engine)
-    vehicle = subject.vehicle
-    chosen = select_cases(cases(vehicle), kinds, "fault", lambda case: case.kind)
-    controllers = controllers or subject.controllers()
-    flights = [
-        _Flight(case, start, controller, scenario_of(subject, case, start, controller))
-        for case in chosen
-        for start in STARTS
-        for controller in controllers
-    ]
-    first_flights = flights[: len(controllers)]
-    custom = _custom_controllers(first_flights)
-    warnings = tuple(
-        f"{label(flight.controller)}: {text}"
-        for flight in first_flights
-        if is_design(flight.controller)
-        for text in list_differences(flight.scenario, Path(flight.controller))
+    kinds = [*kinds, LIMIT] if limits and kinds else kinds
+    chosen = select_cases(cases(subject.vehicle, limits), kinds, "fault", lambda case: case.kind)
+    scenario = subject.scenario("survival", BASELINE.name, HEIGHT_M, AFTER_S)
+    draw, note = default_draw(scenario, nominal_engine)
+    planned = {case.name(start): (case, start) for case in chosen for start in STARTS}
+
+    def settings(case: Case, start: str) -> dict[str, Any]:
+        drawn = {} if draw is None else draw.named(f"{case.kind} {case.place} {start}")
+        return {"seed": scenario.seed, **case.settings_from(start), **drawn}
+
+    study = make_study(
+        f"faults-{subject.vehicle.name}",
+        f"Every single fault of {subject.vehicle.name}, engine {subject.engine}",
+        subject.settings(HEIGHT_M, AFTER_S) | Case("none", "", None).settings_from("roll"),
+        [{"name": name, "settings": settings(*each)} for name, each in planned.items()],
+        controllers=list(controllers or subject.controllers()),
     )
-    draw, note = default_draw(flights[0].scenario, nominal_engine)
-    with build(flights[0].scenario.replace(controller=BASELINE.name)) as simulation:
-        hover, idle = simulation.cascade.allocator.hover, simulation.cascade.thrust_map.idle
-        moments = _moments(vehicle, simulation.stations[0].transport_delay)
-    flights = [flight._replace(scenario=_finish(flight, custom, draw)) for flight in flights]
-    rows = list(fly_all(_fly, flights, workers, progress, lambda row: f"{row.kind}, {row.place}"))
-    scans = [
-        (subject, name, start, controller, draw) for name in SCANS for start in STARTS for controller in controllers
-    ]
-    reached = list(fly_all(_scan, scans, workers, progress, lambda limit: limit.quantity)) if limits else []
-    sets = attainable_sets(vehicle.jets, vehicle.control.allocation, hover, idle)
-    scenarios = tuple(flight.scenario for flight in flights)
-    return Survival(
-        vehicle.name, subject.engine, rows, sets, moments, reached, tuple(custom.values()), warnings, scenarios, note
-    )
+    return FaultPlan(subject, study, planned, note)
 
 
-def _custom_controllers(flights: Sequence[_Flight]) -> dict[str, Source]:
-    """Return the controllers from outside, by name; wrong input is found here, before anything is spent on it."""
-    sources: dict[str, Source] = {}
-    for flight in flights:
-        with build(flight.scenario) as simulation:
-            if simulation.controller_source is not None:
-                sources[flight.controller] = simulation.controller_source
-    return sources
+class FaultSurvey:
+    """Outcome of each fault with each controller: ``rows`` has a flight each."""
+
+    def __init__(self, plan: FaultPlan, campaign: Campaign) -> None:
+        self.aircraft, self.engine, self.engine_note = plan.subject.vehicle.name, plan.subject.engine, plan.engine_note
+        self.rows = [_row(*plan.cases[str(row["case"])], row) for row in map(campaign.row, range(len(campaign)))]
+        self.custom_controllers = list(_custom_controllers(plan.study))
+        # Where a design is not flown as what it was made for.
+        self.warnings = design_warnings(plan.study)
+
+    @property
+    def unmonitored_controllers(self) -> list[str]:
+        """The controllers with which no monitor watches the engines: they have to see to it themselves."""
+        return [source.label for source in self.custom_controllers if source.level == WHOLE_CONTROLLER]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the table for JSON."""
+        return {
+            "aircraft": self.aircraft,
+            "engine": self.engine,
+            **({"engine_note": self.engine_note} if self.engine_note else {}),
+            "warnings": self.warnings,
+            "own_controllers": [
+                {"name": source.name, "level": source.level, "sha256": source.sha256}
+                | {"engine_monitor": source.level != WHOLE_CONTROLLER}
+                for source in self.custom_controllers
+            ],
+            "rows": [to_json_record(row) for row in self.rows],
+        }
+
+    def table(self) -> list[list[str]]:
+        """Return at how many of its places each fault is held: the head and the lines of a table."""
+        controllers = list(dict.fromkeys(row.controller for row in self.rows))
+        table = [["fault", "from", *map(label, controllers), "detected, s"]]
+        for kind, start in dict.fromkeys((row.kind, row.start) for row in self.rows):
+            rows = [row for row in self.rows if (row.kind, row.start) == (kind, start)]
+            times = [row.detected_s for row in rows if row.detected_s is not None]
+            found = f"{min(times):.3f} to {max(times):.3f}" if times else "-"
+            cells = (_format_cell([row for row in rows if row.controller == name]) for name in controllers)
+            table.append([kind, start, *cells, found])
+        return table
+
+    def lines(self) -> list[str]:
+        """Return how many flights are held by each controller, and what is to be said of them, a line each."""
+        lines = ["held at so many of the places where it can happen; the largest lean and the most height lost there"]
+        for name in dict.fromkeys(row.controller for row in self.rows):
+            held = [row.verdict is Verdict.HELD for row in self.rows if row.controller == name]
+            lines.append(f"{self.aircraft}: {label(name)} holds {sum(held)} of {len(held)} flights")
+        lines += [
+            f"no engine monitor with {name}: a whole controller sees to lost engines itself"
+            for name in self.unmonitored_controllers
+        ]
+        return lines + ([self.engine_note] if self.engine_note else [])
 
 
-def _finish(flight: _Flight, sources: dict[str, Source], draw: EngineDraw | None) -> Scenario:
-    """Return the scenario with its engine drawn and its controller's hash: another file is refused by who flies it."""
-    case, start, controller, scenario = flight
-    scenario = draw_engine(scenario, draw, f"{case.kind} {case.place} {start}")
-    source = sources.get(controller)
-    return scenario if source is None else scenario.replace(controller_sha256=source.sha256)
-
-
-def scenario_of(subject: Subject, case: Case, start: str, controller: str, step: float | None = None) -> Scenario:
-    """Return the flight of one cell of the table.  Raises InputError for a design of another control step."""
-    step, begin = step or subject.vehicle.control_step, SETTLED_S[start]
-    gains: dict[str, Any] = {}
-    parameters: dict[str, float] = {}
-    if is_design(controller):
-        path = Path(controller)
-        file = read_controller(path, subject.aircraft)
-        file.check_step(path, step)
-        controller, parameters, gains = file.controller, file.controller_parameters, file.vehicle
-    roll = {"kind": "step", "signal": "roll_deg", "start_s": 0.5, "amplitude": ROLL_DEG}
-    return subject.scenario(
-        "survival",
-        controller,
-        HEIGHT_M,
-        begin + AFTER_S,
-        vehicle=gains,
-        controller_parameters=parameters,
-        step_s=step,
-        command=[roll] if start == "roll" else [],
-        fault=[] if case.fault is None else [case.fault | {"start_s": begin}],
-    )
-
-
-def _fly(flight: _Flight) -> Row:
-    case, start, controller, scenario = flight
-    run = fly(scenario)
-    begin = scenario.count(SETTLED_S[start], "start_s")
-    lean, lost, detected = measure_flight(run.log, begin)
-    verdict, margin = judge_outcome(run)
+def _row(case: Case, start: str, row: Mapping[str, Any]) -> Row:
+    """Return the outcome that a row of the campaign states."""
+    margin, detected = row[f"{MARGIN_OF}held"], row["own.detected_s"]
     return Row(
         case.kind,
         case.place,
         start,
-        controller,
-        verdict,
-        lean,
-        lost,
-        None if detected is None or case.fault is None else (detected - begin + 1) * scenario.step_s,
-        run.reason,
-        scenario.controller_sha256,
-        margin_deg=margin,
+        row["controller"],
+        judge(row["outcome"], margin),
+        nan if row["own.lean_deg"] is None else row["own.lean_deg"],
+        nan if row["own.lost_m"] is None else row["own.lost_m"],
+        None if case.fault is None else detected,
+        row["reason"],
+        row["controller_sha256"],
+        margin,
+        row["flight"],
     )
 
 
-def _scan(task: tuple[Subject, str, str, str, EngineDraw | None]) -> Limit:
-    """Fly along a grid until the vehicle is lost; the fault is jet 1's, the engine the same all along."""
-    subject, quantity, start, controller, draw = task
-    passed: dict[Verdict, list[float]] = {Verdict.HELD: [], Verdict.AIRBORNE: []}
-    lost_at = None
-    for value in SCANS[quantity]:
-        kind = {"kind": "thrust_loss", "share": value} if quantity == LOSS else {"kind": "flame_out"}
-        scenario = scenario_of(subject, Case("", "", kind | {"jet": 1}), start, controller)
-        if quantity != LOSS:
-            scenario = scenario.replace(vehicle=merge(scenario.vehicle, {"control": {"monitor": {"confirm_s": value}}}))
-        run = fly(draw_engine(scenario, draw, f"{quantity} {start}"))
-        verdict, _ = judge_outcome(run)
-        if verdict is Verdict.LOST:
-            lost_at = value
-            break
-        passed[verdict].append(value)
-    return Limit(quantity, start, controller, passed[Verdict.HELD], passed[Verdict.AIRBORNE], lost_at)
+def judge(outcome: str, margin: float | None) -> Verdict:
+    """Return whether a vehicle is held, airborne and no more than that, or lost; ``margin`` is that of being held."""
+    if outcome != "completed":
+        return Verdict.LOST
+    return Verdict.HELD if margin is not None and margin >= 0.0 else Verdict.AIRBORNE
 
 
-def _moments(vehicle: Vehicle, delay: float | None) -> Moments | None:
-    monitor = vehicle.control.monitor
-    if delay is None or monitor is None:
-        return None
-    thrust = vehicle.mass_kg * GRAVITY / len(vehicle.jets)
-    moment = thrust * max(abs(jet.position_m[1]) for jet in vehicle.jets)
-    acceleration = moment / vehicle.inertia_kg_m2[0]
-    reaction_s = monitor.confirm_s + delay
-    return Moments(
-        thrust, moment, acceleration, reaction_s, acceleration * reaction_s, 0.5 * acceleration * reaction_s**2
-    )
+def _format_cell(rows: Sequence[Row]) -> str:
+    held, airborne = (sum(row.verdict is verdict for row in rows) for verdict in (Verdict.HELD, Verdict.AIRBORNE))
+    more = f", {airborne} airborne" if airborne else ""
+    lean, lost = max(row.lean_deg for row in rows), max(row.lost_m for row in rows)
+    return f"{held}/{len(rows)}{more}  {lean:3.0f} deg {lost:4.1f} m"
 
 
-@dataclass(frozen=True)
-class Cell:
-    """All places of one kind of fault from one start with one controller."""
-
-    held: int
-    airborne: int
-    flights: int
-    lean_deg: float  # the largest
-    lost_m: float
-    detected_s: tuple[float, float] | None  # first and last
-
-
-def summary(result: Survival) -> tuple[list[str], list[tuple[str, str, list[Cell]]]]:
-    """Return the controllers, and for each kind and start the outcomes over all jets with each of them."""
-    controllers = list(dict.fromkeys(row.controller for row in result.rows))
-    lines = []
-    for kind, start in dict.fromkeys((row.kind, row.start) for row in result.rows):
-        rows = [row for row in result.rows if (row.kind, row.start) == (kind, start)]
-        lines.append((kind, start, [_cell([row for row in rows if row.controller == name]) for name in controllers]))
-    return controllers, lines
-
-
-def _cell(rows: Sequence[Row]) -> Cell:
-    times = [row.detected_s for row in rows if row.detected_s is not None]
-    return Cell(
-        held=sum(row.verdict == "held" for row in rows),
-        airborne=sum(row.verdict == "airborne" for row in rows),
-        flights=len(rows),
-        lean_deg=max(row.lean_deg for row in rows),
-        lost_m=max(row.lost_m for row in rows),
-        detected_s=(min(times), max(times)) if times else None,
-    )
+def _custom_controllers(study: Study) -> Iterator[Source]:
+    """Yield the controllers from outside."""
+    for name in study.controllers:
+        with build(with_values(study.base(), {"controller": name})) as simulation:
+            if simulation.controller_source is not None:
+                yield simulation.controller_source

@@ -1,30 +1,28 @@
-"""What all surveys share: the vehicle, the cases chosen, the flights in worker processes, and how they are judged."""
+"""What the surveys share: the vehicle, the cases chosen, the flights as a campaign, and how a flight is judged."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import degrees, nan
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from cosim.api import Progress
+from cosim.api.studies import tell_tally
 from cosim.base.errors import InputError
-from cosim.base.outcomes import Verdict
 from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.engine import load_engine
+from cosim.flight import new_folder
 from cosim.results.log.columns import jets_in
 from cosim.results.log.recorder import Log
-from cosim.results.requirements import FlightSignals, Lost, Requirement
-from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
-from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, load_vehicle
-from cosim.studies import EngineDraw, run_in_order, with_values
+from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from, load_vehicle
+from cosim.studies import Campaign, Study, design_warnings, run_campaign
 
-Progress = Callable[[str, int, int], None]  # is told what was flown, how many are, and of how many
 T = TypeVar("T")
-R = TypeVar("R")
 
 LEVEL_DEG = 5.0  # chosen by us: within this of what is asked, on every axis over the last second, the vehicle is held
 
@@ -36,11 +34,20 @@ class Subject(NamedTuple):
     vehicle: Vehicle
     engine: str
 
+    def settings(self, height: float, duration: float, **more: Any) -> dict[str, Any]:
+        """Return the settings of a flight at its control step, from ``height`` [m] on, of ``duration`` [s]."""
+        return {
+            "aircraft": self.aircraft,
+            "engine": self.engine,
+            "step_s": self.vehicle.control_step,
+            "duration_s": duration,
+            "initial": {"altitude_m": height},
+        } | more
+
     def scenario(self, name: str, controller: str, height: float, duration: float, **table: Any) -> Scenario:
-        """Return a flight at its control step, from ``height`` [m] on, of ``duration`` [s].  Raises InputError."""
-        table |= {"name": name, "aircraft": self.aircraft, "engine": self.engine, "controller": controller}
-        table |= {"duration_s": duration, "initial": {"altitude_m": height}}
-        return Scenario.from_table({"step_s": self.vehicle.control_step} | table, Path(), name)
+        """Return a flight with :meth:`settings`.  Raises InputError."""
+        table = {"name": name, "controller": controller} | self.settings(height, duration, **table)
+        return Scenario.from_table(table, Path(), name)
 
     def controllers(self) -> list[str]:
         """Return those of the compared controllers whose model the vehicle has with this engine."""
@@ -53,12 +60,8 @@ def load_subject(aircraft: str, engine: str | None = None) -> Subject:
     """Return an aircraft with an engine, None: the one that it is made for.  Raises InputError for unknown names."""
     aircraft = aircraft_seen_from(aircraft, Path())
     vehicle, _ = load_vehicle(aircraft)
-    return Subject(aircraft, vehicle, engine or engine_of(aircraft) or Scenario.model_fields["engine"].default)
-
-
-def draw_engine(scenario: Scenario, draw: EngineDraw | None, name: str) -> Scenario:
-    """Return a flight with its engine drawn under this name; without draws as it is."""
-    return scenario if draw is None else with_values(scenario, draw.named(name))
+    named = engine or engine_of(aircraft) or Scenario.model_fields["engine"].default
+    return Subject(aircraft, vehicle, file_seen_from(named, Path()))
 
 
 def select_cases(cases: Sequence[T], kinds: Sequence[str], subject: str, name_of: Callable[[T], str]) -> list[T]:
@@ -70,19 +73,27 @@ def select_cases(cases: Sequence[T], kinds: Sequence[str], subject: str, name_of
     return chosen
 
 
-def fly_all(
-    act: Callable[[T], R],
-    tasks: Sequence[T],
-    workers: int,
-    progress: Progress,
-    describe: Callable[[R], str],
-    finished: int = 0,
-    total: int = 0,
-) -> Iterator[R]:
-    """Yield the outcome of every task, in order; ``finished`` of ``total`` were flown before them."""
-    for count, result in enumerate(run_in_order(act, tasks, workers), finished + 1):
-        progress(describe(result), count, total or len(tasks))
-        yield result
+def make_study(name: str, title: str, settings: Mapping[str, Any], cases: Sequence[Any], **more: Any) -> Study:
+    """Return the study of every case: a hover with ``settings``.  Raises InputError."""
+    table = {"name": name, "title": title, "scenario": "hover", "settings": settings, "case": list(cases)}
+    return Study.from_table(table | {"design": "grid"} | more, Path(), name)
+
+
+def fly_study(study: Study, out: str | Path | None, workers: int, progress: Progress) -> Campaign:
+    """Fly what the folder ``out`` does not hold of a study, None: in a new one in ``runs/``; return its campaign.
+
+    Raises InputError for a flight that cannot be flown, with its reason.
+    """
+    folder = new_folder(Path("runs"), study.name) if out is None else Path(out)
+    progress.begin(folder)
+    for text in design_warnings(study):
+        progress.note(text)
+    campaign = run_campaign(study, folder, workers, resume=True, progress=tell_tally(progress))
+    columns = campaign.columns
+    for case, steps, reason in zip(columns["case"], columns["steps"], columns["reason"], strict=True):
+        if steps is None:
+            raise InputError(f"{case}: {reason}")
+    return campaign
 
 
 def measure_flight(log: Log, begin: int) -> tuple[float, float, int | None]:
@@ -98,20 +109,7 @@ def measure_flight(log: Log, begin: int) -> tuple[float, float, int | None]:
     return lean, max(0.0, float(height[0] - height.min())), int(ill[0]) if ill.size else None
 
 
-def held_requirement(duration_s: float) -> Requirement:
+def held_formula(duration_s: float) -> str:
     """Return what a vehicle keeps that is held: every axis level to ``LEVEL_DEG`` over the last second."""
     level = " and ".join(f"abs({axis}_error_deg) <= {LEVEL_DEG:g}" for axis in AXES)
-    return Requirement(name="held", formula=f"after({duration_s - 1.0:.9g} s, always({level}))")
-
-
-def judge_outcome(run: Run) -> tuple[Verdict, float | None]:
-    """Return whether a vehicle is held, airborne and no more than that, or lost; and by how much it is held [deg].
-
-    The margin is that of :func:`held_requirement`, None where an axis has no set-point.
-    """
-    summary = run.summary
-    lost = None if summary.outcome == "completed" else Lost(summary.duration_s, summary.planned_s)
-    held = held_requirement(summary.planned_s).assess(FlightSignals(run.log, summary.step_s, {}, {}), lost)
-    if lost is not None:
-        return Verdict.LOST, held.margin
-    return Verdict.HELD if held.kept else Verdict.AIRBORNE, held.margin
+    return f"after({duration_s - 1.0:.9g} s, always({level}))"

@@ -1,0 +1,55 @@
+"""What may fail under the autopilot, and the requests with which it is called."""
+
+from __future__ import annotations
+
+from math import radians
+from typing import NamedTuple
+
+from cosim.control.autopilot.requests import (
+    Goto,
+    InjectFault,
+    LinkLost,
+    OffboardVelocity,
+    Request,
+    SetMode,
+    SetParameter,
+    Sticks,
+)
+from cosim.spec.vehicle import Vehicle
+
+GYRO_BIAS = radians(3.0)  # rad/s about the late axis: what a MEMS gyro's zero is off when it was never calibrated
+
+
+class Case(NamedTuple):
+    """One failsafe: requests from the beginning of the flight on, and those with which it is called."""
+
+    name: str
+    first_requests: tuple[Request, ...]
+    failing_requests: tuple[Request, ...]
+    holds: bool = False  # whether it ends in HOLD instead of on the ground
+    moving: bool = False  # flown without a position from then on, so it also begins moving
+    waits: bool = False  # whether the fuel runs down without a request until the autopilot acts
+
+
+def cases(vehicle: Vehicle, airborne: bool = False) -> list[Case]:
+    """Return every failsafe, sensors singly and the GNSS with each; without the fuel's if begun in the air."""
+    allowed = (SetParameter("SYS_FAILURE_EN", 1.0),)
+    gnss = InjectFault("sensor_dropout", sensor="gnss")
+    others = (
+        ("barometer lost", InjectFault("sensor_dropout", sensor="barometer")),
+        ("attitude lost", InjectFault("sensor_dropout", sensor="attitude")),
+        ("gyro biased", InjectFault("sensor_bias", sensor="gyro", vector=(GYRO_BIAS, 0.0, 0.0))),
+        ("gyro lost", InjectFault("sensor_dropout", sensor="gyro")),
+    )
+    jets = range(1, len(vehicle.jets) + 1)
+    return [
+        Case("GNSS lost", allowed, (gnss,), moving=True),
+        *(Case(name, allowed, (fault,)) for name, fault in others),
+        *(Case(f"GNSS and {name}", allowed, (gnss, fault), moving=True) for name, fault in others),
+        *(Case(f"engine {jet} out", allowed, (InjectFault("flame_out", (jet,)),)) for jet in jets),
+        Case("ground station lost", (), (LinkLost(),)),
+        *([] if airborne else [Case("fuel runs down", (), (), waits=True)]),
+        Case("fence passed", (Goto(8.0, 0.0),), (SetParameter("HJ_FENCE_RAD", 1.0),)),
+        Case("sticks lost", (), (Sticks(0.0, 0.0, 0.0, 0.5), SetMode("POSCTL")), True),
+        Case("set-points lost", (), (OffboardVelocity(0.0, 0.0, 0.0), SetMode("OFFBOARD")), True),
+    ]
