@@ -11,12 +11,10 @@ from __future__ import annotations
 import ast
 import inspect
 import re
-import runpy
 import textwrap
 import types
 from collections.abc import Iterable, Iterator
 from functools import cache
-from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
 
 from pydantic import BaseModel
@@ -571,11 +569,6 @@ def catalogue_page(kind: str, head: str) -> str:
     return shown
 
 
-def requirements_page() -> str:
-    """What every shipped scenario and study requires, and the tests that name it."""
-    return str(runpy.run_path(str(Path(__file__).with_name("tracing.py")))["page"]())
-
-
 def pages() -> dict[str, str]:
     """Every page by its file's name."""
     return {
@@ -606,5 +599,4 @@ def pages() -> dict[str, str]:
         "environment.md": environment_page(),
         "scenarios.md": catalogue_page("scenarios", "# Scenarios that are shipped\n\nEach is an example and a test.\n"),
         "studies.md": catalogue_page("studies", "# Studies that are shipped\n\nEach is an example.\n"),
-        "requirements.md": requirements_page(),
     }

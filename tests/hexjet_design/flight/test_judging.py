@@ -1,70 +1,18 @@
-"""docs/judging.md: its first commands as written, the arithmetic of its text, and its tables measured and flown again."""
+"""Margins judged beside their limits, and the line that names the worst."""
 
 from __future__ import annotations
 
-import re
-from cmath import exp
-from math import log10, radians
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from places import DOCS, script
-from stated_figures import stated
 
-from cosim.base.storage.paths import data_folder
-from cosim.engine import library
-from cosim.results.report.marks import parts_of
-from cosim.simulation.controllers.controller_file import Requirements
 from hexjet_design.measured.estimate import Bounded
 from hexjet_design.measured.judgement import (
     falls_below,
     judge_axis,
     judgement_line,
 )
-
-judging = script("judging")
-PAGE, NAME = DOCS / "judging.md", "docs/judging.md"
-TEXT = PAGE.read_text(encoding="utf-8")
-MARGINS, FLIGHTS, PEAKS = parts_of(TEXT, PAGE).values()
-
-
-def cells(part: str, name: str) -> list[str]:
-    (found,) = [line for line in part.splitlines() if line.startswith(f"| {name} |")]
-    return [cell.strip() for cell in found.strip("|").split("|")]
-
-
-def number(part: str, name: str, column: int) -> float:
-    return float(re.findall(r"-?[\d.]+", cells(part, name)[column])[0])
-
-
-def test_the_arithmetic_of_the_page() -> None:
-    for peak, said in judging.PEAKS.items():
-        (gain, phase) = judging.guaranteed(peak)
-        assert f"| {peak} | {gain:.1f} dB | {phase:.1f} deg | {said} |" in PEAKS
-        # the loops whose gain and phase are just these have this distance from -1
-        assert abs(1.0 - 10.0 ** (-gain / 20.0)) == pytest.approx(1.0 / peak, rel=1e-12)
-        assert abs(1.0 - exp(1j * radians(phase))) == pytest.approx(1.0 / peak, rel=1e-12)
-    assert next(iter(judging.PEAKS)) == Requirements().max_sensitivity
-    stated(NAME, "ask for {} % of its delay, as `hexjet design` does", 100.0 * Requirements().delay_tolerance)
-    engine = library.read_engine(data_folder("engines") / "edf-as-flown")
-    late = float(next(each.start for each in engine.variables if each.name == "delay_samples") or 0.0)
-    stated(NAME, "engines that respond {} s late", late * judging.STEP_MS / 1000.0)
-    least_ms = Requirements().delay_tolerance * late * judging.STEP_MS
-    stated(
-        NAME,
-        "more than the {} ms that are {} % of its engine's delay",
-        least_ms,
-        100.0 * Requirements().delay_tolerance,
-    )
-    stated(NAME, "*hasty* has {} ms of delay", number(MARGINS, "hasty", 5))
-    stated(NAME, "and a peak sensitivity of {}. *busy* has a peak sensitivity of {}, and {} ms",
-           number(MARGINS, "hasty", 6), number(MARGINS, "busy", 6), number(MARGINS, "busy", 5))  # fmt: skip
-    assert number(MARGINS, "busy", 5) < least_ms < number(MARGINS, "hasty", 5)
-    stated(NAME, "Thrust that is {} % off is {} dB", 20, 20.0 * log10(1.2))
-    for name in set(judging.LOOPS) - {"busy"}:  # which has several crossovers
-        phase, crossover, delay = (number(MARGINS, name, column) for column in (3, 4, 5))
-        assert phase / 360.0 / crossover == pytest.approx(delay / 1000.0, rel=0.03), name
 
 
 def an_axis(axis: str, uncertainty: float | None = None, lost: int = 0, **margins: tuple[float, float, float]) -> Any:

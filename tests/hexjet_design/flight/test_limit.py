@@ -8,10 +8,12 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import law_loop
 import numpy as np
 import pytest
 from command_tools import Hexjet
-from places import ROOT, script
+from law_loop import LawLoop
+from places import ROOT
 from scipy.signal import lfilter
 
 from cosim.base.arrays import Array
@@ -40,7 +42,7 @@ LAWS = {
 @cache
 def roll() -> Channel:
     """The roll axis of the Hex-Jet with engines that answer 25 steps late."""
-    channel: Channel = script("laws").roll()
+    channel: Channel = law_loop.roll()
     return channel
 
 
@@ -93,7 +95,7 @@ class Realised:
 
 def check(channel: Channel, found: Limit) -> None:
     """What the programme says is what the controller does."""
-    loop = script("law_loop").LawLoop(channel, Realised(channel, found), 1.0)
+    loop = LawLoop(channel, Realised(channel, found), 1.0)
     assert loop.load_error == pytest.approx(found.load_error, rel=1e-5)
     assert loop.step_error == pytest.approx(found.step_error, rel=1e-5)
     assert loop.noise == pytest.approx(found.noise, rel=1e-5)
@@ -135,7 +137,7 @@ def test_a_tolerance_of_the_delay_costs_and_is_there() -> None:
     assert found.load_error > find_limit(roll(), bounds._replace(delay_error=8.5)).load_error
     assert found.load_error > 1.2 * least("pid-smith").load_error
     assert LAWS["pid-smith"][1] > 5.2 * found.load_error
-    loop = script("law_loop").LawLoop(roll(), Realised(roll(), found), 1.0)
+    loop = LawLoop(roll(), Realised(roll(), found), 1.0)
     for error in (-9.5, -5.0, 5.0, 9.5):
         assert (loop.with_delay(error) or np.inf) <= 2.0 * bounds.peak_sensitivity * 1.001
 

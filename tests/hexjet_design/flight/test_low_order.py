@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import law_loop
 import numpy as np
 import pytest
 from optimal_block import Behind
-from places import script
 
 from cosim.base.errors import InputError
 from hexjet_design.assessment import predictor_model
@@ -25,7 +25,7 @@ LAG_S = 0.064
 @cache
 def roll() -> Channel:
     """The roll axis without a filter of its gyro, of which its own model is exact."""
-    return replace(script("laws").roll(), rate_filter_s=0.0)
+    return replace(law_loop.roll(), rate_filter_s=0.0)
 
 
 @cache
@@ -35,7 +35,7 @@ def reduced() -> LowOrder:
 
 def test_a_low_order_keeps_the_bounds_in_the_loop_and_is_near_the_limit() -> None:
     low, block = reduced(), Behind(roll(), reduced().target)
-    loop = script("law_loop").LawLoop(roll(), block, block.attitude)
+    loop = law_loop.LawLoop(roll(), block, block.attitude)
     assert loop.load_error == pytest.approx(low.loop.load_error, rel=1e-4)
     assert loop.step_error == pytest.approx(low.loop.step_error, rel=1e-4)
     assert loop.noise == pytest.approx(low.loop.noise, rel=1e-3)
@@ -53,7 +53,7 @@ def test_a_delay_that_the_controller_adds_counts_once() -> None:
     low = reduce_limit(late, predictor_model(late, "exact"), BOUNDS, LAG_S, rounds=0)
     same = roll().with_delay(roll().actuator_delay + 2.0)
     block = Behind(same, low.target)
-    loop = script("law_loop").LawLoop(same, block, block.attitude)
+    loop = law_loop.LawLoop(same, block, block.attitude)
     assert loop.load_error == pytest.approx(low.loop.load_error, rel=1e-4)
     assert loop.peak_sensitivity == pytest.approx(low.loop.peak_sensitivity, rel=1e-4)
 
@@ -69,7 +69,7 @@ def test_weights_that_are_free_leave_the_loop_exact_at_rest() -> None:
     assert free.shape == (2 * len(START), 2 * len(START) - 3)
     moved = replace(low, weights=tuple((np.array(low.weights) + 0.05 * free[:, 0]).tolist()))
     block = Behind(roll(), moved)
-    loop = script("law_loop").LawLoop(roll(), block, block.attitude, 12.0)
+    loop = law_loop.LawLoop(roll(), block, block.attitude, 12.0)
     assert abs(loop.load_left) < 1e-5 * loop.load_error
 
 

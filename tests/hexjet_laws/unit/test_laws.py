@@ -10,13 +10,15 @@ from functools import cache
 from math import cos, exp, pi, radians, sin
 from typing import Any
 
+import law_loop
 import numpy as np
 import pytest
+from law_loop import LawLoop
 from optimal_block import Behind
-from places import ROOT, script
+from places import ROOT
 from scipy.linalg import expm
 from scipy.optimize import lsq_linear
-from stated_figures import last_digit, rows, stated
+from stated_figures import last_digit, rows
 
 from cosim import InputError, Scenario, fly
 from cosim.base.protocols import Parameter
@@ -26,13 +28,12 @@ from cosim.control.laws.axis import Actuators, Axis
 from cosim.control.predictors.linear import model_response
 from cosim.control.rate import RateController
 from cosim.engine import EngineSpec, load_engine
-from cosim.results.report.marks import page_parts
 from cosim.simulation.build import build
 from cosim.simulation.controllers.models import make_predictors, make_scenario_belief
 from cosim.spec.vehicle import Vehicle
 from hexjet_design.loop.actuator import Actuator
 from hexjet_design.loop.channel import Channel, channels
-from hexjet_design.loop.closed_loop import WINDOW, ClosedLoop, FrequencyGrid
+from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.dynamics import make_lag_dynamics
 from hexjet_design.loop.optimal import ModelForm, Optimal, Target, fit_weights
 from hexjet_design.loop.tuning import Tuning
@@ -42,7 +43,6 @@ from hexjet_laws.lqg import KalmanFilter, add_delay, discrete_model, regulator
 from hexjet_laws.mpc import MpcAxis
 from hexjet_laws.px4 import FADES, LowPass, Px4Axis
 
-LawLoop, SetpointFilter = script("law_loop").LawLoop, script("law_loop").SetpointFilter
 PAGE = "docs/laws.md"
 TITLES = {
     "pid": "PID",
@@ -165,31 +165,6 @@ def test_every_law_has_the_stated_peak_sensitivity(name: str) -> None:
     found = LawLoop(channel, block, attitude)
     for cell, value in zip(cells[1:4], (found.step_error, found.load_error, found.load_left), strict=True):
         assert abs(float(cell) - value) <= 0.6 * last_digit(cell)
-
-
-def test_the_rank_of_smith_depends_on_the_horizon_as_the_page_says() -> None:
-    """The lean that a load leaves is integrated for as long as the horizon: ahead of PID over 3 s, behind over 5 s."""
-    vehicle, _, _, channel = place()
-    attitude = vehicle.control.attitude.gain_1_s[0]
-    found = {name: LawLoop(channel, law(name), attitude, 20.0) for name in ("pid", "pid-smith")}
-    for each in found.values():  # over all that is followed: the error itself
-        assert each.errors_within(each.samples * channel.step) == pytest.approx((each.step_error, each.load_error))
-    part = page_parts(ROOT / PAGE)["horizons"]
-    (line,) = [line for line in part.splitlines() if line.startswith(f"| {TITLES['pid-smith']} |")]
-    cells = [cell.strip() for cell in line.strip("|").split("|")[1:]]
-    for horizon, cell in zip((2.0, 3.0, 5.0, 7.0, 14.0), cells, strict=True):
-        (step, load), (a, b) = (found[name].errors_within(horizon) for name in ("pid-smith", "pid"))
-        assert float(cell.split()[0]) == pytest.approx((step * load / (a * b)) ** 0.5, abs=0.01)
-        assert (step * load < a * b) == (horizon < 4.0)
-    stated(PAGE, "where a load lasts for {} s; where it lasts for {} s it is ahead of PID", 7.0, 3.0)
-    stated(PAGE, "The tunings are those for {} s throughout", round(WINDOW * channel.slowness_s))
-    # why the table of loops states a hundredth more over "7 s": the same loop, followed for the whole window
-    stated(PAGE, "over {} times the channel's delay at low frequency, which are {} s: the table by horizon ends at {} s",
-           WINDOW, WINDOW * channel.slowness_s, 7.0)  # fmt: skip
-    (smith,) = [row for title, row in rows(PAGE, 12).items() if title == TITLES["pid-smith"]]
-    for cell, window in ((smith[4], WINDOW * channel.slowness_s), (cells[3].split()[0], 7.0)):
-        (step, load), (a, b) = (found[name].errors_within(window) for name in ("pid-smith", "pid"))
-        assert (step * load / (a * b)) ** 0.5 == pytest.approx(float(cell), abs=0.0051)
 
 
 # ---- in flight
@@ -402,8 +377,7 @@ def test_limits_do_not_wind_optimal_up() -> None:
     free = Behind(channel, optimal_target(roll().delay))
     most = LawLoop(channel, free, free.attitude).step_peak
     bound = Behind(channel, optimal_target(roll().delay), 0.3 * most)
-    command = script("law_loop")
-    turned = np.cumsum(command.run(channel, free, free.attitude, 1000, setpoint=1e-3).angle)
+    turned = np.cumsum(law_loop.run(channel, free, free.attitude, 1000, setpoint=1e-3).angle)
     assert turned[-1] == pytest.approx(1e-3, rel=1e-3)
     angle = integrated(channel, bound, bound.attitude)
     assert max(angle) < 1.15

@@ -1,7 +1,6 @@
 """Subset simulation of known truths: right on average, intervals that hold what they say, and bounds where none fails.
 
-The truths are those of docs/rare.py, which measures more of them more often; here the seeds are fixed, and the bounds
-are the binomial distribution's at one in ten thousand.
+The seeds are fixed, and the bounds are the binomial distribution's at one in ten thousand.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from places import script
+from known_failures import TRUTHS, Truth, simulated
 from scipy.stats import binom, norm
 
 from cosim.base.errors import InputError
@@ -32,8 +31,6 @@ from hexjet_prove.rare.nearest import NearestSearch
 from hexjet_prove.rare.repeats import simulate_groups
 from hexjet_prove.rare.subset import Candidates, Level, Repeat
 
-measured = script("rare")
-TRUTHS, simulated = measured.TRUTHS, measured.simulated
 STUDIES = 40
 LEAST_HELD = 0.93
 
@@ -72,7 +69,7 @@ def test_a_height_band_beside_a_roll_limit_holds_its_truth(together: bool) -> No
 
     sides = 2.0 * norm.sf(4.0), 2.0 * norm.sf(4.42)
     probability = float(sides[0] + sides[1] - sides[0] * sides[1])
-    truth = measured.Truth("height and roll", 2, margins, lambda probability: 0.0)
+    truth = Truth("height and roll", 2, margins, lambda probability: 0.0)
     found = [simulated(truth, probability, Budget(1e-6, 5000), seed) for seed in range(60)]
     assert sum(each.low <= probability <= each.high for each, _ in found) >= 54
     assert all(made.flights <= 5000 for _, made in found)
@@ -84,7 +81,7 @@ def test_a_shallow_requirement_beside_a_steep_one_that_decides_hides_nothing() -
 
     The smallest of the two margins holds the truth in some of 60 studies.
     """
-    truth = measured.Truth(
+    truth = Truth(
         "shallow and steep",
         2,
         lambda points, seeds, level: np.stack([0.01 - points[:, 1] / 600.0, 3.5 - points[:, 0]], axis=1),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from places import script
+from law_loop import LawLoop
 
 from cosim.base.errors import InputError
 from cosim.base.signals import Vector3
@@ -31,8 +31,6 @@ from hexjet_design.loop.tuning import Tuning
 from hexjet_design.tune import settle
 from hexjet_sitl.betaflight import compute_gain_units, make_gain_settings
 from hexjet_sitl.firmware_parameters import find_loops as firmware_for
-
-LawLoop = script("law_loop").LawLoop
 
 STEP = 0.004
 GAINS = RateGains(p=0.0105, i=0.0133, d=0.00086, d_filter_s=1.0 / (2.0 * pi * 21.0), integral_limit=1.0)

@@ -9,16 +9,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from places import ROOT, script
+from places import ROOT
 
 from cosim.campaign import folder
-from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.study.options import open_study
-from cosim.campaign.study.study import Study, study_names
+from cosim.campaign.study.study import Study
 from cosim.cli import table
-from cosim.results.report.marks import page_parts
 from hexjet_prove.proof.design_study import design_study, find_design
 from hexjet_prove.search import folder as searches
 from hexjet_prove.search.worst_folder import resolve_worst
@@ -121,44 +118,3 @@ def test_the_python_on_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyP
         "failed"
     )
     assert said["smith"].shape == (2,)
-
-
-# --- what docs/studies.py writes --------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def writer() -> Any:
-    """docs/studies.py."""
-    return script("studies")
-
-
-def of(
-    kinds: list[str], controllers: list[int], keys: dict[str, list[float]], values: dict[str, list[float]]
-) -> FlightTable:
-    """Flights that never flew."""
-    count = len(kinds)
-    return FlightTable(
-        flight=np.arange(count),
-        draw=np.arange(count),
-        controller=np.array(controllers),
-        kind=np.array([KINDS.index(kind) for kind in kinds]),
-        reason=[""] * count,
-        beyond=[[] for _ in kinds],
-        duration=np.ones(count),
-        keys=[KeyColumn(path, path, "", np.array(each), []) for path, each in keys.items()],
-        metrics=[],
-        values={name: np.array(each) for name, each in values.items()},
-        controllers=["a", "b"],
-        grid=False,
-    )
-
-
-def test_every_mark_has_its_table(writer: Any) -> None:
-    """The marks of both pages are those that docs/studies.py writes, and none is empty."""
-    parts = page_parts(writer.PAGE)
-    assert set(parts) == {mark for marks in writer.PARTS.values() for mark in marks}
-    assert [name for name, text in parts.items() if "|" not in text] == []
-    for name, command in writer.SEARCHES.items():
-        assert command in parts[name]
-    elsewhere = {"equal-sensitivity", "roll-doublet-claim"}  # pages of their own: docs/laws.md, docs/prove.md
-    assert set(writer.PARTS) | elsewhere == {*study_names(), "searches"}

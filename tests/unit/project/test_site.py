@@ -219,21 +219,6 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     assert (tmp_path / "site" / "searchindex.js").stat().st_size > 100_000
 
 
-def test_every_shipped_requirement_has_what_flies_it_and_tests(made: dict[str, str]) -> None:
-    """And a test that is named is there, and names it."""
-    rows = [line.strip("| ").split(" | ") for line in made["requirements.md"].splitlines() if line.startswith("| ")][2:]
-    flown = {by for _, by, _ in rows}
-    shipped = [(kind, path.stem) for kind in ("scenario", "study") for path in (ROOT / PLACES[kind]).glob("*.toml")]
-    assert flown == {f"{kind} {name}" for kind, name in shipped}
-    for text, by, named in rows:
-        assert text, by
-        if by.startswith("scenario "):
-            assert named.startswith("test\\_scenarios.py")
-        for test in named.replace("\\", "").split(", ") if named != "none" else ():
-            (path,) = (ROOT / "tests").rglob(test)
-            assert test == "test_scenarios.py" or f'"{by.split()[1]}"' in path.read_text(encoding="utf-8")
-
-
 @pytest.mark.long
 def test_tables_sort_and_filter_and_results_have_their_context(tmp_path: Path) -> None:
     """Long: site.js in a browser, on a page with one table and one of a search."""

@@ -12,33 +12,27 @@ A law that bends (limits, gains that fall with the error) is looked at around re
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import ceil, exp, inf, log, pi
+from math import ceil, inf, pi
 
 import numpy as np
-from scipy.signal import lfilter
 
 from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 from cosim.base.protocols import RateLoop
 from cosim.base.signals import AXES, Vector3
 from cosim.control.predictors.linear import cascade
-from cosim.simulation.controllers.controller_file import STEP_RAD
-from hexjet_design.loop.channel import Channel
+from cosim.engine import load_engine
+from cosim.spec.scenario import Scenario
+from hexjet_design import design as make
+from hexjet_design.loop.actuator import Actuator
+from hexjet_design.loop.channel import Channel, channels
 from hexjet_design.loop.closed_loop import WINDOW
 from hexjet_design.loop.limit import tolerated_error
-from hexjet_design.tune import SEED, UNSTABLE
 
 SMALL = 1e-3  # rad, rad/s, and of the command: what the impulses are
-FILTERS_S = (0.02, 0.1, 0.5)  # lags from which a set-point filter is searched, with half as much lead and with more
-NO_OVERSHOOT = 0.005  # of a step: less is none
 LOST = 1e3  # times the impulse: the loop runs away
-DOUBLET = 2.0 * STEP_RAD  # its middle step, from one side to the other
-HELD = 1000.0  # what the square of missing the peak sensitivity costs: it is then held to less than 1 %
-FAR = 0.5  # square of missing it, beyond which nothing else is looked at
-POPULATION, GENERATIONS, ROUNDS = 5, 24, 60  # of the search
 POINTS = 1 << 16  # of the upper half of the unit circle
 
 
@@ -97,45 +91,6 @@ def run(channel: Channel, law: RateLoop, gain_1_s: float, samples: int, setpoint
         noise = 0.0
         angle = [angle[0] + 0.5 * T * (last + rate), *angle[:-1]]
     return Record(commands, angles)
-
-
-@dataclass(frozen=True)
-class SetpointFilter:
-    """``(1 + lead s) / (1 + lag s)`` before a loop, held over a step, and the answer to a set-point behind it."""
-
-    lead_s: float
-    lag_s: float
-    step_error: float  # as LawLoop has it
-    overshoot: float
-    step_peak: float
-
-    @classmethod
-    def of(cls, loop: LawLoop, lead_s: float, lag_s: float) -> SetpointFilter:
-        """Return the filter with what the loop does behind it."""
-        pole, ratio = exp(-loop.channel.step / lag_s), lead_s / lag_s
-        numerator, denominator = [ratio, 1.0 - ratio - pole], [1.0, -pole]  # lead / lag at once, 1 at rest
-        angle, command = (lfilter(numerator, denominator, each) for each in (loop.angle, loop.command))
-        error = float(np.abs(1.0 - angle).sum()) * loop.channel.step
-        return cls(lead_s, lag_s, error, max(0.0, float(angle.max()) - 1.0), float(np.abs(command).max()))
-
-    @classmethod
-    def best(cls, loop: LawLoop, room: float) -> SetpointFilter:
-        """Return the one with the least step error that overshoots no more than the loop does without it.
-
-        The steps of the roll doublet stay within ``room``, and the lag is a control step at least.
-        """
-        from scipy.optimize import minimize
-
-        def cost(x: Array) -> float:
-            each = cls.of(loop, *np.exp(x).tolist())
-            missed = max(0.0, each.step_peak * DOUBLET / room - 1.0), max(0.0, each.overshoot / allowed - 1.0)
-            short = max(0.0, log(loop.channel.step) - x[1])
-            return log(each.step_error) + HELD * float(np.square([*missed, short]).sum())
-
-        allowed = max(loop.overshoot, NO_OVERSHOOT)
-        starts = [np.log([share * lag, lag]) for lag in FILTERS_S for share in (0.5, 1.5)]
-        found = min((minimize(cost, x, method="Nelder-Mead") for x in starts), key=lambda each: float(each.fun))
-        return cls.of(loop, *np.exp(found.x).tolist())
 
 
 class LawLoop:
@@ -275,58 +230,10 @@ class LawLoop:
         return float(np.sqrt(channel.rate_noise**2 * of_gyro + channel.angle_noise**2 * of_angle))
 
 
-Loop = Callable[[Sequence[float]], LawLoop]
-
-
-def both(loop: LawLoop) -> float:
-    """``ln(step error) + ln(load error)``: a tenth of either counts alike.
-
-    Grimholt and Skogestad, "Should we forget the Smith predictor?", IFAC PID 2018, take the mean of both integrated
-    errors, each over its best; this is their geometric mean, which needs no best.
-    """
-    return log(loop.step_error) + log(loop.load_error)
-
-
-def tune(
-    loop: Loop,
-    box: Sequence[tuple[float, float]],
-    start: Sequence[float],
-    sensitivity: float,
-    noise: float,
-    room: float,
-) -> tuple[list[float], float]:
-    """Parameters with the least of :func:`both` at a peak sensitivity, and that least.
-
-    Differential evolution over the logarithms within ``box``, ``start`` among the first, then Nelder and Mead's
-    simplex, with the peak sensitivity held at ``sensitivity``, ``noise`` of the command not exceeded, and the steps of
-    the roll doublet within ``room``.  Deterministic.
-    """
-    from scipy.optimize import differential_evolution, minimize
-
-    low, high = np.log(np.array(box, np.float64)).T
-
-    def cost(x: Array) -> float:
-        out = float(np.sum(np.maximum(x - high, 0.0) + np.maximum(low - x, 0.0)))
-        try:
-            candidate = loop([float(value) for value in np.exp(np.clip(x, low, high))])
-            off = (candidate.peak_sensitivity / sensitivity - 1.0) ** 2
-            if off > FAR:
-                return float(UNSTABLE / 2.0 + off)
-            off += (
-                max(0.0, candidate.step_peak * DOUBLET / room - 1.0) ** 2 + max(0.0, candidate.noise / noise - 1.0) ** 2
-            )
-            return both(candidate) + HELD * off + out
-        except (ArithmeticError, InputError, np.linalg.LinAlgError):
-            return UNSTABLE
-
-    x0 = np.clip(np.log(np.array(start, np.float64)), low, high)
-    optimum = differential_evolution(
-        cost, list(zip(low, high, strict=True)), popsize=POPULATION, maxiter=GENERATIONS, init="sobol", x0=x0,
-        rng=np.random.default_rng(SEED), polish=False, tol=1e-4,
-    )  # fmt: skip
-    x = optimum.x
-    for size in (0.1, 0.03):
-        simplex = np.vstack([x, x + size * np.eye(len(x))])
-        options = {"maxfev": ROUNDS, "xatol": 1e-4, "fatol": 1e-5, "initial_simplex": simplex}
-        x = minimize(cost, x, method="Nelder-Mead", options=options).x
-    return [float(value) for value in np.exp(np.clip(x, low, high))], cost(x)
+def roll() -> Channel:
+    """The roll axis of the Hex-Jet as flown."""
+    scenario = Scenario.load("roll-doublet")
+    vehicle, _ = scenario.resolved_vehicle()
+    spec = load_engine(scenario.engine, scenario.engine_parameters, scenario.step_s)
+    found = make.identify_there(scenario, vehicle, spec, None)
+    return channels(scenario, vehicle, spec, Actuator.of(spec.name, make.make_dynamics(found)))["roll"]

@@ -1,19 +1,11 @@
-"""Measures how often the interval of hexjet rare holds the truth, and writes docs/tables/rare.md.
-
-    python docs/rare.py [--studies 300] [--write] [--only two]
-
-Each study is one whole simulation with margins of known probability in the place of flights, with the command's
-defaults: 1e-6 in 5,000 flights.  It takes some minutes of a processor.
-"""
+"""Margins of a known probability of failure, in the place of flights, and simulations of them."""
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from math import log, sqrt
-from pathlib import Path
 
 import numpy as np
 from scipy.integrate import quad
@@ -22,18 +14,11 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import norm
 
 from cosim.base.arrays import Array
-from cosim.results.report.marks import table, write_marks
 from hexjet_prove.rare.estimate import Budget, Estimate, estimate
 from hexjet_prove.rare.repeats import Simulations, simulate_groups
 
-PAGE = Path(__file__).parent / "tables" / "rare.md"
-MARK = "rare-coverage"
-PROBABILITIES = (1e-2, 1e-4, 1e-6)
-FLIGHTS = 5000
 CURVATURE = 0.3
 BAND_FURTHER = 0.42  # standard deviations between the limit of roll and the band of height
-AGAIN = (("plane 20", 1e-4),)  # the line that held the truth least often, with other random numbers
-AGAIN_SEEDS = range(300, 1800)
 NOISE = sqrt(0.5)  # of the margin's standard deviation, from the seed
 
 
@@ -135,7 +120,6 @@ TRUTHS = {
         one_sided,
     ),
 }
-SEVERAL = ("band", "shallow")  # of two requirements, which are measured down to 1e-4
 
 
 def simulated(truth: Truth, probability: float, budget: Budget, seed: int) -> tuple[Estimate, Simulations]:
@@ -151,66 +135,3 @@ def simulated(truth: Truth, probability: float, budget: Budget, seed: int) -> tu
         },
     )
     return estimate(made.repeats), made
-
-
-def rows(studies: int, only: Sequence[str]) -> Iterator[list[str]]:
-    """Yield a row of the table for each truth and probability."""
-    for name in only or TRUTHS:
-        for probability in PROBABILITIES[: 2 if name in SEVERAL else None]:
-            yield row(TRUTHS[name], probability, Budget(PROBABILITIES[-1], FLIGHTS), range(studies))
-    if not only:
-        yield row(TRUTHS["plane 6"], 1e-5, Budget(1e-5, FLIGHTS), range(studies))
-        for name, probability in AGAIN:
-            yield row(TRUTHS[name], probability, Budget(PROBABILITIES[-1], FLIGHTS), AGAIN_SEEDS)
-
-
-def row(truth: Truth, probability: float, budget: Budget, seeds: range) -> list[str]:
-    """Return one row: how often the interval holds the truth, lies above or below it, and how wide it is."""
-    return cells(truth, probability, [simulated(truth, probability, budget, seed) for seed in seeds])
-
-
-def cells(truth: Truth, probability: float, ended: Sequence[tuple[Estimate, Simulations]]) -> list[str]:
-    """Return the cells of a row from its studies."""
-    studies = len(ended)
-    found = [each for each, _ in ended]
-    flights = [made.flights for _, made in ended]
-    held = sum(each.low <= probability <= each.high for each in found)
-    above = sum(each.low > probability for each in found)
-    near = sum(each.probability is not None and abs(log(each.probability / probability)) < log(2.0) for each in found)
-    widths = [sqrt(each.high / each.low) for each in found if each.low]
-    parts = [f"{100.0 * count / studies:.1f} %" for count in (held, above, studies - held - above, near)]
-    cost = [f"{np.median(widths):.1f}", f"{np.mean(flights):,.0f}", f"{max(flights):,}"]
-    return [truth.name, f"1e{round(np.log10(probability))}", str(studies), *parts, *cost]
-
-
-TITLES = [
-    "failures",
-    "probability",
-    "studies",
-    "held",
-    "too high",
-    "too low",
-    "within 2 times",
-    "interval, times and over",
-    "flights",
-    "most",
-]
-
-
-def main() -> None:
-    """Measure, and print or write the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--studies", type=int, default=300)
-    parser.add_argument("--only", nargs="*", default=[], choices=[*TRUTHS])
-    parser.add_argument("--write", action="store_true")
-    options = parser.parse_args()
-    lines = []
-    for line in rows(options.studies, options.only):
-        print(" | ".join(line), flush=True)
-        lines.append(line)
-    if options.write and not options.only:
-        write_marks(PAGE, {MARK: table(TITLES, lines)})
-
-
-if __name__ == "__main__":
-    main()
