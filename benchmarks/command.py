@@ -12,24 +12,21 @@ from cosim.commands import DONE, FLIGHT_FAILED, example, is_given, opt
 class Bench(opt.Output):
     """Options of ``hexjet bench``."""
 
-    full = opt.flag("--full", "Everything, with longer flights and a campaign: twelve minutes on a quiet machine.")
-    campaign = opt.flag("--campaign", "What a second worker brings to a campaign, too: a minute more.")
+    full = opt.flag("--full", "More rounds of longer flights.")
     parts = opt.words(
         "--only",
         "PART",
-        "This part alone, or these: step, blocks, others, own, peers, pathsim, rotorpy, time, engines, log, pages, "
-        "start, memory, campaign.",
+        "This part alone, or these: step, peers, pathsim, rotorpy, start.",
     )
     steps = opt.whole("--steps", None, "Steps of a timed flight.  [2500, with --full 5000]", min=250)
     rounds = opt.whole("--rounds", None, "Repetitions.  [5, with --full 9]", min=1)
     starts = opt.whole("--starts", None, "Processes started for each figure of a process.  [5]", min=1)
-    memory_minutes = opt.number("--memory-minutes", "MINUTES", "Flown for the memory.  [5, or 60]", min=0.1)
     folder = opt.path("--dir", "DIR", "Where flights are recorded.", exists=True, file_okay=False)
     page = opt.path("--page", "FILE.md", "Write the tables in.", dir_okay=False)
     as_json = opt.JSON
 
 
-@click.command(epilog=example("hexjet bench --only step --only engines"))
+@click.command(epilog=example("hexjet bench --only step --only peers"))
 @opt.takes(Bench)
 def bench(options: Bench) -> int:
     """Measure what a flight costs on this machine, in microseconds and in JSBSim runs.
@@ -42,8 +39,8 @@ def bench(options: Bench) -> int:
     from benchmarks.suite import make_plan, measure
     from benchmarks.targets import to_dict
 
-    amounts = options.chosen("steps", "rounds", "starts", "memory_minutes", "folder")
-    plan, page = make_plan(options.full, options.campaign, options.parts, amounts), options.page
+    amounts = options.chosen("steps", "rounds", "starts", "folder")
+    plan, page = make_plan(options.full, options.parts, amounts), options.page
     if page is not None:
         check_page(page)
     with progress(quiet=options.as_json) as tell:

@@ -23,7 +23,6 @@ from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from benchmarks.measures.long_flight import resident_of
 from cosim import Scenario
 from cosim.control.autopilot import requests as rq
 from cosim.files import scratch
@@ -34,6 +33,16 @@ from cosim.groundstation.session import RecordOptions, Session
 
 ATTITUDE = 30
 HEARTBEAT_EVERY = 1.0
+
+
+def resident_of(process: str) -> float | None:
+    """Resident memory of a process by its number, MB; None if the system does not tell, or it has ended."""
+    try:
+        with open(f"/proc/{process}/status", encoding="utf-8", errors="replace") as status:
+            rows = [line.split() for line in status]
+    except OSError:
+        return None
+    return next((1024 * int(row[1]) / 1e6 for row in rows if row[0] == "VmRSS:"), None)
 
 
 def _end() -> threading.Event:

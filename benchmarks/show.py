@@ -74,7 +74,7 @@ def print_result(result: Result) -> None:
         console.print(f"{part} not measured: {why}", style="red")
     left_out = [part for part in PARTS if part not in tables_by_part and part not in result.failed]
     if left_out:
-        console.print(f"not measured: {', '.join(left_out)}; --full measures everything")
+        console.print(f"not measured: {', '.join(left_out)}")
 
 
 def _rich_table(table: Table) -> Drawn:

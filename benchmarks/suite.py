@@ -11,20 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from benchmarks.machine import Machine, compilers, load, look_around, package_versions
-from benchmarks.measures.blocks import Breakdown, measure_blocks
-from benchmarks.measures.campaign import CampaignCost, CampaignPlan, measure_campaign
-from benchmarks.measures.growth import (
-    EngineCounts,
-    Lengths,
-    LogRates,
-    measure_engine_counts,
-    measure_lengths,
-    measure_log_rates,
-)
-from benchmarks.measures.others import Others, measure_others
-from benchmarks.measures.own_blocks import OwnBlocks, measure_own_blocks
-from benchmarks.measures.pages import Pages, PagesPlan, measure_pages
-from benchmarks.measures.process import Memory, Startup, measure_memory, measure_startup
+from benchmarks.measures.process import Startup, measure_startup
 from benchmarks.measures.speed import RECORDED, measure_speed, warm_up
 from benchmarks.peers.block_diagram import BlockDiagram, measure_block_diagram
 from benchmarks.peers.multirotor import Multirotor, measure_multirotor
@@ -34,12 +21,8 @@ from cosim import FlightError, InputError
 from cosim.commands import nearest
 from cosim.files import scratch
 
-STEP, BLOCKS, OTHERS, OWN = "step", "blocks", "others", "own"
-PEERS, PATHSIM, ROTORPY = "peers", "pathsim", "rotorpy"
-TIME, ENGINES, LOG, PAGES = "time", "engines", "log", "pages"
-START, MEMORY, CAMPAIGN = "start", "memory", "campaign"
-PARTS = (STEP, BLOCKS, OTHERS, OWN, PEERS, PATHSIM, ROTORPY, TIME, ENGINES, LOG, PAGES, START, MEMORY, CAMPAIGN)
-QUICK = (STEP, BLOCKS, OTHERS, OWN, PEERS, PATHSIM, ROTORPY, TIME, ENGINES, LOG, PAGES, START)  # less than a minute
+STEP, PEERS, PATHSIM, ROTORPY, START = "step", "peers", "pathsim", "rotorpy", "start"
+PARTS = (STEP, PEERS, PATHSIM, ROTORPY, START)
 
 
 @dataclass(frozen=True)
@@ -47,53 +30,34 @@ class Plan:
     """What to measure, and how much of it.
 
     ``steps`` of a flight, ``rounds`` through the jobs, of the dear ones ``dear_rounds`` at most; ``starts`` of
-    processes; ``lengths_s`` of flights compared and ``hover_s`` of those beside RotorPy; ``others_s`` of other flights;
-    ``pages`` that are written and looked at; ``memory_minutes`` of the long flight, flown ``long_flights`` times.
+    processes; ``hover_s`` of the flights beside RotorPy.
 
     ``folder``: where flights are recorded; None is the system's place for temporary files.
     """
 
-    parts: tuple[str, ...] = QUICK
+    parts: tuple[str, ...] = PARTS
     steps: int = 2500
     rounds: int = 5
     dear_rounds: int = 3
     starts: int = 5
-    lengths_s: tuple[int, ...] = (10, 60)
     hover_s: float = 1.0
-    others_s: float = 6.0
-    pages: PagesPlan = field(default_factory=PagesPlan)
-    memory_minutes: float = 5.0
-    long_flights: int = 1
-    campaign: CampaignPlan = field(default_factory=CampaignPlan)
     folder: str | None = None
 
 
-FULL = Plan(
-    parts=PARTS,
-    steps=5000,
-    rounds=9,
-    lengths_s=(10, 60, 600),
-    hover_s=2.0,
-    pages=PagesPlan((20, 600), flights=1000, look_s=2.0),
-    memory_minutes=60.0,
-    campaign=CampaignPlan(rounds=3, study=2000),
-)
+FULL = Plan(steps=5000, rounds=9, hover_s=2.0)
 
 
-def make_plan(full: bool, campaign: bool, only: Sequence[str], amounts: Mapping[str, Any]) -> Plan:
-    """Return the quick plan or the full one, with the campaign if asked for, or with some parts ``only``.
+def make_plan(full: bool, only: Sequence[str], amounts: Mapping[str, Any]) -> Plan:
+    """Return the quick plan or the full one, or some parts ``only``; an amount that is None stays as it is.
 
-    An amount that is None stays as it is.  Raises InputError for an unknown part.
+    Raises InputError for an unknown part.
     """
     for part in only:
         if part not in PARTS:
             raise InputError(f"--only: unknown part {part!r}; {nearest(part, PARTS)}")
     plan = FULL if full else Plan()
-    chosen = {*(only or plan.parts), *([CAMPAIGN] if campaign else [])}
-    if amounts.get("memory_minutes") is not None and not only:
-        chosen.add(MEMORY)
     settings = {name: value for name, value in amounts.items() if value is not None}
-    return replace(plan, parts=tuple(part for part in PARTS if part in chosen), **settings)
+    return replace(plan, parts=tuple(part for part in PARTS if part in (only or PARTS)), **settings)
 
 
 @dataclass(frozen=True)
@@ -110,19 +74,10 @@ class Result:
     wall_s: float
     failed: dict[str, str] = field(default_factory=dict)
     step: dict[int, dict[str, Cost]] | None = None
-    blocks: Breakdown | None = None
-    others: Others | None = None
-    own: OwnBlocks | None = None
     peers: Peers | None = None
     pathsim: BlockDiagram | None = None
     rotorpy: Multirotor | None = None
-    time: Lengths | None = None
-    engines: EngineCounts | None = None
-    log: LogRates | None = None
-    pages: Pages | None = None
     start: Startup | None = None
-    memory: Memory | None = None
-    campaign: CampaignCost | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """As it goes into JSON."""
@@ -169,22 +124,10 @@ def _part(part: str, plan: Plan, folder: Path) -> tuple[Callable[[Callable[[], o
     steps, rounds, dear = plan.steps, plan.rounds, min(plan.rounds, plan.dear_rounds)
     measures: dict[str, tuple[Callable[[Callable[[], object]], object], int]] = {
         STEP: (partial(measure_speed, steps, rounds, folder), rounds),
-        BLOCKS: (partial(measure_blocks, steps, rounds, folder), rounds),
-        OTHERS: (partial(measure_others, plan.others_s, rounds, folder), rounds),
-        OWN: (partial(measure_own_blocks, plan.others_s, rounds, folder), rounds),
         PEERS: (partial(measure_peers, steps, rounds, folder), rounds),
         PATHSIM: (partial(measure_block_diagram, steps, rounds, folder), rounds),
         ROTORPY: (partial(measure_multirotor, plan.hover_s, dear, folder), dear),
-        TIME: (partial(measure_lengths, plan.lengths_s, dear, dear, folder), dear + len(plan.lengths_s) * dear),
-        ENGINES: (partial(measure_engine_counts, steps, rounds, folder), rounds),
-        LOG: (partial(measure_log_rates, steps, rounds, folder), rounds),
-        PAGES: (partial(measure_pages, plan.pages, dear, folder), dear * len(plan.pages.seconds) + 1),
         START: (partial(measure_startup, plan.starts, folder), 2 * (plan.starts + 1)),
-        MEMORY: (partial(measure_memory, plan.memory_minutes, plan.long_flights, folder), plan.long_flights),
-        CAMPAIGN: (
-            partial(measure_campaign, plan.campaign, folder),
-            plan.campaign.rounds + plan.campaign.fixed_rounds + bool(plan.campaign.study),
-        ),
     }
     return measures[part]
 

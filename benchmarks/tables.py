@@ -7,43 +7,17 @@ from dataclasses import dataclass, field
 from itertools import starmap
 from typing import Any
 
-from benchmarks.measures.blocks import Breakdown
-from benchmarks.measures.browser import Frames, PageTimes
-from benchmarks.measures.campaign import EARLY, PROCESSES, CampaignCost
-from benchmarks.measures.growth import EngineCounts, Lengths, LogRates
-from benchmarks.measures.others import Others
-from benchmarks.measures.own_blocks import BASELINE, OwnBlocks
-from benchmarks.measures.pages import Pages
-from benchmarks.measures.process import UNIT, Memory, Startup
+from benchmarks.measures.process import UNIT, Startup
 from benchmarks.measures.speed import BARE, RECORDED
 from benchmarks.peers.block_diagram import LABEL, SUBSTEPS, BlockDiagram
 from benchmarks.peers.multirotor import WHOLE_FLIGHT, Multirotor
 from benchmarks.peers.peers import ALONE, EXCHANGE, OURS, Peers
-from benchmarks.suite import (
-    BLOCKS,
-    CAMPAIGN,
-    ENGINES,
-    LOG,
-    MEMORY,
-    OTHERS,
-    OWN,
-    PAGES,
-    PATHSIM,
-    PEERS,
-    ROTORPY,
-    START,
-    STEP,
-    TIME,
-    Result,
-)
+from benchmarks.suite import PARTS, PATHSIM, PEERS, ROTORPY, START, STEP, Result
 from benchmarks.targets import judge_targets, runs_a_step
 from benchmarks.timing import Cost, Spread
 
 ASKED, MISSED, BESIDE, MACHINE = "asked", "missed", "others in short", "machine"
-KEYS = (
-    *(ASKED, MISSED, BESIDE, STEP, BLOCKS, OTHERS, OWN, PEERS, PATHSIM, ROTORPY, TIME, ENGINES, LOG, PAGES, START),
-    *(MEMORY, CAMPAIGN, MACHINE),
-)
+KEYS = (ASKED, MISSED, BESIDE, *PARTS, MACHINE)
 
 Row = tuple[str, ...]
 
@@ -62,19 +36,10 @@ def tables(result: Result) -> dict[str, list[Table]]:
     """Return the tables by part, in the order in which they are read; none for a part that was not measured."""
     measured: dict[str, tuple[Any, Callable[[Any], Iterable[Table]]]] = {
         STEP: (result.step, lambda runs: starmap(_step, runs.items())),
-        BLOCKS: (result.blocks, lambda part: [_blocks(part)]),
-        OTHERS: (result.others, _others),
-        OWN: (result.own, lambda part: [_own_blocks(part)]),
         PEERS: (result.peers, lambda part: [_peers(part)]),
         PATHSIM: (result.pathsim, lambda part: [_pathsim(part)]),
         ROTORPY: (result.rotorpy, lambda part: [_rotorpy(part)]),
-        TIME: (result.time, lambda part: [_time(part)]),
-        ENGINES: (result.engines, _engines),
-        LOG: (result.log, lambda part: [_log(part)]),
-        PAGES: (result.pages, _pages),
         START: (result.start, _start),
-        MEMORY: (result.memory, lambda part: [_memory(part)]),
-        CAMPAIGN: (result.campaign, _campaign),
     }
     tables_by_part = {key: list(make(part)) for key, (part, make) in measured.items() if part}
     goals = _goals(result)
@@ -148,40 +113,6 @@ def _step(runs: int, costs: dict[str, Cost]) -> Table:
     return Table(f"one control step, JSBSim runs in it: {runs}", US, rows)
 
 
-def _blocks(breakdown: Breakdown) -> Table:
-    outside = breakdown.outside.units.median
-    rows = []
-    for name, cost in breakdown.alone.items():
-        met = breakdown.in_flight.get(name)
-        us, units = ("-", cost.units.median) if met is None else (f"{met.us:.2f}", met.units)
-        rows.append((name, spread(cost.cpu_us), us, f"{units:.2f}", f"{100.0 * units / outside:.0f}"))
-    remainder = breakdown.rest_units
-    rows.append(("rest: loop, records", "", "", f"{remainder:.2f}", f"{100.0 * remainder / outside:.0f}"))
-    rows.append(("all, recorded to disk", "", spread(breakdown.outside.cpu_us), f"{outside:.2f}", "100"))
-    title = f"where it goes outside JSBSim, {breakdown.substeps} runs a step"
-    return Table(title, ("us alone", "us in flight", "units", "%"), rows)
-
-
-def _others(others: Others) -> Iterator[Table]:
-    rows = [(name, *(spread(cost.units) for cost in costs.values())) for name, costs in others.outside.items()]
-    columns = tuple(map(runs_a_step, next(iter(others.outside.values()))))
-    yield Table("not JSBSim, recorded to disk, in other flights; units", columns, rows)
-    rows = [(name, *map(spread, ratios.values())) for name, ratios in others.vehicles.items()]
-    yield Table(
-        "a step of each vehicle in hover, recorded to disk, by the Hex-Jet's with as many JSBSim runs", columns, rows
-    )
-
-
-def _own_blocks(blocks: OwnBlocks) -> Table:
-    """By both clocks: what waits for a process takes none of the processor's time."""
-    rows = [
-        (f"{BASELINE}, what is not JSBSim", *_cost(blocks.ours), spread(blocks.ours.units_wall)),
-        *((f"more by {name}", *_cost(cost), spread(cost.units_wall)) for name, cost in blocks.more.items()),
-    ]
-    notes = [] if blocks.missing is None else [_missing("a whole controller, as an FMU", blocks.missing)]
-    return Table("a hover with blocks of one's own, 1 run a step", (*US, "units of wall time"), rows, notes)
-
-
 def _peers(peers: Peers) -> Table:
     """Units of all threads' processor time: some of them step in threads of their own."""
     rows = [
@@ -222,77 +153,6 @@ def _rotorpy(multirotor: Multirotor) -> Table:
     return Table(f"a hover of {multirotor.seconds:g} s", columns, rows, notes)
 
 
-def _time(lengths: Lengths) -> Table:
-    rows = []
-    for seconds, cost in lengths.steps.items():
-        memory = lengths.memory[seconds]
-        flying = next(mark.resident_mb for mark in memory.landmarks if mark.where == "4/4")
-        flying_text = "-" if flying is None else spread(flying)
-        rows.append((f"{seconds} s", spread(cost.cpu_us), spread(cost.units), flying_text, spread(memory.peak_mb)))
-    notes = [f"A step of the longest flight costs {spread(lengths.growth)} times one of the shortest, round by round."]
-    columns = ("us cpu", "units", "resident at its end, MB", "peak with log and summary, MB")
-    return Table("a recorded step by the time that is flown", columns, rows, notes)
-
-
-def _engines(counts: EngineCounts) -> Iterator[Table]:
-    banks = [(f"{count}", spread(cost.cpu_us), spread(cost.units)) for count, cost in counts.banks.items()]
-    yield Table(f"a bank's step by its engines ({counts.engine})", ("us cpu", "units"), banks)
-    rows = [(name, *_cost(cost)) for name, cost in counts.flown.items()]
-    yield Table("whole recorded step, 4 runs in it; units of the Hex-Jet's airframe", US, rows)
-
-
-def _log(rates: LogRates) -> Table:
-    names = {0: "nothing is recorded", 1: "every step"}
-    rows = [(names.get(every, f"one step in {every}"), *_cost(cost)) for every, cost in rates.steps.items()]
-    return Table("whole step by what is recorded, 4 JSBSim runs in it", US, rows)
-
-
-def _pages(pages: Pages) -> Iterator[Table]:
-    rows = [
-        (
-            f"{seconds} s",
-            *(f"{size:.2f}" for size in (page.whole_mb, page.shared_mb, page.log_mb)),
-            spread(page.write_s),
-            spread(page.by_flight),
-        )
-        for seconds, page in pages.by_length.items()
-    ]
-    columns = ("MB", "MB with shared assets", "MB of the log", "s to write it", "by the flight's own time")
-    yield Table(f"the page of a flight ({pages.flight}) by the time that is flown", columns, rows)
-    flights, title = pages.campaign.flights, "the page of a campaign"
-    yield Table(title, ("MB",), [(f"{flights} flights", f"{pages.campaign.mb:.2f}")])
-    title = "pages in a browser"
-    if pages.missing:
-        yield Table(title, ("",), [], [_missing(title, pages.missing)])
-        return
-    looks_by_page = {f"{seconds} s": page.seen for seconds, page in pages.by_length.items()}
-    looks_by_page[f"{flights} flights"] = pages.campaign.seen
-    looks = [(name, look) for name, look in looks_by_page.items() if look]
-    takes: list[tuple[str, Callable[[PageTimes], Spread | None]]] = [
-        ("s until it is there", lambda look: look.open_s),
-        ("s of its thread until then", lambda look: look.open_cpu_s),
-    ]
-    for action, of in (("scrolled", lambda look: look.scrolled), ("replaying", lambda look: look.replayed)):
-        takes += [
-            (f"{action}: frames a second", _frame(of, "rate")),
-            (f"{action}: % of them late", _frame(of, "late")),
-            (f"{action}: ms of its thread a frame", _frame(of, "page_ms")),
-            (f"{action}: ms of what draws a frame", _frame(of, "drawing_ms")),
-        ]
-    rows = [
-        (name, *("-" if (value := take(look)) is None else spread(value) for _, look in looks)) for name, take in takes
-    ]
-    yield Table(title, tuple(name for name, _ in looks), rows, [f"{pages.browser}."])
-
-
-def _frame(of: Callable[[PageTimes], Frames | None], name: str) -> Callable[[PageTimes], Spread | None]:
-    def take(look: PageTimes) -> Spread | None:
-        frames = of(look)
-        return None if frames is None else getattr(frames, name)
-
-    return take
-
-
 def _start(startup: Startup) -> Iterator[Table]:
     rows = [
         (name, spread(measured))
@@ -306,56 +166,6 @@ def _start(startup: Startup) -> Iterator[Table]:
     yield Table("From the command to the first step: hexjet fly hover", ("s",), rows)
     costs = [(name, spread(cost.cpu_s), spread(cost.units)) for name, cost in startup.commands.items()]
     yield Table("Whole processes", ("s cpu", f"by {UNIT}"), costs)
-
-
-def _memory(memory: Memory) -> Table:
-    rows = []
-    for mark in memory.landmarks:
-        where = f"{mark.where} of the flight" if "/" in mark.where else mark.where
-        resident = "-" if mark.resident_mb is None else spread(mark.resident_mb)
-        rows.append((where, resident, spread(mark.peak_mb)))
-    page = "" if memory.page_mb is None else f", its page {memory.page_mb:.2f} MB"
-    note = f"Each flight with its files took {spread(memory.wall_s)} s; its folder has {memory.log_mb:.0f} MB{page}."
-    title = f"{memory.minutes:g} min flown, {memory.steps} steps"
-    return Table(title, ("resident MB", "peak so far MB"), rows, [note])
-
-
-def _campaign(cost: CampaignCost) -> Iterator[Table]:
-    one, two = PROCESSES
-    rows = [
-        (
-            "bare JSBSim, runs a ms",
-            *(spread(cost.bare.rate[count].times(1e-3)) for count in PROCESSES),
-            spread(cost.bare.gain),
-        ),
-        (
-            f"flights of {cost.flight_s:g} s, 1/s",
-            *(spread(cost.flown.rate[count]) for count in PROCESSES),
-            spread(cost.flown.gain),
-        ),
-        ("gain of the campaign by bare JSBSim's", "", "", spread(cost.share)),
-    ]
-    yield Table("from one process to two", (f"{one} process", f"{two} processes", "gain"), rows)
-    beside = [
-        (f"a flight of {cost.flight_s:g} s by its steps alone, times", spread(cost.flight.by_steps)),
-        ("a campaign without its flights, s", spread(cost.flight.fixed_s)),
-    ]
-    yield Table("beside the steps: processor time", ("",), beside)
-    if cost.study:
-        study = cost.study
-        held = [
-            (f"worker {number}, {worker.flights} flights", _mb(worker.early_mb), _mb(worker.end_mb))
-            for number, worker in enumerate(study.workers, 1)
-        ]
-        duration = f"{study.flights} flights in {study.wall_s:.0f} s, one run"
-        note = f"{duration}; {spread(study.rate)} flights a second over its tenths."
-        cheap = [] if cost.cheap_s is None else [f'With `substeps = "campaign"` they take {cost.cheap_s:.0f} s.']
-        title = f"a study of {study.flights} flights, two workers: resident memory, MB"
-        yield Table(title, (f"after {EARLY} flights", "after the last"), held, [note, *cheap])
-
-
-def _mb(value: float | None) -> str:
-    return "-" if value is None else f"{value:.0f}"
 
 
 def _machine(result: Result) -> Iterator[Table]:
@@ -378,7 +188,7 @@ def _machine(result: Result) -> Iterator[Table]:
         (
             "repeats",
             f"{plan.rounds} rounds, {min(plan.rounds, plan.dear_rounds)} of what is dear, "
-            f"{plan.starts} processes started, {plan.campaign.rounds} rounds of the campaign",
+            f"{plan.starts} processes started",
         )
     )
     rows.append(("steps of a timed flight", str(plan.steps)))

@@ -112,3 +112,13 @@ def interleave(jobs: Sequence[Job], units: Mapping[int, Job], rounds: int) -> It
             after = clock(units[job.substeps])
             wall, cpu, process = (0.5 * (a + b) for a, b in zip(before, after, strict=True))
             yield job, Pair(step, Clocked(wall, cpu, process))
+
+
+def ratio(pairs: Sequence[Pair], reference: Sequence[Pair]) -> Spread:
+    """Return a step's units by those of the reference's, round by round."""
+    return Spread.of(
+        [
+            (one.step.cpu / one.unit.cpu) / (other.step.cpu / other.unit.cpu)
+            for one, other in zip(pairs, reference, strict=True)
+        ]
+    )

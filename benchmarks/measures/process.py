@@ -1,8 +1,7 @@
-"""What a fresh process needs: time from the command to the first step and of whole commands, and memory."""
+"""What a fresh process needs: time from the command to the first step and of whole commands."""
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import time
@@ -10,13 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
-from typing import NamedTuple
 
-from benchmarks.measures.long_flight import INTERVALS, MEGABYTE, REPORTED, WRITTEN
 from benchmarks.timing import Spread
 from cosim import FlightError
 from cosim.base.runtime.host import python_command
-from cosim.results.run import REPORT
 
 # `hexjet fly`, stopped where its log is begun and its first step comes next; stamped against the time of its start.
 _FIRST_STEP = """
@@ -37,7 +33,6 @@ main()
 UNIT = "import numpy, pydantic"
 HELP, IMPORT, FLY = "hexjet --help", "from cosim import fly", "hexjet fly roll-doublet, with its page"
 COMMAND = "from cosim.cli.start import main; main()"
-_LONG_FLIGHT = "from benchmarks.measures.long_flight import main; main(*sys.argv[1:])"
 
 
 @dataclass(frozen=True)
@@ -60,32 +55,6 @@ class CommandCost:
 
     cpu_s: Spread
     units: Spread
-
-
-@dataclass(frozen=True)
-class Landmark:
-    """Resident memory at one point of a flight, and the most there was until then; over several processes."""
-
-    where: str
-    resident_mb: Spread | None  # None where the system does not tell
-    peak_mb: Spread
-
-
-@dataclass(frozen=True)
-class Memory:
-    """Memory of processes that fly ``hover`` for long with full recording, then make log, summary and report.
-
-    ``growth_mb``: resident from a quarter of the flight to its end; None where the system does not tell.
-    """
-
-    minutes: float
-    steps: int
-    wall_s: Spread
-    log_mb: float  # of the run's folder in the end
-    page_mb: float | None  # None: no page was made
-    landmarks: list[Landmark]
-    growth_mb: Spread | None
-    peak_mb: Spread
 
 
 def measure_startup(times: int, folder: Path, on_start: Callable[[], object]) -> Startup:
@@ -145,72 +114,6 @@ def processor_seconds(code: str, *arguments: str) -> float:
     if ended.returncode:
         raise FlightError(f"{code} {' '.join(arguments)} ended with status {ended.returncode}")
     return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
-
-
-def measure_memory(
-    minutes: float, times: int, folder: Path, on_flight: Callable[[], object], report: bool = True
-) -> Memory:
-    """Fly in processes, one after the other.  Raises FlightError if one does not get to its end."""
-    flights = []
-    for number in range(times):
-        flights.append(_fly_long(folder / f"long-{minutes:g}-{number}", minutes, report))
-        on_flight()
-    landmarks = []
-    for marks in zip(*(flight.marks for flight in flights), strict=True):
-        resident = [mark.resident for mark in marks if mark.resident is not None]
-        peak = Spread.of([mark.peak for mark in marks])
-        landmarks.append(Landmark(marks[0].where, Spread.of(resident) if resident else None, peak))
-    growths = [flight.growth for flight in flights if flight.growth is not None]
-    return Memory(
-        minutes=minutes,
-        steps=flights[0].marks[-1].steps,
-        wall_s=Spread.of([flight.wall for flight in flights]),
-        log_mb=flights[0].log,
-        page_mb=flights[0].page,
-        landmarks=landmarks,
-        growth_mb=Spread.of(growths) if growths else None,
-        peak_mb=landmarks[-1].peak_mb,
-    )
-
-
-class _Mark(NamedTuple):
-    """What a flying process says of itself: MB."""
-
-    where: str
-    resident: float | None
-    peak: float
-    steps: int
-
-
-class _Long(NamedTuple):
-    marks: list[_Mark]
-    wall: float
-    log: float
-    page: float | None
-
-    @property
-    def growth(self) -> float | None:
-        resident = {mark.where: mark.resident for mark in self.marks}
-        begin, end = (resident[f"{part}/{INTERVALS}"] for part in (1, INTERVALS))
-        return None if begin is None or end is None else end - begin
-
-
-def _fly_long(out: Path, minutes: float, report: bool) -> _Long:
-    begin = time.perf_counter()
-    child = start_python(_LONG_FLIGHT, str(out), repr(minutes), REPORTED if report else WRITTEN)
-    assert child.stdout is not None
-    marks: list[_Mark] = []
-    with child:
-        for line in child.stdout:
-            mark = _Mark(*json.loads(line))
-            # the system counts roughly, and its peak may go down by a few pages
-            marks.append(mark._replace(peak=max([mark.peak, *(mark_before.peak for mark_before in marks)])))
-    if child.returncode or not marks or marks[-1].where != (REPORTED if report else WRITTEN):
-        raise FlightError(f"the long flight ended early, with status {child.returncode}")
-    size = sum(file.stat().st_size for file in out.iterdir()) / MEGABYTE
-    page = (out / REPORT).stat().st_size / MEGABYTE if report else None
-    rmtree(out)
-    return _Long(marks, time.perf_counter() - begin, size, page)
 
 
 def start_python(code: str, *arguments: str, ask: bool = False) -> subprocess.Popen[str]:

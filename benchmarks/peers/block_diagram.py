@@ -15,9 +15,8 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any
 
-from benchmarks.measures.others import ratio
 from benchmarks.measures.speed import RECORDED, Flights, bare, collect
-from benchmarks.timing import Action, Cost, Job, Spread
+from benchmarks.timing import Action, Cost, Job, Spread, ratio
 from cosim import FlightError
 from cosim.base.constants import GRAVITY
 from cosim.simulation.step import Simulation

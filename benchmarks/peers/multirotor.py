@@ -18,16 +18,29 @@ from math import sqrt
 from pathlib import Path
 from typing import Any
 
-from benchmarks.measures.growth import SUBSTEPS, quadrotor
 from benchmarks.measures.speed import Flights, collect, hover
 from benchmarks.timing import Action, Cost, Job, Pair, Spread
-from cosim import FlightError
+from cosim import FlightError, Scenario
 
 PACKAGE = "rotorpy"
 RATES = (250, 400)  # Hz: of the Hex-Jet's control, of our quadrotor's
 FARTHEST_M = 0.1  # from where it is to hover
 
 WHOLE_FLIGHT, PLANT = "whole flight", "vehicle alone"
+SUBSTEPS = 4  # as the shipped scenarios have it
+
+
+def quadrotor(steps: int) -> Scenario:
+    """``hover`` on the quadrotor with its own motors, at its 400 Hz."""
+    step = 0.0025
+    return Scenario.load("hover").replace(
+        aircraft="quadrotor",
+        engine="motor",
+        step_s=step,
+        substeps=SUBSTEPS,
+        duration_s=steps * step,
+        expect=[],
+    )
 
 
 @dataclass(frozen=True)
