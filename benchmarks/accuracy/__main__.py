@@ -16,21 +16,19 @@ from pathlib import Path
 
 from benchmarks.accuracy.bare_jsbsim import measure
 from benchmarks.accuracy.check_cases import CASES, Compared, compare, fly_case, read_simulators
-from benchmarks.accuracy.flights import CLOSED, FLOWN_RUNS, RUNS, SCHEMES, closed_loop, courses, error, exact, fly_again
+from benchmarks.accuracy.flights import CLOSED, FLOWN_RUNS, closed_loop
 from benchmarks.accuracy.runs_a_step import RUNS as STEP_RUNS
-from benchmarks.accuracy.runs_a_step import as_toml, flight_rows, measure_flight, shipped_flights, vehicle_rows
+from benchmarks.accuracy.runs_a_step import as_toml, measure_flight, shipped_flights, vehicle_rows
 from cosim import InputError
 from cosim.pages import check_marks, table, write_marks
 from cosim.vehicle.executive import VERSION
 
 STEP_ERRORS = Path(__file__).resolve().parents[2] / "aircraft" / "substeps.toml"
-OTHER_FLIGHTS = (SCHEMES["flown"], SCHEMES["masses"])  # of flights that are no study of methods
-CASE_MARK, FLIGHT_MARK, CLOSED_MARK, BARE_MARK = "check cases", "flights", "closed loop", "bare JSBSim"
-VEHICLE_MARK, SHIPPED_MARK = "runs by vehicle", "runs by flight"
+CASE_MARK, CLOSED_MARK, BARE_MARK, VEHICLE_MARK = "check cases", "closed loop", "bare JSBSim", "runs by vehicle"
 MARKS_BY_PART = {
     "cases": [CASE_MARK],
-    "flights": [FLIGHT_MARK, CLOSED_MARK],
-    "runs": [VEHICLE_MARK, SHIPPED_MARK],
+    "flights": [CLOSED_MARK],
+    "runs": [VEHICLE_MARK],
     "bare": [BARE_MARK],
 }
 
@@ -59,33 +57,6 @@ def case_table(folder: Path) -> tuple[str, list[Compared]]:
     return table(columns, rows), comparisons
 
 
-def flight_table() -> str:
-    """Return the table of the study of methods and runs on the project's own flights."""
-    rows = []
-    for course in courses():
-        truth = exact(course, 1)
-        for scheme in SCHEMES.values():
-            for runs in RUNS:
-                # the others at the number of runs that flights use
-                if runs != FLOWN_RUNS and not (course.study and scheme is SCHEMES["flown"]):
-                    continue
-                if not course.study and scheme not in OTHER_FLIGHTS:
-                    continue
-                wrong = error(fly_again(course, scheme, runs)[1], truth)
-                rows.append(
-                    [
-                        f"{course.title}, {len(course.inputs) * course.step:.1f} s",
-                        scheme.title,
-                        str(runs),
-                        f"{wrong.attitude_deg:.1e}",
-                        f"{wrong.rate_deg_s:.1e}",
-                        f"{wrong.velocity_mm_s:.1e}",
-                        f"{wrong.place_mm:.1e}",
-                    ]
-                )
-    return table(["flight", "method", "runs", "attitude, deg", "rate, deg/s", "velocity, mm/s", "place, mm"], rows)
-
-
 def whole_flight_table() -> str:
     """Whole flights with their controllers, at the number of runs that flights use."""
     rows = []
@@ -95,13 +66,12 @@ def whole_flight_table() -> str:
     return table(["flight, four runs against 64", "Euler angles, deg", "place, mm"], rows)
 
 
-def runs_tables() -> tuple[str, str]:
-    """Return the tables by vehicle and by flight, and write what a scenario's ``substeps`` is resolved by."""
+def runs_table() -> str:
+    """Return the table by vehicle, and write what a scenario's ``substeps`` is resolved by."""
     flights = [measure_flight(scenario) for scenario in shipped_flights()]
     STEP_ERRORS.write_text(as_toml(flights), encoding="utf-8")
     heads = [f"{runs} run{'s' if runs > 1 else ''}" for runs in STEP_RUNS]
-    by_vehicle = table(["vehicle", "flights", *heads], vehicle_rows(flights))
-    return by_vehicle, table(["vehicle", "flight", *heads], flight_rows(flights))
+    return table(["vehicle", "flights", *heads], vehicle_rows(flights))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -123,9 +93,9 @@ def main(arguments: list[str] | None = None) -> int:
             texts[CASE_MARK], rows = case_table(options.data)
             outside = sum(not row.inside for row in rows)
         if "flights" in chosen:
-            texts[FLIGHT_MARK], texts[CLOSED_MARK] = flight_table(), whole_flight_table()
+            texts[CLOSED_MARK] = whole_flight_table()
         if "runs" in chosen:
-            texts[VEHICLE_MARK], texts[SHIPPED_MARK] = runs_tables()
+            texts[VEHICLE_MARK] = runs_table()
         if "bare" in chosen:
             texts[BARE_MARK] = table([f"JSBSim {VERSION} alone", "comes to"], measure())
         if options.page:

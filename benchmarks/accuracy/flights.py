@@ -43,7 +43,6 @@ SCHEMES = {
     "third": Scheme("rates of third order", (ADAMS_BASHFORTH_3, ADAMS_BASHFORTH_3)),
     "jsbsim": Scheme("JSBSim's own choice", (RECTANGULAR, ADAMS_BASHFORTH_2), RECTANGULAR, 0.0, False),
 }
-RUNS = (1, 2, 4, 8)
 FLOWN_RUNS = 4
 
 
@@ -57,7 +56,6 @@ class Course:
     step: float
     initial: Initial
     inputs: list[StepInputs]
-    study: bool = True  # of methods and runs; else as flown and with masses left to JSBSim
 
 
 class _Inputs:
@@ -81,9 +79,7 @@ class _Inputs:
         )
 
 
-def course(
-    title: str, name: str, changes: dict[str, Any], momentum: Vector3 = (0.0, 0.0, 0.0), study: bool = True
-) -> Course:
+def course(title: str, name: str, changes: dict[str, Any], momentum: Vector3 = (0.0, 0.0, 0.0)) -> Course:
     """Fly, and return what acted; there must be no gusts or turbulence, and the aerodynamics are ``vehicle.toml``'s.
 
     ``momentum``: of rotors that the engines do not have.
@@ -94,36 +90,12 @@ def course(
         ending = simulation.run([inputs])
     step_inputs = inputs.inputs if ending.outcome == "completed" else inputs.inputs[:-1]
     vehicle, folder = load_vehicle(scenario.aircraft, scenario.vehicle)
-    return Course(title, vehicle, folder, scenario.step_s, scenario.initial, step_inputs, study)
+    return Course(title, vehicle, folder, scenario.step_s, scenario.initial, step_inputs)
 
 
 PICKED_UP = {"kind": "payload", "start_s": 2.0, "mass_kg": 0.5, "offset_m": [0.05, -0.02, 0.10]}
 WIND = {"kind": "wind", "start_s": 2.0, "velocity_ned_m_s": [-4.0, 3.0, 0.0]}
 OFF_CENTRE = {"fuel": {"mass_kg": 18.0, "position_m": [0.2, 0.1, 0.1]}}
-
-
-def courses(seconds: float | None = None) -> list[Course]:
-    """Return the flights of the study; ``seconds``: the beginning alone."""
-    short = {} if seconds is None else {"duration_s": seconds}
-    studied = [
-        course("roll doublet", "roll-doublet", short),
-        course("the same, lost without a predictor", "roll-doublet", {"controller": "baseline", **short}),
-        course("payload dropped", "payload-drop", short),
-        course("full scale, roll doublet", "full-scale-roll-doublet", short),
-        course("roll doublet, a rotor of 0.1 kg m²/s upright", "roll-doublet", short, (0.0, 0.0, -0.1)),
-    ]
-    others: list[tuple[str, str, dict[str, Any]]] = [
-        ("payload picked up, off in three axes", "payload-drop", {"disturbance": [PICKED_UP]}),
-        ("full scale, payload dropped", "full-scale-payload-drop", {}),
-        ("full scale, fuel burnt off centre", "full-scale-roll-doublet", {"vehicle": OFF_CENTRE}),
-        ("full scale, pitch doublet, banks that react", "full-scale-pitch-doublet", {}),
-        ("full scale, lost with the rotors of turbine-220", "full-scale-yaw-doublet", {"engine": "turbine-220"}),
-        ("trijet, yaw doublet, hinges that react", "trijet-yaw-doublet", {}),
-        ("octojet, roll doublet", "octojet-roll-doublet", {}),
-        ("quadjet, roll doublet", "quadjet-roll-doublet", {}),
-        ("wind that jumps by 5 m/s", "hover", {"disturbance": [WIND]}),
-    ]
-    return studied + [course(title, name, {**changes, **short}, study=False) for title, name, changes in others]
 
 
 AXES: tuple[Vector3, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -118,18 +118,6 @@ def vehicle_rows(flights: list[Flight]) -> list[list[str]]:
     ]
 
 
-def flight_rows(flights: list[Flight]) -> list[list[str]]:
-    """Return a row a flight, as :func:`vehicle_rows`; those that touch the ground say so."""
-    return [
-        [
-            flight.aircraft,
-            flight.name + (", on the ground too" if flight.touches else ""),
-            *(f"{each.attitude_deg:.1e} deg, {each.place_mm:.1e} mm" for each in flight.apart.values()),
-        ]
-        for flight in sorted(flights)
-    ]
-
-
 def provenance(aircraft: str, flights: Sequence[Flight]) -> Iterator[str]:
     """Yield the lines of TOML that say which flights of a vehicle were measured, and how they were set."""
     yield f"scenarios = {json.dumps([flight.name for flight in flights])}"
