@@ -24,9 +24,10 @@ class Case(Model):
 
 def vary_cases(data: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return a study's table with the key ``case`` varied over all cases first, where ``vary`` does not name some."""
-    cases, stated = data.get("case"), vary_tables(data.get("vary", []))
+    cases = data.get("case")
     if not isinstance(cases, list) or not all(isinstance(case, Mapping) for case in cases) or not cases:
         return data
+    stated = vary_tables(data.get("vary", []))
     if not isinstance(stated, list) or CASE in [each.get("key") for each in stated if isinstance(each, Mapping)]:
         return data
     return {**data, "vary": [{"key": CASE, "values": [case.get("name") for case in cases]}, *stated]}
