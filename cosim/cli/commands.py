@@ -145,6 +145,21 @@ fmu_map = Command(
     show=_show_mapping,
     ends="Status 1: something is open that an engine needs.",
 )
+gcs = Command(
+    "gcs",
+    "cosim.cli.calls.gcs:gcs",
+    "--engine edf-as-flown --place 22.35,113.59 --web",
+    like="cosim.api.flights:fly",
+    hidden=("flightgear", "report", "shared_assets"),
+    options={"scenario": "--scenario", "realtime_factor": "--rtf", "parameters": "--parameters --params",
+             "log_limit_mb": "--log-limit"},
+    metavars={"engine": "[N=]NAME|FILE", "place": "LAT,LON", "mavlink": "URL", "sign_key": "FILE", "web": "[PORT]",
+              "parameters": "FILE.toml", "model": "FILE.toml"},
+    bare={"web": "8765"},
+    ends="Status, of the last flight: 0 completed within its limits; 1 it failed or went beyond them; 2 wrong input.",
+    succeeded=lambda result: result.runs[-1].summary.succeeded,
+    show=lambda result: None,  # it has printed everything while it ran
+)  # fmt: skip
 identify_engine = Command(
     "identify engine",
     "cosim.api.identify:identify",

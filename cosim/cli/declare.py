@@ -85,7 +85,7 @@ class Option:
         choices = get_args(self.kind) if get_origin(self.kind) is Literal else ()
         parts += [f"[{'|'.join(map(str, choices))}]"] if choices else []
         parts += [f"[{self.limits}]"] if self.limits is not None else []
-        is_stated = self.default not in (None, False, True, "", ()) and not self.required
+        is_stated = not isinstance(self.default, bool) and self.default not in (None, "", ()) and not self.required
         parts += [f"[default: {self.default}]"] if is_stated else []
         return "  ".join(parts)
 
@@ -258,6 +258,7 @@ class Command:
                 help=option.text,
                 completer=completer_of(option.argument, option.names),
                 consume_multiple=False,
+                allow_repeating=True,
                 show_default=False,
             )
             value: Any = list[option.kind] if option.several and option.names else option.kind  # type: ignore[name-defined]
@@ -296,9 +297,13 @@ class Command:
 
     def check_out(self, out: str | None) -> None:
         """Raise InputError where ``out`` ends like a file of another kind than the command writes."""
-        ending = Path(out or "").suffix.lower()
-        if out is not None and ending in _FILES and ending not in self.writes and not Path(out).is_dir():
-            wanted = f"a file that ends in {' or '.join(self.writes)}, or a folder" if self.writes else "a folder"
+        if out is None:
+            return
+        path, ending = Path(out), Path(out).suffix.lower()
+        wanted = f"a folder, or a file that ends in {' or '.join(self.writes)}" if self.writes else "a folder"
+        if path.is_file() and ending not in self.writes:
+            raise InputError(f"--out {out}: is a file; hexjet {self.name} writes {wanted}")
+        if ending in _FILES and ending not in self.writes and not path.is_dir():
             raise InputError(f"--out {out}: names a file by its ending; hexjet {self.name} writes {wanted}")
 
     def _complete_bare(self, words: Sequence[str]) -> Iterator[str]:

@@ -122,10 +122,6 @@ def find(words: list[str]) -> tuple[str, list[str]]:
 
 def load(name: str) -> Command:
     """Return a command; nothing but its own declaration is imported for it.  Raises InputError for one of a package."""
-    from cosim.cli.old.unconverted import OLD, Unconverted
-
-    if name in OLD:
-        return Unconverted.load(name)  # type: ignore[return-value]
     if name in OWN:
         command: Command = getattr(import_module("cosim.cli.commands"), name.replace(" ", "_"))
         return command
@@ -142,6 +138,8 @@ def load(name: str) -> Command:
         text = f"{entry.value} of {packages[0]} cannot be loaded: {type(error).__name__}: {error}"
         raise InputError(f"{name}: {text.partition(chr(10))[0]}") from None
     if hasattr(loaded, "params") and hasattr(loaded, "main"):
+        from cosim.cli.old.unconverted import Unconverted
+
         return Unconverted(name, loaded)  # type: ignore[return-value]
     if not hasattr(loaded, "run"):
         raise InputError(f"{name}: {entry.value} of {packages[0]} is no cosim.commands.Command")

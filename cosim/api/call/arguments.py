@@ -50,7 +50,8 @@ def checked(**limits: Limits) -> Callable[[Callable[P, R]], Callable[P, R]]:
             import inspect
 
             signature = inspect.signature(call)
-            for name in named:
+            takes_any = any(each.kind is each.VAR_KEYWORD for each in signature.parameters.values())
+            for name in () if takes_any else named:
                 if name not in signature.parameters:
                     raise InputError(f"{call.__name__}: no argument {name!r}; {nearest(name, signature.parameters)}")
             try:

@@ -3,16 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
 from typing import Any
 
 import click
 
 from cosim.base.errors import InputError
 from cosim.base.removed import describe_removed
-from cosim.cli.trust import with_trust
+from cosim.base.trust import trust_everything
 
-OLD = {"gcs": "gcs:gcs"}
+RUN_NONE = ("bench", "paper", "sitl params")  # commands that run nothing of what a file or a folder of the user's names
+_HELP = "Run code though you never flew what is in its folder, Python, FMUs and programs, and remember it."
+
+
+def with_trust(command: click.Command, name: str) -> click.Command:
+    """Return a command with the option ``--trust``, where it may run code; of a group, every such command."""
+    if isinstance(command, click.Group):
+        for inner in command.commands.values():
+            with_trust(inner, f"{name} {inner.name}")
+    elif name not in RUN_NONE and not any("--trust" in parameter.opts for parameter in command.params):
+        option = click.Option(["--trust"], is_flag=True, expose_value=False, is_eager=True, help=_HELP, callback=_trust)
+        command.params.append(option)
+    return command
+
+
+def _trust(context: click.Context, parameter: click.Parameter, is_set: bool) -> None:
+    if is_set:
+        trust_everything()
 
 
 class Unconverted:
@@ -20,12 +36,6 @@ class Unconverted:
 
     def __init__(self, name: str, command: click.Command) -> None:
         self.name, self.command = name, with_trust(command, name)
-
-    @classmethod
-    def load(cls, name: str) -> Unconverted:
-        """Return one of this package's."""
-        module, _, function = OLD[name].partition(":")
-        return cls(name, getattr(import_module(f"cosim.cli.old.{module}"), function))
 
     @property
     def texts(self) -> tuple[str, dict[str, str]]:

@@ -24,7 +24,7 @@ from command_tools import Hexjet
 from patience import PATIENCE
 
 from cosim.base.errors import InputError
-from cosim.cli.old.gcs import session_line
+from cosim.cli.calls.gcs import session_line
 from cosim.flight import reserve_folder
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.results.run import open_run

@@ -1,18 +1,17 @@
-"""hexjet gcs: a vehicle for ground stations."""
+"""What ``hexjet gcs`` runs: a vehicle for ground stations, and what is printed of it."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
-import click
-
+from cosim.api.call import Limits, Result, checked
+from cosim.api.flights import load
 from cosim.base.wording import printable
-from cosim.cli.console import echo, note, output_to_stderr
-from cosim.cli.old import opt
-from cosim.cli.old.options import DONE, FLIGHT_FAILED, Flight, example
+from cosim.cli.console import echo, note
 
 if TYPE_CHECKING:
     from cosim.groundstation.links import Links
@@ -20,106 +19,102 @@ if TYPE_CHECKING:
     from cosim.results.run import Run
 
 
-class Gcs(Flight, opt.Output):
-    """Options of ``hexjet gcs``."""
+class SessionResult(Result):
+    """The flights of a session with ground stations."""
 
-    scenario = opt.option(
-        "--scenario",
-        default="hover",
-        metavar="NAME|FILE",
-        help="Scenario that gives wind, place and faults.  [default: a calm day]",
-    )
-    aircraft = opt.word(
-        "--aircraft", "NAME|DIR", "Overrides the scenario's, with its engine; see: hexjet list aircraft."
-    )
-    engines = opt.ENGINES
-    controller = opt.word("--controller", "NAME|FILE", "See: hexjet list controllers.")
-    settings = opt.SETTINGS
-    seed = opt.whole("--seed", None, "Overrides the scenario's seed.")
-    metrics, own_observers, sensors, wind = opt.METRICS, opt.OBSERVERS, opt.SENSORS, opt.WIND
-    unchecked_engine = opt.flag("--unchecked-engine", "As in hexjet fly.")
-    place = opt.word("--place", "LAT,LON", "Where it stands, in degrees.")
-    links = opt.words(
-        "--mavlink",
-        "URL",
-        "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT or tcpin:[HOST:]PORT.  [default: udpout "
-        "to 127.0.0.1, ports 14550 and 14540]",
-    )
-    system = opt.option(
-        "--system",
-        type=int,
-        default=1,
-        show_default=True,
-        metavar="N",
-        help="Its MAVLink id, 1 to 250: several vehicles beside each other need one each.",
-    )
-    public = opt.flag("--public", "Let udpin and tcpin listen to the network and not to this machine alone.")
-    sign_key = opt.path("--sign-key", "FILE", "Sign, and refuse what is not signed with it.")
-    personality = opt.choice(
-        "--personality", ["px4", "ardupilot", "generic"], "What the ground station takes it for.", "px4"
-    )
-    parameters = opt.renamed(
-        opt.path(
-            "--parameters",
-            "FILE.toml",
-            "Where parameters are kept; none: nowhere.  [default: one file a vehicle in the folder for settings]",
-        ),
-        "--params",
-    )
-    rtf = opt.number(
-        "--rtf", "X", "Pace the flight at X times real time; 0 is as fast as it goes.", min=0.0, default=1.0
-    )
-    duration = opt.positive("--duration", "S", "[default: until Ctrl-C]")
-    web: int | None = opt.option(
-        "--web", type=click.IntRange(0, 65535), is_flag=False, flag_value=8765, metavar="[PORT]",
-        help="Serve a page too.",
-    )  # fmt: skip
-    out = opt.OUT
-    log_limit = opt.number(
-        "--log-limit",
-        "MB",
-        "The most that a flight's log may take: what is flown beyond is not recorded.",
-        min=1.0,
-        default=2000.0,
-    )
-    as_json = opt.json("Print one JSON object at the end and nothing else.")
+    def __init__(self, runs: Sequence[Run], counts: Mapping[str, Any]) -> None:
+        self.runs, self.counts = runs, counts
+        self.files = {}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the summaries of the flights, and the counts of the links."""
+        return {"runs": [run.summary.model_dump(mode="json") for run in self.runs], "links": self.counts}
+
+    def lines(self) -> list[str]:
+        """Return in a line how it went."""
+        return [session_line(self.runs, self.counts)]
 
 
-@click.command(epilog=example("hexjet gcs --engine edf-as-flown --place 22.35,113.59 --web"))
-@opt.takes(Gcs)
-def gcs(options: Gcs) -> int:
+@checked(realtime_factor=Limits(0.0), duration_s=Limits(0.0, is_open=True), log_limit_mb=Limits(1.0))
+def gcs(  # noqa: PLR0913 - the options of a command
+    scenario: str = "hover",
+    *,
+    place: str | None = None,
+    mavlink: Sequence[str] = (),
+    system: int = 1,
+    public: bool = False,
+    sign_key: str | None = None,
+    personality: Literal["px4", "ardupilot", "generic"] = "px4",
+    parameters: str | None = None,
+    realtime_factor: float = 1.0,
+    duration_s: float | None = None,
+    web: int | None = None,
+    out: str | None = None,
+    log_limit_mb: float = 2000.0,
+    **choices: Any,
+) -> SessionResult:
     """Run a vehicle that waits on the ground for a ground station: QGroundControl, MAVProxy, MAVSDK.
 
     Every flight leaves a run's folder, with telemetry.tlog and with requests.jsonl: hexjet fly on its scenario.toml
-    repeats it without a ground station.  Status as of hexjet fly, for the last flight: 0 completed within its
-    limits; 1 it failed or went beyond them; 2 wrong input.
+    repeats it without a ground station.
+
+    Parameters
+    ----------
+    scenario : str
+        What gives wind, place and faults: the name of a scenario, or the path of its file.
+    place : str or None
+        Where it stands, latitude and longitude in degrees.
+    mavlink : sequence of str
+        udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT or tcpin:[HOST:]PORT; by default udpout to 127.0.0.1, ports
+        14550 and 14540.
+    system : int
+        Its MAVLink id, 1 to 250: several vehicles beside each other need one each.
+    public : bool
+        Let udpin and tcpin listen to the network and not to this machine alone.
+    sign_key : str or None
+        The file of a key: sign, and refuse what is not signed with it.
+    personality : str
+        What the ground station takes it for.
+    parameters : str or None
+        The file where parameters are kept, none for nowhere; by default one for each vehicle in the folder for
+        settings.
+    realtime_factor : float
+        Seconds of flight in a second of the clock; 0 is as fast as it goes.
+    duration_s : float or None
+        Seconds of flight after which it ends; by default it runs until Ctrl-C.
+    web : int or None
+        Serve a page too, at this port.
+    out : str or None
+        The folder of the first flight; by default a new one in runs/.
+    log_limit_mb : float
+        The most that the log of a flight may take: what is flown beyond is not recorded.
+
+    Returns
+    -------
+    SessionResult
+        The flights.
     """
     from cosim.base.plugins.entry_points import load_hook
     from cosim.groundstation.links import Links
     from cosim.groundstation.parameter_store import find_default_file, make_vehicle_key
     from cosim.groundstation.session import RecordOptions, Session, parse_place, stop_on_signals
 
-    loaded = options.load()
-    changes: dict[str, Any] = {"name": "gcs" if options.scenario == "hover" else loaded.name}
-    if options.place is not None:
-        changes["environment"] = parse_place(options.place)
+    loaded = load(scenario, **choices)
+    changes: dict[str, Any] = {"name": "gcs" if scenario == "hover" else loaded.name}
+    if place is not None:
+        changes["environment"] = parse_place(place)
     loaded = loaded.replace(**changes)
-    key = make_vehicle_key(loaded) + (f"-system-{options.system}" if options.system != 1 else "")
-    parameters = None if str(options.parameters) == "none" else options.parameters or find_default_file(key)
-    as_json = options.as_json
-    with (
-        output_to_stderr(as_json),
-        Links(
-            options.links, options.public, options.sign_key, options.personality, options.web, options.system
-        ) as opened,
-    ):
+    key = make_vehicle_key(loaded) + (f"-system-{system}" if system != 1 else "")
+    kept = None if parameters == "none" else Path(parameters) if parameters else find_default_file(key)
+    key_file = None if sign_key is None else Path(sign_key)
+    with Links(tuple(mavlink), public, key_file, personality, web, system) as opened:
         session = Session(
             loaded,
             opened.exchange,
-            factor=options.rtf or None,
-            parameter_file=parameters,
-            duration=options.duration,
-            records=RecordOptions(options.out, log_mb=options.log_limit),
+            factor=realtime_factor or None,
+            parameter_file=kept,
+            duration=duration_s,
+            records=RecordOptions(None if out is None else Path(out), log_mb=log_limit_mb),
             on_begin=opened.begin,
             on_end=opened.end,
         )
@@ -127,18 +122,14 @@ def gcs(options: Gcs) -> int:
             note("changes of parameters are not judged: hexjet_design is not installed")
         else:
             session.set_stability_checker(make_checker(session.scenario))
-        print_gcs(session, opened, options.log_limit, to_stderr=as_json)
-        with stop_on_signals(session), live_line(opened, quiet=as_json):
+        _print_session(session, opened, log_limit_mb)
+        with stop_on_signals(session), _live_line(opened):
             runs = session.run()
-        counts = opened.frame_counts
-    print_session(runs, counts, to_stderr=as_json)
-    options.answer(
-        lambda: {"runs": [run.summary.model_dump(mode="json") for run in runs], "links": counts}, lambda: None
-    )
-    return DONE if runs[-1].summary.succeeded else FLIGHT_FAILED
+        echo(session_line(runs, opened.frame_counts))
+        return SessionResult(runs, opened.frame_counts)
 
 
-def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) -> None:
+def _print_session(session: Session, links: Links, log_mb: float) -> None:
     """Print where to connect, what flies, and where it is recorded."""
     from cosim.groundstation.session_flight import estimate_hourly_mb
     from cosim.spec.scenario import controller_shown
@@ -161,13 +152,8 @@ def print_gcs(session: Session, links: Links, log_mb: float, to_stderr: bool) ->
         ("pace", "as fast as it goes" if session.factor is None else f"{session.factor:g} x real time"),
     ]
     for label, value in rows:
-        echo(f"{label:11} {value}", err=to_stderr)
-    echo("ready; Ctrl-C ends it", err=to_stderr)
-
-
-def print_session(runs: Sequence[Run], counts: Mapping[str, Any], to_stderr: bool) -> None:
-    """Print in a line how a session went."""
-    echo(session_line(runs, counts), err=to_stderr)
+        echo(f"{label:11} {value}")
+    echo("ready; Ctrl-C ends it")
 
 
 def session_line(runs: Sequence[Run], counts: Mapping[str, Any]) -> str:
@@ -216,9 +202,9 @@ def _describe_link(url: str) -> str:
 
 
 @contextmanager
-def live_line(links: Links, quiet: bool) -> Iterator[None]:
+def _live_line(links: Links) -> Iterator[None]:
     """Show a line about the flight, twice a second, on a terminal; from a thread, because a terminal may be slow."""
-    if quiet or not sys.stderr.isatty():
+    if not sys.stderr.isatty():
         yield
         return
     import threading
