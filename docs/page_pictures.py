@@ -156,7 +156,7 @@ def take(
         tab.wait_for_function("t => document.querySelector('.stage canvas').dataset.time === t", arg=f"{at:.4f}")
         tab.wait_for_timeout(800)  # with smooth edges when it stands
     if name in ("live", "runs"):
-        tab.wait_for_selector("#scene canvas[data-time]" if name == "live" else "[role=row]")
+        tab.wait_for_selector("#scene canvas[data-time]" if name == "live" else "#runs tbody tr")
         tab.wait_for_timeout(4000 if name == "live" else 500)  # something of a track, a row's colours
     if high is None:
         height = min(HIGH, tab.evaluate("document.documentElement.scrollHeight"))

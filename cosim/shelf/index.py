@@ -65,7 +65,7 @@ def write_index(folder: Path) -> Path:
     if page.exists() and GENERATOR not in read_file(page, first=1000).decode(errors="replace"):
         raise InputError(f"{page}: was not written by hexjet open; move it, or the page would replace it")
     data = json.dumps(rows, allow_nan=False).replace("<", "\\u003c")
-    content = Markup(TEMPLATE.read_text(encoding="utf-8").replace("{}</script>", f"{data}</script>", 1))
+    content = Markup(read_text(TEMPLATE).replace("{}</script>", f"{data}</script>", 1))
     Page(GENERATOR, f"Runs in {folder.resolve().name}", [Card("", content=content)]).write(page)
     return page
 

@@ -22,6 +22,7 @@ from shelves import shelf
 from cosim.flight import with_page
 from cosim.results.report.flight import write_report
 from cosim.results.run import begin_run
+from cosim.shelf.index import write_index
 
 WRONG = ("serious", "critical")
 PHONE = 390  # pixels
@@ -134,10 +135,10 @@ def live_complaints(page: Any, axe: str) -> list[str]:
 
 @pytest.mark.long
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_runs(browser: Any, axe: str, pages: ModuleType, scheme: str, tmp_path: Path) -> None:
-    folder = shelf(tmp_path / "runs", 5)
-    with pages.shelf(folder) as url, opened(browser, url, scheme) as page:
-        page.locator("[role=row]").first.wait_for(timeout=1000 * PATIENCE)
+def test_the_runs(browser: Any, axe: str, scheme: str, tmp_path: Path) -> None:
+    index = write_index(shelf(tmp_path / "runs", 5))
+    with opened(browser, index.as_uri(), scheme) as page:
+        page.locator("#runs tbody tr").first.wait_for(timeout=1000 * PATIENCE)
         assert complaints(page, axe) == []
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,25 +13,22 @@ import numpy as np
 from markupsafe import Markup
 
 from cosim.base.arrays import Array
-from cosim.base.storage.files import parse_json
+from cosim.base.storage.files import parse_json, read_text
+from cosim.campaign.analysis.cards import comparison_cards, format_span, metrics_card, ranking_cards, success_card
 from cosim.campaign.analysis.claim import judge_claim
 from cosim.campaign.analysis.figures import KIND_COLOURS, campaign_figures
 from cosim.campaign.analysis.sensitivity import Ranking, joint
 from cosim.campaign.analysis.stability_map import MAP_KEYS, map_tables
-from cosim.campaign.analysis.statistics import Interval, Proportion
+from cosim.campaign.analysis.statistics import Proportion
 from cosim.campaign.analysis.summary import (
     SUCCESS,
-    Spread,
-    compare_controllers,
     controller_indices,
-    count_kinds,
     count_reasons,
-    find_spread,
     rank_keys,
     ranked_result,
     success_fractions,
 )
-from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn, describe_criterion, if_here, read_flight_table
+from cosim.campaign.analysis.table import FlightTable, KeyColumn, describe_criterion, if_here, read_flight_table
 from cosim.campaign.analysis.worst_cases import CASE_COLUMNS, case_rows
 from cosim.campaign.folder import REPORT
 from cosim.campaign.study.engine_draw import DRAWN_BY
@@ -66,40 +63,6 @@ STOPPED = (
     "of its claim above."
 )
 CLASSES = "Classes of equal count, with 95 % intervals (Wilson)."
-GRID_SHARES = "Shares of the grid's points and not probabilities: every combination counts alike, however likely it is."
-BOUNDS = (
-    "Thick is Wilson's interval, which holds 95 % on average; thin is Clopper and Pearson's exact one, which never "
-    "holds less: quote it where a requirement must be shown to hold."
-)
-ENDINGS = "Missed: flew to its end, outside what counts as success. Failed: not flown to a verdict; no success."
-PAIR_COLUMNS = (
-    "second against first", "draws", "both succeed", "only the second", "only the first", "neither",
-    "difference [points]", "95 %, paired", "p, McNemar",
-)  # fmt: skip
-SAME_DRAWS = "Only draws that both controllers have flown count: the same numbers, noise and turbulence."
-TESTS = (
-    "The interval is Newcombe's for pairs (method 10); p, of McNemar's exact test, is corrected for the number of "
-    "comparisons (Holm)."
-)
-DIFFERENCE_COLUMNS = ("metric", "draws", "median difference", "95 %", "p, Wilcoxon", "unit")
-DIFFERENCES = (
-    "Negative: the second's is smaller. Only flights that completed and have the metric count: where one controller "
-    "loses the hard draws, both are compared on the easier ones. The interval is bounded by order statistics; p is not "
-    "corrected for the number of metrics."
-)
-RANKING_COLUMNS = ("controller", "key", "index [%]", "95 %", "rank correlation", "95 %", "partial", "")
-FIRST_ORDER = (
-    "First-order index: the share of the variance that would go if the key were known, for an effect of any shape, "
-    "corrected for chance. Shaded is what the largest of all keys reaches by chance in 19 of 20 cases; a pale bar is "
-    "not above it. A key that acts only together with others has no bar: the map shows it."
-)
-CORRELATED = "Correlated keys share what they explain; the partial correlation holds the others."
-NOT_RANKED = "Too few flights (30 are needed), or they all came out alike: nothing can be ranked."
-SPREADS = (
-    "Median, the span of the middle 90 %, and of how many flights: those that completed and have the metric. Where "
-    "many are lost these are the survivors' figures. The curves are of all flights: what one lacks of 100 % did not "
-    "complete, or has none."
-)
 CASES_SAY = "Each can be flown again alone and recorded in full, by its number or from its scenario file."
 NONE = "–"
 MAP = Path(__file__).parent / "templates" / "stability_map.html"
@@ -135,13 +98,13 @@ def make_page(campaign: Campaign) -> Page:
     pages = [_nothing_yet()] if not table.flight.size else [
         Card("Share of the grid" if table.grid else "Probability", figure="probability", is_half=True),
         Card("What the flights came to", figure="outcomes", is_half=True),
-        _success_card(table, named, fractions, STOPPED if claims else INTERVALS.get(study.design, "")),
+        success_card(table, named, fractions, STOPPED if claims else INTERVALS.get(study.design, "")),
         Card("Stability map", content=_map()) if "map-tables" in figures else None,
-        *_comparison_cards(table, named),
-        *_ranking_cards(table, named, rankings, bool(study.correlate)),
+        *comparison_cards(table, named),
+        *ranking_cards(table, named, rankings, bool(study.correlate)),
         Card("Success over each key", text=f"All other keys as they come. {'' if table.grid else CLASSES}",
              figure=[name for name in figures if name.startswith("key-")], lines=[Markup(" ").join(named)]),
-        _metrics_card(table, named),
+        metrics_card(table, named),
         _reasons_card(campaign, table, named),
         Card("Worst cases", CASE_COLUMNS, case_rows(campaign, table, named), CASES_SAY,
              code=f"hexjet fly {shlex.quote(campaign.folder.as_posix())} --flight NUMBER"),
@@ -168,7 +131,7 @@ def _nothing_yet() -> Card:
 def _map() -> Markup:
     """Return the map, whose keys and colour are chosen: the one part of the page with a script of its own."""
     colours = json.dumps(KIND_COLOURS)
-    return Markup(MAP.read_text(encoding="utf-8").replace("KIND_COLOURS", colours))
+    return Markup(read_text(MAP).replace("KIND_COLOURS", colours))
 
 
 def _answer(name: Markup, found: Proportion, is_grid: bool, stops: bool) -> Markup:
@@ -178,146 +141,8 @@ def _answer(name: Markup, found: Proportion, is_grid: bool, stops: bool) -> Mark
     share, counted = f"{100.0 * found.value:.1f} %", f"{found.hits:,} of {found.of:,}"
     if is_grid:
         return Markup("{}: {} of the grid's flights succeed ({}).").format(name, share, counted)
-    bounds = "" if stops else f" (95 % interval {_span(found.wilson, '.1f', 100.0)} %)"
+    bounds = "" if stops else f" (95 % interval {format_span(found.wilson, '.1f', 100.0)} %)"
     return Markup("{}: {} succeed, {}{}.").format(name, share, counted, bounds)
-
-
-def _span(ends: Interval | None, form: str, factor: float = 1.0) -> str:
-    return "" if ends is None else f"{factor * ends[0]:{form}} to {factor * ends[1]:{form}}"
-
-
-def _points(fraction: float | None) -> str:
-    if fraction is None:
-        return NONE
-    text = f"{100.0 * fraction:+.1f}"
-    return text[1:] if text[1:] == "0.0" else text
-
-
-def _signed(value: float) -> str:
-    return f"{value:+.3g}" if value else "0"
-
-
-def _chance(p: float) -> str:
-    return "< 0.0001" if p < 1e-4 else f"{p:.2g}"
-
-
-def _card(
-    title: str,
-    columns: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    text: str,
-    is_grid: bool,
-    is_folded: bool = False,
-    figure: str | Sequence[str] = "",
-) -> Card:
-    """Return a card; of a grid, which is no sample, without the columns of bounds and of tests."""
-    kept = [n for n, column in enumerate(columns) if not (is_grid and column.startswith(("95 %", "p, ")))]
-    return Card(title, [columns[n] for n in kept], [[row[n] for n in kept] for row in rows], text, figure,
-                is_folded=is_folded)  # fmt: skip
-
-
-def _success_card(table: FlightTable, named: Sequence[str], found: Sequence[Proportion], note: str) -> Card:
-    kinds = [name for name in KINDS if name != SUCCESS]
-    share = "share [%]" if table.grid else "probability [%]"
-    rows = [
-        (
-            name, f"{each.of:,}", f"{each.hits:,}", NONE if each.value is None else f"{100.0 * each.value:.1f}",
-            _span(each.wilson, ".1f", 100.0), _span(each.exact, ".1f", 100.0),
-            *(f"{count_kinds(table, number)[kind]:,}" for kind in kinds),
-        )
-        for number, (name, each) in enumerate(zip(named, found, strict=True))
-    ]  # fmt: skip
-    columns = ("controller", "flights", "successes", share, "95 %, Wilson", "95 %, exact", *kinds)
-    text = f"{GRID_SHARES if table.grid else f'{BOUNDS} {note}'} {ENDINGS}"
-    title = "Success over the grid" if table.grid else "Probability of success"
-    return _card(title, columns, rows, text, table.grid)
-
-
-def _comparison_cards(table: FlightTable, named: Sequence[str]) -> Iterator[Card]:
-    """Yield the controllers against each other on the same draws: their successes, then their metrics."""
-    compared = compare_controllers(table)
-    against = [Markup("{} against {}").format(named[each.second], named[each.first]) for each in compared]
-    rows = [
-        (
-            name, *(f"{count:,}" for count in (pairs.draws, pairs.both, pairs.second, pairs.first, pairs.neither)),
-            _points(pairs.difference),
-            "" if each.interval is None else f"{_points(each.interval[0])} to {_points(each.interval[1])}",
-            _chance(each.p_holm),
-        )
-        for name, each in zip(against, compared, strict=True)
-        for pairs in (each.pairs,)
-    ]  # fmt: skip
-    if rows:
-        text = f"{SAME_DRAWS} {'Counts of points, and no test.' if table.grid else TESTS}"
-        yield _card("Controllers on the same draws", PAIR_COLUMNS, rows, text, table.grid)
-    for name, each in zip(against, compared, strict=True):
-        differences = [
-            (
-                metric.label, f"{found.draws:,}", _signed(metric.factor * found.median),
-                "" if found.interval is None
-                else " to ".join(_signed(metric.factor * end) for end in found.interval),
-                _chance(found.p), metric.unit,
-            )
-            for metric in table.metrics
-            if (found := each.metrics.get(metric.name)) is not None
-        ]  # fmt: skip
-        if differences:
-            title = Markup("Metrics, {}, over the {:,} draws that both completed").format(name, each.completed)
-            yield _card(title, DIFFERENCE_COLUMNS, differences, DIFFERENCES, table.grid, is_folded=len(compared) > 1)
-
-
-def _ranking_cards(
-    table: FlightTable, named: Sequence[str], rankings: Mapping[str, Sequence[Ranking | None]], is_correlated: bool
-) -> Iterator[Card]:
-    """Yield what drives success, then what drives each metric, folded."""
-    labels = {SUCCESS: SUCCESS} | {metric.name: metric.label for metric in table.metrics}
-    ranked = {name: ranking for name, ranking in rankings.items() if any(ranking)}
-    if not ranked:
-        yield Card("What drives it", lines=[NOT_RANKED])
-    for name, ranking in ranked.items():
-        found = [(number, each) for number, each in enumerate(ranking) if each is not None]
-        rows = [
-            (
-                named[number] if effect is each.effects[0] else "", code(effect.key),
-                f"{100.0 * max(effect.index, 0.0):.1f}", _span(effect.interval, ".1f", 100.0),
-                NONE if effect.rank is None else f"{effect.rank:+.2f}", _span(effect.rank_interval, "+.2f"),
-                NONE if effect.partial is None else f"{effect.partial:+.2f}",
-                "" if effect.real else "index not above chance",
-            )
-            for number, each in found
-            for effect in each.effects
-        ]  # fmt: skip
-        counted = "; ".join(
-            f"{table.controllers[number]}: {each.flights:,} flights, chance reaches {100.0 * each.floor:.1f} %, the "
-            f"keys one at a time explain {100.0 * each.explained:.0f} %"
-            for number, each in found
-        )
-        is_first = name == next(iter(ranked))
-        first = f"{FIRST_ORDER} {CORRELATED if is_correlated else ''}" if is_first else ""
-        text = f"{counted}. The rest is effects of several keys together, and noise. {first}".strip()
-        title = f"What drives it: {labels[name]}"
-        yield _card(title, RANKING_COLUMNS, rows, text, table.grid, not is_first, f"ranking-{name}")
-
-
-def _metrics_card(table: FlightTable, named: Sequence[str]) -> Card | None:
-    rows = [
-        (
-            metric.label,
-            *(_spread(find_spread(table, each, metric.name), metric.factor) for each in controller_indices(table)),
-            metric.unit,
-        )
-        for metric in table.metrics
-    ]
-    figures = [f"metric-{number}" for number in range(len(rows))]
-    return Card("Metrics", ("metric", *named, "unit"), rows, SPREADS, figures) if rows else None
-
-
-def _spread(found: Spread | None, factor: float) -> str:
-    if found is None:
-        return NONE
-    none = f", {found.none:,} have none" if found.none else ""
-    span = _span((found.low, found.high), ".3g", factor)
-    return f"{factor * found.median:.3g} ({span}); {found.flights:,} of {found.of:,}{none}"
 
 
 def _reasons_card(campaign: Campaign, table: FlightTable, named: Sequence[str]) -> Card:
