@@ -1,8 +1,8 @@
 """Pages that open offline: a template, its figures or flights and the libraries that draw them, in one HTML file.
 
 Flights over time are drawn by ``assets/strips.js`` with uPlot; every other figure, a dict of the part of Plotly's
-schema that ``assets/figures.js`` knows, by that as SVG.  ``plotly`` itself draws figures in notebooks alone.  Whoever
-has something to show keeps its template, and extends ``base.html`` here.
+schema that ``assets/figures.js`` knows, by that as SVG.  ``plotly`` itself draws figures in notebooks alone.  A page is
+a list of cards (:mod:`cosim.results.report.cards`); the flight's own has a template of its own.
 """
 
 from __future__ import annotations
@@ -74,7 +74,6 @@ def render(
         lstrip_blocks=True,
         bytecode_cache=FileSystemBytecodeCache(str(KEPT)) if is_kept else None,
     )
-    environment.filters["capital_first"] = _capital_first
     page = environment.get_template(template.name).generate(
         figures={name: figure_json(figure) for name, figure in figures.items()},
         drawing=(_asset(FIGURE_STYLE), "".join(map(_asset, FIGURES))) if figures else None,
@@ -83,11 +82,6 @@ def render(
         **values,
     )
     write_whole(path, page, FlightError)
-
-
-def _capital_first(text: str) -> str:
-    """Return a text as the beginning of a sentence; the rest of it stays as it is."""
-    return text[:1].upper() + text[1:]
 
 
 def notices(*held: str) -> str:
