@@ -1,9 +1,9 @@
-"""A model of an engine out of its bench logs: the form by evidence, how sure each number is, and what is not told."""
+"""A model of an engine out of its bench logs: the form by evidence, how sure each number is, and the verdict."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,59 +11,48 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.identify.verdict import Judgement, judge_model, shared_record
-from hexjet_identify.bench.command import is_noisy, moves_on
-from hexjet_identify.bench.evidence import (
-    HeldBack,
-    Misfit,
-    describe_held_back,
-    describe_lack,
-    output_swing,
-    predict_held_back,
-    test_residuals,
-)
-from hexjet_identify.bench.fit import Estimate, Form, Problem, bound_delay, fit, make_part
-from hexjet_identify.bench.missing_evidence import describe_missing_evidence
+from hexjet_identify.bench.engine_form import EngineForm
+from hexjet_identify.bench.engine_table import engine_parameters
 from hexjet_identify.bench.record import BenchRecord
-from hexjet_identify.bench.running import SPEED_UNITS
-from hexjet_identify.bench.stretches import answer_lags, bound_short_lag, measure_spread, widen
-
-LONGEST_DELAY_S = 2.0
-LEAST_DEVIANCE_FALL = 30.0  # that the command is worth, as of a flight's log
-LEAST_LEVELS = 3  # of the command, from which on a curve can be told from a straight line
-APART = 3.29  # standard deviations by which logs of one engine may differ: p = 0.001
-LONG_RANGE = 100.5  # up to which a throttle without a unit is taken for percent
-UNIT_RANGE = 1.05  # and up to which for a share of full throttle
-MOST_PERCENT = 100.0 * UNIT_RANGE  # of a throttle that is said to be in percent
-NO_UNITS = ("", "1", "-", "0..1", "0-1", "0/1")  # of a throttle
-ENOUGH_ROWS = 4000  # of all logs; more are averaged where they are fine enough
-SHORT = 0.04  # of delay and lags together: over so long rows may be averaged
-ECU_RAMP = ("fuel_integral", "fuel_fall")  # of an ECU's fuel by error
-POOR_PREDICTION = 1.5  # times the residual of what was fitted, above which the part held back is ill explained
+from hexjet_identify.bench.remarks import describe_doubts, describe_untold
+from hexjet_identify.fit.estimate import Estimate, bound_delay, find_start, fit, fit_limits, fit_static
+from hexjet_identify.fit.evidence import Foretold, Verdict, hold_back, judge, spread_of_delay
+from hexjet_identify.fit.forms import Lags, Limits
+from hexjet_identify.fit.logs import Log
+from hexjet_identify.fit.problem import Problem
 
 
 class Choices(NamedTuple):
-    """What a user may state of bench logs."""
+    """What a user may state of bench logs.
 
-    limits: tuple[float, float] | None = None  # of the command: what throttle 0 and 1 are
-    between: str = "auto"  # rows, the command is: "held", "straight", or "auto": by how it moves
-    longest_delay: float = LONGEST_DELAY_S
+    ``limits``: what throttle 0 and 1 are; ``between`` rows the command is ``held``, ``straight``, or ``auto``: by how
+    it moves; ``longest_delay`` [s] that is looked for.
+    """
+
+    limits: tuple[float, float] | None = None
+    between: str = "auto"
+    longest_delay: float = 2.0
 
 
 @dataclass(frozen=True)
-class BenchIdentification:
-    """What bench logs tell of an engine; ``estimates`` has the chosen form first."""
+class Identification:
+    """What bench logs tell of an engine; ``estimates`` has the chosen form first.
+
+    ``total``: delay and lags together, s; ``spread``: standard deviations between several logs of the library's engine
+    as fitted to each.
+    """
 
     records: tuple[BenchRecord, ...]
     problem: Problem
     limits: tuple[float, float]
     limits_known: bool
-    straight: bool
     estimates: tuple[Estimate, ...]
-    misfit: Misfit
-    held_back: HeldBack | None  # rms of what was fitted, and of what was not
-    spread: dict[str, float]  # standard deviations between several logs, of what one engine would have alike
-    notes: tuple[str, ...]
-    untold: tuple[str, ...]
+    total: float
+    verdict: Verdict
+    held_back: tuple[Foretold, ...]
+    notes: tuple[str, ...] = ()
+    untold: tuple[str, ...] = ()
+    spread: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def chosen(self) -> Estimate:
@@ -71,122 +60,131 @@ class BenchIdentification:
         return self.estimates[0]
 
     @property
+    def engine(self) -> EngineForm | None:
+        """The engine whose own parameters were fitted, if that was asked."""
+        return self.chosen.form if isinstance(self.chosen.form, EngineForm) else None
+
+    @property
     def is_explained(self) -> bool:
-        """Whether what is left over no longer follows the command."""
-        return not self.misfit.failed
+        """Whether the chosen form explains the logs."""
+        return self.verdict.is_explained
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the logs tell delay and lags together at all."""
+        return self.chosen.form != Lags(0)
 
     @property
     def refused(self) -> list[str]:
-        """Why the model is none of this engine, a line a reason; empty where it explains the log."""
-        return [self.misfit.words] if self.misfit.failed else []
+        """Why the model is none of this engine, a line a reason; empty where it is."""
+        if not self.is_explained:
+            return ["the model does not explain the log"]
+        return [] if self.is_told else ["the log tells neither delay nor lag, the static line alone"]
 
     @property
     def judgement(self) -> Judgement:
-        """Whether the model explains the logs, by what of the residuals follows the command."""
-        return judge_model(
-            self.is_explained,
-            f"left over: {self.residual_rms:.3g} {self.records[0].output_unit}".rstrip() + " (rms)",
-            f"{100.0 * self.misfit.share:.2g} % of that follow the command (p {self.misfit.p:.2g})",
-        )
-
-    @property
-    def offset(self) -> float:
-        """Output at throttle 0, the mean of all logs."""
-        return float(np.mean(self.chosen.offsets))
+        """Whether the model explains the logs."""
+        return judge_model(self.is_explained, self.verdict.words)
 
     @property
     def residual_rms(self) -> float:
         """Root mean square of what is left over, in the output's unit."""
-        return float(np.sqrt(np.mean(self.problem.residual(self.chosen) ** 2)))
+        return float(np.sqrt(np.mean(self.chosen.residual**2)))
+
+    @property
+    def unit(self) -> str:
+        """Unit of the output as it is fitted: that of the log, or rpm or N of an engine's own."""
+        return self.records[0].output_unit if self.engine is None else self.engine.unit
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the signals, for JSON."""
-        first = self.records[0]
+        first, chosen = self.records[0], self.chosen
         channels, units = (first.command_name, first.output_name), (first.command_unit, first.output_unit)
-        return {
+        record = {
             **shared_record("engine", channels, units, self.judgement, self.refused, self.notes),
-            "logs": [str(record.path) for record in self.records],
+            "logs": [str(each.path) for each in self.records],
             "throttle_range": list(self.limits),
             "throttle_range_known": self.limits_known,
-            "between_rows": "straight" if self.straight else "held",
-            "row_s": max(record.step for record in self.records),
-            "lost_fraction": max(record.lost_fraction for record in self.records),
+            "between_rows": "straight" if self.problem.logs[0].is_straight else "held",
+            "row_s": max(each.step for each in self.records),
+            "lost_fraction": max(each.lost_fraction for each in self.records),
             "explained": self.is_explained,
-            "misfit": self.misfit._asdict() | {"failed": self.misfit.failed},
             "residual_rms": self.residual_rms,
-            "held_back_rms": None if self.held_back is None else list(self.held_back[:2]),
-            "held_back": None if self.held_back is None else self.held_back.to_dict(),
-            "delay_s": self.chosen.delay,
-            "delay_bounds_95_s": list(self.chosen.delay_bounds),
-            "estimates": [estimate_dict(estimate) for estimate in self.estimates],
-            "spread": self.spread,
+            "residual_of_swing": self.residual_rms / self.problem.swing,
+            "off": self.verdict.off,
+            "times_near": self.verdict.near,
+            "times": self.verdict.times,
+            "held_back": {"movements": [one.to_dict() for one in self.held_back]} if self.held_back else None,
+            "delay_s": chosen.delay,
+            "delay_bounds_95_s": list(chosen.delay_bounds),
+            "estimates": [self._estimate_dict(each) for each in self.estimates],
+            "spread": dict(self.spread),
             "not_told": list(self.untold),
+        }
+        if self.engine is not None:
+            values, deviations = ({name: pair[k] for name, pair in chosen.numbers.items()} for k in (0, 1))
+            record |= {"engine": self.engine.choices.engine, "set": dict(self.engine.choices.settings)}
+            record |= {"parameters": values, "standard_deviations": deviations}
+        return record
+
+    def _estimate_dict(self, estimate: Estimate) -> dict[str, Any]:
+        """Return one form's parameters, standard deviations and criteria, for JSON."""
+        low, high = estimate.delay_bounds
+        numbers = estimate.numbers
+        levels = estimate.levels(self.problem)
+        at = self.limits[0] + (self.limits[1] - self.limits[0]) * self.problem.knots
+        return {
+            "form": estimate.form.label,
+            **{name: value for name, (value, _) in numbers.items()},
+            "standard_deviations": {name: _finite(deviation) for name, (_, deviation) in numbers.items()},
+            "levels": [[float(a), float(b)] for a, b in zip(at, levels, strict=True)] if len(levels) else [],
+            "delay_bounds_95_s": [low, high] if np.isfinite(low) else None,
+            "noise_memory": estimate.memory,
+            "rows": len(estimate.residual),
+            "bic": estimate.bic,
         }
 
 
-def estimate_dict(estimate: Estimate) -> dict[str, Any]:
-    """Return one form's parameters, standard deviations and criteria, for JSON."""
-    names = (*estimate.form.names, "gain")
-    low, high = estimate.delay_bounds
-    return {
-        "form": estimate.form.label,
-        **{name: float(value) for name, value in zip(names, [*estimate.x, estimate.gain], strict=True)},
-        "offsets": [float(value) for value in estimate.offsets],
-        "standard_deviations": {name: estimate.deviation(i) for i, name in enumerate(names)},
-        "delay_bounds_95_s": [low, high] if np.isfinite(low) else None,
-        "noise_memory": estimate.memory,
-        "rows": estimate.rows,
-        "bic": estimate.bic,
-    }
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
-def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = None) -> BenchIdentification:
+def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = None) -> Identification:
     """Identify command to output of an engine's bench logs.
 
-    Raises NotIdentifiedError where the logs do not tell, and InputError for a range that cannot be.
+    Raises NotIdentifiedError where the logs do not move, and InputError for a range that cannot be.
     """
     choices = choices or Choices()
-    for record in records:
-        _check_moves(record)
-    notes = list(dict.fromkeys(note for record in records for note in record.notes))
+    notes: list[str] = []
     limits, known = throttle_limits(records, choices.limits, notes)
-    straight = is_straight(records, choices.between, notes)
-    problem, estimates = _fit_forms(records, limits, straight, choices.longest_delay)
-    bounded = replace(estimates[0], delay_bounds=_delay_bounds(problem, estimates))
-    estimates = (bound_short_lag(problem, bounded), *estimates[1:])
-    apart = measure_spread(problem, answer_lags(problem, estimates[0]))
-    clock = max(record.clock_deviation for record in records)
-    if straight and choices.between == "auto" and any(is_noisy(record.command) for record in records):
-        clock = float(np.hypot(clock, _half_a_row(records)))  # held between its rows, for all that is known
-    estimates = tuple(widen(problem, one, apart.deviation, clock) for one in estimates)
-    chosen = estimates[0]
-    spread, doubts = _compare_logs(problem, chosen, records)
-    left_over = problem.residual(chosen)
-    misfit = test_residuals(problem.parts, left_over, chosen.delay, chosen.total[0])
-    lacks = _lacks(problem, left_over, records[0]) if misfit.failed else []
-    held_back = predict_held_back(problem, chosen)
-    doubts += _doubt_zero(chosen, records[0], limits)
-    doubts += _doubts(chosen, misfit, held_back, records[0], output_swing(problem.parts))
-    found = BenchIdentification(
-        tuple(records), problem, limits, known, straight, estimates, misfit, held_back, spread,
-        (*notes, *apart.notes, *doubts, *lacks), (),
-    )  # fmt: skip
-    untold = describe_missing_evidence(chosen, records, limits, problem.longest_delay, straight, found.is_explained)
-    return replace(found, untold=tuple(untold))
+    fitted = _fit_lags(records, limits, choices, notes)
+    static = fit_static(fitted.problem)
+    held_back: tuple[Foretold, ...] = ()
+    if _is_static(fitted.estimates[0], static):
+        problem, best, total, estimates = fitted.problem, static, 0.0, (static, *fitted.estimates)
+    else:
+        fitted = _fit_more(fitted, notes)
+        problem, best = fitted.problem, fitted.estimates[0]
+        total = best.form.total(best.x)
+        held_back = hold_back(problem, best, total)
+        estimates = (replace(best, delay_bounds=_bounds(fitted, records, total, notes)), *fitted.estimates[1:])
+    verdict = judge(problem, best, total, held_back)
+    notes += [note for record in records for note in record.notes]
+    found = Identification(
+        tuple(records), problem, limits, known, estimates, total, verdict, held_back, tuple(dict.fromkeys(notes))
+    )
+    found = compare_logs(found)
+    return replace(found, notes=(*describe_doubts(found), *found.notes), untold=tuple(describe_untold(found)))
 
 
-def _fit_forms(
-    records: Sequence[BenchRecord], limits: tuple[float, float], straight: bool, longest_delay: float
-) -> tuple[Problem, tuple[Estimate, ...]]:
-    """Return logs, averaged where they are far finer than the answer, and all forms, the likeliest first."""
-    parts = [make_part(record, limits, straight) for record in records]
-    problem = Problem(parts, _longest(records, longest_delay))
-    problem, base = _average(problem, fit(problem, Form()))
-    _check_answer(problem, base, ", ".join(str(record.path) for record in records))
-    return problem, _choose(problem, base, records)
+def _is_static(best: Estimate, static: Estimate, clear: float = 10.0, wide: float = 0.5) -> bool:
+    """Return whether delay and lags are not told: without them BIC is hardly worse, or the bounds of both are wide."""
+    value, deviation = best.total
+    return static.bic < best.bic + clear or 1.96 * deviation >= wide * value
 
 
-def _check_moves(record: BenchRecord) -> None:
+def check_moves(record: BenchRecord) -> None:
+    """Raise NotIdentifiedError for a log in which command or output stands still."""
     inside = record.command_times <= record.times[-1]
     if not inside.any() or not np.ptp(record.command[inside]) > 0.0:
         raise NotIdentifiedError(
@@ -197,190 +195,210 @@ def _check_moves(record: BenchRecord) -> None:
         raise NotIdentifiedError(f"{record.path}: {record.output_name} does not move")
 
 
-def _longest(records: Sequence[BenchRecord], longest: float) -> float:
-    span = min(float(record.times[-1] - record.times[0]) for record in records)
-    return min(longest, 0.5 * span)
-
-
 def throttle_limits(
-    records: Sequence[BenchRecord], given: tuple[float, float] | None, notes: list[str]
+    records: Sequence[BenchRecord], given: tuple[float, float] | None, notes: list[str], room: float = 0.05
 ) -> tuple[tuple[float, float], bool]:
-    """Return what throttle 0 and 1 are, and whether that is known: as given, by the unit, or by how far it goes."""
+    """Return what throttle 0 and 1 are, and whether that is known: as given, by the unit, or by how far it goes.
+
+    ``room``: the share of the range by which a command may go beyond its ends.
+    """
     low = min(float(record.command.min()) for record in records)
     high = max(float(record.command.max()) for record in records)
-    record = records[0]
+    name, unit = records[0].command_name, records[0].command_unit
     if given is not None:
-        return _check_limits(given, low, high, record), True
-    if record.command_unit == "percent" and UNIT_RANGE < high <= MOST_PERCENT:
+        words, beyond = f"--throttle-range {given[0]:g} {given[1]:g}", room * (given[1] - given[0])
+        if not given[1] > given[0]:
+            raise InputError(f"{words}: the second must be above the first")
+        if low < given[0] - beyond or high > given[1] + beyond:
+            raise InputError(
+                f"{words}: {name} goes from {low:g} to {high:g}; allowed: {100.0 * room:.0f} % of the range beyond "
+                "its ends"
+            )
+        return given, True
+    is_bare = unit in ("", "1", "-", "0..1", "0-1", "0/1") and low >= 0.0
+    if unit == "percent" and 1.0 + room < high <= 100.0 * (1.0 + room):
         return (0.0, 100.0), True
-    if record.command_unit == "percent" and high <= UNIT_RANGE:
+    if unit == "us" and low >= 900.0 and high <= 2100.0:
+        notes.append(f"{name}: 1000 to 2000 us are taken for throttle 0 to 1; --throttle-range LOW HIGH says otherwise")
+        return (1000.0, 2000.0), True
+    if is_bare and high <= 1.0 + room:
+        return (0.0, 1.0), True
+    if is_bare and high <= 100.5:
         notes.append(
-            f"{record.command_name} is in percent and never above {high:g}: is it a share? no engine is left; "
-            "--throttle-range 0 1 or --throttle-range 0 100 says what throttle 0 and 1 are"
+            f"{name} goes from {low:g} to {high:g} and has no unit: taken for percent; --throttle-range LOW HIGH says "
+            "what throttle 0 and 1 are"
+        )
+        return (0.0, 100.0), True
+    if unit == "percent" and high <= 1.0 + room:
+        notes.append(
+            f"{name} is in percent and never above {high:g}: is it a share? no engine is left; --throttle-range 0 1 or "
+            "--throttle-range 0 100 says what throttle 0 and 1 are"
         )
         return (0.0, 1.0), False
-    is_bare = record.command_unit in NO_UNITS and low >= 0.0
-    if is_bare and high <= UNIT_RANGE:
-        return (0.0, 1.0), True
-    if is_bare and high <= LONG_RANGE:
-        notes.append(
-            f"{record.command_name} goes from {low:g} to {high:g} and has no unit: taken for percent; "
-            "--throttle-range LOW HIGH says what throttle 0 and 1 are"
-        )
-        return (0.0, 100.0), True
     notes.append(
-        f"what throttle 0 and 1 are is not known ({record.command_name} goes from {low:g} to {high:g}): the gain is "
-        "that of this range, and no engine is left; --throttle-range LOW HIGH says it"
+        f"what throttle 0 and 1 are is not known ({name} goes from {low:g} to {high:g}): the gain is that of this "
+        "range, and no engine is left; --throttle-range LOW HIGH says it"
     )
     return (low, high), False
 
 
-def _check_limits(given: tuple[float, float], low: float, high: float, record: BenchRecord) -> tuple[float, float]:
-    """Return what throttle 0 and 1 are, as given.  Raises InputError where the command goes far beyond that."""
-    words, room = f"--throttle-range {given[0]:g} {given[1]:g}", (UNIT_RANGE - 1.0) * (given[1] - given[0])
-    if not given[1] > given[0]:
-        raise InputError(f"{words}: the second must be above the first")
-    if low < given[0] - room or high > given[1] + room:
-        raise InputError(
-            f"{words}: {record.command_name} goes from {low:g} to {high:g}; allowed: {100.0 * (UNIT_RANGE - 1.0):.0f} "
-            "% of the range beyond its ends"
-        )
-    return given
+def as_log(record: BenchRecord, limits: tuple[float, float], is_straight: bool) -> Log:
+    """Return a record with its command as a share of a range.
 
-
-def is_straight(records: Sequence[BenchRecord], between: str, notes: list[str]) -> bool:
-    """Return whether commands go straight between rows; ``auto`` by how they move, which ``notes`` then says."""
-    if between != "auto":
-        return between == "straight"
-    straight = any(moves_on(record.command) for record in records)
-    if straight:
-        half = 1e3 * _half_a_row(records)
-        notes.append(
-            f"{records[0].command_name} moves from row to row: taken for straight between rows; if it is held, the "
-            f"delay is {half:.3g} ms less (--between held)"
-        )
-    return straight
-
-
-def _half_a_row(records: Sequence[BenchRecord]) -> float:
-    return 0.5 * max(float(np.median(np.diff(record.command_times))) for record in records)
-
-
-def _average(problem: Problem, base: Estimate) -> tuple[Problem, Estimate]:
-    """Return logs whose rows are far finer than the answer with fewer rows, and the fit of them.
-
-    The model is averaged as the rows are, and over so short a part of delay and lags nothing is lost.
+    A held command that moves after rows that are lost moves in the middle of them, for all that is known.
     """
-    if len(problem.output) <= ENOUGH_ROWS:
-        return problem, base
-    parts = [part.averaged(SHORT * base.total[0]) for part in problem.parts]
-    fewer = Problem(parts, problem.longest_delay)
-    return fewer, fit(fewer, Form(), base)
+    command, times = (record.command - limits[0]) / (limits[1] - limits[0]), record.command_times
+    if not is_straight:
+        gap = np.diff(times, prepend=times[0])
+        row = float(np.median(gap[1:]))
+        unknown = (gap > 1.5 * row) & (np.diff(command, prepend=command[0]) != 0.0)
+        times = times - np.where(unknown, 0.5 * (gap - row), 0.0)
+    return Log(times, command, record.times, record.output, record.step, is_straight, record.width)
 
 
-def _check_answer(problem: Problem, base: Estimate, where: str) -> None:
-    output = problem.output
-    matrix = problem.regressors(base.form, base.x)[:, 1:]
-    linear = np.linalg.lstsq(matrix, output, rcond=None)[0]
-    left = output - matrix @ linear
-    memory = problem.memory_of(left)
-    white = problem.whiten(left, memory)
-    without = len(white) * float(np.log(max(float(white @ white), problem.floor) / len(white)))
-    fall = without + problem.scales(memory) - base.deviance
-    if not fall >= LEAST_DEVIANCE_FALL:
-        raise NotIdentifiedError(
-            f"{where}: the output does not show the command (it lowers the deviance by {fall:.1f}, "
-            f"{LEAST_DEVIANCE_FALL:g} are needed); step it farther, or look at other columns"
-        )
+def moves_on(command: Array) -> bool:
+    """Return whether a command moves from row to row where it moves at all, as a ramp does and a step does not."""
+    moved = np.diff(command) != 0.0
+    return bool((moved[1:] & moved[:-1]).sum() > 0.5 * max(moved.sum(), 1))
 
 
-def _choose(problem: Problem, base: Estimate, records: Sequence[BenchRecord]) -> tuple[Estimate, ...]:
-    """Return all forms that were tried, the least of Schwarz' criterion first; of a tie the simplest."""
-    estimates = [base, fit(problem, Form(2), base)]
-    levels = {level for record in records for level in np.round(np.unique(record.command), 6)}
-    if len(levels) >= LEAST_LEVELS:
-        curve = fit(problem, Form(1, True), base)
-        estimates += [curve, fit(problem, Form(2, True), curve)]
-    return tuple(sorted(estimates, key=lambda one: one.bic))
+def make_problem(logs: Sequence[Log], longest_delay: float, most_levels: int = 12) -> Problem:
+    """Return logs as a problem: levels where the command stood if they are few, else evenly over its range."""
+    command = np.concatenate([log.command for log in logs])
+    levels = np.unique(np.round(command, 4))
+    if len(levels) > most_levels:
+        levels = np.linspace(command.min(), command.max(), most_levels)
+    span = min(float(log.times[-1] - log.times[0]) for log in logs)
+    return Problem(logs, levels, min(longest_delay, 0.5 * span))
 
 
-def _delay_bounds(problem: Problem, estimates: Sequence[Estimate]) -> tuple[float, float]:
-    """Return bounds of the delay, s: those of the form with two lags, which contains that with one."""
-    lags, curve = estimates[0].form
-    two = next(one for one in estimates if one.form == Form(2, curve))
-    return bound_delay(problem, two, lags == 2)
+class _Fitted(NamedTuple):
+    """Forms as fitted, the best first; the other way to read a command between rows, if it may be either."""
+
+    problem: Problem
+    estimates: tuple[Estimate, ...]
+    two_lags: Estimate
+    other: tuple[Problem, Estimate] | None = None
+    is_doubtful: bool = False
 
 
-def _compare_logs(
-    problem: Problem, chosen: Estimate, records: Sequence[BenchRecord]
-) -> tuple[dict[str, float], list[str]]:
-    """Return how far several logs of one engine are apart, and what is to be said of that."""
-    if len(problem.parts) < 2:
-        return {}, []
-    spread, doubts = {}, []
-    for name, values, deviations in _fit_alone(problem, chosen):
-        more = float(np.var(values, ddof=1) - np.mean(deviations**2))
-        spread[name] = float(np.sqrt(max(more, 0.0)))
-        order = np.argsort(values)
-        first, last = int(order[0]), int(order[-1])
-        if values[last] - values[first] > APART * float(np.hypot(deviations[first], deviations[last])):
-            doubts.append(
-                f"{name} is {values[first]:.4g} in {records[first].path.name} and {values[last]:.4g} in "
-                f"{records[last].path.name}, farther apart than noise: two engines, or another day; the spread is kept"
+def _fit_lags(
+    records: Sequence[BenchRecord], limits: tuple[float, float], choices: Choices, notes: list[str], rows: int = 1500
+) -> _Fitted:
+    """Fit one lag and two; a command that moves from row to row both as held and as straight, if neither is said.
+
+    More than so many ``rows`` are averaged where they are far finer than the answer.
+    """
+    for record in records:
+        check_moves(record)
+    is_open = choices.between == "auto" and any(moves_on(record.command) for record in records)
+    ways = (True, False) if is_open else (choices.between == "straight",)
+    first = make_problem([as_log(record, limits, ways[0]) for record in records], choices.longest_delay)
+    start = find_start(first)
+    most = min(0.04 * Lags(1).total(start), len(first.output) / rows * first.step)
+    found = []
+    for straight in ways:
+        logs = [as_log(record, limits, straight).averaged(most) for record in records]
+        problem, near = make_problem(logs, choices.longest_delay), start.copy()
+        if is_open and not straight:
+            near[0] = max(start[0] - 0.5 * logs[0].command_row, 0.0)
+        one = fit(problem, Lags(1), near)
+        two = fit(problem, Lags(2), np.array([*one.x, 0.2]))
+        found.append(_Fitted(problem, tuple(sorted((one, two), key=lambda each: each.bic)), two))
+    found.sort(key=lambda each: each.estimates[0].bic)
+    if not is_open:
+        return found[0]
+    best, other = found
+    row = max(float(np.median(np.diff(record.command_times))) for record in records)
+    is_doubtful = other.estimates[0].bic - best.estimates[0].bic < 20.0
+    name, taken = records[0].command_name, "straight" if best.problem.logs[0].is_straight else "held"
+    notes.append(
+        f"{name} moves from row to row: taken for {taken} between rows, as it fits better; --between says which"
+        + (f".  Hardly: half a row, {500.0 * row:.3g} ms, is in the delay's bounds" if is_doubtful else "")
+    )
+    return best._replace(other=(other.problem, _one_lag(other)), is_doubtful=is_doubtful)
+
+
+def _one_lag(fitted: _Fitted) -> Estimate:
+    return next(each for each in fitted.estimates if each.form == Lags(1))
+
+
+def _fit_more(fitted: _Fitted, notes: list[str], least: float = 0.003, clear: float = 10.0) -> _Fitted:
+    """Try limits of rise and fall, then a gain that drifts, where lags leave more than ``least`` of the range.
+
+    Either is taken where BIC falls by ``clear`` and a fifth of the residual's power goes.
+    """
+    problem, best = fitted.problem, fitted.estimates[0]
+    off = judge(problem, best, best.form.total(best.x), ()).off
+    if off <= least or not any(len(log.find_movements(0.0)) > 2 for log in problem.logs):
+        return fitted
+    power = float(np.mean(best.residual**2))
+    tried = [(problem, _one_lag(fitted)), *([fitted.other] if fitted.other else [])]
+    limited = [(own, fit_limits(own, lag)) for own, lag in tried]
+    own, limits = min(limited, key=lambda each: float(np.mean(each[1].residual ** 2)))
+    memory = problem.memory_of(best.residual)
+    rows = len(problem.output) * (1.0 - memory) / (1.0 + memory)
+    left = float(np.mean(limits.residual**2))
+    if left < 0.8 * power and rows * np.log(power / left) - 2.0 * np.log(rows) > clear:
+        return fitted._replace(problem=own, estimates=(limits, *fitted.estimates))
+    span = max(float(np.ptp(log.times)) for log in problem.logs)
+    since = np.concatenate([(log.times - log.times[0]) / span - 0.5 for log in problem.logs])
+    model = best.answer(problem)
+    drifting = replace(problem, drift=np.column_stack([model * since, model * since**2]))
+    one = fit(drifting, Lags(1), _one_lag(fitted).x)
+    two = fit(drifting, Lags(2), np.array([*one.x, 0.2]))
+    found = min((one, two), key=lambda each: each.bic)
+    if not (best.bic - found.bic > clear and float(np.mean(found.residual**2)) < 0.8 * power):
+        return fitted
+    slope, bend = found.linear[-2:]
+    share = 100.0 * float(np.ptp(slope * since + bend * since**2))
+    notes.append(f"the gain drifts by {share:.2g} % over the log; the numbers are those of its middle")
+    return fitted._replace(problem=drifting, estimates=tuple(sorted((one, two), key=lambda e: e.bic)), two_lags=two)
+
+
+def _bounds(fitted: _Fitted, records: Sequence[BenchRecord], total: float, notes: list[str]) -> tuple[float, float]:
+    """Return 95 % bounds of the delay, s: those of two lags, which contain one, by their profile.
+
+    A held command may have moved a row before it is logged; half a row is not known where it may be held or straight.
+    """
+    problem, best = fitted.problem, fitted.estimates[0]
+    half = 1.96 * best.deviation(0)
+    low, high = best.delay - half, best.delay + half
+    if not isinstance(best.form, Limits):
+        ends = bound_delay(problem, fitted.two_lags)
+        low, high = min(low, ends[0]), max(high, ends[1])
+    row = max(float(np.median(np.diff(record.command_times))) for record in records)
+    if fitted.is_doubtful:
+        low, high = low - 0.5 * row, high + 0.5 * row
+    if fitted.other is None and not problem.logs[0].is_straight:
+        wider = spread_of_delay(problem, best, total, row)
+        low, high = low - wider, high + row + wider
+        if wider > 0.1 * total:
+            notes.append(
+                f"movements are answered earlier and later than the model says: bounds are {1e3 * wider:.3g} ms wider"
             )
-    return spread, doubts
+    return max(low, 0.0), min(high, problem.max_delay + row)
 
 
-def _fit_alone(problem: Problem, chosen: Estimate) -> list[tuple[str, Array, Array]]:
-    """Fit a form to each log alone: of each parameter, the gain last, its name, values and standard deviations."""
-    fits = [fit(Problem([part], problem.longest_delay), chosen.form, chosen) for part in problem.parts]
-    values = np.array([[*one.x, one.gain] for one in fits]).T
-    return [
-        (name, values[i], np.array([one.deviation(i) for one in fits]))
-        for i, name in enumerate((*chosen.form.names, "gain"))
-    ]
-
-
-def _doubt_zero(chosen: Estimate, record: BenchRecord, limits: tuple[float, float]) -> list[str]:
-    """Return what is to be said where the static curve is below no thrust at no throttle, by more than noise."""
-    offset, rows = float(np.mean(chosen.offsets)), slice(len(chosen.x) + 1, len(chosen.x) + 1 + len(chosen.offsets))
-    deviation = float(np.sqrt(np.mean(chosen.covariance[rows, rows])))
-    if record.newtons is None or chosen.gain < 0.0 or not offset < -APART * deviation:
-        return []
-    crossing = min(-offset / chosen.gain, 1.0) ** (1.0 / chosen.form.split(chosen.x)[3])
-    return [
-        f"the static curve is below 0 up to {record.command_name} {limits[0] + (limits[1] - limits[0]) * crossing:.2g} "
-        f"({offset:.3g} {record.output_unit} at {limits[0]:g}), where an engine that is left gives no thrust: is it "
-        "the load cell's zero? then take it out of the column first"
-    ]
-
-
-def _lacks(problem: Problem, left_over: Array, record: BenchRecord) -> list[str]:
-    lacks = [describe_lack(problem.parts, left_over)]
-    if record.command_unit in SPEED_UNITS and record.output_unit in SPEED_UNITS:
-        options = " ".join(f"--fit {name}" for name in ECU_RAMP)
-        lacks.append(
-            f"a speed that follows its set-point is a turbine's under an ECU: try --engine jetcat-p300 {options}"
-        )
-    return lacks
-
-
-def _doubts(
-    chosen: Estimate, misfit: Misfit, held_back: HeldBack | None, record: BenchRecord, swing: float
-) -> list[str]:
-    doubts = []
-    if chosen.gain < 0.0:
-        doubts.append(
-            f"{record.output_name} falls where {record.command_name} rises; if the load cell's sign is the other one: "
-            f"--output=-{record.output_name}"
-        )
-    if misfit.failed:
-        doubts.append(misfit.words)
-    if held_back is not None and held_back.others > POOR_PREDICTION * held_back.fitted:
-        doubts.append(describe_held_back(held_back, record.output_unit, swing))
-    if chosen.delay_bounds[0] == 0.0:
-        doubts.append(
-            "no delay at all is within the bounds: an engine without one, or an output that moves before its command, "
-            "as where columns are swapped or clocks are apart"
-        )
-    return doubts
+def compare_logs(found: Identification, apart: float = 3.29) -> Identification:
+    """Return it with the spread between several logs; those of one engine are not ``apart`` by so many deviations."""
+    logs, chosen = found.problem.logs, found.chosen
+    if len(logs) < 2 or not found.is_told or isinstance(chosen.form, Limits) or found.problem.drift.size:
+        return found
+    alone = []
+    for log, record in zip(logs, found.records, strict=True):
+        problem = make_problem([log], found.problem.max_delay)
+        one = fit(problem, chosen.form, chosen.x)
+        alone.append(engine_parameters(replace(found, records=(record,), problem=problem, estimates=(one,))))
+    spread, notes = {}, []
+    for row, name in enumerate(alone[0].names):
+        values, deviations = (np.array([getattr(one, key)[row] for one in alone]) for key in ("values", "deviations"))
+        spread[name] = float(np.sqrt(max(np.var(values, ddof=1) - np.mean(deviations**2), 0.0)))
+        low, high = int(np.argmin(values)), int(np.argmax(values))
+        if values[high] - values[low] > apart * np.hypot(deviations[low], deviations[high]):
+            notes.append(
+                f"{name} is {values[low]:.4g} in {found.records[low].path.name} and {values[high]:.4g} in "
+                f"{found.records[high].path.name}, farther apart than noise: two engines, or another day; the spread "
+                "is kept"
+            )
+    return replace(found, spread=spread, notes=(*notes, *found.notes))

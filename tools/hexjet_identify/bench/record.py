@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -13,15 +13,21 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from hexjet_identify.bench.clocks import align, align_by_command, split_clocks
-from hexjet_identify.bench.running import SLOW_ROWS_S, describe_adrift, find_running, find_speed
+from hexjet_identify.bench.running import SLOW_ROWS_S, describe_adrift, find_running
 from hexjet_identify.logs.flight_log import Channel, FlightLog, unit_of
-from hexjet_identify.logs.read import is_table, read_columns, read_flight_log
-from hexjet_identify.logs.table import NO_NUMBERS, make_log
+from hexjet_identify.logs.read import read_flight_log
+from hexjet_identify.logs.table import NO_NUMBERS
 
 LEAST_ROWS = 20  # with fewer no noise is told from an answer
 MOST_ROWS = 20_000  # more are averaged
-COMMANDS = (r"throttle", r"pla\b", r"set.?point|demand|target", r"command|cmd", r"pwm|servo")  # the likeliest first
+COMMANDS = (
+    r"throttle",
+    r"\besc\b",
+    r"pla\b",
+    r"set.?point|demand|target",
+    r"command|cmd",
+    r"pwm|servo",
+)  # the likeliest first
 OUTPUTS = (r"thrust|schub|pouss", r"force|load|^f\b", r"rpm|speed|\bn1\b|\bn\b")
 NO_OUTPUT = r"clip|flag|set.?point|demand|target|command|cmd|throttle|pump|air.?speed"
 NEWTONS = {
@@ -74,7 +80,6 @@ class BenchRecord:
     lost_fraction: float
     notes: tuple[str, ...] = ()
     width: float = 0.0  # s, over which each row of the output is a mean
-    clock_deviation: float = 0.0  # s, of the output's clock on the command's; infinite where nothing tells it
 
     @property
     def newtons(self) -> float | None:
@@ -85,19 +90,10 @@ class BenchRecord:
 def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[BenchRecord]:
     """Read bench logs: a record a file, or several where the engine was started more than once.
 
-    A file with an output and no command is the load cell's, on a clock of its own, of the file before it.  Raises
-    InputError: one line with file, column and what is allowed.
+    Raises InputError: one line with file, column and what is allowed.
     """
     columns = columns or Columns()
-    logs = [log for path in paths for log in _read_logs(path, columns)]
-    alone = [len(logs) > 1 and _has_no_command(log, columns) for log in logs]
-    for n, log in enumerate(logs):
-        if alone[n] and (n == 0 or alone[n - 1]):
-            raise InputError(f"{log.path}: has no command; put the file that has it right before it")
-    records: list[BenchRecord] = []
-    for log, is_load, load, follows in zip(logs, alone, [*logs[1:], None], [*alone[1:], False], strict=True):
-        if not is_load:
-            records += _read_records(log, load if follows else None, columns)
+    records = [record for path in paths for record in _read_records(path, columns)]
     first = records[0]
     for other in records[1:]:
         if (other.output_unit, other.command_unit) != (first.output_unit, first.command_unit):
@@ -109,78 +105,31 @@ def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[
     return records
 
 
-def _read_logs(path: Path, columns: Columns) -> list[FlightLog]:
-    """Read a file: a log, or of a table of several clocks that with the command and that with the output behind it."""
-    if columns.time is not None or not is_table(path):
-        return [read_flight_log(path, columns.time, columns.time_unit)]
-    table = read_columns(path)
-    clocks = split_clocks(path, table, columns.time_unit)
-    if not clocks:
-        return [make_log(path, table, None, columns.time_unit)]
-    first = next((log for log in clocks if not _has_no_command(log, columns)), None)
-    every = FlightLog(path, "table", {name: channel for log in clocks for name, channel in log.channels.items()})
-    output = columns.output or _find(every, OUTPUTS, NO_OUTPUT, "--output")
-    second = next((log for log in clocks if log.has(output)), None)
-    if first is None or second is None:
-        wrong = columns.command or _find(every, COMMANDS, "", "--command") if first is None else output
-        raise InputError(f"{path}: {wrong} is on none of its clocks alone; cut the file in one for each clock")
-    return [first] if first is second else [first, second]
-
-
-def _has_no_command(log: FlightLog, columns: Columns) -> bool:
-    if columns.command is not None:
-        return not log.has(columns.command)
-    return not any(re.search(each, name.replace("_", " "), re.IGNORECASE) for each in COMMANDS for name in log.channels)
-
-
-def _read_records(log: FlightLog, load: FlightLog | None, columns: Columns) -> list[BenchRecord]:
-    """Return the records of a log, whose output is another's where a load cell has a clock of its own."""
+def _read_records(path: Path, columns: Columns) -> list[BenchRecord]:
+    log = read_flight_log(path, columns.time, columns.time_unit)
     command_name = columns.command or _find(log, COMMANDS, "", "--command")
-    source = log if load is None else load
-    output_name = columns.output or _find(source, OUTPUTS, NO_OUTPUT, "--output")
-    notes = list(log.remarks) + ([] if load is None else list(load.remarks))
+    output_name = columns.output or _find(log, OUTPUTS, NO_OUTPUT, "--output")
+    notes = list(log.remarks)
     if columns.command is None or columns.output is None:
         notes.append(f"taken: {command_name} to {output_name}; --command and --output say otherwise")
-    command, output = log.signal(command_name, notes), source.signal(output_name, notes)
-    command = _cut(command, columns)
-    _check(log.path, command_name, command)
-    flagged, deviation = _flagged(source, columns if load is None else Columns()), 0.0
-    if load is not None:
-        clock, deviation = _lay_on(log, load, _cut(output, Columns()), flagged, command, columns, notes)
-        output, flagged = output._replace(times=clock(output.times)), clock(flagged)
-    output = _cut(output, columns)
-    _check(source.path, output_name, output)
-    _check_row(source.path, output.times, columns.time_unit is None, notes)
+    command, output = (_cut(log.signal(name, notes), columns) for name in (command_name, output_name))
+    _check(path, command_name, command)
+    _check(path, output_name, output)
+    _check_row(path, output.times, columns.time_unit is None, notes)
+    marked = [_cut(channel, columns) for name, channel in log.channels.items() if CLIPPED.fullmatch(name)]
+    flagged = np.concatenate([np.empty(0), *(channel.times[channel.values != 0.0] for channel in marked)])
     spans = find_running(log, command, output, notes)
     moved = [span for span in spans if np.ptp(_between(command, *span).values) > 0.0] or spans[:1]
     records = []
     for span in moved:
         asked, answered = (command_name, _between(command, *span)), (output_name, _between(output, *span))
-        adrift = describe_adrift(asked, answered)
-        records.append(_clean(source.path, asked, answered, flagged, [*notes, *adrift], deviation))
+        records.append(_clean(path, asked, answered, flagged, [*notes, *describe_adrift(asked, answered)]))
     return records
 
 
 def _between(channel: Channel, begin: float, end: float) -> Channel:
     use = (channel.times >= begin) & (channel.times <= end)
     return channel._replace(times=channel.times[use], values=channel.values[use])
-
-
-def _lay_on(
-    log: FlightLog, load: FlightLog, output: Channel, flagged: Array, command: Channel, columns: Columns,
-    notes: list[str],
-) -> tuple[Callable[[Array], Array], float]:  # fmt: skip
-    """Return how to get from a load cell's clock to that of the command's log, and the deviation [s] of that."""
-    where = f"{log.path} and {load.path}"
-    use = ~np.isin(output.times, flagged) & ~_at_the_stop(output.values)
-    speed = find_speed(log)
-    if speed is not None:
-        found = align(speed.times, speed.values, output.times[use], output.values[use], where)
-        notes.append(found.words)
-        return found.on_the_other, found.shift_deviation
-    shift, words = align_by_command(command, output.times[use], output.values[use], where)
-    notes.append(words)
-    return lambda times: times + shift, np.inf
 
 
 def _find(log: FlightLog, patterns: Sequence[str], never: str, option: str) -> str:
@@ -231,16 +180,9 @@ def _check_row(path: Path, times: Array, by_name: bool, notes: list[str]) -> Non
         )
 
 
-def _flagged(log: FlightLog, columns: Columns) -> Array:
-    """Return the times of rows that a column called ``clipped`` marks."""
-    marked = [_cut(channel, columns) for name, channel in log.channels.items() if CLIPPED.fullmatch(name)]
-    return np.concatenate([np.empty(0), *(channel.times[channel.values != 0.0] for channel in marked)])
-
-
 def _clean(
-    path: Path, command: tuple[str, Channel], output: tuple[str, Channel], flagged: Array, notes: list[str],
-    clock_deviation: float,
-) -> BenchRecord:  # fmt: skip
+    path: Path, command: tuple[str, Channel], output: tuple[str, Channel], flagged: Array, notes: list[str]
+) -> BenchRecord:
     """Return a record without repeated times and clipped rows, averaged where there are very many."""
     (command_name, given), (output_name, measured) = command, output
     _check(path, output_name, measured)
@@ -281,7 +223,7 @@ def _clean(
     unit = unit_of(output_name, measured.unit)
     return BenchRecord(
         path, command_name, output_name, unit_of(command_name, given.unit), unit,
-        *commands, times, values, step, lost, tuple(notes), width, clock_deviation,
+        *commands, times, values, step, lost, tuple(notes), width,
     )  # fmt: skip
 
 

@@ -2,311 +2,165 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cosim.base.arrays import Array
 from cosim.base.storage.toml import toml_text
 from cosim.files import data_folder
 from cosim.identify.page import WITH_BOUNDS, Signals, draw_signals, judged_page
 from cosim.pages import Card, Page
-from cosim.results.report.plot import BLUE, GREY, HOVER, panels, trace
-from hexjet_identify.bench.evidence import MOVEMENT_COLUMNS, HeldBack, describe_held_back, movement_rows, output_swing
-from hexjet_identify.bench.fit import Estimate, Part
-from hexjet_identify.bench.identify import BenchIdentification
-from hexjet_identify.engine_file import (
-    DEVIATIONS_95,
-    FITTED,
-    FITTED_STEP_S,
-    LARGEST_SAMPLES,
-    engine_readme,
-    uncertainty_table,
-    whole_delay,
-    write_with_engine,
-)
+from cosim.results.report.plot import BLUE, HOVER, panels, trace
+from hexjet_identify.bench.engine_table import engine_table, own_engine_table, why_no_engine
+from hexjet_identify.bench.identify import Identification
+from hexjet_identify.engine_file import DEVIATIONS_95, FITTED, engine_readme, write_with_engine
+from hexjet_identify.fit.estimate import Estimate
+from hexjet_identify.fit.evidence import MOVEMENT_COLUMNS, describe_movements
 
 BOUNDS = (
-    "The first model is the one that is written: the least of Schwarz' criterion. The delay's bounds are those of its "
-    "profile likelihood with two lags, wider by the spread of its stretches; the others are 1.96 standard deviations. "
-    "They hold where the model explains the log."
+    "The first model is the one that is written. The delay's bounds are those of its profile likelihood with two lags, "
+    "or 1.96 standard deviations like the others; they hold where the model explains the log."
 )
-TOLD = "delay, lags, gain and curve within its range are told"
-NO_LONGER = "they no longer follow the command"
-NOT_TOLD = "delay and lags: none explains the log, and no further step would change that; the notes say what they lack"
+# What a parameter is called on a page, and by how much its number is multiplied there.
+NAMES = {
+    "delay_s": ("delay, ms", 1e3),
+    "lag_s": ("lag, ms", 1e3),
+    "second_lag_s": ("second lag, ms", 1e3),
+    "rise": ("fastest rise", 1.0),
+    "fall": ("fastest fall", 1.0),
+}
 
 
-def why_no_engine(result: BenchIdentification) -> str:
-    """Return why no engine is left, or an empty string where one is."""
-    record = result.records[0]
-    if record.newtons is None:
-        how = "" if record.output_unit else f": {record.output_name}_N or {record.output_name} [kN] in the head says so"
-        return f"{record.output_name} is in {record.output_unit or 'no unit'}; an engine's output is a thrust in N{how}"
-    if not result.limits_known:
-        return "what throttle 0 and 1 are is not known: --throttle-range LOW HIGH"
-    if not result.is_explained:
-        return "the model does not explain the log"
-    if not result.chosen.gain > 0.0:
-        return "the thrust falls where the throttle rises"
-    if result.chosen.delay > LARGEST_SAMPLES * FITTED_STEP_S:
-        return f"its delay is longer than {LARGEST_SAMPLES * FITTED_STEP_S:g} s"
-    return ""
-
-
-def write(result: BenchIdentification, folder: Path) -> dict[str, Path]:
-    """Write ``identification.json``, ``report.html`` and, where there is an engine, ``engine.toml``, ``.fmu``, README.
+def write(found: Identification, folder: Path) -> dict[str, Path]:
+    """Write ``identification.json``, ``report.html`` and, where there is one, the engine's files.
 
     Raises FlightError if a file cannot be written.
     """
-    texts, archive = {}, None
-    if not why_no_engine(result):
-        texts = {"engine": toml_text(engine_table(result)), "readme": readme(result)}
-        archive = data_folder("fmus") / f"{FITTED}.fmu"
-    return write_with_engine(folder, result.to_dict(), page(result), texts, archive)
+    texts, archive, own = {}, None, found.engine
+    if not why_no_engine(found):
+        table = engine_table(found) if own is None else own_engine_table(found, own)
+        texts = {"engine": toml_text(table), "readme": readme(found)}
+        archive = data_folder("fmus") / f"{FITTED}.fmu" if own is None else own.spec.archive.path
+    return write_with_engine(folder, found.to_dict(), page(found), texts, archive)
 
 
-def page(result: BenchIdentification) -> Page:
+def page(found: Identification) -> Page:
     """Return the page of an identification."""
-    held = describe_held(result) or "nothing could be held back to test it"
-    size, share = result.judgement.evidence
-    left_over = f"{size[0].upper()}{size[1:]}, {share}; {held}."
-    columns = [WITH_BOUNDS, *(estimate.form.label for estimate in result.estimates)]
-    untold = result.untold or (TOLD if result.is_explained else NOT_TOLD,)
+    first, held_back = found.records[0], found.held_back
+    units = first.command_unit or first.command_name, found.unit
+    columns = [WITH_BOUNDS, *(estimate.form.label for estimate in found.estimates)]
+    movements = describe_movements(held_back, found.unit, found.problem.swing)
+    text = "Each by the model as fitted to every second movement, not to this one; times since the command moves."
     cards = [
-        Card("Models", columns, rows(result), BOUNDS),
-        Card("What the log does not tell, and the next test", text=left_over, lines=untold),
-        *movement_cards(result.held_back, result.records[0].output_unit, output_swing(result.problem.parts)),
+        Card("Models", columns, rows(found, every=True), BOUNDS),
+        Card("What the log does not tell, and the next test", lines=found.untold or ("nothing that was asked",)),
+        *([Card("Movements, foretold", MOVEMENT_COLUMNS, movements, text)] if held_back else []),
         Card("Measured and modelled", figure="signals"),
-        Card("Static curve", figure="curve"),
+        *([Card("Static line", figure="curve")] if len(found.chosen.levels(found.problem)) else []),
     ]
-    first, low, high = result.records[0], *result.limits
-    signals = lay_behind(result.problem.parts, result.problem.residual(result.chosen), (low, high))
-    units = first.command_unit or first.command_name, first.output_unit
-    figures = {"signals": draw_signals(signals, units), "curve": draw_curve(result)}
-    source = " ".join(str(record.path) for record in result.records)
-    reason = why_no_engine(result)
+    figures = {"signals": draw_signals(_signals(found), units)}
+    if len(found.chosen.levels(found.problem)):
+        figures["curve"] = _draw_levels(found)
+    reason = why_no_engine(found)
     shown = Page(
         "identification from a bench",
-        ", ".join(record.path.name for record in result.records),
+        ", ".join(record.path.name for record in found.records),
         cards,
         figures,
-        summary=[summary(result)],
+        summary=[summary(found)],
         problems=[f"no engine: {reason}"] if reason else [],
-        notes=result.notes,
-        source=source,
+        notes=found.notes,
+        source=" ".join(str(record.path) for record in found.records),
     )
-    return judged_page(result.judgement, shown)
+    return judged_page(found.judgement, shown)
 
 
-def describe_held(result: BenchIdentification) -> str:
-    """Describe how far the model is off where it was not fitted; empty where nothing could be held back."""
-    if result.held_back is None:
-        return ""
-    return describe_held_back(result.held_back, result.records[0].output_unit, output_swing(result.problem.parts))
-
-
-def movement_cards(held_back: HeldBack | None, unit: str, swing: float) -> list[Card]:
-    """Return the card of the movements that were foretold, where there are any."""
-    if held_back is None or not held_back.movements:
-        return []
-    text = "Each by the model as fitted to every second movement, not to this one; times since the command moves."
-    return [Card("Movements, foretold", MOVEMENT_COLUMNS, movement_rows(held_back, unit, swing), text)]
-
-
-def lay_behind(parts: Sequence[Part], left_over: Array, limits: tuple[float, float] = (0.0, 1.0)) -> Iterator[Signals]:
-    """Yield logs behind each other in time; ``limits``: what command 0 and 1 are."""
-    begin, shift, (low, high) = 0, 0.0, limits
-    for part in parts:
-        residual = left_over[begin : begin + len(part.times)]
-        times, values = _corners(part.command_times, low + (high - low) * part.command, part.straight)
-        yield Signals(times + shift, values, part.times + shift, part.output, part.output - residual, residual)
-        begin, shift = begin + len(part.times), shift + float(part.times[-1]) + 5.0
-
-
-def engine_table(result: BenchIdentification) -> dict[str, object]:
-    """Return the mapping file's table: the library's engine ``fitted`` with the numbers found and ``[uncertainty]``."""
-    chosen, unit = result.chosen, result.records[0].newtons or 1.0
-    _, lag, ratio, exponent = chosen.form.split(chosen.x)
-    parameters: dict[str, object] = {
-        "gain": unit * chosen.gain,
-        "offset": unit * result.offset,
-        "lag": lag,
-        "delay_samples": whole_delay(chosen.delay / FITTED_STEP_S, 0.0)[0],
-    }
-    parameters |= {"lag_2": ratio * lag} if chosen.form.lags == 2 else {}
-    parameters |= {"exponent": exponent} if chosen.form.curve else {}
-    return {
-        "fmu": "engine.fmu",
-        "title": f"Engine fitted to {', '.join(record.path.name for record in result.records)}",
-        "parameters": parameters,
-        "uncertainty": uncertainty(result),
-    }
-
-
-def uncertainty(result: BenchIdentification) -> dict[str, object]:
-    """Return the parameters' standard deviations and correlation, and their spread between several logs.
-
-    The delay's deviation is that of its bounds, of the row within which a held command moved, and of whole steps.
-    """
-    chosen, unit = result.chosen, result.records[0].newtons or 1.0
-    names, slope = ["delay_samples", "lag"], [np.eye(1, len(chosen.covariance), 0)[0] / FITTED_STEP_S]
-    slope.append(np.eye(1, len(chosen.covariance), 1)[0])
-    if chosen.form.lags == 2:
-        names.append("lag_2")
-        second = np.zeros(len(chosen.covariance))
-        second[1], second[2] = float(chosen.x[2]), float(chosen.x[1])
-        slope.append(second)
-    if chosen.form.curve:
-        names.append("exponent")
-        slope.append(np.eye(1, len(chosen.covariance), len(chosen.x) - 1)[0])
-    names += ["gain", "offset"]
-    count = len(result.records)
-    slope.append(unit * np.eye(1, len(chosen.covariance), len(chosen.x))[0])
-    slope.append(np.concatenate([np.zeros(len(chosen.x) + 1), np.full(count, unit / count)]))
-    matrix = np.array(slope)
-    covariance = matrix @ chosen.covariance @ matrix.T
-    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    deviation[0] = whole_delay(chosen.delay / FITTED_STEP_S, max(deviation[0], _delay_deviation(result)))[1]
-    table = uncertainty_table(_describe_logs(result), names, covariance, deviation)
-    if result.spread:
-        table["spread"] = [_spread_of(result, name) for name in names]
+def rows(found: Identification, every: bool = False) -> list[list[str]]:
+    """Return the numbers of the chosen form, or of ``every`` one, a row a quantity, with 95 % bounds."""
+    estimates = found.estimates if every else found.estimates[:1]
+    names = list(dict.fromkeys(name for each in estimates for name in each.numbers))
+    table = []
+    for name in names:
+        label, factor = NAMES.get(name, (name, 1.0))
+        label += f", {found.unit or '1'}/s" if name in ("rise", "fall") and found.engine is None else ""
+        table.append([label, *(_number(each, name, factor) for each in estimates)])
+    low, high = (found.limits[0] + (found.limits[1] - found.limits[0]) * found.problem.knots[[0, -1]]).tolist()
+    if len(found.chosen.levels(found.problem)):
+        ends = [[f"{each.levels(found.problem)[end]:.4g}" for each in estimates] for end in (0, -1)]
+        table.append([f"output from {low:.4g} to {high:.4g}, {found.unit}".rstrip(", ")])
+        table[-1] += [f"{a} to {b}" for a, b in zip(*ends, strict=True)]
+    if every and len(estimates) > 1:
+        table.append(["BIC, above the first", *(f"{each.bic - estimates[0].bic:.1f}" for each in estimates)])
     return table
 
 
-def _delay_deviation(result: BenchIdentification) -> float:
-    """Return the deviation of the delay in the engine's steps, of its bounds and of the command's row."""
-    low, high = result.chosen.delay_bounds
-    row = max(float(np.median(np.diff(record.command_times))) for record in result.records)
-    return float(np.hypot((high - low) / (2.0 * DEVIATIONS_95), row / np.sqrt(12.0)) / FITTED_STEP_S)
-
-
-def _spread_of(result: BenchIdentification, name: str) -> float:
-    unit = result.records[0].newtons or 1.0
-    known = result.spread
-    lag, ratio = float(result.chosen.x[1]), result.chosen.form.split(result.chosen.x)[2]
-    values = {
-        "delay_samples": known["delay_s"] / FITTED_STEP_S,
-        "lag": known["lag_s"],
-        "lag_2": float(np.hypot(ratio * known["lag_s"], lag * known.get("ratio", 0.0))),
-        "exponent": known.get("exponent", 0.0),
-        "gain": unit * known["gain"],
-        "offset": unit * float(np.std(result.chosen.offsets, ddof=1)),
-    }
-    return float(f"{values[name]:.6g}")
-
-
-def _describe_logs(result: BenchIdentification) -> str:
-    names = ", ".join(record.path.name for record in result.records)
-    moves = sum(int(np.count_nonzero(np.diff(record.command))) for record in result.records)
-    seconds = sum(float(record.times[-1] - record.times[0]) for record in result.records)
-    return f"{names}: {seconds:.4g} s, {moves} rows in which the command moves, {result.chosen.form.label}"
-
-
-def readme(result: BenchIdentification) -> str:
-    """Return the page of the engine in Markdown: where it comes from, where it holds, what was left over."""
-    first = result.records[0]
-    low = min(float(record.command.min()) for record in result.records)
-    high = max(float(record.command.max()) for record in result.records)
-    return engine_readme(
-        "bench log",
-        rows(result),
-        f"{summary(result)} `hexjet identify bench`",
-        f"{first.command_name} from {low:.4g} to {high:.4g}, with throttle 0 at {result.limits[0]:g} and "
-        f"1 at {result.limits[1]:g}",
-        f"{result.residual_rms:.3g} {first.output_unit} (rms); {NO_LONGER}.",
-        result.untold,
-        result.notes,
-    )
-
-
-def summary(result: BenchIdentification) -> str:
-    """Describe the logs in a line."""
-    first = result.records[0]
-    rows_, seconds = 0, 0.0
-    for record in result.records:
-        rows_, seconds = rows_ + len(record.times), seconds + float(record.times[-1] - record.times[0])
-    lost = max(record.lost_fraction for record in result.records)
-    missing = f", {100.0 * lost:.2g} % of the rows missing" if lost > 0.005 else ""
-    names = ", ".join(record.path.name for record in result.records)
-    return (
-        f"{names}: {first.command_name} to {first.output_name}; {seconds:.4g} s, {rows_} rows, one each "
-        f"{1e3 * first.step:.4g} ms{missing}; the command is {'straight' if result.straight else 'held'} between rows."
-    )
-
-
-def rows(result: BenchIdentification) -> list[list[str]]:
-    """Return the table of the forms beside each other, a row a quantity, with 95 % bounds."""
-    unit = result.records[0].output_unit
-    low, high = result.limits
-    estimates = result.estimates
-    best = estimates[0].bic
-    return [
-        ["delay, ms", *(_delay(estimate) for estimate in estimates)],
-        ["lag, ms", *(_about(1e3 * one.x[1], 1e3 * one.deviation(1)) for one in estimates)],
-        ["second lag, ms", *(_second(one) for one in estimates)],
-        ["delay and lags together, ms", *(_about(1e3 * v, 1e3 * s) for v, s in (one.total for one in estimates))],
-        [
-            f"gain, {unit} from {low:g} to {high:g}",
-            *(_about(one.gain, one.deviation(len(one.x))) for one in estimates),
-        ],
-        [f"output at {low:g}, {unit}", *(f"{float(np.mean(one.offsets)):.4g}" for one in estimates)],
-        ["exponent of the static curve", *(_exponent(one) for one in estimates)],
-        ["Schwarz' criterion, above the best", *(f"{one.bic - best:.1f}" for one in estimates)],
-    ]
-
-
-def _delay(estimate: Estimate) -> str:
-    low, high = estimate.delay_bounds
-    bounds = f" ({1e3 * low:.4g} to {1e3 * high:.4g})" if np.isfinite(low) else ""
-    return f"{1e3 * estimate.delay:.4g}{bounds}"
-
-
-def _second(estimate: Estimate) -> str:
-    if estimate.form.lags < 2:
+def _number(estimate: Estimate, name: str, factor: float) -> str:
+    if name not in estimate.numbers:
         return ""
-    lag, ratio = float(estimate.x[1]), float(estimate.x[2])
-    slope = np.zeros(len(estimate.covariance))
-    slope[1], slope[2] = ratio, lag
-    return _about(1e3 * ratio * lag, 1e3 * float(np.sqrt(max(float(slope @ estimate.covariance @ slope), 0.0))))
-
-
-def _exponent(estimate: Estimate) -> str:
-    return _about(float(estimate.x[-1]), estimate.deviation(len(estimate.x) - 1)) if estimate.form.curve else ""
-
-
-def _about(value: float, deviation: float) -> str:
+    value, deviation = estimate.numbers[name]
+    low, high = estimate.delay_bounds
+    if name == "delay_s" and np.isfinite(low) and np.isfinite(deviation):
+        return f"{factor * value:.4g} ({factor * low:.4g} to {factor * high:.4g})"
     half = DEVIATIONS_95 * deviation
-    if not half <= abs(value):
-        return "not determined"
-    return f"{value:.4g} ±{float(f'{half:.2g}'):g}"
+    return f"{factor * value:.4g} ±{float(f'{factor * half:.2g}'):g}" if half <= abs(value) else "not told"
 
 
-def _corners(times: Array, values: Array, straight: bool) -> tuple[Array, Array]:
-    """Return a command's corners for a drawing."""
-    if straight:
-        return times, values
-    moved = np.flatnonzero(np.diff(values))
-    at = np.concatenate([[0], np.column_stack([moved, moved + 1]).ravel(), [len(times) - 1]])
-    when = times[at].copy()
-    when[1:-1:2] = times[moved + 1]
-    return when, values[at]
+def summary(found: Identification) -> str:
+    """Describe the logs in a line."""
+    first, lost = found.records[0], max(record.lost_fraction for record in found.records)
+    seconds = sum(float(record.times[-1] - record.times[0]) for record in found.records)
+    missing = f", {100.0 * lost:.2g} % of the rows missing" if lost > 0.005 else ""
+    names = ", ".join(record.path.name for record in found.records)
+    engine = "" if found.engine is None else f", {found.engine.label}"
+    return (
+        f"{names}: {first.command_name} to {first.output_name}{engine}; {seconds:.4g} s, "
+        f"{sum(len(record.times) for record in found.records)} rows, one each {1e3 * first.step:.4g} ms{missing}."
+    )
 
 
-def draw_curve(result: BenchIdentification) -> dict[str, Any]:
-    """Draw the static curve over the throttle's range."""
-    chosen, first = result.chosen, result.records[0]
-    exponent = chosen.form.split(chosen.x)[3]
-    throttle = np.linspace(0.0, 1.0, 101)
-    low, high = result.limits
-    values = result.offset + chosen.gain * throttle**exponent
-    seen = np.concatenate([part.command for part in result.problem.parts])
-    inside = (throttle >= seen.min() - 1e-9) & (throttle <= seen.max() + 1e-9)
-    at = low + (high - low) * throttle
-    data = [
-        trace("outside of what the log has", GREY, at, values),
-        trace("as identified", BLUE, at[inside], values[inside]),
-    ]
+def lines(found: Identification, most: int = 3) -> tuple[str, list[str]]:
+    """Return the verdict, and the ``most`` weighty of what is to be said; the page has the rest."""
+    reason = why_no_engine(found)
+    said = [f"no engine: {reason}"] if reason else []
+    said += [*(f"not told: {line}" for line in found.untold[:1]), *(f"note: {line}" for line in found.notes)]
+    said += [f"not told: {line}" for line in found.untold[1:]]
+    more = len(said) - most
+    rest = [f"{more} more on the page"] if more > 0 else []
+    return found.verdict.words, [*said[:most], *rest]
+
+
+def readme(found: Identification) -> str:
+    """Return the page of the engine in Markdown: where it comes from, where it holds, what was left over."""
+    first, (low, high) = found.records[0], found.limits
+    commands = np.concatenate([record.command for record in found.records])
+    validity = f"{first.command_name} from {commands.min():.4g} to {commands.max():.4g}"
+    if found.engine is None:
+        validity += f", with throttle 0 at {low:g} and 1 at {high:g}"
+    own = () if found.engine is None else (f"`{found.engine.label}`, its other parameters as they were",)
+    residuals = f"{found.residual_rms:.3g} {found.unit} (rms); {found.verdict.words}."
+    source = f"{summary(found)} `hexjet identify bench`"
+    return engine_readme("bench log", rows(found), source, validity, residuals, found.untold, found.notes, *own)
+
+
+def _signals(found: Identification) -> Iterator[Signals]:
+    """Yield logs behind each other in time."""
+    shift, (low, high), residual = 0.0, found.limits, found.chosen.residual
+    for log, span in zip(found.problem.logs, found.problem.spans, strict=True):
+        times, values = log.command_times, low + (high - low) * log.command
+        if not log.is_straight:
+            at = np.repeat(np.arange(len(times)), 2)
+            times, values = np.append(times[at][1:], log.times[-1]), values[at]
+        left = residual[span]
+        yield Signals(times + shift, values, log.times + shift, log.output, log.output - left, left)
+        shift += float(log.times[-1]) + 5.0
+
+
+def _draw_levels(found: Identification) -> dict[str, Any]:
+    """Draw the static line over the command."""
+    first, (low, high) = found.records[0], found.limits
+    levels = found.chosen.levels(found.problem)
     title = f"{first.command_name} {f'[{first.command_unit}]' if first.command_unit else ''}".strip()
-    return {"data": data, "layout": panels(320, title, (first.output_unit,), log=False) | HOVER}
+    data = [trace("static line", BLUE, low + (high - low) * found.problem.knots, levels)]
+    return {"data": data, "layout": panels(320, title, (found.unit,), log=False) | HOVER}

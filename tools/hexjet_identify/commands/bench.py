@@ -11,9 +11,6 @@ from cosim.commands import DONE, FLIGHT_FAILED, example, opt, output_to_stderr, 
 
 if TYPE_CHECKING:
     from hexjet_identify.api.bench import BenchIdentifyResult
-    from hexjet_identify.bench.evidence import HeldBack
-
-MOST_MOVEMENTS = 16  # that a terminal shows; the page has all
 
 
 class Bench(opt.LogPart, opt.Output):
@@ -54,12 +51,12 @@ _CHOSEN = (
 @click.command("bench", epilog=example("hexjet identify bench bench.csv --out my-engine"))
 @opt.takes(Bench)
 def identify_bench(options: Bench) -> int:
-    """Identify an engine from its bench logs: delay, one lag or two, gain, static curve, with bounds.
+    """Identify an engine from its bench logs: static line, delay, lags, limits, with bounds.
 
-    Reads CSV, Parquet, TDMS: steps, staircases, ramps, chirps, whatever moved the throttle.  Leaves a page,
-    identification.json and, of a thrust in N, an engine with its uncertainty.  Says what the logs do not tell, and the
-    next test.  With --engine it fits the parameters of that one instead: a turbine and its ECU.  Several logs are taken
-    for one engine's; a load cell's, without a command, is laid on the clock of the one before it.
+    Reads CSV, Parquet, TDMS: steps, staircases, ramps, chirps, whatever moved the throttle.  Says first whether the
+    model explains the logs.  Leaves a page, identification.json and, of a thrust in N, an engine with its uncertainty;
+    says what the logs do not tell, and the next test.  With --engine it fits the parameters of that one instead: a
+    turbine and its ECU.  Several logs are taken for one engine's.
     Status 1: the logs do not tell, or the model does not explain them.
     """
     from cosim.commands import one_thread
@@ -77,34 +74,13 @@ def identify_bench(options: Bench) -> int:
 
 
 def print_bench(result: BenchIdentifyResult) -> None:
-    """Print the forms, or what was fitted of an engine, what is to be said of them, and the files."""
-    from hexjet_identify.bench import BenchIdentification
-    from hexjet_identify.bench.evidence import output_swing
-    from hexjet_identify.bench.grey_model import output_unit
-    from hexjet_identify.bench.result import describe_held
-
-    found, held = result.identification, ""
-    summary, *others = result.lines()
-    say(summary)
+    """Print the verdict, the numbers, what is to be said of them, and the files."""
+    verdict, *others = result.lines()
+    say(verdict)
     for table in result.tables():
-        columns = table.columns[:3]  # of forms the first two
-        show_table(columns, [row[:3] for row in table.rows], range(1, len(columns)))
-    if isinstance(found, BenchIdentification):
-        _show_movements(found.held_back, found.records[0].output_unit, output_swing(found.problem.parts))
-        held = describe_held(found)
-    else:
-        _show_movements(found.held_back, output_unit(found.records[0]), found.swing)
-    if held and held not in found.notes:
-        say(f"held back: {held}")
+        show_table(table.columns, table.rows, range(1, len(table.columns)))
     for line in others:
         say(line)
     for name in ("engine", "report"):
         if name in result.files:
             say(f"{name}: {result.files[name]}", wrap=False)
-
-
-def _show_movements(held_back: HeldBack | None, unit: str, swing: float) -> None:
-    from hexjet_identify.bench.evidence import MOVEMENT_COLUMNS, movement_rows
-
-    if held_back is not None and 0 < len(held_back.movements) <= MOST_MOVEMENTS:
-        show_table(MOVEMENT_COLUMNS, movement_rows(held_back, unit, swing), range(2, len(MOVEMENT_COLUMNS)))

@@ -21,7 +21,7 @@ SPEED_AT_END = re.compile(r"(?:.*[_ ])?(k?rpm)", re.IGNORECASE)
 SAME_UNITS = {"%": "percent", "pct": "percent"} | dict.fromkeys(
     ("rpm", "1/min", "u/min", "r/min", "rev/min", "min-1", "min^-1"), "rpm"
 )  # in small letters
-SAME_UNITS["krpm"] = "krpm"
+SAME_UNITS |= {"krpm": "krpm", "µs": "us", "μs": "us"}
 LONGEST_WORDLESS = 3  # letters of a unit: what is longer and no unit that is known, as (actual), says which one it is
 DEGREE = np.pi / 180.0
 MAX_LOG_MB = 4096.0  # of a file that is read as a log

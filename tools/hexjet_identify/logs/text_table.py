@@ -141,8 +141,9 @@ def _names(lines: Sequence[str], first: int, separator: str, width: int) -> tupl
         return at, tuple(row)
     above = next((n for n in range(at - 1, first - 1, -1) if lines[n].strip()), -1)
     title = cells(lines[above].lstrip("#% "), separator) if above >= 0 else []
-    if width - 1 <= len(title) <= width and not any(map(_is_value, title)):
-        return above, tuple([*title, ""][:width])  # a head behind a mark of a comment, or rows that end in a separator
+    # A head behind a mark of a comment, rows that end in a separator, or a head with cells that no row has.
+    if len(title) >= width - 1 and not any(map(_is_value, title)):
+        return above, tuple([*title, ""][:width])
     return at - 1, tuple(f"column_{n}" for n in range(1, width + 1))
 
 

@@ -1,0 +1,292 @@
+"""The one fit: output error by variable projection, noise of order 0 or 1 by evidence, bounds that stand model errors.
+
+What is left over is made white before it is squared: with noise of order 1 each row is less ``memory`` times the row
+before.  The order is the one of the smaller BIC.  Deviations are those of Newey and West (1987), which hold where what
+is left over is correlated, and at least the plain ones; the delay has bounds by its profile likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from hexjet_identify.fit.forms import Form, Lags, Limits
+from hexjet_identify.fit.logs import Log
+from hexjet_identify.fit.problem import Problem
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A form as fitted: parameters ``x``, what is linear, their covariance, and what is left over of the output."""
+
+    form: Form
+    x: Array
+    linear: Array
+    covariance: Array
+    residual: Array
+    memory: float
+    loss: float
+    deviance: float
+    count: int
+    widening: float
+    delay_bounds: tuple[float, float] = (np.nan, np.nan)
+
+    @property
+    def delay(self) -> float:
+        """Delay, s."""
+        return float(self.x[0])
+
+    @property
+    def bic(self) -> float:
+        """Schwarz' criterion: of two forms the smaller one is the likelier."""
+        return self.deviance + self.count * float(np.log(len(self.residual)))
+
+    def deviation(self, number: int) -> float:
+        """Return a parameter's standard deviation."""
+        return float(np.sqrt(max(self.covariance[number, number], 0.0)))
+
+    def derive(self, quantity: Callable[[Array], Array]) -> tuple[Array, Array]:
+        """Return a quantity of ``x``, and its covariance."""
+        count, at = len(self.x), quantity(self.x)
+        steps = 1e-6 * np.maximum(1.0, np.abs(self.x))
+        slopes = [(quantity(self.x + row) - at) / step for row, step in zip(np.diag(steps), steps, strict=True)]
+        own = self.covariance[:count, :count]
+        unknown = np.isinf(np.diag(own))
+        slope = np.array(slopes).T
+        covariance = slope @ np.where(unknown | unknown[:, None], 0.0, own) @ slope.T
+        silent = np.any(slope[:, unknown] != 0.0, axis=1)
+        covariance[silent, silent] = np.inf
+        return at, covariance
+
+    @property
+    def numbers(self) -> dict[str, tuple[float, float]]:
+        """The form's parameters as they are called and counted, with standard deviations."""
+        names = list(self.form.natural(self.x))
+        values, covariance = self.derive(lambda x: np.array(list(self.form.natural(x).values())))
+        deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        return dict(zip(names, zip(values.tolist(), deviations.tolist(), strict=True), strict=True))
+
+    @property
+    def total(self) -> tuple[float, float]:
+        """Delay and lags together, s, and their standard deviation."""
+        value, covariance = self.derive(lambda x: np.array([self.form.total(x)]))
+        return float(value[0]), float(np.sqrt(max(covariance[0, 0], 0.0)))
+
+    def levels(self, problem: Problem) -> Array:
+        """Return the static output at the problem's knots; of a form without such levels none."""
+        return self.form.levels(problem, self.x, self.linear)
+
+    def answer(self, problem: Problem, delay: float | None = None) -> Array:
+        """Return the form's answer at the rows of a problem; ``delay``: with another delay, s."""
+        x = self.x if delay is None else np.concatenate([[delay], self.x[1:]])
+        columns = self.form.columns(problem, x)
+        return np.asarray(columns @ self.linear if len(self.linear) else columns[:, 0])
+
+
+def project(problem: Problem, form: Form, x: Array, memory: float) -> tuple[Array, Array]:
+    """Return the linear parameters that suit ``x`` best, and what is left over, made white, with what binds levels."""
+    columns = form.columns(problem, x)
+    if form.linear_count(problem) == 0:
+        levels = form.levels(problem, x, x)
+        bound = problem.binding @ levels if len(levels) else levels
+        return np.zeros(0), np.concatenate([problem.whiten(problem.output - columns[:, 0], memory), -bound])
+    matrix, output = problem.whiten(columns, memory), problem.whiten(problem.output, memory)
+    count = len(problem.knots)
+    gram = matrix.T @ matrix
+    gram[:count, :count] += problem.binding.T @ problem.binding
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    gram = gram / np.outer(scale, scale) + 1e-12 * np.eye(len(gram))
+    linear = np.linalg.solve(gram, matrix.T @ output / scale) / scale
+    # One step of refinement makes the normal equations as exact as a decomposition of the matrix.
+    left = matrix.T @ (output - matrix @ linear)
+    left[:count] -= problem.binding.T @ (problem.binding @ linear[:count])
+    linear += np.linalg.solve(gram, left / scale) / scale
+    return linear, np.concatenate([output - matrix @ linear, -(problem.binding @ linear[:count])])
+
+
+def solve(problem: Problem, form: Form, start: Array, memory: float, held: int | None = None) -> tuple[Array, float]:
+    """Return the parameters nearest ``start`` that leave least, and what they leave; that numbered ``held`` is kept."""
+    from scipy.optimize import least_squares
+
+    low, high = form.limits(problem)
+    inside = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
+    x = np.clip(start, low + inside, high - inside)
+    free = np.flatnonzero(np.arange(len(x)) != (-1 if held is None else held))
+    size = 1e-6 * problem.swing
+
+    at, last = np.empty(0), np.empty(0)
+
+    def left(values: Array) -> Array:
+        nonlocal at, last
+        if not np.array_equal(at, values):
+            x[free] = values
+            at, last = values.copy(), project(problem, form, x, memory)[1] / size
+        return last
+
+    def slopes(values: Array) -> Array:
+        base = left(values)
+        widths = form.widths(problem, x)[free]
+        widths = np.where(values + widths <= high[free], widths, -widths)
+        return np.column_stack(
+            [(left(values + step) - base) / width for step, width in zip(np.diag(widths), widths, strict=True)]
+        )
+
+    if len(free):
+        scale = 1e3 * form.widths(problem, x)[free]
+        found = least_squares(
+            left, x[free], slopes, bounds=(low[free], high[free]), x_scale=scale, xtol=1e-7, ftol=1e-9, max_nfev=40
+        )
+        x[free] = found.x
+    rest = project(problem, form, x, memory)[1]
+    return x.copy(), max(float(rest @ rest), len(problem.output) * (1e-7 * problem.swing) ** 2)
+
+
+def fit(problem: Problem, form: Form, start: Array) -> Estimate:
+    """Fit a form from a start, with white noise and with noise of order 1, and keep what the evidence prefers."""
+    best = _estimate(problem, form, solve(problem, form, start, 0.0)[0], 0.0)
+    memory = problem.memory_of(best.residual)
+    if memory < 2.0 / np.sqrt(len(best.residual)):
+        return best
+    found, before = best, 0.0
+    while abs(memory - before) > 0.01 and (before == 0.0 or memory > before):
+        found = _estimate(problem, form, solve(problem, form, found.x, memory)[0], memory)
+        before, memory = memory, problem.memory_of(found.residual)
+    return found if found.bic < best.bic else best
+
+
+def fit_static(problem: Problem) -> Estimate:
+    """Fit the static line alone: as if there were neither delay nor lag, of which nothing is told."""
+    form = Lags(0)
+    x = form.limits(problem)[0]
+    white = _estimate(problem, form, x, 0.0)
+    best = min((white, _estimate(problem, form, x, problem.memory_of(white.residual))), key=lambda each: each.bic)
+    covariance = best.covariance.copy()
+    covariance[:2], covariance[:, :2] = 0.0, 0.0
+    covariance[[0, 1], [0, 1]] = np.inf
+    return replace(best, covariance=covariance, count=best.count - 2, delay_bounds=(0.0, problem.max_delay))
+
+
+def thin(problem: Problem, rows: int = 400) -> Problem:
+    """Return the problem with about so many ``rows``: a coarse search needs no more."""
+    return problem.at(np.arange(len(problem.output)) % max(1, len(problem.output) // rows) == 0)
+
+
+def find_start(problem: Problem) -> Array:
+    """Return delay [s] and ln lag with which rows, thinned, are best explained."""
+    coarse, form = thin(problem), Lags(1)
+    low, high = form.limits(coarse)
+    delays = np.concatenate([[0.0], np.geomspace(0.02 * high[0], 0.95 * high[0], 14)])
+    found = []
+    for lag in np.linspace(max(low[1], np.log(2e-3)), high[1] + np.log(0.5), 10):
+        losses = [float(np.sum(project(coarse, form, np.array([delay, lag]), 0.0)[1] ** 2)) for delay in delays]
+        best = int(np.argmin(losses))
+        found.append((losses[best], np.array([delays[best], lag])))
+    likeliest = sorted(found, key=lambda each: each[0])[:3]
+    return min((solve(coarse, form, x, 0.0) for _, x in likeliest), key=lambda each: each[1])[0]
+
+
+def fit_limits(problem: Problem, lags: Estimate) -> Estimate:
+    """Fit limits of rise and fall, from several starts: where they rule, the lag is far shorter than one alone."""
+    rates = np.concatenate([_rates(log) for log in problem.logs])
+    rise = max(float(np.percentile(rates, 97.0)), 1e-3 * problem.swing)
+    fall = max(float(-np.percentile(rates, 3.0)), 1e-3 * problem.swing)
+    total, levels = Lags(1).total(lags.x), lags.levels(problem)
+    coarse, form = thin(problem), Limits()
+    starts = [
+        np.array([delay * total, np.log(lag * total), np.log(rise), np.log(fall), *levels])
+        for delay, lag in ((0.3, 0.5), (0.3, 0.15), (0.1, 0.3))
+    ]
+    near = min((solve(coarse, form, start, 0.0) for start in starts), key=lambda each: each[1])[0]
+    return fit(problem, form, near)
+
+
+def _rates(log: Log) -> Array:
+    """Return the output's rates over a tenth of a second, 1/s."""
+    rows = max(1, round(0.1 / log.step))
+    return np.asarray((log.output[rows:] - log.output[:-rows]) / (log.times[rows:] - log.times[:-rows]))
+
+
+def _estimate(problem: Problem, form: Form, x: Array, memory: float) -> Estimate:
+    linear, white = project(problem, form, x, memory)
+    count = len(problem.output)
+    white = white[:count]
+    loss = max(float(white @ white), count * (1e-7 * problem.swing) ** 2)
+    columns = form.columns(problem, x)
+    parts = [_slopes(problem, form, x, linear)]
+    parts += [columns] if len(linear) else []
+    jacobian = problem.whiten(np.column_stack(parts), memory)
+    inverse = invert(jacobian.T @ jacobian)
+    free = max(count - jacobian.shape[1], 1)
+    plain = loss / free * inverse
+    robust = _newey_west(jacobian, white, inverse) * count / free
+    wider = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(plain), 1e-300), 1.0))
+    residual = problem.output - (columns @ linear if len(linear) else columns[:, 0])
+    deviance = count * float(np.log(loss / count)) + problem.whitening_deviance(memory)
+    parameters = jacobian.shape[1] + 1 + (memory > 0.0)
+    covariance = plain * np.outer(wider, wider)
+    # What changes nothing is not told.
+    silent = np.flatnonzero(~np.any(parts[0] != 0.0, axis=0))
+    covariance[silent, silent] = np.inf
+    return Estimate(form, x, linear, covariance, residual, memory, loss, deviance, parameters, float(wider[0]))
+
+
+def invert(matrix: Array) -> Array:
+    """Return the inverse of normal equations whose columns are of very different size."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.asarray(np.linalg.pinv(matrix / np.outer(size, size), rcond=1e-13, hermitian=True) / np.outer(size, size))
+
+
+def _slopes(problem: Problem, form: Form, x: Array, linear: Array) -> Array:
+    """Return by how much the answer changes with each of ``x``, a column each."""
+    low, high = form.limits(problem)
+    columns = []
+    for number, width in enumerate(form.widths(problem, x)):
+        above, below = x.copy(), x.copy()
+        above[number], below[number] = min(x[number] + width, high[number]), max(x[number] - width, low[number])
+        change = form.columns(problem, above) - form.columns(problem, below)
+        change = change @ linear if len(linear) else change[:, 0]
+        columns.append(change / (above[number] - below[number]))
+    return np.column_stack(columns)
+
+
+def _newey_west(jacobian: Array, white: Array, inverse: Array) -> Array:
+    """Return the covariance where what is left over may be correlated over a few rows.
+
+    The width is that of Newey and West (1994), 4 (n / 100)^(2/9) rows.
+    """
+    scores = jacobian * white[:, None]
+    width = int(min(np.ceil(4.0 * (len(white) / 100.0) ** (2.0 / 9.0)), len(white) // 4))
+    middle = scores.T @ scores
+    for lag in range(1, width + 1):
+        product = scores[lag:].T @ scores[:-lag]
+        middle += (1.0 - lag / (width + 1.0)) * (product + product.T)
+    return np.asarray(inverse @ middle @ inverse)
+
+
+def bound_delay(problem: Problem, estimate: Estimate, tries: int = 10, deviations: float = 1.96) -> tuple[float, float]:
+    """Return 95 % bounds of the delay [s] by its profile, as much wider as its robust deviation is."""
+    low, high = estimate.form.limits(problem)
+    wanted = deviations * estimate.widening
+    width = max(1.96 * estimate.deviation(0) / estimate.widening, 1e-3 * problem.step)
+    ends = []
+    for sign, limit in ((-1.0, float(low[0])), (1.0, float(high[0]))):
+        inside, outside, x = estimate.delay, limit, estimate.x
+        at = float(np.clip(estimate.delay + sign * width, low[0], high[0]))
+        for _ in range(tries):
+            start = np.concatenate([[at], x[1:]])
+            found, loss = solve(problem, estimate.form, start, estimate.memory, 0)
+            risen = float(np.sqrt(max(len(estimate.residual) * np.log(loss / estimate.loss), 0.0)))
+            if risen < wanted:
+                inside, x = at, found
+            else:
+                outside = at
+            if abs(risen - wanted) < 0.08 * wanted or inside == limit:
+                break
+            near = estimate.delay + (at - estimate.delay) * wanted / max(risen, 0.3 * wanted)
+            between = min(inside, outside) < near < max(inside, outside)
+            at = near if between else (limit if outside == limit else 0.5 * (inside + outside))
+        ends.append(at)
+    return ends[0], ends[1]

@@ -1,0 +1,153 @@
+"""Forms of an engine: how its output follows a command behind a delay.
+
+The static line is a table of free levels at the ``knots`` of the command.  Behind a lag the output is linear in these
+levels, so that a fit solves for them (variable projection, Golub and Pereyra, 1973); behind limits of rise and fall
+they are parameters like the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from cosim.base.arrays import Array
+from hexjet_identify.fit.answers import answer_of_a_lag, answer_of_limits
+from hexjet_identify.fit.problem import Problem
+
+
+class Form(Protocol):
+    """A form of an engine: parameters ``x``, the delay [s] first, and levels of its static line."""
+
+    @property
+    def label(self) -> str:
+        """What the form is called."""
+
+    def limits(self, problem: Problem) -> tuple[Array, Array]:
+        """Return the least and the greatest of each of ``x``."""
+
+    def widths(self, problem: Problem, x: Array) -> Array:
+        """Return by how much each of ``x`` is changed to see what it does."""
+
+    def columns(self, problem: Problem, x: Array) -> Array:
+        """Return what the linear parameters multiply; without any, one column: the answer."""
+
+    def linear_count(self, problem: Problem) -> int:
+        """Return how many linear parameters there are."""
+
+    def levels(self, problem: Problem, x: Array, linear: Array) -> Array:
+        """Return the static output at the problem's knots; of a form without such levels none."""
+
+    def total(self, x: Array) -> float:
+        """Return delay and lags together, s."""
+
+    def natural(self, x: Array) -> dict[str, float]:
+        """Return the parameters by name, in s and in the output's unit a second."""
+
+
+@dataclass(frozen=True)
+class Lags:
+    """Free static levels behind a delay and one lag or two: ``x`` = delay [s], ln lag [s], second lag over first.
+
+    A ``count`` of 0 is the static line alone, at no delay and a lag of nothing.
+    """
+
+    count: int = 1
+
+    @property
+    def label(self) -> str:
+        """What the form is called."""
+        return ("static line alone", "delay and one lag", "delay and two lags")[self.count]
+
+    def limits(self, problem: Problem) -> tuple[Array, Array]:
+        """Return the least and the greatest of each of ``x``."""
+        longest = max(float(log.times[-1] - log.times[0]) for log in problem.logs)
+        low, high = [0.0, np.log(0.05 * problem.step), 0.0], [problem.max_delay, np.log(longest), 0.95]
+        return np.array(low[: max(2, 1 + self.count)]), np.array(high[: max(2, 1 + self.count)])
+
+    def widths(self, problem: Problem, x: Array) -> Array:
+        """Return by how much each of ``x`` is changed to see what it does."""
+        return np.array([max(0.02 * problem.step, 1e-4 * float(np.exp(x[1]))), 1e-4, 1e-4][: max(2, 1 + self.count)])
+
+    def columns(self, problem: Problem, x: Array) -> Array:
+        """Return the answers of the levels, the zero of each log but the first, each log's start, and the drift."""
+        lag, count = float(np.exp(x[1])), len(problem.logs)
+        answers, extra = [], np.zeros((len(problem.output), 2 * count - 1))
+        for n, (log, span, own) in enumerate(zip(problem.logs, problem.spans, problem.hats, strict=True)):
+            answer = answer_of_a_lag(log, own, float(x[0]), lag)
+            if self.count == 2 and x[2] > 1e-3:
+                second = float(x[2]) * lag
+                answer = (lag * answer - second * answer_of_a_lag(log, own, float(x[0]), second)) / (lag - second)
+            answers.append(answer)
+            if n > 0:
+                extra[span, n - 1] = 1.0
+            extra[span, count - 1 + n] = np.exp(-(log.times - log.times[0]) / lag)
+        return np.column_stack([np.concatenate(answers), extra, problem.drift])
+
+    def linear_count(self, problem: Problem) -> int:
+        """Return how many linear parameters there are."""
+        return len(problem.knots) + 2 * len(problem.logs) - 1 + int(problem.drift.shape[1])
+
+    def levels(self, problem: Problem, x: Array, linear: Array) -> Array:
+        """Return the static output at the problem's knots."""
+        return linear[: len(problem.knots)]
+
+    def total(self, x: Array) -> float:
+        """Return delay and lags together, s."""
+        return sum(self.natural(x).values())
+
+    def natural(self, x: Array) -> dict[str, float]:
+        """Return the parameters by name, in s."""
+        lag = float(np.exp(x[1]))
+        second = {"second_lag_s": lag * float(x[2])} if self.count == 2 else {}
+        return {"delay_s": float(x[0]), "lag_s": lag, **second}
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Free static levels behind a delay, a lag and limits of the output's rise and fall.
+
+    ``x`` = delay [s], ln lag [s], ln rise and ln fall [of the output, 1/s], then the levels.
+    """
+
+    label: str = "delay, a lag, limits of rise and fall"
+
+    def limits(self, problem: Problem) -> tuple[Array, Array]:
+        """Return the least and the greatest of each of ``x``."""
+        low, high = Lags(1).limits(problem)
+        quickest, slowest = 1e3 * problem.swing, 0.05 * problem.swing / float(np.exp(high[1]))
+        unbounded = np.full(len(problem.knots), np.inf)
+        slow, quick = np.log([slowest, slowest]), np.log([quickest, quickest])
+        return np.concatenate([low, slow, -unbounded]), np.concatenate([high, quick, unbounded])
+
+    def widths(self, problem: Problem, x: Array) -> Array:
+        """Return by how much each of ``x`` is changed to see what it does."""
+        return np.concatenate(
+            [Lags(1).widths(problem, x), [1e-4, 1e-4], np.full(len(problem.knots), 1e-4 * problem.swing)]
+        )
+
+    def columns(self, problem: Problem, x: Array) -> Array:
+        """Return one column: the answer."""
+        lag, rise, fall = np.exp(x[1:4]).tolist()
+        answers = [
+            answer_of_limits(log, own @ x[4:], float(x[0]), lag, rise, fall)
+            for log, own in zip(problem.logs, problem.hats, strict=True)
+        ]
+        return np.concatenate(answers)[:, None]
+
+    def linear_count(self, problem: Problem) -> int:
+        """Return how many linear parameters there are."""
+        return 0
+
+    def levels(self, problem: Problem, x: Array, linear: Array) -> Array:
+        """Return the static output at the problem's knots."""
+        return x[4:]
+
+    def total(self, x: Array) -> float:
+        """Return delay and lag together, s."""
+        return float(x[0] + np.exp(x[1]))
+
+    def natural(self, x: Array) -> dict[str, float]:
+        """Return the parameters by name, in s and in the output's unit a second."""
+        return dict(zip(("delay_s", "lag_s", "rise", "fall"), [float(x[0]), *np.exp(x[1:4]).tolist()], strict=True))
