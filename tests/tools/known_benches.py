@@ -1,21 +1,21 @@
-"""Bench logs of engines whose truth is known, solved exactly: delay, lags, a static curve, a limit of acceleration."""
+"""Bench logs of engines whose truth is known, integrated without the product: exact where the command stands still."""
 
 from dataclasses import dataclass
 
 import numpy as np
-
-from hexjet_identify.bench.command import make_command
+from scipy.signal import lfilter
 
 EXCITATIONS = ("step", "stairs of 2 s", "stairs of 5 s", "stairs of 15 s", "prbs", "ramp", "chirp")
 LEVELS = np.array([0.2, 0.5, 0.8, 0.4, 0.7, 0.3, 0.6, 0.9, 0.5, 0.2])
+GRID_S = 0.001
 
 
 @dataclass(frozen=True)
 class Truth:
-    """An engine; with ``slew``, N/s, it is one lag whose thrust changes no quicker.
+    """An engine: a delay and lags [s], thrust = offset + gain throttle^exponent [N].
 
-    With ``full_lag`` the lag goes in a straight line to that one at full thrust; its ECU reads the command every
-    ``interval`` s and keeps it until another differs by more than ``dead_band``.
+    With ``slew``, N/s up and down, it is one lag whose thrust changes no quicker; its ECU reads the command every
+    ``interval`` s; a governor integrates the error of the thrust outside of a dead band instead of any lag.
     """
 
     delay: float = 0.1
@@ -23,10 +23,9 @@ class Truth:
     gain: float = 100.0
     offset: float = 5.0
     exponent: float = 1.0
-    slew: tuple[float, float] | None = None  # up, down
-    full_lag: float = 0.0
+    slew: tuple[float, float] | None = None
     interval: float = 0.0
-    dead_band: float = 0.0
+    governor: bool = False
 
 
 def excite(kind, rate, seconds=60.0, seed=0):
@@ -47,39 +46,43 @@ def excite(kind, rate, seconds=60.0, seed=0):
 
 def thrust(truth, times, command, straight):
     """The thrust at these times, N, without noise."""
-    if truth.slew is not None or truth.full_lag or truth.interval or truth.dead_band:
-        return _stepped(truth, times, _heard(truth, times, command, straight))
-    made = make_command(times, command**truth.exponent, straight)
-    first, second = (*truth.lags, 0.0)[:2]
-    return truth.offset + truth.gain * made.twice_lagged(first, second / first, times - truth.delay)
+    grid = np.arange(times[0] - 1.0, times[-1] + 2.0 * GRID_S, GRID_S)
+    looked = grid - truth.delay
+    if truth.interval:
+        looked = np.floor(looked / truth.interval) * truth.interval
+    if straight:
+        seen = np.interp(looked + 0.5 * GRID_S * (not truth.interval), times, command)
+    else:
+        seen = command[np.maximum(np.searchsorted(times, looked + 1e-9, side="right") - 1, 0)]
+        moved = np.flatnonzero(np.diff(command)) + 1
+        for row in moved if not truth.interval else ():
+            k = int(np.floor((times[row] + truth.delay - grid[0]) / GRID_S + 1e-9))
+            part = (times[row] + truth.delay - grid[k]) / GRID_S
+            seen[k] = part * command[row - 1] + (1.0 - part) * command[row]
+    goal = truth.offset + truth.gain * seen**truth.exponent
+    if truth.governor or truth.slew is not None:
+        return np.interp(times, grid, _stepped(truth, goal))
+    answer = goal - goal[0]
+    for number, lag in enumerate(truth.lags):
+        fade = np.exp(-GRID_S / lag)
+        drive = answer if number == 0 else 0.5 * (answer + np.append(answer[1:], answer[-1]))
+        answer = lfilter([0.0, 1.0 - fade], [1.0, -fade], drive)
+    return np.interp(times, grid, goal[0] + answer)
 
 
-def _heard(truth, times, command, straight):
-    """What the ECU makes of the command, by time."""
-    reads = np.arange(times[0] - 0.3 * truth.interval, times[-1], truth.interval or 0.002)
-    at = np.interp(reads, times, command)
-    if not straight:
-        at = command[np.maximum(np.searchsorted(times, reads + 1e-9, side="right") - 1, 0)]
-    taken, kept = at[0], []
-    for value in at:
-        taken = value if abs(value - taken) > truth.dead_band else taken
-        kept.append(taken)
-    return lambda t: kept[max(int(np.searchsorted(reads, t + 1e-9, side="right")) - 1, 0)]
-
-
-def _stepped(truth, times, heard):
-    every = max(1, round((times[1] - times[0]) / 0.002))
-    h = (times[1] - times[0]) / every
+def _stepped(truth, goals):
+    now, integral, course = float(goals[0]), 0.0, []
     up, down = truth.slew or (np.inf, np.inf)
-    now, thrusts = truth.offset + truth.gain * heard(times[0]), []
-    for time in times:
-        thrusts.append(now)
-        for part in range(every):
-            steady = truth.offset + truth.gain * heard(time + part * h - truth.delay)
-            level = (now - truth.offset) / truth.gain
-            lag = truth.lags[0] + ((truth.full_lag or truth.lags[0]) - truth.lags[0]) * min(max(level, 0.0), 1.0)
-            now += h * min(max((steady - now) / lag, -down), up)
-    return np.array(thrusts)
+    for goal in goals.tolist():
+        course.append(now)
+        error = goal - now
+        if truth.governor:
+            error = error if abs(error) > 0.02 * truth.gain else 0.0
+            integral += 0.25 * error * GRID_S
+            now += GRID_S * (0.6 * error + integral)
+        else:
+            now += GRID_S * min(max(error / truth.lags[0], -down), up)
+    return np.array(course)
 
 
 def bench_log(kind, rate, truth=Truth(), seed=0, noise=0.5, seconds=60.0):

@@ -1,11 +1,10 @@
 """An engine out of its bench logs: the truth where it is known, and words where a log does not tell (docs/bench.md)."""
 
 import json
+import subprocess
+import sys
 import tomllib
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pyarrow.parquet
@@ -16,16 +15,14 @@ from known_benches import EXCITATIONS, Truth, bench_log
 
 from cosim.base.errors import InputError, NotIdentifiedError
 from cosim.engine import EngineBank, load_engine
-from hexjet_identify.bench import BenchIdentification, Choices, Columns, grey_box, identify_bench, read_records
-from hexjet_identify.bench.beyond_lags import fit_beyond_lags
-from hexjet_identify.bench.evidence import Foretold, HeldBack, Misfit, describe_held_back, movement_rows
-from hexjet_identify.bench.grey_box_result import write as write_engine
-from hexjet_identify.bench.grey_model import GreyChoices
-from hexjet_identify.bench.identify import ECU_RAMP, throttle_limits
-from hexjet_identify.bench.result import page
+from hexjet_identify.bench import Choices, Columns, Identification, identify_bench, read_records
+from hexjet_identify.bench.engine_table import engine_parameters, why_no_engine
+from hexjet_identify.bench.identify import throttle_limits
+from hexjet_identify.fit.forms import Limits
 
 DOCUMENT = " ".join((Path(__file__).parents[3] / "docs" / "bench.md").read_text(encoding="utf-8").split())
-RECORDINGS = Path(__file__).parents[4] / "shared" / "data" / "jetcat-p300" / "recordings"
+SHARED_DATA = Path(__file__).parents[4] / "shared" / "data"
+RECORDINGS, STANDS = SHARED_DATA / "jetcat-p300" / "recordings", SHARED_DATA / "thrust-stands" / "make.py"
 ONE = Truth()
 TWO = Truth(lags=(0.4, 0.2))
 SLEWING = Truth(lags=(0.2,), slew=(30.0, 20.0))
@@ -37,25 +34,87 @@ def write(path: Path, command: np.ndarray, thrust: np.ndarray, times: np.ndarray
     return path
 
 
-def found(tmp_path: Path, kind: str, rate: float, truth: Truth = ONE, **choices: object) -> BenchIdentification:
+def found(tmp_path: Path, kind: str, rate: float, truth: Truth = ONE, **choices: object) -> Identification:
     times, command, thrust, _ = bench_log(kind, rate, truth, **choices)  # type: ignore[arg-type]
     return identify_bench(read_records([write(tmp_path / "bench.csv", command, thrust, times)]))
 
 
 @pytest.mark.parametrize("rate", [10.0, pytest.param(50.0, marks=pytest.mark.long)])
 @pytest.mark.parametrize("kind", EXCITATIONS)
-def test_delay_and_lag_come_out_of_every_excitation(tmp_path: Path, kind: str, rate: float) -> None:
-    """Within a row, where the log can tell; a slow ramp in this noise cannot, and that is said."""
-    result = found(tmp_path, kind, rate)
+@pytest.mark.parametrize("truth", [ONE, TWO], ids=["one lag", "two lags"])
+def test_delay_and_lags_come_out_of_every_excitation(tmp_path: Path, kind: str, rate: float, truth: Truth) -> None:
+    result = found(tmp_path, kind, rate, truth)
     low, high = result.chosen.delay_bounds
-    assert abs(0.1 - 0.5 * (low + high)) <= high - low  # twice as wide: 14 cases, and 1 in 20 may be outside
     assert result.is_explained
+    assert low <= 0.1 <= high
+    assert high - low < 0.1 + 2.0 / rate or any(line.startswith("the delay: ") for line in result.untold)
     value, deviation = result.chosen.total
-    assert abs(value - 0.5) < 4.0 * deviation
-    assert any(line.startswith("the delay: anything from") for line in result.untold) == (kind == "ramp")
-    if kind != "ramp":
-        assert abs(result.chosen.delay - 0.1) <= 1.0 / rate
-        assert abs(result.chosen.lags[0] - 0.4) < 4.0 * result.chosen.deviation(1)
+    assert abs(value - 0.1 - sum(truth.lags)) < 4.0 * deviation + 0.5 / rate
+
+
+def test_limits_of_rise_and_fall_are_found_behind_a_curved_line(tmp_path: Path) -> None:
+    result = found(tmp_path, "stairs of 5 s", 50.0, Truth(lags=(0.2,), exponent=1.3, slew=(30.0, 20.0)))
+    assert result.is_explained
+    assert isinstance(result.chosen.form, Limits)
+    assert result.chosen.numbers["rise"][0] == pytest.approx(30.0, rel=0.02)
+    told = engine_parameters(result)
+    assert told.told("rise")[0] == pytest.approx(30.0 / told.told("gain")[0], rel=0.02)
+    assert result.chosen.numbers["fall"][0] == pytest.approx(20.0, rel=0.02)
+    assert told.told("exponent")[0] == pytest.approx(1.3, abs=0.05)
+
+
+def test_a_governor_is_not_explained_however_little_it_is_off(hexjet: Hexjet, tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 20.0, Truth(governor=True))
+    write(tmp_path / "bench.csv", command, thrust, times)
+    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
+    assert done.status == 1
+    assert done.out.startswith("not explained: ")
+    assert "no engine: the model does not explain the log" in done.out
+    assert {path.name for path in (tmp_path / "mine").iterdir()} == {"identification.json", "report.html"}
+    told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
+    assert (told["found"], told["explained"], told["verdict"]) == (False, False, "not explained")
+
+
+def test_a_slow_ramp_tells_the_static_line_alone_and_the_next_test(hexjet: Hexjet, tmp_path: Path) -> None:
+    times = np.arange(0.0, 100.0, 0.5)
+    command = np.linspace(0.05, 0.95, len(times))
+    noise = np.random.default_rng(1).normal(0.0, 0.05, len(times))
+    write(tmp_path / "bench.csv", command, 12.0 * command**1.8 + noise, times)
+    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
+    said = " ".join(done.out.split())
+    assert done.status == 1
+    assert "no engine: the log tells neither delay nor lag, the static line alone" in said
+    assert "delay and lag: so slow a command shows the static line alone. Next: a step from 0.05 to 0.95" in said
+    told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
+    levels = np.array(told["estimates"][0]["levels"])
+    np.testing.assert_allclose(levels[:, 1], 12.0 * levels[:, 0] ** 1.8, atol=0.1)
+
+
+def test_the_terminal_has_the_verdict_first_and_three_notes_at_most(hexjet: Hexjet, tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("chirp", 50.0)
+    write(tmp_path / "bench.csv", command, thrust, times)
+    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
+    assert done.out.startswith("explained to 0.")
+    assert sum(line.startswith(("note: ", "not told: ", "no engine: ")) for line in done.out.splitlines()) == 3
+    assert " more on the page" in done.out
+
+
+@pytest.mark.skipif(not STANDS.is_file(), reason="the maker of thrust-stand logs is not at hand")
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 6))])
+def test_logs_of_thrust_stands_are_answered_as_their_truth_says(tmp_path: Path, seed: int) -> None:
+    """A head longer than its rows, empty columns, ESC microseconds, gf, hum, limits, stamps of a host, a governor."""
+    subprocess.run([sys.executable, str(STANDS), str(tmp_path), str(seed)], check=True, timeout=100)
+    wrong = []
+    for name, truth in json.loads((tmp_path / "truth.json").read_text(encoding="utf-8")).items():
+        result = identify_bench(read_records([tmp_path / f"{name}.csv"]))
+        wanted = (name != "governor", name not in ("governor", "slow-ramp"))
+        low, high = result.chosen.delay_bounds
+        right = (result.is_explained, not why_no_engine(result)) == wanted
+        right &= low <= truth.get("delay_s", low) <= high
+        if "rise_n_s" in truth:
+            right &= result.chosen.numbers["rise"][0] == pytest.approx(truth["rise_n_s"], rel=0.02)
+        wrong += [] if right else [f"{name}: {result.verdict.words}, {low:g} to {high:g} s, {why_no_engine(result)}"]
+    assert wrong == []
 
 
 def test_a_time_in_milliseconds_that_does_not_say_so_is_asked_for(tmp_path: Path) -> None:
@@ -70,69 +129,11 @@ def test_a_time_in_milliseconds_that_does_not_say_so_is_asked_for(tmp_path: Path
     assert not any("--time-unit" in note for note in record.notes)
 
 
-def test_a_lag_of_minutes_leaves_no_form_beyond_it_and_is_no_error(tmp_path: Path) -> None:
-    """Of a time in milliseconds, say: the library's engine would not settle with such a lag, and cannot be loaded."""
-    times, command, thrust, _ = bench_log("stairs of 5 s", 10.0, ONE)
-    records = read_records([write(tmp_path / "bench.csv", command, thrust, 1e3 * times)])
-    lags: Any = SimpleNamespace(
-        is_explained=False, limits_known=True, records=records, offset=0.0, limits=(0.0, 1.0), straight=False,
-        chosen=SimpleNamespace(gain=100.0, lags=(373.0,)), misfit=Misfit(0.0, 1.0, 0.01),
-    )  # fmt: skip
-    assert fit_beyond_lags(lags, 2.0) is None
-
-
 def test_a_load_cell_at_a_kilohertz_tells_the_delay_to_a_millisecond(tmp_path: Path) -> None:
     result = found(tmp_path, "stairs of 5 s", 1000.0, seconds=15.0)
     assert result.chosen.delay == pytest.approx(0.1, abs=0.001)
     assert result.records[0].step == pytest.approx(0.001, rel=1e-6)
     assert not any("averaged" in note for note in result.notes)
-
-
-@pytest.mark.parametrize(
-    ("second", "unit", "words"),
-    [
-        (1.5, "N", "off by 1.5 N (1.5 % of its range) in the second, and by 0.2 N (0.2 % of its range) where"),
-        (1.5, "", "off by 1.5 (1.5 % of its range) in the second, and by 0.2 (0.2 % of its range) where"),
-        (
-            4.17e6,
-            "rpm",
-            "off by more than the output's whole range in the second, and by 0.2 rpm (0.2 % of its range) where",
-        ),
-        (
-            float("nan"),
-            "",
-            "off by more than the output's whole range in the second, and by 0.2 (0.2 % of its range) where",
-        ),
-    ],
-)
-def test_beyond_the_range_of_the_output_it_is_not_said_by_how_much(second: float, unit: str, words: str) -> None:
-    described = describe_held_back(HeldBack(0.2, second), unit, 100.0)
-    assert described == f"fitted on the first half of the movements it is {words} it was fitted"
-
-
-def test_each_movement_of_a_staircase_is_foretold_from_every_second_other_one(tmp_path: Path) -> None:
-    """To the noise, half a newton, and the times of a lag of 0.4 s behind 0.1 s: delay - lag ln(1 - share)."""
-    held = found(tmp_path, "stairs of 5 s", 100.0).held_back
-    assert held is not None
-    assert [one.begin for one in held.movements] == pytest.approx([*range(5, 50, 5), 55], abs=0.011)
-    assert held.others == pytest.approx(0.5, rel=0.05)
-    for one in held.movements:
-        assert one.model == pytest.approx([0.1 - 0.4 * np.log(1.0 - share) for share in (0.1, 0.5, 0.9)], abs=0.03)
-        assert max(map(abs, one.off)) < 0.3
-    rows = movement_rows(held, "N", 70.0)
-    assert rows[0][1] == f"{held.movements[0].first:.4g} to {held.movements[0].last:.4g} N"
-    assert f"of {3 * len(held.movements)} times to 10, 50 and 90 % of the way" in describe_held_back(held, "N", 70.0)
-
-
-def test_a_time_that_a_model_never_reaches_is_said() -> None:
-    stuck = Foretold(0, 88.9, 33.0, 60.0, 1.0, (1.0, 2.0, 4.0), (1.05, 2.5, float("nan")))
-    held = HeldBack(0.5, 1.0, (stuck,))
-    words = describe_held_back(held, "krpm", 67.0)
-    assert words.endswith("1 are foretold within 10 %, the worst, to 90 % of the movement at 88.9 s, is never reached")
-    assert movement_rows(held, "krpm", 67.0) == [
-        ["88.9 s", "33 to 60 krpm", "1.5 %", "1 s (+5 %)", "2 s (+25 %)", "4 s (never)"]
-    ]
-    assert json.loads(json.dumps(held.to_dict(), allow_nan=False))["movements"][0]["model"][2] is None
 
 
 def test_rows_of_a_kilohertz_are_averaged_and_the_delay_stays_where_it_is(tmp_path: Path) -> None:
@@ -149,90 +150,12 @@ def test_rows_of_a_kilohertz_are_averaged_and_the_delay_stays_where_it_is(tmp_pa
     assert chosen.delay_bounds[0] <= 0.1037 <= chosen.delay_bounds[1]
 
 
-def two_files(folder: Path, drift: float = 0.0, speed: bool = True) -> list[Path]:
-    """An ECU's telemetry at 10 Hz and a load cell at 50 Hz on a clock of its own, 37 s ahead, that drifts."""
-    times, command, thrust, _ = bench_log("stairs of 5 s", 50.0, noise=0.0, seconds=120.0)
-    rows = np.arange(0, len(times), 5)
-    rpm = 33000.0 + 650.0 * (thrust - 5.0)
-    rng = np.random.default_rng(3)
-    columns = [times, command, *([rpm + 30.0 * rng.standard_normal(len(times))] if speed else [])]
-    head = "time_s,throttle" + (",rpm" if speed else "")
-    np.savetxt(folder / "ecu.csv", np.column_stack(columns)[rows], "%.9g", ",", header=head, comments="")
-    measured = 200.0 * (rpm / 1e5) ** 3 + 0.3 * rng.standard_normal(len(times))
-    np.savetxt(folder / "cell.csv", np.column_stack([(1.0 + drift) * times + 37.0, measured]), "%.9g", ",",
-               header="t [s],F (N)", comments="")  # fmt: skip
-    return [folder / "ecu.csv", folder / "cell.csv"]
-
-
-@pytest.mark.parametrize("drift", [0.0, 3e-3])
-def test_two_clocks_are_laid_over_each_other_and_their_error_is_the_delays(tmp_path: Path, drift: float) -> None:
-    record = read_records(two_files(tmp_path, drift))[0]
-    assert record.output_name == "F (N)"
-    assert record.times[0] == pytest.approx(0.0, abs=0.02)
-    assert record.times[-1] == pytest.approx(119.9, abs=0.02)
-    assert 0.025 < record.clock_deviation < 0.05  # a row of 100 ms, over the root of 12
-    assert "A shift between clocks is the same thing as a delay" in " ".join(record.notes)
-    low, high = identify_bench([record]).chosen.delay_bounds
-    assert low <= 0.1 <= high
-    assert high - low >= 3.5 * record.clock_deviation
-
-
-def test_two_clocks_that_nothing_joins_do_not_tell_the_delay(tmp_path: Path) -> None:
-    result = identify_bench(read_records(two_files(tmp_path, speed=False)))
-    assert result.chosen.delay_bounds == (0.0, 2.0)
-    assert any("the delay is not told at all" in note for note in result.notes)
-    (line,) = (line for line in result.untold if line.startswith("the delay: anything from 0 to 2000 ms"))
-    assert line.endswith("two clocks tell it no better. Next: command and output on one clock")
-    assert sum(result.chosen.lags) == pytest.approx(0.4, abs=0.1)
-
-
-def test_files_of_two_runs_are_no_pair(tmp_path: Path) -> None:
-    paths = two_files(tmp_path)
-    times = np.arange(0.0, 60.0, 0.01)
-    np.savetxt(paths[1], np.column_stack([times, 50 + 30 * np.sin(times**2 / 20)]), "%.9g", ",", header="t,F (N)",
-               comments="")  # fmt: skip
-    with pytest.raises(InputError, match="cannot be laid over each other"):
-        read_records(paths)
-    for wrong in ([paths[1], paths[0]], [*paths, paths[1]]):
-        with pytest.raises(InputError, match="has no command; put the file that has it right before it"):
-            read_records(wrong)
-
-
-@pytest.mark.parametrize("kind", ["step", "prbs"])
-def test_two_lags_are_told_from_one(tmp_path: Path, kind: str) -> None:
-    chosen = found(tmp_path, kind, 50.0, TWO).chosen
-    assert chosen.form.lags == 2
-    assert chosen.delay_bounds[0] <= 0.1 <= chosen.delay_bounds[1]
-    assert sum(chosen.lags) == pytest.approx(0.6, abs=4.0 * chosen.total[1])
-
-
-def test_a_ramp_does_not_tell_two_lags_from_delay_and_its_bounds_know(tmp_path: Path) -> None:
-    low, high = found(tmp_path, "ramp", 50.0, TWO).chosen.delay_bounds
-    assert low <= 0.1 <= high
-
-
-@pytest.mark.parametrize("kind", ["step", "stairs of 15 s", pytest.param("chirp", marks=pytest.mark.long)])
-def test_a_limit_of_acceleration_is_not_explained_and_leaves_no_engine(tmp_path: Path, kind: str) -> None:
-    from hexjet_identify.bench.result import NOT_TOLD, why_no_engine
-
-    result = found(tmp_path, kind, 50.0, SLEWING)
-    assert not result.is_explained
-    assert any("an acceleration limit, or lag and gain that change" in note for note in result.notes)
-    assert why_no_engine(result) == "the model does not explain the log"
-    assert not any(line.startswith("the lag: ") for line in result.untold)
-    (card,) = (
-        card for card in page(replace(result, untold=())).cards if card.title.startswith("What the log does not")
-    )
-    assert [*card.lines] == [NOT_TOLD]
-
-
 @pytest.mark.parametrize(
     "kind", ["stairs of 5 s", *(pytest.param(one, marks=pytest.mark.long) for one in ("ramp", "chirp"))]
 )
 def test_the_static_curve_comes_out_with_its_exponent(tmp_path: Path, kind: str) -> None:
-    chosen = found(tmp_path, kind, 50.0, Truth(exponent=1.7)).chosen
-    assert chosen.form.curve
-    assert abs(chosen.x[-1] - 1.7) < 4.0 * chosen.deviation(len(chosen.x) - 1)
+    value, deviation = engine_parameters(found(tmp_path, kind, 50.0, Truth(exponent=1.7))).told("exponent")
+    assert abs(value - 1.7) < 4.0 * deviation < 0.2
 
 
 def test_lost_and_clipped_rows_cost_nothing_but_rows(tmp_path: Path) -> None:
@@ -245,7 +168,7 @@ def test_lost_and_clipped_rows_cost_nothing_but_rows(tmp_path: Path) -> None:
     words = " ".join(result.notes)
     assert "(clipped) or next to such; left out" in words
     assert result.chosen.delay == pytest.approx(0.1, abs=0.004)  # a step within lost rows is known to a row of 20 ms
-    assert result.chosen.gain == pytest.approx(100.0, abs=0.5)
+    assert engine_parameters(result).told("gain")[0] == pytest.approx(100.0, abs=1.0)
 
 
 def test_one_choice_of_what_is_between_rows_is_half_a_row_of_delay(tmp_path: Path) -> None:
@@ -253,8 +176,7 @@ def test_one_choice_of_what_is_between_rows_is_half_a_row_of_delay(tmp_path: Pat
     records = read_records([write(tmp_path / "bench.csv", command, thrust, times)])
     straight, held = (identify_bench(records, Choices(between=each)) for each in ("straight", "held"))
     assert straight.chosen.delay - held.chosen.delay == pytest.approx(0.025, abs=0.002)
-    assert any("taken for straight between rows; if it is held, the delay is 25 ms less" in note
-               for note in identify_bench(records).notes)  # fmt: skip
+    assert any("taken for straight between rows, as it fits better" in note for note in identify_bench(records).notes)
 
 
 def test_the_command_leaves_an_engine_that_answers_as_the_log(hexjet: Hexjet, tmp_path: Path) -> None:
@@ -315,15 +237,16 @@ def test_channels_that_are_given_leave_an_engine_where_the_output_is_a_thrust(he
     [
         ("three rows", lambda t, u, y: (t[:3], u[:3], y[:3]), 2, "3 rows of throttle that can be used; at least 20"),
         ("no step", lambda t, u, y: (t, 0 * u, y), 1, "throttle does not move; step it: a step up and one down"),
-        ("noise alone", lambda t, u, y: (t, u, y - y + np.sin(1e4 * t**2)), 1, "the output does not show the command"),
+        ("noise alone", lambda t, u, y: (t, u, y - y + np.sin(1e4 * t**2)), 1, "the output hardly shows the command"),
         ("percent", lambda t, u, y: (t, 100 * u, y), 0, "has no unit: taken for percent; --throttle-range LOW HIGH says"),
         ("negative", lambda t, u, y: (t, u, -y), 0, "if the load cell's sign is the other one: --output=-thrust_N"),
         ("backwards", lambda t, u, y: (np.where(t > 30, t - 30, t), u, y), 2, "the time goes back after 30 s"),
         ("nothing but a head", lambda t, u, y: (t[:0], u[:0], y[:0]), 2, "the table has no rows"),
         ("no numbers", lambda t, u, y: (t, u, np.nan * y), 2, "0 rows of thrust_N that can be used; at least 20"),
         ("constant", lambda t, u, y: (t, u, 0 * y + 5), 1, "thrust_N does not move"),
-        ("another engine's channel", lambda t, u, y: (t, u, bench_log("prbs", 20.0, seed=7)[2]), 1, "does not show the command"),
-        ("microseconds", lambda t, u, y: (t, 1000 + 1000 * u, y), 0, "no engine: what throttle 0 and 1 are"),
+        ("another engine's channel", lambda t, u, y: (t, u, bench_log("prbs", 20.0, seed=7)[2]), 1, "hardly shows the command"),
+        ("microseconds", lambda t, u, y: (t, 1000 + 1000 * u, y), 0, "1000 to 2000 us are taken for"),
+        ("a lever", lambda t, u, y: (t, 90 * u - 20, y), 0, "no engine: what throttle 0 and 1 are"),
     ],
 )  # fmt: skip
 def test_wrong_logs_are_told_in_a_line(
@@ -336,21 +259,6 @@ def test_wrong_logs_are_told_in_a_line(
     assert done.status == status
     assert words in " ".join((done.out + done.err).split())
     assert "Traceback" not in done.err
-
-
-@pytest.mark.long
-def test_a_log_that_no_lag_explains_is_status_1_and_leaves_the_page_that_shows_it(
-    hexjet: Hexjet, tmp_path: Path
-) -> None:
-    times, command, thrust, _ = bench_log("chirp", 50.0, Truth(dead_band=0.04))
-    write(tmp_path / "bench.csv", command, thrust, times)
-    done = hexjet("identify", "bench", "bench.csv", "--out", "mine")
-    assert done.status == 1
-    assert "no engine: the model does not explain the log" in " ".join(done.out.split())
-    assert {path.name for path in (tmp_path / "mine").iterdir()} == {"identification.json", "report.html"}
-    told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
-    assert not told["found"]
-    assert "an acceleration limit" in told["refused"][0]
 
 
 def test_a_fan_that_steps_from_standstill_is_measured_whole(tmp_path: Path) -> None:
@@ -448,28 +356,22 @@ def test_a_start_and_a_stop_are_left_out_and_that_is_said(tmp_path: Path, state:
     assert chosen.delay_bounds[0] <= 0.1 <= chosen.delay_bounds[1]
 
 
-def test_two_engines_mixed_are_named_and_their_bounds_wide(tmp_path: Path) -> None:
+def test_two_engines_mixed_are_named_and_their_spread_kept(tmp_path: Path) -> None:
     paths = []
     for n, truth in enumerate((Truth(), Truth(delay=0.15, lags=(0.6,), gain=130.0))):
         times, command, thrust, _ = bench_log("stairs of 5 s", 20.0, truth, seed=n)
         paths.append(write(tmp_path / f"{n}.csv", command, thrust, times))
     result = identify_bench(read_records(paths))
-    assert sum("farther apart than noise: two engines" in note for note in result.notes) == 3
-    assert result.spread["gain"] == pytest.approx(30.0 / 2**0.5, rel=0.05)
-    assert result.chosen.deviation(len(result.chosen.x)) > 1.0
+    assert {note.split(" is ")[0] for note in result.notes if "two engines" in note} >= {"lag", "gain"}
+    assert result.spread["gain"] == pytest.approx(30.0 / 2**0.5, rel=0.1)
 
 
-def test_two_engines_in_one_file_are_told_as_stretches_whose_delays_the_bounds_hold(tmp_path: Path) -> None:
-    """The form explains the whole by a mean of both."""
-    times, command, first, _ = bench_log("stairs of 5 s", 10.0, seed=1)
-    other = Truth(delay=0.15, lags=(0.6,), gain=130.0)
-    _, _, second, _ = bench_log("stairs of 5 s", 10.0, other, seed=2)
-    columns = np.tile(command, 2), np.concatenate([first, second]), np.concatenate([times, times + times[-1] + 0.1])
-    (record,) = read_records([write(tmp_path / "two.csv", *columns)])
-    result = identify_bench([record])
-    assert sum(note.startswith("stretches of the log are answered") for note in result.notes) == 1
-    assert result.chosen.delay_bounds[0] < 0.1
-    assert result.chosen.delay_bounds[1] > 0.145
+def test_two_clocks_are_refused_in_a_line(tmp_path: Path) -> None:
+    times, command, thrust, _ = bench_log("stairs of 5 s", 20.0)
+    np.savetxt(tmp_path / "ecu.csv", np.column_stack([times, command]), "%.9g", ",", header="t,throttle", comments="")
+    np.savetxt(tmp_path / "cell.csv", np.column_stack([times, thrust]), "%.9g", ",", header="t,F (N)", comments="")
+    with pytest.raises(InputError, match=r"no column is called like what --output needs.*on one clock in one file"):
+        read_records([tmp_path / "ecu.csv", tmp_path / "cell.csv"])
 
 
 def test_columns_that_are_called_alike_are_asked_for(tmp_path: Path) -> None:
@@ -508,9 +410,8 @@ def turbine_log(folder: Path, seed: int, speed: bool = False) -> Path:
 
 @pytest.mark.parametrize("speed", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_the_parameters_of_a_turbine_and_its_ecu_come_out(hexjet: Hexjet, tmp_path: Path, speed: bool) -> None:
-    """Where one lag cannot be: its own ramps, damping and delay, each within four standard deviations."""
-    path = turbine_log(tmp_path, 1, speed)
-    assert not identify_bench(read_records([path])).is_explained
+    """Its own ramps, damping and delay, each within four standard deviations."""
+    turbine_log(tmp_path, 1, speed)
     fits = [text for name in TURBINE for text in ("--fit", name)]
     done = hexjet("identify", "bench", "turbine.csv", "--engine", "turbine-220", *fits, "--out", "mine")
     assert done.status == 0, done.err
@@ -544,50 +445,21 @@ def test_what_cannot_be_fitted_is_told_in_a_line(
     assert words in " ".join(done.err.split())
 
 
-def test_an_engine_that_foretells_what_was_held_back_is_left_though_more_than_noise_is_left_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its deviations reach to the fit of each half of the movements, and the terminal's and the page's words say so."""
-    monkeypatch.setattr(grey_box, "test_residuals", lambda *_: Misfit(0.0, 1.0, 0.01))
-    times, command, thrust, _ = bench_log("stairs of 15 s", 10.0, noise=0.2, seconds=75.0)
-    records = read_records([write(tmp_path / "bench.csv", command, thrust, times)])
-    choices = GreyChoices("fitted", ("lag",), {"gain": 100.0, "offset": 5.0, "lag": 0.3})
-    result = grey_box.fit_engine(records, choices)
-    assert result.held_back is not None
-    assert len(result.held_back.movements) == 4
-    assert result.held_back.others == pytest.approx(0.2, rel=0.1)
-    assert any("what was held back is foretold: an engine is left" in note for note in result.notes)
-    told, paths = result.to_dict(), write_engine(result, tmp_path / "mine")
-    assert (told["explained"], told["close"], told["found"], "engine" in paths) == (False, True, True, True)
-    assert "Movements, foretold" in paths["report"].read_text(encoding="utf-8")
-    assert " to {} % of the range (rms)".format(f"{100.0 * grey_box.CLOSE:g}") in DOCUMENT
-    far = replace(result, held_back=result.held_back._replace(others=0.02 * result.swing))
-    assert not far.leaves_engine
-    assert "engine" not in write_engine(far, tmp_path / "far")
-    wide = grey_box._hold_halves(
-        np.diag([1.0, 4.0]), np.array([5.0, 5.0]), [np.array([4.5, 8.0]), np.array([7.0, 5.0])]
-    )
-    np.testing.assert_allclose(np.sqrt(np.diag(wide)), [2.0, 3.0])
-
-
 # ---- a real one
 
 
 @pytest.mark.long
 @pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the recordings of a JetCat P300-PRO are not at hand")
 def test_the_ramp_of_a_real_ecu_foretells_half_of_its_steps_from_the_others(hexjet: Hexjet, tmp_path: Path) -> None:
-    """Within 1.5 % of the range: an engine is left, and the page says what it lacks."""
-    fits = [text for name in ECU_RAMP for text in ("--fit", name)]
+    fits = ("--fit", "fuel_integral", "--fit", "fuel_fall")
     log = str(RECORDINGS / "run-2023-01-09-a.csv")
     done = hexjet("identify", "bench", log, "--engine", "jetcat-p300", *fits, "--out", str(tmp_path / "mine"))
     assert done.status == 0, done.err
     told = json.loads((tmp_path / "mine" / "identification.json").read_text(encoding="utf-8"))
-    held, swing = told["held_back"], told["residual_rms"] / told["residual_of_swing"]
-    assert len(held["movements"]) == 6
-    worst = max(one["rms"] for one in held["movements"])
-    words = "each foretold from three others to {} % of the range, the worst to {} %"
-    assert words.format(*(f"{100.0 * value / swing:.1f}" for value in (held["others_rms"], worst))) in DOCUMENT
-    assert any("what the model lacks" in note for note in told["notes"])
+    verdict = done.out.partition("\n")[0]
+    assert f"`{verdict}`" in DOCUMENT
+    assert told["residual_of_swing"] < 0.007
+    assert len(told["held_back"]["movements"]) == 6
     assert any("the log has no thrust" in note for note in told["notes"])
     (line,) = told["not_told"]
     assert line.startswith("how small, quick commands are answered: no movement of setpoint_rpm is smaller than ")
@@ -596,7 +468,7 @@ def test_the_ramp_of_a_real_ecu_foretells_half_of_its_steps_from_the_others(hexj
 
 @pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the recordings of a JetCat P300-PRO are not at hand")
 def test_real_recordings_are_read_whole() -> None:
-    """Start and stop by state and speed, an engine out of fuel, a load cell whose clock 0.2 s are known of."""
+    """Start and stop by state and speed, and an engine out of fuel."""
     for name, begin, end in (
         ("run-2022-12-14.csv", 71.7, 132.1),
         ("run-2023-01-09-a.csv", 71.1, 268.9),
@@ -605,11 +477,6 @@ def test_real_recordings_are_read_whole() -> None:
         (record,) = read_records([RECORDINGS / name])
         assert record.times[0] == pytest.approx(begin, abs=0.2)
         assert end - 3.0 < record.times[-1] <= end
-    paths = [RECORDINGS / name for name in ("run-2022-12-14.csv", "thrust-2022-12-14-up.csv")]
-    (record,) = read_records(paths)
-    (words,) = (note for note in record.notes if note.startswith("two clocks"))
-    assert abs(float(words.split(" is ")[1].split(" s ")[0])) < 0.2 + 1.96 * record.clock_deviation
-    assert record.clock_deviation > 0.1
 
 
 @pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the recordings of a JetCat P300-PRO are not at hand")
@@ -617,10 +484,8 @@ def test_real_recordings_are_read_whole() -> None:
     ("name", "begin", "end"), [("run-2023-01-09-a.csv", 80.0, 290.0), ("run-2023-02-22-b.csv", 250.0, 1150.0)]
 )
 def test_a_real_turbojet_is_no_lag_and_that_is_said(name: str, begin: float, end: float) -> None:
-    """Its ECU ramps fuel by error and level: delay and lags are 2 to 4 s together, and do not explain it."""
+    """Its ECU ramps fuel by error and level: delay and lags are 1 to 4 s together, and do not explain it."""
     result = identify_bench(read_records([RECORDINGS / name], Columns("setpoint_rpm", "rpm", begin=begin, end=end)))
     assert not result.is_explained
-    assert any("what the model lacks" in note for note in result.notes)
     assert any("try --engine jetcat-p300 --fit fuel_integral" in note for note in result.notes)
-    assert 2.0 < result.chosen.total[0] < 4.0
-    assert result.chosen.delay_bounds[0] < 0.4
+    assert 1.0 < result.chosen.total[0] < 4.0

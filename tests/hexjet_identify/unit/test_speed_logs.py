@@ -1,20 +1,20 @@
-"""Logs of an engine's speed: columns called otherwise, a set-point that is not followed, a log that begins in motion."""
+"""Logs of an engine's speed: columns called otherwise, and what an engine keeps of its own."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cosim.engine import load_engine
 from cosim.engine.fmu.uncertainty import Uncertainty
-from hexjet_identify.bench.evidence import Misfit
-from hexjet_identify.bench.fit import Part
-from hexjet_identify.bench.grey_box import NOT_AT_REST, GreyChoices, GreyIdentification, describe_beginning
-from hexjet_identify.bench.grey_box_result import engine_table
+from hexjet_identify.bench.engine_form import EngineChoices, make_form
+from hexjet_identify.bench.engine_table import own_engine_table
+from hexjet_identify.bench.identification import Identification
+from hexjet_identify.bench.identify import as_log, make_problem
 from hexjet_identify.bench.record import BenchRecord, Columns, read_records
+from hexjet_identify.fit.estimate import Estimate
+from hexjet_identify.fit.evidence import Verdict
 from hexjet_identify.logs.flight_log import unit_of
 
 ROW_S = 0.1
@@ -63,40 +63,6 @@ def test_a_start_is_left_out_of_a_log_that_has_its_speed_in_percent_too(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("begin", "words"),
-    [
-        (None, ""),
-        (120.0, "rpm does not come to setpoint_rpm, which has long stood: 119.9 to 159.9 s, at its end 30000 rpm off"),
-        (150.0, "rpm does not come to setpoint_rpm, which has long stood: 149.9 to 159.9 s, at its end 30000 rpm off"),
-        (159.6, ""),  # a few wrong frames
-    ],
-)
-def test_a_speed_that_its_fuel_does_not_let_follow_is_said_with_its_seconds(
-    tmp_path: Path, begin: float | None, words: str
-) -> None:
-    """Starved on the way to 100 krpm: it hangs at 70; where it follows, or not for long, nothing is said."""
-    times, asked, speed = governed(240.0)
-    if begin is not None:
-        held = (times >= begin) & (times < min(begin + 40.0, 160.0))
-        speed[held] -= np.maximum(speed[held] - 70e3, 0.0)
-    (record,) = read_records([write(tmp_path / "run.csv", "time_s,setpoint_rpm,rpm", times, asked, speed)])
-    (*said,) = (note for note in record.notes if "does not come to" in note)
-    assert len(said) == (1 if words else 0)
-    assert all(one.startswith(words) for one in said)
-
-
-def test_a_log_that_begins_on_its_way_is_named() -> None:
-    times = np.arange(0.0, 10.0, ROW_S)
-    part = Part(times, times, times, times, ROW_S, False)
-    record = BenchRecord(Path("cut.csv"), "setpoint_rpm", "rpm", "rpm", "rpm", times, times, times, times, ROW_S, 0.0)
-    off = 30.0 * np.exp(-times / LAG_S)
-    rest = replace(record, path=Path("rest.csv"))
-    (line,) = describe_beginning([rest, record], [part, part], np.concatenate([0.0 * off, off]), 100.0)
-    assert line.startswith("cut.csv begins 27 % of the output's range from where the engine rests")
-    assert not describe_beginning([record], [part], NOT_AT_REST * off, 100.0)
-
-
-@pytest.mark.parametrize(
     ("fitted", "kept"),
     [
         (("fuel_integral", "fuel_fall"), ["fuel_response", "fuel_ramp", "pump_time_constant"]),
@@ -107,15 +73,17 @@ def test_what_is_not_fitted_stays_as_uncertain_as_the_engine_states_it(
     fitted: tuple[str, ...], kept: list[str]
 ) -> None:
     """Its deviations and the correlation between them; a parameter that is set is known."""
-    spec = load_engine("jetcat-p300", {}, 0.004)
     settings = {} if "fuel_integral" in fitted else {"fuel_response": 0.0007}
-    count = 1 + len(fitted)
-    result = GreyIdentification(
-        (BenchRecord(Path("b.csv"), "a", "b", "rpm", "rpm", *np.zeros((4, 2)), ROW_S, 0.0),),
-        GreyChoices("jetcat-p300", fitted, settings), spec, np.full(count, 0.1), 1e-4 * np.eye(count), np.zeros(2), (),
-        Misfit(False, 1.0, 0.0, 0.0), None, (),
-    )  # fmt: skip
-    told = Uncertainty.model_validate(engine_table(result)["uncertainty"])
+    times, count = np.arange(0.0, 10.0, ROW_S), 1 + len(fitted)
+    record = BenchRecord(Path("b.csv"), "a", "b", "rpm", "rpm", times, times, times, times, ROW_S, 0.0)
+    form = make_form([record], EngineChoices("jetcat-p300", fitted, settings), 2.0)
+    problem = make_problem([as_log(record, (0.0, 1.0), False)], 2.0)
+    values, residual = np.full(count, 0.1), np.zeros(len(times))
+    estimate = Estimate(
+        form, values, np.zeros(0), 1e-4 * np.eye(count), residual, 0.0, 1.0, 0.0, count, 1.0, (0.08, 0.12)
+    )
+    found = Identification((record,), problem, (0.0, 1.0), True, (estimate,), 1.0, Verdict(0.0, 0, 0), ())
+    told, spec = Uncertainty.model_validate(own_engine_table(found, form)["uncertainty"]), form.spec
     assert told.parameters == ["delay_samples", *fitted, *kept]
     stated = spec.uncertainty
     assert stated is not None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -11,6 +11,7 @@ from cosim.base.arrays import Array
 from cosim.base.storage.toml import read_toml
 from cosim.engine.fmu.uncertainty import Uncertainty
 from hexjet_identify.bench.engine_form import STEP_S, EngineForm
+from hexjet_identify.bench.identification import Identification
 from hexjet_identify.engine_file import (
     DEVIATIONS_95,
     FITTED_STEP_S,
@@ -20,9 +21,6 @@ from hexjet_identify.engine_file import (
 )
 from hexjet_identify.fit.estimate import Estimate
 from hexjet_identify.fit.forms import Limits
-
-if TYPE_CHECKING:
-    from hexjet_identify.bench.identify import Identification
 
 # The parameter of an engine's delay, in its internal steps.
 DELAY = "delay_samples"

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, NotIdentifiedError
-from cosim.identify.verdict import Judgement, judge_model, shared_record
-from hexjet_identify.bench.engine_form import EngineForm
 from hexjet_identify.bench.engine_table import engine_parameters
+from hexjet_identify.bench.identification import Identification
 from hexjet_identify.bench.record import BenchRecord
 from hexjet_identify.bench.remarks import describe_doubts, describe_untold
 from hexjet_identify.fit.estimate import Estimate, bound_delay, find_start, fit, fit_limits, fit_static
-from hexjet_identify.fit.evidence import Foretold, Verdict, hold_back, judge, spread_of_delay
+from hexjet_identify.fit.evidence import Foretold, hold_back, judge, spread_of_delay
 from hexjet_identify.fit.forms import Lags, Limits
 from hexjet_identify.fit.logs import Log
 from hexjet_identify.fit.problem import Problem
@@ -32,121 +31,6 @@ class Choices(NamedTuple):
     limits: tuple[float, float] | None = None
     between: str = "auto"
     longest_delay: float = 2.0
-
-
-@dataclass(frozen=True)
-class Identification:
-    """What bench logs tell of an engine; ``estimates`` has the chosen form first.
-
-    ``total``: delay and lags together, s; ``spread``: standard deviations between several logs of the library's engine
-    as fitted to each.
-    """
-
-    records: tuple[BenchRecord, ...]
-    problem: Problem
-    limits: tuple[float, float]
-    limits_known: bool
-    estimates: tuple[Estimate, ...]
-    total: float
-    verdict: Verdict
-    held_back: tuple[Foretold, ...]
-    notes: tuple[str, ...] = ()
-    untold: tuple[str, ...] = ()
-    spread: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def chosen(self) -> Estimate:
-        """The form that the evidence chooses."""
-        return self.estimates[0]
-
-    @property
-    def engine(self) -> EngineForm | None:
-        """The engine whose own parameters were fitted, if that was asked."""
-        return self.chosen.form if isinstance(self.chosen.form, EngineForm) else None
-
-    @property
-    def is_explained(self) -> bool:
-        """Whether the chosen form explains the logs."""
-        return self.verdict.is_explained
-
-    @property
-    def is_told(self) -> bool:
-        """Whether the logs tell delay and lags together at all."""
-        return self.chosen.form != Lags(0)
-
-    @property
-    def refused(self) -> list[str]:
-        """Why the model is none of this engine, a line a reason; empty where it is."""
-        if not self.is_explained:
-            return ["the model does not explain the log"]
-        return [] if self.is_told else ["the log tells neither delay nor lag, the static line alone"]
-
-    @property
-    def judgement(self) -> Judgement:
-        """Whether the model explains the logs."""
-        return judge_model(self.is_explained, self.verdict.words)
-
-    @property
-    def residual_rms(self) -> float:
-        """Root mean square of what is left over, in the output's unit."""
-        return float(np.sqrt(np.mean(self.chosen.residual**2)))
-
-    @property
-    def unit(self) -> str:
-        """Unit of the output as it is fitted: that of the log, or rpm or N of an engine's own."""
-        return self.records[0].output_unit if self.engine is None else self.engine.unit
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything but the signals, for JSON."""
-        first, chosen = self.records[0], self.chosen
-        channels, units = (first.command_name, first.output_name), (first.command_unit, first.output_unit)
-        record = {
-            **shared_record("engine", channels, units, self.judgement, self.refused, self.notes),
-            "logs": [str(each.path) for each in self.records],
-            "throttle_range": list(self.limits),
-            "throttle_range_known": self.limits_known,
-            "between_rows": "straight" if self.problem.logs[0].is_straight else "held",
-            "row_s": max(each.step for each in self.records),
-            "lost_fraction": max(each.lost_fraction for each in self.records),
-            "explained": self.is_explained,
-            "residual_rms": self.residual_rms,
-            "residual_of_swing": self.residual_rms / self.problem.swing,
-            "off": self.verdict.off,
-            "times_near": self.verdict.near,
-            "times": self.verdict.times,
-            "held_back": {"movements": [one.to_dict() for one in self.held_back]} if self.held_back else None,
-            "delay_s": chosen.delay,
-            "delay_bounds_95_s": list(chosen.delay_bounds),
-            "estimates": [self._estimate_dict(each) for each in self.estimates],
-            "spread": dict(self.spread),
-            "not_told": list(self.untold),
-        }
-        if self.engine is not None:
-            values, deviations = ({name: pair[k] for name, pair in chosen.numbers.items()} for k in (0, 1))
-            record |= {"engine": self.engine.choices.engine, "set": dict(self.engine.choices.settings)}
-            record |= {"parameters": values, "standard_deviations": deviations}
-        return record
-
-    def _estimate_dict(self, estimate: Estimate) -> dict[str, Any]:
-        """Return one form's parameters, standard deviations and criteria, for JSON."""
-        low, high = estimate.delay_bounds
-        numbers = estimate.numbers
-        levels = estimate.levels(self.problem)
-        at = self.limits[0] + (self.limits[1] - self.limits[0]) * self.problem.knots
-        return {
-            "form": estimate.form.label,
-            **{name: value for name, (value, _) in numbers.items()},
-            "standard_deviations": {name: _finite(deviation) for name, (_, deviation) in numbers.items()},
-            "levels": [[float(a), float(b)] for a, b in zip(at, levels, strict=True)] if len(levels) else [],
-            "delay_bounds_95_s": [low, high] if np.isfinite(low) else None,
-            "noise_memory": estimate.memory,
-            "rows": len(estimate.residual),
-            "bic": estimate.bic,
-        }
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = None) -> Identification:
@@ -178,9 +62,13 @@ def identify_bench(records: Sequence[BenchRecord], choices: Choices | None = Non
 
 
 def _is_static(best: Estimate, static: Estimate, clear: float = 10.0, wide: float = 0.5) -> bool:
-    """Return whether delay and lags are not told: without them BIC is hardly worse, or the bounds of both are wide."""
+    """Return whether delay and lags are not told: without them BIC is hardly worse, or the bounds of both are wide.
+
+    What they explain the half of is told, whatever noise with memory makes of the rest.
+    """
     value, deviation = best.total
-    return static.bic < best.bic + clear or 1.96 * deviation >= wide * value
+    is_no_better = float(np.mean(static.residual**2)) < 2.0 * float(np.mean(best.residual**2))
+    return is_no_better and (static.bic < best.bic + clear or 1.96 * deviation >= wide * value)
 
 
 def check_moves(record: BenchRecord) -> None:
@@ -218,7 +106,7 @@ def throttle_limits(
     is_bare = unit in ("", "1", "-", "0..1", "0-1", "0/1") and low >= 0.0
     if unit == "percent" and 1.0 + room < high <= 100.0 * (1.0 + room):
         return (0.0, 100.0), True
-    if unit == "us" and low >= 900.0 and high <= 2100.0:
+    if (is_bare or unit == "us") and low >= 900.0 and high <= 2100.0:
         notes.append(f"{name}: 1000 to 2000 us are taken for throttle 0 to 1; --throttle-range LOW HIGH says otherwise")
         return (1000.0, 2000.0), True
     if is_bare and high <= 1.0 + room:
@@ -310,7 +198,9 @@ def _fit_lags(
         return found[0]
     best, other = found
     row = max(float(np.median(np.diff(record.command_times))) for record in records)
-    is_doubtful = other.estimates[0].bic - best.estimates[0].bic < 20.0
+    # Of a command whose rows were averaged it cannot be seen.
+    is_averaged = any(len(log.command) < len(record.command) for log, record in zip(logs, records, strict=True))
+    is_doubtful = is_averaged or other.estimates[0].bic - best.estimates[0].bic < 20.0
     name, taken = records[0].command_name, "straight" if best.problem.logs[0].is_straight else "held"
     notes.append(
         f"{name} moves from row to row: taken for {taken} between rows, as it fits better; --between says which"

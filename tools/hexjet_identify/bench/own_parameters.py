@@ -9,9 +9,9 @@ import numpy as np
 
 from cosim.base.errors import InputError, NotIdentifiedError
 from hexjet_identify.bench.engine_form import EngineChoices, EngineForm, make_form
+from hexjet_identify.bench.identification import Identification
 from hexjet_identify.bench.identify import (
     Choices,
-    Identification,
     as_log,
     check_moves,
     make_problem,

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from hexjet_identify.bench.running import SLOW_ROWS_S, describe_adrift, find_running
+from hexjet_identify.bench.running import find_running
 from hexjet_identify.logs.flight_log import Channel, FlightLog, unit_of
 from hexjet_identify.logs.read import read_flight_log
 from hexjet_identify.logs.table import NO_NUMBERS
 
 LEAST_ROWS = 20  # with fewer no noise is told from an answer
-MOST_ROWS = 20_000  # more are averaged
 COMMANDS = (
     r"throttle",
     r"\besc\b",
@@ -42,14 +41,7 @@ NEWTONS = {
 }
 NEWTONS |= {"lb": NEWTONS["lbf"], "lbs": NEWTONS["lbf"]}  # of a thrust a kilogram or a pound is its weight
 CLIPPED = re.compile(r"(.*[_ ])?clip(ped|s)?", re.IGNORECASE)
-# Share of an output's rows that may have the time stamp of the row before and another value.  They are left out, and
-# with more of them the command would seem to move later than it does.
-MAX_SHARED_STAMPS = 0.1
-LEAST_CLIPPED = 5  # equal values in a row at the end of an output's range, where its noise repeats no other value
-NOISY = 0.5  # share of an output's values that differ from all others, from which on it is no row of a few levels
-FINE = 20.0  # smallest steps of an output in its usual change: of one that is coarser, values repeat by themselves
 LONGEST_GAP = 4.0  # rows: what is missing longer is said
-QUICKEST_ROWS_S = 1e-5  # and less than that it is not
 
 
 class Columns(NamedTuple):
@@ -123,7 +115,7 @@ def _read_records(path: Path, columns: Columns) -> list[BenchRecord]:
     records = []
     for span in moved:
         asked, answered = (command_name, _between(command, *span)), (output_name, _between(output, *span))
-        records.append(_clean(path, asked, answered, flagged, [*notes, *describe_adrift(asked, answered)]))
+        records.append(_clean(path, asked, answered, flagged, notes))
     return records
 
 
@@ -143,7 +135,10 @@ def _find(log: FlightLog, patterns: Sequence[str], never: str, option: str) -> s
             return found[0]
     have = ", ".join(list(log.channels)[:12])
     lost = "".join(f"; {remark}" for remark in log.remarks if remark.startswith(NO_NUMBERS))
-    raise InputError(f"{log.path}: no column is called like what {option} needs; {option} NAME, one of: {have}{lost}")
+    raise InputError(
+        f"{log.path}: no column is called like what {option} needs; {option} NAME, one of: {have}{lost}; command and "
+        "output have to be on one clock in one file"
+    )
 
 
 def _cut(channel: Channel, columns: Columns) -> Channel:
@@ -167,23 +162,35 @@ def _check(path: Path, name: str, channel: Channel) -> None:
         )
 
 
-def _check_row(path: Path, times: Array, by_name: bool, notes: list[str]) -> None:
+def _check_row(
+    path: Path, times: Array, by_name: bool, notes: list[str], slow_s: float = 1.0, quick_s: float = 1e-5
+) -> None:
     """Note rows so far apart that the time may be in a smaller unit; raise InputError for such as no bench has."""
     row = float(np.ptp(times)) / max(len(np.unique(times)) - 1, 1)
-    if by_name and row >= SLOW_ROWS_S:
-        prefix, unit = ("milli", "ms") if row < 1e3 * SLOW_ROWS_S else ("micro", "us")
+    if by_name and row >= slow_s:
+        prefix, unit = ("milli", "ms") if row < 1e3 * slow_s else ("micro", "us")
         notes.append(f"{row:.3g} s from row to row: if the time is in {prefix}seconds, --time-unit {unit}")
-    if 0.0 < row < QUICKEST_ROWS_S:
+    if 0.0 < row < quick_s:
         raise InputError(
-            f"{path}: {row:.2g} s from row to row; allowed: {QUICKEST_ROWS_S:g} s or more.  If the time is in days, as "
+            f"{path}: {row:.2g} s from row to row; allowed: {quick_s:g} s or more.  If the time is in days, as "
             "a spreadsheet's dates are, or in hours: --time-unit d, or h"
         )
 
 
 def _clean(
-    path: Path, command: tuple[str, Channel], output: tuple[str, Channel], flagged: Array, notes: list[str]
+    path: Path,
+    command: tuple[str, Channel],
+    output: tuple[str, Channel],
+    flagged: Array,
+    notes: list[str],
+    max_shared_stamps: float = 0.1,
+    most_rows: int = 20_000,
 ) -> BenchRecord:
-    """Return a record without repeated times and clipped rows, averaged where there are very many."""
+    """Return a record without repeated times and clipped rows, averaged where there are more than ``most_rows``.
+
+    A share of ``max_shared_stamps`` may have the stamp of the row before and another value.  They are left out, and
+    with more of them the command would seem to move later than it does.
+    """
     (command_name, given), (output_name, measured) = command, output
     _check(path, output_name, measured)
     fresh = np.diff(given.times, prepend=-np.inf) > 0.0
@@ -191,7 +198,7 @@ def _clean(
     times, values = measured.times, measured.values
     use = np.diff(times, prepend=-np.inf) > 0.0
     shared = int(np.count_nonzero(~use[1:] & (np.diff(values) != 0.0)))
-    if shared > MAX_SHARED_STAMPS * len(times):
+    if shared > max_shared_stamps * len(times):
         raise InputError(
             f"{path}: {shared} of {len(times)} rows of {output_name} have the time of the row before and another "
             "value; allowed: a time for each row, as fine as the rows are"
@@ -213,7 +220,7 @@ def _clean(
     if longest > LONGEST_GAP * step:
         notes.append(f"{output_name}: {100.0 * lost:.2g} % of the rows are missing, up to {longest:.3g} s at a time")
     width, rows = 0.0, len(times)
-    if (many := -(-rows // MOST_ROWS)) > 1:
+    if (many := -(-rows // most_rows)) > 1:
         times, values = average_rows(times, values, step, many)
         step = width = many * step
         notes.append(
@@ -227,21 +234,22 @@ def _clean(
     )  # fmt: skip
 
 
-def _is_fine(values: Array) -> bool:
-    """Return whether an output has noise far above its resolution, so that no value comes twice by itself."""
+def _is_fine(values: Array, fine: float = 20.0) -> bool:
+    """Return whether an output's usual change is ``fine`` of its smallest, so that no value comes twice by itself."""
     changes = np.abs(np.diff(np.unique(values)))
     steps = np.abs(np.diff(values))
-    fine = len(changes) > 0 and float(np.median(steps[steps > 0.0])) > FINE * float(np.percentile(changes, 1.0))
-    return bool(fine) and len(np.unique(values)) > NOISY * len(values)
+    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    is_fine = len(changes) > 0 and usual > fine * float(np.percentile(changes, 1.0))
+    return is_fine and len(np.unique(values)) > 0.5 * len(values)
 
 
-def _at_the_stop(values: Array) -> NDArray[np.bool_]:
-    """Return which rows stand at the greatest or the least value, several in a row, or a few rows from such."""
+def _at_the_stop(values: Array, least: int = 5) -> NDArray[np.bool_]:
+    """Return which rows stand at the greatest or the least value, ``least`` in a row, or a few rows from such."""
     at = np.zeros(len(values), bool)
     for stop in (values.max(), values.min()):
         here = (values == stop).astype(int)
-        if np.convolve(here, np.ones(LEAST_CLIPPED), "valid").max(initial=0.0) >= LEAST_CLIPPED:
-            at |= np.convolve(here, np.ones(2 * LEAST_CLIPPED + 1), "same") > 0.5
+        if np.convolve(here, np.ones(least), "valid").max(initial=0.0) >= least:
+            at |= np.convolve(here, np.ones(2 * least + 1), "same") > 0.5
     return at
 
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hexjet_identify.bench.engine_table import engine_parameters
+from hexjet_identify.bench.identification import Identification
 from hexjet_identify.bench.record import BenchRecord, find_levels
 from hexjet_identify.bench.running import SPEED_UNITS
-
-if TYPE_CHECKING:
-    from hexjet_identify.bench.identify import Identification
 
 
 def describe_doubts(found: Identification, apart: float = 3.29, largest_miss: float = 0.02) -> list[str]:
@@ -24,15 +21,15 @@ def describe_doubts(found: Identification, apart: float = 3.29, largest_miss: fl
     told, doubts = engine_parameters(found), []
     gain, offset, deviation = told.told("gain")[0], *told.told("offset")
     explained = 1.0 - float(np.var(chosen.residual)) / max(float(np.var(found.problem.output)), 1e-300)
-    if gain < 0.0:
-        doubts.append(
-            f"{record.output_name} falls where {record.command_name} rises; if the load cell's sign is the other one: "
-            f"--output=-{record.output_name}"
-        )
     if explained < 0.5:
         doubts.append(
             f"the output hardly shows the command, which explains {100.0 * max(explained, 0.0):.0f} % of its variance; "
             "step it farther, or look at other columns"
+        )
+    elif gain < 0.0:
+        doubts.append(
+            f"{record.output_name} falls where {record.command_name} rises; if the load cell's sign is the other one: "
+            f"--output=-{record.output_name}"
         )
     if not found.is_explained and record.command_unit in SPEED_UNITS and record.output_unit in SPEED_UNITS:
         doubts.append(

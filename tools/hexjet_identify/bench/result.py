@@ -14,7 +14,7 @@ from cosim.identify.page import WITH_BOUNDS, Signals, draw_signals, judged_page
 from cosim.pages import Card, Page
 from cosim.results.report.plot import BLUE, HOVER, panels, trace
 from hexjet_identify.bench.engine_table import engine_table, own_engine_table, why_no_engine
-from hexjet_identify.bench.identify import Identification
+from hexjet_identify.bench.identification import Identification
 from hexjet_identify.engine_file import DEVIATIONS_95, FITTED, engine_readme, write_with_engine
 from hexjet_identify.fit.estimate import Estimate
 from hexjet_identify.fit.evidence import MOVEMENT_COLUMNS, describe_movements

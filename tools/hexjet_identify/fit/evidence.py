@@ -21,6 +21,7 @@ class Foretold(NamedTuple):
     """One movement of a command, foretold by the form as fitted to every second other one.
 
     ``log`` counts from 0; times in s, outputs in their unit; no times where a movement goes nowhere, or is passed.
+    ``slack``: by how much a row and noise may move each time, s.
     """
 
     log: int
@@ -28,9 +29,9 @@ class Foretold(NamedTuple):
     first: float
     last: float
     rms: float
-    row: float = 0.0
     measured: tuple[float, ...] = ()
     model: tuple[float, ...] = ()
+    slack: tuple[float, ...] = ()
 
     @property
     def off(self) -> tuple[float, ...]:
@@ -38,8 +39,9 @@ class Foretold(NamedTuple):
         return tuple(inf if isnan(b) else b / a - 1.0 for a, b in zip(self.measured, self.model, strict=True))
 
     def count_near(self, share: float = 0.1) -> int:
-        """Return how many times are within this share of the measured one, and a row."""
-        return sum(abs(b - a) <= share * a + self.row for a, b in zip(self.measured, self.model, strict=True))
+        """Return how many times are within this share of the measured one, and what a row and noise do."""
+        each = zip(self.measured, self.model, self.slack, strict=True)
+        return sum(abs(b - a) <= share * a + slack for a, b, slack in each)
 
     def to_dict(self) -> dict[str, object]:
         """Return it for JSON."""
@@ -50,7 +52,7 @@ class Verdict(NamedTuple):
     """What decides whether a form explains its logs, and nothing else does.
 
     ``off``: what is left over (rms), averaged over a quarter of delay and lags together, as a share of the range;
-    ``near`` of ``times`` that were foretold are within 10 % and a row.
+    ``near`` of ``times`` that were foretold are within 10 %, but for a row and noise.
     """
 
     off: float
@@ -68,7 +70,7 @@ class Verdict(NamedTuple):
     @property
     def words(self) -> str:
         """The verdict in a line."""
-        off = f"{100.0 * self.off:.2g} %"
+        off = f"{100.0 * self.off:.2g} %" if self.off < 1.0 else "more than the range"
         times = f", {self.near} of {self.times} times" if self.times else ""
         if self.is_explained:
             return f"explained to {off} of the range{times}{' within 10 %' if times else ''}"
@@ -134,7 +136,7 @@ def _compare(number: int, log: Log, answer: Array, span: tuple[float, float], se
     firsts = [float(course[before].mean() if len(before) else course[use][0]) for course in courses]
     ends = [float(course[use][-last:].mean()) for course in courses]
     rms = float(np.sqrt(np.mean((log.output - answer)[use] ** 2)))
-    found = Foretold(number, span[0], firsts[0], ends[0], rms, log.step)
+    found = Foretold(number, span[0], firsts[0], ends[0], rms)
     if np.count_nonzero(use) < 5 or abs(ends[0] - firsts[0]) < least:
         return found
     times = log.times[use] - span[0]
@@ -143,7 +145,12 @@ def _compare(number: int, log: Log, answer: Array, span: tuple[float, float], se
     )
     if any(isnan(time) or not time > 0.0 for time in measured):
         return found
-    return found._replace(measured=measured, model=model)
+    # White noise, by what a row differs from the next, is less by the rows that are averaged; where the answer is slow
+    # twice its deviation moves a time by so much, and by three tenths of it at most.
+    noise = float(np.median(np.abs(np.diff(log.output)))) / 0.954 / np.sqrt(2 * int(0.5 * seconds / log.step) + 1)
+    rates = np.interp(measured, times, np.abs(np.gradient(courses[1][use], times)))
+    slack = log.step + np.minimum(2.0 * noise / np.maximum(rates, 1e-300), 0.3 * np.array(measured))
+    return found._replace(measured=measured, model=model, slack=tuple(slack.tolist()))
 
 
 def _crossings(times: Array, values: Array, first: float, end: float) -> tuple[float, ...]:

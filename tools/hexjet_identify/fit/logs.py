@@ -49,15 +49,14 @@ class Log:
         return replace(log, width=log.step)._with_fewer_commands(seconds)
 
     def _with_fewer_commands(self, seconds: float) -> Log:
-        """Return the log with rows of a straight command averaged over half of ``seconds``, which moves no delay."""
-        many = int(0.5 * seconds / self.command_row) if self.is_straight else 1
-        if many < 2:
+        """Return the log with a command that moves on averaged over half of ``seconds``, which moves no delay."""
+        many = int(0.5 * seconds / self.command_row)
+        if many < 2 or np.count_nonzero(np.diff(self.command)) < 0.5 * len(self.command):
             return self
         count = len(self.command) // many * many
-        times, command = (
-            values[:count].reshape(-1, many).mean(axis=1) for values in (self.command_times, self.command)
-        )
-        return replace(self, command_times=times, command=command)
+        times, command = (values[:count].reshape(-1, many) for values in (self.command_times, self.command))
+        begins = times.mean(axis=1) if self.is_straight else times[:, 0]
+        return replace(self, command_times=begins, command=command.mean(axis=1))
 
     def without_repeats(self) -> Log:
         """Return the log without the rows of a held command that change nothing."""

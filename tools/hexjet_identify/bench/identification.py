@@ -1,0 +1,132 @@
+"""What bench logs tell of an engine: forms as fitted, verdict, movements held back, and what is not told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from cosim.identify.verdict import Judgement, judge_model, shared_record
+from hexjet_identify.bench.engine_form import EngineForm
+from hexjet_identify.bench.record import BenchRecord
+from hexjet_identify.fit.estimate import Estimate
+from hexjet_identify.fit.evidence import Foretold, Verdict
+from hexjet_identify.fit.forms import Lags
+from hexjet_identify.fit.problem import Problem
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What bench logs tell of an engine; ``estimates`` has the chosen form first.
+
+    ``total``: delay and lags together, s; ``spread``: standard deviations between several logs of the library's engine
+    as fitted to each.
+    """
+
+    records: tuple[BenchRecord, ...]
+    problem: Problem
+    limits: tuple[float, float]
+    limits_known: bool
+    estimates: tuple[Estimate, ...]
+    total: float
+    verdict: Verdict
+    held_back: tuple[Foretold, ...]
+    notes: tuple[str, ...] = ()
+    untold: tuple[str, ...] = ()
+    spread: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def chosen(self) -> Estimate:
+        """The form that the evidence chooses."""
+        return self.estimates[0]
+
+    @property
+    def engine(self) -> EngineForm | None:
+        """The engine whose own parameters were fitted, if that was asked."""
+        return self.chosen.form if isinstance(self.chosen.form, EngineForm) else None
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether the chosen form explains the logs."""
+        return self.verdict.is_explained
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the logs tell delay and lags together at all."""
+        return self.chosen.form != Lags(0)
+
+    @property
+    def refused(self) -> list[str]:
+        """Why the model is none of this engine, a line a reason; empty where it is."""
+        if not self.is_explained:
+            return ["the model does not explain the log"]
+        return [] if self.is_told else ["the log tells neither delay nor lag, the static line alone"]
+
+    @property
+    def judgement(self) -> Judgement:
+        """Whether the model explains the logs."""
+        return judge_model(self.is_explained, self.verdict.words)
+
+    @property
+    def residual_rms(self) -> float:
+        """Root mean square of what is left over, in the output's unit."""
+        return float(np.sqrt(np.mean(self.chosen.residual**2)))
+
+    @property
+    def unit(self) -> str:
+        """Unit of the output as it is fitted: that of the log, or rpm or N of an engine's own."""
+        return self.records[0].output_unit if self.engine is None else self.engine.unit
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the signals, for JSON."""
+        first, chosen = self.records[0], self.chosen
+        channels, units = (first.command_name, first.output_name), (first.command_unit, first.output_unit)
+        record = {
+            **shared_record("engine", channels, units, self.judgement, self.refused, self.notes),
+            "logs": [str(each.path) for each in self.records],
+            "throttle_range": list(self.limits),
+            "throttle_range_known": self.limits_known,
+            "between_rows": "straight" if self.problem.logs[0].is_straight else "held",
+            "row_s": max(each.step for each in self.records),
+            "lost_fraction": max(each.lost_fraction for each in self.records),
+            "explained": self.is_explained,
+            "residual_rms": self.residual_rms,
+            "residual_of_swing": self.residual_rms / self.problem.swing,
+            "off": self.verdict.off,
+            "times_near": self.verdict.near,
+            "times": self.verdict.times,
+            "held_back": {"movements": [one.to_dict() for one in self.held_back]} if self.held_back else None,
+            "delay_s": chosen.delay,
+            "delay_bounds_95_s": list(chosen.delay_bounds),
+            "estimates": [self._estimate_dict(each) for each in self.estimates],
+            "spread": dict(self.spread),
+            "not_told": list(self.untold),
+        }
+        if self.engine is not None:
+            values, deviations = ({name: pair[k] for name, pair in chosen.numbers.items()} for k in (0, 1))
+            record |= {"engine": self.engine.choices.engine, "set": dict(self.engine.choices.settings)}
+            record |= {"parameters": values, "standard_deviations": deviations}
+        return record
+
+    def _estimate_dict(self, estimate: Estimate) -> dict[str, Any]:
+        """Return one form's parameters, standard deviations and criteria, for JSON."""
+        low, high = estimate.delay_bounds
+        numbers = estimate.numbers
+        levels = estimate.levels(self.problem)
+        at = self.limits[0] + (self.limits[1] - self.limits[0]) * self.problem.knots
+        return {
+            "form": estimate.form.label,
+            **{name: value for name, (value, _) in numbers.items()},
+            "standard_deviations": {name: _finite(deviation) for name, (_, deviation) in numbers.items()},
+            "levels": [[float(a), float(b)] for a, b in zip(at, levels, strict=True)] if len(levels) else [],
+            "delay_bounds_95_s": [low, high] if np.isfinite(low) else None,
+            "noise_memory": estimate.memory,
+            "rows": len(estimate.residual),
+            "bic": estimate.bic,
+        }
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
