@@ -161,12 +161,12 @@ def make_problem(logs: Sequence[Log], longest_delay: float, most_levels: int = 1
 
 
 class _Fitted(NamedTuple):
-    """Forms as fitted, the best first; the other way to read a command between rows, if it may be either."""
+    """Forms as fitted, the best first; whether a command may be held or straight between rows, and whether it shows."""
 
     problem: Problem
     estimates: tuple[Estimate, ...]
     two_lags: Estimate
-    other: tuple[Problem, Estimate] | None = None
+    is_open: bool = False
     is_doubtful: bool = False
 
 
@@ -206,31 +206,28 @@ def _fit_lags(
         f"{name} moves from row to row: taken for {taken} between rows, as it fits better; --between says which"
         + (f".  Hardly: half a row, {500.0 * row:.3g} ms, is in the delay's bounds" if is_doubtful else "")
     )
-    return best._replace(other=(other.problem, _one_lag(other)), is_doubtful=is_doubtful)
+    return best._replace(is_open=True, is_doubtful=is_doubtful)
 
 
 def _one_lag(fitted: _Fitted) -> Estimate:
     return next(each for each in fitted.estimates if each.form == Lags(1))
 
 
-def _fit_more(fitted: _Fitted, notes: list[str], least: float = 0.003, clear: float = 10.0) -> _Fitted:
+def _fit_more(fitted: _Fitted, notes: list[str], least: float = 0.002, clear: float = 10.0) -> _Fitted:
     """Try limits of rise and fall, then a gain that drifts, where lags leave more than ``least`` of the range.
 
     Either is taken where BIC falls by ``clear`` and a fifth of the residual's power goes.
     """
     problem, best = fitted.problem, fitted.estimates[0]
     off = judge(problem, best, best.form.total(best.x), ()).off
-    if off <= least or not any(len(log.find_movements(0.0)) > 2 for log in problem.logs):
+    if off <= least or not any(len(log.command) > 3 for log in problem.logs):
         return fitted
     power = float(np.mean(best.residual**2))
-    tried = [(problem, _one_lag(fitted)), *([fitted.other] if fitted.other else [])]
-    limited = [(own, fit_limits(own, lag)) for own, lag in tried]
-    own, limits = min(limited, key=lambda each: float(np.mean(each[1].residual ** 2)))
+    limits = fit_limits(problem, _one_lag(fitted))
     memory = problem.memory_of(best.residual)
     rows = len(problem.output) * (1.0 - memory) / (1.0 + memory)
     left = float(np.mean(limits.residual**2))
-    if left < 0.8 * power and rows * np.log(power / left) - 2.0 * np.log(rows) > clear:
-        return fitted._replace(problem=own, estimates=(limits, *fitted.estimates))
+    is_limited = left < 0.8 * power and rows * np.log(power / left) - 2.0 * np.log(rows) > clear
     span = max(float(np.ptp(log.times)) for log in problem.logs)
     since = np.concatenate([(log.times - log.times[0]) / span - 0.5 for log in problem.logs])
     model = best.answer(problem)
@@ -238,7 +235,11 @@ def _fit_more(fitted: _Fitted, notes: list[str], least: float = 0.003, clear: fl
     one = fit(drifting, Lags(1), _one_lag(fitted).x)
     two = fit(drifting, Lags(2), np.array([*one.x, 0.2]))
     found = min((one, two), key=lambda each: each.bic)
-    if not (best.bic - found.bic > clear and float(np.mean(found.residual**2)) < 0.8 * power):
+    drifted = float(np.mean(found.residual**2))
+    drifts = best.bic - found.bic > clear and drifted < 0.8 * power
+    if is_limited and not (drifts and drifted < left):
+        return fitted._replace(estimates=(limits, *fitted.estimates), is_doubtful=fitted.is_open)
+    if not drifts:
         return fitted
     slope, bend = found.linear[-2:]
     share = 100.0 * float(np.ptp(slope * since + bend * since**2))
@@ -260,7 +261,7 @@ def _bounds(fitted: _Fitted, records: Sequence[BenchRecord], total: float, notes
     row = max(float(np.median(np.diff(record.command_times))) for record in records)
     if fitted.is_doubtful:
         low, high = low - 0.5 * row, high + 0.5 * row
-    if fitted.other is None and not problem.logs[0].is_straight:
+    if not fitted.is_open and not problem.logs[0].is_straight:
         wider = spread_of_delay(problem, best, total, row)
         low, high = low - wider, high + row + wider
         if wider > 0.1 * total:

@@ -170,8 +170,10 @@ def fit_static(problem: Problem) -> Estimate:
 
 
 def thin(problem: Problem, rows: int = 400) -> Problem:
-    """Return the problem with about so many ``rows``: a coarse search needs no more."""
-    return problem.at(np.arange(len(problem.output)) % max(1, len(problem.output) // rows) == 0)
+    """Return the problem with about so many ``rows`` and commands: a coarse search needs no more."""
+    coarse = problem.at(np.arange(len(problem.output)) % max(1, len(problem.output) // rows) == 0)
+    seconds = 2.0 * sum(float(np.ptp(log.times)) for log in coarse.logs) / rows
+    return replace(coarse, logs=[log.with_fewer_commands(seconds) for log in coarse.logs])
 
 
 def find_start(problem: Problem) -> Array:

@@ -46,9 +46,9 @@ class Log:
         whole = np.ptp(times, axis=1) < 1.5 * many * self.step
         output = self.output[:count].reshape(-1, many).mean(axis=1)
         log = replace(self, times=times.mean(axis=1)[whole], output=output[whole], step=many * self.step)
-        return replace(log, width=log.step)._with_fewer_commands(seconds)
+        return replace(log, width=log.step).with_fewer_commands(seconds)
 
-    def _with_fewer_commands(self, seconds: float) -> Log:
+    def with_fewer_commands(self, seconds: float) -> Log:
         """Return the log with a command that moves on averaged over half of ``seconds``, which moves no delay."""
         many = int(0.5 * seconds / self.command_row)
         if many < 2 or np.count_nonzero(np.diff(self.command)) < 0.5 * len(self.command):
