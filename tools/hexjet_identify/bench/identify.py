@@ -213,10 +213,13 @@ def _one_lag(fitted: _Fitted) -> Estimate:
     return next(each for each in fitted.estimates if each.form == Lags(1))
 
 
-def _fit_more(fitted: _Fitted, notes: list[str], least: float = 0.002, clear: float = 10.0) -> _Fitted:
-    """Try limits of rise and fall, then a gain that drifts, where lags leave more than ``least`` of the range.
+def _fit_more(
+    fitted: _Fitted, notes: list[str], least: float = 0.002, clear: float = 10.0, largest_drift: float = 0.15
+) -> _Fitted:
+    """Try limits of rise and fall, and a gain that drifts, where lags leave more than ``least`` of the range.
 
-    Either is taken where BIC falls by ``clear`` and a fifth of the residual's power goes.
+    Either is taken where BIC falls by ``clear`` and a fifth of the residual's power goes; a gain that drifts by more
+    than ``largest_drift`` is none, it may be a governor's overshoot.
     """
     problem, best = fitted.problem, fitted.estimates[0]
     off = judge(problem, best, best.form.total(best.x), ()).off
@@ -236,14 +239,14 @@ def _fit_more(fitted: _Fitted, notes: list[str], least: float = 0.002, clear: fl
     two = fit(drifting, Lags(2), np.array([*one.x, 0.2]))
     found = min((one, two), key=lambda each: each.bic)
     drifted = float(np.mean(found.residual**2))
-    drifts = best.bic - found.bic > clear and drifted < 0.8 * power
+    slope, bend = found.linear[-2:]
+    share = float(np.ptp(slope * since + bend * since**2))
+    drifts = best.bic - found.bic > clear and drifted < 0.8 * power and share < largest_drift
     if is_limited and not (drifts and drifted < left):
         return fitted._replace(estimates=(limits, *fitted.estimates), is_doubtful=fitted.is_open)
     if not drifts:
         return fitted
-    slope, bend = found.linear[-2:]
-    share = 100.0 * float(np.ptp(slope * since + bend * since**2))
-    notes.append(f"the gain drifts by {share:.2g} % over the log; the numbers are those of its middle")
+    notes.append(f"the gain drifts by {100.0 * share:.2g} % over the log; the numbers are those of its middle")
     return fitted._replace(problem=drifting, estimates=tuple(sorted((one, two), key=lambda e: e.bic)), two_lags=two)
 
 

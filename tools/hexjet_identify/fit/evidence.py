@@ -146,10 +146,10 @@ def _compare(number: int, log: Log, answer: Array, span: tuple[float, float], se
     if any(isnan(time) or not time > 0.0 for time in measured):
         return found
     # White noise, by what a row differs from the next, is less by the rows that are averaged; where the answer is slow
-    # twice its deviation moves a time by so much, and by three tenths of it at most.
+    # its deviation moves a time by so much, and by three tenths of it at most.
     noise = float(np.median(np.abs(np.diff(log.output)))) / 0.954 / np.sqrt(2 * int(0.5 * seconds / log.step) + 1)
     rates = np.interp(measured, times, np.abs(np.gradient(courses[1][use], times)))
-    slack = log.step + np.minimum(2.0 * noise / np.maximum(rates, 1e-300), 0.3 * np.array(measured))
+    slack = log.step + np.minimum(noise / np.maximum(rates, 1e-300), 0.3 * np.array(measured))
     return found._replace(measured=measured, model=model, slack=tuple(slack.tolist()))
 
 
