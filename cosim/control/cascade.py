@@ -40,7 +40,8 @@ class Cascade:
     """The built-in :class:`cosim.base.protocols.Controller`: the paper's cascade.
 
     The loops are read-only for callers; their gains change in flight through ``retune``.  ``laws``: of the phases of
-    flight, of which the first that wants to flies; the last is that of hover.
+    flight, of which the first that wants to flies; the last is that of hover.  ``lost``: the jets, from 1, that are
+    considered lost; not the one that was shut off on purpose.
     """
 
     def __init__(
@@ -97,7 +98,7 @@ class Cascade:
         self.signals = ControlSignals(ZERO3, ZERO3, ZERO3, 0.0, 0.0)
         self._off = NO_JETS  # jets that are to be shut off
         self._shut_by_law = NO_JETS  # jets that a flight law shut off because another one failed
-        self._lost: tuple[int, ...] = ()
+        self.lost: tuple[int, ...] = ()
         self._engines_off = self._is_idle = self._clears_losses = self._is_cold = False
         self._starting = 0.0  # s during which restarted engines may still be starting
 
@@ -195,7 +196,7 @@ class Cascade:
                 if shut:
                     self._off, self._shut_by_law = self._off | shut, shut
             self.loops.allocator.replan(monitor.health)
-            self._lost = self._find_lost(monitor)
+            self.lost = self._find_lost(monitor)
         for law in self.selector.laws:
             law.observe(monitor)
         return monitor.gains
@@ -210,13 +211,8 @@ class Cascade:
             self._clears_losses, self._shut_by_law = False, NO_JETS
             if monitor is not None:
                 monitor.reset(self._throttle)
-            self._lost = ()
+            self.lost = ()
             self.loops.allocator.reset()
-
-    @property
-    def lost(self) -> tuple[int, ...]:
-        """The jets, from 1, that are considered lost; not the one that was shut off on purpose."""
-        return self._lost
 
     def _find_lost(self, monitor: EngineMonitor) -> tuple[int, ...]:
         gains = enumerate(monitor.gains, 1)

@@ -37,11 +37,11 @@ class RateAxis:
 
     ``u = p (r - y) + i integral(r - y) - d y'``, with ``y`` from the predictor and ``y'`` through a first-order
     filter.  The integral stops where allocation has left a residual of the error's sign, and is limited.  With a lead
-    the command is the lead's output for ``u``, and the predictor reads that.
+    the command is the lead's output for ``u``, and the predictor reads that.  ``gains``: the nominal ones.
     """
 
     def __init__(self, gains: RateGains, predictor: Predictor, step: float, lead: Lead | None = None) -> None:
-        self._nominal = gains
+        self.gains = gains
         self._factors = (1.0, 1.0, 1.0)
         self._p = gains.p
         self._i = gains.i * step
@@ -98,7 +98,7 @@ class RateAxis:
         The integral is kept in the command's unit and the lead keeps its past, so small changes make no bump.
         """
         self._factors = (p, i, d)
-        gains = self._nominal
+        gains = self.gains
         self._p, self._i, self._d = p * gains.p, i * (gains.i * self._step), d * gains.d
         if lead is not None and self._lead is not None:
             self._lead.set_poles(lead)
@@ -116,7 +116,7 @@ class RateAxis:
             self._old_law = _Law(self._p, self._i, self._d, self._limit, self._filter_gain, self._predictor)
         step = self._step
         p, i, d = self._factors
-        self._nominal = gains
+        self.gains = gains
         self._p, self._i, self._d = p * gains.p, i * (gains.i * step), d * gains.d
         self._limit = gains.integral_limit
         self._filter_gain = step / (gains.d_filter_s + step)
@@ -125,11 +125,6 @@ class RateAxis:
             for measured, applied in self._history or ():
                 predictor.update(measured, applied)
             self._set_predictor(predictor)
-
-    @property
-    def gains(self) -> RateGains:
-        """The nominal gains."""
-        return self._nominal
 
     @property
     def predictor(self) -> Predictor:

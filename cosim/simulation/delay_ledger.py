@@ -122,8 +122,15 @@ class _Hover:
         if axis == "roll":
             added = float(self._scenario.added_delay_samples)
             held.append(("delay added to the roll output", "added_delay_samples", "transport", added))
-        acting = self._acting(axis, turned)
-        return [LedgerRow(*row, axis) for row in (*held, *acting, *self._airframe(), *self._gyro())]
+        late = ("from the step's beginning", 0.0) if self._scenario.substeps > 1 else ("half a JSBSim run late", 0.5)
+        gyro = self._vehicle.sensors.gyro
+        pole = filter_pole(gyro.filter_s, self._step)
+        airframe_and_gyro = [
+            (f"force acts {late[0]}", "JSBSim", "transport", late[1]),
+            ("gyro low-pass a/(1 - a)", "sensors.gyro.filter_s", "lag", pole / (1.0 - pole)),
+            ("gyro latency", "sensors.gyro.latency_samples", "transport", float(gyro.latency_samples)),
+        ]
+        return [LedgerRow(*row, axis) for row in (*held, *self._acting(axis, turned), *airframe_and_gyro)]
 
     def _acting(self, axis: str, turned: AxisFractions) -> list[tuple[str, str, str, float | None]]:
         """Return element, owner, kind and samples of what gives the axis."""
@@ -194,19 +201,6 @@ class _Hover:
         curve = engine.rising_curve
         throttle = float(np.interp(self._thrusts[jet], curve.thrust, curve.throttle))
         return measure_small_steps(engine, throttle, self._step)
-
-    def _airframe(self) -> list[tuple[str, str, str, float | None]]:
-        if self._scenario.substeps > 1:
-            return [("force acts from the step's beginning", "JSBSim", "transport", 0.0)]
-        return [("force acts half a JSBSim run late", "JSBSim", "transport", 0.5)]
-
-    def _gyro(self) -> list[tuple[str, str, str, float | None]]:
-        gyro = self._vehicle.sensors.gyro
-        pole = filter_pole(gyro.filter_s, self._step)
-        return [
-            ("gyro low-pass a/(1 - a)", "sensors.gyro.filter_s", "lag", pole / (1.0 - pole)),
-            ("gyro latency", "sensors.gyro.latency_samples", "transport", float(gyro.latency_samples)),
-        ]
 
 
 def _beside(who: str, share: float, owner: str) -> list[tuple[str, str, str, float | None]]:

@@ -11,11 +11,9 @@ from cosim.base.storage.cache import RecentCache
 from cosim.control.allocation.engine_monitor import EngineReference
 from cosim.engine import EngineSpec, make_bank
 
-_HOVER_STEP = (0.4, 0.6)  # throttle; chosen by us: about hover, wide enough for the lag and not for the limits
 _OTHER_STEPS = ((0.6, 0.4), (0.0, 0.2), (0.2, 0.0), (0.0, 1.0), (1.0, 0.0))  # where a real engine's lag is another one
 # s of stepping, by which an answer is over; and the fraction of a change that is none.
 _LONGEST_S, _NO_CHANGE = 20.0, 1e-6
-_SMALL = (0.001, 0.05)  # of throttle, either way: the second for an ECU that does not see the first
 
 
 class SmallStepResponse(NamedTuple):
@@ -54,12 +52,11 @@ def measure_fuel_flow(spec: EngineSpec, throttle: float, step: float) -> float |
 
 
 def measure_small_steps(
-    spec: EngineSpec, throttle: float, step: float, sizes: tuple[float, ...] = _SMALL
+    spec: EngineSpec, throttle: float, step: float, sizes: tuple[float, ...] = (0.001, 0.05)
 ) -> SmallStepResponse:
     """Return how an engine answers small steps of the throttle either way, from rest at ``throttle``.
 
-    ``sizes``: of the steps; the first that the engine sees is taken.
-
+    ``sizes``: of the steps, of throttle; the first that the engine sees is taken: there are ECUs that miss the first.
     The delay is the mean over both ways of ``sum (y_end - y_k) / (y_end - y_0)`` over the steps ``k`` after the move.
     Raises EngineError if the engine fails.
     """
@@ -119,7 +116,8 @@ def _measure(spec: EngineSpec, step: float) -> EngineReference:
             if not all(b > a for a, b in pairwise(speed)):
                 speed = None
         if lag is None or delay is None:
-            measured, begins = _measure_response(bank, *_HOVER_STEP, step)
+            # about hover; chosen by us: wide enough for the lag and not for the limits
+            measured, begins = _measure_response(bank, 0.4, 0.6, step)
             delay = begins if delay is None else delay
             if lag is None:
                 # the time to 63 % counts from the throttle, so that it holds with the delay that is used

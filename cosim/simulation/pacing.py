@@ -30,6 +30,7 @@ class Pace:
 
     ``step``: dt [s].  ``factor``: of real time; None lets every step begin at once and only measures.  A deadline is
     missed when a step is not done at the time at which the next one is due.  ``clock`` [s] and ``sleep`` are for tests.
+    ``missed``: deadlines missed since the start.
     """
 
     def __init__(
@@ -50,7 +51,7 @@ class Pace:
         self._origin = self._clock()
         self._first = k
         self._k = k
-        self._missed = self._stalls = 0
+        self.missed = self._stalls = 0
         self._worst = self._lost = 0.0
         self._window_start = (self._origin, k)
         self._slept = 0.0
@@ -75,7 +76,7 @@ class Pace:
             self._slept += left
             return
         if left < 0.0:
-            self._missed += 1
+            self.missed += 1
             self._worst = max(self._worst, -left)
             if left < -CATCH_UP:
                 self._origin -= left
@@ -83,14 +84,9 @@ class Pace:
                 self._lost -= left
 
     @property
-    def missed(self) -> int:
-        """Deadlines missed since the start."""
-        return self._missed
-
-    @property
     def report(self) -> PaceReport:
         """The timing up to now."""
         steps = self._k - self._first
         return PaceReport(
-            self._factor, steps, self._missed, self._worst, self._stalls, self._lost, self._reached, self._load
+            self._factor, steps, self.missed, self._worst, self._stalls, self._lost, self._reached, self._load
         )

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.base.errors import FlightError, InputError, describe_error, nearest
 from cosim.base.plugins.entry_points import GROUPS, find_entries
-from cosim.base.protocols import Column, Columns, Sensors
+from cosim.base.protocols import Columns, Sensors
 from cosim.base.signals import Measured, Sample, State, Vector3
 from cosim.simulation.controllers.guard import CallGuard, columns_from
 from cosim.simulation.controllers.source import NAME, Source, check_method, find_python
@@ -232,7 +232,7 @@ class GuardedSensors:
 
     def __init__(self, source: Source, block: Any, inner: Sensors) -> None:
         self._source, self._block, self._inner = source, block, inner
-        self._columns = columns_from(block)
+        self.columns = columns_from(block)
 
     def reset(self, state: State) -> Measured:
         return self._answer("reset", self._block.reset, state, self._inner.reset(state))
@@ -258,10 +258,6 @@ class GuardedSensors:
                 raise FlightError(f"{where}: {name} = {part}: must be finite")
             values.append(numbers[0] if name == "altitude" else tuple(numbers))
         return Measured(*values)
-
-    @property
-    def columns(self) -> tuple[Column, ...]:
-        return self._columns
 
     @property
     def shown(self) -> tuple[float, ...]:

@@ -132,7 +132,10 @@ class Propulsion:
             commanded = actuation.tilt
             self.tilt = tuple([servo.update(commanded[i]) for i, servo in enumerate(self.servos)])
         if self.tank is not None:
-            self._burn(self.tank, output.fuel_flow)
+            self.fuel = self.tank.remaining
+            if self.tank.burn(output.fuel_flow) and self.tank.empty:
+                for jet in range(self._jets):
+                    self.engines.switch_engine(jet, False)
         load = self._load
         load.state, load.gusts = state, self.gusts
         load.begin_step(output, load.along_axes(output.thrust))
@@ -158,13 +161,6 @@ class Propulsion:
             for jet in sorted(self._off - off):
                 self.engines.switch_engine(jet, True)
         self._off = off
-
-    def _burn(self, tank: Tank, flows: PerJet) -> None:
-        """Burn a step's fuel, and shut all engines off when there is none left."""
-        self.fuel = tank.remaining
-        if tank.burn(flows) and tank.empty:
-            for jet in range(self._jets):
-                self.engines.switch_engine(jet, False)
 
     def ambient(self, state: State, wind: Vector3) -> Ambient:
         """Return the air at the engines: the vehicle's, and what blows into each intake along its jet as it stands.

@@ -208,8 +208,7 @@ class RotorAllocator:
 
     It does not plan around a lost rotor: without one of four there is no level hover at all, and without it and the
     opposite one (both turn the same way) there is one only while the vehicle spins, which is flown without this
-    (:mod:`cosim.control.phases.reduced_attitude`;
-    :func:`cosim.control.allocation.reallocation.attainable` computes both).
+    (:mod:`cosim.control.phases.reduced_attitude`).
     Raises InputError where the rotors give no moment about an axis.
     """
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import product
 from math import inf
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from cosim.base.layout import Layout
 
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[Any]
-
-# Pieces of a hinge's range: as many as allowed.
-CELLS: Final = (16, 12, 8, 6, 4, 3, 2, 1)
 
 
 class Objective(NamedTuple):
@@ -144,7 +141,7 @@ def _cells(spans: list[float], ends: int, corners: int = 400, max_corners: int =
     A piece of the ``widest`` [rad] has a triangle that is out by 14 %.  With so many ``corners`` of one set of engines
     on common hinges a program takes milliseconds; with more than ``max_corners`` no bound is computed.
     """
-    enough = [n for n in CELLS if all(span / n <= widest for span in spans)]
+    enough = [n for n in (16, 12, 8, 6, 4, 3, 2, 1) if all(span / n <= widest for span in spans)]
     few = [n for n in enough if ends * (2 * n + 1) ** len(spans) <= corners]
     if few:
         return few[0]

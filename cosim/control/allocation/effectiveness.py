@@ -131,6 +131,7 @@ class SolverOptions(NamedTuple):
 class EffectivenessAllocator:
     """Throttles and servo angles of a vehicle of any layout.
 
+    ``is_balanced``: the engines, as they are known to be, hold the vehicle up with no roll and no pitch moment.
     Raises InputError where the vehicle cannot be held in hover, or a number of it is nothing to compute with.
     """
 
@@ -167,7 +168,7 @@ class EffectivenessAllocator:
         ]  # positions of hinges and surfaces that are preferred where several would do
         self.surfaces = len(self._effectors) - self._hinges
         self.reset()
-        if not self._balanced:
+        if not self.is_balanced:
             raise InputError(
                 f"{name}: jets, hinges: in hover they leave {_describe(self._missing, self._norms)} "
                 "that nothing balances; hexjet aircraft check says what the engines can do"
@@ -208,7 +209,7 @@ class EffectivenessAllocator:
         found, missing = self._solve(wanted, self._weight, FIRST_PASSES, False)
         self._levels = usual
         self._missing = [missing[row] * self._norms[row] for row in range(6)]
-        self._balanced = all(abs(self._missing[row]) <= 1e-6 for row in (ROLL, PITCH, LIFT))
+        self.is_balanced = all(abs(self._missing[row]) <= 1e-6 for row in (ROLL, PITCH, LIFT))
         self._preferred = found[: self._jets]
         self._hovers = self._last = found
 
@@ -219,11 +220,6 @@ class EffectivenessAllocator:
         self._settle()
         self._last = before  # commands go on from where they are
         return True
-
-    @property
-    def is_balanced(self) -> bool:
-        """Whether the engines, as they are known to be, hold the vehicle up with no roll and no pitch moment."""
-        return self._balanced
 
     def trim(self, collective: float) -> PerJet:
         """Return the thrust fractions that give ``collective`` in balance, hinges near rest."""

@@ -57,7 +57,7 @@ class ExternalController:
         engine: EngineSpec,
         stations: Sequence[EngineSpec],
     ) -> None:
-        self._source, self._scenario = source, scenario
+        self.source, self._scenario = source, scenario
         self._guard = CallGuard(source.label)
         self._blocks: list[Any] = []
         self.whole: GuardedController | None = None
@@ -79,18 +79,18 @@ class ExternalController:
 
     def make_block(self) -> None:
         """Make the block, but for predictors.  Raises InputError as ``_make_block``; :meth:`close` frees it."""
-        if self._source.level == "controller":
+        if self.source.level == "controller":
             self.whole = GuardedController(self._make_block(self._belief), self._guard, self._belief)
-        elif self._source.level == "rate":
+        elif self.source.level == "rate":
             self.rate = GuardedRate(self._make_block(self._belief), self._guard)
-        elif self._source.level == "attitude":
+        elif self.source.level == "attitude":
             self.attitude = GuardedAttitude(self._make_block(self._belief), self._guard)
 
     def make_predictors(self) -> list[Predictor]:
         """Return the predictors before the rate loop: the user's if the controller is one, else built-in ones."""
         belief = self._belief
-        if self._source.level != "predictor":
-            return belief.predictors(self._source.predictor)
+        if self.source.level != "predictor":
+            return belief.predictors(self.source.predictor)
         axes = belief.models or (AXES if belief.vehicle.allocation == "rotors" else AXES[:1])
         return [
             GuardedPredictor(self._make_block(belief.of(axis)), self._guard, axis) if axis in axes else NoPredictor()
@@ -99,7 +99,7 @@ class ExternalController:
 
     def _make_block(self, belief: Belief) -> Any:
         """Return a new block that was given its beliefs.  Raises InputError if its ``prepare`` fails."""
-        block = self._source.make()
+        block = self.source.make()
         self._blocks.append(block)
         if isinstance(block, ProcessBlock):  # a process has a time limit of its own
             block.set_limit(self._scenario.controller_limit_s)
@@ -111,11 +111,6 @@ class ExternalController:
             except FlightError as error:
                 raise InputError(str(error)) from error
         return block
-
-    @property
-    def source(self) -> Source:
-        """The source of the controller."""
-        return self._source
 
     def check_repeatable(self) -> bool | None:
         """Whether processes, asked the same again, answer the same; None: it is code of this process."""

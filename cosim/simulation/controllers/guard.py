@@ -102,11 +102,6 @@ class Guarded:
         self.columns = columns_from(block)
 
     @property
-    def block(self) -> Any:
-        """The block of the user's."""
-        return self._block
-
-    @property
     def shown(self) -> tuple[float, ...]:
         return self._guard.read_shown(self._block, self.columns)
 

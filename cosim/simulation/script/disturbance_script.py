@@ -18,7 +18,6 @@ from cosim.spec.scenario import (
 )
 
 Payload = tuple[float, float, float, float]
-_NO_PAYLOAD: Payload = (0.0, 0.0, 0.0, 0.0)
 
 
 class DisturbanceScript:
@@ -94,7 +93,7 @@ class DisturbanceScript:
         for on, (m, px, py, pz) in self._payloads:
             if on(k):
                 mass, x, y, z = mass + m, x + m * px, y + m * py, z + m * pz
-        return (mass, x / mass, y / mass, z / mass) if mass else _NO_PAYLOAD
+        return (mass, x / mass, y / mass, z / mass) if mass else (0.0, 0.0, 0.0, 0.0)
 
 
 def _torques(entries: list[tuple[int, Waveform]], k: int) -> Vector3:

@@ -18,10 +18,6 @@ from cosim.spec.scaling import scale_vehicle
 from cosim.spec.vehicle.vehicle import Vehicle
 
 VEHICLE = "vehicle.toml"  # in an aircraft's folder
-FARTHEST_M = 100.0  # chosen by us: no vehicle here has a part farther from its centre of gravity
-# Radius of gyration over the farthest part's distance from the axis.  Bodies have 0.05 to 1; chosen by us: beyond three
-# times that a unit is wrong, because a thousandfold mass, length or inertia is off by thirty at least.
-GYRATION = (0.02, 3.0)
 
 
 class ScaledFrom(Model):
@@ -189,28 +185,39 @@ def _refuse_implausible(vehicle: Vehicle, path: Path) -> None:
 
 
 def _find_implausible(
-    mass: float, inertia: Vector3, positions: Mapping[str, Vector3], legs: Mapping[str, Vector3]
+    mass: float,
+    inertia: Vector3,
+    positions: Mapping[str, Vector3],
+    legs: Mapping[str, Vector3],
+    farthest: float = 100.0,
 ) -> str:
     """Return the first implausible value as one line (key, value, allowed range), or an empty string if there is none.
 
     ``mass`` [kg], ``inertia`` [kg m^2], positions of all parts and of the ``legs`` [m, body frame] by their keys.
+    ``farthest``: m from the centre of gravity, chosen by us: no vehicle here has a part beyond it.
     """
     for key, position in positions.items():
-        if hypot(*position) > FARTHEST_M:
+        if hypot(*position) > farthest:
             return (
                 f"{key} {list(position)}: {hypot(*position):g} m from the centre of gravity, and at most "
-                f"{FARTHEST_M:g} m is allowed; places are in m"
+                f"{farthest:g} m is allowed; places are in m"
             )
     return _check_gyration(mass, inertia, list(positions.values())) or _check_legs(legs)
 
 
-def _check_gyration(mass: float, inertia: Vector3, positions: list[Vector3]) -> str:
-    low, high = GYRATION
+def _check_gyration(
+    mass: float, inertia: Vector3, positions: list[Vector3], low: float = 0.02, high: float = 3.0
+) -> str:
+    """Return the first moment of inertia whose radius is not ``low`` to ``high`` of the farthest part's from the axis.
+
+    Bodies have 0.05 to 1; chosen by us: beyond three times that a unit is wrong, because a thousandfold mass, length or
+    inertia is off by thirty at least.
+    """
     for n, (axis, moment) in enumerate(zip("xyz", inertia, strict=True)):
         farthest = max(hypot(*(x for other, x in enumerate(position) if other != n)) for position in positions)
         radius = sqrt(moment / mass)
         if not low * farthest <= radius <= high * farthest:
-            least, most = (mass * (ratio * farthest) ** 2 for ratio in GYRATION)
+            least, most = (mass * (ratio * farthest) ** 2 for ratio in (low, high))
             return (
                 f"inertia_kg_m2.{n} = {moment:g} with mass_kg = {mass:g}: a radius of gyration of {radius:.3g} m about "
                 f"{axis}, where parts reach {farthest:.3g} m; {least:.2g} to {most:.2g} kg m^2 is allowed: are they in "

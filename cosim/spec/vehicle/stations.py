@@ -136,17 +136,13 @@ class Surface(Model):
         return self
 
 
-_BANK: Vector = (0.0, -1.0, 0.0)  # positive leans the thrust forward
-
-
 def layout_of(jets: Sequence[Jet], hinges: Sequence[Hinge] = ()) -> Layout:
     """Return the layout of stations and hinges; a bank of jets with a ``servo`` turns each about its station."""
     stations = [Station(jet.position_m, jet.axis or UP, -jet.reaction_m) for jet in jets]
     if any(jet.servo for jet in jets):
-        turns = [
-            HingeAxis((0.0, 0.0, 0.0), _BANK, (), tuple(n for n, jet in enumerate(jets) if jet.servo == side))
-            for side in SERVOS
-        ]
+        banks = [tuple(n for n, jet in enumerate(jets) if jet.servo == side) for side in SERVOS]
+        # about -y: positive leans the thrust forward
+        turns = [HingeAxis((0.0, 0.0, 0.0), (0.0, -1.0, 0.0), (), bank) for bank in banks]
     else:
         turns = [
             HingeAxis(

@@ -61,10 +61,12 @@ def one_ill(draw: st.DrawFn) -> list[JetHealth]:
 
 ill_health = st.composite(one_ill)()
 commands = st.tuples(st.floats(0.0, 1.0), st.floats(-0.6, 0.6), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+# none, or one that the linear programs, which are solved to 1e-7, can tell from none
+idle_shares = st.just(0.0) | st.floats(1e-4, 0.08)
 
 
 @settings(max_examples=80, deadline=None)
-@given(ill_health, st.lists(commands, min_size=1, max_size=4), st.floats(0.35, 0.5), st.floats(0.0, 0.08))
+@given(ill_health, st.lists(commands, min_size=1, max_size=4), st.floats(0.35, 0.5), idle_shares)
 def test_what_is_achieved_is_what_healthy_jets_would_give(
     health: list[JetHealth], asked: list[tuple[float, float, float, float]], hover: float, idle: float
 ) -> None:

@@ -118,11 +118,6 @@ def test_pid_is_the_difference_equation() -> None:
     assert ours == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
-def test_setpoint_steps_do_not_kick_the_derivative() -> None:
-    block = axis(d=1.0)
-    assert [block.update(float(s), 0.0, 0.0) for s in (0.0, 1.0, -1.0)] == [0.0, 0.0, 0.0]
-
-
 def test_integral_stops_against_a_refusal_and_runs_away_from_it() -> None:
     block = axis(i=1.0)
     for _ in range(10):
@@ -326,13 +321,6 @@ def test_torque_commands_turn_the_right_way() -> None:
             moment += np.cross(jet.position_m, t * np.array([sin(a), 0.0, -cos(a)]))
         assert moment[axis_index] > 0.0
         assert np.abs(np.delete(moment, axis_index)).max() < 1e-9
-
-
-def test_tilt_moment_does_not_depend_on_the_collective() -> None:
-    """Thrust times tilt stays the same."""
-    for collective in (0.3, HOVER, 0.9):
-        _, tilt, _ = ALLOCATOR.allocate(collective, (0.0, 0.1, 0.0))[:3]
-        assert tilt[0] * collective == pytest.approx(-0.1 * HOVER)
 
 
 def test_banks_on_the_wrong_side_are_refused() -> None:

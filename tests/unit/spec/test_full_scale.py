@@ -18,7 +18,7 @@ from cosim import fly
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import jet_axis
-from cosim.base.signals import ZERO3, Disturbance, State
+from cosim.base.signals import ZERO3, State
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
 from cosim.cli.main import run
@@ -26,9 +26,9 @@ from cosim.cli.old.options import load_scenario
 from cosim.results.expectations import check_expected, find_expectation
 from cosim.simulation.build import build
 from cosim.spec.scaling import _LAW, length_scale, scale_vehicle
-from cosim.spec.scenario import Environment, Initial, Scenario
+from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
-from cosim.vehicle.airframe import Airframe, standing_height
+from cosim.vehicle.airframe import standing_height
 from cosim.vehicle.effects.intakes import IntakeDrag
 
 BASE, _ = load_vehicle("hexjet")
@@ -171,41 +171,6 @@ def test_rotors_cancel() -> None:
         assert sum(jet.spin for jet in vehicle.jets) == 0
         for side in ("left", "right"):
             assert abs(sum(jet.spin for jet in vehicle.jets if jet.servo == side)) == 1
-
-
-def test_mass_properties_as_jsbsim_has_them(name: str) -> None:
-    vehicle, folder = load_vehicle(name)
-    frame = Airframe(vehicle, folder, Environment(), 0.004, 4, 1)
-    try:
-        frame.reset(Initial(), [ZERO3] * 6, ZERO3)
-        mass, cg, inertia = frame.mass_properties()
-    finally:
-        frame.close()
-    assert mass == pytest.approx(vehicle.mass_kg, rel=1e-9)
-    assert cg == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
-    assert inertia == pytest.approx(
-        vehicle.inertia_kg_m2, rel=1e-6
-    )  # JSBSim's constants for slugs and feet are rounded
-
-
-def test_force_and_moment_are_r_cross_f(name: str) -> None:
-    vehicle, folder = load_vehicle(name)
-    rng = np.random.default_rng(3)
-    frame = Airframe(vehicle, folder, Environment(), 0.004, 4, 1)
-    try:
-        frame.reset(Initial(), [ZERO3] * 6, ZERO3)
-        for _ in range(5):
-            tilts = dict(zip(("left", "right"), rng.uniform(-0.5, 0.5, 2), strict=True))
-            newtons = rng.uniform(0.0, SIZES[name], 6)
-            axes = [jet_axis(float(tilts[jet.servo])) for jet in vehicle.jets if jet.servo]
-            forces = [tuple(float(n * x) for x in axis) for n, axis in zip(newtons, axes, strict=True)]
-            frame.step(forces, Disturbance())  # type: ignore[arg-type]
-            force, moment = frame.external_wrench()
-            expected = np.cross([jet.position_m for jet in vehicle.jets], forces).sum(axis=0)
-            assert force == pytest.approx(np.sum(forces, axis=0), rel=1e-9, abs=1e-9)
-            assert np.linalg.norm(np.array(moment) - expected) <= 1e-9 * np.linalg.norm(expected)
-    finally:
-        frame.close()
 
 
 def test_hover_is_below_half_thrust() -> None:
