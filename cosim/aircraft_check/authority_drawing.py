@@ -15,7 +15,6 @@ from cosim.results.report.three_views import begin_drawing, finish_drawing, line
 from cosim.spec.vehicle import Vehicle
 
 DIRECTIONS = 24  # directions of a section, the axes and the diagonals among them
-BOUND_GAP = 0.02  # of a moment, by which its bound is above it where that is drawn; a line is as wide
 VIEW, MARGIN, TITLE = 300.0, 58.0, 44.0  # px
 Corners = list[tuple[float, float]]
 SECTIONS = ((0, 1), (0, 2), (1, 2))  # axes to the right and upwards
@@ -64,10 +63,13 @@ def attainable_moments(vehicle: Vehicle, reach: Reach) -> str:
     return finish_drawing(root)
 
 
-def _section(reach: Reach, right: int, up: int, directions: int = DIRECTIONS) -> tuple[Corners, Corners]:
+def _section(
+    reach: Reach, right: int, up: int, directions: int = DIRECTIONS, bound_gap: float = 0.02
+) -> tuple[Corners, Corners]:
     """Return the corners of the attained moments, N m, and of their upper bound where that is far off.
 
-    Both are empty where the weight is not held or a size is not finite.
+    Both are empty where the weight is not held or a size is not finite.  ``bound_gap``: of a moment, by which its bound
+    is above it where that is drawn; a line is as wide.
     """
     angles = [2.0 * pi * n / directions for n in range(directions)]
     lines = []
@@ -82,7 +84,7 @@ def _section(reach: Reach, right: int, up: int, directions: int = DIRECTIONS) ->
             return []
         return [(size * cos(angle), size * sin(angle)) for size, angle in zip(ends, angles, strict=True)]
 
-    far = any(size.upper - size.lower > BOUND_GAP * abs(size.upper) for size in sizes)
+    far = any(size.upper - size.lower > bound_gap * abs(size.upper) for size in sizes)
     return corners([size.lower for size in sizes]), corners([size.upper for size in sizes]) if far else []
 
 

@@ -35,8 +35,6 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from, load_vehicle
 
 HEIGHT_M, FLIGHT_S = 10.0, 5.0
-FORCE_TOLERANCE = 1e-9  # how well JSBSim and r x F must agree, of the larger one: rounding
-MIN_LIFT = 1.15  # thrust over weight with less than which height and attitude fight for thrust; chosen by us
 HEIGHT_ERROR_M, LEAN_DEG = 1.0, 10.0  # in a calm hover; chosen by us
 # the radius of gyration about an axis over the farthest part from it: of a thin ring 1, of a dense core little
 GYRATION = (0.05, 1.0)
@@ -141,8 +139,11 @@ def _authority_json(authority: Authority) -> dict[str, Any]:
     }
 
 
-def _forces(simulation: Simulation) -> Line:
-    """Compare each jet's force and moment in JSBSim with ``r x F``, hinges at zero and at the ends of their ranges."""
+def _forces(simulation: Simulation, tolerance: float = 1e-9) -> Line:
+    """Compare each jet's force and moment in JSBSim with ``r x F``, hinges at zero and at the ends of their ranges.
+
+    ``tolerance``: how well JSBSim and r x F must agree, of the larger one: rounding.
+    """
     vehicle, frame = simulation.vehicle, simulation.airframe
     layout, propulsion = vehicle.layout(), simulation.propulsion
     stances = [(0.0,) * len(vehicle.turns), *zip(*vehicle.turns, strict=True)]
@@ -158,7 +159,7 @@ def _forces(simulation: Simulation) -> Line:
             expected = np.concatenate(layout.wrench(thrusts, angles))
             worst = max(worst, float(np.max(np.abs(np.concatenate([force, moment]) - expected))) / thrust)
     text = f"JSBSim and r x F differ by {worst:.1e} of a jet's thrust, hinges at zero and at the ends of their ranges"
-    return Line("forces", text, "" if worst <= FORCE_TOLERANCE else f"more than {FORCE_TOLERANCE:g}")
+    return Line("forces", text, "" if worst <= tolerance else f"more than {tolerance:g}")
 
 
 def _masses(simulation: Simulation) -> Line:
@@ -213,13 +214,14 @@ def _thrust(simulation: Simulation) -> tuple[Array, Array]:
     return ends[0], ends[1]
 
 
-def _lift(whole: Authority) -> Line:
+def _lift(whole: Authority, min_lift: float = 1.15) -> Line:
+    """``min_lift``: thrust over weight with less than which height and attitude fight for thrust."""
     text = f"thrust in balance {whole.lift:.2f} times the weight"
     if whole.lift < 1.0:
         return Line(
             "hover", text, "it does not lift off" if whole.lift_bound < 1.0 else "no balance was found that lifts it"
         )
-    fault = "" if whole.lift >= MIN_LIFT else f"less than {MIN_LIFT:g}: height and attitude fight for it"
+    fault = "" if whole.lift >= min_lift else f"less than {min_lift:g}: height and attitude fight for it"
     return Line("hover", text, fault)
 
 

@@ -16,14 +16,16 @@ SEMI_MAJOR = 6378137.0  # m, WGS 84
 FLATTENING = 1.0 / 298.257223563  # WGS 84
 _E2 = FLATTENING * (2.0 - FLATTENING)
 _EQUATOR, _SOMIGLIANA = 9.7803253359, 1.931852652458e-3  # m/s^2 and -, normal gravity of WGS 84
-_PER_HEIGHT = -3.086e-6  # 1/s^2, of gravity above the ellipsoid: within a mm/s^2 up to 10 km
 _ROUNDS = 8  # iterations, each of which gains two digits or more
 
 
-def gravity(latitude_deg: float, height: float) -> float:
-    """Return gravity [m/s^2] at ``height`` [m] above the ellipsoid, with the turning of the Earth: Somigliana's."""
+def gravity(latitude_deg: float, height: float, per_height: float = -3.086e-6) -> float:
+    """Return gravity [m/s^2] at ``height`` [m] above the ellipsoid, with the turning of the Earth: Somigliana's.
+
+    ``per_height``: 1/s^2, of gravity above the ellipsoid: within a mm/s^2 up to 10 km.
+    """
     square = sin(radians(latitude_deg)) ** 2
-    return _EQUATOR * (1.0 + _SOMIGLIANA * square) / sqrt(1.0 - _E2 * square) + _PER_HEIGHT * height
+    return _EQUATOR * (1.0 + _SOMIGLIANA * square) / sqrt(1.0 - _E2 * square) + per_height * height
 
 
 class Geodesy:

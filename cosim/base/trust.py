@@ -35,7 +35,6 @@ _DATA = re.compile(
 )
 _LEFT_OUT = ("__pycache__", "runs")  # compiled copies, which are never read there, and results
 _SHIPPED = ("aircraft", "engines", "fmus", "scenarios", "studies")
-_MOST_NAMED = 4  # files of a folder in a refusal
 _HASH = re.compile(r"[0-9a-f]{64}(?=  )")
 _CODE = (".py", ".fmu")  # endings of files that are code by their names
 _ENGINES = ("--engine", "--engine=")  # behind which a mapping file is an engine
@@ -331,15 +330,15 @@ def _read_remembered() -> frozenset[str]:
     return frozenset(line[:64] for line in lines if _HASH.match(line))
 
 
-def _list_folders(code: Collection[Code], hashes: Mapping[Code, str | None]) -> list[str]:
+def _list_folders(code: Collection[Code], hashes: Mapping[Code, str | None], max_named: int = 4) -> list[str]:
     """Return each folder with the names of its files that are to be run, in lines that no terminal obeys."""
     files: dict[Path, list[str]] = {}
     for item in code:
         files.setdefault(item.folder, []).append(f"{item.path.name}{item.arguments}")
     lines = []
     for folder, names in files.items():
-        rest = len(names) - _MOST_NAMED
-        line = f"{folder} ({', '.join(names[:_MOST_NAMED])}{f' and {rest} more' if rest > 0 else ''}"
+        rest = len(names) - max_named
+        line = f"{folder} ({', '.join(names[:max_named])}{f' and {rest} more' if rest > 0 else ''}"
         large = any(item.folder == folder and hashes.get(item, "") is None for item in code)
         lines.append(_one_line(line + ("; too large to be remembered)" if large else ")")))
     return lines

@@ -23,7 +23,7 @@ from cosim.engine.fmu.ports import normalise_name
 from cosim.engine.fmu.starting import Setting
 from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.fmu.variables import ConstantValue, Port, Variable
-from cosim.engine.isolated import START_S, EngineHost, IsolatedBank, measure_in
+from cosim.engine.isolated import LIMITS, EngineHost, IsolatedBank, measure_in
 from cosim.engine.load import load_unchecked
 from cosim.engine.measure import EngineMeasurement
 from cosim.engine.response import (
@@ -40,20 +40,9 @@ from cosim.engine.response import (
 from cosim.engine.source import EngineSource, check_whole_steps, find_source, resolve_parameters
 from cosim.engine.spec import EngineSpec
 
-DEFAULT_STEP_S = 0.004  # of the Hex-Jet's control loop
 TIME_LIMIT_S = 120.0  # of a check, by the clock
-ENGINES = 6  # of a Hex-Jet
-RUN_S = 20.0  # of simulated time under a changing throttle
 COMPARED_STEPS = 500  # of each flight that is compared with the first
-RUN_THROTTLE = 0.25  # at which each flight begins
-# Most lines shown of the same kind, because a tool repeats a violation in every variable.
-MAX_BLEMISHES = 10
-# Points of a step response that are drawn.
-MAX_POINTS = 2000
-# Of the change of thrust, chosen by us: less of it the wrong way is what a solver or a sample leaves.
-MIN_WRONG_WAY = 0.02
 # Samples between the dead times up and down: a step of the throttle meets the FMU's own step anywhere.
-MAX_UNEVEN = 2
 DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
 
 
@@ -81,12 +70,13 @@ def check_and_measure(
     step: float | None,
     parameters: Mapping[str, ConstantValue],
     time_limit_s: float = TIME_LIMIT_S,
+    default_step_s: float = 0.004,
 ) -> tuple[CheckReport, EngineMeasurement | None]:
     """Return the report of :func:`check_fmu`, and what a flight needs to know, None where it could not be measured."""
     source = find_source(engine)
     need_trust(source.code, f"engine {source.path.name}")
     archive = source.archive
-    step = step or (source.engine.internal_step if source.engine else DEFAULT_STEP_S)
+    step = step or (source.engine.internal_step if source.engine else default_step_s)
     check_whole_steps(archive, source.engine, step)
     values, settings = resolve_parameters(source, parameters)
     unpack(archive).close()
@@ -189,7 +179,7 @@ class _Check:
         for text in complaints:
             if not is_harmless_violation(text):
                 self._fail("loads", text)
-        self.host.call(("load", archive), START_S, "when it was loaded")
+        self.host.call(("load", archive), LIMITS.start_s, "when it was loaded")
 
     def _respond(self) -> None:
         """Measure static curve and response as a flight does, and record the response to opening and closing."""
@@ -207,7 +197,10 @@ class _Check:
         self._spec = load_unchecked(self._source, self._parameters, self._step, lambda *_: measured)
         self._record_responses(measured, rest)
 
-    def _record_responses(self, measured: EngineMeasurement, rest: float) -> None:
+    def _record_responses(
+        self, measured: EngineMeasurement, rest: float, max_points: int = 2000, min_wrong_way: float = 0.02
+    ) -> None:
+        """Draw at most so many points; thrust the wrong way that a solver or a sample leaves is less of the change."""
         report, step, quiet, span = self._report, self._step, measured.quiet, abs(measured.curve.thrust[-1])
         course: list[float] = []
 
@@ -224,7 +217,7 @@ class _Check:
                 response = measure_step_response(hold, before, throttle, step, quiet, rest)
                 before = response.after
                 shown = course[: _drawn(course, response)]
-                every = max(1, len(shown) // MAX_POINTS)
+                every = max(1, len(shown) // max_points)
                 setattr(report, f"delay_samples_{way}", response.delay)
                 setattr(report, f"rise_time_{way}", response.rise)
                 setattr(report, f"tenth_{way}", find_crossing(course, 0.1, response.before, response.after) * step)
@@ -232,25 +225,27 @@ class _Check:
                 setattr(report, f"course_step_{way}", every * step)
                 change = response.after - response.before
                 back = max(((response.before - thrust) / change for thrust in course), default=0.0)
-                if back > MIN_WRONG_WAY + rest / abs(change):
+                if back > min_wrong_way + rest / abs(change):
                     share = f"{100.0 * back:.0f} % of the change"
                     report.notes.append(f"throttle {way}: thrust first goes the wrong way, by {share}")
         up, down = report.delay_samples_up or 0, report.delay_samples_down or 0
-        if abs(up - down) > MAX_UNEVEN and rest == 0.0:
+        # A step of the throttle meets the FMU's own step anywhere.
+        if abs(up - down) > 2 and rest == 0.0:
             report.notes.append(
                 f"its dead time differs, {up} samples up and {down} down: it may sample its throttle itself, every "
                 f"{abs(up - down) * step:.2g} s or more, or have to be started first"
             )
 
-    def _fly(self, bank: IsolatedBank, steps: int, count: int = 1) -> list[float]:
+    def _fly(self, bank: IsolatedBank, steps: int, count: int = 1, throttle_0: float = 0.25) -> list[float]:
         """Return the thrusts of the first engine under a throttle that keeps changing; each other is ahead of it."""
-        bank.reset(RUN_THROTTLE)
+        bank.reset(throttle_0)
         throttles = ([zigzag_throttle(k + 3 * engine) for engine in range(count)] for k in range(steps))
         return [bank.step(k, tuple(throttle)).thrust[0] for k, throttle in enumerate(throttles)]
 
-    def _run(self) -> None:
+    def _run(self, run_s: float = 20.0) -> None:
+        """Fly ``run_s`` of simulated time under a changing throttle."""
         with self._bank() as bank:
-            self._thrusts = self._fly(bank, max(COMPARED_STEPS, round(RUN_S / self._step)))
+            self._thrusts = self._fly(bank, max(COMPARED_STEPS, round(run_s / self._step)))
         self._report.answers["is finite"] = True
 
     def _repeat(self) -> None:
@@ -263,9 +258,9 @@ class _Check:
         finally:
             host.end()
 
-    def _run_together(self) -> None:
-        with self._bank(ENGINES) as bank:
-            if self._fly(bank, COMPARED_STEPS, ENGINES) != self._thrusts[:COMPARED_STEPS]:
+    def _run_together(self, engines: int = 6) -> None:
+        with self._bank(engines) as bank:
+            if self._fly(bank, COMPARED_STEPS, engines) != self._thrusts[:COMPARED_STEPS]:
                 self._fail("runs six at once", "six of it at once do not answer as one alone: they are not independent")
 
     def _reset(self) -> None:
@@ -334,9 +329,12 @@ def _checksums(path: Path) -> list[str]:
     return [f"{damaged} fails its checksum"] if damaged else []
 
 
-def note_harmless_violations(archive: Archive) -> list[str]:
-    """Return notes on violations of FMI in an archive's description that have no effect on stepping."""
-    shown = archive.harmless_violations[:MAX_BLEMISHES]
+def note_harmless_violations(archive: Archive, max_lines: int = 10) -> list[str]:
+    """Return notes on violations of FMI in an archive's description that have no effect on stepping.
+
+    ``max_lines``: lines that are shown of the same kind, because a tool repeats a violation in every variable.
+    """
+    shown = archive.harmless_violations[:max_lines]
     lines = [f"blemish in its description, of no effect on stepping: {text}" for text in shown]
     rest = len(archive.harmless_violations) - len(shown)
     return [*lines, f"and {rest} more blemishes like these"] if rest else lines

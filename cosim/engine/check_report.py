@@ -53,6 +53,7 @@ class CheckReport:
 
     def lines(self) -> list[tuple[str, str]]:
         """Return the report as (label, text) rows without the problems."""
+        words = {True: "yes", False: "no", None: "not asked"}
         rows = [
             ("file", self.path),
             ("model", f"{self.name}, FMI {self.fmi_version}, sha256 {self.sha256[:12]}"),
@@ -61,8 +62,8 @@ class CheckReport:
             *(("output", _variable_text(v)) for v in self._unused(self.outputs)),
             *(("parameter", _variable_text(v)) for v in self._unused(self.parameters)),
             ("step", f"{self.step:g} s"),
-            *self.response_lines(),
-            *self.verdict_lines(),
+            *self._response_lines(),
+            *((question, words[answer]) for question, answer in self.answers.items()),
         ]
         return [*rows, *(("note", note) for note in self.notes)]
 
@@ -70,7 +71,7 @@ class CheckReport:
         used = {port["name"] for port in self.ports}
         return [v for v in variables if v["name"] not in used]
 
-    def response_lines(self) -> list[tuple[str, str]]:
+    def _response_lines(self) -> list[tuple[str, str]]:
         """Return rows with static thrust, delay and rise time."""
         rows = []
         if self.throttle is not None and self.thrust is not None:
@@ -84,10 +85,6 @@ class CheckReport:
                 text = f"delay {delay} samples ({delay * self.step:g} s){first}, then 10 to 90 % in {rise:.4g} s"
                 rows.append((f"throttle {way}", text))
         return rows
-
-    def verdict_lines(self) -> list[tuple[str, str]]:
-        """Return rows with the answer to each question."""
-        return [(question, _verdict(answer)) for question, answer in self.answers.items()]
 
 
 def _port_text(port: dict[str, Any]) -> str:
@@ -113,7 +110,3 @@ def _variable_text(v: dict[str, Any]) -> str:
 
 def _limit(value: float | None) -> str:
     return "any" if value is None else f"{value:g}"
-
-
-def _verdict(passed: bool | None) -> str:
-    return {True: "yes", False: "no", None: "not asked"}[passed]

@@ -20,7 +20,7 @@ from dataclasses import replace
 from itertools import chain
 from math import inf
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 
 from cosim.base.errors import EngineError, InputError
 from cosim.base.protocols import Column
@@ -37,15 +37,26 @@ from cosim.engine.fmu.unpacked import unpack
 from cosim.engine.measure import EngineMeasurement, make_measurement_adapter, measure
 from cosim.engine.spec import EngineSpec
 
-HANG_S = 4.0  # for one step of all engines; chosen by us: a thousand control steps
-START_S = 120.0  # to be loaded, started, measured or run up
-CLOSE_S = 2.0  # to be freed
-# Resident, of the engines' process: an engine worth flying needs some ten.
-MAX_MEGABYTES = 1024.0
-# Resident, of a process that waits for its next engines: what leaks is not handed on.
-MAX_IDLE_MEGABYTES = 256.0
-MAX_ANSWER_BYTES = 2**24
-_MAX_REQUEST_BYTES = 2**32
+
+class HostLimits(NamedTuple):
+    """Limits of an engine's own process."""
+
+    # For one step of all engines: a thousand control steps.
+    hang_s: float = 4.0
+    # To be loaded, started, measured or run up.
+    start_s: float = 120.0
+    close_s: float = 2.0  # to be freed
+    # Resident, of the engines' process: an engine worth flying needs some ten.
+    max_megabytes: float = 1024.0
+    # Resident, of a process that waits for its next engines: what leaks is not handed on.
+    max_idle_megabytes: float = 256.0
+    max_answer_bytes: int = 2**24
+    max_request_bytes: int = 2**32
+
+
+LIMITS = HostLimits()
+
+
 Moment = str | tuple[int, float]  # when something was asked: in words, or the step and its time [s]
 _SERVE = "from cosim.engine.isolated import serve; serve()"
 
@@ -63,14 +74,14 @@ class EngineHost:
         self._folder = os.stat(".")  # from which paths are seen there
         # What it leaves when it is killed goes with this process's own temporary files.
         environ = dict(os.environ) | {"TMPDIR": str(scratch())}
-        self._host = Host.open(python_command(_SERVE), environ, MAX_MEGABYTES, stderr=subprocess.DEVNULL)
+        self._host = Host.open(python_command(_SERVE), environ, LIMITS.max_megabytes, stderr=subprocess.DEVNULL)
         self._deadline = deadline
         self.is_sound = True  # whether nothing has gone wrong in it
 
     @property
     def is_reusable(self) -> bool:
         """Whether it may serve other engines of its archives."""
-        small = measure_megabytes(self._host.pid) <= MAX_IDLE_MEGABYTES
+        small = measure_megabytes(self._host.pid) <= LIMITS.max_idle_megabytes
         is_here = os.path.samestat(self._folder, os.stat("."))
         return self.is_sound and small and is_here and self._deadline == inf and self._host.poll() is None
 
@@ -87,7 +98,7 @@ class EngineHost:
         if self._deadline < inf:
             limit = min(limit, max(0.0, self._deadline - monotonic()))
         try:
-            return self._host.exchange_message(data, MAX_ANSWER_BYTES, limit)
+            return self._host.exchange_message(data, LIMITS.max_answer_bytes, limit)
         except HostError as error:
             self.end(0.0)
             when = moment if isinstance(moment, str) else "at step {} ({:g} s)".format(*moment)
@@ -120,7 +131,7 @@ class EngineHost:
         self.is_sound = False
         return EngineError(f"{self.label}the process answered what is no answer")
 
-    def end(self, patience: float = CLOSE_S) -> None:
+    def end(self, patience: float = LIMITS.close_s) -> None:
         """End it, by force if it takes long.  May be called again."""
         self.is_sound = False
         self._host.end(patience)
@@ -175,7 +186,7 @@ def measure_in(
 ) -> EngineMeasurement:
     """Measure an engine in a process of engines: :func:`cosim.engine.measure.measure`."""
     question = ("measure", archive, settings, archive.start, step, air, small)
-    answer = host.call(question, START_S, "while its thrust was measured")
+    answer = host.call(question, LIMITS.start_s, "while its thrust was measured")
     try:
         return make_measurement_adapter().validate_python(answer)
     except ValueError:
@@ -204,7 +215,7 @@ class IsolatedBank:
         # What is known of uncertainty takes numpy to be read.
         told = tuple(replace(spec, uncertainty=None, uncertain_ranges=()) for spec in specs)
         try:
-            self._call(("make", told, step), START_S, "when it was loaded")
+            self._call(("make", told, step), LIMITS.start_s, "when it was loaded")
         except BaseException:
             self.host.is_sound = False
             self.close()
@@ -221,7 +232,7 @@ class IsolatedBank:
         """As the bank's."""
         held = tuple(throttle) if isinstance(throttle, Sequence) else throttle
         air = None if ambient is None else (ambient.pressure, ambient.temperature, tuple(ambient.air_speed))
-        return self._output(self.host.request(("reset", held, air), START_S, "before the flight"))
+        return self._output(self.host.request(("reset", held, air), LIMITS.start_s, "before the flight"))
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
         """As the bank's."""
@@ -229,12 +240,12 @@ class IsolatedBank:
             row = self._row.pack(b"s", k, *throttle, *self._no_air)
         else:
             row = self._row.pack(b"s", k, *throttle, 1.0, ambient[0], ambient[1], *ambient[2])
-        return self._output(self.host.exchange(row, HANG_S, (k, k * self._step)))
+        return self._output(self.host.exchange(row, LIMITS.hang_s, (k, k * self._step)))
 
     def follow(self, station: int, throttles: Iterable[float]) -> list[float]:
         """As the bank's."""
         listed = list(throttles)
-        data = self.host.request(("follow", station, listed), START_S, f"within {len(listed)} steps")
+        data = self.host.request(("follow", station, listed), LIMITS.start_s, f"within {len(listed)} steps")
         return list(self.host.doubles(data, struct.Struct(f"<{len(listed)}d")))
 
     @property
@@ -245,16 +256,16 @@ class IsolatedBank:
     @property
     def shown(self) -> tuple[float, ...]:
         """As the bank's; one more passage in every step, where there is something to show."""
-        data = self.host.request(("shown",), HANG_S, "when its further outputs were read")
+        data = self.host.request(("shown",), LIMITS.hang_s, "when its further outputs were read")
         return self.host.doubles(data, struct.Struct(f"<{len(self._columns)}d"))
 
     def run_down(self, seconds: float) -> EngineOutput:
         """As the bank's."""
-        return self._output(self.host.request(("run down", seconds), START_S, "before the flight"))
+        return self._output(self.host.request(("run down", seconds), LIMITS.start_s, "before the flight"))
 
     def set_run(self, index: int, on: bool) -> bool:
         """As the bank's."""
-        return bool(self._call(("run", index, on), HANG_S, "when it was shut off or on"))
+        return bool(self._call(("run", index, on), LIMITS.hang_s, "when it was shut off or on"))
 
     def close(self) -> None:
         """Free the engines.  May be called again."""
@@ -263,7 +274,7 @@ class IsolatedBank:
             return
         if host.is_sound:
             with suppress(EngineError, ValueError):
-                host.call(("close",), CLOSE_S, "when it was freed")
+                host.call(("close",), LIMITS.close_s, "when it was freed")
         if self._is_own:
             leave_host(host)
 
@@ -386,5 +397,5 @@ def serve() -> None:
     die_with_parent()
     with suppress(EOFError, OSError):
         while True:
-            pipes.send_message(server.answer(pipes.receive_message(_MAX_REQUEST_BYTES)))
+            pipes.send_message(server.answer(pipes.receive_message(LIMITS.max_request_bytes)))
     server.answer(b"p" + pickle.dumps(("close",)))

@@ -9,7 +9,6 @@ from cosim.engine.fmu.air import STANDARD_AIR, Air
 from cosim.engine.fmu.instance import InstanceError
 from cosim.engine.fmu.mapping import is_mapping
 from cosim.engine.fmu.port_kinds import AMBIENT
-from cosim.engine.fmu.uncertainty import ParameterRange, Uncertainty
 from cosim.engine.fmu.variables import Variable
 from cosim.engine.measure import EngineMeasurement
 from cosim.engine.response import ResponseError, settling_window
@@ -37,6 +36,8 @@ def load_unchecked(
         air = STANDARD_AIR
     resolved, settings = resolve_parameters(source, parameters)
     uncertainty, ledger = source.uncertainty, definition.ledger if definition else {}
+    nominal = {} if uncertainty is None else resolve_parameters(source, {})[0]
+    ranges = [] if uncertainty is None else uncertainty.ranges(nominal, source.archive.parameters)
     delay = resolved.get(ledger.get("delay", ""))
     try:
         measured = measure(source, parameters, step, air)
@@ -67,7 +68,7 @@ def load_unchecked(
         small_step=measured.small,
         logged_outputs=_logged(source),
         uncertainty=uncertainty,
-        uncertain_ranges=() if uncertainty is None else _uncertain_ranges(source, uncertainty),
+        uncertain_ranges=tuple(ranges),
     )
 
 
@@ -84,11 +85,6 @@ def _logged(source: EngineSource) -> tuple[tuple[str, Variable], ...]:
             raise InputError(f"{where}: a column's name is of letters, digits and _, no digit first")
         columns.append((name, matches[0]))
     return tuple(columns)
-
-
-def _uncertain_ranges(source: EngineSource, uncertainty: Uncertainty) -> tuple[ParameterRange, ...]:
-    nominal, _ = resolve_parameters(source, {})
-    return tuple(uncertainty.ranges(nominal, source.archive.parameters))
 
 
 def _flame_out(source: EngineSource) -> FlameOutLaw | None:

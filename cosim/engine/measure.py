@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
 SMALL_STEP_FROM, SMALL_STEP_SIZE = 0.5, 0.05  # throttle: about where an engine hovers, and away from its limits
-LEAST_CHANGE_OVER_REST = 5.0  # thrust change of a small step over the engine's own movement at rest
 
 
 class EngineMeasurement(NamedTuple):
@@ -126,7 +125,10 @@ def _measure(
     return measured._replace(start=start)
 
 
-def _small_step(hold: Hold, window: int, step: float, quiet: float, rest: float, span: float) -> SmallStep | None:
+def _small_step(
+    hold: Hold, window: int, step: float, quiet: float, rest: float, span: float, min_change_over_rest: float = 5.0
+) -> SmallStep | None:
+    """``min_change_over_rest``: thrust change of a small step over the engine's own movement at rest."""
     thrusts: list[float] = []
 
     def recorded(throttle: float, steps: int) -> list[float]:
@@ -140,7 +142,7 @@ def _small_step(hold: Hold, window: int, step: float, quiet: float, rest: float,
     except ResponseError:
         return None
     change = response.after - response.before
-    if abs(change) < LEAST_CHANGE_OVER_REST * rest:
+    if abs(change) < min_change_over_rest * rest:
         return None
     return SmallStep(response.delay, sum((response.after - thrust) / change for thrust in thrusts))
 

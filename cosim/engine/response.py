@@ -14,9 +14,7 @@ from typing import NamedTuple
 
 Hold = Callable[[float, int], Sequence[float]]
 
-CURVE_POINTS = 21
 LONGEST_S = 180.0  # to settle: a real turbojet, closed, creeps for 95 s until it stands still to NO_CHANGE
-LONGEST_DELAY_S = 10.0
 NO_CHANGE = 1e-10  # fraction of the thrust, or of 1 N if that is more
 DRIFT = 0.1  # change of the mean from window to window, as a fraction of what counts as still; chosen by us
 LITTLE_CHANGE = 1e-6  # the same, for an FMU whose own solver goes on trembling at rest: a usual tolerance of solvers
@@ -97,27 +95,33 @@ def _restless_error(last: Sequence[float], throttle: float) -> RestlessError:
 
 
 def measure_step_response(
-    hold: Hold, before: float, throttle: float, step: float, quiet: float = NO_CHANGE, rest: float = 0.0
+    hold: Hold,
+    before: float,
+    throttle: float,
+    step: float,
+    quiet: float = NO_CHANGE,
+    rest: float = 0.0,
+    longest_delay_s: float = 10.0,
 ) -> Response:
     """Step the throttle of an engine that stands at ``before`` newtons, and follow the thrust until it has settled.
 
     With ``rest`` the delay lasts until the thrust has moved by more than that.
 
-    Raises ResponseError if it does not answer within ``LONGEST_DELAY_S`` or does not settle within ``LONGEST_S``.
+    Raises ResponseError if it does not answer within ``longest_delay_s`` or does not settle within ``LONGEST_S``.
     """
     thrusts: list[float] = []
     moved = None
     while moved is None:
-        if len(thrusts) * step > LONGEST_DELAY_S:
+        if len(thrusts) * step > longest_delay_s:
             raise ResponseError(
-                f"thrust does not answer the throttle within {LONGEST_DELAY_S:g} s; an engine that has to be started "
+                f"thrust does not answer the throttle within {longest_delay_s:g} s; an engine that has to be started "
                 "first, or held open, is told how in a mapping file: [start], [inputs]"
             )
         thrusts += hold(throttle, 64)
         moved = next((k for k, thrust in enumerate(thrusts) if not _is_constant([before, thrust], quiet, rest)), None)
     window = settling_window(moved)
     while len(thrusts) < moved + 2 * window or not _has_settled(thrusts, window, quiet, rest):
-        if len(thrusts) * step > LONGEST_S + LONGEST_DELAY_S:
+        if len(thrusts) * step > LONGEST_S + longest_delay_s:
             if rest == 0.0 and _is_constant(thrusts[-window:], quiet, quiet * abs(before - thrusts[-1])):
                 break
             raise _restless_error(thrusts[-window:], throttle)
@@ -135,9 +139,11 @@ def settling_window(delay: int) -> int:
     return 2 * delay + 50
 
 
-def measure_static_curve(hold: Hold, window: int, step: float, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
+def measure_static_curve(
+    hold: Hold, window: int, step: float, quiet: float = NO_CHANGE, rest: float = 0.0, points: int = 21
+) -> Curve:
     """Measure the steady thrust at evenly spaced throttles, from full throttle down."""
-    throttles = [k / (CURVE_POINTS - 1) for k in range(CURVE_POINTS)]
+    throttles = [k / (points - 1) for k in range(points)]
     thrusts: list[float] = []
     for throttle in reversed(throttles):
         span = thrusts[0] if thrusts else 0.0  # from full throttle down; closed it is little beside that, or idle

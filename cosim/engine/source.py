@@ -108,7 +108,8 @@ def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSour
         return engine
     path = folder / engine
     if is_mapping(path):
-        _refuse_engine_not_left(path)
+        if not path.exists() and (path.parent / "identification.json").is_file():
+            raise InputError(f"{path}: the identification left no engine; {path.parent / 'report.html'} says why")
         mapping, fmu, ports = read_mapping(path)
         try:
             archive = read_archive(fmu, ports)
@@ -131,12 +132,6 @@ def find_source(engine: str | EngineSource, folder: Path = Path()) -> EngineSour
         raise InputError(f"engine {engine}: {path} has not been built; run: hexjet fmu build")
     known = PortMap(ports=definition.ports, search=False)
     return EngineSource(engine, path, read_archive(path, known), definition, _without_mapping(path.name))
-
-
-def _refuse_engine_not_left(path: Path) -> None:
-    """Refuse the engine of an identification that left none."""
-    if not path.exists() and (path.parent / "identification.json").is_file():
-        raise InputError(f"{path}: the identification left no engine; {path.parent / 'report.html'} says why")
 
 
 @lru_cache(64)

@@ -17,12 +17,6 @@ from cosim.base.signals import NO_JETS, Ambient, EngineOutput, PerJet
 from cosim.engine.rundown import FlameOutLaw
 from cosim.spec.scenario import DelayGrowth, EngineFault, FlameOut, SlowSpool, StuckThrottle, ThrustLoss
 
-# Chosen by us.  After this time a turbine's rotor has less than a fiftieth of its speed.  An engine is up at nine
-# tenths of the thrust with which it idles; one that is not after two minutes is left to the engine monitor.
-_RUN_DOWN_S = 60.0
-_STARTED_THRUST = 0.9
-_LONGEST_RESTART_S = 120.0
-
 
 class EngineEffect:
     """An effect on one engine: it changes the throttle before it, and thrust [N] and speed [rad/s] behind it."""
@@ -214,23 +208,29 @@ class EngineChain:
         self._idle = output.thrust
         return output
 
-    def shut_off_all(self) -> EngineOutput:
-        """Shut every engine off right after the reset, as if it had not run yet.  Raises EngineError."""
+    def shut_off_all(self, run_down_s: float = 60.0) -> EngineOutput:
+        """Shut every engine off right after the reset, as if it had not run yet.  Raises EngineError.
+
+        ``run_down_s``: after which a turbine's rotor has less than a fiftieth of its speed.
+        """
         self.off = frozenset(range(len(self._laws)))
         for index in range(len(self._laws)):
             if not self.bank.set_run(index, False):
                 self._shut_off[index] = self._run_down(index, cold=True)
-        return self._apply_effects(self.bank.run_down(_RUN_DOWN_S))
+        return self._apply_effects(self.bank.run_down(run_down_s))
 
     @property
     def restarting_engines(self) -> tuple[int, ...]:
         """The engines, counted from 1, that were switched on again and are not back at the thrust of the start."""
         return tuple([index + 1 for index in sorted(self._restarts)])
 
-    def _update_restarts(self, thrust: PerJet) -> None:
-        """Forget the engines that have come up, and those that have had long enough."""
+    def _update_restarts(self, thrust: PerJet, started: float = 0.9) -> None:
+        """Forget the engines that have come up, and those that have had long enough.
+
+        ``started``: an engine is up at this fraction of the thrust with which it idles.
+        """
         idle = self._idle
-        left = {i: steps - 1 for i, steps in self._restarts.items() if thrust[i] < _STARTED_THRUST * idle[i]}
+        left = {i: steps - 1 for i, steps in self._restarts.items() if thrust[i] < started * idle[i]}
         self._restarts = {index: steps for index, steps in left.items() if steps > 0}
 
     def step(self, k: int, throttle: PerJet, ambient: Ambient | None = None) -> EngineOutput:
@@ -278,16 +278,17 @@ class EngineChain:
             flow[i] = 0.0
         return self._with_thrust(output, thrust, tuple(speed), tuple(flow))
 
-    def switch_engine(self, index: int, on: bool) -> None:
+    def switch_engine(self, index: int, on: bool, restart_s: float = 120.0) -> None:
         """Shut one engine off, or on again, before the next step; ``index`` from 0.  Raises EngineError.
 
-        An engine that has a fault of its own is not switched on: it stays what the fault makes of it.
+        An engine that has a fault of its own is not switched on: it stays what the fault makes of it.  ``restart_s``:
+        after which an engine that is not up is left to the engine monitor.
         """
         if on == (index not in self.off) or (on and any(index + 1 in fault.jet for fault in self._acting)):
             return
         self.off = self.off - {index} if on else self.off | {index}
         if on:
-            self._restarts[index] = round(_LONGEST_RESTART_S / self._step)
+            self._restarts[index] = round(restart_s / self._step)
         else:
             self._restarts.pop(index, None)
         if not self.bank.set_run(index, on):

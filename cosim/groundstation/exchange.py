@@ -31,11 +31,6 @@ from cosim.simulation.pacing import PaceReport
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 
-WAITING_PER_SENDER = 64  # requests that may wait; a mission is one.  Chosen by us: a quarter second of steps
-SENDERS = 32  # most senders with waiting requests
-MESSAGE_HISTORY = 100
-ANSWER_TIMEOUT = 2.0  # s for an answer at a port: ground stations ask again after 1 to 3 s
-
 # requests that are sent continuously, of which only the last one counts
 _STREAMS = (rq.Sticks, rq.OffboardAttitude, rq.OffboardVelocity, rq.OffboardPosition)
 
@@ -100,9 +95,22 @@ class PendingRequest(NamedTuple):
 
 
 class Exchange:
-    """Snapshots, messages and queues of requests of one session; ``clock`` [s] gives all times here."""
+    """Snapshots, messages and queues of requests of one session; ``clock`` [s] gives all times here.
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    ``waiting_per_sender``: of one sender, requests that may wait, of which a mission is one: a quarter second of steps.
+    ``senders``: with waiting requests at most.  ``message_history``: lines that are kept.
+    """
+
+    def __init__(
+        self,
+        clock: Callable[[], float] = time.monotonic,
+        waiting_per_sender: int = 64,
+        senders: int = 32,
+        message_history: int = 100,
+    ) -> None:
+        self.message_history = message_history
+        self.senders = senders
+        self.waiting_per_sender = waiting_per_sender
         self.clock = clock
         self._lock = Lock()
         self._queues: dict[str, deque[tuple[PendingRequest, Claim]]] = {}
@@ -158,7 +166,7 @@ class Exchange:
             if isinstance(request, _STREAMS) and queue and type(queue[-1][0].request) is type(request):
                 dropped, _ = queue.pop()
             is_new = sender not in self._queues
-            is_full = len(queue) >= WAITING_PER_SENDER or (is_new and len(self._queues) >= SENDERS)
+            is_full = len(queue) >= self.waiting_per_sender or (is_new and len(self._queues) >= self.senders)
             if is_full:
                 self.turned_away += 1
             else:
@@ -201,7 +209,10 @@ class Exchange:
         """Add a line for the people on the ground, which goes out with the next snapshot."""
         with self._lock:
             self._message_count += 1
-            self._messages = (*self._messages[1 - MESSAGE_HISTORY :], Message(self._message_count, k, severity, text))
+            self._messages = (
+                *self._messages[1 - self.message_history :],
+                Message(self._message_count, k, severity, text),
+            )
 
     def publish(self, snapshot: Snapshot) -> None:
         """Replace the snapshot, and wake the subscribers."""
@@ -215,9 +226,11 @@ class Port:
     """Access to the exchange from another thread's loop, in which every method is called.
 
     ``wake`` is called in the flight's thread when there is something to collect; it must return at once.
+    ``timeout_s``: for an answer; ground stations ask again after 1 to 3 s.
     """
 
-    def __init__(self, exchange: Exchange, name: str) -> None:
+    def __init__(self, exchange: Exchange, name: str, timeout_s: float = 2.0) -> None:
+        self.timeout_s = timeout_s
         self.name = name  # name of the sender where a request states none
         self.wake: Callable[[], None] = lambda: None
         self.snapshot: Snapshot | None = None  # the newest one; None before the first flight begins
@@ -239,7 +252,7 @@ class Port:
             self._exchange.ask(request, sender=sender)
             return
         self._request_count += 1
-        number, until = self._request_count, self._exchange.clock() + ANSWER_TIMEOUT
+        number, until = self._request_count, self._exchange.clock() + self.timeout_s
         self._replies[number], self._deadlines[number] = reply, until
         self._exchange.ask(
             request, lambda answer: self._queue_answer(number, answer), sender, until, lambda: self._withdraw(number)

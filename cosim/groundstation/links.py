@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -149,8 +150,7 @@ class Links:
         self._parameters = ParameterService(info.parameters, self._exchange_port.ask, self._personality)
         metadata = Metadata(info.parameters, constants.name, constants.version)
         log_store = self._log_store = LogStore(self._runs)
-
-        files = Files({path: MemoryFile(data) for path, data in metadata.files.items()}, log_store)
+        files: dict[str, File] = {path: MemoryFile(data) for path, data in metadata.files.items()}
         exchange = self.exchange
         missions = MissionService(
             lambda: exchange.snapshot.mission if exchange.snapshot else (),
@@ -158,7 +158,12 @@ class Links:
             self._exchange_port.ask,
             info.geodesy,
         )
-        vehicle.services += [self._parameters, missions, FileService(lambda: files), LogService(log_store)]
+        vehicle.services += [
+            self._parameters,
+            missions,
+            FileService(partial(find_files, files, log_store)),
+            LogService(log_store),
+        ]
         vehicle.on_request |= metadata.on_request
         self.link.start(vehicle)
 
@@ -174,23 +179,10 @@ class Links:
         return [run for run in find_finished_runs(self._folder.parent) if (run / REQUESTS).exists()]
 
 
-class Files(Mapping[str, File]):
-    """Files to read over MAVLink: metadata, and the logs, which are made once somebody asks for one of them."""
-
-    def __init__(self, ready: Mapping[str, File], log_store: LogStore) -> None:
-        self._ready, self._log_store = ready, log_store
-
-    def __getitem__(self, path: str) -> File:
-        if path in self._ready or not path.startswith(LOG_FOLDER):
-            return self._ready[path]
-        return self._log_store.files()[path]
-
-    def __iter__(self) -> Iterator[str]:
-        yield from self._ready
-        yield from self._log_store.files()
-
-    def __len__(self) -> int:
-        return len(self._ready) + len(self._log_store.files())
+def find_files(metadata: Mapping[str, File], log_store: LogStore, path: str) -> Mapping[str, File]:
+    """Return the files that a path may name: metadata, and at the root and in ``log`` the logs, which are then made."""
+    is_of_logs = path == "" or f"{path}/".startswith(LOG_FOLDER)
+    return {**metadata, **log_store.files()} if is_of_logs else metadata
 
 
 def make_vehicle_constants(info: FlightInfo, personality: Personality, system: int = 1) -> VehicleConstants:

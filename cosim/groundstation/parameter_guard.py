@@ -22,11 +22,6 @@ from cosim.control.autopilot.requests import Answer, Result, SetParameter
 from cosim.groundstation.exchange import GroundRequest, PendingRequest
 from cosim.groundstation.parameter_store import FORCE, ParameterStore
 
-MOST_DEFERRED = 200  # changes that wait; chosen by us: twice a whole set, and the first verdict may take seconds
-BATCH_SIZE = 8  # changes that are checked together and act at one step: as many as a step takes requests
-MOST_NAMED = 8  # parameters that are named where they differ from their defaults; more are counted
-
-
 T = TypeVar("T")
 
 
@@ -44,9 +39,15 @@ class StabilityChecker(Protocol):
 
 
 class ParameterGuard:
-    """Queue of parameter changes that wait for their verdict, in the order in which they came."""
+    """Queue of parameter changes that wait for their verdict, in the order in which they came.
 
-    def __init__(self, checker: StabilityChecker | None = None) -> None:
+    ``max_deferred``: changes that wait at most: twice a whole set, as the first verdict may take seconds.
+    ``batch_size``: changes that are checked together and act at one step: as many as a step takes requests.
+    """
+
+    def __init__(self, checker: StabilityChecker | None = None, max_deferred: int = 200, batch_size: int = 8) -> None:
+        self.batch_size = batch_size
+        self.max_deferred = max_deferred
         self.checker = checker
         self._deferred: deque[PendingRequest] = deque()
         self._batch: list[PendingRequest] = []  # the first deferred changes, whose verdict is being computed
@@ -63,7 +64,7 @@ class ParameterGuard:
         request = waiting.request
         if self.checker is None or not isinstance(request, SetParameter) or not self.checker.tunes_loop(request.name):
             return False
-        if len(self._deferred) >= MOST_DEFERRED:
+        if len(self._deferred) >= self.max_deferred:
             waiting.answer(Answer(False, Result.TEMPORARILY_REJECTED, "too many parameters at once"))
         else:
             self._deferred.append(waiting)
@@ -82,7 +83,7 @@ class ParameterGuard:
                 self._batch, self._verdict = [], None
             return [(waiting, None) for waiting in late]
         if self._verdict is None and self._deferred:
-            self._batch = list(self._deferred)[:BATCH_SIZE]
+            self._batch = list(self._deferred)[: self.batch_size]
             steps = _steps(parameters, [waiting.request for waiting in self._batch])
             self._verdict = self._submit(lambda: self._cautions(steps))
         if self._verdict is None or not self._verdict.done():
@@ -182,8 +183,8 @@ def list_changes(parameters: Parameters, values: Mapping[str, float]) -> list[st
     return [*_shorten(changes), *_shorten(refused)]
 
 
-def _shorten(lines: list[str]) -> list[str]:
-    return lines if len(lines) <= MOST_NAMED else [*lines[:MOST_NAMED], f"and {len(lines) - MOST_NAMED} more"]
+def _shorten(lines: list[str], max_named: int = 8) -> list[str]:
+    return lines if len(lines) <= max_named else [*lines[:max_named], f"and {len(lines) - max_named} more"]
 
 
 def find_saved_cautions(

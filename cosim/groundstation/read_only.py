@@ -19,8 +19,6 @@ from cosim.groundstation.session_flight import PUBLISH_EVERY, forward_messages, 
 from cosim.simulation.pacing import Pace
 from cosim.simulation.step import Simulation
 
-_REQUESTS_PER_SAMPLE = 8  # requests that are refused at one sample
-
 
 class ReadOnlyObserver:
     """Observer that publishes a scripted or recorded flight and refuses every request; called to begin a flight."""
@@ -47,7 +45,7 @@ class ReadOnlyObserver:
             return
         self._last = now
         exchange, simulation, pilot = self._exchange, self._simulation, self._pilot
-        for waiting in exchange.take_requests(_REQUESTS_PER_SAMPLE):
+        for waiting in exchange.take_requests(8):
             waiting.answer(Answer(False, Result.DENIED, "this flight follows its script"))
         if pilot is not None:
             self._last_message = forward_messages(pilot, exchange, self._last_message)

@@ -42,12 +42,8 @@ from cosim.simulation.ending import Ending
 from cosim.simulation.pacing import Pace
 from cosim.spec.scenario import Scenario
 
-LONGEST_S = 86_400.0  # s: the longest flight without a planned end, a day
 # Chosen by us: a request costs some 10 us, a new predictor 3 ms, a step has 4 ms of which stepping takes a tenth.
 _REQUESTS_PER_STEP = 8  # requests
-_REQUEST_TIME = 0.5e-3  # s of a step after which the next request waits for the next step
-_SWITCH_INTERVAL = 0.5e-3  # s after which a busy thread is switched; Python's 5 ms are longer than a step
-_POLL_S = 0.02  # s between two polls of the requests after the end of a flight
 
 
 @dataclass(frozen=True)
@@ -210,7 +206,7 @@ class Session:
         self.runs.append(flight.finish(ending, wall, self._records.report))
         return ending
 
-    def _handle_requests(self, flight: SessionFlight, k: int) -> Ending | None:
+    def _handle_requests(self, flight: SessionFlight, k: int, request_s: float = 0.5e-3) -> Ending | None:
         """Handle requests between two steps, within bounds; return an ending if one is requested."""
         if self._stopping:
             in_air = flight.pilot.armed and flight.pilot.status.landed is not LandedState.ON_GROUND
@@ -220,7 +216,7 @@ class Session:
             taken = self.exchange.take_requests(1)
             if not taken:
                 break
-            until = until or time.perf_counter() + _REQUEST_TIME
+            until = until or time.perf_counter() + request_s
             for waiting in taken:
                 if not self._guard.defer(waiting):
                     waiting.answer(self._serve(flight, waiting, k))
@@ -276,7 +272,7 @@ class Session:
             self.stop(f"shut down by {sender}")
         return rq.Answer(True, rq.Result.ACCEPTED, "")
 
-    def _serve_after_end(self, flight: SessionFlight, ending: Ending) -> None:
+    def _serve_after_end(self, flight: SessionFlight, ending: Ending, poll_s: float = 0.02) -> None:
         """Answer requests after a flight has ended by itself, until there is a restart or the session ends."""
         exchange = self.exchange
         deadline = None
@@ -295,7 +291,7 @@ class Session:
                 assert isinstance(waiting.request, rq.SetParameter)
                 waiting.answer(self._set_for_next_flight(flight, waiting.request, cautions))
             flight.publish(None, ending)
-            time.sleep(_POLL_S)
+            time.sleep(poll_s)
 
     def _set_for_next_flight(
         self, flight: SessionFlight, request: rq.SetParameter, cautions: list[Caution] | None
@@ -312,8 +308,11 @@ class Session:
         return answer
 
 
-def make_ground_scenario(scenario: Scenario, duration: float | None) -> Scenario:
-    """Return the scenario with its vehicle on the ground, and an autopilot in place of its commands."""
+def make_ground_scenario(scenario: Scenario, duration: float | None, longest_s: float = 86_400.0) -> Scenario:
+    """Return the scenario with its vehicle on the ground, and an autopilot in place of its commands.
+
+    ``longest_s``: of a flight without a planned end, a day.
+    """
     watched = scenario.resolved_vehicle()[0].control.monitor
     heading = scenario.initial.attitude_deg[2]
     still = (0.0, 0.0, 0.0)
@@ -322,7 +321,7 @@ def make_ground_scenario(scenario: Scenario, duration: float | None) -> Scenario
         expect=[],
         requests=REQUESTS,
         monitor=scenario.monitored if watched is None else True,
-        duration_s=round(LONGEST_S / scenario.step_s) * scenario.step_s if duration is None else duration,
+        duration_s=round(longest_s / scenario.step_s) * scenario.step_s if duration is None else duration,
         initial={
             "on_ground": True,
             "engines": "off",
@@ -343,10 +342,13 @@ def parse_place(text: str) -> dict[str, float]:
 
 
 @contextmanager
-def steady_timing() -> Iterator[None]:
-    """Keep a paced flight steady: no long collections of garbage, and threads that give way soon."""
+def steady_timing(switch_s: float = 0.5e-3) -> Iterator[None]:
+    """Keep a paced flight steady: no long collections of garbage, and threads that give way soon.
+
+    ``switch_s``: after which a busy thread is switched; Python's 5 ms are longer than a step.
+    """
     previous = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH_INTERVAL)
+    sys.setswitchinterval(switch_s)
     gc.collect()
     gc.freeze()  # what exists now is kept for the whole flight, so the garbage collector can skip it
     try:

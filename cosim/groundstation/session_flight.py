@@ -33,8 +33,6 @@ PUBLISH_EVERY = 2e-3  # s of wall time
 MEGABYTE = 1e6
 BYTES = 8  # size of a number in the log
 LIMIT_MB = 2000.0  # two hours of flight at 250 Hz; chosen by us
-_WARN_AT = 0.8  # fraction of the limit
-_WARN_EVERY = 10.0  # s of wall time between two messages about late steps
 
 
 @dataclass
@@ -166,7 +164,10 @@ class LogLimit:
     ``say`` gets a line for the people on the ground, at four fifths of the size and at the end.
     """
 
-    def __init__(self, recording: Recording, limit_mb: float | None, say: Callable[[str], None]) -> None:
+    def __init__(
+        self, recording: Recording, limit_mb: float | None, say: Callable[[str], None], warn_at: float = 0.8
+    ) -> None:
+        self.warn_at = warn_at
         self._recording, self._say = recording, say
         self._limit_mb = limit_mb
         self._most = None if limit_mb is None else max(1, int(limit_mb * MEGABYTE / (BYTES * recording.columns)))
@@ -184,8 +185,8 @@ class LogLimit:
         self._recording.observe(sample)
         self.rows += 1
         if self._most is not None and self._limit_mb is not None:
-            if self.rows == max(1, int(_WARN_AT * self._most)):
-                self._say(f"the log has {_WARN_AT * self._limit_mb:g} MB, and ends at {self._limit_mb:g} MB")
+            if self.rows == max(1, int(self.warn_at * self._most)):
+                self._say(f"the log has {self.warn_at * self._limit_mb:g} MB, and ends at {self._limit_mb:g} MB")
             if self.is_full:
                 self._say(f"the log has {self._limit_mb:g} MB and ends here, the flight goes on")
 
@@ -193,7 +194,8 @@ class LogLimit:
 class Publisher:
     """Observer that publishes snapshots, not more often than anybody looks, and reports late steps."""
 
-    def __init__(self, flight: SessionFlight) -> None:
+    def __init__(self, flight: SessionFlight, warn_every_s: float = 10.0) -> None:
+        self.warn_every_s = warn_every_s
         self._flight = flight
         self._last = self._warned = time.monotonic()
         self._missed = 0
@@ -204,7 +206,7 @@ class Publisher:
             return
         self._last = now
         self._flight.publish(sample, None)
-        if now - self._warned >= _WARN_EVERY:
+        if now - self._warned >= self.warn_every_s:
             self._warned = now
             self._warn()
 
@@ -215,7 +217,7 @@ class Publisher:
         if missed:
             self._flight.exchange.say(
                 Severity.WARNING,
-                f"{missed} steps late in {_WARN_EVERY:g} s, the latest by {1e3 * report.longest_delay:.1f} ms",
+                f"{missed} steps late in {self.warn_every_s:g} s, the latest by {1e3 * report.longest_delay:.1f} ms",
                 self._flight.simulation.k,
             )
 

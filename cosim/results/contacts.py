@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from cosim.base.arrays import Array
 from cosim.base.protocols import Columns
 
-APART_S = 0.5  # contacts nearer to each other than this are one
 CONTACTS = ("leaves the ground", "touches the ground")  # what happens when it does not stand any more, and does
 
 
@@ -19,13 +18,16 @@ def find_contact_rows(log: Columns) -> NDArray[np.bool_]:
     return (log["on_ground"] > 0.0) | (log["hull_contact"] > 0.0)
 
 
-def find_contact_changes(contact: NDArray[np.bool_], step_s: float) -> Iterator[tuple[int, bool]]:
-    """Yield the rows on which the vehicle leaves the ground, or stands on it again (True), bounces left out."""
+def find_contact_changes(contact: NDArray[np.bool_], step_s: float, apart_s: float = 0.5) -> Iterator[tuple[int, bool]]:
+    """Yield the rows on which the vehicle leaves the ground, or stands on it again (True), bounces left out.
+
+    ``apart_s``: contacts nearer to each other than this are one.
+    """
     edges = np.flatnonzero(np.diff(contact.astype(np.int8))) + 1
     last = contact[0]
     for index, row in enumerate(edges.tolist()):
         following = edges[index + 1] if index + 1 < edges.size else contact.size
-        if contact[row] != last and (following - row) * step_s >= APART_S:
+        if contact[row] != last and (following - row) * step_s >= apart_s:
             last = contact[row]
             yield row, bool(last)
 

@@ -28,10 +28,8 @@ if TYPE_CHECKING:
 
 Kind = Literal["fault", "monitor", "disturbance", "contact", "pilot", "requirement"]
 MOST = 500  # events of one kind that are kept; the log has all of them
-MOST_PHASES = 200  # of a flight, chosen by us: more are no ground to read lines on
 PHASES = ("on the ground", "in the air", "on its jets", "transition", "on the wing")  # what carries the vehicle
 ON_JETS, ON_WING = 0.05, 0.5  # of the weight on the wing: up to which, from which it is so; chosen by us
-_SHORT_S = 0.1  # a phase that is shorter, chosen by us, belongs to the one before it
 
 
 class Event(Record):
@@ -63,20 +61,24 @@ def list_phases(run: Run) -> list[Phase]:
     return find_phases(run.log, run.summary.step_s, read_pilot_record(run.folder) if run.folder is not None else ())
 
 
-def find_phases(log: Log, step: float, record: Iterable[dict[str, Any]] = ()) -> list[Phase]:
+def find_phases(
+    log: Log, step: float, record: Iterable[dict[str, Any]] = (), max_phases: int = 200, short_s: float = 0.1
+) -> list[Phase]:
     """Return the phases of a flight from its first row to its last, in order; none where it has but one.
 
     Where an autopilot flies, a phase is its mode while it is armed.  Without one it is what carries the vehicle: the
     ground, its jets or, in a log with ``wing_lift_N``, the wing: more than 5 % of the weight (a transition), or half.
+    ``max_phases``: of a flight: more are no ground to read lines on.  ``short_s``: a phase that is shorter, belongs to
+    the one before it.
     """
     phases: list[Phase] = []
     for row, name in _phase_names(log, step, record) if len(log) else ():
-        if phases and row * step - phases[-1].start_s < _SHORT_S:
+        if phases and row * step - phases[-1].start_s < short_s:
             phases.pop()
         if not phases or phases[-1].name != name:
             phases.append(Phase(row * step if phases else 0.0, len(log) * step, name))
     ended = [phase._replace(end_s=after.start_s) for phase, after in pairwise(phases)]
-    return [*ended, *phases[-1:]] if 1 < len(phases) <= MOST_PHASES else []
+    return [*ended, *phases[-1:]] if 1 < len(phases) <= max_phases else []
 
 
 def _phase_names(log: Log, step: float, record: Iterable[dict[str, Any]]) -> list[tuple[int, str]]:

@@ -56,7 +56,6 @@ LIMITED = {  # the keys of [limits] and the metrics that they limit
 }
 
 
-_ROWS = 65_536  # whose leans are looked at together: 0.5 MB a column
 NEVER_SETTLED = ".settling_time_s"  # the metric that is None where a step has not settled
 
 
@@ -115,7 +114,8 @@ def flight_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str
     """
     # a function each, that none holds columns which another reads: those of an hour are 7 MB each
     merged: dict[str, float | None] = {
-        "height_error_m": _height_limit(measure, log, step_s),
+        "height_error_m": HEIGHT_SPANS * measure.span_m
+        + height_lag(log["altitude_setpoint_m"], log["altitude_m"], measure.height_law, step_s),
         "saturated_percent": SATURATED_PERCENT,
         "alternating_percent": ALTERNATING_PERCENT,
         **_motion_limits(measure, log, step_s),
@@ -123,11 +123,6 @@ def flight_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str
     }
     named = {LIMITED[key]: value for key, value in merged.items() if value is not None and key in LIMITED}
     return named | axis_limits(measure.axes, log, step_s, measure.span_m, measure.stated)
-
-
-def _height_limit(measure: LimitInputs, log: Columns, step_s: float) -> float:
-    lag = height_lag(log["altitude_setpoint_m"], log["altitude_m"], measure.height_law, step_s)
-    return HEIGHT_SPANS * measure.span_m + lag
 
 
 def _motion_limits(measure: LimitInputs, log: Columns, step_s: float) -> dict[str, float]:
@@ -176,18 +171,18 @@ def height_lag(setpoint: Array, altitude: Array, law: tuple[float, float, float]
 
 
 def lean_motion(
-    roll: Array, pitch: Array, yaw: Array, velocity: tuple[Array, Array], step_s: float
+    roll: Array, pitch: Array, yaw: Array, velocity: tuple[Array, Array], step_s: float, block: int = 65_536
 ) -> tuple[float, float] | None:
     """Return the way (m) and the largest speed (m/s) that commanded leans explain: in still air, without drag.
 
     ``a = g tan(lean)`` of thrust along the body's -z axis that holds the weight, added up from the ``velocity`` at the
-    start.  None where an angle is not commanded.
+    start.  None where an angle is not commanded.  ``block``: whose leans are looked at together: 0.5 MB a column.
     """
     if not roll.size or not all(np.all(np.isfinite(angle)) for angle in (roll, pitch, yaw)):
         return None
     speed, gained = np.empty(roll.size), [0.0, 0.0]
-    for first in range(0, roll.size, _ROWS):
-        part = slice(first, first + _ROWS)
+    for first in range(0, roll.size, block):
+        part = slice(first, first + block)
         changes = _velocity_changes(roll[part], pitch[part], yaw[part], step_s)
         for axis, change in enumerate(changes):
             change[0] += gained[axis]

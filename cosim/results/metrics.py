@@ -25,13 +25,9 @@ from cosim.results.contacts import find_contact_rows, height_error
 from cosim.results.log.columns import HEXJET, RATES, LoggedVehicle, jets_in, log_columns, logged_vehicle_of, servos_in
 from cosim.spec.scenario import Range
 
-HOLD_S = 0.2  # chosen by us: shorter than any doublet worth flying, longer than the holds of recorded sticks at 10 Hz
 SMALLEST_STEP_RAD = 1e-3  # chosen by us: a smaller offset at the start is trim or noise, not a command
 SETTLING_BAND = 0.05  # of the step's size, the common 5 % convention
 FINAL_S = 1.0  # the end of the flight that tells whether it is at rest
-FLIGHT_M = 0.2  # chosen by us: less is a hop at take-off or a bounce
-REVERSAL = 0.01  # of a command's range, chosen by us: 10 us of a pulse that spans 1000, several dead bands of a servo
-AT_LIMIT = 1e-9  # throttle, rad: rounding between a limit and a command that was cut there
 REFUSED = ("refused_roll", "refused_pitch", "refused_yaw", "refused_collective")
 POSITION_SETPOINT = ("north_setpoint_m", "east_setpoint_m")
 WIND = ("wind_north_m_s", "wind_east_m_s", "wind_down_m_s")
@@ -209,8 +205,11 @@ def axis_metrics(setpoint: Array, angle: Array, rate_rmse: float | None, step_s:
     )
 
 
-def find_steps(setpoint: Array, angle: Array, step_s: float) -> list[Step]:
-    """Return the steps of a set-point (rad); none if it ever moves in another way or is missing on some row."""
+def find_steps(setpoint: Array, angle: Array, step_s: float, hold_s: float = 0.2) -> list[Step]:
+    """Return the steps of a set-point (rad); none if it ever moves in another way or is missing on some row.
+
+    ``hold_s``: shorter than any doublet worth flying, longer than the holds of recorded sticks at 10 Hz.
+    """
     if not setpoint.size or not np.all(np.isfinite(setpoint)):
         return []
     changes = np.flatnonzero(np.diff(setpoint) != 0.0) + 1
@@ -219,7 +218,7 @@ def find_steps(setpoint: Array, angle: Array, step_s: float) -> list[Step]:
     if abs(wrap(setpoint[:1] - angle[:1])[0]) > SMALLEST_STEP_RAD:
         lengths = np.append(changes[0] if changes.size else setpoint.size, lengths)
         changes, starts = np.append(0, changes), np.append(angle[0], starts)
-    if np.any(lengths < HOLD_S / step_s - 0.5):  # half a row, against rounding
+    if np.any(lengths < hold_s / step_s - 0.5):  # half a row, against rounding
         return []
     targets = setpoint[changes]
     return [
@@ -275,11 +274,11 @@ def saturation_in_flight(log: Columns, reach: Reach | None) -> NDArray[np.bool_]
     return saturation(log, reach) & ~find_contact_rows(log)
 
 
-def saturation(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
+def saturation(log: Columns, reach: Reach | None, tolerance: float = 1e-9) -> NDArray[np.bool_]:
     """Return the rows with an allocation residual, or with an actuator commanded to an end of its range.
 
     Actuators are throttles, tilts, hinges and surfaces.  A jet that the monitor has given up, whose throttle is closed
-    for that, does not count.
+    for that, does not count.  ``tolerance``: throttle, rad: rounding between a limit and a command that was cut there.
     """
     rows = np.zeros(log["on_ground"].size, dtype=np.bool_)
     for name in REFUSED:
@@ -288,9 +287,9 @@ def saturation(log: Columns, reach: Reach | None) -> NDArray[np.bool_]:
         return rows
     for jet, (least, most) in enumerate(reach.throttle, 1):
         throttle, is_failed = log[THROTTLE.format(jet)], log[HEALTH.format(jet)] < 1.0
-        rows |= ((throttle <= least + AT_LIMIT) | (throttle >= most - AT_LIMIT)) & ~is_failed
+        rows |= ((throttle <= least + tolerance) | (throttle >= most - tolerance)) & ~is_failed
     for command, least, most in _servo_ranges(log, reach):
-        rows |= (command <= least + AT_LIMIT) | (command >= most - AT_LIMIT)
+        rows |= (command <= least + tolerance) | (command >= most - tolerance)
     return rows
 
 
@@ -310,13 +309,16 @@ def _servo_ranges(log: Columns, reach: Reach) -> Iterator[tuple[Array, float, fl
         yield log[name], least, most
 
 
-def alternating_percent(commands: Iterable[tuple[Array, float, float]], step_s: float) -> float | None:
+def alternating_percent(
+    commands: Iterable[tuple[Array, float, float]], step_s: float, reversal: float = 0.01
+) -> float | None:
     """Return the share of a second's steps (percent) on which a command turns back: worst second, worst command.
 
     ``commands`` come with the ends of their ranges.  A command turns back where it goes one way and then the other, by
-    more than ``REVERSAL`` of its range both times.  One that alternates at every step, at half the control rate, comes
-    to 100; white noise, however strong, to 2/3 of that: the probability that the middle of three is an extreme.
-    None for a flight of less than a second and where no range is known.
+    more than ``reversal`` of its range both times.  One that alternates at every step, at half the control rate, comes
+    to 100; white noise, however strong, to 2/3 of that: the probability that the middle of three is an extreme. None
+    for a flight of less than a second and where no range is known.  ``reversal``: of a command's range: 10 us of a
+    pulse that spans 1000, several dead bands of a servo.
     """
     rows, worst = round(FINAL_S / step_s), None
     for command, least, most in commands:
@@ -326,7 +328,7 @@ def alternating_percent(commands: Iterable[tuple[Array, float, float]], step_s: 
         change /= most - least
         turns = change[1:] * change[:-1] < 0.0
         np.abs(change, out=change)
-        turns &= np.minimum(change[1:], change[:-1]) > REVERSAL
+        turns &= np.minimum(change[1:], change[:-1]) > reversal
         count = np.zeros(turns.size + 1, dtype=np.int32)
         np.cumsum(turns, out=count[1:])
         worst = max(worst or 0.0, 100.0 * float(np.max(count[rows:] - count[:-rows])) / rows)
@@ -384,17 +386,18 @@ def _fuel_of(log: Columns, step_s: float) -> float | None:
     return fuel_burnt(log["fuel_kg"], (log[name] for name in _of_jets(FLOW, jets_in(log.columns))), step_s)
 
 
-def touchdown(contact: NDArray[np.bool_], altitude: Array, velocity_down: Array) -> float | None:
+def touchdown(contact: NDArray[np.bool_], altitude: Array, velocity_down: Array, flight_m: float = 0.2) -> float | None:
     """Return the descent speed (m/s) on the last row before the first contact that ends a flight.
 
-    A flight is a stretch in the air that was at least ``FLIGHT_M`` above where it ends.
+    A flight is a stretch in the air that was at least ``flight_m`` above where it ends.  ``flight_m``: less is a hop at
+    take-off or a bounce.
     """
     edges = np.diff(contact.astype(np.int8))
     landings = np.flatnonzero(edges == 1) + 1
     departures = np.append(0, np.flatnonzero(edges == -1) + 1)
     for row in landings:
         since = departures[departures < row][-1]
-        if np.max(altitude[since:row]) - altitude[row] >= FLIGHT_M:
+        if np.max(altitude[since:row]) - altitude[row] >= flight_m:
             return float(velocity_down[row - 1])
     return None
 

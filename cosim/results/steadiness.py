@@ -31,23 +31,12 @@ from cosim.results.metrics import (
     wrap,
 )
 
-# Time constants 1/K of the attitude law that a step is given to settle.  By itself the law comes to within 5 % in
-# ln 20 = 3.0 of them; chosen by us: three times that and some, for the rate loop and the engines behind it.
-TIME_CONSTANTS = 10.0
-
 LEAST_GAIN_1_S = 1e-3  # an attitude law that takes longer than a quarter of an hour is none
 
-# Standard deviations of the attitude's noise that a swing may have.  A second of it reaches three either way; chosen by
-# us: twice that, because no controller holds an axis stiller than it is measured.
-DEVIATIONS = 6.0
 
 # Half peak-to-peak that an axis may have while the wind changes to the end.  Chosen by us: the gusts of the scenarios
 # that ship leave less than 1 deg.
 SWING_IN_WIND_RAD = radians(10.0)
-
-# Change of the wind, in Froude speeds sqrt(g span), from which on an axis counts as disturbed.  Chosen by us: 0.1 m/s
-# on the prototype.
-WIND_CHANGE = 0.05
 
 
 class AxisLimitInputs(Record):
@@ -86,26 +75,41 @@ class Upsets:
         return any(np.ptp(wind[first:end]) > self._wind_m_s for wind in self._wind)
 
 
-def settling_limit(axis: AxisLimitInputs) -> float:
-    """Return the time (s) in which a step of an axis is to settle: ``TIME_CONSTANTS`` of the attitude law, 1/K each."""
-    return TIME_CONSTANTS / axis.gain_1_s
+def settling_limit(axis: AxisLimitInputs, time_constants: float = 10.0) -> float:
+    """Return the time (s) in which a step of an axis is to settle: ``time_constants`` of the attitude law, 1/K each.
+
+    ``time_constants``: time constants 1/K of the attitude law that a step is given to settle.  By itself the law comes
+    to within 5 % in ln 20 = 3.0 of them: three times that and some, for the rate loop and the engines behind it.
+    """
+    return time_constants / axis.gain_1_s
 
 
-def noise_floor(axis: AxisLimitInputs, step_s: float) -> float:
+def noise_floor(axis: AxisLimitInputs, step_s: float, deviations: float = 6.0) -> float:
     """Return the half peak-to-peak (rad) of a second that cannot be told from the sensors' noise.
 
-    ``DEVIATIONS`` of the root of the sum of the squares of the attitude's noise and of what the rate's noise moves an
-    axis by: white noise of s rad/s through the attitude law's lag 1/K leaves ``s sqrt(dt / (2 K))``.
+    ``deviations`` of the root of the sum of the squares of the attitude's noise and of what the rate's noise moves an
+    axis by: white noise of s rad/s through the attitude law's lag 1/K leaves ``s sqrt(dt / (2 K))``.  ``deviations``:
+    standard deviations of the attitude's noise that a swing may have.  A second of it reaches three either way: twice
+    that, because no controller holds an axis stiller than it is measured.
     """
     moved = axis.rate_noise_rad_s * sqrt(step_s / (2.0 * axis.gain_1_s))
-    return max(SMALLEST_STEP_RAD, DEVIATIONS * hypot(axis.noise_rad, moved))
+    return max(SMALLEST_STEP_RAD, deviations * hypot(axis.noise_rad, moved))
 
 
 def axis_limits(
-    axes: Sequence[AxisLimitInputs], log: Columns, step_s: float, span_m: float, chosen: Mapping[str, float | None]
+    axes: Sequence[AxisLimitInputs],
+    log: Columns,
+    step_s: float,
+    span_m: float,
+    chosen: Mapping[str, float | None],
+    wind_change: float = 0.05,
 ) -> dict[str, float]:
-    """Return the limits of every axis by metric; ``chosen`` are those of the scenario by key, None for no limit."""
-    upsets = Upsets(log, WIND_CHANGE * sqrt(GRAVITY * span_m))
+    """Return the limits of every axis by metric; ``chosen`` are those of the scenario by key, None for no limit.
+
+    ``wind_change``: change of the wind, in Froude speeds sqrt(g span), from which on an axis counts as disturbed.  0.1
+    m/s on the prototype.
+    """
+    upsets = Upsets(log, wind_change * sqrt(GRAVITY * span_m))
     limits: dict[str, float | None] = {}
     for axis, name in zip(axes, AXES, strict=False):
         setpoint, angle = log[f"{name}_setpoint_rad"], log[f"{name}_rad"]

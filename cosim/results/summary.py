@@ -44,9 +44,7 @@ from cosim.spec.controller_name import SHORT, describe_controller
 from cosim.spec.scenario import Expectation
 
 _TITLED = ("aircraft", "engine", "controller", "design", "models")  # changes that a title states as what flies
-_LISTED = 3  # further changes in a title
 _AS_IN_FILE = "Of the scenario as its file states it, not of this flight:"
-_WIDTH = 120  # characters of a table or list on one line of the summary
 PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")
 
 
@@ -204,7 +202,7 @@ class Setup(BaseModel):
         if not self.changed:
             return self
         texts = [text for text in self.changed if text.partition(" = ")[0] not in _TITLED]
-        listed = [*texts[:_LISTED], *([f"{len(texts) - _LISTED} more changes"] if len(texts) > _LISTED else [])]
+        listed = [*texts[:3], *([f"{len(texts) - 3} more changes"] if len(texts) > 3 else [])]
         title = f"{self.scenario}: {self.aircraft}, {self.engine_shown}, {self.controller_shown}"
         title += f", with {', '.join(listed)}" if listed else ""
         story = f"{_AS_IN_FILE} {self.description.strip()}" if self.description.strip() else ""
@@ -412,8 +410,11 @@ def _complaints(expectation: Expectation | None, outcome: Outcome, flat: Mapping
     return wrong + check_expectations(flat, expectation.metrics)
 
 
-def summary_json(summary: Summary) -> str:
-    """Return the summary as JSON, main entries first; a table or list is one line, a long one a line an entry."""
+def summary_json(summary: Summary, width: int = 120) -> str:
+    """Return the summary as JSON, main entries first; a table or list is one line, a long one a line an entry.
+
+    ``width``: characters of a table or list on one line of the summary.
+    """
     data = summary.model_dump(mode="json")
     first: tuple[str, ...] = (
         "outcome",
@@ -430,10 +431,10 @@ def summary_json(summary: Summary) -> str:
     lines = []
     for key, value in ({name: data[name] for name in first} | data).items():
         text = json.dumps(value, allow_nan=False)
-        if isinstance(value, dict) and len(text) > _WIDTH:
+        if isinstance(value, dict) and len(text) > width:
             inner = (f"    {json.dumps(name)}: {json.dumps(part, allow_nan=False)}" for name, part in value.items())
             text = "{\n" + ",\n".join(inner) + "\n  }"
-        elif isinstance(value, list) and len(text) > _WIDTH:
+        elif isinstance(value, list) and len(text) > width:
             text = "[\n" + ",\n".join(f"    {json.dumps(part, allow_nan=False)}" for part in value) + "\n  ]"
         lines.append(f"  {json.dumps(key)}: {text}")
     return "{\n" + ",\n".join(lines) + "\n}\n"

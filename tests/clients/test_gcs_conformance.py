@@ -15,14 +15,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from gcs_tools import Relay, Station, VehicleProcess
 from patience import FLIGHT_PATIENCE, stretched
 
-from cosim.groundstation.links import Files
+from cosim.groundstation.links import find_files
 from cosim.groundstation.mavlink.services.ftp import MemoryFile
 from cosim.groundstation.mavlink.services.service import crc32
 
@@ -494,8 +495,8 @@ def test_reading_descriptions_makes_no_log() -> None:
             raise AssertionError("the logs were asked for")
 
     here = MemoryFile(b"x")
-    files = Files({"etc/a.json.xz": here}, Untouched())  # type: ignore[arg-type]
-    assert files["etc/a.json.xz"] is here
-    assert files.get("@PARAM/param.pck") is None
+    find = partial(find_files, {"etc/a.json.xz": here}, cast(Any, Untouched()))
+    assert find("etc/a.json.xz")["etc/a.json.xz"] is here
+    assert "@PARAM/param.pck" not in find("@PARAM/param.pck")
     with pytest.raises(AssertionError, match="asked for"):
-        files.get("log/log_0.ulg")
+        find("log/log_0.ulg")

@@ -302,7 +302,7 @@ def test_without_the_token_nothing_is_told_and_nothing_done(flown: Flown, hello:
 
 
 def test_who_says_nothing_is_let_go(flown: Flown, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "HELLO_S", 0.1)
+    monkeypatch.setattr(server, "LIMITS", server.LIMITS._replace(hello_s=0.1))
     with flown.dial() as link, pytest.raises(ConnectionClosed):
         link.recv(SOON)
 
@@ -396,7 +396,7 @@ def test_a_page_is_told_the_flight_then_its_state_in_order(flown: Flown) -> None
     times = [point[0] for point in points]
     assert times == sorted(set(times))
     # 21 frames, each with at most so many points; a flight at real time is published every step or two
-    assert 20 < len(points) <= 21 * server._MOST_POINTS
+    assert 20 < len(points) <= 21 * server.LIMITS.max_points
 
 
 def test_the_rows_that_are_told_are_the_log_s(flown: Flown) -> None:
@@ -495,7 +495,7 @@ def test_what_is_wrong_is_refused_with_one_line(flown: Flown, message: str | byt
 
 def test_a_message_that_is_too_long_ends_the_link(flown: Flown) -> None:
     with flown.page() as page:
-        page.link.send(json.dumps({"request": "Arm", "x": "y" * server.LARGEST_MESSAGE}))
+        page.link.send(json.dumps({"request": "Arm", "x": "y" * server.LIMITS.max_message_bytes}))
         with pytest.raises(ConnectionClosed) as closed:
             page.next("never")
     assert closed.value.rcvd is not None
@@ -518,7 +518,7 @@ def test_a_page_that_floods_is_let_go_and_hurts_nobody(flown: Flown) -> None:
 
 def test_only_so_many_pages(flown: Flown) -> None:
     with contextlib.ExitStack() as stack:
-        for _ in range(server.CLIENTS):
+        for _ in range(server.LIMITS.max_pages):
             stack.enter_context(flown.page()).next("flight")
         with flown.page() as late, pytest.raises(ConnectionClosed, match="pages are open already"):
             late.next("flight")
@@ -530,8 +530,7 @@ def test_only_so_many_pages(flown: Flown) -> None:
 def test_a_page_that_does_not_read_misses_frames_and_holds_up_nobody(
     flown: Flown, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "FRAMES_1_S", 200)
-    monkeypatch.setattr(server, "STUCK_S", 1.0)
+    monkeypatch.setattr(server, "LIMITS", server.LIMITS._replace(frames_1_s=200, stuck_s=1.0))
     deaf = socket.socket()
     deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     deaf.connect(("127.0.0.1", flown.web.port))
@@ -549,7 +548,7 @@ def test_a_page_that_does_not_read_misses_frames_and_holds_up_nobody(
             assert seen < 20_000
         assert flown.web.skipped > skipped
         assert behind.protocol.close_sent is None  # let go by us, before the library's pings found out
-        assert server.SEND_BUFFER < most < 3 * server.SEND_BUFFER
+        assert server.LIMITS.buffer_bytes < most < 3 * server.LIMITS.buffer_bytes
         assert page.ask("Disarm")["accepted"]
 
 

@@ -30,11 +30,6 @@ T = TypeVar("T")
 # Environment variable: which of our processes a process comes from, each behind its parent.
 _MARK = "HEXJET_PROCESS"
 _SILENT: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-_PR_SET_PDEATHSIG = 1  # of linux/prctl.h
-# Reading a size from /proc takes as long as an exchange, so that it is read once in so many.
-_EXCHANGES_PER_MEMORY_CHECK = 250
-# How long a process that no longer answers may take until its end is known.
-_END_S = 1.0
 # A lower limit may be there, or the system has none.
 _LIMIT = """
 try:
@@ -159,9 +154,13 @@ class Host(subprocess.Popen[bytes]):
             raise HostError("the process was ended before")
         return self.pipes
 
-    def _ask(self, call: Callable[..., T], *arguments: Any) -> T:
+    def _ask(self, call: Callable[..., T], *arguments: Any, exchanges_per_check: int = 250, end_s: float = 1.0) -> T:
+        """``exchanges_per_check``: exchanges to one reading of the size from /proc, which takes as long.
+
+        ``end_s``: how long a process that no longer answers may take until its end is known.
+        """
         self._exchanges += 1
-        if self._exchanges % _EXCHANGES_PER_MEMORY_CHECK == 0:
+        if self._exchanges % exchanges_per_check == 0:
             self._check_memory()
         try:
             return call(*arguments)
@@ -170,7 +169,7 @@ class Host(subprocess.Popen[bytes]):
         except ValueError as error:
             raise HostError(f"the process answered too much: {error}") from None
         except (EOFError, OSError):
-            raise HostError(f"the process {self.describe_end(_END_S) or 'closed its output'}") from None
+            raise HostError(f"the process {self.describe_end(end_s) or 'closed its output'}") from None
 
     def _check_memory(self) -> None:
         if self._megabytes is not None and (size := measure_megabytes(self.pid)) > self._megabytes:
@@ -294,13 +293,13 @@ def serve_pipes() -> Pipes:
     return pipes
 
 
-def die_with_parent(number: int = 9) -> None:
+def die_with_parent(number: int = 9, signal_option: int = 1) -> None:
     """Have the system send this process a signal, by default SIGKILL, when the thread that started it goes.
 
-    Only Linux does that.
+    Only Linux does that.  ``signal_option``: PR_SET_PDEATHSIG of linux/prctl.h.
     """
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number, 0, 0, 0)
+        ctypes.CDLL(None).prctl(signal_option, number, 0, 0, 0)
 
 
 def measure_megabytes(process: int) -> float:

@@ -21,23 +21,22 @@ from cosim.base.errors import notify
 
 VARIABLE, REFERENCE = "OPENBLAS_CORETYPE", "Haswell"
 _NEEDED = {b"avx2", b"fma"}  # by those kernels; x86 processors have had both since 2013
-_ENOUGH = 8192  # bytes, with all of the first processor
 _MAPS = "/proc/self/maps"
 _warnings: list[str] = []  # what was warned of in this process
 _NAMES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename", "openblas_get_corename")
 
 
-def can_use_reference(cpuinfo: str = "/proc/cpuinfo") -> bool:
+def can_use_reference(cpuinfo: str = "/proc/cpuinfo", enough_bytes: int = 8192) -> bool:
     """Return whether the kernels that every x86 processor since 2013 can run are to be had here.
 
     Not on a processor without AVX2 and FMA, on other processors, and on systems that do not tell which they have: there
-    a flight is the same again on the same kind of processor.
+    a flight is the same again on the same kind of processor.  ``enough_bytes``: bytes, with all of the first processor.
     """
     if not sys.platform.startswith("linux") or os.uname().machine != "x86_64":
         return False
     try:
         with open(cpuinfo, "rb") as file:
-            first = file.read(_ENOUGH)
+            first = file.read(enough_bytes)
     except OSError:
         return False
     flags = next((line for line in first.splitlines() if line.startswith(b"flags")), b"")

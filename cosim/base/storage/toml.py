@@ -237,9 +237,6 @@ def set_path(data: dict[str, Any], path: list[str], value: Any, where: str) -> N
             raise InputError(f"{where}: {'.'.join(path[:depth])} is a value, not a table")
 
 
-_OTHERS = 5  # keys that a line names beside the first that is wrong
-
-
 def _meant(key: str, unknown: Sequence[str]) -> str:
     """Return a clause with the unknown key that may be meant for a missing one; empty where none is near."""
     import difflib
@@ -290,7 +287,9 @@ def _no_entry(kind: str, value: Any) -> str:
     return f"there is no entry {', '.join(map(str, value))} to write over; a new list is [{{...}}]"
 
 
-def _describe_others(model: type[BaseModel], errors: Sequence[ErrorDetails], first: str) -> Iterator[str]:
+def _describe_others(
+    model: type[BaseModel], errors: Sequence[ErrorDetails], first: str, max_others: int = 5
+) -> Iterator[str]:
     """Yield clauses with the keys that are wrong beside the first: those that are missing, unknown, and otherwise."""
     kinds: dict[str, dict[str, None]] = {"missing": {}, "unknown": {}, "wrong": {}}
     names = {"missing": "missing", "extra_forbidden": "unknown"}
@@ -300,7 +299,7 @@ def _describe_others(model: type[BaseModel], errors: Sequence[ErrorDetails], fir
             kinds[names.get(item["type"], "wrong")][key] = None
     for kind, keys in kinds.items():
         if keys:
-            listed = [*list(keys)[:_OTHERS], *(["..."] if len(keys) > _OTHERS else [])]
+            listed = [*list(keys)[:max_others], *(["..."] if len(keys) > max_others else [])]
             yield f"; {kind}{' too' if kind == names.get(errors[0]['type'], 'wrong') else ''}: {', '.join(listed)}"
 
 

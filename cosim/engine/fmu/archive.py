@@ -35,7 +35,6 @@ from cosim.engine.fmu.variables import INTEGERS, REALS, Port, Variable
 from cosim.engine.library import ADAPTER, ADAPTER_GENERATED, GENERATION_TOOL, LIBRARY_SUFFIX, platform_folder
 
 TYPES = {*REALS, *INTEGERS, "Boolean", "Enumeration"}
-LARGEST_ARRAY = 10_000  # elements that are listed one by one
 
 _archives: RecentCache[Archive] = RecentCache(64)
 
@@ -250,10 +249,10 @@ def _all_elements(description: Any) -> list[Variable]:
         raise UnusableError(f"{DESCRIPTION} cannot be used: {to_one_line(error)}") from error
 
 
-def _elements(v: Any, bases: Mapping[str, Unit]) -> list[Variable]:
+def _elements(v: Any, bases: Mapping[str, Unit], max_elements: int = 10_000) -> list[Variable]:
     """Return a scalar, or an array's elements as ``array[1]`` or ``array[2,1]`` in FMI's order, row by row.
 
-    The size is that at the structural parameters' start values.
+    The size is that at the structural parameters' start values.  ``max_elements``: elements that are listed one by one.
     """
     shape = tuple(v.shape or ())
     size = math.prod(shape)
@@ -263,7 +262,7 @@ def _elements(v: Any, bases: Mapping[str, Unit]) -> list[Variable]:
         starts = (starts or [None]) * size if len(starts) < 2 else []
     if not shape:
         return [_variable(v, v.name, 0, starts, bases)]
-    if not 1 <= size <= LARGEST_ARRAY or not starts:
+    if not 1 <= size <= max_elements or not starts:
         return []
     subscripts = itertools.product(*(range(1, length + 1) for length in shape))
     return [

@@ -8,7 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
-from typing import IO
+from typing import IO, NamedTuple
 from xml.etree import ElementTree
 from xml.parsers import expat
 
@@ -18,15 +18,27 @@ DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, Runtime
 DESCRIPTION = "modelDescription.xml"
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
 
-# Chosen by us: an engine is a library of a few MB and perhaps a map of tables; a hundred times that is let through.
-MOST_PACKED = 512 * 2**20  # bytes of the archive
-MOST_UNPACKED = 1024 * 2**20  # bytes of all that is in it
-MOST_FILES = 10_000
-MOST_INFLATION = 100  # times the archive's own size; tables of numbers come to 10, zeros to 1000
-INFLATION_FROM = 16 * 2**20  # bytes unpacked, below which inflation does not matter
-MOST_XML = 16 * 2**20  # bytes
-DEEPEST_XML = 64  # elements inside each other; FMI needs less than ten
-LONGEST_NAME = 250  # bytes of a part of a path; file systems end at 255
+
+class ArchiveLimits(NamedTuple):
+    """Limits of what an archive may hold."""
+
+    # Chosen by us: an engine is a library of a few MB and perhaps a map of tables; a hundred times that is let through.
+    max_packed_bytes: int = 512 * 2**20  # bytes of the archive
+    max_unpacked_bytes: int = 1024 * 2**20  # bytes of all that is in it
+    max_files: int = 10_000
+    # Times the archive's own size; tables of numbers come to 10, zeros to 1000.
+    max_inflation: int = 100
+    # Bytes unpacked, below which inflation does not matter.
+    inflation_from_bytes: int = 16 * 2**20
+    max_xml_bytes: int = 16 * 2**20  # bytes
+    # Elements inside each other; FMI needs less than ten.
+    max_xml_depth: int = 64
+    # Bytes of a part of a path; file systems end at 255.
+    max_name_bytes: int = 250
+
+
+LIMITS = ArchiveLimits()
+
 
 # What both readers of the description, expat and FMPy's libxml2, take for the same characters.
 ENCODINGS = {"utf-8", "us-ascii", "iso-8859-1"}
@@ -78,7 +90,7 @@ def note_unusual_names(path: Path) -> list[str]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return a file's contents; raise UnusableError if it is missing, not a regular file or above ``MOST_PACKED``."""
+    """Return a file's contents; raise UnusableError if it is missing, not a regular file or too large."""
     if removed := describe_removed(path.suffix.lower()):
         raise UnusableError(removed)
     try:
@@ -87,8 +99,10 @@ def read_bytes(path: Path) -> bytes:
             raise UnusableError("is a folder; an .fmu archive is needed")
         if not stat.S_ISREG(status.st_mode):
             raise UnusableError("is not an ordinary file; an .fmu archive is needed")
-        if status.st_size > MOST_PACKED:
-            raise UnusableError(f"is {_size(status.st_size)} large; an engine may have {_size(MOST_PACKED)}")
+        if status.st_size > LIMITS.max_packed_bytes:
+            raise UnusableError(
+                f"is {_size(status.st_size)} large; an engine may have {_size(LIMITS.max_packed_bytes)}"
+            )
         if path.suffix.lower() == ".py":
             raise UnusableError("is Python code, not an FMU: pythonfmu3 build -f makes one of it")
         return path.read_bytes()
@@ -119,8 +133,8 @@ def open_archive(data: bytes, main: str = DESCRIPTION, kind: str = "FMU") -> tup
                 raise UnusableError(f"is not an {kind}: it has no {main}{_inside(main, names)}")
             for name in (main, BUILD_DESCRIPTION, *(name for name in names if name.lower().endswith(".ssv"))):
                 if name in names:
-                    if fmu.getinfo(name).file_size > MOST_XML:
-                        raise UnusableError(f"{name} is larger than {_size(MOST_XML)}")
+                    if fmu.getinfo(name).file_size > LIMITS.max_xml_bytes:
+                        raise UnusableError(f"{name} is larger than {_size(LIMITS.max_xml_bytes)}")
                     check_xml(name, fmu.read(name))
             return names, fmu.read(main)
     except DAMAGE as error:
@@ -169,15 +183,15 @@ def _size(count: int) -> str:
 
 def _need_harmless_sizes(entries: list[zipfile.ZipInfo], packed: int) -> None:
     # zipfile reads no more of an entry than the size that is checked here
-    if len(entries) > MOST_FILES:
-        raise UnusableError(f"has {len(entries)} files inside; an engine may have {MOST_FILES}")
+    if len(entries) > LIMITS.max_files:
+        raise UnusableError(f"has {len(entries)} files inside; an engine may have {LIMITS.max_files}")
     unpacked = sum(entry.file_size for entry in entries)
-    if unpacked > MOST_UNPACKED:
-        raise UnusableError(f"would unpack to {_size(unpacked)}; an engine may have {_size(MOST_UNPACKED)}")
-    if unpacked > max(INFLATION_FROM, MOST_INFLATION * packed):
+    if unpacked > LIMITS.max_unpacked_bytes:
+        raise UnusableError(f"would unpack to {_size(unpacked)}; an engine may have {_size(LIMITS.max_unpacked_bytes)}")
+    if unpacked > max(LIMITS.inflation_from_bytes, LIMITS.max_inflation * packed):
         raise UnusableError(
             f"would unpack to {_size(unpacked)}, {unpacked / packed:.0f} times its size: a zip bomb "
-            f"(at most {MOST_INFLATION} times)"
+            f"(at most {LIMITS.max_inflation} times)"
         )
 
 
@@ -191,8 +205,8 @@ def _need_harmless_entries(entries: list[zipfile.ZipInfo]) -> None:
         strange = ":" in name or "\0" in entry.orig_filename
         if strange or path.is_absolute() or ".." in path.parts or not path.parts:
             raise UnusableError(f"has an unsafe path inside: {shown}")
-        if max(len(part.encode(errors="replace")) for part in path.parts) > LONGEST_NAME:
-            raise UnusableError(f"has a name of more than {LONGEST_NAME} bytes inside")
+        if max(len(part.encode(errors="replace")) for part in path.parts) > LIMITS.max_name_bytes:
+            raise UnusableError(f"has a name of more than {LIMITS.max_name_bytes} bytes inside")
         if path in seen:
             raise UnusableError(f"has {shown} inside more than once")
         seen.add(path)
@@ -224,8 +238,8 @@ def check_xml(name: str, xml: bytes) -> None:
     def start(*_: object) -> None:
         nonlocal depth
         depth += 1
-        if depth > DEEPEST_XML:
-            raise UnusableError(f"{name} nests elements more than {DEEPEST_XML} deep")
+        if depth > LIMITS.max_xml_depth:
+            raise UnusableError(f"{name} nests elements more than {LIMITS.max_xml_depth} deep")
 
     def end(*_: object) -> None:
         nonlocal depth

@@ -54,9 +54,6 @@ from cosim.engine.fmu.units import find_unit
 from cosim.engine.rundown import FlameOutLaw, make_flame_out_law
 from cosim.spec.file_kind import MAPPING, check_kind
 
-# Longest warm-up before a flight, chosen by us: a turbojet is at idle within two minutes.
-MAX_WARM_UP_S = 600.0
-
 
 def _nonzero(value: float) -> float:
     if value == 0.0 or not isfinite(value):
@@ -130,7 +127,7 @@ def flatten(table: object) -> object:
 
 
 class _Start(Model):
-    warm_up_s: Annotated[float, Field(ge=0.0, le=MAX_WARM_UP_S)] = 0.0
+    warm_up_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
 
 
 class _Rest(Model):

@@ -43,8 +43,6 @@ class PortMap:
 
 
 RANGE_ADVICE = "a mapping file does: [range] throttle = [what 0 is, what 1 is]"
-LEAST_STEPS = 20  # of a throttle in whole numbers, chosen by us: coarser than 5 % it is a switch
-NO_BOUND = 1e9  # tools write bounds such as 1e60 where there is none
 
 
 class PortError(ValueError):
@@ -270,8 +268,11 @@ def _quantity_port(name: str, kind: PortKind, v: Variable, port_map: PortMap, no
     return Port(v, factor, offset, 1.0 / factor, -offset / factor if offset else 0.0)
 
 
-def _throttle_port(v: Variable, port_map: PortMap, notes: list[str]) -> Port:
-    """Return the throttle port, 0 to 1 over the range that is specified, declared or implied by the unit."""
+def _throttle_port(v: Variable, port_map: PortMap, notes: list[str], min_steps: int = 20) -> Port:
+    """Return the throttle port, 0 to 1 over the range that is specified, declared or implied by the unit.
+
+    ``min_steps``: of a throttle in whole numbers: coarser than 5 % it is a switch.
+    """
     limits = port_map.throttle_range or _declared_range(v)
     if limits is None and v.type in INTEGERS and port_map.units.get("throttle", v.unit) is None:
         raise PortError(f"its {v.name} is a whole number and states no range; {RANGE_ADVICE}")
@@ -280,15 +281,16 @@ def _throttle_port(v: Variable, port_map: PortMap, notes: list[str]) -> Port:
         notes.append(f"{v.name} states no range; it is taken to run from {limits[0]:g} to {limits[1]:g}")
     if v.type in INTEGERS:
         steps = abs(limits[1] - limits[0])
-        if steps < LEAST_STEPS:
+        if steps < min_steps:
             raise PortError(f"its {v.name} is a whole number from {limits[0]:g} to {limits[1]:g}: a throttle needs "
-                            f"{LEAST_STEPS} steps at least; {RANGE_ADVICE}")  # fmt: skip
+                            f"{min_steps} steps at least; {RANGE_ADVICE}")  # fmt: skip
         notes.append(f"{v.name} is a whole number: the throttle moves in {steps:.0f} steps")
     return _port_over_range(v, *limits)
 
 
-def _declared_range(v: Variable) -> tuple[float, float] | None:
-    if v.min is None or v.max is None or max(abs(v.min), abs(v.max)) >= NO_BOUND:
+def _declared_range(v: Variable, no_bound: float = 1e9) -> tuple[float, float] | None:
+    """``no_bound``: tools write bounds such as 1e60 where there is none."""
+    if v.min is None or v.max is None or max(abs(v.min), abs(v.max)) >= no_bound:
         return None
     if not v.min < v.max:
         raise PortError(f"its {v.name} runs from {v.min:g} to {v.max:g}, which is no range")

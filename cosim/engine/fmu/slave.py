@@ -16,7 +16,6 @@ from typing import Any
 
 import cosim.engine._bank as _bank
 
-_CO_SIMULATION = 1  # of fmi2Type
 # The types of FMI's functions that get and set; a Boolean is a C int in FMI 2.0.
 _TYPES: dict[str, Any] = {
     "Real": c_double, "Float64": c_double, "Float32": ctypes.c_float, "Integer": c_int, "Boolean": c_bool,
@@ -76,7 +75,7 @@ class Slave:
             libc = ctypes.CDLL(None)
             allocate, free = (ctypes.cast(each, c_void_p).value for each in (libc.calloc, libc.free))
             self._callbacks = _Callbacks(_bank.LOGGER2, allocate, free, None, log.address)
-            make, where, kind = self.function("Instantiate"), resources.as_uri(), (c_int(_CO_SIMULATION),)
+            make, where, kind = self.function("Instantiate"), resources.as_uri(), (c_int(1),)
             more: tuple[Any, ...] = (byref(self._callbacks), c_int(0), c_int(1))
             arguments = (*kind, c_char_p(token.encode()), c_char_p(where.encode()), *more)
         else:

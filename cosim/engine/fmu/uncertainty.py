@@ -20,7 +20,6 @@ from cosim.base.errors import InputError, nearest
 from cosim.base.storage.toml import Model, NotNegative, read_toml, toml_text
 from cosim.engine.fmu.variables import LEVERS, Variable
 
-NORMAL_95 = 1.96  # standard deviations of a normal number's 95 % range
 CUT = 3.0  # standard deviations, of the format: beyond them no identification is normal
 ROUNDING = 1e-3  # of an eigenvalue: correlations are written with some three digits
 SETTABLE = ("", "fixed", "tunable")  # variabilities of a parameter that can be set before a flight
@@ -105,12 +104,17 @@ class Uncertainty(Model):
             for row, factors in enumerate(self.factor)
         ]
 
-    def ranges(self, nominal: Mapping[str, float], variables: Iterable[Variable]) -> list[ParameterRange]:
-        """Return the 95 % range of each parameter about its nominal value: of one engine, within the FMU's limits."""
+    def ranges(
+        self, nominal: Mapping[str, float], variables: Iterable[Variable], deviations: float = 1.96
+    ) -> list[ParameterRange]:
+        """Return the 95 % range of each parameter about its nominal value: of one engine, within the FMU's limits.
+
+        ``deviations``: standard deviations of a normal number's 95 % range.
+        """
         limits = {variable.name: (variable.min, variable.max) for variable in variables}
         rows = []
         for name, deviation, spread in zip(self.parameters, self.deviation, self.spreads, strict=True):
-            value, half = nominal[name], NORMAL_95 * float(np.hypot(deviation, spread))
+            value, half = nominal[name], deviations * float(np.hypot(deviation, spread))
             least, most = limits[name]
             low = value - half if least is None else max(value - half, least)
             high = value + half if most is None else min(value + half, most)

@@ -16,7 +16,6 @@ from cosim.engine.fmu.archive import Archive, find_library
 from cosim.engine.fmu.container import DAMAGE, UnusableError, Zip, read_bytes, to_one_line
 from cosim.engine.library import platform_folder
 
-MOST_FREE = 16  # folders that wait for their next user
 _free: list[UnpackedArchive] = []  # the youngest last
 
 
@@ -42,10 +41,10 @@ class UnpackedArchive:
         except OSError:
             return False
 
-    def close(self) -> None:
-        """Release the folder for the next user."""
+    def close(self, max_free: int = 16) -> None:
+        """Release the folder for the next user.  ``max_free``: folders that wait for their next user."""
         _free.append(self)
-        while len(_free) > MOST_FREE:
+        while len(_free) > max_free:
             _free.pop(0).remove()
 
     def remove(self) -> None:

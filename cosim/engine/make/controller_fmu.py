@@ -54,7 +54,6 @@ from cosim.engine.library import LIBRARY_SUFFIX, platform_folder
 
 MAPPING = ".fmu.toml"
 _SERVE = "from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"
-_MOST_BYTES = 2**26  # of what it is told, which is ours
 _STEP, _NUMBER = wire.frame_layout(0), 8  # the number of the step in a frame, and bytes of a number
 _ON_GROUND = "on_ground"  # a parameter that the simulation sets, if there is one
 _KINDS = {*REALS, *INTEGERS, "Boolean"}
@@ -248,13 +247,13 @@ def _number_and_range(v: Any) -> tuple[float, str, str, float, float]:
     )
 
 
-def serve(path: str) -> None:
+def serve(path: str, max_bytes: int = 2**26) -> None:
     """Run as the controller process: answer input frames until the input ends."""
     pipes = serve_pipes()
     fmu = read_controller_fmu(Path(path))
     pipes.send(json.dumps(describe_controller(fmu)).encode() + b"\n")
     try:
-        settings = json.loads(pipes.receive_line(_MOST_BYTES))
+        settings = json.loads(pipes.receive_line(max_bytes))
     except EOFError:
         return
     columns, servos_known = [_identifier(v) for v in fmu.column_outputs], fmu.servos

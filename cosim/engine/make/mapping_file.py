@@ -17,7 +17,6 @@ from cosim.engine.fmu.ports import PortFinding, look_for_ports
 from cosim.engine.fmu.variables import Variable
 from cosim.engine.make.controller_fmu import is_controller
 
-_COLUMN = 32  # at which comments begin
 _HEAD = """\
 # Ports of {fmu}, begun by hexjet fmu map. A line behind "# OPEN" is to be stated; others hold unless you change them.
 # All that a mapping file may say: docs/own-engine.md. It takes the FMU's place: --engine {file}
@@ -135,8 +134,9 @@ def _open(line: str, trouble: str) -> str:
     return f"# OPEN: {trouble}\n# {line}\n"
 
 
-def _with_comment(line: str, comment: str) -> str:
-    return f"{line:{_COLUMN - 1}} # {comment}\n"
+def _with_comment(line: str, comment: str, column: int = 32) -> str:
+    """``column``: at which comments begin."""
+    return f"{line:{column - 1}} # {comment}\n"
 
 
 def _describe(v: Variable) -> str:

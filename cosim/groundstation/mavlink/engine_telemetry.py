@@ -9,11 +9,9 @@ from cosim.base.signals import PerServo
 from cosim.groundstation.mavlink.telemetry_state import I16, I32, U16, U32, TelemetryState, to_field
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 
-KELVIN = 273.15
 # kg/m^3: the middle of the range of Jet A-1 at 15 degC (775 to 840, ASTM D1655), because the fields hold fuel by volume
 KEROSENE = 808.0
 _RPM = 30.0 / pi
-_LIQUID = 1  # MAV_FUEL_TYPE
 
 
 def servo_output_raw(v: TelemetryState) -> list[Message]:
@@ -67,7 +65,8 @@ def fuel_status(v: TelemetryState) -> list[Message]:
     flow = sum(flow for flow in v.sample.engines.fuel_flow[: v.vehicle.jets])
     capacity, rate = (mass / KEROSENE * 1e6 for mass in (full, flow))
     percent = to_field(100.0 * left, 0, 100)
-    return [mav.MAVLink_fuel_status_message(0, capacity, nan, left * capacity, percent, rate, nan, _LIQUID)]
+    # The last number is MAV_FUEL_TYPE: liquid.
+    return [mav.MAVLink_fuel_status_message(0, capacity, nan, left * capacity, percent, rate, nan, 1)]
 
 
 def _engines(v: TelemetryState) -> list[int]:
@@ -121,7 +120,7 @@ def efi_status(v: TelemetryState) -> list[Message]:
         throttle = 100.0 * sample.actuation.throttle[i]
         load = 100.0 * engines.thrust[i] / full
         burnt = v.events.burnt[i] / KEROSENE * 1e6 if v.events.burnt else nan  # cm^3
-        exhaust = engines.exhaust_temperature[i] - KELVIN
+        exhaust = engines.exhaust_temperature[i] - 273.15
         messages.append(
             mav.MAVLink_efi_status_message(
                 int(sample.health[i] > 0.0), float(i), engines.spool_speed[i] * _RPM, burnt, flow, load, throttle,

@@ -10,15 +10,15 @@ from typing import NamedTuple
 
 from cosim.control.autopilot.modes import BY_STICK, LandedState, Mode
 from cosim.groundstation.mavlink.telemetry_state import Personality
+from cosim.groundstation.mavlink.wire.dialect import mav
 
 AUTOPILOT: dict[Personality, int] = {"px4": 12, "ardupilot": 3, "generic": 0}  # MAV_AUTOPILOT
-GENERIC_MULTIROTOR = 43  # MAV_TYPE for a number of engines that has no name of its own
 _TYPES = {3: 15, 4: 2, 6: 13, 8: 14, 10: 35, 12: 29}  # tricopter, quadrotor, hexarotor, octo-, deca-, dodecarotor
 
 
 def vehicle_type(jets: int) -> int:
     """Return MAV_TYPE of a vehicle that hovers on so many engines."""
-    return _TYPES.get(jets, GENERIC_MULTIROTOR)
+    return _TYPES.get(jets, int(mav.MAV_TYPE_GENERIC_MULTIROTOR))
 
 
 _AUTO = 4

@@ -42,15 +42,10 @@ from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import Peer, Priority
 
 LINK_LOST = 3.5  # s without a heartbeat of any ground station; QGroundControl waits as long for the vehicle's
-_REPEAT_WINDOW = 5.0  # s within which the same command again means that its acknowledgement was lost
-_REPORT_INTERVAL = 5.0  # s between two lines about set-points that are not understood
-_GCS = 6  # MAV_TYPE_GCS
 NO_FOLLOWING = "follow-me is not flown here: the place to follow is not used"
-_MOST_STATIONS = 64  # ground stations whose last heartbeat is stored; chosen by us, more than are ever connected
 # Lists and files are long and not urgent, and the client asks again for what was lost.
 _BULK = frozenset({"FILE_TRANSFER_PROTOCOL", "LOG_DATA", "LOG_ENTRY", "PARAM_VALUE"})
 _PAGE = (0, 0)  # ids for local pages, which no MAVLink system has
-_SERVICE_INTERVAL = 0.01  # s between two polls of a service that has much to send
 
 
 class MavlinkVehicle:
@@ -68,7 +63,9 @@ class MavlinkVehicle:
         services: Sequence[Service] = (),
         on_request: Mapping[int, Callable[[int], Message]] | None = None,
         shutdown_requests: tuple[Any, ...] = (),
+        report_interval_s: float = 5.0,
     ) -> None:
+        self.report_interval_s = report_interval_s
         self.constants = constants
         self.port = port
         self.link = link
@@ -88,7 +85,7 @@ class MavlinkVehicle:
         self._peers: list[Peer] = []
         self._now = link.now()
         self._is_lost = False
-        self._last_report = -_REPORT_INTERVAL
+        self._last_report = -self.report_interval_s
         self._last_done: tuple[tuple[Any, ...], float, CommandResult] | None = None
         self._pending: set[tuple[Any, ...]] = set()
         port.wake = link.wake
@@ -137,7 +134,7 @@ class MavlinkVehicle:
                 self.send(peer, service.handle(message, client, now))
                 return
 
-    def poll(self, now: float) -> float:
+    def poll(self, now: float, service_s: float = 0.01) -> float:
         """Do what is due; returns when there is something to do again."""
         self._now = now
         self.port.deliver_answers(now)
@@ -167,7 +164,7 @@ class MavlinkVehicle:
                     else:
                         peer.send_telemetry(packed, index)
         busy = any(service.is_busy for service in self.services)
-        return min(self._streams.next_due, now + _SERVICE_INTERVAL) if busy else self._streams.next_due
+        return min(self._streams.next_due, now + service_s) if busy else self._streams.next_due
 
     def _poll_services(self, now: float) -> None:
         peers = self.link.peers
@@ -234,17 +231,17 @@ class MavlinkVehicle:
     # --- messages ----------------------------------------------------------------------------------------------
 
     def _heartbeat(self, message: Message, client: Client) -> None:
-        if message.type == _GCS:
+        if message.type == mav.MAV_TYPE_GCS:
             self._note_station((client.system, client.component))
 
-    def _note_station(self, ids: tuple[int, int]) -> None:
+    def _note_station(self, ids: tuple[int, int], max_stations: int = 64) -> None:
         """Note that a station is alive; if there are too many, the one that was silent for longest is forgotten."""
         self.stations.pop(ids, None)
-        if len(self.stations) >= _MOST_STATIONS:
+        if len(self.stations) >= max_stations:
             del self.stations[next(iter(self.stations))]
         self.stations[ids] = self._now
 
-    def _command(self, message: Message, client: Client) -> None:
+    def _command(self, message: Message, client: Client, repeat_s: float = 5.0) -> None:
         command = parse_command(message)
         state = self._state
         if state is None:
@@ -255,7 +252,7 @@ class MavlinkVehicle:
             return  # the same command is being executed, and its answer will be sent
         if self._last_done is not None and command.number in commands.ONCE:
             done, at, result = self._last_done
-            if done == key and self._now - at < _REPEAT_WINDOW:
+            if done == key and self._now - at < repeat_s:
                 self._acknowledge(command, client, result)
                 return
         context = Context(self.constants, state, client.peer, self._find_message, self.shutdown_requests)
@@ -322,7 +319,7 @@ class MavlinkVehicle:
     def _report_unusable(self, text: str, peer: Peer) -> None:
         """Count and, not too often, report messages that come many times a second and are not understood."""
         self.link.refused["value"] += 1
-        if self._now - self._last_report >= _REPORT_INTERVAL:
+        if self._now - self._last_report >= self.report_interval_s:
             self._last_report = self._now
             self.say(int(Severity.WARNING), text, peer)
 
@@ -353,9 +350,6 @@ class MavlinkVehicle:
         """Report that follow-me is not flown, which is the only use of a position to follow."""
         self._report_unusable(NO_FOLLOWING, client.peer)
 
-    def _ignore(self, message: Message, client: Client) -> None:
-        """Ignore a message that has no effect here, as rates are set message by message."""
-
 
 _SETPOINTS: dict[str, Callable[[Message, TelemetryState], Request]] = {
     "MANUAL_CONTROL": lambda message, state: setpoints.parse_sticks(message),
@@ -373,6 +367,7 @@ _HANDLERS: dict[str, Callable[[MavlinkVehicle, Message, Client], None]] = {
     "TIMESYNC": MavlinkVehicle._timesync,
     "SET_GPS_GLOBAL_ORIGIN": MavlinkVehicle._origin,
     "FOLLOW_TARGET": MavlinkVehicle._follow,
-    "REQUEST_DATA_STREAM": MavlinkVehicle._ignore,
+    # Of no effect here, as rates are set message by message.
+    "REQUEST_DATA_STREAM": lambda vehicle, message, client: None,
 }
 assert set(_HANDLERS) <= set(BY_NAME)

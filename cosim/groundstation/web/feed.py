@@ -23,10 +23,7 @@ from cosim.spec.scenario import controller_shown
 
 Point = tuple[float | None, ...]  # of the strip chart: t [s], measured p, q, r, predicted p, q, r [deg/s]
 
-_ZERO_CELSIUS = 273.15  # K
 _RPM = 60.0 / (2.0 * pi)  # revolutions per minute in 1 rad/s
-_DIGITS = 6  # of a column's number, chosen by us: a strip has a thousand pixels, a position 1 mm in 1 km
-_DECIMALS = 4  # digits after the point; a tenth of a millimetre, and less than any sensor here tells
 
 
 def describe_flight(info: FlightInfo) -> dict[str, Any]:
@@ -55,9 +52,13 @@ def describe_parameters(parameters: Parameters) -> list[dict[str, Any]]:
 
 
 class RowConverter:
-    """Converter of a sample to the log's columns, in the order in which :func:`describe_flight` names them."""
+    """Converter of a sample to the log's columns, in the order in which :func:`describe_flight` names them.
 
-    def __init__(self) -> None:
+    ``digits``: of a number: a strip has a thousand pixels, a position 1 mm in 1 km.
+    """
+
+    def __init__(self, digits: int = 6) -> None:
+        self.digits = digits
         self._flight = 0
         self._row = OneRow()
 
@@ -67,7 +68,9 @@ class RowConverter:
             return []
         if info.number != self._flight:
             self._flight, self._row = info.number, OneRow(log_columns(logged_vehicle(info.vehicle), info.columns))
-        return [float(f"{value:.{_DIGITS}g}") if isfinite(value) else None for (value,) in self._row(sample).tolist()]
+        return [
+            float(f"{value:.{self.digits}g}") if isfinite(value) else None for (value,) in self._row(sample).tolist()
+        ]
 
 
 def describe_state(snapshot: Snapshot) -> dict[str, Any]:
@@ -114,7 +117,7 @@ def describe_jets(info: FlightInfo, sample: Sample, off: bool) -> list[dict[str,
                 "asked_N": 0.0 if off else _finite(spec.thrust_at(throttle)),
                 "thrust_N": _finite(out.thrust[jet]),
                 "rpm": _finite(out.spool_speed[jet] * _RPM),
-                "exhaust_C": _finite(out.exhaust_temperature[jet] - _ZERO_CELSIUS),
+                "exhaust_C": _finite(out.exhaust_temperature[jet] - 273.15),
                 "fuel_g_s": _finite(1e3 * out.fuel_flow[jet]) if spec.has_port("fuel_flow") else None,
                 "health": _finite(sample.health[jet]),
                 "fault": bool(sample.faults[jet]),
@@ -142,8 +145,8 @@ def describe_messages(messages: Iterable[Message], step: float) -> list[dict[str
     ]
 
 
-def _finite(value: float | None) -> float | None:
-    return None if value is None or not isfinite(value) else round(value, _DECIMALS)
+def _finite(value: float | None, decimals: int = 4) -> float | None:
+    return None if value is None or not isfinite(value) else round(value, decimals)
 
 
 def _finite_list(values: Iterable[float]) -> list[float | None]:

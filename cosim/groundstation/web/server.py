@@ -8,7 +8,10 @@ from this server's own origin; and its first message must carry the token, which
 from __future__ import annotations
 
 import asyncio
+import hmac
 import json
+import logging
+import os
 import secrets
 import socket
 import threading
@@ -19,9 +22,11 @@ from contextlib import suppress
 from html import escape
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+from urllib.parse import parse_qs
 
 from websockets.asyncio.server import ServerConnection, broadcast, serve
+from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request as HttpRequest
 from websockets.http11 import Response
@@ -32,41 +37,46 @@ from cosim.base.signals import Sample
 from cosim.control.autopilot import requests as rq
 from cosim.groundstation.exchange import AnswerCallback, Exchange, GroundRequest, Restart, Snapshot, ignore_answer
 from cosim.groundstation.web import feed
-from cosim.groundstation.web.loopback import (
-    TEXT,
-    TYPES,
-    WRONG_TOKEN,
-    has_token_query,
-    is_token,
-    listen,
-    make_response,
-    quiet_logger,
-    refuse_non_websocket,
-    refuse_unknown_host,
-    refuse_without_token,
-)
 from cosim.results.report.page import ASSETS, SCENE, THREE, licence_file
 
-# Chosen by us, with the reason.
-FRAMES_1_S = 20  # smooth to the eye, a tenth of what a core can send
-LARGEST_MESSAGE = 4096  # bytes of a message from a page; the longest that the page sends has 200
-RATE_1_S = 80.0  # messages from one page; sticks come 20 times a second
-BURST = 160.0
-CLIENTS = 8  # pages open at once
-SEND_BUFFER = 64 * 1024  # bytes waiting for a page that does not read: it misses frames; a frame has 2 kB
-KERNEL_BUFFER = 32 * 1024  # bytes waiting for it in the kernel, whose own choice would be seconds of old frames
-STUCK_S = 10.0  # s: a page that reads nothing for this long is disconnected
-HELLO_S = 5.0  # s within which a page must send its token
-_MOST_WAITING_POINTS = 4000  # points of the strip chart that may wait: a second at 16 times real time
-_MOST_POINTS = 40  # of the strip chart in one frame; 20 frames a second show four times the bandwidth of any loop here
-_VALUES_EVERY = 10  # frames between two comparisons of the parameters: half a second
+
+class PageLimits(NamedTuple):
+    """Limits of the server and of its pages, chosen by us."""
+
+    frames_1_s: int = 20  # smooth to the eye
+    max_message_bytes: int = 4096  # the page's own have 200
+    messages_1_s: float = 80.0  # of a page, whose sticks send 20
+    burst_messages: float = 160.0
+    max_pages: int = 8
+    # What waits for a page that does not read, here (it then misses frames, of 2 kB) and in the kernel, whose own
+    # choice would be seconds of old frames.
+    buffer_bytes: int = 64 * 1024
+    kernel_bytes: int = 32 * 1024
+    stuck_s: float = 10.0  # until a page that reads nothing goes
+    hello_s: float = 5.0  # for a page to send its token
+    # Points of the strip chart that may wait, a second at 16 times real time, and those of one frame.
+    max_waiting_points: int = 4000
+    max_points: int = 40
+    values_every: int = 10  # frames: parameters each half second
+
+
+LIMITS = PageLimits()
 _STATIC = Path(__file__).with_name("static")
 _TOKEN, _FILES = "@TOKEN@", "@FILES@"
 _ASSETS = (  # assets of the reports with which this page draws too
     "vendor/uPlot.iife.min.js", "vendor/uPlot.min.css", THREE, SCENE, licence_file("uPlot"), licence_file("three"),
 )  # fmt: skip
 
-TOO_MANY = 4429  # a close code of our own
+# Codes of our own with which a WebSocket is closed.
+WRONG_TOKEN, TOO_MANY = 4401, 4429
+TEXT = "text/plain; charset=utf-8"
+TYPES = {  # content types by file ending
+    "html": "text/html; charset=utf-8",
+    "js": "text/javascript; charset=utf-8",
+    "css": "text/css; charset=utf-8",
+    "svg": "image/svg+xml",
+}
+
 
 # the requests that the page offers; missions and faults are left to ground stations
 ALLOWED = (
@@ -101,7 +111,7 @@ class WebServer:
         self.skipped = 0  # frames that a slow page missed
         self._token, self._key = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self._pages: dict[ServerConnection, _Page] = {}
-        self._strip: deque[tuple[int, Sample]] = deque(maxlen=_MOST_WAITING_POINTS)
+        self._strip: deque[tuple[int, Sample]] = deque(maxlen=LIMITS.max_waiting_points)
         self._newest_point = (0, -1)  # flight and step of the newest point
         self._rows = feed.RowConverter()
         self._frame_count = 0  # number of frames that were made
@@ -121,10 +131,15 @@ class WebServer:
 
     def start(self) -> None:
         """Serve from now on."""
-        listening, self._hosts = listen(self.port, "--web")
+        try:
+            listening = socket.create_server(("127.0.0.1", self.port))
+        except OSError as error:
+            reason = os.strerror(error.errno or 0)
+            raise InputError(f"--web {self.port}: the port cannot be opened: {reason}") from error
         # Connections inherit the option from the listening socket.
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BUFFER)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, LIMITS.kernel_bytes)
         self.port = listening.getsockname()[1]
+        self._hosts = {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost")}
         self._files = _load_files(self._token, self._key, self._hosts)
         running = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._main(listening, running)), name="web")
@@ -149,20 +164,24 @@ class WebServer:
     async def _main(self, listening: socket.socket, running: threading.Event) -> None:
         self._loop = asyncio.get_running_loop()
         self._stopping = asyncio.Event()
+        # A browser that opens a connection ahead of need is no error.
+        quiet = logging.getLogger("cosim.groundstation.web")
+        quiet.addHandler(logging.NullHandler())
+        quiet.propagate = False
         async with serve(
             self._serve_page,
             sock=listening,
             origins=[Origin(f"http://{host}") for host in self._hosts],
             process_request=self._serve_file,
             compression=None,
-            open_timeout=HELLO_S,
+            open_timeout=LIMITS.hello_s,
             ping_interval=5,
-            ping_timeout=STUCK_S,
+            ping_timeout=LIMITS.stuck_s,
             close_timeout=1,
-            max_size=LARGEST_MESSAGE,
+            max_size=LIMITS.max_message_bytes,
             max_queue=4,
             server_header=None,
-            logger=quiet_logger("cosim.groundstation.web"),
+            logger=quiet,
         ):
             unsubscribe = self._exchange.subscribe(self._on_publish)
             frames = asyncio.create_task(self._frames())
@@ -176,26 +195,31 @@ class WebServer:
 
     def _serve_file(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
         """Return a file or a refusal, or None where a WebSocket may be opened (its origin is checked next)."""
-        if refusal := refuse_unknown_host(request, self._hosts):
-            self.refused += 1
-            return refusal
+        host = request.headers.get_all("Host")
+        if len(host) != 1 or host[0].lower() not in self._hosts:
+            return self._refuse(HTTPStatus.MISDIRECTED_REQUEST, "This is not the server you are looking for.")
         if request.method != "GET":
-            self.refused += 1
-            refusal = make_response(HTTPStatus.METHOD_NOT_ALLOWED, b"GET only.\n")
+            refusal = self._refuse(HTTPStatus.METHOD_NOT_ALLOWED, "GET only.")
             refusal.headers["Allow"] = "GET"
             return refusal
-        path = request.path.partition("?")[0]
+        path, _, query = request.path.partition("?")
         if path == "/live":
-            return refuse_non_websocket(request)
+            is_socket = request.headers.get("Upgrade", "").lower() == "websocket"
+            return None if is_socket else make_response(HTTPStatus.UPGRADE_REQUIRED, b"A WebSocket.\n")
         key, _, name = path.removeprefix("/").partition("/")
-        if not (has_token_query(request, self._token) or is_token(key, self._key)):
-            self.refused += 1
-            return refuse_without_token()
+        tokens = parse_qs(query).get("token", []) if path == "/" else []
+        if not (any(is_token(token, self._token) for token in tokens) or is_token(key, self._key)):
+            text = "Open the address that hexjet has printed, with its token: this page is for those who were told it."
+            return self._refuse(HTTPStatus.FORBIDDEN, text)
         file = self._files.get(f"/{name}")
         if file is None:
             return make_response(HTTPStatus.NOT_FOUND, b"Not found.\n")
         kind, body, policy = file
         return make_response(HTTPStatus.OK, body, kind, policy)
+
+    def _refuse(self, status: HTTPStatus, text: str) -> Response:
+        self.refused += 1
+        return make_response(status, f"{text}\n".encode())
 
     # --- one page ------------------------------------------------------------------------------------------------
 
@@ -205,7 +229,7 @@ class WebServer:
             if not await self._admit(connection):
                 return
             numbers = {page.number for page in self._pages.values()}
-            page = _Page(next(number for number in range(1, CLIENTS + 1) if number not in numbers))
+            page = _Page(next(number for number in range(1, LIMITS.max_pages + 1) if number not in numbers))
             self._pages[connection] = page
             async for text in connection:
                 if not page.may_send(time.monotonic()):
@@ -221,7 +245,7 @@ class WebServer:
     async def _admit(self, connection: ServerConnection) -> bool:
         """Return whether the page has shown the token and there is room for it; else close the connection."""
         try:
-            async with asyncio.timeout(HELLO_S):
+            async with asyncio.timeout(LIMITS.hello_s):
                 hello = _parse_message(await connection.recv())
             token = hello.get("token")
         except (TimeoutError, InputError):
@@ -230,9 +254,9 @@ class WebServer:
             self.refused += 1
             await connection.close(WRONG_TOKEN, "wrong token")
             return False
-        if len(self._pages) >= CLIENTS:
+        if len(self._pages) >= LIMITS.max_pages:
             self.refused += 1
-            await connection.close(TOO_MANY, f"{CLIENTS} pages are open already")
+            await connection.close(TOO_MANY, f"{LIMITS.max_pages} pages are open already")
             return False
         return True
 
@@ -284,7 +308,7 @@ class WebServer:
 
     async def _frames(self) -> None:
         while True:
-            await asyncio.sleep(1.0 / FRAMES_1_S)
+            await asyncio.sleep(1.0 / LIMITS.frames_1_s)
             self._frame()
 
     def _frame(self) -> None:
@@ -297,7 +321,7 @@ class WebServer:
         for connection, page in list(self._pages.items()):
             if page.is_reading(connection, now):
                 ready.append(connection)
-            elif now - page.read_at > STUCK_S:
+            elif now - page.read_at > LIMITS.stuck_s:
                 connection.transport.abort()
             else:
                 self.skipped += 1
@@ -318,7 +342,7 @@ class WebServer:
             number, sample = self._strip.popleft()
             if number == snapshot.info.number:
                 new.append(sample)
-        return [feed.make_chart_point(sample) for sample in new[:: 1 + len(new) // _MOST_POINTS]]
+        return [feed.make_chart_point(sample) for sample in new[:: 1 + len(new) // LIMITS.max_points]]
 
     def _send_updates(self, connection: ServerConnection, page: _Page, snapshot: Snapshot) -> None:
         """Send a page the flight, the parameters and the messages that it does not have yet."""
@@ -327,7 +351,7 @@ class WebServer:
             page.values = {}
             _send(connection, feed.describe_flight(snapshot.info))
             _send(connection, {"type": "parameters", "table": feed.describe_parameters(snapshot.info.parameters)})
-        if not page.values or self._frame_count % _VALUES_EVERY == 0:
+        if not page.values or self._frame_count % LIMITS.values_every == 0:
             values = dict(snapshot.info.parameters.values)
             if changed := {name: value for name, value in values.items() if page.values.get(name) != value}:
                 page.values = values
@@ -348,17 +372,19 @@ class _Page:
         self.last_message = 0  # number of the last message that the page was sent
         self.values: dict[str, float] = {}  # values of parameters that the page was sent
         self.read_at = time.monotonic()
-        self._allowance, self._last_count = BURST, self.read_at
+        self._allowance, self._last_count = LIMITS.burst_messages, self.read_at
 
     def may_send(self, now: float) -> bool:
         """Count one message at ``now`` [s]; False if there were too many."""
-        self._allowance = min(BURST, self._allowance + RATE_1_S * (now - self._last_count)) - 1.0
+        self._allowance = (
+            min(LIMITS.burst_messages, self._allowance + LIMITS.messages_1_s * (now - self._last_count)) - 1.0
+        )
         self._last_count = now
         return self._allowance >= 0.0
 
     def is_reading(self, connection: ServerConnection, now: float) -> bool:
         """Return whether little enough waits in its buffer that it can get another frame."""
-        if connection.transport.get_write_buffer_size() > SEND_BUFFER:
+        if connection.transport.get_write_buffer_size() > LIMITS.buffer_bytes:
             return False
         self.read_at = now
         return True
@@ -395,7 +421,7 @@ def _parse_message(text: str | bytes) -> dict[str, Any]:
 
 def _send(connection: ServerConnection, message: dict[str, Any]) -> None:
     """Send without waiting; a page that does not read gets nothing, and is closed soon."""
-    if connection.transport.get_write_buffer_size() <= 2 * SEND_BUFFER:
+    if connection.transport.get_write_buffer_size() <= 2 * LIMITS.buffer_bytes:
         broadcast([connection], _dump(message))
 
 
@@ -422,3 +448,27 @@ def _load_files(token: str, key: str, hosts: set[str]) -> dict[str, tuple[str, b
     kind, body, _ = served.pop("/index.html")
     page = body.decode().replace(_TOKEN, escape(token)).replace(_FILES, f"/{key}").encode()
     return served | {"/": (kind, page, policy)}
+
+
+def is_token(presented: Any, token: str) -> bool:
+    """Return whether a page has shown the token that it was given, in a time that reveals nothing of it."""
+    return isinstance(presented, str) and presented.isascii() and hmac.compare_digest(presented, token)
+
+
+def make_response(status: HTTPStatus, body: bytes, kind: str = TEXT, policy: str = "") -> Response:
+    """Return an answer that browsers neither store nor frame; without a ``policy`` its content loads nothing."""
+    headers = Headers(
+        {
+            "Content-Type": kind,
+            "Content-Length": str(len(body)),
+            "Connection": "close",
+            "Cache-Control": "no-store",
+            "Content-Security-Policy": policy or "default-src 'none'; frame-ancestors 'none'",
+            "X-Content-Type-Options": "nosniff",
+            "X-Frame-Options": "DENY",
+            "Referrer-Policy": "no-referrer",
+            "Cross-Origin-Opener-Policy": "same-origin",
+            "Cross-Origin-Resource-Policy": "same-origin",
+        }
+    )
+    return Response(status.value, status.phrase, headers, body)

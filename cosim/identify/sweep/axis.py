@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,23 +34,42 @@ from cosim.simulation.ending import Ending
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle, aircraft_seen_from, engine_of, file_seen_from, load_vehicle
 
-LEAD_S = 1.0
-REST_S = 6.0  # after the sweep, for the loop to come to rest
-TO_HZ = 6.0  # at most, where nothing is said: quicker than any loop that is flown here
-LEAST_HZ = 0.1  # to begin with, where nothing is said: lower ones take longer than fuel and place stay the same
-SPAN = 20.0  # the highest frequency over the lowest, where nothing is said
-CORNERS = 4.0  # the highest frequency over an engine's corner: beyond, it hardly answers
-PARTAKES = 0.05  # share of an axis from which the engines' lag counts in it
-AMPLITUDE = 0.02  # to start with, in the unit of the axis; made smaller while it saturates
 MOST = {"throttle": 1.0, "rad": 1.5707963267948966, "rad/s^2": 200.0}  # amplitudes that no vehicle follows are above
-TRIES = 6
-MORE = 3.0  # times the amplitude, where the answer is lost in noise
-LOUDER = 3  # times that this is tried
-LESS = 0.3  # of the amplitude, to try again with after the vehicle was lost
-MARGIN = 0.8  # of the amplitude that would just have fitted
-GENTLY = 4  # tries by that; then by its cube, as what noise alone brings to a limit fits by a hair each time
+
+
+class SweepTuning(NamedTuple):
+    """How a sweep is chosen where nothing is said, and how it is tried again."""
+
+    lead_s: float = 1.0
+    rest_s: float = 6.0  # for the loop to come to rest
+    # The band: no loop that is flown here is quicker, and a slower sweep takes longer than fuel and place stay the
+    # same.  ``span`` is its end over its start, ``corners`` its end over an engine's corner, beyond which that hardly
+    # answers.
+    max_hz: float = 6.0
+    min_hz: float = 0.1
+    span: float = 20.0
+    corners: float = 4.0
+    # Share of an axis from which the engines' lag counts in it.
+    min_share: float = 0.05
+    # To start with, in the unit of the axis; made smaller while it saturates.
+    amplitude: float = 0.02
+    tries: int = 6
+    # By how much, and how often, the amplitude is raised where the answer is lost in noise.
+    louder: float = 3.0
+    louder_tries: int = 3
+    # Of the amplitude, to try again with after the vehicle was lost.
+    after_loss: float = 0.3
+    # Of the amplitude that would just have fitted; after some tries by its cube, as what noise alone brings to a limit
+    # fits by a hair each time.
+    margin: float = 0.8
+    margin_tries: int = 4
+
+
+TUNING = SweepTuning()
+
+
 UNITS = {"roll": "throttle", "pitch": "rad", "yaw": "rad"}
-# of an angular acceleration: half of what AMPLITUDE of throttle gives the Hex-Jet, 433 rad/s^2 for all of it
+# of an angular acceleration: half of what ``TUNING.amplitude`` of throttle gives the Hex-Jet, 433 rad/s^2 for all of it
 ACCELERATION, ACCELERATION_UNIT = 4.0, "rad/s^2"
 
 
@@ -83,7 +102,7 @@ def identify_axis(
     base = _scenario(axis, aircraft, engine, controller, substeps, seed, settings)
     vehicle = base.resolved_vehicle()[0]
     accelerates = vehicle.allocation == "effectiveness"
-    usual, unit = (ACCELERATION, ACCELERATION_UNIT) if accelerates else (AMPLITUDE, UNITS[axis])
+    usual, unit = (ACCELERATION, ACCELERATION_UNIT) if accelerates else (TUNING.amplitude, UNITS[axis])
     if unit == "rad" and is_turned_by_throttle(vehicle, AXES.index(axis)):
         unit = UNITS["roll"]
     size = usual if amplitude is None else amplitude
@@ -126,16 +145,16 @@ def _band(
 ) -> tuple[float, float]:
     """Return the band [Hz], what is not given by the lag of the engines where they turn the axis.
 
-    From the engine's answer to a step about hover: above CORNERS times its corner it hardly answers.
+    From the engine's answer to a step about hover: above ``TUNING.corners`` times its corner it hardly answers.
     """
-    high = TO_HZ
+    high = TUNING.max_hz
     if from_hz is None or to_hz is None:
         parameters, unchecked = base.engine_parameters, base.engine_unchecked
         engine = load_engine(base.engine, parameters, base.step_s, unchecked=unchecked, isolated=base.engine_isolated)
         if _turned_by_engines(base, vehicle, engine, AXES.index(axis)):
-            high = min(TO_HZ, CORNERS / (2.0 * np.pi * settling_lag(engine, base.step_s)))
+            high = min(TUNING.max_hz, TUNING.corners / (2.0 * np.pi * settling_lag(engine, base.step_s)))
     high = high if to_hz is None else to_hz
-    low = min(max(high / SPAN, LEAST_HZ), 0.5 * high) if from_hz is None else from_hz
+    low = min(max(high / TUNING.span, TUNING.min_hz), 0.5 * high) if from_hz is None else from_hz
     return _two_digits(low) if from_hz is None else low, _two_digits(high) if to_hz is None else high
 
 
@@ -143,7 +162,7 @@ def _turned_by_engines(base: Scenario, vehicle: Vehicle, engine: EngineSpec, ind
     if vehicle.allocation != "effectiveness":
         return is_turned_by_throttle(vehicle, index)
     hinged = list_hinged_parts(vehicle, make_effectiveness(base, vehicle, engine), index, engine, base.step_s)
-    return abs(hinged[0].fraction) > PARTAKES
+    return abs(hinged[0].fraction) > TUNING.min_share
 
 
 def _fly_until_clear(
@@ -156,14 +175,14 @@ def _fly_until_clear(
     flight = _sweep(base, axis, sweep, automatic)
     best: tuple[_Flight, FrequencyResponse, list[str]] | None = None
     refusal: NotIdentifiedError | None = None
-    for _ in range(LOUDER if automatic else 1):
+    for _ in range(TUNING.louder_tries if automatic else 1):
         try:
             best = (flight, *estimate_response(flight.record(), flight.sweep, subject, lags))
         except NotIdentifiedError as error:
             refusal = error
         if not automatic or (best and not best[2] and not why_refused(fit(best[1], lags, "first"), engine=False)):
             break
-        flight = _fly(base, axis, replace(sweep, amplitude=_two_digits(MORE * flight.sweep.amplitude)))
+        flight = _fly(base, axis, replace(sweep, amplitude=_two_digits(TUNING.louder * flight.sweep.amplitude)))
         if not flight.fine:
             break
     if best is None:
@@ -253,9 +272,10 @@ def _sweep(base: Scenario, axis: str, sweep: Sweep, automatic: bool) -> _Flight:
         return flight
     where = f"{base.aircraft_name} {axis} with {flight.engine.name}, controller {base.controller}"
     smaller = flight
-    for tries in range(TRIES):
+    for tries in range(TUNING.tries):
         is_lost = smaller.ending.outcome != "completed"
-        factor = LESS if is_lost else max(LESS, (MARGIN if tries < GENTLY else MARGIN**3) * smaller.fits_in)
+        margin = TUNING.margin if tries < TUNING.margin_tries else TUNING.margin**3
+        factor = TUNING.after_loss if is_lost else max(TUNING.after_loss, margin * smaller.fits_in)
         smaller = _fly(base, axis, replace(sweep, amplitude=_two_digits(factor * smaller.sweep.amplitude)))
         if smaller.fine or smaller.ending.outcome == "failed":
             break
@@ -283,7 +303,7 @@ def _fly(base: Scenario, axis: str, sweep: Sweep) -> _Flight:
     step = base.step_s
     low, high = sweep.chirp_hz(step)
     length = round(sweep.duration_s / step)
-    lead, settling = round(LEAD_S / step), round(REST_S / step)
+    lead, settling = round(TUNING.lead_s / step), round(TUNING.rest_s / step)
     table = {
         "kind": "torque_command",
         "axis": axis,

@@ -22,11 +22,8 @@ from cosim.identify.sweep.result import (
 )
 from cosim.simulation.script.command_script import make_sweep as chirp
 
-LEAD_STEPS = 10
-STILL = 1e-9  # of the thrust's swing: what is left of the sweep when the record ends
 LONGEST_S = 60.0  # that the thrust gets to come to rest
 SWING = exp(-pi / sqrt(3.0))  # the overshoot of a pair of poles that is damped by half: 16 %
-LEAST = 1.01  # times the lowest frequency that the longest sweep tells, where an engine's own is lower
 DECADES = (0.1, 10.0)  # the automatic band, around the corner frequency
 
 
@@ -109,8 +106,9 @@ def _band(
     if low is not None and high is not None:
         return low, high
     quick, slow = (1.0 / (2.0 * np.pi * lag) for lag in _lags(engine, throttle, size, step))
-    least = shortest_record(1.0) / LONGEST_SWEEP_S
-    start = max(DECADES[0] * slow, LEAST * least) if low is None else low
+    # An engine's own start is a little above the lowest frequency that the longest sweep tells.
+    least = 1.01 * (shortest_record(1.0) / LONGEST_SWEEP_S)
+    start = max(DECADES[0] * slow, least) if low is None else low
     end = min(DECADES[1] * quick, 0.4 / step) if high is None else high
     return float(start), float(end)
 
@@ -151,16 +149,21 @@ def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tupl
     return max(rise, 1) * step / log(9.0), max(rise, settled, 1) * step / log(9.0)
 
 
-def fly_sweep(engine: EngineSpec, throttle: float, sweep: Sweep, step: float) -> Record:
-    """Run an engine from rest through the sweep to rest; record the deviations of throttle and thrust, N."""
+def fly_sweep(
+    engine: EngineSpec, throttle: float, sweep: Sweep, step: float, lead_steps: int = 10, still: float = 1e-9
+) -> Record:
+    """Run an engine from rest through the sweep to rest; record the deviations of throttle and thrust, N.
+
+    ``still``: of the thrust's swing: what is left of the sweep when the record ends.
+    """
     low, high = sweep.chirp_hz(step)
     length = round(sweep.duration_s / step)
-    wave = chirp(step, LEAD_STEPS, length, sweep.amplitude, low, high)
+    wave = chirp(step, lead_steps, length, sweep.amplitude, low, high)
     with make_bank([engine], step) as bank:
         start = bank.reset(throttle).thrust[0]
         thrust = [start]
         command: list[float] = []
-        end = LEAD_STEPS + length
+        end = lead_steps + length
         window = engine.settling_window
         swing = 0.0
         while True:
@@ -171,7 +174,7 @@ def fly_sweep(engine: EngineSpec, throttle: float, sweep: Sweep, step: float) ->
                 swing = float(np.ptp(thrust))
             if k > end and (k - end) % window == 0:
                 tail = np.abs(np.array(thrust[-window:]) - start).max()
-                if tail <= STILL * swing or (k - end) * step > LONGEST_S:
+                if tail <= still * swing or (k - end) * step > LONGEST_S:
                     break
     injected: Array = np.array(command)
     return Record(injected, injected, np.array(thrust[:-1]) - start, step)

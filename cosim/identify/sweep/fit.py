@@ -18,11 +18,8 @@ from cosim.base.errors import InputError
 from cosim.identify.sweep.response import FrequencyResponse
 from cosim.spec.vehicle import RateModel
 
-LONGEST_DELAY_S = 10.0
-UNAMBIGUOUS = 0.75  # of the delay after which the phases of the two closest points repeat
-_EXP = 300.0  # whose exponential still is a number
+LEAST_COHERENCE = 0.6  # Tischler and Remple's bound
 NEARLY_WHOLE = 0.05  # samples: nearer than this to a whole number, a delay may be taken as whole
-LEAST_COHERENCE = 0.6  # below it a point does not count (Tischler and Remple's bound)
 
 
 @dataclass(frozen=True)
@@ -159,18 +156,31 @@ def _logarithmic(name: str) -> bool:
 
 
 class _Problem:
-    """The vector that is fitted is ``ln |gain|, rate, ln lag ..., delay`` without what is held."""
+    """The vector that is fitted is ``ln |gain|, rate, ln lag ..., delay`` without what is held.
+
+    ``unambiguous``: of the delay after which the phases of the two closest points repeat.
+    """
 
     def __init__(
-        self, hertz: Array, value: Complex, weight: Array, step: float, lags: int, hold: Mapping[str, float]
+        self,
+        hertz: Array,
+        value: Complex,
+        weight: Array,
+        step: float,
+        lags: int,
+        hold: Mapping[str, float],
+        longest_delay_s: float = 10.0,
+        unambiguous: float = 0.75,
     ) -> None:
+        self.unambiguous = unambiguous
+        self.longest_delay_s = longest_delay_s
         self.hertz, self.value, self.weight, self.step, self.lags = hertz, value, weight, step, lags
         self.names = names(lags)
         self.free = [i for i, name in enumerate(self.names) if name not in hold]
         self.sign = 1.0
         fastest = 0.5 / step
         # the phases of points a frequency apart repeat after a delay of one over it: longer ones look like shorter ones
-        longest = min(LONGEST_DELAY_S, UNAMBIGUOUS / float(np.diff(hertz).min())) / step
+        longest = min(self.longest_delay_s, self.unambiguous / float(np.diff(hertz).min())) / step
         self.low = np.array([-60.0, 0.0, *[log(1e-3 * step)] * lags, 0.0])
         self.high = np.array([60.0, 20.0 * fastest, *[log(1e3)] * lags, longest])
         self.full = np.zeros(len(self.names))
@@ -247,13 +257,16 @@ class _Problem:
         assert best is not None
         self.sign, x[last] = best[1], best[2]
 
-    def _ends(self, name: str, value: float, wide: float) -> tuple[float, float]:
-        """Return the bounds in the parameter's own unit; those of a pole's rate and of a delay do not go below 0."""
+    def _ends(self, name: str, value: float, wide: float, max_exponent: float = 300.0) -> tuple[float, float]:
+        """Return the bounds in the parameter's own unit; those of a pole's rate and of a delay do not go below 0.
+
+        ``max_exponent``: whose exponential still is a number.
+        """
         low, high = value - wide, value + wide
         if not _logarithmic(name):
             return max(low, 0.0), high
         scale = self.sign if name == "gain" else 1.0
-        first, last = sorted((scale * exp(max(low, -_EXP)), scale * exp(min(high, _EXP))))
+        first, last = sorted((scale * exp(max(low, -max_exponent)), scale * exp(min(high, max_exponent))))
         return first, last
 
     def solve(self, label: str) -> Fit:

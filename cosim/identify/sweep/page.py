@@ -25,11 +25,9 @@ BOUNDS = (
     "number is pinned down, and not that the form is right."
 )
 
-_POINTS = 300
 _COLOURS = (BLUE, GREEN, MAGENTA)
 _DOMAINS = ((0.76, 1.0), (0.5, 0.73), (0.32, 0.47), (0.14, 0.29), (0.0, 0.11))
 _TITLES = ("Magnitude [dB]", "Phase [deg]", "Off by [dB]", "Off by [deg]", "Coherence")
-_COHERENCE = 4
 
 
 def write(identification: Identification, folder: Path) -> dict[str, Path]:
@@ -87,12 +85,12 @@ def make_page(identification: Identification) -> Page:
     return judged_page(identification.judgement, page)
 
 
-def response_figure(identification: Identification) -> Figure:
+def response_figure(identification: Identification, points: int = 300, coherence_row: int = 4) -> Figure:
     """Return the curves at the frequencies of the sweep, on one logarithmic axis."""
     response = identification.response
-    hertz = np.geomspace(response.hertz[0], response.hertz[-1], _POINTS)
+    hertz = np.geomspace(response.hertz[0], response.hertz[-1], points)
     data = _curve("measured", ORANGE, "markers", response.hertz, response.magnitude_db, response.phase_deg)
-    data.append(_trace("coherence", GREY, "lines+markers", response.hertz, response.coherence, _COHERENCE))
+    data.append(_trace("coherence", GREY, "lines+markers", response.hertz, response.coherence, coherence_row))
     for number, fit in enumerate(identification.fits):
         data += _model_curves(
             fit.label, _COLOURS[number % len(_COLOURS)], fit.model.response, hertz, identification, "solid"
@@ -103,7 +101,7 @@ def response_figure(identification: Identification) -> Figure:
         )
     layout = panels(860, "frequency [Hz]", _TITLES, log=True, domains=_DOMAINS) | HOVER | {"hoversubplots": "axis"}
     layout["xaxis"]["hoverformat"] = ".3~g"
-    layout[axis_name("yaxis", _COHERENCE)]["range"] = [0.0, 1.05]
+    layout[axis_name("yaxis", coherence_row)]["range"] = [0.0, 1.05]
     return {"data": data, "layout": layout}
 
 

@@ -20,8 +20,6 @@ from cosim.base.arrays import Array, Complex
 from cosim.base.errors import InputError
 
 BINS = 9  # in a group, at least: three complex unknowns, six left to tell noise from response
-GROUPS = 60  # at most
-WIDEST = 0.25  # half a group's width over its centre, at most: beyond it the parabola would bend the response
 
 
 @dataclass(frozen=True)
@@ -59,9 +57,12 @@ class FrequencyResponse:
         return np.asarray(np.degrees(np.unwrap(np.angle(self.value))))
 
 
-def shortest_record(low: float) -> float:
-    """Return the least length of a record, s, for a group of bins at ``low`` Hz."""
-    return (BINS - 1) / (2.0 * WIDEST * low)
+def shortest_record(low: float, max_width: float = 0.25) -> float:
+    """Return the least length of a record, s, for a group of bins at ``low`` Hz.
+
+    ``max_width``: half a group's width over its centre, at most: beyond it the parabola would bend the response.
+    """
+    return (BINS - 1) / (2.0 * max_width * low)
 
 
 def estimate(
@@ -100,12 +101,12 @@ def estimate(
     )
 
 
-def _groups(seconds: float, low: float, high: float, count: int) -> list[tuple[int, int]]:
+def _groups(seconds: float, low: float, high: float, count: int, max_groups: int = 60) -> list[tuple[int, int]]:
     """Return each group's first bin and the one behind its last: even in log frequency where the bins allow it."""
     first = max(1, round(low * seconds) - BINS // 2)
     end = min(round(high * seconds) + BINS // 2 + 1, count)
     edges = [first]
-    growth = (end / first) ** (1.0 / GROUPS)
+    growth = (end / first) ** (1.0 / max_groups)
     while edges[-1] + BINS <= end:
         edges.append(min(end, max(edges[-1] + BINS, round(edges[-1] * growth))))
     if edges[-1] < end and len(edges) > 2:

@@ -18,11 +18,7 @@ from cosim.spec.vehicle import RateModel
 
 CHIRP_MARGIN = (0.7, 1.2)  # the chirp runs from this times the lowest to this times the highest frequency of the band
 LONGEST_SWEEP_S = 3600.0
-CYCLES = 20.0  # of the lowest frequency, in a sweep of automatic duration
-USABLE = 0.5  # share of the points that must have coherence
-SLOW_POLE = 20.0  # 1/s: a slow pole that may be faster is not known at all
 MISFIT = 0.1  # root mean square of |ln(model / response)| above which a form is not found: 10 % or 6 deg; ours
-NO_LAG = 0.05  # of a step: a shorter lag is none, because no sample shows it
 ONE_SAMPLE = 1.0  # a delay counts as known within its value or this, whichever is more
 LEDGER_SHARE, LEDGER_SAMPLES = 0.1, 1.0  # that a sum of delays may be off the ledger's, the more of the two; chosen
 
@@ -182,15 +178,21 @@ def check_band(low: float, high: float, duration: float | None, step: float) -> 
         )
 
 
-def suitable_duration(low: float) -> float:
-    """Return a sweep's duration, whole s, from ``low`` Hz."""
-    return min(float(ceil(CYCLES / low)), LONGEST_SWEEP_S)
+def suitable_duration(low: float, cycles: float = 20.0) -> float:
+    """Return a sweep's duration, whole s, from ``low`` Hz.
+
+    ``cycles``: of the lowest frequency, in a sweep of automatic duration.
+    """
+    return min(float(ceil(cycles / low)), LONGEST_SWEEP_S)
 
 
-def need_coherence(response: FrequencyResponse, subject: str, amplitude: float) -> list[str]:
-    """Say how many points are left out as noise.  Raises NotIdentifiedError where most are."""
+def need_coherence(response: FrequencyResponse, subject: str, amplitude: float, usable: float = 0.5) -> list[str]:
+    """Say how many points are left out as noise.  Raises NotIdentifiedError where most are.
+
+    ``usable``: share of the points that must have coherence.
+    """
     good = response.coherence >= LEAST_COHERENCE
-    if np.mean(good) < USABLE:
+    if np.mean(good) < usable:
         raise NotIdentifiedError(
             f"{subject} does not answer the sweep: coherence is at least {LEAST_COHERENCE:g} at {int(good.sum())} of "
             f"{len(good)} points (median {np.median(response.coherence):.2f}); "
@@ -214,9 +216,12 @@ def half_width(fit: Fit, name: str) -> float:
     return max(high - fit.values[name], fit.values[name] - low)
 
 
-def is_none(fit: Fit, name: str) -> bool:
-    """Return whether a free lag is shorter than any sample can show: it ran to the end of its range."""
-    return name in fit.bounds and name.startswith("lag") and fit.values[name] < NO_LAG * fit.model.step
+def is_none(fit: Fit, name: str, max_steps: float = 0.05) -> bool:
+    """Return whether a free lag is shorter than any sample can show: it ran to the end of its range.
+
+    ``max_steps``: of a step: a shorter lag is none, because no sample shows it.
+    """
+    return name in fit.bounds and name.startswith("lag") and fit.values[name] < max_steps * fit.model.step
 
 
 def is_determined(fit: Fit, name: str) -> bool:
@@ -311,7 +316,8 @@ def fit_rows(identification: Identification) -> list[list[str]]:
     return rows
 
 
-def _with_bounds(fit: Fit, name: str, scale: float, invert: bool) -> str:
+def _with_bounds(fit: Fit, name: str, scale: float, invert: bool, slow_pole: float = 20.0) -> str:
+    """``slow_pole``: 1/s: a slow pole that may be faster is not known at all."""
     if name not in fit.values:
         return ""
 
@@ -327,7 +333,7 @@ def _with_bounds(fit: Fit, name: str, scale: float, invert: bool) -> str:
     low, high = fit.bounds[name]
     if not is_determined(fit, name):
         # a slow pole near 0 is known from above alone
-        return f"below {high:.1g}" if name == "rate_1_s" and not invert and high < SLOW_POLE else "not determined"
+        return f"below {high:.1g}" if name == "rate_1_s" and not invert and high < slow_pole else "not determined"
     if name == "delay_samples" and half_width(fit, name) > value:
         return f"below {high:.2g}"
     ends = (scale * (1.0 / end if invert and end else end) for end in (low, high))

@@ -42,18 +42,21 @@ if TYPE_CHECKING:  # a page reads the records of flights without an autopilot to
     from cosim.control.autopilot.autopilot import Autopilot
     from cosim.control.autopilot.status import Status
 
-ESTIMATE_S = 0.1  # between two estimates; chosen by us: PX4 logs its local position as often
 _BUFFER_BYTES = 64 * 1024  # bytes that wait for a write: a kill loses as little as a few seconds
 
 Line = dict[str, Any]
 
 
 class PilotRecord:
-    """Observes a flight that ``pilot`` flies, and writes its file.  Raises InputError if the file cannot be made."""
+    """Observes a flight that ``pilot`` flies, and writes its file.  Raises InputError if the file cannot be made.
 
-    def __init__(self, pilot: Autopilot, path: Path, step: float) -> None:
+    ``estimate_s``: s between two estimates; PX4 logs its local position as often.
+    """
+
+    def __init__(self, pilot: Autopilot, path: Path, step: float, estimate_s: float = 0.1) -> None:
+        self.estimate_s = estimate_s
         self._pilot = pilot
-        self._every = max(1, round(ESTIMATE_S / step))
+        self._every = max(1, round(self.estimate_s / step))
         self._last: dict[str, Line] = {}
         self._values: dict[str, float] = {}
         self._said = 0

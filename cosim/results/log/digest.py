@@ -13,8 +13,6 @@ from cosim.base.protocols import Column
 from cosim.results.log.columns import log_columns, logged_vehicle_of, require
 from cosim.results.log.recorder import Log, MemoryLog
 
-_ROWS = 2048  # of a log, read at once: 2 MB
-
 
 class Digest:
     """The SHA-256 of a log that comes in blocks, wherever it is cut into them.
@@ -42,11 +40,14 @@ class Digest:
         return total.hexdigest()
 
 
-def log_digest(log: Log) -> str:
-    """Return the :class:`Digest` of a finished log, of which few rows are held at a time."""
+def log_digest(log: Log, block: int = 2048) -> str:
+    """Return the :class:`Digest` of a finished log, of which few rows are held at a time.
+
+    ``block``: of a log, read at once: 2 MB.
+    """
     digest = Digest(log.columns)
-    for block in log.blocks(log.columns, _ROWS):
-        digest.update(np.stack(list(block.values())))
+    for columns in log.blocks(log.columns, block):
+        digest.update(np.stack(list(columns.values())))
     return digest.hexdigest()
 
 

@@ -24,7 +24,6 @@ from cosim.results.log.columns import COLUMNS, NAMES, require
 from cosim.results.log.row_program import Program, program
 from cosim.results.log.tables import Columnar
 
-_BEHIND = 60  # blocks, of 0.3 MB at 250 Hz, that may wait for a disk
 WALL_FLUSH_S = 1.0  # a slow flight is handed on this often too
 
 
@@ -160,12 +159,14 @@ class OneRow:
 class BackgroundSink:
     """Hands blocks on in a thread of its own, so that a flight that keeps step with the clock does not wait for a disk.
 
-    What went wrong there is raised by the next :meth:`write`, or by :meth:`settle`.
+    What went wrong there is raised by the next :meth:`write`, or by :meth:`settle`.  ``max_blocks``: blocks, of 0.3 MB
+    at 250 Hz, that may wait for a disk.
     """
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: Sink, max_blocks: int = 60) -> None:
+        self.max_blocks = max_blocks
         self._sink = sink
-        self._blocks: Queue[Array | None] = Queue(_BEHIND)
+        self._blocks: Queue[Array | None] = Queue(self.max_blocks)
         self._error: FlightError | None = None
         self._thread = Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
@@ -176,7 +177,7 @@ class BackgroundSink:
         try:
             self._blocks.put_nowait(table.copy())
         except Full:
-            raise FlightError(f"the log is {_BEHIND} blocks behind: the disk is too slow") from None
+            raise FlightError(f"the log is {self.max_blocks} blocks behind: the disk is too slow") from None
 
     def settle(self) -> None:
         """Wait until everything is written; nothing may be written afterwards.  Raises FlightError."""

@@ -172,7 +172,7 @@ class _Parser:
 
     def _implication(self) -> Formula | Quantity:
         start = self._token.start
-        left = self._joined("or", self._conjunction, either=True)
+        left = self._joined("or", lambda: self._joined("and", self._negation, either=False), either=True)
         if self._take("implies") is None:
             return left
         begin = self._token.start
@@ -180,9 +180,6 @@ class _Parser:
         right = self._formula(self._implication(), begin)
         self._depth -= 1
         return Both((Not(self._formula(left, start)), right), either=True)
-
-    def _conjunction(self) -> Formula | Quantity:
-        return self._joined("and", self._negation, either=False)
 
     def _joined(self, word: str, read: Callable[[], Formula | Quantity], either: bool) -> Formula | Quantity:
         start = self._token.start

@@ -44,16 +44,6 @@ def _rate_error(rate: str) -> DerivedSignal:
     )
 
 
-def _altitude_error(log: Columns) -> Array:
-    contact = find_contact_rows(log)  # first, a byte a row of which stays
-    return height_error(log["altitude_setpoint_m"], log["altitude_m"], contact)
-
-
-def _position_error(log: Columns) -> Array:
-    north, east = POSITION_SETPOINT
-    return np.hypot(log[north] - log["north_m"], log[east] - log["east_m"])
-
-
 def _drift(log: Columns) -> Array:
     return np.hypot(_from_start(log["north_m"]), _from_start(log["east_m"]))
 
@@ -68,10 +58,15 @@ DERIVED: dict[str, DerivedSignal] = {
     "altitude_error_m": DerivedSignal(
         ("altitude_setpoint_m", "altitude_m", "on_ground", "hull_contact"),
         "height asked for minus height; 0 where the vehicle stands and a lower one is asked for",
-        _altitude_error,
+        # The rows of contact first, of which a byte a row stays.
+        lambda log: height_error(
+            contact=find_contact_rows(log), setpoint=log["altitude_setpoint_m"], altitude=log["altitude_m"]
+        ),
     ),
     "place_error_m": DerivedSignal(
-        (*POSITION_SETPOINT, "north_m", "east_m"), "distance from the place asked for, level", _position_error
+        (*POSITION_SETPOINT, "north_m", "east_m"),
+        "distance from the place asked for, level",
+        lambda log: np.hypot(log[POSITION_SETPOINT[0]] - log["north_m"], log[POSITION_SETPOINT[1]] - log["east_m"]),
     ),
     "drift_m": DerivedSignal(("north_m", "east_m"), "distance from the start, level", _drift),
     "speed_m_s": DerivedSignal(

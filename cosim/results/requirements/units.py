@@ -74,9 +74,4 @@ def factor_between(unit: str, other: str) -> float:
 
 
 def _ending(name: str) -> str:
-    return next((ending for ending in _LONGEST_FIRST if name.endswith(ending) and not _is_number(name, ending)), "")
-
-
-def _is_number(name: str, ending: str) -> bool:
-    """Return whether the ending is the number of a station, as in ``throttle_1``, and no unit."""
-    return ending == "_1"
+    return next((ending for ending in _LONGEST_FIRST if name.endswith(ending) and ending != "_1"), "")

@@ -311,17 +311,17 @@ def _wait_for(what: Callable[[], Any], seconds: float = PATIENCE) -> Any:
 @pytest.mark.parametrize(
     ("limit", "words"),
     [
-        ("MOST_PACKED", "is .* large; an engine may have 100 bytes"),
-        ("MOST_UNPACKED", "would unpack to .*; an engine may have 100 bytes"),
-        ("MOST_FILES", "has 2 files inside; an engine may have 1"),
-        ("MOST_XML", f"{XML} is larger than 100 bytes"),
-        ("LONGEST_NAME", "has a name of more than 10 bytes inside"),
-        ("DEEPEST_XML", "nests elements more than 1 deep"),
+        ("max_packed_bytes", "is .* large; an engine may have 100 bytes"),
+        ("max_unpacked_bytes", "would unpack to .*; an engine may have 100 bytes"),
+        ("max_files", "has 2 files inside; an engine may have 1"),
+        ("max_xml_bytes", f"{XML} is larger than 100 bytes"),
+        ("max_name_bytes", "has a name of more than 10 bytes inside"),
+        ("max_xml_depth", "nests elements more than 1 deep"),
     ],
 )
 def test_limits_of_the_archive(limit: str, words: str, sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    value = {"MOST_FILES": 1, "LONGEST_NAME": 10, "DEEPEST_XML": 1}.get(limit, 100)
-    monkeypatch.setattr(container, limit, value)
+    value = {"max_files": 1, "max_name_bytes": 10, "max_xml_depth": 1}.get(limit, 100)
+    monkeypatch.setattr(container, "LIMITS", container.LIMITS._replace(**{limit: value}))
     with pytest.raises(InputError, match=words):
         load_engine(str(sound), {}, STEP)
 

@@ -88,10 +88,10 @@ def test_what_an_fmu_does_to_its_process_ends_the_flight_and_nothing_else(
     made_of: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Fit for the check, and bad with six of it after 3 s of its own time, 0.4 s into the flight; the log is kept."""
-    assert isolated.HANG_S < 5.0  # of the clock, and of the flight the leak: a named end within 5 s
-    monkeypatch.setattr(isolated, "HANG_S", 0.5)
+    assert isolated.LIMITS.hang_s < 5.0  # of the clock, and of the flight the leak: a named end within 5 s
+    monkeypatch.setattr(isolated, "LIMITS", isolated.LIMITS._replace(hang_s=0.5))
     if "leaks" in made_of:
-        monkeypatch.setattr(isolated, "MAX_MEGABYTES", 150.0)
+        monkeypatch.setattr(isolated, "LIMITS", isolated.LIMITS._replace(max_megabytes=150.0))
     name = made_of.partition(",")[2].partition("=")[0]
     path = foreign(tmp_path, name, made_of)
     scenario = Scenario.load("hover").replace(
@@ -117,8 +117,8 @@ IN_FLIGHT = {
 
 def test_other_flights_of_a_campaign_are_unharmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One worker flies a sound engine, those that misbehave, and the sound one again: the same row as before."""
-    monkeypatch.setattr(isolated, "HANG_S", 0.5)
-    monkeypatch.setattr(isolated, "MAX_MEGABYTES", 150.0)
+    monkeypatch.setattr(isolated, "LIMITS", isolated.LIMITS._replace(hang_s=0.5))
+    monkeypatch.setattr(isolated, "LIMITS", isolated.LIMITS._replace(max_megabytes=150.0))
     sound = study(runs=1, duration=0.1, controllers=["baseline"])
     before = fly_one(sound, flights(sound)[0])
     for made_of, reason in IN_FLIGHT.items():
@@ -298,7 +298,7 @@ def test_an_isolated_engine_is_measured_in_a_process_of_its_own(
 ) -> None:
     """Nobody has tried it before: it crashes or hangs after 1 s of its own time."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(isolated, "START_S", 5.0)
+    monkeypatch.setattr(isolated, "LIMITS", isolated.LIMITS._replace(start_s=5.0))
     (tmp_path / "bad.fmu").write_bytes(packed(kit.contents(fault)))
     scenario = Scenario.load("hover").replace(
         engine=str(tmp_path / "bad.fmu"), engine_unchecked=True, controller="baseline", expect=[]

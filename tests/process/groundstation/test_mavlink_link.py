@@ -23,10 +23,10 @@ from cosim.base.errors import InputError
 from cosim.control.autopilot.requests import Arm
 from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.groundstation.mavlink.wire.link import Link
-from cosim.groundstation.mavlink.wire.peer import FRAMES_A_SECOND
+from cosim.groundstation.mavlink.wire.peer import LIMITS as PEER
 from cosim.groundstation.mavlink.wire.signing import Signing
 from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
-from cosim.groundstation.mavlink.wire.transports.channel import MOST_PEERS
+from cosim.groundstation.mavlink.wire.transports.channel import LIMITS
 from cosim.groundstation.mavlink.wire.transports.endpoint import default_urls, parse_endpoint
 
 KEY = b"k" * 32
@@ -239,11 +239,11 @@ def test_what_is_not_flown_is_refused_by_name(flights: list[Flight], stations: l
 
 def test_the_table_of_stations_is_bounded(flights: list[Flight], stations: list[Udp]) -> None:
     flights.append(Flight("udpin:127.0.0.1:0"))
-    stations += [Udp(flights[0].port) for _ in range(MOST_PEERS + 4)]
+    stations += [Udp(flights[0].port) for _ in range(LIMITS.max_stations + 4)]
     for station in stations:
         station.heartbeat()
     assert until(lambda: flights[0].link.refused["too many stations"] == 4)
-    assert len(flights[0].link.peers) == MOST_PEERS
+    assert len(flights[0].link.peers) == LIMITS.max_stations
 
 
 FLOOD = """
@@ -286,7 +286,7 @@ def test_a_station_that_floods_does_not_disturb(flights: list[Flight], stations:
         sent = int(flood.communicate()[0])
     bad = max(flight.link.peers, key=lambda peer: peer.received)
     assert sent > bad.received
-    assert bad.received < (time.monotonic() - began + 1.0) * FRAMES_A_SECOND + 100  # what it may, and the burst
+    assert bad.received < (time.monotonic() - began + 1.0) * PEER.frames_1_s + 100  # what it may, and the burst
     assert flight.worst < stretched(0.25)  # the stepping thread only hands over
 
 

@@ -57,7 +57,7 @@ class Flight:
             MissionService(
                 lambda: pilot.mission.items, lambda: exchange.snapshot.status if exchange.snapshot else None, ask, PLACE
             ),
-            FileService(lambda: files),
+            FileService(lambda path: files),
         ]
         self.vehicle = MavlinkVehicle(
             VehicleConstants(PLACE, jets=6), Port(exchange, "mavlink"), self.link, services, self.metadata.on_request

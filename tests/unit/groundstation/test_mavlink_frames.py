@@ -270,11 +270,3 @@ def test_the_environment_lets_no_damaged_frame_in() -> None:
         "assert not Parser(Counter()).feed(bytes(raw))"
     )
     subprocess.run([sys.executable, "-c", script], check=True, env=os.environ | {"MAV_IGNORE_CRC": "1"})
-
-
-def test_a_field_of_the_name_id_makes_no_other_message() -> None:
-    """LOG_DATA has such a field: with the number of RADIO_STATUS in it, it needs its signature all the same."""
-    log_data = mav.MAVLink_log_data_message(mav.MAVLINK_MSG_ID_RADIO_STATUS, 0, 1, [1] * 90)
-    reader, refused, _ = guarded()
-    assert not reader.feed(raw(log_data))
-    assert refused == {"unsigned": 1}

@@ -21,14 +21,11 @@ from pyulog import ULog
 from cosim import fly
 from cosim.control.autopilot.parameters import Parameters, table
 from cosim.groundstation.mavlink.services.ftp import (
-    BURST_LENGTH,
-    SESSIONS,
     File,
     FileService,
     MemoryFile,
 )
 from cosim.groundstation.mavlink.services.logs import (
-    MOST_EARLIER_LOGS,
     LogService,
     LogStore,
     find_finished_runs,
@@ -48,7 +45,7 @@ TEXT = bytes(range(256)) * 200  # 51200 bytes: more than two bursts
 CONTENT = {"log/a.ulg": TEXT, "log/deep/b.ulg": b"b", "etc/x.json": b"{}", "empty": b""}
 
 
-def files() -> Mapping[str, File]:
+def files(path: str = "") -> Mapping[str, File]:
     return {path: MemoryFile(data) for path, data in CONTENT.items()}
 
 
@@ -154,10 +151,10 @@ def test_bursts_are_bounded_paced_numbered_and_say_which_is_their_last() -> None
     ftp.ask(OPEN, b"log/a.ulg\0")
     first = ftp.sequence
     replies = ftp.burst(0)
-    assert len(replies) == BURST_LENGTH
-    assert [reply.last for reply in replies] == [False] * (BURST_LENGTH - 1) + [True]
-    assert [reply.sequence for reply in replies] == list(range(first + 1, first + 1 + BURST_LENGTH))
-    assert [reply.offset for reply in replies] == [DATA * i for i in range(BURST_LENGTH)]
+    assert len(replies) == 100
+    assert [reply.last for reply in replies] == [False] * (100 - 1) + [True]
+    assert [reply.sequence for reply in replies] == list(range(first + 1, first + 1 + 100))
+    assert [reply.offset for reply in replies] == [DATA * i for i in range(100)]
     ftp.put(BURST, size=DATA)
     ftp.station.bench.tick()
     assert len(ftp.station.inbox) == 16
@@ -209,7 +206,7 @@ def test_no_path_leads_out(path: bytes) -> None:
 
 def test_a_folder_is_listed_in_parts() -> None:
     many = {f"log/{number:03d}-{'x' * 40}.ulg": b"12345" for number in range(50)}
-    ftp = Client(Bench(FileService(lambda: {path: MemoryFile(data) for path, data in many.items()})).station())
+    ftp = Client(Bench(FileService(lambda path: {path: MemoryFile(data) for path, data in many.items()})).station())
     found: list[bytes] = []
     while (reply := ftp.ask(LIST, b"/log\0", offset=len(found))).code == ACK:
         assert len(reply.data) <= DATA
@@ -278,7 +275,7 @@ def test_sessions_and_clients_are_bounded() -> None:
             "FILE_TRANSFER_PROTOCOL", 0, *TO, [0, 0, 0, OPEN, 6, 0, 0, 0, 0, 0, 0, 0, *b"empty\0"] + [0] * 233
         )
     assert len(service._clients) == 16
-    assert all(len(state.open) <= SESSIONS for state in service._clients.values())
+    assert all(len(state.open) <= 8 for state in service._clients.values())
     service.forget(bench.stations[99].peer)
     assert len(service._clients) == 15
 
@@ -286,7 +283,7 @@ def test_sessions_and_clients_are_bounded() -> None:
 def test_opening_again_costs_no_other_session() -> None:
     bench = Bench(FileService(files))
     station = bench.station()
-    for session in (*range(SESSIONS), SESSIONS - 1):
+    for session in (*range(8), 7):
         Client(station, session).ask(OPEN, b"log/a.ulg\0")
     assert Client(station, 0).ask(READ, size=4).data == TEXT[:4]
 
@@ -309,7 +306,7 @@ def test_a_file_that_is_too_large_for_the_protocol_is_refused() -> None:
         def read(self, offset: int, length: int) -> bytes:
             raise AssertionError
 
-    ftp = Client(Bench(FileService(lambda: {"huge": Huge()})).station())
+    ftp = Client(Bench(FileService(lambda path: {"huge": Huge()})).station())
     assert ftp.ask(OPEN, b"huge\0").data == bytes([FAIL])
 
 
@@ -333,7 +330,9 @@ def test_metadata_is_read_over_ftp_as_mavsdk_does(tmp_path: Path) -> None:
     assert control.pilot is not None
     lines = Parameters(table(control, control.pilot, "smith", 25.0))
     metadata = Metadata(lines, "hexjet", "0.1.0")
-    ftp = Client(Bench(FileService(lambda: {p: MemoryFile(d) for p, d in metadata.files.items()}), loss=0.2).station())
+    ftp = Client(
+        Bench(FileService(lambda path: {p: MemoryFile(d) for p, d in metadata.files.items()}), loss=0.2).station()
+    )
     start = metadata.on_request[397](0)
     uri, crc = start.uri, start.file_crc
     general = ftp.download(uri.removeprefix("mftp://"))
@@ -436,7 +435,7 @@ def test_a_run_is_listed_and_downloaded_as_the_ulog_that_export_writes(
 
 
 def test_logs_are_files_too(runs: Path, store: LogStore) -> None:
-    bench = Bench(LogService(store), FileService(store.files))
+    bench = Bench(LogService(store), FileService(lambda path: store.files()))
     station = bench.station()
     size = entries(station)[0].size
     ftp = Client(station)
@@ -600,17 +599,17 @@ def test_a_run_that_has_just_been_finished_is_in_the_next_list(tmp_path: Path, d
 
 
 def test_of_many_runs_the_newest_are_kept_and_numbers_stay(tmp_path: Path) -> None:
-    here: list[Path] = [tmp_path / f"run{number}" for number in range(MOST_EARLIER_LOGS + 5)]
+    here: list[Path] = [tmp_path / f"run{number}" for number in range(20 + 5)]
     store = LogStore(lambda: here)
     try:
         search(store, 0.0)
-        assert [log.run.name for log in store.logs] == [f"run{number}" for number in range(5, MOST_EARLIER_LOGS + 5)]
+        assert [log.run.name for log in store.logs] == [f"run{number}" for number in range(5, 20 + 5)]
         here.append(tmp_path / "later")
         search(store, 1.0)  # too soon
-        assert len(store.logs) == MOST_EARLIER_LOGS
+        assert len(store.logs) == 20
         search(store, 10.0)  # and not too soon
         search(store, 20.0)
-        assert [log.number for log in store.logs] == list(range(MOST_EARLIER_LOGS + 1))
+        assert [log.number for log in store.logs] == list(range(20 + 1))
         assert store.logs[-1].run.name == "later"
     finally:
         store.close()

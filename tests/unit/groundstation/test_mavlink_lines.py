@@ -22,10 +22,11 @@ from cosim.control.autopilot.requests import (
     Result,
 )
 from cosim.groundstation.mavlink.wire.dialect import mav, prepare_message
-from cosim.groundstation.mavlink.wire.peer import LIMIT, Priority
+from cosim.groundstation.mavlink.wire.peer import LIMITS as PEER
+from cosim.groundstation.mavlink.wire.peer import Priority
 from cosim.groundstation.mavlink.wire.signing import Signing
 from cosim.groundstation.mavlink.wire.transports import channel
-from cosim.groundstation.mavlink.wire.transports.channel import MOST_PEERS
+from cosim.groundstation.mavlink.wire.transports.channel import LIMITS
 
 LONGEST = 280  # bytes of a frame
 
@@ -160,7 +161,7 @@ def test_answers_that_nobody_takes_are_bounded(bench: Bench) -> None:
     while wire.peer.send(ack):
         sent += 1
         assert sent < 100_000
-    assert wire.peer.waiting_bytes <= LIMIT + 1000
+    assert wire.peer.waiting_bytes <= PEER.max_bytes + 1000
     assert wire.peer.dropped == 1
 
 
@@ -178,7 +179,7 @@ def drain(station: Udp) -> None:
 
 
 def test_a_connection_that_takes_nothing_is_dropped_and_told_of(monkeypatch: Any) -> None:
-    monkeypatch.setattr(channel, "STALL", 0.5)
+    monkeypatch.setattr(channel, "LIMITS", LIMITS._replace(stall_s=0.5))
     flight = Flight("tcpin:127.0.0.1:0", "udpin:127.0.0.1:0")
     deaf = socket.socket()
     deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -257,7 +258,7 @@ def test_the_last_station_is_missed_when_a_table_was_full(bench: Bench) -> None:
 
 
 def test_idle_connections_make_room_for_a_new_one(monkeypatch: Any) -> None:
-    monkeypatch.setattr(channel, "UNHEARD", 1e9)
+    monkeypatch.setattr(channel, "LIMITS", LIMITS._replace(unheard_s=1e9))
     flight = Flight("tcpin:127.0.0.1:0")
     port = flight.port
     idle: list[socket.socket] = []
@@ -265,19 +266,19 @@ def test_idle_connections_make_room_for_a_new_one(monkeypatch: Any) -> None:
         speaking = Tcp(port)
         speaking.heartbeat()
         assert speaking.name("HEARTBEAT")
-        idle += [socket.create_connection(("127.0.0.1", port)) for _ in range(MOST_PEERS - 1)]
-        assert until(lambda: len(flight.link.peers) == MOST_PEERS)
+        idle += [socket.create_connection(("127.0.0.1", port)) for _ in range(LIMITS.max_stations - 1)]
+        assert until(lambda: len(flight.link.peers) == LIMITS.max_stations)
         # as if all had just come: nobody makes room, and the new one sees its connection closed
         with socket.create_connection(("127.0.0.1", port)) as refused:
             refused.settimeout(PATIENCE)
             assert refused.recv(1) == b""
         assert flight.link.refused["too many stations"] == 1
-        monkeypatch.setattr(channel, "UNHEARD", 0.05)
+        monkeypatch.setattr(channel, "LIMITS", LIMITS._replace(unheard_s=0.05))
         time.sleep(0.1)
         late = Tcp(port)
         late.heartbeat()
         assert late.name("HEARTBEAT")
-        assert len(flight.link.peers) == MOST_PEERS
+        assert len(flight.link.peers) == LIMITS.max_stations
         speaking.got.clear()
         assert speaking.name("HEARTBEAT")  # who speaks stays
         late.close()

@@ -10,12 +10,11 @@ from patience import PATIENCE
 
 from cosim.control.autopilot.parameters import Caution, Parameter, Parameters
 from cosim.control.autopilot.requests import Answer, Result, SetParameter
-from cosim.groundstation import exchange as meeting
 from cosim.groundstation.exchange import Exchange, PendingRequest, Port
 from cosim.groundstation.parameter_guard import ParameterGuard, describe_saved, find_refusal, list_changes
 
 LOST = Caution("roll", True, True, "roll: the loop is unstable")
-WAIT = meeting.ANSWER_TIMEOUT
+WAIT = 2.0  # s, of an answer
 
 
 class StabilityChecker:

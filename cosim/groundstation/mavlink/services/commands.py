@@ -24,7 +24,6 @@ from cosim.groundstation.mavlink.streams import BY_ID, FASTEST, stream_interval
 from cosim.groundstation.mavlink.telemetry import gps_global_origin, mode_line
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 
-FORCE = 21196.0  # p2 of COMPONENT_ARM_DISARM
 PLACE_MAX = 100e3  # m north or east of the origin: the limit of the pilot's requests
 ORIGIN_NEAR = 1.0  # m: what rounding to 1e-7 deg and a station's own numbers may be off by; chosen by us
 ORIGIN_FIXED = "the origin stays where the flight began; --place puts it elsewhere"
@@ -79,8 +78,8 @@ def _whole(value: float | None) -> int:
 # --- flight ----------------------------------------------------------------------------------------------------
 
 
-def _arm(command: MavCommand, context: Context) -> Plan:
-    arm, force = command.params[0], command.params[1] == FORCE
+def _arm(command: MavCommand, context: Context, force_code: float = 21196.0) -> Plan:
+    arm, force = command.params[0], command.params[1] == force_code
     if arm == 1.0:
         return _do(rq.Arm(force))
     if arm == 0.0:

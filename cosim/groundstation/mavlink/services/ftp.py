@@ -26,10 +26,6 @@ FAIL, BAD_SIZE, BAD_SESSION, END, UNKNOWN, PROTECTED, NOT_FOUND = 1, 3, 4, 6, 7,
 
 DATA = 239  # bytes of data in one message
 _HEAD = struct.Struct("<HBBBBBxI")
-SESSIONS = 8  # open files of one client; chosen by us
-BURST_LENGTH = 100  # messages in one burst (24 kB); the client then asks for the next
-RATE = 1000.0  # burst messages per second and client, 239 kB/s; a slower link limits it further; chosen by us
-_CRC_PART = 1 << 22  # bytes that are read at a time for a checksum
 
 
 class File(Protocol):
@@ -51,7 +47,8 @@ class MemoryFile:
         return self._data[offset : offset + length]
 
 
-Files = Callable[[], Mapping[str, File]]  # every file that exists now, by its whole path ("log/run.ulg")
+# Of a path ("log/run.ulg") that a client names, at least the files there and below it that exist now, by whole paths.
+Files = Callable[[str], Mapping[str, File]]
 
 
 class _Request(NamedTuple):
@@ -71,30 +68,27 @@ class _Burst:
     sequence: int
 
 
-@dataclass
-class _Checksum:
-    request: _Request
-    file: File
-    offset: int = 0
-    value: int = 0
-
-
 class _State:
-    """State of one client: open files, a burst and a checksum under way."""
+    """State of one client: open files, and a burst under way, of 239 kB/s at most."""
 
     def __init__(self) -> None:
         self.open: OrderedDict[int, File] = OrderedDict()
         self.burst: _Burst | None = None
-        self.checksum: _Checksum | None = None
-        self.pace = RateLimit(RATE, 16)
+        self.pace = RateLimit(1000.0, 16)
 
 
 class FileService(Service):
-    """File transfer service.  ``files``: see :data:`Files`; a path that begins with ``@MAV_LOG`` is in ``log``."""
+    """File transfer service.  ``files``: see :data:`Files`; a path that begins with ``@MAV_LOG`` is in ``log``.
+
+    ``max_open``: files of one client that are open at most.  ``burst_length``: messages of one burst (24 kB), after
+    which the client asks for the next.
+    """
 
     handles = frozenset({"FILE_TRANSFER_PROTOCOL"})
 
-    def __init__(self, files: Files) -> None:
+    def __init__(self, files: Files, max_open: int = 8, burst_length: int = 100) -> None:
+        self.burst_length = burst_length
+        self.max_open = max_open
         self._files = files
         self._clients: OrderedDict[Client, _State] = OrderedDict()
 
@@ -107,7 +101,7 @@ class FileService(Service):
         return [] if answer is None else [_message(client, answer)]
 
     def poll(self, now: float) -> Outgoing:
-        """Return the next part of every burst, and finished checksums."""
+        """Return the next part of every burst."""
         out: Outgoing = []
         for client, state in self._clients.items():
             if state.burst is not None:
@@ -115,15 +109,11 @@ class FileService(Service):
                     out.append((client.peer, _message(client, _next_burst_message(state))))
                     if state.burst is None:
                         break
-            if state.checksum is not None:
-                answer = _continue_checksum(state)
-                if answer:
-                    out.append((client.peer, _message(client, answer)))
         return out
 
     @property
     def is_busy(self) -> bool:
-        return any(state.burst or state.checksum for state in self._clients.values())
+        return any(state.burst for state in self._clients.values())
 
     def forget(self, peer: Peer) -> None:
         """Close the files of a peer that is gone."""
@@ -147,7 +137,7 @@ class FileService(Service):
             return self._close(request, state)
         if code == RESET:
             state.open.clear()
-            state.burst = state.checksum = None
+            state.burst = None
             return _ack(request)
         if code in _WRITING:
             return _nak(request, PROTECTED)
@@ -157,21 +147,20 @@ class FileService(Service):
             return _nak(request, BAD_SIZE)
         return self._read(request, state) if code in (READ, BURST) else self._look_up(request, state)
 
-    def _look_up(self, request: _Request, state: _State) -> bytes | None:
-        """List a folder, or open a file or begin its checksum, by the path in the request."""
+    def _look_up(self, request: _Request, state: _State) -> bytes:
+        """List a folder, or open a file or tell its checksum, by the path in the request."""
         code, path = request.opcode, _path(request.data)
         if code == LIST:
             return self._list(request, path)
-        file = None if path is None else self._files().get(path)
+        file = None if path is None else self._files(path).get(path)
         if file is None:
             return _nak(request, NOT_FOUND)
         if file.size >= 1 << 32:  # its size and its offsets do not fit in the fields of 32 bits
             return _nak(request, FAIL)
         if code == CRC:
-            state.checksum = _Checksum(request, file)
-            return None
+            return _ack(request, struct.pack("<I", _checksum(file)))
         state.open.pop(request.session, None)
-        if len(state.open) >= SESSIONS:
+        if len(state.open) >= self.max_open:
             state.open.popitem(last=False)
         state.open[request.session] = file
         return _ack(request, struct.pack("<I", file.size))
@@ -191,12 +180,12 @@ class FileService(Service):
         if request.offset >= file.size:
             return _nak(request, END)
         if request.opcode == BURST:
-            state.burst = _Burst(request, request.offset, BURST_LENGTH, request.sequence)
+            state.burst = _Burst(request, request.offset, self.burst_length, request.sequence)
             return None
         return _ack(request, file.read(request.offset, request.size or DATA), request.offset)
 
     def _list(self, request: _Request, path: str | None) -> bytes:
-        entries = None if path is None else _entries(self._files(), path)
+        entries = None if path is None else _entries(self._files(path), path)
         if entries is None:
             return _nak(request, NOT_FOUND)
         if request.offset >= len(entries):
@@ -228,17 +217,11 @@ def _next_burst_message(state: _State) -> bytes:
     return _pack(request, ACK, data, offset, burst.sequence, last)
 
 
-def _continue_checksum(state: _State) -> bytes | None:
-    """Continue a checksum, and return the answer when it is done."""
-    checksum = state.checksum
-    assert checksum is not None
-    part = checksum.file.read(checksum.offset, _CRC_PART)
-    checksum.value = crc32(part, checksum.value)
-    checksum.offset += len(part)
-    if part and checksum.offset < checksum.file.size:
-        return None
-    state.checksum = None
-    return _ack(checksum.request, struct.pack("<I", checksum.value))
+def _checksum(file: File, part_bytes: int = 1 << 22) -> int:
+    value = 0
+    for offset in range(0, file.size, part_bytes):
+        value = crc32(file.read(offset, part_bytes), value)
+    return value
 
 
 def _entries(files: Mapping[str, File], folder: str) -> list[bytes] | None:

@@ -28,11 +28,6 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 from cosim.groundstation.mavlink.wire.peer import Peer
 
-MOST_EARLIER_LOGS = 20  # earlier runs that are listed, the newest; chosen by us, as each has to be converted
-MOST_LOGS = 200  # most logs in total
-RATE = 2500.0  # LOG_DATA a second and client: 225 kB/s, as fast as a flight at 250 Hz writes them; chosen by us
-SEARCH_INTERVAL = 2.0  # s before the folders are read again, however often somebody asks; chosen by us
-CONVERSION_TIMEOUT = 300.0  # s to make one log: thirty times what an hour of flight takes
 DATA = 90  # bytes in a LOG_DATA
 LOG_FOLDER = "log/"
 _CONVERT = """
@@ -76,11 +71,24 @@ class LogStore:
     """Store of the finished runs' logs, which converts them to ULog one after the other.
 
     ``runs``: returns the folders of every finished run, oldest first.  It reads a file of each, so it is called in a
-    thread of its own, and again on a request after :data:`SEARCH_INTERVAL` or :meth:`mark_outdated`.  A log keeps its
-    number: later runs get the next ones.
+    thread of its own, and again on a request after :data:`self.search_interval_s` or :meth:`mark_outdated`.  A log
+    keeps its number: later runs get the next ones.  ``max_earlier``: earlier runs that are listed, the newest, as each
+    has to be converted.  ``max_logs``: in all.  ``search_interval_s``: between two searches, however often somebody
+    asks.  ``timeout_s``: for one log: thirty times what an hour of flight takes.
     """
 
-    def __init__(self, runs: Callable[[], Sequence[Path]]) -> None:
+    def __init__(
+        self,
+        runs: Callable[[], Sequence[Path]],
+        max_earlier: int = 20,
+        max_logs: int = 200,
+        search_interval_s: float = 2.0,
+        timeout_s: float = 300.0,
+    ) -> None:
+        self.timeout_s = timeout_s
+        self.search_interval_s = search_interval_s
+        self.max_logs = max_logs
+        self.max_earlier = max_earlier
         self._runs = runs
         self._folder = Path(tempfile.mkdtemp(prefix="logs-", dir=scratch()))
         self._seen_runs: set[Path] = set()
@@ -95,9 +103,15 @@ class LogStore:
 
     def search(self, now: float) -> None:
         """Start a search for new runs, if none is under way and the last one is not recent."""
-        if self._search is None and (self._is_outdated or now - self._last_search >= SEARCH_INTERVAL):
+        if self._search is None and (self._is_outdated or now - self._last_search >= self.search_interval_s):
             self._is_outdated = False
-            self._search = Thread(target=self._run_search, name="logs", daemon=True)
+
+            def run_search() -> None:
+                # A folder that cannot be read leaves the list as it is.
+                with suppress(OSError):
+                    self._found_runs = self._runs()
+
+            self._search = Thread(target=run_search, name="logs", daemon=True)
             self._search.start()
 
     def mark_outdated(self) -> None:
@@ -109,10 +123,6 @@ class LogStore:
         """Whether a search for new runs is under way."""
         return self._search is not None
 
-    def _run_search(self) -> None:
-        with suppress(OSError):  # the folder cannot be read, so the list stays as it is
-            self._found_runs = self._runs()
-
     def _list_found(self, now: float) -> None:
         """List the runs that a search found, once it has ended."""
         if self._search is None or self._search.is_alive():
@@ -121,7 +131,7 @@ class LogStore:
         new = [run for run in self._found_runs if run not in self._seen_runs]
         first = not self._seen_runs
         self._seen_runs.update(new)
-        for run in new[-MOST_EARLIER_LOGS:] if first else new[: MOST_LOGS - len(self.logs)]:
+        for run in new[-self.max_earlier :] if first else new[: self.max_logs - len(self.logs)]:
             self.logs.append(LogEntry(len(self.logs), run, _start_time(run)))
         if self._is_outdated:  # a run was finished during the search, so search again
             self.search(now)
@@ -133,10 +143,12 @@ class LogStore:
         if self._conversion is not None:
             process, log, started = self._conversion
             code = process.poll()
-            if code is None and now - started < CONVERSION_TIMEOUT:
+            if code is None and now - started < self.timeout_s:
                 return
             self._end_conversion()
-            log.file = _open_file(self._path(log)) if code == 0 else MemoryFile(b"")
+            log.file = MemoryFile(b"")
+            with suppress(OSError):
+                log.file = DiskFile(self._path(log)) if code == 0 else log.file
             self._converted_count += 1
         if self._converted_count < len(self.logs):
             log = self.logs[self._converted_count]
@@ -176,11 +188,15 @@ class LogStore:
 
 
 class LogService(Service):
-    """Log service: LOG_REQUEST_LIST, _DATA and _END in, LOG_ENTRY and LOG_DATA out.  Logs are never erased."""
+    """Log service: LOG_REQUEST_LIST, _DATA and _END in, LOG_ENTRY and LOG_DATA out.  Logs are never erased.
+
+    ``rate``: of LOG_DATA, 1/s, to a client: as fast as a flight at 250 Hz writes them, 225 kB/s.
+    """
 
     handles = frozenset({"LOG_REQUEST_LIST", "LOG_REQUEST_DATA", "LOG_REQUEST_END", "LOG_ERASE"})
 
-    def __init__(self, store: LogStore) -> None:
+    def __init__(self, store: LogStore, rate: float = 2500.0) -> None:
+        self.rate = rate
         self._store = store
         self._lists: dict[Client, tuple[int, int]] = {}  # by client, the entries that are still to be sent
         self._downloads: OrderedDict[Client, _Download] = OrderedDict()
@@ -254,7 +270,7 @@ class LogService(Service):
         old = self._downloads.pop(client, None)
         if len(self._downloads) >= MAX_CLIENTS:
             self._downloads.popitem(last=False)
-        limit = old.limit if old is not None else RateLimit(RATE, 30)
+        limit = old.limit if old is not None else RateLimit(self.rate, 30)
         self._downloads[client] = _Download(message.id, file, message.ofs, min(end, file.size), end > file.size, limit)
         return []
 
@@ -276,13 +292,6 @@ class _Download:
         message = _data(self.number, self.at, part)
         self.at = self.at + len(part) if part else self.end
         return message
-
-
-def _open_file(path: Path) -> File:
-    try:
-        return DiskFile(path)
-    except OSError:
-        return MemoryFile(b"")
 
 
 def find_finished_runs(root: Path) -> list[Path]:

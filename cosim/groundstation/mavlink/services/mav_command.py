@@ -31,7 +31,6 @@ OF_RESULT = {result: CommandResult[result.name] for result in Result}
 
 GLOBAL, LOCAL_NED, RELATIVE, GLOBAL_INT, RELATIVE_INT = 0, 1, 3, 5, 6  # MAV_FRAME
 ABSOLUTE_FRAMES, RELATIVE_FRAMES = (GLOBAL, GLOBAL_INT), (RELATIVE, RELATIVE_INT)
-_UNSET = 0x7FFFFFFF  # value of x and y in COMMAND_INT that means: not set
 
 
 class MavCommand(NamedTuple):
@@ -68,14 +67,14 @@ class Context(NamedTuple):
     shutdown_requests: tuple[Any, ...] = ()  # requests for a reboot and for a shutdown
 
 
-def parse_command(message: Message) -> MavCommand:
+def parse_command(message: Message, unset: int = 0x7FFFFFFF) -> MavCommand:
     """Return the command in a COMMAND_LONG or COMMAND_INT."""
     first = [message.param1, message.param2, message.param3, message.param4]
     if message.msgname == "COMMAND_LONG":
         values = [*first, message.param5, message.param6, message.param7]
         return MavCommand(message.command, tuple(map(_finite_or_none, values)), None)
     # x and y are 1e-4 m where the frame is local; handlers of positions refuse such frames
-    position = [None if value == _UNSET else value * 1e-7 for value in (message.x, message.y)]
+    position = [None if value == unset else value * 1e-7 for value in (message.x, message.y)]
     return MavCommand(
         message.command, (*map(_finite_or_none, first), *position, _finite_or_none(message.z)), message.frame
     )

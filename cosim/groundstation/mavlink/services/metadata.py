@@ -19,26 +19,25 @@ from cosim.groundstation.mavlink.wire.dialect import mav as wire
 
 # The same paths as in PX4.
 GENERAL, PARAMETERS = "etc/extras/component_general.json.xz", "etc/extras/parameters.json.xz"
-_TYPE_PARAMETER = 1  # COMP_METADATA_TYPE
-_VERSION = 1  # of both files: the only one that QGroundControl reads
 
 
 class Metadata:
     """Metadata files of one vehicle, and the messages that lead to them.
 
+    Both files are of version 1, the only one that QGroundControl reads; so is their type, COMP_METADATA_TYPE_PARAMETER.
     ``on_request``: COMPONENT_METADATA, and COMPONENT_INFORMATION for older ground stations, by their numbers; each is
     made of simulation time in ms.
     """
 
     def __init__(self, parameters: Iterable[Parameter], name: str, version: str) -> None:
-        inner = _compress({"version": _VERSION, "parameters": [describe_parameter(line) for line in parameters]})
+        inner = _compress({"version": 1, "parameters": [describe_parameter(line) for line in parameters]})
         general = _compress(
             {
-                "version": _VERSION,
+                "version": 1,
                 "vendorName": "hexjet-cosim",
                 "modelName": name,
                 "firmwareVersion": ".".join(map(str, parse_version(version))),
-                "metadataTypes": [{"type": _TYPE_PARAMETER, "uri": _uri(PARAMETERS), "fileCrc": crc32(inner)}],
+                "metadataTypes": [{"type": 1, "uri": _uri(PARAMETERS), "fileCrc": crc32(inner)}],
             }
         )
         self.files: Mapping[str, bytes] = {GENERAL: general, PARAMETERS: inner}

@@ -46,11 +46,6 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 from cosim.groundstation.mavlink.wire.peer import Peer
 
-RETRY_INTERVAL = 0.25  # s without the requested item; as PX4
-UPLOAD_TIMEOUT = 5.0  # s without any progress of an upload; as PX4
-REPEAT_INTERVAL = 1.0  # s between two MISSION_CURRENT without a change
-REPEATS = 3  # times that a finished item is sent, as it is not acknowledged
-
 MISSION, ALL = wire.MAV_MISSION_TYPE_MISSION, wire.MAV_MISSION_TYPE_ALL
 FENCE, RALLY = wire.MAV_MISSION_TYPE_FENCE, wire.MAV_MISSION_TYPE_RALLY
 _KINDS = (MISSION, FENCE, RALLY)
@@ -104,7 +99,9 @@ class MissionService(Service):
         status: Callable[[], Status | None],
         ask: Ask,
         geodesy: Geodesy,
+        repeat_s: float = 1.0,
     ) -> None:
+        self.repeat_s = repeat_s
         self._items, self._status, self._geodesy = items, status, geodesy
         self._answers = AnswerQueue(ask)
         self._upload: _Upload | None = None
@@ -113,7 +110,7 @@ class MissionService(Service):
         self._mission: tuple[rq.MissionItem, ...] = ()  # the last upload as the autopilot has it
         self._sent_items: list[Item] = []  # its items as they were received
         self._progress_sent: tuple[int, ...] = ()
-        self._progress_at = -REPEAT_INTERVAL
+        self._progress_at = -self.repeat_s
         self._reached = -1
         self._repeats = 0
         self._now = 0.0
@@ -145,16 +142,16 @@ class MissionService(Service):
             return self._clear(client, mission_type)
         return self._take_item(message, client, mission_type)
 
-    def poll(self, now: float) -> Outgoing:
+    def poll(self, now: float, retry_s: float = 0.25, timeout_s: float = 5.0) -> Outgoing:
         """Return the autopilot's answers, repeated requests of items, and the mission's progress."""
         self._now = now
         out = self._answers.take_messages()
         upload = self._upload
         if upload is not None and not upload.waiting:
-            if now - upload.last_progress > UPLOAD_TIMEOUT:
+            if now - upload.last_progress > timeout_s:
                 self._upload = None
                 out.append((upload.client.peer, _ack(upload.client, CANCELLED, upload.mission_type)))
-            elif now - upload.last_request > RETRY_INTERVAL:
+            elif now - upload.last_request > retry_s:
                 upload.last_request = now
                 out.append((upload.client.peer, self._next_request(upload)))
         return out + [(None, message) for message in self._progress(now)]
@@ -331,20 +328,20 @@ class MissionService(Service):
             return _warn(f"mission item {index}: there are {len(self._items())}")
         return []
 
-    def _progress(self, now: float) -> list[Message]:
+    def _progress(self, now: float, repeats: int = 3) -> list[Message]:
         status = self._status()
         if status is None:
             return []
         out = []
         if status.mission_reached != self._reached:
             self._reached = status.mission_reached
-            self._repeats = REPEATS if self._reached >= 0 else 0
+            self._repeats = repeats if self._reached >= 0 else 0
         new = mission_state(status)
-        due = now - self._progress_at >= REPEAT_INTERVAL
+        due = now - self._progress_at >= self.repeat_s
         if new != self._progress_sent or due:
             self._progress_sent, self._progress_at = new, now
             out.append(mission_progress(status))
-        if self._repeats and (self._repeats == REPEATS or due):
+        if self._repeats and (self._repeats == repeats or due):
             self._repeats -= 1
             out.append(wire.MAVLink_mission_item_reached_message(self._reached))
         return out

@@ -34,7 +34,6 @@ from cosim.groundstation.mavlink.wire.dialect import mav as wire
 from cosim.groundstation.mavlink.wire.peer import Peer
 
 HASH = "_HASH_CHECK"  # PX4's: a ground station that has the same set cached reads no list
-NO_INDEX = 65535
 LIST_RATE = 100.0  # values a second; chosen by us: 3.7 kB/s, two thirds of what a radio of 57600 baud carries
 LIST_BURST = 10
 
@@ -163,7 +162,7 @@ class ParameterService(Service):
 
     def _hash_value(self) -> Message:
         (value,) = struct.unpack("<f", struct.pack("<I", self.hash()))
-        return wire.MAVLink_param_value_message(HASH.encode(), value, UINT32, len(self._lines), NO_INDEX)
+        return wire.MAVLink_param_value_message(HASH.encode(), value, UINT32, len(self._lines), 65535)
 
     def _error(self, client: Client, name: str, index: int, code: int) -> Message:
         return wire.MAVLink_param_error_message(

@@ -20,8 +20,6 @@ Outgoing = list[tuple[Peer | None, Message]]
 Ask = Callable[[Request, Callable[[Answer], None], str], None]
 
 MAX_CLIENTS = 16  # clients for which a service keeps state; chosen by us, more than are ever connected
-MOST_OPEN = 100  # requests of a service that wait for their answers; chosen by us
-_FIRST_TEXT_ID = 0x8000  # texts of services are numbered from here on
 _text_id = 0
 
 
@@ -83,16 +81,20 @@ class RateLimit:
 
 
 class AnswerQueue:
-    """Queue of the autopilot's answers, filled from any thread and emptied in the link's."""
+    """Queue of the autopilot's answers, filled from any thread and emptied in the link's.
 
-    def __init__(self, ask: Ask) -> None:
+    ``max_open``: requests that wait for their answers at most.
+    """
+
+    def __init__(self, ask: Ask, max_open: int = 100) -> None:
+        self.max_open = max_open
         self._ask = ask
         self._ready: deque[tuple[Callable[[Answer], Outgoing], Answer]] = deque()
         self._open = 0
 
     def request(self, request: Request, client: Client, then: Callable[[Answer], Outgoing]) -> bool:
         """Ask the pilot; ``then`` makes messages of the answer.  False: too much is open, the client will ask again."""
-        if self._open >= MOST_OPEN:
+        if self._open >= self.max_open:
             return False
         self._open += 1
         self._ask(request, lambda answer: self._ready.append((then, answer)), client.label)
@@ -108,11 +110,11 @@ class AnswerQueue:
         return messages
 
 
-def make_service_text(text: str, severity: int) -> list[Message]:
+def make_service_text(text: str, severity: int, first_id: int = 0x8000) -> list[Message]:
     """Return STATUSTEXT in as many pieces as it needs, with numbers that the vehicle's own texts do not use."""
     global _text_id
-    _text_id = (_text_id + 1) % _FIRST_TEXT_ID
-    return statustext(severity, text, _FIRST_TEXT_ID + _text_id)
+    _text_id = (_text_id + 1) % first_id
+    return statustext(severity, text, first_id + _text_id)
 
 
 def decode_text(value: str | bytes) -> str:

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from typing import NamedTuple
 
-from cosim.groundstation.mavlink.wire.dialect import BY_NAME, CHECKSUM, COMPONENT, Message, mav
+from cosim.groundstation.mavlink.wire.dialect import CHECKSUM, COMPONENT, Message, mav
 from cosim.groundstation.mavlink.wire.signing import Signing
 
-RADIO_STATUS = BY_NAME["RADIO_STATUS"].id
 MAGIC_1, MAGIC_2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
 SIGNED = mav.MAVLINK_IFLAG_SIGNED  # the only incompatibility flag that MAVLink defines
 
@@ -32,8 +31,7 @@ class Parser:
     """Parser of one sender's bytes into frames.
 
     ``is_datagram``: what is fed ends with the end of a frame; a rest is refused instead of being kept.
-    With ``signing`` every frame has to carry a signature that is right and new.  RADIO_STATUS need not in a stream of
-    bytes: it can do no more than slow that stream's telemetry down.
+    With ``signing`` every frame has to carry a signature that is right and new.
     """
 
     def __init__(self, refused: Counter[str], signing: Signing | None = None, is_datagram: bool = False) -> None:
@@ -88,9 +86,7 @@ class Parser:
         system, component = message.get_srcSystem(), message.get_srcComponent()
         signed = bool(flags & SIGNED)
         if self._signing is not None:
-            # A radio that is wired to the vehicle inserts RADIO_STATUS, and cannot sign it because it has no key.
-            of_radio = message.get_msgId() == RADIO_STATUS and not self._is_datagram
-            reason = self._signing.find_refusal(raw, system, component) if signed else "" if of_radio else "unsigned"
+            reason = self._signing.find_refusal(raw, system, component) if signed else "unsigned"
             if reason:
                 return reason, None
         return "", Frame(raw, system, component, message.get_seq(), signed, message)

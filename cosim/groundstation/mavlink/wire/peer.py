@@ -10,15 +10,22 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable
 from enum import Enum
+from typing import NamedTuple
 
 from cosim.groundstation.mavlink.wire.dialect import Message, frame_size
 from cosim.groundstation.mavlink.wire.frames import Frame, FramePacker, Parser
 
-# Chosen by us.
-LIMIT = 512_000  # bytes of answers and lists that may wait
-BULK = 2000  # bytes of answers and lists that wait before a list or a file pauses
-FRAMES_A_SECOND = 1000  # frames that are read from one station; more are discarded unread
-_BURST = 1000
+
+class PeerLimits(NamedTuple):
+    """Limits of what waits for a station and of what is read from it, chosen by us."""
+
+    max_bytes: int = 512_000  # of answers and lists that wait
+    pause_bytes: int = 2000  # at which lists and files pause
+    frames_1_s: int = 1000  # read; more are discarded unread
+    burst_frames: int = 1000
+
+
+LIMITS = PeerLimits()
 
 
 class Priority(Enum):
@@ -66,7 +73,7 @@ class Peer:
         self._waiting = 0  # bytes of answers and bulk data that wait
         self._balance = 0  # bytes by which bulk is ahead of telemetry while both wait
         self._blocked: float | None = None  # time since which the line has accepted nothing; None while it accepts
-        self._credit = float(_BURST)
+        self._credit = float(LIMITS.burst_frames)
         self._credited = now
 
     def feed(self, data: bytes, now: float) -> list[Frame]:
@@ -83,7 +90,7 @@ class Peer:
 
     def update_credit(self, now: float) -> float:
         """Return how many frames may be read from the station now."""
-        self._credit = min(float(_BURST), self._credit + (now - self._credited) * FRAMES_A_SECOND)
+        self._credit = min(float(LIMITS.burst_frames), self._credit + (now - self._credited) * LIMITS.frames_1_s)
         self._credited = now
         return self._credit
 
@@ -95,7 +102,7 @@ class Peer:
 
     def send(self, packed: Message, priority: Priority = Priority.ANSWER) -> bool:
         """Queue a message that must arrive, and return whether there was room for it."""
-        if self._waiting > LIMIT:
+        if self._waiting > LIMITS.max_bytes:
             self.stuck = True
             self.dropped += 1
             return False
@@ -153,7 +160,7 @@ class Peer:
     @property
     def is_behind(self) -> bool:
         """Whether so many answers wait that lists and files should pause."""
-        return self._waiting > BULK
+        return self._waiting > LIMITS.pause_bytes
 
     def _size(self, packed: Message) -> int:
         """Return the bytes of a message's frame, with its signature."""

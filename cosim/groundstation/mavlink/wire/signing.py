@@ -19,11 +19,10 @@ from cosim.base.storage.files import read_text
 EPOCH = 1420070400.0  # s: 2015-01-01 as UNIX time
 _TICKS = 100_000  # time stamps per second
 _BEHIND = 60 * _TICKS  # a new stream's time stamp may be this far behind
-_SHORTEST = 8  # least number of characters of a pass phrase; chosen by us
 _HEX = "hex:"
 
 
-def read_key(path: Path) -> bytes:
+def read_key(path: Path, min_length: int = 8) -> bytes:
     """Read a key from a file, which has a pass phrase, or ``hex:`` and 64 digits.
 
     The key of a pass phrase is its SHA-256, as in QGroundControl and MAVProxy.  Raises InputError.
@@ -37,8 +36,8 @@ def read_key(path: Path) -> bytes:
         if len(key) != 32:
             raise InputError(f"{path}: {_HEX} must be followed by 64 hexadecimal digits")
         return key
-    if len(text) < _SHORTEST or "\n" in text:
-        raise InputError(f"{path}: must hold one line: a pass phrase of at least {_SHORTEST} characters, or {_HEX}...")
+    if len(text) < min_length or "\n" in text:
+        raise InputError(f"{path}: must hold one line: a pass phrase of at least {min_length} characters, or {_HEX}...")
     return hashlib.sha256(text.encode()).digest()
 
 

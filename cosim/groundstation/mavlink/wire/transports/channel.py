@@ -4,23 +4,33 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from cosim.base.errors import InputError
-from cosim.groundstation.mavlink.wire.hub import Hub
 from cosim.groundstation.mavlink.wire.peer import Peer
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
-# Chosen by us.
-MOST_PEERS = 16  # stations on one server
-EVICT = 10.0  # s: a station that was silent for this long is replaced by a new one
-UNHEARD = 3.0  # s: the same for a station that has sent nothing yet; ground stations send a heartbeat once a second
-READS = 64  # reads from one socket before the others are read
-DATAGRAM = 2048  # bytes; a frame has at most 280
-STALL = 10.0  # s: a connection that accepts nothing for this long is closed
-RETRY = 1.0  # s between two attempts to connect again
-_RESUME = 100.0  # frames of credit with which a station that flooded is read again
+if TYPE_CHECKING:
+    from cosim.groundstation.mavlink.wire.link import Link
 
+
+class TransportLimits(NamedTuple):
+    """Limits of servers and connections, chosen by us."""
+
+    max_stations: int = 16  # on one server
+    # A station that was silent for so long is replaced by a new one; one that has sent nothing yet goes sooner, as
+    # ground stations send a heartbeat once a second.
+    evict_s: float = 10.0
+    unheard_s: float = 3.0
+    reads: int = 64  # from one socket before the others
+    datagram_bytes: int = 2048  # a frame has at most 280
+    stall_s: float = 10.0  # until a connection is closed
+    retry_s: float = 1.0  # between two attempts to connect
+    # Credit with which a station that flooded is read again.
+    resume_frames: float = 100.0
+
+
+LIMITS = TransportLimits()
 Address = Any
 
 
@@ -38,7 +48,7 @@ class Channel(Protocol):
 class ReadGate:
     """Flow control of a socket: read only while its station has credit, so that a flood stays in the system."""
 
-    def __init__(self, link: Hub, item: Any, ready: Callable[[int], None]) -> None:
+    def __init__(self, link: Link, item: Any, ready: Callable[[int], None]) -> None:
         self._link, self._item, self._ready = link, item, ready
         self._open = True
         link.watch(item, ready)
@@ -52,7 +62,7 @@ class ReadGate:
 
     def poll(self, peer: Peer, now: float) -> None:
         """Read again when it has credit."""
-        if not self._open and peer.update_credit(now) > _RESUME:
+        if not self._open and peer.update_credit(now) > LIMITS.resume_frames:
             self._open = True
             self._link.watch(self._item, self._ready)
 
@@ -61,12 +71,12 @@ class Connection:
     """A station over one connection.
 
     ``item``: a file or socket to be watched; ``read`` and ``write`` are its own and never wait.
-    A connection that has taken nothing for ``STALL`` is closed; ``why`` then says so.
+    A connection that has taken nothing for ``LIMITS.stall_s`` is closed; ``why`` then says so.
     """
 
     def __init__(
         self,
-        link: Hub,
+        link: Link,
         name: str,
         item: Any,
         read: Callable[[], bytes],
@@ -117,10 +127,10 @@ class Connection:
         if not self.open:
             return
         self._gate.poll(peer, now)
-        if peer.blocked_seconds(now) > STALL or peer.stuck:
+        if peer.blocked_seconds(now) > LIMITS.stall_s or peer.stuck:
             self._link.refused["stuck"] += 1
             self.stalled = True
-            self.close("too much waits for it" if peer.stuck else f"it has taken nothing for {STALL:g} s")
+            self.close("too much waits for it" if peer.stuck else f"it has taken nothing for {LIMITS.stall_s:g} s")
 
     def close(self, why: str = "") -> None:
         """Close the connection for a reason; may be called twice."""
@@ -153,4 +163,4 @@ def name_station(kind: str, address: Address) -> str:
 
 def is_replaceable(peer: Peer, now: float) -> bool:
     """Return whether a new station may replace this one, which has been silent for too long."""
-    return peer.silent_seconds(now) > (EVICT if peer.last_heard >= 0.0 else UNHEARD)
+    return peer.silent_seconds(now) > (LIMITS.evict_s if peer.last_heard >= 0.0 else LIMITS.unheard_s)

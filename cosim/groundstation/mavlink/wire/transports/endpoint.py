@@ -10,18 +10,17 @@ from cosim.base.errors import InputError
 from cosim.base.removed import describe_removed
 
 SYSTEMS = range(1, 251)  # MAVLink ids of vehicles; ground stations use those above
-_SINGLE = 10  # MAVSDK's ports end with 14549, where all the others share the last one; PX4's simulation does the same
 NETWORK = ("udpout", "udpin", "tcp", "tcpin")
 LOOPBACK = "127.0.0.1"
 _FORMS = "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT or tcpin:[HOST:]PORT"
 
 
-def default_urls(system: int = 1) -> tuple[str, str]:
+def default_urls(system: int = 1, single: int = 10) -> tuple[str, str]:
     """Return the default links of a vehicle by its system id.
 
     QGroundControl listens on 14550 to all vehicles; programs with MAVSDK to one each, 14540 the first.
     """
-    return "udpout:127.0.0.1:14550", f"udpout:127.0.0.1:{14540 + min(system, _SINGLE) - 1}"
+    return "udpout:127.0.0.1:14550", f"udpout:127.0.0.1:{14540 + min(system, single) - 1}"
 
 
 class Endpoint(NamedTuple):

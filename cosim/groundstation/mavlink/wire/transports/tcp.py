@@ -5,13 +5,11 @@ from __future__ import annotations
 import contextlib
 import selectors
 import socket
+from typing import TYPE_CHECKING
 
-from cosim.groundstation.mavlink.wire.hub import Hub
 from cosim.groundstation.mavlink.wire.peer import Peer
 from cosim.groundstation.mavlink.wire.transports.channel import (
-    DATAGRAM,
-    MOST_PEERS,
-    RETRY,
+    LIMITS,
     Connection,
     is_replaceable,
     name_station,
@@ -19,30 +17,33 @@ from cosim.groundstation.mavlink.wire.transports.channel import (
 )
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
+if TYPE_CHECKING:
+    from cosim.groundstation.mavlink.wire.link import Link
+
 # Bytes that the kernel may buffer for a connection, and how many of them may be unsent: old telemetry is of no use
 # to a slow reader.
-_KERNEL = 65536
-_UNSENT = 4096
 _UNSENT_OPTION = getattr(socket, "TCP_NOTSENT_LOWAT", None)
 
 
-def _connection(link: Hub, name: str, connection: socket.socket) -> Connection:
+def _connection(
+    link: Link, name: str, connection: socket.socket, kernel_bytes: int = 65536, unsent_bytes: int = 4096
+) -> Connection:
     connection.setblocking(False)
     with contextlib.suppress(OSError):
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, kernel_bytes)
         if _UNSENT_OPTION is not None:
-            connection.setsockopt(socket.IPPROTO_TCP, _UNSENT_OPTION, _UNSENT)
-    return Connection(link, name, connection, lambda: connection.recv(DATAGRAM), connection.send)
+            connection.setsockopt(socket.IPPROTO_TCP, _UNSENT_OPTION, unsent_bytes)
+    return Connection(link, name, connection, lambda: connection.recv(LIMITS.datagram_bytes), connection.send)
 
 
 class TcpServer:
     """A server for several connections."""
 
-    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
+    def __init__(self, link: Link, endpoint: Endpoint) -> None:
         self._link = link
         self._socket = open_socket(endpoint, socket.SOCK_STREAM, bind=True)
-        self._socket.listen(MOST_PEERS)
+        self._socket.listen(LIMITS.max_stations)
         self.port = int(self._socket.getsockname()[1])
         self._streams: list[Connection] = []
         link.watch(self._socket, self._ready)
@@ -65,7 +66,7 @@ class TcpServer:
     def _room(self) -> bool:
         """Return whether there is room for one more station, which may replace a silent one."""
         streams = self._streams = [stream for stream in self._streams if stream.open]
-        if len(streams) < MOST_PEERS:
+        if len(streams) < LIMITS.max_stations:
             return True
         now = self._link.now()
         idle = [stream for stream in streams if is_replaceable(stream.peer, now)]
@@ -96,7 +97,7 @@ class TcpClient:
 
     port = 0
 
-    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
+    def __init__(self, link: Link, endpoint: Endpoint) -> None:
         self._link = link
         self._endpoint = endpoint
         self._attempt: socket.socket | None = None
@@ -127,7 +128,7 @@ class TcpClient:
             self._stream = None
         if now < self._next or self._attempt is not None:
             return
-        self._next = now + RETRY
+        self._next = now + LIMITS.retry_s
         attempt = socket.socket(self._endpoint.family, socket.SOCK_STREAM)
         attempt.setblocking(False)
         try:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
-from cosim.groundstation.mavlink.wire.hub import Hub
 from cosim.groundstation.mavlink.wire.peer import Peer
 from cosim.groundstation.mavlink.wire.transports.channel import (
-    DATAGRAM,
-    MOST_PEERS,
-    READS,
+    LIMITS,
     Address,
     ReadGate,
     is_replaceable,
@@ -19,7 +17,8 @@ from cosim.groundstation.mavlink.wire.transports.channel import (
 )
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 
-FORGET = 30.0  # s: a station behind a UDP server that is silent for so long is gone; chosen by us
+if TYPE_CHECKING:
+    from cosim.groundstation.mavlink.wire.link import Link
 
 
 def _without_waiting(send: Callable[[bytes], int]) -> Callable[[bytes], int]:
@@ -38,9 +37,9 @@ def _without_waiting(send: Callable[[bytes], int]) -> Callable[[bytes], int]:
 
 def _datagrams(source: socket.socket) -> Iterator[tuple[bytes, Address]]:
     """Iterate over datagrams and their senders, as many as one socket may be read in its turn."""
-    for _ in range(READS):
+    for _ in range(LIMITS.reads):
         try:
-            yield source.recvfrom(DATAGRAM)
+            yield source.recvfrom(LIMITS.datagram_bytes)
         except (BlockingIOError, InterruptedError):
             return
         except OSError:
@@ -52,7 +51,7 @@ class UdpClient:
 
     port = 0
 
-    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
+    def __init__(self, link: Link, endpoint: Endpoint) -> None:
         self._link = link
         self._socket = open_socket(endpoint, socket.SOCK_DGRAM, bind=False)
         self._target = (endpoint.host, endpoint.port)
@@ -88,7 +87,7 @@ class ConnectedStation:
     """
 
     def __init__(
-        self, link: Hub, server: socket.socket, address: Address, stray: Callable[[bytes, Address], None]
+        self, link: Link, server: socket.socket, address: Address, stray: Callable[[bytes, Address], None]
     ) -> None:
         self._link = link
         self._address = address
@@ -111,13 +110,13 @@ class ConnectedStation:
 
     def _ready(self, mask: int) -> None:
         link = self._link
-        for _ in range(READS):
+        for _ in range(LIMITS.reads):
             now = link.now()
             if self.peer.update_credit(now) < 1.0:
                 self._gate.pause()
                 return
             try:
-                data, address = self._socket.recvfrom(DATAGRAM)
+                data, address = self._socket.recvfrom(LIMITS.datagram_bytes)
             except (BlockingIOError, InterruptedError):
                 return
             except OSError:
@@ -139,7 +138,7 @@ class ConnectedStation:
 class SharedSocketStation:
     """One station behind a UDP server where the system has no socket of its own for it."""
 
-    def __init__(self, link: Hub, server: socket.socket, address: Address) -> None:
+    def __init__(self, link: Link, server: socket.socket, address: Address) -> None:
         transmit = _without_waiting(lambda data: server.sendto(data, address))
         self.peer = link.new_peer(name_station("udpin", address), transmit, is_datagram=True)
 
@@ -151,9 +150,13 @@ class SharedSocketStation:
 
 
 class UdpServer:
-    """A UDP server, whose stations are the addresses from which a valid frame has come."""
+    """A UDP server, whose stations are the addresses from which a valid frame has come.
 
-    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
+    ``forget_s``: after which a silent station is gone.
+    """
+
+    def __init__(self, link: Link, endpoint: Endpoint, forget_s: float = 30.0) -> None:
+        self.forget_s = forget_s
         self._link = link
         self._socket = open_socket(endpoint, socket.SOCK_DGRAM, bind=True)
         self.port = int(self._socket.getsockname()[1])
@@ -188,7 +191,7 @@ class UdpServer:
         link.dispatch_frames(frames, station.peer, now)
 
     def _room(self, now: float) -> bool:
-        if len(self._stations) < MOST_PEERS:
+        if len(self._stations) < LIMITS.max_stations:
             return True
         oldest = max(self._stations, key=lambda address: self._stations[address].peer.silent_seconds(now))
         if not is_replaceable(self._stations[oldest].peer, now):
@@ -200,7 +203,7 @@ class UdpServer:
     def poll(self, now: float) -> None:
         for address, station in list(self._stations.items()):
             station.poll(now)
-            if now - station.peer.last_heard > FORGET:
+            if now - station.peer.last_heard > self.forget_s:
                 self._stations.pop(address).close()
 
     def close(self) -> None:
