@@ -140,10 +140,7 @@ def _authority_json(authority: Authority) -> dict[str, Any]:
 
 
 def _forces(simulation: Simulation, tolerance: float = 1e-9) -> Line:
-    """Compare each jet's force and moment in JSBSim with ``r x F``, hinges at zero and at the ends of their ranges.
-
-    ``tolerance``: how well JSBSim and r x F must agree, of the larger one: rounding.
-    """
+    """Compare each jet's force and moment in JSBSim with ``r x F``, hinges at zero and at the ends of their ranges."""
     vehicle, frame = simulation.vehicle, simulation.airframe
     layout, propulsion = vehicle.layout(), simulation.propulsion
     stances = [(0.0,) * len(vehicle.turns), *zip(*vehicle.turns, strict=True)]
@@ -215,7 +212,6 @@ def _thrust(simulation: Simulation) -> tuple[Array, Array]:
 
 
 def _lift(whole: Authority, min_lift: float = 1.15) -> Line:
-    """``min_lift``: thrust over weight with less than which height and attitude fight for thrust."""
     text = f"thrust in balance {whole.lift:.2f} times the weight"
     if whole.lift < 1.0:
         return Line(

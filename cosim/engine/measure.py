@@ -128,7 +128,6 @@ def _measure(
 def _small_step(
     hold: Hold, window: int, step: float, quiet: float, rest: float, span: float, min_change_over_rest: float = 5.0
 ) -> SmallStep | None:
-    """``min_change_over_rest``: thrust change of a small step over the engine's own movement at rest."""
     thrusts: list[float] = []
 
     def recorded(throttle: float, steps: int) -> list[float]:

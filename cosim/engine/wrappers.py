@@ -225,10 +225,7 @@ class EngineChain:
         return tuple([index + 1 for index in sorted(self._restarts)])
 
     def _update_restarts(self, thrust: PerJet, started: float = 0.9) -> None:
-        """Forget the engines that have come up, and those that have had long enough.
-
-        ``started``: an engine is up at this fraction of the thrust with which it idles.
-        """
+        """Forget the engines that have come up, and those that have had long enough."""
         idle = self._idle
         left = {i: steps - 1 for i, steps in self._restarts.items() if thrust[i] < started * idle[i]}
         self._restarts = {index: steps for index, steps in left.items() if steps > 0}

@@ -19,8 +19,6 @@ from hexjet_design.loop.firmware import Firmware
 from hexjet_design.loop.limit import need_solver
 from hexjet_design.loop.tuning import Tuning, candidates, designable
 
-COMPLEXITY_COST = 0.06  # of the objective: a more complex controller must answer 3 % faster to be chosen
-LEAD_COST = 0.19  # the same of a lead, 10 % faster: it works the throttle, and believes in the engine's lags
 WITH_LEAD = " + lead"
 
 
@@ -66,14 +64,16 @@ def design_axis_at_limit(
     return replace(axis, candidates={LAW: value}, after=assess(channel, tuning, need), checks=checks)
 
 
-def find_simplest(objectives: Mapping[str, float]) -> str:
+def find_simplest(objectives: Mapping[str, float], complexity_cost: float = 0.06, lead_cost: float = 0.19) -> str:
     """Return the name of the first candidate, in the order of what they take, that is as good as the best.
 
-    Those with a lead only where it pays.
+    Those with a lead only where it pays.  ``complexity_cost``: of the objective: a more complex controller must answer
+    3 % faster to be chosen.  ``lead_cost``: the same of a lead, 10 % faster: it works the throttle, and believes in the
+    engine's lags.
     """
     led = {name: value for name, value in objectives.items() if name.endswith(WITH_LEAD)}
     plain = {name: value for name, value in objectives.items() if name not in led}
     least = min(plain.values())
-    among = led if led and min(led.values()) < least - LEAD_COST else plain
-    enough = min(among.values()) + COMPLEXITY_COST
+    among = led if led and min(led.values()) < least - lead_cost else plain
+    enough = min(among.values()) + complexity_cost
     return next(name for name, value in among.items() if value <= enough)

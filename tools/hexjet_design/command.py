@@ -155,7 +155,6 @@ def fly_command(options: DesignOptions, file: Path) -> str:
 
 # columns at a fuel level; the report has every column
 AT_A_LEVEL = ("peak |S|", "phase deg", "bandwidth Hz", "tolerated")
-NAME_WIDTH = 32  # "altitude, 75% of fuel, scheduled"
 
 
 def print_design(design: Design, paths: dict[str, Path]) -> None:
@@ -191,8 +190,8 @@ def _show_in_pieces(lines: Sequence[Sequence[str]]) -> None:
         _show([[line[0], *line[first : first + side]] for line in lines])
 
 
-def _show(lines: Sequence[Sequence[str]]) -> None:
+def _show(lines: Sequence[Sequence[str]], name_width: int = 32) -> None:
     """Print a table, headings first; a line's name is wrapped last."""
-    width = min(NAME_WIDTH, max(len(line[0]) for line in lines))
+    width = min(name_width, max(len(line[0]) for line in lines))
     numbers = range(1, len(lines[0]))
     show_table(lines[0], lines[1:], numbers, name_width=width, pad_edge=False, collapse_padding=True)

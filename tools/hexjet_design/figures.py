@@ -19,9 +19,6 @@ from hexjet_design.loop.tuning import Tuning
 Figure = dict[str, Any]
 
 POINTS = 1500
-TIME_POINTS = 1500  # points in time
-FAR = 3.0  # of Nyquist's plane
-TIMES = 25.0  # delays of the channel that are drawn in time
 
 
 def design_figures(design: Design) -> dict[str, Figure]:
@@ -127,16 +124,16 @@ def _margin_mark(name: str, colour: str, point: MarginPoint, limit: float, panel
     return trace(name, colour, at, [limit, point.value], panel, **style, showlegend=False)
 
 
-def nyquist(curves: Sequence[Curve], peak: float, height: int = 460) -> Figure:
+def nyquist(curves: Sequence[Curve], peak: float, height: int = 460, far: float = 3.0) -> Figure:
     """Draw open loops in the complex plane, with the circle on which ``|S|`` is ``peak``."""
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     data = [trace(f"|S| = {peak:.3g}", RED, np.cos(turn) / peak - 1.0, np.sin(turn) / peak)]
     for curve in curves:
-        near = np.abs(curve.loop) < 2.0 * FAR
+        near = np.abs(curve.loop) < 2.0 * far
         data.append(trace(curve.label, curve.colour, curve.loop.real[near], curve.loop.imag[near], **curve.style))
     layout = panels(height, "real part of L", ["imaginary part of L"], False)
-    layout["xaxis"]["range"] = [-FAR, 1.0]
-    layout["yaxis"] |= {"range": [-FAR / 2.0 - 0.5, FAR / 2.0 + 0.5], "scaleanchor": "x"}
+    layout["xaxis"]["range"] = [-far, 1.0]
+    layout["yaxis"] |= {"range": [-far / 2.0 - 0.5, far / 2.0 + 0.5], "scaleanchor": "x"}
     return {"data": data, "layout": layout}
 
 
@@ -154,14 +151,17 @@ def _sensitivity(loops: list[tuple[str, str, ClosedLoop, bool]], design: Design)
     return {"data": data, "layout": layout}
 
 
-def _step(loops: list[tuple[str, str, ClosedLoop, bool]], axis_design: AxisDesign) -> Figure:
+def _step(
+    loops: list[tuple[str, str, ClosedLoop, bool]], axis_design: AxisDesign, points: int = 1500, times: float = 25.0
+) -> Figure:
+    """Draw the answers in time over so many ``times`` the channel's pace."""
     data: list[Figure] = []
-    end = TIMES * axis_design.channel.pace_s
+    end = times * axis_design.channel.pace_s
     for label, colour, loop, stable in loops:
         if not stable:
             continue
         # every millisecond of a long response is more than a page shows
-        every = max(1, round(end / TIME_POINTS / axis_design.channel.step))
+        every = max(1, round(end / points / axis_design.channel.step))
         angle, load = loop.steps.angle[::every], loop.steps.load[::every]
         time = np.arange(len(angle), dtype=np.float64) * every * axis_design.channel.step
         keep = time <= end

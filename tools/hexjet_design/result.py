@@ -29,7 +29,6 @@ from hexjet_design.proof.result import Proof
 PAGE = "design.html"
 NOT_PROVED = "NOT PROVED"  # a controller that is written though its proof failed
 OPTIONS = ("engine_spread", "gain_tolerance", "delay_tolerance")  # what allows a design whose proof failed
-NOTHING = 3.0  # %: less than this a search does not tell from its own error
 
 
 def write(design: Design, out: Path | None) -> dict[str, Path]:
@@ -296,7 +295,7 @@ def _lead_words(lead: EngineLead) -> str:
     return f"a lead moves the engine's {moved}; it asks at first for {times:.1f} times what it wants"
 
 
-def _limit_lines(roll: AxisDesign) -> list[str]:
+def _limit_lines(roll: AxisDesign, negligible_percent: float = 3.0) -> list[str]:
     after = roll.after
     assert after is not None
     assert after.bandwidth_hz is not None
@@ -307,7 +306,7 @@ def _limit_lines(roll: AxisDesign) -> list[str]:
     limits = []
     for limit, value in roll.limits.items():
         gain = 100.0 * (value / after.bandwidth_hz - 1.0)
-        more = f"{value:.2f} Hz ({gain:+.0f} %)" if gain > NOTHING else "the same"
+        more = f"{value:.2f} Hz ({gain:+.0f} %)" if gain > negligible_percent else "the same"
         limits.append(f"without {limit} {more}")
     return [f"{reached}, limited most by {most}: {', '.join(limits)}"]
 

@@ -71,21 +71,21 @@ _TARGET_TEXTS = {
 TARGET_NOTES = {
     autopilot: {target: wrap(text, 96) for target, text in texts.items()} for autopilot, texts in _TARGET_TEXTS.items()
 }
-_AROUND_HOVER = 0.03  # of thrust, either way, over which a throttle's slope is taken; chosen by us
 
 
-def vehicle_in_throttle(scenario: Scenario) -> Vehicle:
+def vehicle_in_throttle(scenario: Scenario, around_hover: float = 0.03) -> Vehicle:
     """Return a scenario's vehicle with rate gains in throttle, where ours ask for shares of thrust.
 
     An autopilot's torque is throttle, and nothing bends it as our allocation does: what a throttle gives around hover
-    is the slope of the engine's curve.  A straight curve leaves the vehicle as it is.
+    is the slope of the engine's curve.  A straight curve leaves the vehicle as it is.  ``around_hover``: of thrust,
+    either way, over which a throttle's slope is taken.
     """
     vehicle, belief = scenario.resolved_vehicle()[0], make_scenario_belief(scenario, {})
     if belief.thrust_map.identity:
         return vehicle
     jets, hover = len(vehicle.jets), belief.hover
-    more, less = (belief.thrust_map.throttle((hover + way,) * jets) for way in (_AROUND_HOVER, -_AROUND_HOVER))
-    slope = (sum(more) - sum(less)) / (2.0 * _AROUND_HOVER * jets)
+    more, less = (belief.thrust_map.throttle((hover + way,) * jets) for way in (around_hover, -around_hover))
+    slope = (sum(more) - sum(less)) / (2.0 * around_hover * jets)
     rate = vehicle.control.rate
     changed = {}
     for index, axis in enumerate(AXES):

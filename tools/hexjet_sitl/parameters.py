@@ -28,29 +28,28 @@ from hexjet_sitl.lockstep import PARAMETER_NAME
 # and its loop holds the turn back: a yaw designed for 1 % of overshoot had 6.  200 is the most that it takes.  How late
 # GNSS is: until 1.17, and after it.
 PX4_OF_SOME_RELEASES = ("MC_YAW_TQ_CUTOFF", "MC_REF_W_N", "EKF2_GPS_DELAY", "SENS_GPS0_DELAY")
-_THRUST = 6.5  # default of CA_ROTOR_CT
-_MIN_OFFSET_M = 0.01  # m, to the left or right, below which PX4 gives a tilt no yaw
-_MAX_ROTORS = 12  # limit of PX4's control allocation
 # SDLOG_PROFILE: what PX4 logs by itself, and torques and rates at every sample.  It thins them out to 50 Hz else, and a
 # command that is read held for 20 ms seems to act 8 ms sooner than it does.
 _EVERY_SAMPLE = 1 + 8 + 16
 _HOVER_RANGE = (0.1, 0.8)  # of MPC_THR_HOVER
 _MIN_IMU_HZ, _MAX_IMU_HZ = 100, 1000  # range of IMU_INTEG_RATE
-_MAX_MOTORS = 12  # of ArduCopter, AP_MOTORS_MAX_NUM_MOTORS in 4.6
 
 
-def px4_torque_scale(vehicle: Vehicle) -> Vector3:
+def px4_torque_scale(vehicle: Vehicle, thrust_coefficient: float = 6.5) -> Vector3:
     """Return what a torque of 1 is for PX4: throttle about roll, rad of tilt about the others (throttle without tilts).
 
     Tilts count with a torque of 1 each and rotors with their levers, roll and pitch have one scale, and with tilts the
     rotors give no yaw and are told to stand at x = 0, so that they give no pitch.  Its size alone: the signs are those
-    of :func:`px4_parameters`.  Raises InputError as :func:`tilt_pitch_sign`.
+    of :func:`px4_parameters`.  Raises InputError as :func:`tilt_pitch_sign`.  ``thrust_coefficient``: default of
+    CA_ROTOR_CT.
     """
     columns = []
     for jet in vehicle.jets:
         x, y, _ = jet.position_m
-        columns.append(_THRUST * np.array([-y, 0.0 if vehicle.servo else x, 0.0 if vehicle.servo else jet.reaction_m]))
-    vertical = [-_THRUST] * len(columns)
+        columns.append(
+            thrust_coefficient * np.array([-y, 0.0 if vehicle.servo else x, 0.0 if vehicle.servo else jet.reaction_m])
+        )
+    vertical = [-thrust_coefficient] * len(columns)
     if vehicle.servo:
         pitch = tilt_pitch_sign(vehicle)
         columns += [np.array([0.0, pitch, 1.0]), np.array([0.0, pitch, -1.0])]  # left and right bank, tilted forward
@@ -77,12 +76,13 @@ def pair_rate_gains(vehicle: Vehicle, torque: Vector3) -> tuple[tuple[str, RateG
     return tuple(zip(AXES, (control.roll, control.pitch, control.yaw), torque, strict=True))
 
 
-def tilt_pitch_sign(vehicle: Vehicle) -> float:
+def tilt_pitch_sign(vehicle: Vehicle, min_offset_m: float = 0.01) -> float:
     """Return the sign of the pitch moment of a bank of PX4's that is tilted forward: 1 nose up, -1 nose down.
 
     A thrust that is turned forward pushes forward at the height of its jet: nose up where that is below the centre of
     gravity (z > 0).  Raises InputError for banks that PX4 has no words for: each of its tilts gives as much pitch as
-    the other, and turns the nose to the other side.
+    the other, and turns the nose to the other side.  ``min_offset_m``: m, to the left or right, below which PX4 gives a
+    tilt no yaw.
     """
     levers = {side: [jet.position_m for jet in vehicle.jets if jet.servo == side] for side in ("left", "right")}
     heights = {side: sum(z for _, _, z in positions) for side, positions in levers.items()}
@@ -94,10 +94,10 @@ def tilt_pitch_sign(vehicle: Vehicle) -> float:
         )
     for side, positions in levers.items():
         for x, y, _ in positions:
-            if abs(y) <= _MIN_OFFSET_M or (y > 0.0) != (side == "right"):
+            if abs(y) <= min_offset_m or (y > 0.0) != (side == "right"):
                 raise InputError(
                     f"px4: {vehicle.name}: the {side} bank's jet at x = {x:g} m stands at y = {y:g} m; PX4 takes a "
-                    f"tilt's yaw from its side: allowed is more than {_MIN_OFFSET_M:g} m to the {side}"
+                    f"tilt's yaw from its side: allowed is more than {min_offset_m:g} m to the {side}"
                 )
     return 1.0 if heights["left"] > 0.0 else -1.0
 
@@ -106,19 +106,19 @@ def _height(lever: float) -> str:
     return "below" if lever > 0.0 else "above" if lever < 0.0 else "at the height of"
 
 
-def px4_parameters(vehicle: Vehicle) -> dict[str, float]:
+def px4_parameters(vehicle: Vehicle, max_rotors: int = 12) -> dict[str, float]:
     """Return PX4's parameters of a vehicle, on a board as in a simulation: geometry, rate and attitude gains, filters.
 
     Control allocation is that of a multirotor, or of one with tilts.  PX4 takes what a tilt does from its direction and
     the side of its rotors, wherever these stand in height: a tilt towards the front is nose down to it.  Of jets below
     the centre of gravity that is wrong, so it is told of a tilt towards the back, which is nose up to it, and of the
-    other side's rotors, as by its rule the yaw of that tilt would be the wrong way round then.
-    Raises InputError for a vehicle that PX4 has no words for.
+    other side's rotors, as by its rule the yaw of that tilt would be the wrong way round then. Raises InputError for a
+    vehicle that PX4 has no words for.  ``max_rotors``: limit of PX4's control allocation.
     """
     jets, control = vehicle.jets, vehicle.control
     refuse_effectiveness("px4", vehicle)
-    if len(jets) > _MAX_ROTORS:
-        raise InputError(f"px4: {vehicle.name}: has {len(jets)} engines; allowed are {_MAX_ROTORS} at most")
+    if len(jets) > max_rotors:
+        raise InputError(f"px4: {vehicle.name}: has {len(jets)} engines; allowed are {max_rotors} at most")
     parameters: dict[str, float] = {"CA_AIRFRAME": 8 if vehicle.servo else 0, "CA_ROTOR_COUNT": len(jets)}
     tilts_back = vehicle.servo is not None and tilt_pitch_sign(vehicle) > 0.0
     for index, jet in enumerate(jets):
@@ -265,7 +265,6 @@ def ardupilot_sticks(release: Release = NEWEST) -> dict[str, float]:
     return _name_as_of(release, _ARDUPILOT_STICKS)
 
 
-_LOITER = 5  # number of the mode
 _ARDUPILOT_HOVER_RANGE = 0.125, 0.6875  # of MOT_THST_HOVER
 
 
@@ -299,21 +298,21 @@ def ardupilot_frame(vehicle: Vehicle) -> tuple[int, list[int]]:
     )
 
 
-def ardupilot_script(vehicle: Vehicle) -> str | None:
+def ardupilot_script(vehicle: Vehicle, max_motors: int = 12) -> str | None:
     """Return the Lua script that is the mixer of a vehicle with two tilting banks; None for a frame of ArduCopter.
 
     ``Motors_6DoF`` takes a motor's part of roll, pitch, yaw and throttle as they are
     (``AP_MotorsMatrix_6DoF_Scripting`` and ``AC_AttitudeControl_Multi_6DoF``, read in 4.6): an engine has throttle and
     roll, and a tilt is a motor that goes both ways, with pitch and yaw alone.  That frame flies sideways without a lean
-    as it ships, which is switched off.
-    Raises InputError for more outputs than it has.
+    as it ships, which is switched off. Raises InputError for more outputs than it has.  ``max_motors``: of ArduCopter,
+    AP_MOTORS_MAX_NUM_MOTORS in 4.6.
     """
     if vehicle.servo is None:
         return None
     jets = vehicle.jets
-    if len(jets) + 2 > _MAX_MOTORS:
+    if len(jets) + 2 > max_motors:
         raise InputError(
-            f"ardupilot: {vehicle.name}: {len(jets)} engines and two tilts; allowed are {_MAX_MOTORS} outputs at most"
+            f"ardupilot: {vehicle.name}: {len(jets)} engines and two tilts; allowed are {max_motors} outputs at most"
         )
     pitch = 1 if sum(jet.position_m[2] for jet in jets) > 0.0 else -1  # a tilt to the front, below the centre: nose up
     rows = [("0.5" if jet.servo == "left" else "-0.5", 0, 0, 1, "false") for jet in jets]
@@ -396,7 +395,7 @@ def ardupilot_hold(throttle: float, least: float) -> dict[str, float]:
 
     ``throttle``: of hover, from which its control of the height starts; ``least``: MOT_SPIN_MIN.
     """
-    return {"FLTMODE6": _LOITER, "MOT_THST_HOVER": clip((throttle - least) / (1.0 - least), *_ARDUPILOT_HOVER_RANGE)}
+    return {"FLTMODE6": 5, "MOT_THST_HOVER": clip((throttle - least) / (1.0 - least), *_ARDUPILOT_HOVER_RANGE)}
 
 
 def leave_ardupilot_gains(parameters: Mapping[str, float]) -> dict[str, float]:

@@ -19,8 +19,6 @@ STILL_SPEED, STILL_TIME = 0.1, 1.0
 # which a pilot lets go of it, which is the autopilots' own dead zone.
 CLIMB, LET_GO = 3.0, 0.1
 
-TARGET_TIME = 5.0  # s in which a pilot sees that the autopilot holds another heading
-
 
 def find_hover_throttle(belief: Belief) -> float:
     """Return the mean throttle of the engines at which the vehicle hovers, as it begins the flight."""
@@ -101,7 +99,7 @@ class StickPilot:
             True,
         )
 
-    def _turn_stick(self, yaw: float, heading: float) -> float:
+    def _turn_stick(self, yaw: float, heading: float, target_s: float = 5.0) -> float:
         """Return the yaw stick for a commanded heading [rad] at a measured one."""
         if not self._turns_target:
             return self._heading * wrap(yaw - heading) / self._turn
@@ -110,7 +108,7 @@ class StickPilot:
             self._turned = clip(self._heading * wrap(yaw - target) / self._turn, -1.0, 1.0)
         # What is held may be another than what is believed to be: by how far the vehicle is from where it should have
         # turned to tells, slowly; by how far it is from what is held would be a second loop while it turns.
-        off = wrap(heading - expected) / TARGET_TIME
+        off = wrap(heading - expected) / target_s
         expected += self._step * (off + self._heading * wrap(target - expected))
         self._target = target + self._step * (self._turned * self._turn + off), expected
         return self._turned

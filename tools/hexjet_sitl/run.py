@@ -27,8 +27,6 @@ from hexjet_sitl.block import AutopilotBlock, StationarySensors
 from hexjet_sitl.lockstep import Autopilot, FirmwareReport, LockstepCounts
 
 LOCKSTEP = "lockstep.json"  # in a run's folder: what was counted
-MAX_STEP_LIMIT_S = 3600.0  # of a step, by the scenario; the autopilots' own bounds are shorter
-_FLUSH = 250  # rows, a second of flight
 
 
 @dataclass(frozen=True)
@@ -52,9 +50,9 @@ class _AnswerWriter:
         except OSError as error:
             raise InputError(f"{path}: {error.strerror or error}") from error
 
-    def observe(self, sample: Sample) -> None:
-        """Write the new answers once there is about a second of them."""
-        if len(self._block.rows) - self._written >= _FLUSH:
+    def observe(self, sample: Sample, flush_rows: int = 250) -> None:
+        """Write the new answers once there is about a second of them.  ``flush_rows``: rows, a second of flight."""
+        if len(self._block.rows) - self._written >= flush_rows:
             self.write()
 
     def write(self) -> None:
@@ -115,12 +113,13 @@ def fly_autopilot(
     observers: Sequence[Observer] = (),
     realtime_factor: float | None = None,
     page: bool = True,
+    max_step_limit_s: float = 3600.0,
 ) -> AutopilotRun:
     """Fly a scenario with an autopilot in the place of the controller, and close the autopilot.
 
     ``page``: whether to make one.  A crash, an autopilot that ends or hangs, and Ctrl-C are outcomes, and the run is
     kept.  Raises InputError for what cannot be flown, and FlightError for an autopilot that does not begin; there is no
-    run then.
+    run then.  ``max_step_limit_s``: of a step, by the scenario; the autopilots' own bounds are shorter.
     """
     label, block = autopilot.name, AutopilotBlock(autopilot)
     try:
@@ -138,7 +137,7 @@ def fly_autopilot(
             columns=COLUMNS,
             is_copied=False,
         )
-        scenario = scenario.replace(controller=source.name, controller_limit_s=MAX_STEP_LIMIT_S, expect=[])
+        scenario = scenario.replace(controller=source.name, controller_limit_s=max_step_limit_s, expect=[])
         with build(scenario, source) as simulation:
             autopilot.start()
             recording = record(simulation, folder)

@@ -155,10 +155,6 @@ class Host(subprocess.Popen[bytes]):
         return self.pipes
 
     def _ask(self, call: Callable[..., T], *arguments: Any, exchanges_per_check: int = 250, end_s: float = 1.0) -> T:
-        """``exchanges_per_check``: exchanges to one reading of the size from /proc, which takes as long.
-
-        ``end_s``: how long a process that no longer answers may take until its end is known.
-        """
         self._exchanges += 1
         if self._exchanges % exchanges_per_check == 0:
             self._check_memory()

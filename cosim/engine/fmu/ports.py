@@ -269,10 +269,7 @@ def _quantity_port(name: str, kind: PortKind, v: Variable, port_map: PortMap, no
 
 
 def _throttle_port(v: Variable, port_map: PortMap, notes: list[str], min_steps: int = 20) -> Port:
-    """Return the throttle port, 0 to 1 over the range that is specified, declared or implied by the unit.
-
-    ``min_steps``: of a throttle in whole numbers: coarser than 5 % it is a switch.
-    """
+    """Return the throttle port, 0 to 1 over the range that is specified, declared or implied by the unit."""
     limits = port_map.throttle_range or _declared_range(v)
     if limits is None and v.type in INTEGERS and port_map.units.get("throttle", v.unit) is None:
         raise PortError(f"its {v.name} is a whole number and states no range; {RANGE_ADVICE}")
@@ -289,7 +286,6 @@ def _throttle_port(v: Variable, port_map: PortMap, notes: list[str], min_steps: 
 
 
 def _declared_range(v: Variable, no_bound: float = 1e9) -> tuple[float, float] | None:
-    """``no_bound``: tools write bounds such as 1e60 where there is none."""
     if v.min is None or v.max is None or max(abs(v.min), abs(v.max)) >= no_bound:
         return None
     if not v.min < v.max:

@@ -135,7 +135,6 @@ def _open(line: str, trouble: str) -> str:
 
 
 def _with_comment(line: str, comment: str, column: int = 32) -> str:
-    """``column``: at which comments begin."""
     return f"{line:{column - 1}} # {comment}\n"
 
 

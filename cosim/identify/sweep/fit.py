@@ -258,10 +258,7 @@ class _Problem:
         self.sign, x[last] = best[1], best[2]
 
     def _ends(self, name: str, value: float, wide: float, max_exponent: float = 300.0) -> tuple[float, float]:
-        """Return the bounds in the parameter's own unit; those of a pole's rate and of a delay do not go below 0.
-
-        ``max_exponent``: whose exponential still is a number.
-        """
+        """Return the bounds in the parameter's own unit; those of a pole's rate and of a delay do not go below 0."""
         low, high = value - wide, value + wide
         if not _logarithmic(name):
             return max(low, 0.0), high

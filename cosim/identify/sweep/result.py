@@ -317,7 +317,6 @@ def fit_rows(identification: Identification) -> list[list[str]]:
 
 
 def _with_bounds(fit: Fit, name: str, scale: float, invert: bool, slow_pole: float = 20.0) -> str:
-    """``slow_pole``: 1/s: a slow pole that may be faster is not known at all."""
     if name not in fit.values:
         return ""
 

@@ -11,7 +11,6 @@ from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.tuning import Tuning
 
-STEP_M = 1.0
 OVERSHOOT = 0.10  # in a proof's flights, more than promised, for noise and what is not linear
 CORNER = 2.0  # times what a proof allows, at a corner of the tolerances, where stability alone is promised
 FINE = 4000  # points of the circle with which a tuning is checked
@@ -31,10 +30,10 @@ def excess(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> float:
     return sum(max(part, 0.0) for part in excesses(closed, need, spare).values())
 
 
-def excesses(closed: ClosedLoop, need: Requirements, spare: float = 0.0) -> dict[str, float]:
+def excesses(closed: ClosedLoop, need: Requirements, spare: float = 0.0, step_m: float = 1.0) -> dict[str, float]:
     """Return the relative part by which each requirement is missed; below 0 where it is kept with some to spare."""
     channel = closed.points.channel
-    step = STEP_M if channel.name == "altitude" else need.step_rad
+    step = step_m if channel.name == "altitude" else need.step_rad
     tolerated = closed.compute_tolerance(need.delay_samples(channel.transport_samples), need.gain_tolerance)
     largest = need.max_sensitivity * (1.0 - spare)
     return {

@@ -28,9 +28,6 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from hexjet_design.loop.channel import Channel
 
-SECANT = 0.02  # of throttle, over which the static curve's slope is taken: a step of its measured points
-UNKNOWN_SPREAD = 0.3  # of gain and lag between engines of which one alone was measured, as without a table; ours
-DRAWS = 200  # of an engine, of which a margin's 95 % range leaves out five at either end
 MOST = {"gain_tolerance": 0.95, "delay_tolerance": 1.0}  # as the command line takes them
 
 
@@ -90,11 +87,12 @@ class EngineSensitivity:
         single = derivatives.T * np.array(self.table.spreads)
         return common @ common.T, single @ single.T
 
-    def draw_ratios(self, hertz: Array) -> Complex:
-        """Return :data:`DRAWS` engines' answers over the nominal one's, a row each, at rising frequencies.
+    def draw_ratios(self, hertz: Array, draws: int = 200) -> Complex:
+        """Return :data:`draws` engines' answers over the nominal one's, a row each, at rising frequencies.
 
         Parameters are drawn as flights draw them, the same draws always; the logarithm of the answer goes straight with
-        each of them.  Raises InputError where the engine does not answer.
+        each of them.  Raises InputError where the engine does not answer.  ``draws``: of an engine, of which a margin's
+        95 % range leaves out five at either end.
         """
         logs = np.zeros((len(self._moved), len(hertz)), np.complex128)
         for row, moved in enumerate(self._moved):
@@ -104,7 +102,7 @@ class EngineSensitivity:
                 logs[row] = (np.log(np.abs(ratio)) + 1j * np.unwrap(np.angle(ratio))) / width
         from scipy.special import ndtr
 
-        normal, nominal = np.random.default_rng(0).standard_normal((2, DRAWS, len(logs))), np.zeros(DRAWS)
+        normal, nominal = np.random.default_rng(0).standard_normal((2, draws, len(logs))), np.zeros(draws)
         each = zip(
             self.table.quantiles(normal[0]), ndtr(normal[1].T), self.table.deviation, self.table.spreads, strict=True
         )
@@ -117,14 +115,14 @@ class EngineSensitivity:
     def _answer(self, spec: EngineSpec, hertz: float) -> complex:
         return complex(self._answers(spec, np.array([hertz]))[0])
 
-    def _answers(self, spec: EngineSpec, hertz: Array) -> Complex:
+    def _answers(self, spec: EngineSpec, hertz: Array, secant: float = 0.02) -> Complex:
         """Return N per throttle at frequencies, late by one control step less than it is."""
         curve = spec.rising_curve
         throttle = float(np.interp(self._thrust, curve.thrust, curve.throttle))
         course = measure_small_steps(spec, throttle, self._step).response
         if not course:
             raise InputError(f"engine {spec.name}: does not answer a small step around throttle {throttle:.2f}")
-        low, high = max(0.0, throttle - SECANT), min(1.0, throttle + SECANT)
+        low, high = max(0.0, throttle - secant), min(1.0, throttle + secant)
         slope = (spec.thrust_at(high) - spec.thrust_at(low)) / (high - low)
         increments: Array = np.diff(np.array([0.0, *course]))
         turns = np.exp(-2j * pi * self._step * np.outer(hertz, np.arange(len(increments))))
@@ -190,18 +188,19 @@ def engine_tolerances(
 
 
 def _engine_spread(
-    need: Requirements, table: Uncertainty, found: Sequence[tuple[Channel, Array, Array]]
+    need: Requirements, table: Uncertainty, found: Sequence[tuple[Channel, Array, Array]], unknown_spread: float = 0.3
 ) -> tuple[dict[str, float], str]:
     """Return by how much one engine of the proof is off, where nobody states it, and the words for that.
 
     It is the table's spread, in gain or in delay over the channel's pace; a table that states none was made of one
-    engine, which says nothing of six.
+    engine, which says nothing of six.  ``unknown_spread``: of gain and lag between engines of which one alone was
+    measured, as without a table.
     """
     if "engine_spread" in need.model_fields_set or "gain_tolerance" in need.model_fields_set:
         return {}, ""
     if not any(table.spreads):
-        return {"engine_spread": UNKNOWN_SPREAD}, (
-            f"; it states no spread between engines, so one is off by {100.0 * UNKNOWN_SPREAD:.0f} % of gain and lag "
+        return {"engine_spread": unknown_spread}, (
+            f"; it states no spread between engines, so one is off by {100.0 * unknown_spread:.0f} % of gain and lag "
             "in the proof: --engine-spread would state it"
         )
     ends = [CUT * np.sqrt(np.diag(single)) / (1.0, plant.pace_s) for plant, _, single in found]

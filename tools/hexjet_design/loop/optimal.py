@@ -40,10 +40,8 @@ from cosim.spec.vehicle import RateModel
 
 LAGS = 3  # of the answer to a set-point
 PAIRS = 4  # of poles of the answer to a load
-ROUNDING = 1e-16
 ON_CIRCLE = 1e-6  # zeros so near to the unit circle are not inverted, and a pole of the rate as near to 1 is at 1
 SLOW = 0.5  # of how far the slowest pole of ``t`` is from 1: a pole of the rate as near as this is answered as rest is
-FORGOTTEN = 28.0  # lags until an answer is rounding
 AT_ZERO = LAGS + 1  # states that keep the last samples, for answers that end
 
 
@@ -116,7 +114,7 @@ class ModelForm:
             tuple(fast),
         )
 
-    def interpolation(self, basis: Array) -> tuple[Array, Array]:
+    def interpolation(self, basis: Array, rounding: float = 1e-16) -> tuple[Array, Array]:
         """Return rows and values that weights of ``basis`` keep: ``T_i`` 1 and level at rest, 1 at the slow pole.
 
         At ``q = 1 + a`` that is ``sum_k t_k (q^k - 1 - a k) / a^2 = 0``, and a sum of binomials for any ``a``.
@@ -130,7 +128,7 @@ class ModelForm:
             for k in range(2, len(at) + self.late):
                 term = term * (at - k) * away / (k + 1.0)
                 total = total + term
-                if float(np.max(np.abs(term))) < ROUNDING * float(np.max(total)):
+                if float(np.max(np.abs(term))) < rounding * float(np.max(total)):
                     break
             rows.append(total)
         return np.stack(rows) @ columns, np.eye(len(rows))[0]
@@ -162,9 +160,9 @@ class Target:
         """Return the polynomials in ``q`` of the poles of ``t``."""
         return [polynomial(pole_pair(natural, damping, step)) for natural, damping in self.pairs]
 
-    def basis(self, step: float) -> Array:
+    def basis(self, step: float, lags: float = 28.0) -> Array:
         """Return the functions that ``t`` is a sum of, for as long as they last."""
-        return orthonormal_basis(self.denominators(step), ceil(FORGOTTEN / -log(self.slowest(step))))
+        return orthonormal_basis(self.denominators(step), ceil(lags / -log(self.slowest(step))))
 
     def slowest(self, step: float) -> float:
         """Return the size of the slowest pole of ``t``."""

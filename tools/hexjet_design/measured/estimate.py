@@ -22,7 +22,6 @@ from hexjet_design.loop.frequency import LoopMargins, loop_margins
 
 FEW = 10  # lines, of which no margins are made
 NOISY = 0.1  # of S, one standard deviation: lines that are hidden deeper in noise say nothing about margins
-TINY = 1e-12  # a gain of nothing, for its logarithm
 FINE = 20  # points between two measured ones, on straight lines of log gain and phase over log frequency
 
 
@@ -83,11 +82,11 @@ def measured(sensitivity: Complex, hertz: Array, step: float = 0.0, transport_s:
     return Response(hertz, loop, mean, spread, coherence, used, bounded)
 
 
-def fill(loop: Complex, hertz: Array) -> tuple[Complex, Array]:
+def fill(loop: Complex, hertz: Array, tiny: float = 1e-12) -> tuple[Complex, Array]:
     """Return a loop that was measured at these frequencies, and frequencies, with :data:`FINE` times as many points."""
     x = np.log(hertz)
     fine = np.interp(np.arange(0, (len(x) - 1) * FINE + 1) / FINE, np.arange(len(x)), x)
-    size = np.interp(fine, x, np.log(np.maximum(np.abs(loop), TINY)))
+    size = np.interp(fine, x, np.log(np.maximum(np.abs(loop), tiny)))
     phase = np.interp(fine, x, np.unwrap(np.angle(loop)))
     return np.exp(size + 1j * phase), np.exp(fine)
 

@@ -36,13 +36,10 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.tank import Tank
 
-LINES = 36  # of a multisine in a decade: one is 7 % above the one before
 RISE = (
     0.5  # power of 1 / f by which lines grow from ten times the lowest down: what they are to be seen in gets smaller
 )
-DRAWS = 64  # of phases, of which those with the lowest peak are taken
 USUAL_SHARE, USUAL_TILT = 0.03, 0.06  # peak of what is added: share of thrust, rad; chosen by us
-SECANT = 0.02  # of throttle, either way, over which the slope of a static curve is taken
 
 
 @dataclass(frozen=True)
@@ -60,10 +57,13 @@ class Multisine:
         return self.bins / (self.period * self.step)
 
 
-def multisine(period_s: float, step: float, low: float, high: float) -> Multisine:
-    """Make a multisine, even over the logarithm of Hz, with the lowest peak of :data:`DRAWS` draws of random phases.
+def multisine(
+    period_s: float, step: float, low: float, high: float, lines_per_decade: int = 36, draws: int = 64
+) -> Multisine:
+    """Make a multisine, even over the logarithm of Hz, with the lowest peak of :data:`draws` draws of random phases.
 
-    Raises InputError for a band that the period or the step has no lines in.
+    Raises InputError for a band that the period or the step has no lines in.  ``lines_per_decade``: of a multisine in a
+    decade: one is 7 % above the one before.  ``draws``: of phases, of which those with the lowest peak are taken.
     """
     period = round(period_s / step)
     first, last = ceil(low * period * step - 1e-9), floor(high * period * step + 1e-9)
@@ -72,12 +72,12 @@ def multisine(period_s: float, step: float, low: float, high: float) -> Multisin
             f"{low:g} to {high:g} Hz with a period of {period_s:g} s: the lowest must be at least {1.0 / period_s:.3g} "
             f"Hz, the highest at most {0.5 / step:g} Hz and {10.0 / period_s:.3g} Hz above it"
         )
-    count = ceil(LINES * np.log10(last / first)) + 1
+    count = ceil(lines_per_decade * np.log10(last / first)) + 1
     bins = np.unique(np.round(np.geomspace(first, last, count))).astype(np.float64)
     size = np.maximum(1.0, 10.0 * first / bins) ** RISE
     turn = 2.0 * np.pi * np.outer(np.arange(period), bins) / period
     cosines, sines = np.cos(turn) * size, np.sin(turn) * size
-    phases = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, (DRAWS, len(bins)))
+    phases = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, (draws, len(bins)))
     if 2 * last == period:  # at half the sampling rate a sine has two phases
         phases[:, -1] = np.pi * np.round(phases[:, -1] / (2.0 * np.pi))
     waves = cosines @ np.cos(phases.T) - sines @ np.sin(phases.T)
@@ -150,12 +150,12 @@ class Tap:
         return actuation._replace(throttle=tuple([min(max(command, 0.0), 1.0) for command in throttle]))
 
 
-def _slope(spec: EngineSpec, thrust: float) -> float:
+def _slope(spec: EngineSpec, thrust: float, secant: float = 0.02) -> float:
     """Return the slope of an engine's static curve at a thrust, N, over that of the curve's chord."""
     curve = spec.curve
     span = curve.thrust[-1] - curve.thrust[0]
     at = float(np.interp(thrust, curve.thrust, curve.throttle))
-    low, high = max(0.0, at - SECANT), min(1.0, at + SECANT)
+    low, high = max(0.0, at - secant), min(1.0, at + secant)
     below, above = np.interp([low, high], curve.throttle, curve.thrust)
     return float((above - below) / (high - low) / span)
 

@@ -26,7 +26,6 @@ if TYPE_CHECKING:  # a session begins without the mathematics of designs: most a
     from hexjet_design.measured.computed import Plants
 
 CHANNELS = (*AXES, "altitude")
-POINTS = 1500  # of the circle: half of what a report takes
 # Margins below these are told, where they are less than before; chosen by us: half of the usual 6 dB and 40 deg.
 LEAST_DB, LEAST_DEG = 3.0, 20.0
 _OF_AXIS = {axis: (f"HJ_{axis.upper()}_", f"HJ_ATT_{axis.upper()}", "HJ_PRED_") for axis in AXES}
@@ -122,12 +121,12 @@ class LoopJudge:
             self._plants = make_plants(scenario, self._vehicle, spec)
         return self._plants
 
-    def _loop(self, plants: Plants, axis: str, tuning: Tuning) -> _Loop:
+    def _loop(self, plants: Plants, axis: str, tuning: Tuning, points: int = 1500) -> _Loop:
         from hexjet_design.assessment import margins
         from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 
         if axis not in self._points:
-            self._points[axis] = FrequencyGrid(plants.channels[axis], close=POINTS)
+            self._points[axis] = FrequencyGrid(plants.channels[axis], close=points)
         closed = ClosedLoop(self._points[axis], tuning)
         if closed.unstable_poles:
             return _Loop(False, 0.0, "the loop is unstable")

@@ -24,7 +24,6 @@ VERDICTS = {
     TOO_LITTLE: "do not fly on it",
 }
 PEAK, KNOWN_PEAK = 2.0, 2.5  # of |S|: usual, and with a well-known engine
-DEVIATIONS = 3.0  # of an engine's delay, where its file states its uncertainty
 CROSSOVER = "crossover_hz"  # judged only where there is none
 UNSTABLE = "unstable_engines"  # of those that are drawn from its uncertainty
 JUDGED = {  # quantity: what it is called, its unit on a screen, the factor to it, digits
@@ -151,7 +150,7 @@ def _judged(measured: AxisMargins, name: str, value: float, worst: float) -> Jud
     return Judged(measured.axis, name, value, worst, limit, known, band, source)
 
 
-def _limit(name: str, measured: AxisMargins) -> tuple[float | None, float | None, str]:
+def _limit(name: str, measured: AxisMargins, deviations: float = 3.0) -> tuple[float | None, float | None, str]:
     """Return the limit, the one with a well-known engine where that is another, and where they are from."""
     if name == "peak_sensitivity":
         return PEAK, KNOWN_PEAK, "usual"
@@ -165,7 +164,7 @@ def _limit(name: str, measured: AxisMargins) -> tuple[float | None, float | None
         assert measured.over_engine is not None
         return 0.0, None, f"of {measured.over_engine.draws} engines"
     if measured.uncertainty is not None:
-        return DEVIATIONS * measured.uncertainty.delay_s, None, "3 deviations"
+        return deviations * measured.uncertainty.delay_s, None, "3 deviations"
     if measured.transport_s is None:
         return None, None, "delay not known"
     need = Requirements()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from math import ceil, degrees, floor, pi
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,17 +27,25 @@ from hexjet_design.loop.criteria import CORNER, OVERSHOOT
 from hexjet_design.proof.comparison import FlownMeasures, FlownPair, measure_flight
 from hexjet_design.proof.result import ProofFlight
 
-# Chosen by us: 1 deg is the twentieth of a doublet's change of 20 deg, to which a settling time is counted.
-STILL_DEG = 1.0  # in hover, of the second half, and what is left of a doublet's swing
-GUST_DEG = 25.0  # in the gust, of roll and pitch: the doublet's amplitude is 10 deg
-HEIGHT_M = 2.0  # off the height, at most
-LARGE_KG = 20.0  # from here on the gust is that of the full scale
-HOVER_S = 20.0
 
-ENGINE_SPREAD = 0.3  # of gain and lag, by which one engine is off; less where less is stated as tolerance of gain
-ALLOWED_STEP = 0.05  # between the requirements that are tried where a flight failed
-ONSET_STEPS = 6  # in which that comes about: such an engine is off from the ground up, and jolts nobody in hover
-STATIONS_WITH_FACTOR = 6  # that have a thrust factor of their own
+class FlightBounds(NamedTuple):
+    """What the flights of a proof try and allow."""
+
+    still_deg: float = 1.0  # in hover, and after a doublet
+    gust_deg: float = 25.0  # of roll and pitch
+    height_m: float = 2.0  # off the height, at most
+    large_kg: float = 20.0  # from here on a full-scale gust
+    hover_s: float = 20.0
+    # Of gain and lag, by which one engine is off; less where less is stated as tolerance of gain.  It comes about in
+    # some steps: such an engine is off from the ground up, and jolts nobody in hover.
+    engine_spread: float = 0.3
+    onset_steps: int = 6
+    allowed_step: float = 0.05  # of requirements after a failure
+    stations_with_factor: int = 6  # with a thrust factor of their own
+
+
+BOUNDS = FlightBounds()
+
 
 HOVER, DOUBLET, GUST = "hover", "doublet", "gust"
 
@@ -68,7 +76,7 @@ def fly_all(design: Design, say: Say) -> list[ProofFlight]:
 
 def spread_of(need: Requirements) -> float:
     """Return the share of gain and lag by which one engine is off in a proof."""
-    return min(ENGINE_SPREAD, need.gain_tolerance) if need.engine_spread is None else need.engine_spread
+    return min(BOUNDS.engine_spread, need.gain_tolerance) if need.engine_spread is None else need.engine_spread
 
 
 def find_allowing(design: Design, flights: Sequence[ProofFlight], say: Say) -> dict[str, float]:
@@ -97,15 +105,15 @@ def find_allowing(design: Design, flights: Sequence[ProofFlight], say: Say) -> d
             yield fly_corner(design, flight.scenario, tables[flight.scenario], gain, floor(later))
 
     transport = design.axes["roll"].channel.transport_samples
-    kept, lost = 0, ceil(most / ALLOWED_STEP - 1e-9)
+    kept, lost = 0, ceil(most / BOUNDS.allowed_step - 1e-9)
     while lost - kept > 1:
         middle = (kept + lost) // 2
-        say(f"flight: {name.replace('_', ' ')} {middle * ALLOWED_STEP:.2f}")
-        if any(flight.fault for flight in fly_with(middle * ALLOWED_STEP)):
+        say(f"flight: {name.replace('_', ' ')} {middle * BOUNDS.allowed_step:.2f}")
+        if any(flight.fault for flight in fly_with(middle * BOUNDS.allowed_step)):
             lost = middle
         else:
             kept = middle
-    return {name: round(kept * ALLOWED_STEP, 2)}
+    return {name: round(kept * BOUNDS.allowed_step, 2)}
 
 
 def compare_with_shipped(design: Design, flights: Sequence[ProofFlight], say: Say) -> list[FlownPair]:
@@ -142,8 +150,8 @@ def flight_tables(design: Design) -> dict[str, dict[str, Any]]:
     doublet = merge(doublet, {"duration_s": 1.0 + 4.0 * width})
     doublet_command = {**doublet["command"][0], "width_s": width}
     doublet["command"] = [doublet_command]
-    hover = merge(read_toml(find_scenario("hover")), {"duration_s": max(HOVER_S, 2.0 * width)})
-    gust = read_toml(find_scenario("gust" if design.vehicle.mass_kg < LARGE_KG else "full-scale-gust"))
+    hover = merge(read_toml(find_scenario("hover")), {"duration_s": max(BOUNDS.hover_s, 2.0 * width)})
+    gust = read_toml(find_scenario("gust" if design.vehicle.mass_kg < BOUNDS.large_kg else "full-scale-gust"))
     lean = lean_of(design.vehicle)
     wide = {f"{DOUBLET} to {lean:.3g} deg": merge(doublet, {"command": [{**doublet_command, "amplitude": lean}]})}
     return {HOVER: hover, DOUBLET: doublet, **(wide if lean > doublet_command["amplitude"] else {}), GUST: gust}
@@ -175,12 +183,12 @@ def fly_with_odd_engine(design: Design, tables: Mapping[str, dict[str, Any]], fa
     command = table["command"][0]
     step, width = design.scenario.step_s, command["width_s"]
     jet, spread = _strongest_lever(design.vehicle), abs(factor - 1.0)
-    onset = 1.0 - min(factor, 1.0 / factor) ** (1.0 / ONSET_STEPS)
-    times = [round(k * width / ONSET_STEPS / step) * step for k in range(ONSET_STEPS + 1)]
+    onset = 1.0 - min(factor, 1.0 / factor) ** (1.0 / BOUNDS.onset_steps)
+    times = [round(k * width / BOUNDS.onset_steps / step) * step for k in range(BOUNDS.onset_steps + 1)]
     loss = {"kind": "thrust_loss", "jet": jet, "share": onset}
     faults = [
         {**loss, "start_s": times[k]} if factor < 1.0 else {**loss, "start_s": 0.0, "duration_s": times[k + 1]}
-        for k in range(ONSET_STEPS)
+        for k in range(BOUNDS.onset_steps)
     ]
     faults.append({"kind": "slow_spool", "jet": jet, "start_s": 0.0, "lag_s": spread * _engine_lag(design)})
     changes = {
@@ -203,7 +211,7 @@ def _promised_overshoot(design: Design) -> float:
 
 def _strongest_lever(vehicle: Vehicle) -> int:
     """Return the jet, from 1, of those that have a factor of their own, that turns the vehicle's roll most."""
-    levers = [abs(jet.position_m[1]) for jet in vehicle.jets[:STATIONS_WITH_FACTOR]]
+    levers = [abs(jet.position_m[1]) for jet in vehicle.jets[: BOUNDS.stations_with_factor]]
     return levers.index(max(levers)) + 1
 
 
@@ -263,14 +271,14 @@ def describe_fault(name: str, run: Run, promised: float, wider: float) -> str:
     height = float(np.abs(log["altitude_m"] - log["altitude_setpoint_m"]).max())
     for axis in ("roll", "pitch"):
         angle = np.degrees(np.abs(log[f"{axis}_rad"] - log[f"{axis}_setpoint_rad"]))
-        if name == HOVER and angle[half:].max() > wider * STILL_DEG:
-            return f"{axis} swings by {angle[half:].max():.1f} deg, {wider * STILL_DEG:g} at most"
-        if name == GUST and angle.max() > wider * GUST_DEG:
-            return f"{axis} goes {angle.max():.0f} deg off, {wider * GUST_DEG:g} at most"
+        if name == HOVER and angle[half:].max() > wider * BOUNDS.still_deg:
+            return f"{axis} swings by {angle[half:].max():.1f} deg, {wider * BOUNDS.still_deg:g} at most"
+        if name == GUST and angle.max() > wider * BOUNDS.gust_deg:
+            return f"{axis} goes {angle.max():.0f} deg off, {wider * BOUNDS.gust_deg:g} at most"
     if name.startswith(DOUBLET) and (fault := _doublet_fault(run, promised, wider)):
         return fault
-    if height > wider * HEIGHT_M:
-        return f"{height:.1f} m off its height, {wider * HEIGHT_M:g} at most"
+    if height > wider * BOUNDS.height_m:
+        return f"{height:.1f} m off its height, {wider * BOUNDS.height_m:g} at most"
     return ""
 
 
@@ -280,6 +288,6 @@ def _doublet_fault(run: Run, promised: float, wider: float) -> str:
     if overshoot > most:
         return f"overshoot of {100.0 * overshoot:.0f} %, {100.0 * promised:.0f} % promised"
     swing = degrees(roll.oscillation_rad or 0.0)
-    if swing > wider * STILL_DEG:
-        return f"roll still swings by {swing:.1f} deg at its end, {wider * STILL_DEG:g} at most"
+    if swing > wider * BOUNDS.still_deg:
+        return f"roll still swings by {swing:.1f} deg at its end, {wider * BOUNDS.still_deg:g} at most"
     return ""

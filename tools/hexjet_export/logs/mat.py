@@ -12,8 +12,6 @@ from cosim import InputError, Run
 from cosim.logs import describe_columns, run_properties
 from hexjet_export.logs.contents import log_lines, read_pilot
 
-_LONGEST = 63  # MATLAB's namelengthmax
-_MOST = 2**31  # bytes: what MATLAB reads of a variable in a file of level 5
 # MATLAB's iskeyword: no field of a structure may be called so
 _KEYWORDS = {
     "break", "case", "catch", "classdef", "continue", "else", "elseif", "end", "for", "function", "global", "if",
@@ -21,7 +19,7 @@ _KEYWORDS = {
 }  # fmt: skip
 
 
-def export_mat(run: Run, path: Path) -> None:
+def export_mat(run: Run, path: Path, max_values: int = 2**31) -> None:
     """Write a run's log as MAT: one structure, ``flight``.
 
     ``flight.time`` [s] and each of ``flight.columns`` are columns of doubles, one row a control step, NaN where the log
@@ -29,12 +27,13 @@ def export_mat(run: Run, path: Path) -> None:
     ``flight.names`` the column's name in the log where MATLAB cannot have it.  ``flight.events`` has times, severities
     (as in syslog), kinds and texts; ``flight.metrics`` and ``flight.metadata`` are of the whole flight.  Raises
     InputError if there is no run, the file cannot be written, or the log is longer than such a file can hold.
+    ``max_values``: what MATLAB reads of a variable in a file of level 5.
     """
     from scipy.io import savemat
 
     names = fields(run.log.columns)
     rows = len(run.log)
-    if 8 * rows * (len(names) + 1) >= _MOST:
+    if 8 * rows * (len(names) + 1) >= max_values:
         raise InputError(f"{run.folder}: {rows} rows are more than a MAT-file of level 5 holds; take mcap or csv")
     columns = {name: np.zeros((rows, 1)) for name in names.values()}
     first = 0
@@ -67,19 +66,22 @@ def export_mat(run: Run, path: Path) -> None:
         savemat(file, {"flight": flight}, long_field_names=True, do_compression=True, oned_as="column")
 
 
-def fields(names: tuple[str, ...]) -> dict[str, str]:
-    """Return valid field names of a MATLAB structure: at most 63 letters, digits and _, no two alike."""
+def fields(names: tuple[str, ...], max_length: int = 63) -> dict[str, str]:
+    """Return valid field names of a MATLAB structure: at most 63 letters, digits and _, no two alike.
+
+    ``max_length``: MATLAB's namelengthmax.
+    """
     short_names: dict[str, str] = {}
     taken = set(names)
     for name in names:
         field = re.sub(r"\W", "_", name, flags=re.ASCII)
         if not field[:1].isalpha() or field in _KEYWORDS:
             field = f"x{field}"
-        field = field[:_LONGEST]
+        field = field[:max_length]
         number = 1
         while field != name and field in taken:
             number += 1
-            field = f"{field[: _LONGEST - len(str(number)) - 1]}_{number}"
+            field = f"{field[: max_length - len(str(number)) - 1]}_{number}"
         taken.add(field)
         short_names[name] = field
     return short_names

@@ -25,7 +25,7 @@ from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import aircraft_name
 from cosim.studies import Study, default_draw, flatten_settings, open_study
 from hexjet_design.loop.criteria import CORNER, OVERSHOOT
-from hexjet_design.proof.flights import HEIGHT_M, STILL_DEG, lean_of, side_s
+from hexjet_design.proof.flights import BOUNDS, lean_of, side_s
 
 CONTROLLER = "controller.toml"  # in the folder that hexjet design leaves
 SCENARIO = "roll-doublet"
@@ -68,7 +68,7 @@ def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
         controllers=[str(file)],
         success=[
             f"roll.overshoot_percent<={overshoot:.6g}",
-            f"roll.oscillation_rad<={radians(CORNER * STILL_DEG):.6g}",
+            f"roll.oscillation_rad<={radians(CORNER * BOUNDS.still_deg):.6g}",
         ],
         design="random",
         runs=runs,
@@ -113,7 +113,7 @@ def _settings(file: Path, made: Purpose, given: Sequence[str]) -> dict[str, Any]
         "added_delay_samples": made.added_delay_samples,
         "duration_s": 1.0 + 4.0 * width,
         "command": {"0": {"width_s": width}},
-        "limits": {**dict.fromkeys(NOT_PROMISED, False), "height_error_m": CORNER * HEIGHT_M},
+        "limits": {**dict.fromkeys(NOT_PROMISED, False), "height_error_m": CORNER * BOUNDS.height_m},
     }
     for text in given:
         keys, value = parse_setting(text)
