@@ -21,6 +21,7 @@ from hexjet_design.loop.tuning import Tuning
 from hexjet_design.tune import TuningResult, tune
 
 GAINS = 7  # in the grid of the tolerance
+BISECTIONS = 5
 
 Say = Callable[[str], None]  # is told what is searched
 
@@ -133,12 +134,12 @@ def find_allowances(
     return allowances
 
 
-def _largest(works: Callable[[float], bool], bisections: int = 5) -> float | None:
+def _largest(works: Callable[[float], bool]) -> float | None:
     """Return the largest factor from 0 to 1 that works, found by bisection; None if 0 does not."""
     if not works(0.0):
         return None
     low, high = 0.0, 1.0
-    for _ in range(bisections):
+    for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if works(middle) else (low, middle)
     return low

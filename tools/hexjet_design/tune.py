@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import inf, log
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,29 +18,19 @@ from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.criteria import FINE, excess, fine_loop, is_acceptable, objective
 from hexjet_design.loop.tuning import Tuning
 
-
-class SearchSettings(NamedTuple):
-    """How a controller is searched for, and how its numbers are settled."""
-
-    unstable_cost: float = 1e3
-    penalty: float = 100.0  # of missing a requirement by 100 %
-    seed: int = 1  # the same design every time
-    population: int = 6  # times the number of parameters
-    generations: int = 40
-    rounds: int = 200  # evaluations of a search
-    # Times the poles of the engine: more adds no phase, only noise; nor faster than two steps.
-    fastest_lead: float = 10.0
-    close: float = 0.02  # to the requirements, to begin there
-    settling_points: int = 1500  # of the circle, for the digits
-    negligible_gain: float = 0.003  # of the objective
-    min_gain: float = 1e-6  # of the objective, for a digit
-    max_passes: int = 1000  # over all numbers
-    spare: float = 0.004  # for what lies between the points
-
-
-SEARCH = SearchSettings()
-
-
+UNSTABLE = 1e3
+PENALTY = 100.0  # what missing a requirement by 100 % costs in the objective, which is a logarithm
+SEED = 1  # the same design every time
+POPULATION = 6  # times the number of parameters
+GENERATIONS = 40
+ROUNDS = 200  # evaluations of a search
+FASTEST_LEAD = 10.0  # times the poles of the engine: more adds no phase, only noise; nor faster than two steps
+CLOSE = 0.02  # relative, by which the requirements may be missed where a search begins at its own answer
+WRITTEN = 1500  # points of the circle while digits are changed
+NEGLIGIBLE_GAIN = 0.003  # of the objective: a search finds as much again when it is begun from its own answer
+LEAST_GAIN = 1e-6  # of the objective, for which a digit is changed
+MOST_PASSES = 1000  # over all numbers, digit by digit: so that a search ends
+SPARE = 0.004  # by which the search stays inside the requirements, for what lies between its points
 PREDICTOR = "predictor."  # before the names of a predictor's own parameters
 
 
@@ -82,7 +71,7 @@ class TuningBounds:
         ends += [knob.search for knob in self._own]
         if lead is not None:
             most = 0.5 / channel.step / lead.natural_rad_s
-            ends.append((1.0, max(1.1, min(SEARCH.fastest_lead, most))))
+            ends.append((1.0, max(1.1, min(FASTEST_LEAD, most))))
         if channel.name == "altitude":
             ends[3] = (0.0, 0.0)  # its controller has no derivative
         self._tau, self._gain, self._size = tau, channel.paced_gain, len(ends)
@@ -150,22 +139,22 @@ def tune(
         try:
             closed = ClosedLoop(points, bounds.tuning(x))
             if closed.unstable_poles:
-                return SEARCH.unstable_cost + float(np.sum(x))  # downhill is less gain
+                return UNSTABLE + float(np.sum(x))  # downhill is less gain
             out = float(np.sum(np.maximum(x - bounds.high, 0.0) + np.maximum(bounds.low - x, 0.0)))
-            value, missed = objective(closed), excess(closed, need, SEARCH.spare) + out
+            value, missed = objective(closed), excess(closed, need, SPARE) + out
         except (InputError, ValueError, ArithmeticError):  # a predictor whose answer does not end, say: it is none
-            return SEARCH.unstable_cost + float(np.sum(x))
+            return UNSTABLE + float(np.sum(x))
         if not missed and value < feasible[0]:
             feasible = (value, x.copy())
-        return value + SEARCH.penalty * missed
+        return value + PENALTY * missed
 
     searched = differential_evolution(
         cost,
         list(zip(bounds.low, bounds.high, strict=True)),
-        popsize=SEARCH.population,
-        maxiter=SEARCH.generations,
+        popsize=POPULATION,
+        maxiter=GENERATIONS,
         init="sobol",
-        rng=np.random.default_rng(SEARCH.seed),
+        rng=np.random.default_rng(SEED),
         polish=False,
         tol=1e-4,
     )
@@ -185,7 +174,7 @@ def _descend(cost: Callable[[Array], float], x: Array, value: float) -> Array:
 
     for size in (0.1, 0.03):  # a simplex that has shrunk on an edge starts again
         simplex = np.vstack([x, x + size * np.eye(len(x))])
-        options = {"maxfev": SEARCH.rounds, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
+        options = {"maxfev": ROUNDS, "xatol": 1e-3, "fatol": 1e-4, "initial_simplex": simplex}
         optimum = minimize(cost, x, method="Nelder-Mead", options=options)
         if optimum.fun < value:
             x, value = optimum.x, float(optimum.fun)
@@ -194,11 +183,7 @@ def _descend(cost: Callable[[Array], float], x: Array, value: float) -> Array:
 
 def _cost(closed: ClosedLoop, need: Requirements) -> float:
     """Return the objective of a loop with a penalty for what it misses of the requirements."""
-    return (
-        objective(closed) + SEARCH.penalty * excess(closed, need, SEARCH.spare)
-        if not closed.unstable_poles
-        else SEARCH.unstable_cost
-    )
+    return objective(closed) + PENALTY * excess(closed, need, SPARE) if not closed.unstable_poles else UNSTABLE
 
 
 def settle(
@@ -210,7 +195,7 @@ def settle(
     written down is where this descent stops, and from there it stops at once.  None where no such tuning near
     ``start`` keeps the requirements.  At a ``level`` of a schedule only what follows the level is changed.
     """
-    points = FrequencyGrid(channel, close=SEARCH.settling_points)
+    points = FrequencyGrid(channel, close=WRITTEN)
     firmware = start.firmware
     if firmware is not None and firmware.units is not None:
         return _settle_in_whole_numbers(channel, start, need)
@@ -220,12 +205,12 @@ def settle(
 
     values = {name: digits(value) for name, value in _search_values(start, predictor and not level).items()}
     best = cost(values)
-    for _ in range(SEARCH.max_passes):
+    for _ in range(MOST_PASSES):
         moved = False
         for name in values:
             for way in (1, -1):
                 trial = {**values, name: _next_digits(values[name], way)}
-                if (value := cost(trial)) < best - SEARCH.min_gain:
+                if (value := cost(trial)) < best - LEAST_GAIN:
                     values, best, moved = trial, value, True
         if not moved:
             break
@@ -238,7 +223,7 @@ def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements
 
     They are coarse for a slow vehicle, so the nearest ones may miss what was searched: what is missed comes first.
     """
-    points, firmware = FrequencyGrid(channel, close=SEARCH.settling_points), start.firmware
+    points, firmware = FrequencyGrid(channel, close=WRITTEN), start.firmware
     assert firmware is not None
     names = [name for name in ("angle_gain", "p", "i", "d") if not (name == "angle_gain" and firmware.angle_gain)]
     units = {name: firmware.unit(name) or 1.0 for name in names}
@@ -257,13 +242,13 @@ def _settle_in_whole_numbers(channel: Channel, start: Tuning, need: Requirements
     ways = [{name: way} for name in names for way in (1, -1)]
     ways += [{a: x, b: y} for k, a in enumerate(names) for b in names[k + 1 :] for x in (1, -1) for y in (1, -1)]
     best = cost(values)
-    for _ in range(SEARCH.max_passes):
+    for _ in range(MOST_PASSES):
         moved = False
         for way in ways:
             trial = {**values, **{name: values[name] + by for name, by in way.items()}}
             if (
                 all(1 <= trial[name] <= firmware.max_gain for name in way)
-                and (value := cost(trial)) < best - SEARCH.min_gain
+                and (value := cost(trial)) < best - LEAST_GAIN
             ):
                 values, best, moved = trial, value, True
         if not moved:
@@ -294,16 +279,10 @@ def tune_near(
     there = settle(channel, at(x), need, predictor, level)
     # from far off the requirements, digit by digit would be a long way
     fine = FrequencyGrid(channel, close=FINE)
-    here = (
-        settle(channel, start, need, predictor, level) if excess(ClosedLoop(fine, start), need) < SEARCH.close else None
-    )
+    here = settle(channel, start, need, predictor, level) if excess(ClosedLoop(fine, start), need) < CLOSE else None
     if here is None or there is None:
         return here or there
-    return (
-        there
-        if objective(ClosedLoop(fine, there)) < objective(ClosedLoop(fine, here)) - SEARCH.negligible_gain
-        else here
-    )
+    return there if objective(ClosedLoop(fine, there)) < objective(ClosedLoop(fine, here)) - NEGLIGIBLE_GAIN else here
 
 
 def digits(value: float) -> Digits:

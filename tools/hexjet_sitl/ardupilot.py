@@ -54,6 +54,8 @@ START_TIMING = StartTiming(
 HOVER = 0.35  # default of MOT_THST_HOVER; ArduPilot learns it in modes that hold the height, not in Stabilize
 _SERIALS = (0, 1, 2, 5, 6, 7, 8)  # serial ports that are TCP ports by default; 3 and 4 are the simulated GNSS receivers
 # Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.
+# Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.
+_RATE_SETTLING = 2400
 GNSS_CHANNEL = 16  # raised where the vehicle's GNSS is out: RC16_OPTION 65, with which ArduPilot has no fix
 MAX_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7, GNSS_CHANNEL)  # 5 chooses the mode, 7 arms
 _SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by their magic: frame rate, frame count, pulses [us]
@@ -191,9 +193,9 @@ class ArduPilot(Autopilot):
             command += [f"--serial{serial}", f"udpclient:{LOCAL}:{launch.station}" if has_station else "none:"]
         return command + (["--defaults", str(launch.defaults.absolute())] if launch.defaults is not None else [])
 
-    def _check_rate(self, rate: int, settling: int = 2400) -> None:
+    def _check_rate(self, rate: int) -> None:
         """Refuse a frame rate that is not the flight's once it has had the time to become what it is set to."""
-        if self.counts.frames == settling and abs(rate * self._step - 1.0) > 0.01:
+        if self.counts.frames == _RATE_SETTLING and abs(rate * self._step - 1.0) > 0.01:
             raise FlightError(
                 f"ardupilot asks for {rate} frames a second, and the flight has {1.0 / self._step:g}: set SIM_RATE_HZ "
                 f"to that, and SCHED_LOOP_RATE to no more, or fly with step_s = {1.0 / rate if rate else 0.0025:g}"

@@ -31,6 +31,8 @@ from hexjet_sitl.parameters import (
 )
 from hexjet_sitl.pilot import find_hover_throttle
 
+INSTANCE_PORTS = 32_760  # the first of the ports that stand for a number; chosen by us, nobody's
+MAX_INSTANCES = 250  # numbers: as many instances as hexjet sitl takes
 VARIABLES = {"px4": "PX4_SITL", "ardupilot": "ARDUPILOT_SITL"}  # of the environment: a program that nobody states
 PROGRAMS = {"px4": "px4", "ardupilot": "arducopter"}  # names by which they are looked for on the path
 BUILDS = {  # how their makers build them, and where they say so
@@ -55,22 +57,21 @@ _UNREACHED_FAULTS: dict[str, dict[tuple[str, str], str]] = {
 
 
 @contextmanager
-def reserve_instance(first_port: int = 32_760, max_instances: int = 250) -> Iterator[int]:
-    """Reserve an instance number from 1 to :data:`max_instances` for this process; 0 is left to ``hexjet sitl``.
+def reserve_instance() -> Iterator[int]:
+    """Reserve an instance number from 1 to :data:`MAX_INSTANCES` for this process; 0 is left to ``hexjet sitl``.
 
     It is held by a bound port, so that it is free again whatever becomes of the process.  Raises FlightError where all
-    are taken.  ``first_port``: the first of the ports that stand for a number, nobody's.  ``max_instances``: numbers:
-    as many instances as hexjet sitl takes.
+    are taken.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reserved:
-        for number in range(1, max_instances + 1):
+        for number in range(1, MAX_INSTANCES + 1):
             try:
-                reserved.bind((LOCAL, first_port + number))
+                reserved.bind((LOCAL, INSTANCE_PORTS + number))
             except OSError:
                 continue
             yield number
             return
-    raise FlightError(f"{max_instances} autopilots fly on this machine already")
+    raise FlightError(f"{MAX_INSTANCES} autopilots fly on this machine already")
 
 
 def find_program(name: str, binary: Path | None) -> Path | None:

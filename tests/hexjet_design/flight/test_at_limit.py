@@ -49,7 +49,7 @@ def designed() -> Design:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(designs, "_axis", axis)
-        patch.setattr(at_limit, "SEARCH", at_limit.SEARCH._replace(rounds=60))
+        patch.setattr(at_limit, "ROUNDS", 60)
         return designs.design("edf-as-flown", controller="optimal", lead=False)
 
 

@@ -393,10 +393,10 @@ def test_a_load_that_no_integral_removes_is_told(controller: str, stays: bool) -
 @pytest.fixture(scope="module")
 def quick() -> Iterator[None]:
     """A short search: its result is worse, and must keep the requirements all the same."""
-    kept = search.SEARCH
-    search.SEARCH = kept._replace(generations=4, rounds=40)
+    kept = search.GENERATIONS, search.ROUNDS
+    search.GENERATIONS, search.ROUNDS = 4, 40
     yield
-    search.SEARCH = kept
+    search.GENERATIONS, search.ROUNDS = kept
 
 
 @lru_cache

@@ -10,7 +10,7 @@ import pytest
 
 from cosim.base.arrays import Array
 from cosim.results.limits import ALTERNATING_PERCENT, describe_exceedance, find_exceeded
-from cosim.results.metrics import REVERSAL, alternating_percent, settling_time
+from cosim.results.metrics import alternating_percent, settling_time
 from cosim.results.steadiness import AxisLimitInputs, axis_limits, noise_floor, settling_limit
 
 STEP, SPAN = 0.004, 0.4
@@ -190,7 +190,7 @@ def test_a_command_that_turns_back_at_every_step_comes_to_100() -> None:
     hunting = np.where((k >= 1000) & (k < 1300), 0.05 * (-1.0) ** k, 0.0)  # for 1.2 s, by 5 % of the range
     assert share(hunting) == 100.0
     assert share(np.zeros(2500), hunting, 0.1 * np.sin(0.01 * k)) == 100.0
-    assert share(0.9 * REVERSAL / 0.05 * hunting) == 0.0  # steps of 0.9 % of the range
+    assert share(0.9 * 0.01 / 0.05 * hunting) == 0.0  # steps of 0.9 % of the range
     turns = share(0.9 * np.sin(2 * pi * 20.0 * STEP * k))  # 40 a second of 250 steps, less those at a blunt top
     assert turns is not None
     assert 0.0 < turns <= 16.0

@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import exp, floor, inf, pi, sqrt
-from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -32,34 +31,23 @@ from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.criteria import CORNER, OVERSHOOT, excesses, fine_loop, is_acceptable, objective
 from hexjet_design.loop.limit import Bounds, need_solver
-from hexjet_design.loop.low_order import SIMPLEX, START, free_weights, reduce_limit
+from hexjet_design.loop.low_order import COARSE, START, free_weights, reduce_limit
 from hexjet_design.loop.optimal import LAGS, PredictorBases, Target, filter_response, polynomial
 from hexjet_design.loop.tuning import Tuning, round_gain
 
 Pairs = Sequence[tuple[float, float]]
 
+SPARE = 0.004  # by which the search stays inside the requirements, for what lies between its points
+CORNER_SPARE = 0.1  # of what a flight at a corner may overshoot by, for noise
+ROUGH = 100  # points of the circle where responses in time are looked at alone
+CLOSE = 1500  # points of the circle while bounds are drawn closer
+TURNS = 12  # of drawing them closer
+FREE_STEP = 100.0  # step error that the programme may have, s: the lags alone say it
 SLOWER = (1.0, 0.7, 0.5, 0.35)  # times the poles of START, where a search may begin: of an engine that is slow itself
 LONGER = (1.0, 1.3, 1.7, 2.4, 3.5)  # times the shortest lag
-# Of the simplex, as a part of the weights' length, and in the logarithm of the lag.
-FIRST, FIRST_LAG = 0.02, 0.2
-
-
-class SearchSettings(NamedTuple):
-    """How a law at the limit is searched for."""
-
-    spare: float = 0.004  # for what lies between the points
-    corner_spare: float = 0.1  # of an overshoot at a corner
-    rough: int = 100  # points for responses in time alone
-    close: int = 1500  # points while bounds are drawn closer
-    turns: int = 12  # of drawing them closer
-    free_step_s: float = 100.0  # the lags alone say it
-    first_error: float = 0.3  # of the delay's tolerance
-    rounds: int = 300  # of the simplex
-
-
-SEARCH = SearchSettings()
-
-
+FIRST_ERROR = 0.3  # of the delay's tolerance: the first error of the delay that is asked of the programme
+FIRST, FIRST_LAG = 0.02, 0.2  # of the simplex, as a part of the weights' length, and in the logarithm of the lag
+ROUNDS = 300  # of the simplex
 PENALTY, UNSTABLE = 100.0, 1e3  # what missing a requirement by 100 % costs in the objective, and no loop
 RELAXED = (1.1, 1.25, 1.5, 2.0, 3.0, 5.0, 10.0)  # times a requirement
 WAYS = (  # a requirement in words, its keys, and whether more of it asks for less
@@ -89,11 +77,11 @@ class _Search:
 
     def __init__(self, channel: Channel, model: RateModel, fixed: Tuning, need: Requirements) -> None:
         self.channel, self.model, self.fixed, self.need = channel, model, fixed, need
-        self.points = FrequencyGrid(channel, close=SEARCH.close)
+        self.points = FrequencyGrid(channel, close=CLOSE)
         # a delay between two steps is the nearest whole one to the law
         self.believed = model.model_copy(update={"delay_samples": float(round(model.delay_samples))})
         self.delay = low_frequency_delay(model)
-        self.corners = [FrequencyGrid(corner, close=SEARCH.rough) for corner in _late_corners(channel, need)]
+        self.corners = [FrequencyGrid(corner, close=ROUGH) for corner in _late_corners(channel, need)]
 
     def missed(self, closed: ClosedLoop, flown: bool = True) -> dict[str, float]:
         """Return the relative parts by which requirements are missed, those that are.
@@ -102,9 +90,9 @@ class _Search:
         """
         if closed.unstable_poles:
             return {"tolerances": 1.0}
-        parts = excesses(closed, self.need, SEARCH.spare)
+        parts = excesses(closed, self.need, SPARE)
         if flown:
-            allowed = CORNER * (OVERSHOOT + closed.overshoot) * (1.0 - SEARCH.corner_spare)
+            allowed = CORNER * (OVERSHOOT + closed.overshoot) * (1.0 - CORNER_SPARE)
             worst = max((ClosedLoop(corner, closed.tuning).overshoot for corner in self.corners), default=0.0)
             parts["corners"] = min(worst / allowed - 1.0, 10.0)
         return {name: part for name, part in parts.items() if part > 0.0}
@@ -126,7 +114,7 @@ class _Search:
 
     @property
     def _room(self) -> float:
-        return self.channel.room * (1.0 - SEARCH.spare)
+        return self.channel.room * (1.0 - SPARE)
 
     def _first_command(self, lag: float) -> float:
         """Return the largest command after a unit step of the set-point: ``a / (b T)`` of the lags' answer.
@@ -146,13 +134,11 @@ class _Search:
     def draw_closer(self, lag: float, pairs: Pairs) -> Tuning | None:
         """Return the law that keeps the requirements with this lag and these poles, or None."""
         need, noise = self.need, self.need.noise_share * self.channel.room
-        bounds = Bounds(need.max_sensitivity * (1.0 - SEARCH.spare), noise * (1.0 - SEARCH.spare), SEARCH.free_step_s)
+        bounds = Bounds(need.max_sensitivity * (1.0 - SPARE), noise * (1.0 - SPARE), FREE_STEP)
         wide = need.delay_samples(self.channel.transport_samples)
-        for _ in range(SEARCH.turns):
+        for _ in range(TURNS):
             try:
-                low = reduce_limit(
-                    self.channel, self.believed, bounds, lag, pairs, rounds=0, frequencies=SIMPLEX.frequencies
-                )
+                low = reduce_limit(self.channel, self.believed, bounds, lag, pairs, rounds=0, frequencies=COARSE)
                 tuning = self.tuning(low.target)
             except InputError:
                 return None
@@ -161,9 +147,9 @@ class _Search:
                 return tuning
             error = bounds.delay_error
             if "tolerances" in missed:
-                error = min(max(SEARCH.first_error * wide, error * (1.0 + missed["tolerances"]) + 0.25), 2.0 * wide)
+                error = min(max(FIRST_ERROR * wide, error * (1.0 + missed["tolerances"]) + 0.25), 2.0 * wide)
             peak = bounds.peak_sensitivity / (1.0 + min(missed.get("peak sensitivity", 0.0), 1.0))
-            closer = Bounds(peak, bounds.noise / (1.0 + missed.get("noise", 0.0)), SEARCH.free_step_s, error)
+            closer = Bounds(peak, bounds.noise / (1.0 + missed.get("noise", 0.0)), FREE_STEP, error)
             if closer == bounds:  # what is missed is the lag's
                 return None
             bounds = closer
@@ -208,7 +194,7 @@ class _Search:
 
         size = 1 + free.shape[1]
         simplex = np.vstack([np.zeros(size), np.diag([FIRST_LAG, *[FIRST] * (size - 1)])])
-        options = {"maxfev": SEARCH.rounds, "xatol": 1e-4, "fatol": 1e-4, "initial_simplex": simplex}
+        options = {"maxfev": ROUNDS, "xatol": 1e-4, "fatol": 1e-4, "initial_simplex": simplex}
         found = minimize(cost, np.zeros(size), method="Nelder-Mead", options=options)
         return at(found.x)
 

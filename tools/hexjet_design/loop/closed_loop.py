@@ -30,6 +30,8 @@ from hexjet_design.loop.state_space import Space, Steps
 from hexjet_design.loop.tuning import Tuning
 
 NEGLIGIBLE_LOAD = 1e-3  # of the largest response to a load: less at almost no frequency is nothing
+WINDOW = 50.0  # times the channel's pace, over which responses in time are looked at
+LONGEST = 3.0  # times the longest time in which it answers, the same: of a slow part 5 % are left then
 FADED = 1e-10  # what a response in time is wrong by, as a part of what comes a period later; rounding is as small
 BAND = 0.05  # of a step, for the settling time, as in the metrics of a flight
 
@@ -57,9 +59,9 @@ class FrequencyGrid:
         self.unsure = channel.actuator.dynamics.uncertainty(hertz) if channel.identified is None else None
 
 
-def window_s(channel: Channel, paces: float = 50.0, longest: float = 3.0) -> float:
-    """Return for how long responses in time of a channel are looked at, s: of a slow part 5 % are left then."""
-    return max(paces * channel.pace_s, longest * channel.longest_s)
+def window_s(channel: Channel) -> float:
+    """Return for how long responses in time of a channel are looked at, s."""
+    return max(WINDOW * channel.pace_s, LONGEST * channel.longest_s)
 
 
 class ClosedLoop:

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import exp, sqrt
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import null_space
@@ -28,18 +27,10 @@ from hexjet_design.loop.optimal import LAGS, ModelForm, Target, fit_weights
 
 # where a search of poles begins: natural frequency times the delay at low frequency, and damping
 START = ((0.6246, 0.37), (0.594, 0.827), (1.458, 1.4), (5.7, 1.07))
-
-
-class SimplexSettings(NamedTuple):
-    """The search for poles of low order."""
-
-    frequencies: int = 160
-    rounds: int = 130
-    first_simplex: float = 0.12  # in logarithms
-    infeasible_cost: float = 1e6  # load error over the delay
-
-
-SIMPLEX = SimplexSettings()
+COARSE = 160  # frequencies at which a search looks
+ROUNDS = 130  # of the search
+FIRST = 0.12  # of its simplex, in logarithms
+NONE = 1e6  # times the delay: the load error of poles that keep no bounds
 
 
 @dataclass(frozen=True)
@@ -77,7 +68,7 @@ def reduce_limit(
     bounds: Bounds,
     lag_s: float,
     start: Sequence[tuple[float, float]] = START,
-    rounds: int = SIMPLEX.rounds,
+    rounds: int = ROUNDS,
     frequencies: int = GRID.frequencies,
 ) -> LowOrder:
     """Return the target of the least load error within ``bounds`` that poles of this number reach.
@@ -131,12 +122,12 @@ def reduce_limit(
 
     def cost(x: Array) -> float:
         try:
-            return solve(at(x), SIMPLEX.frequencies).loop.load_error
+            return solve(at(x), COARSE).loop.load_error
         except InputError:
-            return SIMPLEX.infeasible_cost * delay
+            return NONE * delay
 
     x = np.log(np.array(start, np.float64)).ravel()
     if rounds:
-        simplex = np.vstack([x, x + SIMPLEX.first_simplex * np.eye(len(x))])
+        simplex = np.vstack([x, x + FIRST * np.eye(len(x))])
         x = minimize(cost, x, method="Nelder-Mead", options={"maxfev": rounds, "initial_simplex": simplex}).x
     return solve(at(x), frequencies)

@@ -71,7 +71,7 @@ class LogStore:
     """Store of the finished runs' logs, which converts them to ULog one after the other.
 
     ``runs``: returns the folders of every finished run, oldest first.  It reads a file of each, so it is called in a
-    thread of its own, and again on a request after :data:`self.search_interval_s` or :meth:`mark_outdated`.  A log
+    thread of its own, and again on a request after ``search_interval_s`` or :meth:`mark_outdated`.  A log
     keeps its number: later runs get the next ones.  ``max_earlier``: earlier runs that are listed, the newest, as each
     has to be converted.  ``max_logs``: in all.  ``search_interval_s``: between two searches, however often somebody
     asks.  ``timeout_s``: for one log: thirty times what an hour of flight takes.
