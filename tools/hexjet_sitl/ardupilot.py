@@ -53,11 +53,12 @@ START_TIMING = StartTiming(
 )
 HOVER = 0.35  # default of MOT_THST_HOVER; ArduPilot learns it in modes that hold the height, not in Stabilize
 _SERIALS = (0, 1, 2, 5, 6, 7, 8)  # serial ports that are TCP ports by default; 3 and 4 are the simulated GNSS receivers
-# Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.
+_SPEEDUP = 100  # upper limit of its speed over real time; the lockstep sets the pace
 # Frames until its frame rate is that of SIM_RATE_HZ: it begins at 1200 and goes by about one a frame.
 _RATE_SETTLING = 2400
 GNSS_CHANNEL = 16  # raised where the vehicle's GNSS is out: RC16_OPTION 65, with which ArduPilot has no fix
 MAX_CHANNELS, STICK_CHANNELS = 16, (1, 2, 3, 4, 5, 7, GNSS_CHANNEL)  # 5 chooses the mode, 7 arms
+HOLD_PULSE = 2000  # of the fifth channel: the sixth mode, FLTMODE6; the fourth before
 _SERVOS = {18458: Struct("<HHI16H"), 29569: Struct("<HHI32H")}  # by their magic: frame rate, frame count, pulses [us]
 _STICKS = Struct("<16H")
 # One line between two ends of lines; its parser wants no blank behind a colon, and one behind a comma.
@@ -66,6 +67,11 @@ _STATE = (
     b'"position":[%.9g, %.9g, %.9g],"quaternion":[%.9g, %.9g, %.9g, %.9g],"velocity":[%.9g, %.9g, %.9g]}\n'
 )
 _START_S = 60.0  # time limit for its first packet, s
+# A packet that comes again this soon after it was answered was sent before that.  It is not answered again: ArduPilot
+# would take the second answer for that to its next packet, and be a step late from there on.  It waits for a second.
+_REPEAT_S = 0.5
+_INFO = 6  # severity as in syslog
+_MAX_STEP_S = 0.1  # s; a longer step does not advance its clock
 
 
 Release = tuple[int, int]
@@ -113,34 +119,19 @@ def parse_channel(text: str, where: str) -> TransmitterChannel:
 
 
 class ArduPilot(Autopilot):
-    """One ArduPilot SITL, started with ``setup.defaults``.  Raises InputError for a step its clock does not follow.
-
-    ``repeat_s``: A packet that comes again this soon after it was answered was sent before that.  It is not answered
-    again: ArduPilot would take the second answer for that to its next packet, and be a step late from there on.  It
-    waits for a second.  ``max_step_s``: s; a longer step does not advance its clock.
-    """
+    """One ArduPilot SITL, started with ``setup.defaults``.  Raises InputError for a step its clock does not follow."""
 
     name = "ardupilot"
     timing = START_TIMING
     log_pattern = "logs/*.BIN"
 
     def __init__(
-        self,
-        program: Path | None,
-        folder: Path,
-        vehicle: Vehicle,
-        step: float,
-        place: Geodesy,
-        setup: Setup,
-        repeat_s: float = 0.5,
-        max_step_s: float = 0.1,
+        self, program: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, setup: Setup
     ) -> None:
-        self.max_step_s = max_step_s
-        self.repeat_s = repeat_s
-        if step >= self.max_step_s:
-            raise InputError(f"ardupilot: step_s = {step:g}: its clock is moved by steps below {self.max_step_s:g} s")
+        if step >= _MAX_STEP_S:
+            raise InputError(f"ardupilot: step_s = {step:g}: its clock is moved by steps below {_MAX_STEP_S:g} s")
         super().__init__(program, folder, vehicle, step, setup)
-        self.repeat_delay = self.repeat_s
+        self.repeat_delay = _REPEAT_S
         self._place = place
         self._port = PORT + PORT_SPACING * setup.instance
         self.endpoint = f"UDP port {self._port}"
@@ -182,12 +173,12 @@ class ArduPilot(Autopilot):
                 raise FlightError(f"what sends to ardupilot's port is no servo packet: it said {packet[:16]!r}")
             self._peer, self._count = sender, servos[2]
 
-    def _command(self, speedup: int = 100) -> list[str]:
+    def _command(self) -> list[str]:
         """Return the command line that starts it."""
         place, launch = self._place, self.setup
         home = f"{place.latitude_deg!r},{place.longitude_deg!r},{place.ground!r},0"
         command = [str(self.program), "--model", f"JSON:{LOCAL}", "--home", home, f"-I{launch.instance}", "--wipe"]
-        command += ["--speedup", str(speedup)]
+        command += ["--speedup", str(_SPEEDUP)]
         for serial in _SERIALS:
             has_station = serial == 0 and launch.station is not None
             command += [f"--serial{serial}", f"udpclient:{LOCAL}:{launch.station}" if has_station else "none:"]
@@ -285,16 +276,16 @@ class ArduPilot(Autopilot):
             raise FlightError(f"ardupilot: {text} (--param, --defaults; {folder})")
         return ""
 
-    def report(self, info: int = 6) -> FirmwareReport:
+    def report(self) -> FirmwareReport:
         """See :class:`hexjet_sitl.lockstep.Autopilot`; from its newest log.
 
-        It logs no severity of what it says.  ``info``: severity as in syslog.
+        It logs no severity of what it says.
         """
         logs = self._new_logs()
         if not logs:
             return FirmwareReport()
         notes = read_notes(logs[-1])
-        return FirmwareReport(notes.version, notes.parameters or {}, [(at, info, text) for at, text in notes.messages])
+        return FirmwareReport(notes.version, notes.parameters or {}, [(at, _INFO, text) for at, text in notes.messages])
 
 
 class Transmitter:
@@ -314,11 +305,8 @@ class Transmitter:
         self._curve = [(1.0 - expo) * stick + expo * stick**3 for stick in (k / 1000.0 for k in range(1001))]
         self._channels, self._half_step = channels, 0.5 * step
 
-    def compute_pulses(self, frame: SensorFrame, hold_pulse: int = 2000) -> list[int]:
-        """Return the sixteen channels at an instant.
-
-        ``hold_pulse``: of the fifth channel: the sixth mode, FLTMODE6; the fourth before.
-        """
+    def compute_pulses(self, frame: SensorFrame) -> list[int]:
+        """Return the sixteen channels at an instant."""
         sticks = frame.sticks
         pulses = [
             to_pulse(sticks.roll),
@@ -326,7 +314,7 @@ class Transmitter:
             self._throttle(sticks),
             to_pulse(sticks.yaw),
         ]
-        mode = hold_pulse if sticks.holds_place else 1500
+        mode = HOLD_PULSE if sticks.holds_place else 1500
         pulses += [mode, 1500, 2000 if sticks.armed else 1000, *[1500] * 9]
         for channel in self._channels:
             begins = 0.0 if channel.since_s is None else ArduPilot.timing.before_s + channel.since_s

@@ -52,6 +52,8 @@ _STICKS = struct.Struct("<d16H")
 _RAW = struct.Struct("<H2x16f")
 _READY = b"HJREADY\0"
 _CONSOLE_S = 20.0  # time limit of the console's first answer, for a busy machine; chosen by us
+_CONFIGURE_TRIES = 3  # chosen by us: its console's threads share buffers without a lock, and it may hang
+_NEUTRAL = 1500
 # What would change the gains in flight is off, so that they are those designed: more P and I while the throttle
 # moves, less of all at high throttle, more D in quick turns, less I while the rate set-point moves, which an attitude
 # loop does all the time, a gyro filter that follows the throttle; and the derivative has one filter, of first order.
@@ -66,7 +68,11 @@ _CONSTANT_GAINS = (
     "set dterm_lpf2_static_hz = 0",
 )
 _REFUSALS = ("ERROR", "Invalid", "UNKNOWN")
+MAX_MOTORS = 8
 MAX_GAIN = 250
+# By the first state it sets its clock, and by the second, which it takes for late, the rate of that: it runs no loop
+# until the third.  They come long before the flight.
+_CLOCK_FRAMES = 2
 # Before the flight: its grace time of 5 s after it began, and its gyro's zero.  Full stick is chosen by us: what the
 # scenarios lean, with room.
 START_TIMING = StartTiming(before_s=6.0, arming_s=1.5, throttle_s=0.5, lean_deg=45.0, turn_deg_s=90.0)
@@ -75,6 +81,7 @@ _FULL_SUM = 500.0  # pidsum_limit of an axis, which is the whole range of a serv
 _SUM_TO_MOTOR = 1.0 / 1000.0  # PID_MIXER_SCALING
 # src/main/flight/pid.h: what one unit of a gain in the console is, per deg/s, per deg and per deg/s^2
 P_SCALE, I_SCALE, D_SCALE = 0.032029, 0.244381, 0.000529
+YAW_I = 2.5  # src/main/flight/pid_init.c: by how much more its integral of yaw's error counts
 
 
 def find_installed() -> Path | None:
@@ -97,7 +104,7 @@ def find_program(binary: Path | None) -> Path:
     return path
 
 
-def make_mixer_settings(vehicle: Vehicle, idle: float, max_motors: int = 8) -> list[str]:
+def make_mixer_settings(vehicle: Vehicle, idle: float) -> list[str]:
     """Return console lines for the motors: which jet answers to which axis, and their range.
 
     Its SITL is built without servos.  So two motor outputs behind the engines carry the tilts: each has the collective
@@ -109,9 +116,9 @@ def make_mixer_settings(vehicle: Vehicle, idle: float, max_motors: int = 8) -> l
     refuse_effectiveness("betaflight", vehicle)
     jets = vehicle.jets
     servos = 2 if vehicle.servo else 0
-    if len(jets) + servos > max_motors:
+    if len(jets) + servos > MAX_MOTORS:
         raise InputError(
-            f"betaflight: {vehicle.name} has {len(jets)} engines and {servos} servos, and Betaflight has {max_motors} "
+            f"betaflight: {vehicle.name} has {len(jets)} engines and {servos} servos, and Betaflight has {MAX_MOTORS} "
             "motors at most"
         )
     lines = ["mixer CUSTOM", "mmix reset", f"set motor_idle = {round(1e4 * idle)}"]
@@ -185,22 +192,19 @@ class Betaflight(Autopilot):
         self._in: socket.socket | None = None
         self._out = self._open_sender()
 
-    def start(self, tries: int = 3) -> None:
-        """Configure it through its console in a first life, and start the second under the flight's clock.
-
-        ``tries``: its console's threads share buffers without a lock, and it may hang.
-        """
+    def start(self) -> None:
+        """Configure it through its console in a first life, and start the second under the flight's clock."""
         self._in = self._begin(socket.SOCK_DGRAM, self.port)
         shim = str(build_clock())
         ports = {"LD_PRELOAD": shim, "HEXJET_PORT": str(self.port)}
         log = self._folder / "betaflight.log"
-        for life in range(tries):
+        for life in range(_CONFIGURE_TRIES):
             first = Program([str(self.program)], self._folder, log, ports)
             try:
                 configure(first, self.port + CONSOLE, self.settings, self._folder / "console.txt")
                 break
             except UnansweredError:
-                if first.end_description or life == tries - 1:
+                if first.end_description or life == _CONFIGURE_TRIES - 1:
                     raise
             finally:
                 first.close()
@@ -216,12 +220,8 @@ class Betaflight(Autopilot):
         """The process that flies, once it has been started."""
         return None if self._program is None else self._program.process
 
-    def exchange(self, frame: SensorFrame, clock_frames: int = 2) -> ActuatorOutputs:
-        """See :class:`hexjet_sitl.lockstep.Autopilot`.
-
-        ``clock_frames``: by the first state it sets its clock, and by the second, which it takes for late, the rate of
-        that: it runs no loop until the third.  They come long before the flight.
-        """
+    def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
+        """See :class:`hexjet_sitl.lockstep.Autopilot`."""
         assert self._in is not None
         p, q, r = frame.rate
         x, y, z = frame.force
@@ -238,7 +238,7 @@ class Betaflight(Autopilot):
         counts = self.counts
         counts.frames += 1
         timer = AnswerTimer(self.name, self.limit, self._program)
-        if counts.frames <= clock_frames:
+        if counts.frames <= _CLOCK_FRAMES:
             counts.boot += 1
             return ActuatorOutputs((0.0,) * self._jets, (0.0, 0.0), False)
         while len(packet := self._packet(timer)) != _RAW.size:
@@ -264,7 +264,7 @@ class Betaflight(Autopilot):
         left, right = (clamp(scale * (value - mean), self._range) for value in outputs[self._jets :])
         return left, right
 
-    def _channels(self, frame: SensorFrame, neutral: int = 1500) -> list[int]:
+    def _channels(self, frame: SensorFrame) -> list[int]:
         roll, pitch, yaw, throttle, armed, _ = frame.sticks
         fraction = clip((throttle - self.idle) / (1.0 - self.idle), 0.0, 1.0)
         low = 1010.0  # min_check: a pulse below it is no throttle
@@ -274,7 +274,7 @@ class Betaflight(Autopilot):
             round(low + (2000.0 - low) * fraction) if armed and fraction else 1000,
         ]
         switch = 2000 if armed else 1000
-        return [*sticks, to_pulse(yaw), switch, 2000, *[neutral] * 10]
+        return [*sticks, to_pulse(yaw), switch, 2000, *[_NEUTRAL] * 10]
 
     def _packet(self, timer: AnswerTimer) -> bytes:
         assert self._in is not None
@@ -369,13 +369,10 @@ def compute_torque_scale(vehicle: Vehicle) -> Vector3:
     return motor, tilt, tilt
 
 
-def compute_gain_units(vehicle: Vehicle, yaw_i: float = 2.5) -> dict[str, tuple[float, float, float, float]]:
-    """Return for each axis what 1 of its attitude gain [1/s] and of P, I and D is to its mixer.
-
-    ``yaw_i``: src/main/flight/pid_init.c: by how much more its integral of yaw's error counts.
-    """
+def compute_gain_units(vehicle: Vehicle) -> dict[str, tuple[float, float, float, float]]:
+    """Return for each axis what 1 of its attitude gain [1/s] and of P, I and D is to its mixer."""
     return {
-        axis: (0.1, unit * P_SCALE, unit * I_SCALE * (yaw_i if axis == "yaw" else 1.0), unit * D_SCALE)
+        axis: (0.1, unit * P_SCALE, unit * I_SCALE * (YAW_I if axis == "yaw" else 1.0), unit * D_SCALE)
         for axis, unit in zip(AXES, (degrees(scale) for scale in compute_torque_scale(vehicle)), strict=True)
     }
 

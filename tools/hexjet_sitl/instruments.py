@@ -35,23 +35,22 @@ _IGRF = (
     ((0.2, -0.9, 0.6, 0.7, -0.2, 0.5, 0.1, 0.7, 0.0, 0.3, 0.2, 0.4, -0.5, -0.4),
      (-0.9, 0.7, 1.2, -0.3, -1.3, -0.1, 0.2, -0.2, 0.5, 0.6, -0.6, -0.3, -0.5)),
 )
+# fmt: on
+_RADIUS = 6371200.0  # reference radius of the expansion, m
 
 
-def compute_earth_field(
-    latitude_deg: float, longitude_deg: float, degree: int = len(_IGRF), radius_m: float = 6371200.0
-) -> Vector3:
+def compute_earth_field(latitude_deg: float, longitude_deg: float, degree: int = len(_IGRF)) -> Vector3:
     """Return the Earth's field at the surface, north, east, down [gauss]: IGRF-14's terms up to ``degree``.
 
     ``V = a sum (a/r)^(n+1) (g cos(m p) + h sin(m p)) P_nm(cos t)``, ``t`` the geocentric colatitude, ``p`` the
     longitude, ``P`` normalised after Schmidt, and ``B = -grad V``; turned from the centre's vertical to the
     ellipsoid's.  An estimator looks the field up, and takes what is not in ours for an error of the compass.
-    ``radius_m``: reference radius of the expansion, m.
     """
     latitude, p = radians(latitude_deg), radians(longitude_deg)
     c, s = cos(latitude), (1.0 - FLATTENING) ** 2 * sin(latitude)
     centric = atan2(s, c)
     ct, st = sin(centric), cos(centric)
-    ratio = radius_m / (SEMI_MAJOR * hypot(c, s) / sqrt(c * c + s * sin(latitude)))
+    ratio = _RADIUS / (SEMI_MAJOR * hypot(c, s) / sqrt(c * c + s * sin(latitude)))
     radial = south = east = 0.0
     for m in range(degree + 1):
         # of this order the functions of all degrees, and what they grow by with t, each of the two before it

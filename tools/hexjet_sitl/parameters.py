@@ -40,8 +40,7 @@ def px4_torque_scale(vehicle: Vehicle, thrust_coefficient: float = 6.5) -> Vecto
 
     Tilts count with a torque of 1 each and rotors with their levers, roll and pitch have one scale, and with tilts the
     rotors give no yaw and are told to stand at x = 0, so that they give no pitch.  Its size alone: the signs are those
-    of :func:`px4_parameters`.  Raises InputError as :func:`tilt_pitch_sign`.  ``thrust_coefficient``: default of
-    CA_ROTOR_CT.
+    of :func:`px4_parameters`, with PX4's own CA_ROTOR_CT.  Raises InputError as :func:`tilt_pitch_sign`.
     """
     columns = []
     for jet in vehicle.jets:

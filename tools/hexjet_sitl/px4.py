@@ -57,10 +57,13 @@ START_TIMING = StartTiming(
 )
 _IMU, _MAG, _BARO = 7 | 56, 448, 6656  # fields_updated
 _MAG_EVERY, _BARO_EVERY = 0.008, 0.02  # s
+_ARMED = 128  # flag in the mode field
 _START_S = 60.0  # time limit of its connection, for a start on a busy machine
 _UNKNOWN = re.compile(r"ERROR\s+\[param\] Parameter (\w+) not found")
 _SINCE_1_17 = "MAN_DEADZONE"  # is told to every PX4
 _KINDS = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc"}  # last byte of ver_sw_release; 255: a release
+_END_S = 0.5  # wall-clock time that a process may take to end behind its connection
+_BOOT_TIMEOUT = 0.02  # s of the clock for an answer before there was one
 
 
 def invert_yaw_curve(turn: float) -> float:
@@ -156,18 +159,15 @@ class Px4(Autopilot):
             check_unknown_parameters(log, parameters, self.optional)  # its parameters are set before it connects
         set_receive_timeout(self._link).setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
-    def exchange(self, frame: SensorFrame, boot_timeout_s: float = 0.02) -> ActuatorOutputs:
-        """See :class:`hexjet_sitl.lockstep.Autopilot`.
-
-        ``boot_timeout_s``: s of the clock for an answer before there was one.
-        """
+    def exchange(self, frame: SensorFrame) -> ActuatorOutputs:
+        """See :class:`hexjet_sitl.lockstep.Autopilot`."""
         assert self._link is not None
         counts = self.counts
         now = round(1e6 * frame.time) + 1  # 0 would be no time
         self._send(self._messages(frame, now))
         counts.frames += 1
         booting = counts.answers == 0
-        timer = AnswerTimer(self.name, boot_timeout_s if booting else self.limit, self._program)
+        timer = AnswerTimer(self.name, _BOOT_TIMEOUT if booting else self.limit, self._program)
         has_waited = booting  # not before the first answer, which is all that most frames take
         while True:
             try:
@@ -202,13 +202,12 @@ class Px4(Autopilot):
     def _ended(self) -> str:
         return "" if self._program is None else self._program.end_description
 
-    def _closed(self, end_s: float = 0.5) -> FlightError:
-        """Wait ``end_s`` of wall-clock time for a process to end behind its connection."""
-        ended = "" if self._program is None else self._program.describe_end(end_s)  # its sockets close before it ends
+    def _closed(self) -> FlightError:
+        ended = "" if self._program is None else self._program.describe_end(_END_S)  # its sockets close before it ends
         return FlightError(f"px4 closed its connection and {ended}" if ended else "px4 closed its connection")
 
-    def _answer(self, values: tuple[float, ...], armed_flag: int = 128) -> ActuatorOutputs:
-        controls, armed = values[2:18], bool(int(values[18]) & armed_flag)
+    def _answer(self, values: tuple[float, ...]) -> ActuatorOutputs:
+        controls, armed = values[2:18], bool(int(values[18]) & _ARMED)
         throttle = tuple([clip(value, 0.0, 1.0) for value in controls[: self._jets]])
         if not self._range:
             return ActuatorOutputs(throttle, (0.0, 0.0), armed)

@@ -113,13 +113,12 @@ def fly_autopilot(
     observers: Sequence[Observer] = (),
     realtime_factor: float | None = None,
     page: bool = True,
-    max_step_limit_s: float = 3600.0,
 ) -> AutopilotRun:
     """Fly a scenario with an autopilot in the place of the controller, and close the autopilot.
 
     ``page``: whether to make one.  A crash, an autopilot that ends or hangs, and Ctrl-C are outcomes, and the run is
     kept.  Raises InputError for what cannot be flown, and FlightError for an autopilot that does not begin; there is no
-    run then.  ``max_step_limit_s``: of a step, by the scenario; the autopilots' own bounds are shorter.
+    run then.  The autopilots' own bounds of a step are shorter than its hour.
     """
     label, block = autopilot.name, AutopilotBlock(autopilot)
     try:
@@ -137,7 +136,7 @@ def fly_autopilot(
             columns=COLUMNS,
             is_copied=False,
         )
-        scenario = scenario.replace(controller=source.name, controller_limit_s=max_step_limit_s, expect=[])
+        scenario = scenario.replace(controller=source.name, controller_limit_s=3600.0, expect=[])
         with build(scenario, source) as simulation:
             autopilot.start()
             recording = record(simulation, folder)

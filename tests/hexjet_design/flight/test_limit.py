@@ -125,8 +125,8 @@ def test_no_law_is_below_it_and_its_bounds_are_kept(name: str) -> None:
 
 @pytest.mark.long
 def test_a_finer_spline_changes_little(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limits, "GRID", limits.GRID._replace(knots_a_delay=2.0 * limits.GRID.knots_a_delay))
-    monkeypatch.setattr(limits, "GRID", limits.GRID._replace(frequencies=800))
+    monkeypatch.setattr(limits, "KNOTS_A_DELAY", 2.0 * limits.KNOTS_A_DELAY)
+    monkeypatch.setattr(limits, "FREQUENCIES", 800)
     finer = find_limit(roll(), LAWS["pid"][0])
     assert 0.97 * least("pid").load_error < finer.load_error < 1.001 * least("pid").load_error
 

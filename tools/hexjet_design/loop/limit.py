@@ -44,25 +44,15 @@ from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import ClosedLoop, window_s
 from hexjet_design.loop.optimal import ON_CIRCLE, polynomial
 
+DEGREE = 3  # of the splines
+KNOTS_A_DELAY = 3.25  # knots within the time that the plant is late by
+EVEN_DELAYS = 24  # for so many delays knots are as close; behind them their distance grows
 GROWTH, FARTHEST = 1.08, 8.0  # from knot to knot, up to so many times the first distance
-
-
-class ProgrammeGrid(NamedTuple):
-    """Splines and frequencies of the convex programme."""
-
-    degree: int = 3  # of the splines
-    knots_a_delay: float = 3.25  # in the time that the plant is late
-    even_delays: int = 24  # behind which knots are farther apart
-    frequencies: int = 620  # even in the logarithm
-    lowest: float = 2e-3  # rad per sample, the first of them
-    quarter: float = 0.25  # step of a tolerance, samples
-    relaxed: float = 0.1  # of a bound, to see its price
-    factor: float = 2.0  # of the peak with an error of the delay
-
-
-GRID = ProgrammeGrid()
-
-
+FREQUENCIES = 620  # of the sensitivity, even in the logarithm
+LOWEST = 2e-3  # rad per sample, the first of them
+QUARTER = 0.25  # of a sample, by which a loop's own tolerance of the delay is found
+RELAXED = 0.1  # of a bound, by which it is relaxed to see its price
+FACTOR = 2.0  # by which the peak sensitivity may grow with an error of the delay
 WORDS = {
     "peak_sensitivity": "more peak sensitivity",
     "noise": "more noise",
@@ -78,7 +68,7 @@ class Bounds(NamedTuple):
     peak_sensitivity: float
     noise: float  # standard deviation of the command, its unit
     step_error: float  # integrated absolute error after a unit step of the set-point, rad s per rad
-    delay_error: float = 0.0  # samples either way, with which the peak may become twice as high; 0: not held
+    delay_error: float = 0.0  # samples either way, with which the peak may become FACTOR times as high; 0: not held
 
 
 @dataclass(frozen=True)
@@ -144,7 +134,7 @@ class AxisLimit:
         if not self.prices:
             return text
         parts = ", ".join(f"{WORDS[name]} by {100.0 * price:.1f} %" for name, price in self.prices.items())
-        return f"{text}; that least falls with {100.0 * GRID.relaxed:.0f} % {parts}"
+        return f"{text}; that least falls with {100.0 * RELAXED:.0f} % {parts}"
 
 
 def axis_limit(closed: ClosedLoop, load_error: float, priced: bool = False) -> AxisLimit:
@@ -160,7 +150,7 @@ def axis_limit(closed: ClosedLoop, load_error: float, priced: bool = False) -> A
 
 
 def bound_prices(channel: Channel, limit: Limit) -> dict[str, float]:
-    """Return by which share the least load error falls where one bound is relaxed by GRID.relaxed, by the bound's name.
+    """Return by which share the least load error falls where one bound is relaxed by RELAXED, by the bound's name.
 
     A bound that costs nothing was not in the way; a tolerance of the delay is relaxed where there is less of it.
     """
@@ -169,7 +159,7 @@ def bound_prices(channel: Channel, limit: Limit) -> dict[str, float]:
     for name in WORDS:
         value = getattr(bounds, name)
         if value:
-            relaxed = value * (1.0 - GRID.relaxed if name == "delay_error" else 1.0 + GRID.relaxed)
+            relaxed = value * (1.0 - RELAXED if name == "delay_error" else 1.0 + RELAXED)
             found = find_limit(channel, bounds._replace(**{name: relaxed}), limit.window_s)
             prices[name] = max(0.0, 1.0 - found.load_error / limit.load_error)
     return prices
@@ -182,9 +172,9 @@ def loop_bounds(closed: ClosedLoop) -> Bounds:
 
 
 def _delay_error(closed: ClosedLoop) -> float:
-    """Return the largest error of the delay, samples, up to which the peak stays below GRID.factor times what it is."""
+    """Return the largest error of the delay, samples, up to which the peak stays below FACTOR times what it is."""
     theta, open_loop = closed.points.theta, closed.open_loop
-    allowed, most = GRID.factor * loop_bounds(closed).peak_sensitivity, closed.points.channel.transport_samples
+    allowed, most = FACTOR * loop_bounds(closed).peak_sensitivity, closed.points.channel.transport_samples
 
     def peak_at(error: float) -> float:
         return float(np.abs(1.0 / (1.0 + open_loop * np.exp(-1j * theta * error))).max())
@@ -194,16 +184,16 @@ def _delay_error(closed: ClosedLoop) -> float:
 
 
 def tolerated_error(peak_at: Callable[[float], float | None], allowed: float, most: float) -> float:
-    """Return the largest error, in quarter samples and up to ``most``, up to which the peak is at most ``allowed``.
+    """Return the largest error, in steps of QUARTER and up to ``most``, up to which the peak is at most ``allowed``.
 
     ``peak_at`` gives the peak sensitivity with an error of the delay in samples; None where that is unstable.
     """
     error = 0.0
-    while error + GRID.quarter <= most:
-        peak = peak_at(error + GRID.quarter)
+    while error + QUARTER <= most:
+        peak = peak_at(error + QUARTER)
         if peak is None or peak > allowed:
             break
-        error += GRID.quarter
+        error += QUARTER
     return error
 
 
@@ -276,7 +266,7 @@ class Plant:
 
     def noise_of(self, t: Array, y: Array) -> tuple[Array, Array, Array]:
         """Return the command after impulses of noise of its size: the gyro's by ``t`` and by ``y``, and the angle's."""
-        t, y = (np.concatenate([each, np.zeros((GRID.even_delays * self.late, *each.shape[1:]))]) for each in (t, y))
+        t, y = (np.concatenate([each, np.zeros((EVEN_DELAYS * self.late, *each.shape[1:]))]) for each in (t, y))
         late = self.angle_late + self.shift - self.rate_late
         of_rate = self.channel.rate_noise
         by_y = self.to_command(lfilter(np.r_[np.zeros(late), 0.5, 0.5], [1.0], y, axis=0))
@@ -327,7 +317,7 @@ class Programme:
         plant: Plant,
         bounds: Bounds,
         basis: tuple[Array, Array] | None = None,
-        frequencies: int = GRID.frequencies,
+        frequencies: int = FREQUENCIES,
     ) -> None:
         self.plant, self.bounds, self.frequencies = plant, bounds, frequencies
         if plant.late * plant.step >= bounds.step_error:
@@ -344,7 +334,7 @@ class Programme:
 
     @cached_property
     def _theta(self) -> Array:
-        return np.geomspace(GRID.lowest, pi, self.frequencies)
+        return np.geomspace(LOWEST, pi, self.frequencies)
 
     def _rows(self, t: Any = None, y: Any = None, load: Any = None, step: Any = None, sizes: Any = None) -> Any:
         """Return rows of the matrix from the blocks that they have; ``sizes`` are bounds on |S| and |T_i|, if any."""
@@ -441,10 +431,10 @@ class Programme:
         identity, ones = sparse.identity(count, format="csr"), np.ones(count)
         turned = 2.0 * np.sin(0.5 * np.minimum(self._theta * self.bounds.delay_error, pi))
         nothing = sparse.csr_matrix((count, count))
-        both = sparse.hstack([identity, sparse.diags(GRID.factor * peak * turned)])
+        both = sparse.hstack([identity, sparse.diags(FACTOR * peak * turned)])
         cones = [
             Cone("nonnegative", self._rows(sizes=sparse.hstack([identity, nothing])), peak * ones),
-            Cone("nonnegative", self._rows(sizes=both), GRID.factor * peak * ones),
+            Cone("nonnegative", self._rows(sizes=both), FACTOR * peak * ones),
         ]
         for k, response in enumerate(responses):
             for offset, index in ((1.0, k), (0.0, count + k)):
@@ -500,11 +490,11 @@ def _pairs(pairs: Sequence[tuple[float, float]]) -> list[complex]:
 
 def _splines(samples: int, late: int) -> Array:
     """Return cubic splines sample by sample, a column each: close together first, farther apart behind."""
-    distance = max(1.0, round(late / GRID.knots_a_delay))
-    knots = [*np.arange(0.0, min(samples, GRID.even_delays * late) + 1.0, distance)]
+    distance = max(1.0, round(late / KNOTS_A_DELAY))
+    knots = [*np.arange(0.0, min(samples, EVEN_DELAYS * late) + 1.0, distance)]
     apart = distance
     while knots[-1] < samples:
         apart = min(apart * GROWTH, FARTHEST * distance)
         knots.append(min(float(samples), knots[-1] + apart))
-    clamped = np.r_[[0.0] * GRID.degree, knots, [knots[-1]] * GRID.degree]
-    return np.asarray(BSpline.design_matrix(np.arange(samples, dtype=float), clamped, GRID.degree).toarray())
+    clamped = np.r_[[0.0] * DEGREE, knots, [knots[-1]] * DEGREE]
+    return np.asarray(BSpline.design_matrix(np.arange(samples, dtype=float), clamped, DEGREE).toarray())

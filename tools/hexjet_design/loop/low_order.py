@@ -22,7 +22,7 @@ from cosim.base.errors import InputError
 from cosim.spec.vehicle import RateModel
 from hexjet_design.loop.channel import Channel
 from hexjet_design.loop.closed_loop import window_s
-from hexjet_design.loop.limit import GRID, Bounds, Cone, Limit, Plant, Programme, need_solver
+from hexjet_design.loop.limit import FREQUENCIES, Bounds, Cone, Limit, Plant, Programme, need_solver
 from hexjet_design.loop.optimal import LAGS, ModelForm, Target, fit_weights
 
 # where a search of poles begins: natural frequency times the delay at low frequency, and damping
@@ -69,7 +69,7 @@ def reduce_limit(
     lag_s: float,
     start: Sequence[tuple[float, float]] = START,
     rounds: int = ROUNDS,
-    frequencies: int = GRID.frequencies,
+    frequencies: int = FREQUENCIES,
 ) -> LowOrder:
     """Return the target of the least load error within ``bounds`` that poles of this number reach.
 

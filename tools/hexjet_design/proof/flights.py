@@ -36,8 +36,7 @@ class FlightBounds(NamedTuple):
     height_m: float = 2.0  # off the height, at most
     large_kg: float = 20.0  # from here on a full-scale gust
     hover_s: float = 20.0
-    # Of gain and lag, by which one engine is off; less where less is stated as tolerance of gain.  It comes about in
-    # some steps: such an engine is off from the ground up, and jolts nobody in hover.
+    # Of gain and lag, by which one engine is off, in steps that jolt nobody; less where the gain's tolerance is less.
     engine_spread: float = 0.3
     onset_steps: int = 6
     allowed_step: float = 0.05  # of requirements after a failure
