@@ -162,7 +162,13 @@ class Observer(Protocol):
     """Looks at every step and touches nothing; the last of a step."""
 
     def observe(self, sample: Sample) -> None:
-        """Look at a step after it; once more at the state that ended a flight before its time."""
+        """Look at a step after it; once more at the state that ended a flight before its time.
+
+        Parameters
+        ----------
+        sample : Sample
+            All that there is to see of the step.
+        """
 
 
 class Columns(Protocol):
@@ -178,7 +184,17 @@ class Metric(Protocol):
     """What a finished log says in numbers, once after the flight: a pure function, such as ``flight_metrics``."""
 
     def __call__(self, log: Columns, step_s: float, /) -> Any:
-        """Return one number, or a record of them, of the log of a flight with this control step [s], when it is over.
+        """Evaluate the log of a flight; called once, when it is over.
 
-        None stands for what this flight cannot tell.
+        Parameters
+        ----------
+        log : Columns
+            One float64 a step in every column.
+        step_s : float
+            The control step [s].
+
+        Returns
+        -------
+        Any
+            One number, or a record of them; None for what this flight cannot tell.
         """

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import selectors
 import socket
 import threading
 import time
-from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from math import inf
-from typing import Any, Protocol
+from typing import Any
 
 from cosim.groundstation.mavlink.wire.dialect import Message
-from cosim.groundstation.mavlink.wire.frames import Frame, FramePacker, Parser
 from cosim.groundstation.mavlink.wire.peer import Peer, Priority
 from cosim.groundstation.mavlink.wire.signing import Signing
 from cosim.groundstation.mavlink.wire.tlog import TelemetryLog
-from cosim.groundstation.mavlink.wire.transports.channel import Channel
+from cosim.groundstation.mavlink.wire.transports.channel import Channel, FrameHandler, Hub
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
 from cosim.groundstation.mavlink.wire.transports.tcp import TcpClient, TcpServer
 from cosim.groundstation.mavlink.wire.transports.udp import UdpClient, UdpServer
@@ -33,17 +30,7 @@ _REPORTED = {
 }
 
 
-class FrameHandler(Protocol):
-    """Handler of frames that runs in the link's thread."""
-
-    def receive(self, frame: Frame, peer: Peer, now: float) -> None: ...
-
-    def poll(self, now: float) -> float:
-        """Do everything that is due, and return when something is due again [s of the clock]."""
-        ...
-
-
-class Link:
+class Link(Hub):
     """All links of a vehicle, opened at once so that a wrong one is refused before the flight, until ``start`` silent.
 
     ``handler`` is called in the link's thread only.  Raises InputError where a port cannot be opened.
@@ -57,17 +44,7 @@ class Link:
         log: TelemetryLog | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.refused: Counter[str] = Counter()  # frames and bytes that were refused, by reason
-        self.failures: Counter[str] = Counter()  # exceptions of this program by kind, each of which is a defect
-        self.taken = 0  # frames that were accepted
-        self.events: deque[str] = deque(maxlen=100)  # lines about the links, for the user
-        self.on_event: Callable[[str], None] = lambda text: None  # called with each event line, in the link's thread
-        self.log = log
-        self.handler: FrameHandler | None = None
-        self.now = clock
-        self._system, self._signing = system, signing
-        self._peer_count = 0
-        self._selector = selectors.DefaultSelector()
+        super().__init__(system, signing, log, clock)
         # By reason, the count that was reported last and the time of that report.
         self._reports: dict[str, tuple[int, float]] = {}
         self._channels: list[Channel] = []
@@ -93,46 +70,6 @@ class Link:
     def ports(self) -> list[int]:
         """The local port of each endpoint; 0 where it has none."""
         return [getattr(channel, "port", 0) for channel in self._channels]
-
-    # --- for the channels and their stations
-
-    def report_event(self, text: str) -> None:
-        """Report an event to the people on the ground."""
-        self.events.append(text)
-        self.on_event(f"link: {text}")
-
-    def dispatch_frames(self, frames: Sequence[Frame], peer: Peer, now: float) -> None:
-        """Log a station's frames and hand them to the handler."""
-        self.taken += len(frames)
-        for frame in frames:
-            if self.log is not None:
-                self.log.write_received(frame.raw)
-            if self.handler is None:
-                continue
-            try:
-                self.handler.receive(frame, peer, now)
-            except Exception as error:
-                self.failures[f"{frame.message.msgname}: {type(error).__name__}: {error}"[:200]] += 1
-
-    def new_parser(self, is_datagram: bool) -> Parser:
-        return Parser(self.refused, self._signing, is_datagram)
-
-    def new_peer(self, name: str, transmit: Callable[[bytes], int], is_datagram: bool) -> Peer:
-        """Return a new station with its own sequence and, for signatures, its own link id; see :class:`.Peer`."""
-        packer = FramePacker(self._system, self._peer_count & 0xFF, self._signing)
-        self._peer_count += 1
-        return Peer(name, transmit, self.new_parser(is_datagram), packer, is_datagram, self.now, self.refused)
-
-    def watch(self, item: Any, ready: Callable[[int], None], events: int = selectors.EVENT_READ) -> None:
-        """Call ``ready`` whenever ``item``, a socket or a descriptor, is ready."""
-        self._selector.register(item, events, ready)
-
-    def unwatch(self, item: Any) -> None:
-        """Watch an item no more."""
-        with contextlib.suppress(KeyError, ValueError):
-            self._selector.unregister(item)
-
-    # --- for the vehicle
 
     def start(self, handler: FrameHandler) -> None:
         self.handler = handler

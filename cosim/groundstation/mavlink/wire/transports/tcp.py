@@ -5,20 +5,17 @@ from __future__ import annotations
 import contextlib
 import selectors
 import socket
-from typing import TYPE_CHECKING
 
 from cosim.groundstation.mavlink.wire.peer import Peer
 from cosim.groundstation.mavlink.wire.transports.channel import (
     LIMITS,
     Connection,
+    Hub,
     is_replaceable,
     name_station,
     open_socket,
 )
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
-
-if TYPE_CHECKING:
-    from cosim.groundstation.mavlink.wire.link import Link
 
 # Bytes that the kernel may buffer for a connection, and how many of them may be unsent: old telemetry is of no use
 # to a slow reader.
@@ -26,7 +23,7 @@ _UNSENT_OPTION = getattr(socket, "TCP_NOTSENT_LOWAT", None)
 
 
 def _connection(
-    link: Link, name: str, connection: socket.socket, kernel_bytes: int = 65536, unsent_bytes: int = 4096
+    link: Hub, name: str, connection: socket.socket, kernel_bytes: int = 65536, unsent_bytes: int = 4096
 ) -> Connection:
     connection.setblocking(False)
     with contextlib.suppress(OSError):
@@ -40,7 +37,7 @@ def _connection(
 class TcpServer:
     """A server for several connections."""
 
-    def __init__(self, link: Link, endpoint: Endpoint) -> None:
+    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
         self._socket = open_socket(endpoint, socket.SOCK_STREAM, bind=True)
         self._socket.listen(LIMITS.max_stations)
@@ -97,7 +94,7 @@ class TcpClient:
 
     port = 0
 
-    def __init__(self, link: Link, endpoint: Endpoint) -> None:
+    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
         self._endpoint = endpoint
         self._attempt: socket.socket | None = None

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
 
 from cosim.groundstation.mavlink.wire.peer import Peer
 from cosim.groundstation.mavlink.wire.transports.channel import (
     LIMITS,
     Address,
+    Hub,
     ReadGate,
     is_replaceable,
     name_station,
     open_socket,
 )
 from cosim.groundstation.mavlink.wire.transports.endpoint import Endpoint
-
-if TYPE_CHECKING:
-    from cosim.groundstation.mavlink.wire.link import Link
 
 
 def _without_waiting(send: Callable[[bytes], int]) -> Callable[[bytes], int]:
@@ -51,7 +48,7 @@ class UdpClient:
 
     port = 0
 
-    def __init__(self, link: Link, endpoint: Endpoint) -> None:
+    def __init__(self, link: Hub, endpoint: Endpoint) -> None:
         self._link = link
         self._socket = open_socket(endpoint, socket.SOCK_DGRAM, bind=False)
         self._target = (endpoint.host, endpoint.port)
@@ -87,7 +84,7 @@ class ConnectedStation:
     """
 
     def __init__(
-        self, link: Link, server: socket.socket, address: Address, stray: Callable[[bytes, Address], None]
+        self, link: Hub, server: socket.socket, address: Address, stray: Callable[[bytes, Address], None]
     ) -> None:
         self._link = link
         self._address = address
@@ -138,7 +135,7 @@ class ConnectedStation:
 class SharedSocketStation:
     """One station behind a UDP server where the system has no socket of its own for it."""
 
-    def __init__(self, link: Link, server: socket.socket, address: Address) -> None:
+    def __init__(self, link: Hub, server: socket.socket, address: Address) -> None:
         transmit = _without_waiting(lambda data: server.sendto(data, address))
         self.peer = link.new_peer(name_station("udpin", address), transmit, is_datagram=True)
 
@@ -155,7 +152,7 @@ class UdpServer:
     ``forget_s``: after which a silent station is gone.
     """
 
-    def __init__(self, link: Link, endpoint: Endpoint, forget_s: float = 30.0) -> None:
+    def __init__(self, link: Hub, endpoint: Endpoint, forget_s: float = 30.0) -> None:
         self.forget_s = forget_s
         self._link = link
         self._socket = open_socket(endpoint, socket.SOCK_DGRAM, bind=True)
