@@ -30,6 +30,7 @@ from cosim.groundstation.mavlink.wire.dialect import mav
 from cosim.results.run import open_run
 
 HEXJET = [sys.executable, "-c", "from cosim.cli.main import main; main()"]
+LINK = ("--mavlink", "udpin:127.0.0.1:0", "--params", "none")
 TAKEOFF, LAND, ARM, REPOSITION, REBOOT = 22, 21, 400, 192, 246
 ACCEPTED, REJECTED = 0, 1
 
@@ -128,19 +129,7 @@ def vehicle(tmp_path: Path) -> Iterator[Callable[..., tuple[subprocess.Popen[str
 
     def start(*arguments: str) -> tuple[subprocess.Popen[str], int]:
         process = subprocess.Popen(
-            [
-                *HEXJET,
-                "gcs",
-                "--mavlink",
-                "udpin:127.0.0.1:0",
-                "--params",
-                "none",
-                "--rtf",
-                "10",
-                "--out",
-                str(tmp_path / "run"),
-                *arguments,
-            ],
+            [*HEXJET, "gcs", *LINK, "--rtf", "10", "--out", str(tmp_path / "run"), *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -167,7 +156,7 @@ def vehicle(tmp_path: Path) -> Iterator[Callable[..., tuple[subprocess.Popen[str
 def test_the_exit_status_is_the_verdicts_as_of_fly(hexjet: Hexjet, most: str, status: int) -> None:
     """Standing it sinks 10 nm aside into its legs: beyond one limit and within the other, and completed in both."""
     done = hexjet(
-        "gcs", "--mavlink", "udpin:127.0.0.1:0", "--params", "none",
+        "gcs", *LINK,
         "--rtf", "0", "--duration", "1", "--out", "run", "--set", f"limits.drift_m={most}", "--json",
     )  # fmt: skip
     (summary,) = json.loads(done.out)["runs"]

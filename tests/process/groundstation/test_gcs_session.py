@@ -569,6 +569,7 @@ def test_a_place_is_two_numbers(text: str) -> None:
 # --- the command -------------------------------------------------------------------------------------------------
 
 HEXJET = [sys.executable, "-c", "from cosim.cli.main import main; main()"]
+LINK = ("--mavlink", "udpin:127.0.0.1:0", "--params", "none")
 
 
 @pytest.fixture
@@ -578,17 +579,7 @@ def started(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
 
     def start(*arguments: str) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [
-                *HEXJET,
-                "gcs",
-                "--mavlink",
-                "udpin:127.0.0.1:0",
-                "--params",
-                "none",
-                "--out",
-                str(tmp_path / "run"),
-                *arguments,
-            ],
+            [*HEXJET, "gcs", *LINK, "--out", str(tmp_path / "run"), *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

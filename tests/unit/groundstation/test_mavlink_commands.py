@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from math import nan, pi
 from typing import Any
@@ -46,20 +45,6 @@ from cosim.groundstation.mavlink.wire.dialect import mav
 ACCEPTED, TEMPORARILY, DENIED, UNSUPPORTED, FAILED, FRAME = 0, 1, 2, 3, 4, 9
 # The vehicle of the bench is 10 m above its origin, home is at 2 m, the ground at 12 m above the sea.
 LAT, LON, _ = GEODESY.to_geodetic(50.0, -20.0, 30.0)
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    made = Bench()
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def desk(bench: Bench) -> Desk:
-    desk = bench.station()
-    bench.step()
-    return desk
 
 
 def result(desk: Desk, message: Any) -> tuple[int, list[Request]]:

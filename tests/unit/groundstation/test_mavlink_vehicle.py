@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from math import copysign, isnan, nan, pi, radians, sqrt
@@ -28,20 +27,6 @@ from cosim.groundstation.mavlink.telemetry_state import PERSONALITIES, FlightEve
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.atmosphere import standard_density
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    made = Bench()
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def desk(bench: Bench) -> Desk:
-    desk = bench.station()
-    bench.step()
-    return desk
 
 
 def one(desk: Desk, name: str) -> object:
