@@ -71,8 +71,9 @@ def fly(
     if flight is not None:
         from cosim.campaign import fly_again, open_campaign
 
-        if choices or realtime or realtime_factor is not None:
-            raise InputError("flight: a flight of a campaign is flown as it was; leave other choices out")
+        stated = choices | {"realtime": realtime or None, "realtime_factor": realtime_factor}
+        for name in (name for name, value in stated.items() if value is not None):
+            raise InputError(f"{name}: a flight of a campaign is flown as it was; leave it out with flight")
         campaign = open_campaign(Path(scenario))
         folder = Path(out) if out else new_folder(Path("runs"), f"{campaign.study.name}-flight-{flight}")
         return RepeatedResult(fly_again(campaign, flight, folder))

@@ -232,12 +232,6 @@ SETTINGS = words("--set", "KEY=VALUE", "As in hexjet fly.")
 NOMINAL_ENGINE = flag("--nominal-engine", "Fly the engine as it is stated: do not draw it by its [uncertainty].")
 ENGINES = words("--engine", "[N=]NAME|FILE", "As in hexjet fly.")
 WORKERS = whole("--workers", None, "Processes.", min=1, max=64, default=2)
-METRICS = words(
-    "--metric", "NAME", "One of yours beside the built-in ones: FILE.py:Name, package.module:Name, an entry."
-)
-OBSERVERS = words("--observer", "NAME", "One of yours, the same way.")
-SENSORS = word("--sensors", "NAME", "Yours behind the built-in ones, the same way, or a profile of these: measured.")
-WIND = word("--wind", "NAME|FILE.csv", "Yours over time and place, the same way, or a table over time.")
 
 
 LOG_PART = (
@@ -255,9 +249,3 @@ class LogPart(Record):
     time_unit: str | None = None
     begin: float | None = None
     end: float | None = None
-
-
-SHARED_ASSETS = flag(
-    "--shared-assets",
-    "What draws the page goes into one folder beside DIR, assets-..., for all runs there; move them together.",
-)

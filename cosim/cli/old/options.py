@@ -9,7 +9,6 @@ import click
 from click.core import ParameterSource
 
 from cosim.api.call import choices
-from cosim.base.errors import InputError
 from cosim.cli.console import echo, note
 from cosim.cli.old import opt
 
@@ -56,15 +55,6 @@ class Flight(opt.Record):
 def is_given(name: str) -> bool:
     """Return whether an option of the running command is on its command line."""
     return click.get_current_context().get_parameter_source(name) is ParameterSource.COMMANDLINE
-
-
-def refuse_others(why: str, *allowed: str) -> None:
-    """Refuse what was given on the command line and is not allowed beside the rest, and say ``why``."""
-    for parameter in click.get_current_context().command.params:
-        name = parameter.name or ""
-        if name not in (*allowed, "trust") and is_given(name):
-            option = max(parameter.opts, key=len)
-            raise InputError(f"{option}: {why}")
 
 
 def warn_of_fmu_defects(*engines: str, folder: Path = Path(), isolated: bool | None = None) -> None:

@@ -230,7 +230,7 @@ def test_a_sweep_leaves_a_data_set_and_a_page(hexjet: Hexjet, tmp_path: Path) ->
     assert done.status == 0, done.err
     assert done.err == ""  # quiet in a pipe
     folder = tmp_path / "runs" / "hover-001"
-    assert "folder: runs/hover-001" in done.out
+    assert "report: runs/hover-001/" in done.out
     assert {STUDY, SCENARIO, JOURNAL, FLIGHTS, "report.html"} <= {path.name for path in folder.iterdir()}
     assert "3 flights" in done.out
 
@@ -284,8 +284,8 @@ VARY = ("--vary", "vehicle.mass_kg=5.4:5.8", "--runs", "2")
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["hover", *VARY, "--workers", "0"], "--workers"),
-        (["hover", *VARY, "--time-limit", "0"], "--time-limit"),
+        (["hover", *VARY, "--workers", "0"], "workers = 0: at least 1"),
+        (["hover", *VARY, "--time-limit", "0"], "time limit = 0 s: must be above 0"),
         (["hover", *VARY, "--resume"], "--resume: give the folder of the campaign"),
         (["hover", *VARY, "--out", "c"], "c: already holds a campaign (study.toml); --resume goes on with it"),
         (["c"], "c: already holds a campaign; --resume goes on with it"),
@@ -315,9 +315,9 @@ def test_wrong_input_is_one_line(flown: Campaign, hexjet: Hexjet, arguments: lis
     [
         (["hover", "--flight", "0"], "hover: no campaign here (study.toml is missing)"),
         (["c", "--flight", "6"], "c: flight 6: there are 0 to 5"),
-        (["c", "--flight", "-1"], "--flight"),
-        (["c", "--flight", "0", "--seed", "3"], "--seed: a flight of a campaign is flown as it was"),
-        (["c", "--flight", "0", "--controller", "smith"], "--controller: a flight of a campaign is flown as it was"),
+        (["c", "--flight", "-1"], "c: flight -1: there are 0 to 5"),
+        (["c", "--flight", "0", "--seed", "3"], "seed: a flight of a campaign is flown as it was"),
+        (["c", "--flight", "0", "--controller", "smith"], "controller: a flight of a campaign is flown as it was"),
     ],
 )
 def test_wrong_flights_are_one_line(flown: Campaign, hexjet: Hexjet, arguments: list[str], message: str) -> None:
