@@ -39,7 +39,7 @@ _KINDS = {int: "N", float: "X", str: "TEXT", Path: "FILE"}
 # Endings of files that commands write or read; any other name, such as runs/v1.2, is a folder's.
 _FILES = frozenset((
     ".bin", ".c", ".csv", ".fmu", ".h", ".htm", ".html", ".jpg", ".json", ".jsonl", ".log", ".mat", ".mcap", ".md",
-    ".parquet", ".pdf", ".png", ".py", ".svg", ".tlog", ".toml", ".txt", ".ulg", ".ulog", ".yaml", ".zip",
+    ".parquet", ".pdf", ".png", ".py", ".ssp", ".svg", ".tlog", ".toml", ".txt", ".ulg", ".ulog", ".yaml", ".zip",
 ))  # fmt: skip
 _JSON, _TRUST = "as_json", "trust"  # options that a command adds to those of its function
 _HELP = ("-h", "--help")

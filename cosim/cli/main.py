@@ -145,7 +145,6 @@ def _make_tree() -> Any:
     from cyclopts import App
 
     root = App(name="hexjet", version_flags=[])
-    inner = {}
     for name in table.list_names():
         first, _, second = name.partition(" ")
         try:
@@ -158,10 +157,9 @@ def _make_tree() -> Any:
         if not second:
             root.command(app, name=first)
         else:
-            if first not in inner:
-                inner[first] = App(name=first, version_flags=[])
-                root.command(inner[first])
-            inner[first].command(app, name=second)
+            if first not in root:
+                root.command(App(name=first, version_flags=[]))
+            root[first].command(app, name=second)
     return root
 
 

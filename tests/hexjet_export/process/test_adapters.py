@@ -392,7 +392,7 @@ def test_another_licence_is_refused_for_what_is_theirs(hexjet: Hexjet, tmp_path:
     done = hexjet(*asked, "--out", str(tmp_path / "mit"))
     assert done.status == 0
     assert done.err == (
-        "hexjet: note: --licence MIT: not for what touches or includes betaflight's code: GPL-3.0-or-later\n"
+        "hexjet: note: licence MIT: not for what touches or includes betaflight's code: GPL-3.0-or-later\n"
     )
     readme = (tmp_path / "mit" / "README.md").read_text(encoding="utf-8")
     assert "Licence of these files: MIT." in readme

@@ -310,15 +310,15 @@ def test_flown_back_it_leaves_the_same_log(case: str, exported: ExportedControll
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--name", "2nd"], "--name 2nd: must be a C identifier"),
-        (["--name", "math"], "--name math: must be a C identifier"),
-        (["--licence", "a */ b"], "--licence a */ b: must be one line of letters"),
+        (["--name", "2nd"], "name 2nd: must be a C identifier"),
+        (["--name", "math"], "name math: must be a C identifier"),
+        (["--licence", "a */ b"], "licence a */ b: must be one line of letters"),
         (["--controller", "unheard-of"], "unknown controller 'unheard-of'"),
         (["--out", "."], "is there already and not an empty folder"),
         (["--scenario", "fault-flame-out"], "plans around lost engines are not exported"),
-        (["--scenario", "jetwing-roll-doublet", "--set", "duration_s=0.2"], "surfaces have no C form; hexjet export"),
+        (["--scenario", "jetwing-roll-doublet", "--set", "duration_s=0.2"], "surfaces have no C form; with loops"),
         (["--scenario", "jetwing-cruise", "--loops"], "asks for a speed ahead, which is the wing's law"),
-        (["--loops", "--for", "px4"], "--loops: not with --for"),
+        (["--loops", "--for", "px4"], "loops: not with an autopilot"),
     ],
 )
 def test_what_cannot_be_is_one_line(hexjet: Hexjet, arguments: list[str], message: str, tmp_path: Path) -> None:

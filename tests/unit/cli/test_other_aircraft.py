@@ -35,6 +35,6 @@ def test_a_predictor_without_a_model_is_refused_with_what_there_is() -> None:
 def test_what_has_no_form_in_c_says_what_to_do_instead() -> None:
     with (
         build(load_scenario("roll-doublet", None, (), None, (), None, "jetwing")) as simulation,
-        pytest.raises(InputError, match=r"^jetwing: surfaces have no C form; hexjet export controller --loops writes"),
+        pytest.raises(InputError, match=r"^jetwing: surfaces have no C form; with loops the"),
     ):
         make_form(simulation)

@@ -64,11 +64,12 @@ class ControllerExport(Result):
         return asdict(self.exported) | {"folder": str(self.exported.folder)}
 
     def lines(self) -> list[str]:
-        """Return the files, and how the test went."""
+        """Return how the test went."""
         done = self.exported
+        verdict = {None: "was not compared with", True: "repeats", False: "does not repeat"}[self.same]
         figures = [f"{quantity}: {value}" for quantity, value in list_figures(done.measured, self._loops)]
         missing = [] if done.without_fmus is None else [f"no FMUs: {done.without_fmus}"]
-        return [f"{done.folder}: {', '.join(done.files)}", f"test vectors: {done.steps} steps", *figures, *missing]
+        return [f"the C {verdict} the flight of {done.steps} steps", *figures, *missing]
 
 
 @checked()
@@ -108,13 +109,14 @@ def export_controller(
     name : str
         Name of files, functions and types, an identifier.
     licence : str or None
-        Stated in every file that is ours alone, an SPDX expression; None: NOASSERTION.
+        Stated in every file that is ours alone, e.g. MIT or "LicenseRef-Ours", yours to choose; None: NOASSERTION.
+        What goes into Betaflight's or ArduPilot's own code is GPL-3.0-or-later.
     fmus : bool
-        Whether FMUs are built too.
+        Whether FMUs are built too, or the C alone.
     loops : bool
-        Whether it is the attitude, rate and altitude loops alone, for a mixer of your own.
+        Whether it is the attitude, rate and altitude loops alone, for a mixer of your own; without FMUs.
     inside : sequence of str
-        Autopilots that get its rate loop for their inside, each in a folder of its own.
+        Autopilots that get its rate loop for their inside, with instructions, each in a folder of its own.
     progress : Progress or None
         Hears notes.
 
@@ -136,9 +138,9 @@ def export_controller(
     vehicle, _ = flown.resolved_vehicle()
     torques = {autopilot: find_torque_scale(autopilot, vehicle) for autopilot in inside}
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: is there already and not an empty folder; name another with --out")
+        raise InputError(f"{folder}: is there already and not an empty folder; name another")
     if loops and inside:
-        raise InputError("--loops: not with --for, whose adapters have the allocation")
+        raise InputError("loops: not with an autopilot, whose adapters have the allocation")
     if flown.requests is not None:
         raise InputError(f"scenario {flown.name}: is flown by an autopilot's requests; choose one with commands")
     labels = Labels(name, f"{flown.aircraft_name} with {flown.controller}", licence, ())  # before the flight
@@ -174,7 +176,7 @@ def _licence_notes(licence: str | None, inside: Sequence[str]) -> list[str]:
     """Return which files of an adapter have another licence than the one that was asked for, a line each."""
     programs = {each: PROGRAM_LICENCES.get(each) for each in inside}
     return [
-        f"--licence {licence}: not for what touches or includes {autopilot}'s code: {program}"
+        f"licence {licence}: not for what touches or includes {autopilot}'s code: {program}"
         for autopilot, program in programs.items()
         if program is not None and licence not in (None, program)
     ]

@@ -28,7 +28,7 @@ TEMPLATES = Path(__file__).resolve().parent / "templates"
 # whose headers are included, by the C or by the adapter of the FMUs
 _RESERVED = ("math", "stdbool", "stdint", "stdio", "string", "time", "engine", "slave", "variables", "fmi2", "fmi3")
 
-NO_LICENCE = "not stated (choose one with --licence)"
+NO_LICENCE = "not stated (choose a licence)"
 
 
 @dataclass(frozen=True)
@@ -43,12 +43,12 @@ class Labels:
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,39}", self.name) or self.name in _RESERVED:
             raise InputError(
-                f"--name {self.name}: must be a C identifier of small letters, digits and _, at most 40, and not "
+                f"name {self.name}: must be a C identifier of small letters, digits and _, at most 40, and not "
                 + ", ".join(_RESERVED)
             )
         if self.licence is not None and not re.fullmatch(r"[A-Za-z0-9.+() -]{1,120}", self.licence):
             raise InputError(
-                f"--licence {self.licence}: must be one line of letters, digits, spaces, . + - and brackets, as in SPDX"
+                f"licence {self.licence}: must be one line of letters, digits, spaces, . + - and brackets, as in SPDX"
             )
 
 

@@ -31,8 +31,8 @@ def make_hinged_form(allocator: EffectivenessAllocator, vehicle: Vehicle) -> dic
     """Return the constants of the allocation.  Raises InputError for a vehicle with surfaces."""
     if allocator.surfaces:
         raise InputError(
-            f"{vehicle.name}: surfaces have no C form; hexjet export controller --loops writes the loops alone, for a "
-            "mixer of your own, hexjet export vehicle the whole vehicle as an FMU"
+            f"{vehicle.name}: surfaces have no C form; with loops the loops alone are exported, for a "
+            "mixer of your own, by hexjet export vehicle the whole vehicle as an FMU"
         )
     known, servos = allocator.constants, len(vehicle.actuators)
     links = max(1, *(len(chain) for _, _, _, chain in known.stations))

@@ -67,10 +67,9 @@ class VehicleExport(Result):
         return asdict(self.exported) | {"folder": str(self.exported.folder)}
 
     def lines(self) -> list[str]:
-        """Return the files, the interface, and who flies them."""
+        """Return the interface, and who flies the files."""
         done = self.exported
         return [
-            f"{done.folder}: {', '.join(done.files)}",
             f"{done.inputs} inputs, {done.outputs} outputs, communication step {done.step_s:g} s or a multiple",
             f"flown by {done.python}, unless HEXJET_PYTHON names another",
         ]
@@ -91,6 +90,9 @@ def export_vehicle(
     progress: Progress | None = None,
 ) -> VehicleExport:
     """Write the vehicle as FMI 2.0 and 3.0 co-simulation FMUs for other masters.
+
+    The FMU flies the scenario in a Python with hexjet-cosim, which it starts itself: this one, or that which
+    HEXJET_PYTHON names.
 
     Parameters
     ----------
@@ -136,7 +138,7 @@ def export_vehicle(
     targets = _list_targets(Path(name if out is None else out), name, kind)
     contents = VehicleContents("engines" not in outside and kind == "fmu", "controller" not in outside)
     if kind == "ssp" and not contents.controller:
-        raise InputError("export vehicle --to ssp: has the controller in the vehicle; leave out --outside controller")
+        raise InputError("export vehicle: an ssp has the controller in the vehicle; outside may be engines")
     flight = ExportedFlight(flown, contents, _no_exchange)
     try:
         resources = _resources(flight, contents)
@@ -169,12 +171,12 @@ def _list_targets(out: Path, name: str, kind: str) -> dict[int, Path]:
     """Return the files to write by the version of FMI.  Raises InputError for one, or a folder, that is in use."""
     if out.suffix.lower() in (".fmu", ".ssp") and not out.is_dir():
         if out.suffix.lower() != f".{kind}":
-            raise InputError(f"--out {out}: --to {kind} writes .{kind}")
+            raise InputError(f"{out}: {kind} is written to a file .{kind}")
         if out.exists():
-            raise InputError(f"{out}: is there already; name another with --out or remove it")
+            raise InputError(f"{out}: is there already; name another or remove it")
         return {2 if out.stem.endswith(FMI2_SUFFIX) else 3: out}
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: is there already and not an empty folder; name another with --out")
+        raise InputError(f"{out}: is there already and not an empty folder; name another")
     return {fmi: archive_path(out, name, fmi).with_suffix(f".{kind}") for fmi in FMI_VERSIONS}
 
 

@@ -72,7 +72,7 @@ def _connect(
 
 
 def _check_engine(jet: int, spec: EngineSpec) -> None:
-    where = f"export vehicle --to ssp: engine of jet {jet} ({spec.path.name})"
+    where = f"export vehicle: ssp: engine of jet {jet} ({spec.path.name})"
     if spec.start is None:
         raise InputError(f"{where}: has no parameter that starts it in equilibrium, which a system needs")
     if spec.archive.starting.warm_up_s:
