@@ -66,7 +66,7 @@ def _impulse(
     ended = 0
     while ended <= wait:
         values.append(predictor.update(0.0, 0.0))
-        ended = ended + 1 if abs(values[-1]) < ended else 0
+        ended = ended + 1 if abs(values[-1]) < ended_below else 0
         if len(values) > max_taps:
             raise InputError(f"{type(predictor).__name__}: its impulse response does not end; it must be stable alone")
     return np.array(values)
