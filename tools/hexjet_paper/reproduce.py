@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
@@ -20,12 +20,13 @@ from scipy import constants
 
 import cosim
 from cosim import FlightError, InputError, Run, Scenario, fly, load_vehicle, versions
+from cosim.api.call import Limits, Progress, checked
 from cosim.campaign import as_finished
 from cosim.files import data_folder, write_whole
 from cosim.identify import fit, identify_axis, identify_engine
 from hexjet_paper import numbers
 from hexjet_paper.claims import CONSISTENCY, Evidence, claim_rows
-from hexjet_paper.comparison import LinearPart, as_data, comparison_rows, linear_part, write_csv
+from hexjet_paper.comparison import LinearPart, comparison_rows, linear_part, write_csv
 from hexjet_paper.experiments import CONTROLLERS, Experiment, Result, experiments, quadrotor_axis
 from hexjet_paper.extensions import Reach, turbojet_plant
 from hexjet_paper.flight import flight, scenario
@@ -52,43 +53,50 @@ if TYPE_CHECKING:
 FLIGHT_LOOPS = ("baseline", "smith", "state")
 OFFSET_CONTROLLERS = tuple(c for c in CONTROLLERS if c not in ("baseline", STATE_AS_PRINTED))
 SCENARIOS = "scenarios"
-WORKERS = 2
 
 Say = Callable[[str, int, int], None]  # what is done, how much of it, of how much
 Task = tuple[Callable[..., Any], tuple[Any, ...]]  # a function that another process can run, and its arguments
 
 
-def reproduce(folder: Path, say: Say = lambda what, done, of: None, workers: int = WORKERS) -> Reproduction:
-    """Run or take up every part, and write ``comparison.csv``, ``comparison.json`` and ``report.html`` to ``folder``.
+@checked(workers=Limits(1, 64))
+def reproduce(
+    out: str | Path = Path("runs/paper"), *, workers: int = 2, progress: Progress | None = None
+) -> Reproduction:
+    """Reproduce the paper: every experiment on the linear plant and in six degrees of freedom, number by number.
 
-    Raises InputError if the folder cannot be written to.
+    Leaves comparison.csv, comparison.json and report.html.  An interrupted call goes on where it ended.
+
+    Parameters
+    ----------
+    out : str or Path
+        Where the result goes; parts that are there already are taken up.
+    workers : int
+        Processes.
+    progress : Progress or None
+        Hears which part is done.
+
+    Returns
+    -------
+    Reproduction
+        The numbers and the claims, and where the files are.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be written to.
     """
+    folder, say = Path(out), (progress or Progress()).update
     _check_writable(folder)
     tasks = _tasks()
     parts = _run(tasks, folder / "parts", say, workers)
     parts |= _run(_turbojet_tasks(parts), folder / "parts", say, workers)
     write_scenarios(folder / SCENARIOS)
-    reproduction = _assemble(parts)
-    write_csv(reproduction.rows, folder / COMPARISON)
-    data = as_data(reproduction.linear, reproduction.rows, reproduction.claims) | {"flight": _flight_data(reproduction)}
-    write_whole(folder / DATA, json.dumps(data, indent=1, allow_nan=False) + "\n")
-    write_page(reproduction, folder / REPORT)
+    files = {"comparison": folder / COMPARISON, "data": folder / DATA, "report": folder / REPORT}
+    reproduction = replace(_assemble(parts), files=files)
+    write_csv(reproduction.rows, files["comparison"])
+    write_whole(files["data"], json.dumps(reproduction.to_dict(), indent=1, allow_nan=False) + "\n")
+    write_page(reproduction, files["report"])
     return reproduction
-
-
-def _flight_data(reproduction: Reproduction) -> dict[str, Any]:
-    """Return what the flights add to the data of the linear plant."""
-    decibel, degree = reproduction.identified.deviation
-    return {
-        "metrics": {name: result.metrics.model_dump() for name, result in reproduction.flight_results.items()},
-        "measured_margins": {name: sweep.margins.model_dump() for name, sweep in reproduction.flight_sweeps.items()},
-        "offsets": [asdict(offset) for offset in reproduction.offsets],
-        "turbojet": [asdict(design) for design in reproduction.turbojet],
-        "readings": [reading.model_dump() for reading in reproduction.readings],
-        "model_errors": [error.model_dump() for error in reproduction.model_errors],
-        "consistency": [row.model_dump() for row in reproduction.consistency],
-        "worst_deviation_from_printed_roll": {"db": decibel, "deg": degree},
-    }
 
 
 # --- the parts ------------------------------------------------------------------------------------------------------
@@ -295,7 +303,7 @@ def _check_writable(folder: Path) -> None:
         write_whole(folder / "parts" / "test", b"")
         (folder / "parts" / "test").unlink()
     except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written to: {error.strerror or error}") from error
+        raise InputError(f"{folder}: cannot be written to: {error.strerror or error}") from error
 
 
 def _taken_up(file: Path, kind: TypeAdapter[Any]) -> Any:

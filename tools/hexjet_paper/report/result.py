@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
 
+from cosim.api import call
 from hexjet_paper.claims import ClaimRow, Evidence
-from hexjet_paper.comparison import LinearPart, Row
+from hexjet_paper.comparison import LinearPart, Row, as_data
 from hexjet_paper.experiments import Result
 from hexjet_paper.loops import Sweep
 from hexjet_paper.readings import ModelError, ReadingResult
@@ -67,7 +70,7 @@ class Identified:
 
 
 @dataclass(frozen=True)
-class Reproduction:
+class Reproduction(call.Result):
     """Everything that the report shows."""
 
     linear: LinearPart
@@ -84,3 +87,48 @@ class Reproduction:
     readings: list[ReadingResult]
     model_errors: list[ModelError]
     identified: Identified
+    files: dict[str, Path] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return comparison and claims, the data of the linear plant, and what the flights add to them."""
+        decibel, degree = self.identified.deviation
+        flight = {
+            "metrics": {name: result.metrics.model_dump() for name, result in self.flight_results.items()},
+            "measured_margins": {name: sweep.margins.model_dump() for name, sweep in self.flight_sweeps.items()},
+            "offsets": [asdict(offset) for offset in self.offsets],
+            "turbojet": [asdict(design) for design in self.turbojet],
+            "readings": [reading.model_dump() for reading in self.readings],
+            "model_errors": [error.model_dump() for error in self.model_errors],
+            "consistency": [row.model_dump() for row in self.consistency],
+            "worst_deviation_from_printed_roll": {"db": decibel, "deg": degree},
+        }
+        return as_data(self.linear, self.rows, self.claims) | {"flight": flight}
+
+    def lines(self) -> list[str]:
+        """Return how many claims follow."""
+        from hexjet_paper.report.page import counts_in_words
+
+        return [counts_in_words(self.claims), "G(z) is read as delay only; the other readings are flown in the report"]
+
+    def tables(self) -> list[call.Table]:
+        """Return numbers of the paper beside ours, and the claims."""
+        from hexjet_paper.report.page import rows_to_compare
+
+        numbers = []
+        for row in rows_to_compare(self.rows):
+            name = f"{row.quantity} ({row.note})" if ".state" in row.key else row.quantity
+            linear = _cell(row.linear, "{:.4g}"), _cell(row.linear_deviation, "{:+.1f} %")
+            flight = _cell(row.flight, "{:.4g}"), _cell(row.flight_deviation, "{:+.1f} %")
+            numbers.append((name, row.unit, f"{row.paper:.4g}", *linear, *flight, row.origin))
+        claims = [
+            (claim.claim, claim.linear.verdict, claim.flight.verdict if claim.flight else "-")
+            for claim in [*self.claims, *self.consistency]
+        ]
+        return [
+            call.Table("", ("quantity", "unit", "paper", "linear", "", "flight", "", "origin"), numbers),
+            call.Table("", ("claim", "linear plant", "six degrees of freedom"), claims),
+        ]
+
+
+def _cell(value: float | None, form: str) -> str:
+    return "-" if value is None else form.format(value)
