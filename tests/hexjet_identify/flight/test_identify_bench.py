@@ -430,7 +430,7 @@ def test_the_parameters_of_a_turbine_and_its_ecu_come_out(hexjet: Hexjet, tmp_pa
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
-        (("--fit", "acceleration"), 2, "name it with --engine"),
+        (("--fit", "acceleration"), 2, "name the engine"),
         (("--engine", "turbine-220", "--fit", "accelration"), 2, "did you mean 'acceleration'"),
         (("--engine", "turbine-220", "--fit", "command_dead_band"), 2, "is 0; say where to begin"),
         (("--engine", "turbine-220", "--fit", "light_speed"), 1, "does not tell light_speed of turbine-220"),

@@ -75,10 +75,10 @@ def test_a_call_is_typed_and_refuses_a_name_that_is_none(name: str) -> None:
         ("margins", (), {"out": __file__}, f"{__file__}: is a file; name a folder with --out"),
         ("identify", ("engine", "edf"), {"lags": 7}, "identify: lags: 7; allowed: at least 0, at most 2"),
         ("identify", ("roll",), {"lags": 0}, "identify: lags: 0; allowed: at least 1 of an axis"),
-        ("identify_log", ("a.ulg",), {}, "identify log: say --axis roll, pitch or yaw, or --engine N"),
-        ("identify_log", ("a.ulg", "roll"), {"lags": 0}, "--lags 0: an axis has one at least"),
+        ("identify_log", ("a.ulg",), {}, "identify_log: say axis (roll, pitch or yaw) or engine"),
+        ("identify_log", ("a.ulg", "roll"), {"lags": 0}, "identify_log: lags: 0; allowed: at least 1 of an axis"),
         ("identify_bench", (), {}, "identify_bench: logs: name one at least"),
-        ("identify_bench", ("a.csv",), {"fit": ["lag"]}, "--fit and settings (--set) are for an engine's parameters"),
+        ("identify_bench", ("a.csv",), {"fit": ["lag"]}, "identify_bench: fit and settings are for an engine's"),
         ("faults", ("hexjt",), {}, "unknown aircraft 'hexjt'; did you mean 'hexjet'"),
         ("faults", (), {"workers": 0}, "faults: workers: 0; allowed: at least 1, at most 64"),
         (
@@ -134,8 +134,6 @@ OTHERWISE = {"inertia_tolerance": "inertia", "mass_tolerance": "mass", "thrust_t
         ("hexjet_prove.api.surveys:failsafes", "hexjet_prove.command.surveys:FailsafeOptions", 1.0),
         ("hexjet_prove.api.surveys:faults", "hexjet_prove.command.surveys:Faults", 1.0),
         ("hexjet_identify.api.replay:replay", "hexjet_identify.commands.replay:Replayed", 0.01),
-        ("hexjet_identify.api.bench:identify_bench", "hexjet_identify.commands.bench:Bench", 1.0),
-        ("hexjet_identify.api.logs:identify_log", "hexjet_identify.commands.log:FromLog", 1.0),
     ],
 )
 def test_numbers_have_the_limits_of_their_options(call: str, record: str, shares: float) -> None:

@@ -84,7 +84,9 @@ def identify_bench(
 ) -> BenchIdentifyResult:
     """Identify an engine from its bench logs: static line, delay, lags, limits of rise and fall, with bounds.
 
-    With ``engine`` the parameters of that one are fitted instead: a turbine and its ECU.
+    Says first whether the model explains the logs, then what they do not tell, and the next test.  Leaves a page,
+    identification.json and, of a thrust in N, an engine with its uncertainty.  With ``engine`` the parameters of that
+    one are fitted instead: a turbine and its ECU.
 
     Parameters
     ----------
@@ -103,11 +105,11 @@ def identify_bench(
     engine : str or Path or None
         Engine whose parameters are fitted: a name, an FMU or its mapping file.
     fit : sequence of str
-        Which, beside the delay, which always is.
+        Its parameters that are fitted, beside the delay, which always is.
     settings : sequence of str or mapping
         Parameters that are set, or where they begin.
     time_column : str or None
-        A table's column of time.
+        A table's column of time; None: the one called so.
     time_unit : str or None
         Unit of that column: s, ms, us, ns, min, h or d.
     begin : float or None
@@ -139,7 +141,7 @@ def identify_bench(
     if not logs:
         raise InputError("identify_bench: logs: name one at least")
     if engine is None and (fit or settings):
-        raise InputError("--fit and settings (--set) are for an engine's parameters; name it with --engine")
+        raise InputError("identify_bench: fit and settings are for an engine's parameters; name the engine")
     records = read_records([*map(Path, logs)], Columns(command, output, time_column, time_unit, begin, end))
     choices = Choices(throttle_range, between, longest_delay_s)
     if engine is None:

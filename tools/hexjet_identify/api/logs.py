@@ -67,7 +67,13 @@ class LogIdentifyResult(FolderResult):
         return page(self.identification).figures
 
 
-@checked(longest_delay_s=Limits(0.0, 5.0, is_open=True), working_step_s=Limits(0.0, is_open=True), lags=Limits(0, 3))
+@checked(
+    engine=Limits(1),
+    longest_delay_s=Limits(0.0, 5.0, is_open=True),
+    working_step_s=Limits(0.0, is_open=True),
+    lags=Limits(0, 3),
+    step_s=Limits(0.0, is_open=True),
+)
 def identify_log(
     log: str | Path,
     axis: Literal["roll", "pitch", "yaw"] | None = None,
@@ -101,11 +107,11 @@ def identify_log(
     command : str or None
         The channels instead, with ``output``: a sum such as ``m1 + m2 - 0.5*m3``.
     output : str or None
-        The same; ``deg(NAME)`` is one in degrees, ``square(NAME)`` a square.
+        The same; ``deg(NAME)`` is one in degrees, ``square(NAME)`` a square; quotes hold a name with blanks.
     setpoint : str or None
         What was asked of the output: to test for bias.
     time_column : str or None
-        A table's column of time.
+        A table's column of time; None: the one called so.
     time_unit : str or None
         Unit of that column: s, ms, us, ns, min, h or d.
     begin : float or None
@@ -117,9 +123,9 @@ def identify_log(
     working_step_s : float or None
         Samples are averaged to it [s]; None: as it suits.
     lags : int or None
-        Beside the pole; None: the better of two.
+        Lags beside the pole; None: the better of two.
     hold : mapping or None
-        Parameters of the model that are not fitted, by name.
+        Parameters of the model that are not fitted, by name, such as ``lag_s=0.009``.
     step_s : float
         Control step of the model [s].
     family : str or None
@@ -144,9 +150,9 @@ def identify_log(
 
     check_results_folder(out, RECORD, *FILES)
     if (axis is None) == (engine is None):
-        raise InputError("identify log: say --axis roll, pitch or yaw, or --engine N")
+        raise InputError("identify_log: say axis (roll, pitch or yaw) or engine")
     if axis is not None and lags == 0:
-        raise InputError("--lags 0: an axis has one at least")
+        raise InputError("identify_log: lags: 0; allowed: at least 1 of an axis")
     read, subject = read_flight_log(Path(log), time_column, time_unit), axis or f"engine:{engine}"
     found = identify(
         read,
@@ -173,7 +179,7 @@ def _signals_of(
         unit = "rad/s" if subject in AXES else unit_of(output, log.signal(output).unit) or "output"
         return LogSignals(command, output, setpoint or "", "command", unit)
     if command or output:
-        raise InputError("--command and --output: both or none")
+        raise InputError("command and output: both or none")
     signals = signals_of(log, subject)
     return signals._replace(setpoint=setpoint or signals.setpoint)
 
@@ -237,18 +243,20 @@ def validate(
     end: float | None = None,
     out: str | Path | None = None,
 ) -> ValidateResult:
-    """Fly a model with the commands of a log, and compare it with what happened.
+    """Fly a model with the commands of a log, beside what happened.
+
+    Says whether gain and delay, fitted anew to it, are the model's.  Leaves a page and validation.json.
 
     Parameters
     ----------
     model : str or Path
-        The folder of an identification from a log, its ``identification.json``, or a model file.
+        The folder of an identification from a log, its ``identification.json``, or a model file (.toml) of any.
     log : str or Path
-        As for :func:`identify_log`, of another flight best.
+        What an identification from a log reads, of another flight best.
     axis : str or None
         The axis, of a model file that has several.
     time_column : str or None
-        A table's column of time.
+        A table's column of time; None: the one called so.
     time_unit : str or None
         Unit of that column: s, ms, us, ns, min, h or d.
     begin : float or None
