@@ -127,7 +127,6 @@ OTHERWISE = {"inertia_tolerance": "inertia", "mass_tolerance": "mass", "thrust_t
     ("call", "record", "shares"),
     [
         ("hexjet_design.api:design", "hexjet_design.command:DesignOptions", 1.0),
-        ("hexjet_design.measured.api:margins", "hexjet_design.measured.command:Margins", 1.0),
         ("hexjet_prove.api.searches:search", "hexjet_prove.command.searches:Search", 1.0),
         ("hexjet_prove.api.searches:rare", "hexjet_prove.command.searches:Rare", 1.0),
         ("hexjet_prove.api.prove:prove", "hexjet_prove.command.prove:Prove", 1.0),

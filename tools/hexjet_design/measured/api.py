@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cosim.api.call import FolderResult, Limits, Progress, Table, checked
-from cosim.api.call.choices import choose
+from cosim.api.call.choices import choose, list_fmu_defects
 from cosim.base.signals import AXES
 from cosim.spec.scenario import Scenario
 
@@ -89,10 +89,11 @@ class MarginsResult(FolderResult):
     from_hz=Limits(0.0, is_open=True),
     to_hz=Limits(0.0, is_open=True),
     period_s=Limits(0.0, is_open=True),
+    periods=Limits(3),
 )
 def margins(
     scenario: Scenario | str | Path = "hover",
-    axes: Sequence[str] = AXES,
+    axes: Sequence[Literal["roll", "pitch", "yaw"]] = (),
     *,
     controller: Any = None,
     aircraft: str | Path | None = None,
@@ -112,17 +113,17 @@ def margins(
     """Measure gain, phase and delay margins, both ways, and peak sensitivity of any controller in flight.
 
     A multisine is added between the controller and its actuators while the vehicle holds still; what passes before and
-    behind gives the open loop, with 95 % bounds, beside the computed one where the controller is built in.
+    behind gives the open loop, with 95 % bounds, beside the computed one where the controller is built in.  Every
+    margin is judged by docs/judging.md, and the worst is named.
 
     Parameters
     ----------
     scenario : Scenario or str or Path
         Vehicle, engine, controller and air; its commands, faults and passing disturbances are left out.
     axes : sequence of str
-        Axes that are measured, of roll, pitch and yaw.
+        Axes that are measured; all where none is named.
     controller : str or Path or object or None
-        In place of the scenario's: a name or a file, as ``hexjet fly --controller`` has it; or a class or an object of
-        one's own.
+        In place of the scenario's: a name or a file, as of a flight; in Python a class or an object of one's own too.
     aircraft : str or Path or None
         In place of the scenario's, with the engine that it is made for.
     engine : str or Path or sequence of str or None
@@ -144,7 +145,7 @@ def margins(
     limit : bool
         Whether each computed loop is compared with the best that any linear controller could do.
     at_least : str or None
-        The judgement that every margin is to have for ``kept``; narrow: with a well-known engine alone.
+        The judgement that every margin is to have; narrow: with a well-known engine alone.
     out : str or Path or None
         A folder for page and data; without it nothing is written.
     progress : Progress or None
@@ -168,16 +169,18 @@ def margins(
     hears, done = progress or Progress(), 0
     check_results_folder(out, *WRITTEN)
     named = controller if isinstance(controller, (str, Path)) else None
-    chosen = choose(scenario, named, aircraft, engine, settings, seed, hears.note)
+    chosen, on = choose(scenario, named, aircraft, engine, settings, seed, hears.note), axes or AXES
+    for line in list_fmu_defects(chosen.engine, folder=chosen.folder):
+        hears.note(line)
 
     def tell(text: str) -> None:
         nonlocal done
-        hears.update(text, done, 2 * len(axes) + 1)
+        hears.update(text, done, 2 * len(on) + 1)
         done += 1
 
     measured = measure_margins(
         chosen,
-        axes,
+        on,
         controller=None if named is not None else controller,
         amplitude=amplitude,
         from_hz=from_hz,
