@@ -231,7 +231,6 @@ OUT = out("[default: a new one in runs/]")
 SETTINGS = words("--set", "KEY=VALUE", "As in hexjet fly.")
 NOMINAL_ENGINE = flag("--nominal-engine", "Fly the engine as it is stated: do not draw it by its [uncertainty].")
 ENGINES = words("--engine", "[N=]NAME|FILE", "As in hexjet fly.")
-WORKERS = whole("--workers", None, "Processes.", min=1, max=64, default=2)
 
 
 LOG_PART = (

@@ -38,13 +38,13 @@ class SurveyResult(SweepResult):
         return {"folder": str(self.campaign.folder), "report": str(self.report)} | self.survey.to_dict()
 
     def lines(self) -> list[str]:
-        """Return what flew, and how it is judged."""
-        return self.survey.lines()
+        """Return what flew, how it is judged, and how to fly one of the flights again."""
+        return [*self.survey.lines(), f"one flight again: hexjet fly {self.campaign.folder} --flight N"]
 
     def tables(self) -> list[Table]:
         """Return how the flights of each case ended."""
         head, *lines = self.survey.table()
-        return [Table("", head, lines)]
+        return [Table(self.survey.caption, head, lines)]
 
 
 class FaultsResult(SurveyResult):
@@ -70,18 +70,20 @@ def faults(
 ) -> FaultsResult:
     """Fly every single fault, from hover and from a roll of 10 deg, and tell which the vehicle survives.
 
+    Leaves a campaign with a case for each fault, place and start; the same again goes on where it was stopped.
+
     Parameters
     ----------
     aircraft : str or Path
         Name or folder.
     engine : str or Path or None
-        A name, an FMU or its mapping file; None: the aircraft's own.
+        A name, an FMU or its mapping file; None: that of the aircraft.
     controllers : sequence of str
-        Names or files; none: those with a model.
+        Names or files, by default those with a model.
     kinds : sequence of str
-        Only faults that begin so, such as ``flame-out``; none: all.
+        Only faults that begin so, such as ``flame-out``, by default all.
     limits : bool
-        Whether it is found, too, how much thrust may be lost, and how late that may be noticed.
+        Find out, too, how much thrust may be lost, and how late that may be noticed.
     nominal_engine : bool
         Whether the engine flies as it is stated, not drawn by its uncertainty.
     workers : int
@@ -138,21 +140,21 @@ def failsafes(
     aircraft : str or Path
         Name or folder.
     engine : str or Path or None
-        A name, an FMU or its mapping file; None: the aircraft's own.
+        A name, an FMU or its mapping file; None: that of the aircraft.
     controller : str or None
         A name or a file; None: smith, or baseline where there is no model.
     kinds : sequence of str
-        Only failsafes that begin so, such as ``GNSS``; none: all.
+        Only failsafes that begin so, such as ``GNSS``, by default all.
     heights : sequence of float
-        Above the ground [m]; none: 3, 10 and 30, and 100 and 300 where the fuel runs down.
+        Above the ground [m], by default 3, 10 and 30, and 100 and 300 where the fuel runs down.
     winds : sequence of float
-        [m/s]; none: 0, 5 and 10.
+        Of the wind [m/s], by default 0, 5 and 10.
     flights : int
         From each height, each in the next of the winds and at a moment of its own.
     seed : int
         Seed of the moments and the noise.
     airborne : bool
-        Whether it begins in the air, trimmed, from every height in every wind once.
+        Begin in the air, trimmed, from every height in every wind once.
     moving : float
         What loses the position also begins at this speed, from 10 m on, in the least wind [m/s]; 0: not.
     nominal_engine : bool

@@ -218,6 +218,8 @@ def plan_failsafes(
 class FailsafeSurvey:
     """The flights of every failsafe of one vehicle: ``rows`` has a flight each."""
 
+    caption = "the fastest touch-down and the most thrust of all flights of a cell"
+
     def __init__(self, plan: FailsafePlan, campaign: Campaign) -> None:
         self.aircraft, self.engine = aircraft_name(plan.subject.aircraft), plan.subject.engine
         self.controller, self.engine_note = plan.controller, plan.engine_note
@@ -251,8 +253,7 @@ class FailsafeSurvey:
     def lines(self) -> list[str]:
         """Return what flew, and what counts as a crash."""
         return [
-            f"{self.aircraft}, {self.engine}, {self.controller}: {len(self.rows)} flights; the fastest touch-down and "
-            "the most thrust of all flights of a cell",
+            f"{self.aircraft}, {self.engine}, {self.controller}: {len(self.rows)} flights",
             f"a leg that touches faster than {self.limit_m_s:.2f} m/s counts as a crash; faster than "
             f"{self.trip_m_s:.2f} m/s sideways it has slid",
             *([self.engine_note] if self.engine_note else []),

@@ -203,6 +203,8 @@ def plan_faults(
 class FaultSurvey:
     """Outcome of each fault with each controller: ``rows`` has a flight each."""
 
+    caption = "held at so many of the places where it can happen; the largest lean and the most height lost there"
+
     def __init__(self, plan: FaultPlan, campaign: Campaign) -> None:
         self.aircraft, self.engine, self.engine_note = plan.subject.vehicle.name, plan.subject.engine, plan.engine_note
         self.rows = [_row(*plan.cases[str(row["case"])], row) for row in map(campaign.row, range(len(campaign)))]
@@ -244,7 +246,7 @@ class FaultSurvey:
 
     def lines(self) -> list[str]:
         """Return how many flights are held by each controller, and what is to be said of them, a line each."""
-        lines = ["held at so many of the places where it can happen; the largest lean and the most height lost there"]
+        lines = []
         for name in dict.fromkeys(row.controller for row in self.rows):
             held = [row.verdict is Verdict.HELD for row in self.rows if row.controller == name]
             lines.append(f"{self.aircraft}: {label(name)} holds {sum(held)} of {len(held)} flights")
