@@ -7,9 +7,6 @@ and what the command line adds to it.  The function raises ``cosim.InputError`` 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from cosim.api.flights import FlightResult
 from cosim.base.errors import nearest
 from cosim.base.runtime.threads import one_thread
 from cosim.cli.console import (
@@ -24,11 +21,7 @@ from cosim.cli.console import (
 )
 from cosim.cli.declare import Command
 from cosim.cli.old import opt
-from cosim.cli.old.options import DONE, FLIGHT_FAILED, Flight, example, is_given, load_scenario, warn_of_fmu_defects
-from cosim.cli.old.outputs import Out
-
-if TYPE_CHECKING:
-    from cosim.results.run import Run
+from cosim.cli.old.options import DONE, FLIGHT_FAILED, Flight, example, is_given, warn_of_fmu_defects
 
 __all__ = [
     "DONE",
@@ -36,25 +29,17 @@ __all__ = [
     "Command",
     "CommandProgress",
     "Flight",
-    "Out",
     "echo",
     "example",
     "is_given",
-    "load_scenario",
     "nearest",
     "one_thread",
     "opt",
     "output_to_stderr",
     "part_progress",
-    "print_run",
     "say",
     "show_result",
     "show_table",
     "terminal",
     "warn_of_fmu_defects",
 ]
-
-
-def print_run(run: Run) -> None:
-    """Print what a flight came to."""
-    show_result(FlightResult(run))

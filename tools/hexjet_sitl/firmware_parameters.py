@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from cosim import FlightError, InputError, Scenario
-from cosim.api.call.choices import load_scenario
+from cosim.api.call import Limits, checked
+from cosim.api.call.choices import choose, load_scenario
 from cosim.base.signals import AXES, Vector3
 from cosim.files import map_os_errors
 from cosim.simulation.axis_chain import is_turned_by_throttle
@@ -26,6 +27,8 @@ from hexjet_sitl.betaflight import (
     make_mixer_settings,
 )
 from hexjet_sitl.parameters import (
+    ARDUPILOT_TARGETS,
+    PX4_TARGETS,
     ardupilot_parameters,
     ardupilot_script,
     ardupilot_torque_scale,
@@ -187,3 +190,57 @@ def write_parameters(autopilot: str, scenario: Scenario, controller: Path) -> di
         if autopilot == "ardupilot" and vehicle.servo is not None:
             controller.with_suffix(".lua").write_text(format_mixer_script(vehicle))
     return paths
+
+
+@checked(rate=Limits(50, 2000))
+def list_parameters(
+    autopilot: Literal["px4", "ardupilot", "betaflight"],
+    *,
+    aircraft: str | Path = "hexjet",
+    gains: str | Path | None = None,
+    rate: int = 250,
+    target: Literal["sitl", "hil", "board"] = "sitl",
+    release: Literal["4.6", "4.8"] = "4.8",
+    script: bool = False,
+) -> str:
+    """Print the vehicle as an autopilot's parameters: geometry, mixing, gains, filters, sticks.
+
+    What cannot be said in its parameters stands in the lines that begin with #.  For Betaflight they are lines for its
+    console.
+
+    Parameters
+    ----------
+    autopilot : str
+        Whose they are.
+    aircraft : str or Path
+        A name, or the folder of your own.
+    gains : str or Path or None
+        A file of hexjet design, in place of the vehicle's own.
+    rate : int
+        Steps a second.
+    target : str
+        Its SITL, of PX4 a board in the loop, or a board that flies, which keeps its own radio, modes and checks.
+    release : str
+        ArduPilot's: by whose names; they are others since 4.7.
+    script : bool
+        ArduPilot's mixer of tilting banks, a Lua script, in the place of parameters.
+
+    Returns
+    -------
+    str
+        The file.
+
+    Raises
+    ------
+    InputError
+        For a vehicle that the autopilot has no parameters for.
+    """
+    targets = {"px4": PX4_TARGETS, "ardupilot": ARDUPILOT_TARGETS}.get(autopilot, ("sitl", "board"))
+    if target not in targets:
+        raise InputError(f"target {target}: allowed for {autopilot}: {', '.join(targets)}")
+    if script and autopilot != "ardupilot":
+        raise InputError(f"script: {autopilot} has none; allowed is ardupilot")
+    scenario = choose("hover", gains, aircraft)
+    if script:
+        return format_mixer_script(scenario.resolved_vehicle()[0])
+    return format_firmware_parameters(autopilot, scenario, 1.0 / rate, target, (4, int(release[2:])))

@@ -8,23 +8,28 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
-from cosim import FlightError, InputError, Run, Scenario
+from cosim import FlightError, InputError, Run, Scenario, design
+from cosim.api.call import Limits, Progress, checked
+from cosim.api.call.choices import as_settings, choose
+from cosim.api.flights import FlightResult
 from cosim.base.geodesy import gravity
 from cosim.base.outcomes import Outcome
 from cosim.base.protocols import Observer
 from cosim.base.signals import Sample
-from cosim.files import write_whole
-from cosim.flight import record, with_page
+from cosim.files import parse_numbers, write_whole
+from cosim.flight import new_folder, record, with_page
 from cosim.results.resolved_scenario import resolve
 from cosim.results.run import AUTOPILOT
 from cosim.simulation.build import build
 from cosim.simulation.controllers.recorded import ACTUATORS, COLUMNS, format_header, format_row
 from cosim.simulation.controllers.source import Source
 from cosim.simulation.pacing import Pace
+from hexjet_sitl.ardupilot import PORT_SPACING, RC_PORT
 from hexjet_sitl.block import AutopilotBlock, StationarySensors
-from hexjet_sitl.lockstep import Autopilot, FirmwareReport, LockstepCounts
+from hexjet_sitl.lockstep import Autopilot, FirmwareReport, LockstepCounts, Setup
+from hexjet_sitl.prepare import MAX_INSTANCES, describe_missing, find_program, prepare
 
 LOCKSTEP = "lockstep.json"  # in a run's folder: what was counted
 
@@ -179,3 +184,207 @@ def fly_autopilot(
             return AutopilotRun(with_page(run) if page else run, autopilot.counts, label)
     finally:
         autopilot.close()
+
+
+class AutopilotResult(FlightResult):
+    """What a flight by an autopilot came to, with the counts of its lockstep, and whose gains it had."""
+
+    def __init__(self, flown: AutopilotRun, gains: str) -> None:
+        super().__init__(flown.run)
+        self.flown, self.gains = flown, gains
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the summary and the lockstep."""
+        return super().to_dict() | {"lockstep": asdict(self.flown.counts) | {"gains": self.gains}}
+
+    def lines(self) -> list[str]:
+        """Return the lines of the flight, and the counts."""
+        counts = self.flown.counts
+        lockstep = (
+            f"lockstep with {self.flown.autopilot}: {counts.frames} states told, {counts.boot} before its first "
+            f"answer, {counts.answers} answers, {counts.missing} missing, {counts.repeated} repeated, "
+            f"{counts.foreign} foreign packets; longest wait {1e3 * counts.longest_s:.1f} ms"
+        )
+        gains = [] if self.gains in ("vehicle", "stock") else [f"gains of {self.gains}"]
+        return [*super().lines(), lockstep, *gains]
+
+
+@checked(
+    realtime_factor=Limits(0.0), time_limit_s=Limits(0.1, 600.0), port=Limits(1024, 65000),
+    instance=Limits(0, MAX_INSTANCES), hold_from_s=Limits(0.0), station=Limits(1024, 65535),
+)  # fmt: skip
+def fly(
+    autopilot: Literal["betaflight", "px4", "ardupilot"],
+    scenario: Scenario | str | Path = "hover",
+    out: str | Path | None = None,
+    *,
+    aircraft: str | Path | None = None,
+    engine: str | Path | Sequence[str] | None = None,
+    settings: Sequence[str] | Mapping[str, object] = (),
+    seed: int | None = None,
+    binary: Path | None = None,
+    realtime_factor: float = 0.0,
+    time_limit_s: float = 5.0,
+    gains: str | None = None,
+    lines: Sequence[str] = (),
+    port: int = 9001,
+    instance: int = 0,
+    parameters: Sequence[str] = (),
+    hold_from_s: float | None = None,
+    hands_off: bool = False,
+    magnetic_field: str | None = None,
+    defaults: Path | None = None,
+    channels: Sequence[str] = (),
+    station: int | None = None,
+    progress: Progress | None = None,
+) -> AutopilotResult:
+    """Let an external autopilot fly the vehicle: a program of its own, in strict lockstep with the flight.
+
+    Vehicle, sensors, engines, wind and faults are those of the scenario; the autopilot is in the place of the
+    controller.  The run's folder has its commands in actuators.csv, and hexjet fly on its scenario.toml repeats the
+    flight bit for bit without it.  It is flown by the sticks: lean as the scenario asks, height and heading held by
+    the pilot with the vehicle's own loops.
+
+    Parameters
+    ----------
+    autopilot : str
+        ``betaflight``, ``px4`` or ``ardupilot``.
+    scenario : Scenario or str or Path
+        What is flown.
+    out : str or Path or None
+        The run's folder; None: a new one in ``runs/``.
+    aircraft : str or Path or None
+        In place of the scenario's, with its engine.
+    engine : str or Path or sequence of str or None
+        In place of the scenario's, for all jets or for one, N.
+    settings : sequence of str or mapping
+        Written over the scenario's.
+    seed : int or None
+        In place of the scenario's.
+    binary : Path or None
+        The autopilot's program.
+    realtime_factor : float
+        Pace it at so many times real time; 0: as fast as both can.
+    time_limit_s : float
+        Time of the clock for an answer: an autopilot that takes longer is taken for hung.
+    gains : str or None
+        Rate and attitude gains: ``vehicle``, its own; ``stock``, as the autopilot ships; of a file of hexjet design
+        for it; of Betaflight also ``designed``, searched for now as hexjet design does; None: that of Betaflight, else
+        the vehicle's own.
+    lines : sequence of str
+        For Betaflight's console, e.g. "set p_roll = 12".
+    port : int
+        The first of its ports: N to N+3, and N+10 its console.  Flights at the same time need some each.
+    instance : int
+        Which of several at the same time: its ports, and what it is started with.
+    parameters : sequence of str
+        Over those of hexjet sitl params.
+    hold_from_s : float or None
+        From this second of the flight on it holds place and height by itself, by GNSS: Position mode, or Loiter.
+    hands_off : bool
+        Leave the vehicle, on the ground, to a ground station: sticks in the middle, no throttle, nobody is armed or
+        disarmed, and what the scenario commands and limits is left out.
+    magnetic_field : str or None
+        The magnetic field to north, east and down [gauss]; None: the Earth's at the place.
+    defaults : Path or None
+        Its parameters; None: as hexjet sitl params ardupilot writes them.
+    channels : sequence of str
+        A switch of the transmitter [us], from second S of the flight on: 8=2000@2.
+    station : int or None
+        A ground station's UDP port on this machine, which it talks to; None: it talks to none.
+    progress : Progress or None
+        Hears notes, and how far a search for gains is.
+
+    Returns
+    -------
+    AutopilotResult
+        The run, and the counts of the lockstep.
+
+    Raises
+    ------
+    InputError
+        For a wrong choice, and for what the autopilot cannot be told.
+    FlightError
+        For an autopilot that does not begin.
+    """
+    hears = progress or Progress()
+    for setting in as_settings(settings):
+        if setting.partition("=")[0].strip() == "controller":
+            raise InputError(
+                f"settings: {setting}: the autopilot flies in the place of the controller; the gains of a design go "
+                "into it by gains"
+            )
+
+    def load(designed: str | None) -> Scenario:
+        return choose(scenario, designed, aircraft, engine, settings, seed, hears.note)
+
+    gains = gains or ("designed" if autopilot == "betaflight" else "vehicle")
+    words = [*(["designed"] if autopilot == "betaflight" else []), "vehicle", "stock"]
+    if gains not in words and not gains.lower().endswith(".toml"):
+        raise InputError(f"gains {gains}: must be {', '.join(words)}, or a file of hexjet design (.toml)")
+    setup = Setup(
+        instance, time_limit_s, port if autopilot == "betaflight" else None, gains, lines,
+        parse_numbers(parameters, "parameters"), _magnetic_field(magnetic_field), hold_from_s, hands_off, defaults,
+        channels, station,
+    )  # fmt: skip
+    flown = _let_it_go(load(None if gains in words else gains), setup)
+    program = find_program(autopilot, binary)
+    folder = Path(out) if out else new_folder(Path("runs"), f"{flown.name}-{autopilot}")
+    if gains == "designed":
+        file = folder / autopilot / "gains.toml"
+        flown = load(str(search_gains(flown, as_settings(settings), file, hears)))
+    prepared = prepare(autopilot, flown, folder, program, setup)
+    if prepared.remark:
+        hears.note(prepared.remark)
+    if autopilot == "ardupilot":
+        hears.note(
+            f"ArduPilot listens for sticks at UDP port {RC_PORT + PORT_SPACING * instance} on every network interface "
+            "of this machine, for states at one that the system draws, and cannot be told otherwise: close them to "
+            "others"
+        )
+    if program is None:
+        missing = f"no program is named ({describe_missing(autopilot)})"
+        hears.note(f"{missing}: waiting for one at {prepared.endpoint} of this machine")
+    return AutopilotResult(fly_autopilot(flown, prepared, folder, realtime_factor=realtime_factor or None), gains)
+
+
+def search_gains(scenario: Scenario, settings: Sequence[str], out: Path, progress: Progress) -> Path:
+    """Search gains for Betaflight's own loops with a scenario's aircraft and engine; return the controller file.
+
+    As ``hexjet design --for betaflight`` does, with its defaults; the file is ``out``, its page beside it.  Raises
+    InputError where no gains keep the requirements.
+    """
+    made = design(scenario.engine, scenario.aircraft, autopilot="betaflight", settings=settings, progress=progress)
+    files: dict[str, Path] = made.write(out).files
+    if not made.ok:
+        raise InputError(
+            f"betaflight: no gains of its own loops keep the requirements of a design for {scenario.aircraft} with "
+            f"engine {scenario.engine}, see {files['report']}; allowed: gains vehicle, stock, or a file"
+        )
+    return files["controller"]
+
+
+def _let_it_go(scenario: Scenario, setup: Setup) -> Scenario:
+    """Return the scenario without what does not fit an autopilot, or a station, that goes where it likes.
+
+    An autopilot that holds the place leans as it likes to hold that; a station does nothing that the scenario says.
+    """
+    limits: dict[str, Any] = scenario.limits.model_dump()
+    if setup.hands_off:
+        limits |= dict.fromkeys(("height_error_m", "place_error_m", "drift_m", "speed_m_s", "oscillation_rad"), False)
+        return scenario.replace(command=[], expect=[], limits=limits)
+    if setup.hold_from_s is None or scenario.limits.oscillation_rad is not None:
+        return scenario
+    return scenario.replace(limits=limits | {"oscillation_rad": False})
+
+
+def _magnetic_field(text: str | None) -> tuple[float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        north, east, down = (float(part) for part in text.split(","))
+        if not 0.0 < north * north + east * east + down * down < 4.0:
+            raise ValueError
+    except ValueError:
+        raise InputError(f"field {text}: must be north, east and down [gauss], such as 0.37,-0.02,0.24") from None
+    return north, east, down

@@ -11,7 +11,7 @@ from cosim.base.errors import InputError
 from cosim.base.removed import describe_removed
 from cosim.base.trust import trust_everything
 
-RUN_NONE = ("bench", "sitl params")  # commands that run nothing of what a file or a folder of the user's names
+RUN_NONE = ("bench",)  # commands that run nothing of what a file or a folder of the user's names
 _HELP = "Run code though you never flew what is in its folder, Python, FMUs and programs, and remember it."
 
 

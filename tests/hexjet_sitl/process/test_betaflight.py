@@ -18,6 +18,7 @@ from command_tools import Hexjet
 from stated_figures import stated
 
 from cosim import fly
+from cosim.api.call import Progress
 from cosim.base.errors import InputError
 from cosim.base.geodesy import Geodesy
 from cosim.base.signals import ZERO3, Sample
@@ -321,14 +322,14 @@ def test_the_first_command_of_the_page_does_not_lose_its_vehicle(
     first = re.search(r"^\.venv/bin/hexjet (sitl betaflight.*?)\s*#", page, re.MULTILINE)
     assert first is not None
 
-    def found(scenario: Scenario, settings: Sequence[str], out: Path, quiet: bool) -> Path:
+    def found(scenario: Scenario, settings: Sequence[str], out: Path, progress: Progress) -> Path:
         assert (scenario.aircraft, scenario.engine) == ("hexjet", "edf-as-flown")
         out.parent.mkdir(parents=True)
         out.write_text(CONTROLLER_FILE)
         return out
 
     if not searches:
-        monkeypatch.setattr("hexjet_sitl.command.search_gains", found)
+        monkeypatch.setattr("hexjet_sitl.run.search_gains", found)
     done = hexjet(*first[1].split(), "--port", str(free_port()), "--timeout", "60")
     assert done.status == 0, done.out + done.err
     assert "hover: completed, nothing checked; flew 5000 steps" in done.out

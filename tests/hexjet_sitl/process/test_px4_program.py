@@ -226,10 +226,10 @@ def test_what_is_not_to_be_had_is_one_line(hexjet: Hexjet) -> None:
     for given, said in (
         (
             ["--set", f"controller={DESIGN}"],
-            "in the place of the controller; the gains of a design go into it by --gains",
+            "in the place of the controller; the gains of a design go into it by gains",
         ),
-        (["--set", "controller=smith"], "--set controller=smith: the autopilot flies in the place of the controller"),
-        (["--gains", "mine"], "--gains mine: must be vehicle, stock, or a file of hexjet design (.toml)"),
+        (["--set", "controller=smith"], "controller=smith: the autopilot flies in the place of the controller"),
+        (["--gains", "mine"], "gains mine: must be vehicle, stock, or a file of hexjet design (.toml)"),
         (["--gains", "nowhere.toml"], "nowhere.toml"),
     ):
         done = hexjet("sitl", "px4", "--binary", "/bin/true", *given)

@@ -123,7 +123,7 @@ def test_what_is_no_program_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
 def test_wrong_gains_are_one_line(hexjet: Hexjet) -> None:
     done = hexjet("sitl", "betaflight", "--gains", "mine")
     assert done.status == 2
-    assert done.err == "hexjet: --gains mine: must be designed, vehicle, stock, or a file of hexjet design (.toml)\n"
+    assert done.err == "hexjet: gains mine: must be designed, vehicle, stock, or a file of hexjet design (.toml)\n"
 
 
 def test_a_file_for_a_board_has_mixer_and_gains_and_nothing_of_the_stand(hexjet: Hexjet) -> None:

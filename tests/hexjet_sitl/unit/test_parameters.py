@@ -178,7 +178,7 @@ def test_a_script_is_for_tilting_banks_alone(hexjet: Hexjet) -> None:
     done = hexjet("sitl", "params", "ardupilot", "--script", "--aircraft", "quadrotor")
     assert (done.status, "quadrotor: has no tilting banks" in done.err) == (2, True)
     done = hexjet("sitl", "params", "px4", "--script")
-    assert (done.status, "--script: px4 has none; allowed is ardupilot" in done.err) == (2, True)
+    assert (done.status, "script: px4 has none; allowed is ardupilot" in done.err) == (2, True)
     many = HEXJET.model_copy(update={"jets": list(HEXJET.jets) * 2})
     with pytest.raises(InputError, match="hexjet: 12 engines and two tilts; allowed are 12 outputs at most"):
         ardupilot_parameters(many, 0.004)

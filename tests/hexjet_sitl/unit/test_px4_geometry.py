@@ -169,7 +169,7 @@ def test_a_target_is_told_of_what_it_has(hexjet: Hexjet) -> None:
     assert "RC_MAP" not in done.out
     assert hexjet("sitl", "params", "px4").out.startswith("# For the stand")
     done = hexjet("sitl", "params", "ardupilot", "--target", "hil", "--aircraft", "quadrotor")
-    assert (done.status, "--target hil: allowed for ardupilot: sitl, board" in done.err) == (2, True)
+    assert (done.status, "target hil: allowed for ardupilot: sitl, board" in done.err) == (2, True)
     assert "IMU_INTEG_RATE\t400\t6" in hexjet("sitl", "params", "px4", "--rate", "400").out
 
 

@@ -214,7 +214,7 @@ def test_the_installed_command_has_a_help_as_all_its_commands_have(installed: Pa
     alone = subprocess.run([installed / "hexjet"], cwd=tmp_path, capture_output=True, text=True)
     assert (alone.returncode, alone.stderr) == (2, listed)
     helps = run(installed / "python", "-c", HELPS, cwd=tmp_path).splitlines()
-    assert {f"hexjet {name}" for name in (*OWN, "paper", "sitl")} <= {line.rpartition(" ")[0] for line in helps}
+    assert {f"hexjet {name}" for name in (*OWN, "paper", "sitl px4")} <= {line.rpartition(" ")[0] for line in helps}
     assert min(int(line.rpartition(" ")[2]) for line in helps) > 2
 
 

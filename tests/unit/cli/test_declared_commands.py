@@ -73,7 +73,7 @@ def test_the_help_stands_where_a_group_has_no_command(
 @pytest.mark.parametrize("name", ["", *ALL, "fmu", "sitl", "identify", "export"])
 def test_no_line_of_a_help_is_longer_than_eighty_columns_or_speaks_sphinx(name: str) -> None:
     shown = table.load(name).help(80) if name in ALL else describe(80)
-    if name in ("fmu", "identify", "export"):
+    if name in ("fmu", "identify", "sitl", "export"):
         shown = command_line.describe_collection(name, 80)
     for line in shown.splitlines():
         assert len(line) <= 80
