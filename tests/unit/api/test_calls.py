@@ -130,7 +130,6 @@ OTHERWISE = {"inertia_tolerance": "inertia", "mass_tolerance": "mass", "thrust_t
         ("hexjet_prove.api.searches:search", "hexjet_prove.command.searches:Search", 1.0),
         ("hexjet_prove.api.searches:rare", "hexjet_prove.command.searches:Rare", 1.0),
         ("hexjet_prove.api.prove:prove", "hexjet_prove.command.prove:Prove", 1.0),
-        ("hexjet_identify.api.replay:replay", "hexjet_identify.commands.replay:Replayed", 0.01),
     ],
 )
 def test_numbers_have_the_limits_of_their_options(call: str, record: str, shares: float) -> None:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from hexjet_identify.replay import Replay
 
 WRITTEN = ("replay.json", "replay.csv", "report.html")
-CHANNEL_COLUMNS = ("channel", "within", "error rms", "movement", "Theil's U", "bias / var / cov %", "told")
 
 
 class ReplayResult(FolderResult):
@@ -52,13 +51,15 @@ class ReplayResult(FolderResult):
         """Return the verdict, what is wrong with the model where the log tells, and the evidence."""
         found = self.replayed
         first = f"{found.verdict}: {found.aircraft} with {found.engine} beside {found.log}"
-        return [first, *([found.fault] if found.fault else []), *found.evidence, *found.notes]
+        notes = [f"note: {note}" for note in found.notes]
+        return [first, *([found.fault] if found.fault else []), *found.evidence, *notes]
 
     def tables(self) -> list[Table]:
         """Return the channels: how long each is within the envelope, and how far it is off."""
         from hexjet_identify.replay.page import channel_rows
 
-        return [Table("", CHANNEL_COLUMNS, channel_rows(self.replayed))]
+        titles = ("channel", "within", "error rms", "movement", "Theil's U", "bias / var / cov %", "told")
+        return [Table("", titles, channel_rows(self.replayed))]
 
     def _figures(self) -> Mapping[str, Any]:
         from hexjet_identify.replay.page import figures
@@ -114,11 +115,12 @@ def replay(
     settings : sequence of str or mapping
         Written over the scenario's.
     throttle : mapping or None
-        The channel of the log, or a sum of some, that is the command of an engine, by its number from 1.
+        The channel of the log, or a sum of some, that is the command of an engine, by its number from 1; None: the
+        one called so.
     throttle_range : tuple of float or None
         What throttle 0 and 1 are in the log.
     time_column : str or None
-        A table's column of time.
+        A table's column of time; None: the one called so.
     time_unit : str or None
         Unit of that column: s, ms, us, ns, min, h or d.
     begin : float or None
@@ -162,7 +164,7 @@ def replay(
     check_results_folder(out, *WRITTEN)
     if throttle_range is not None and not throttle_range[0] < throttle_range[1]:
         low, high = throttle_range
-        raise InputError(f"--throttle-range {low:g} {high:g}: the second must be the larger")
+        raise InputError(f"throttle_range {low:g} {high:g}: the second must be the larger")
     read = read_flight_log(path, time_column, time_unit)
     if scenario is None:
         scenario = path / SCENARIO if path.is_dir() else "hover"

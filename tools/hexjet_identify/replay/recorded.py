@@ -154,7 +154,7 @@ def record_flight(
     _check_command_rate(log, (throttles or setpoints)[0], SLOWEST_COMMAND_S if throttles else SLOWEST_SETPOINT_S)
     throttle, tilt, wanted = (_held(channels, clock, step) for channels in (throttles, tilts, setpoints))
     if throttles and (most := float(np.nanmax(throttle))) > MOST_THROTTLE:
-        raise InputError(f"{log.path}: throttles up to {most:g}: say what 0 and 1 are, --throttle-range LOW HIGH")
+        raise InputError(f"{log.path}: throttles up to {most:g}: say what 0 and 1 are (throttle_range)")
     rate = np.stack([_sample(channel, clock, step) for channel in gyros], axis=1)
     ground = _optional(columns, ("on_ground", "vehicle_land_detected.landed"), clock, step)
     commanded = (throttle if throttles else wanted[:, :3]), rate
