@@ -54,7 +54,7 @@ def make_plan(full: bool, only: Sequence[str], amounts: Mapping[str, Any]) -> Pl
     """
     for part in only:
         if part not in PARTS:
-            raise InputError(f"--only: unknown part {part!r}; {nearest(part, PARTS)}")
+            raise InputError(f"only: unknown part {part!r}; {nearest(part, PARTS)}")
     plan = FULL if full else Plan()
     settings = {name: value for name, value in amounts.items() if value is not None}
     return replace(plan, parts=tuple(part for part in PARTS if part in (only or PARTS)), **settings)

@@ -11,7 +11,6 @@ from cosim.base.errors import InputError
 from cosim.base.removed import describe_removed
 from cosim.base.trust import trust_everything
 
-RUN_NONE = ("bench",)  # commands that run nothing of what a file or a folder of the user's names
 _HELP = "Run code though you never flew what is in its folder, Python, FMUs and programs, and remember it."
 
 
@@ -20,7 +19,7 @@ def with_trust(command: click.Command, name: str) -> click.Command:
     if isinstance(command, click.Group):
         for inner in command.commands.values():
             with_trust(inner, f"{name} {inner.name}")
-    elif name not in RUN_NONE and not any("--trust" in parameter.opts for parameter in command.params):
+    elif not any("--trust" in parameter.opts for parameter in command.params):
         option = click.Option(["--trust"], is_flag=True, expose_value=False, is_eager=True, help=_HELP, callback=_trust)
         command.params.append(option)
     return command
