@@ -21,17 +21,15 @@ from cosim.cli.console import (
 )
 from cosim.cli.declare import Command
 from cosim.cli.old import opt
-from cosim.cli.old.options import DONE, FLIGHT_FAILED, Flight, example, is_given, warn_of_fmu_defects
+from cosim.cli.old.options import DONE, FLIGHT_FAILED, example, warn_of_fmu_defects
 
 __all__ = [
     "DONE",
     "FLIGHT_FAILED",
     "Command",
     "CommandProgress",
-    "Flight",
     "echo",
     "example",
-    "is_given",
     "nearest",
     "one_thread",
     "opt",

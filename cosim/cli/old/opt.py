@@ -41,21 +41,6 @@ class Choice(click.Choice[str]):
         return super().convert(value, param, ctx)
 
 
-class AlsoCalled(click.Option):
-    """An option that is also known by names that it had before, which no help lists."""
-
-    def __init__(self, *declarations: Any, aliases: tuple[str, ...], **attributes: Any) -> None:
-        super().__init__(*declarations, **attributes)
-        self.aliases = aliases
-
-    def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
-        """Let the parser know all names."""
-        listed = self.opts
-        self.opts = [*listed, *self.aliases]
-        super().add_to_parser(parser, ctx)
-        self.opts = listed
-
-
 class Option(NamedTuple):
     """An option or an argument of a command, before the command has its record (:func:`takes`)."""
 
@@ -67,13 +52,6 @@ class Option(NamedTuple):
 def option(*names: str, **attributes: Any) -> Any:
     """Declare a field of a record as an option; ``attributes`` as of ``click.option``."""
     return Option(click.option, names, attributes)
-
-
-def renamed(field: T, *before: str) -> T:
-    """Declare that the option of a field is also known by the names that it had ``before``."""
-    declared = cast(Option, field)
-    attributes = declared.attributes | {"cls": AlsoCalled, "aliases": before}
-    return cast(T, declared._replace(attributes=attributes))
 
 
 def argument(**attributes: Any) -> Any:
@@ -103,11 +81,6 @@ def word(name: str, metavar: str | None, text: str, default: str | None = None) 
 def choice(name: str, allowed: Sequence[str], text: str, default: str | None = None) -> Any:
     """Declare an option that is one of the texts that are allowed."""
     return option(name, type=Choice(allowed), help=text, default=default, show_default=default is not None)
-
-
-def choices(name: str, allowed: Sequence[str], text: str) -> tuple[str, ...]:
-    """Declare an option that is one of the texts that are allowed, and may be given several times."""
-    return cast("tuple[str, ...]", option(name, type=Choice(allowed), multiple=True, help=text))
 
 
 def path(name: str, metavar: str | None, text: str, **limits: Any) -> Path | None:
@@ -230,21 +203,3 @@ JSON = json()
 OUT = out("[default: a new one in runs/]")
 SETTINGS = words("--set", "KEY=VALUE", "As in hexjet fly.")
 NOMINAL_ENGINE = flag("--nominal-engine", "Fly the engine as it is stated: do not draw it by its [uncertainty].")
-ENGINES = words("--engine", "[N=]NAME|FILE", "As in hexjet fly.")
-
-
-LOG_PART = (
-    word("--time", "NAME", "Column of time, of a table.  [default: the one called so]"),
-    word("--time-unit", None, "Unit of that column: s, ms, us, ns, min, h or d.  [default: as the column says, or s]"),
-    renamed(number("--begin", "S", "Use the log from here on, in its own time."), "--from"),
-    renamed(number("--end", "S", "Use the log up to here, in its own time."), "--to"),
-)
-
-
-class LogPart(Record):
-    """What of a flight's log is read: its time, where it is a table, and from when to when; see ``LOG_PART``."""
-
-    time_column: str | None = None
-    time_unit: str | None = None
-    begin: float | None = None
-    end: float | None = None

@@ -5,14 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cosim.base.wording import printable
 from cosim.cli.console import REPORTED, CommandProgress, echo, on_terminal
 from cosim.cli.old import opt
-
-if TYPE_CHECKING:
-    pass
 
 
 class CampaignOptions(opt.Output):
