@@ -12,12 +12,11 @@ import pytest
 
 import cosim.simulation.engines
 from cosim import fly
-from cosim.api.call.choices import engine_choices
+from cosim.api.call.choices import engine_choices, load_scenario
 from cosim.base.errors import InputError
 from cosim.base.signals import Sample
 from cosim.base.storage.paths import data_folder
 from cosim.cli.main import main
-from cosim.cli.old.options import load_scenario
 from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap, invert
 from cosim.engine import EngineBank, EngineSource, load_engine
 from cosim.results.resolved_scenario import resolve

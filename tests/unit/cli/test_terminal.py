@@ -14,9 +14,10 @@ import pytest
 from command_tools import Hexjet
 from places import ROOT, TESTS
 
+from cosim.api.flights import FlightResult
 from cosim.base.wording import printable_line
 from cosim.cli import main as command
-from cosim.commands import print_run
+from cosim.cli.console import show_result
 from cosim.results.run import open_run
 from hexjet_design.command import fly_command
 
@@ -29,7 +30,7 @@ def test_a_run_fits_so_many_columns(
 ) -> None:
     """COLUMNS counts in a pipe, and no cell is cut short."""
     monkeypatch.setenv("COLUMNS", str(width))
-    print_run(open_run(RUN))
+    show_result(FlightResult(open_run(RUN)))
     lines = capsys.readouterr().out.splitlines()
     report = [line for line in lines if line.startswith("report: ")]
     assert len(report) == 1  # a path is not broken, so that it can be copied
@@ -42,7 +43,7 @@ def test_a_run_fits_so_many_columns(
 
 def test_without_a_width_a_pipe_has_one(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
-    print_run(open_run(RUN))
+    show_result(FlightResult(open_run(RUN)))
     assert 80 < max(map(len, capsys.readouterr().out.splitlines()[:8])) <= 120
 
 
@@ -62,14 +63,14 @@ def test_a_process_without_memory_ends_in_a_line(
 def test_a_terminal_without_the_signs_and_one_that_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     poor = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr(sys, "stdout", poor)
-    monkeypatch.setattr(command, "run", lambda words: print_run(open_run(RUN)) or 0)
+    monkeypatch.setattr(command, "run", lambda words: show_result(FlightResult(open_run(RUN))) or 0)
     with pytest.raises(SystemExit) as end:
         command.main([])
     assert end.value.code == 0
     poor.flush()
     assert b"roll" in poor.buffer.getvalue()  # type: ignore[attr-defined]
     monkeypatch.setattr(sys, "stdout", None)
-    print_run(open_run(RUN))
+    show_result(FlightResult(open_run(RUN)))
 
 
 def test_who_stops_reading_makes_no_failure() -> None:

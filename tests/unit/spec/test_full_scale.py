@@ -15,6 +15,7 @@ from places import DESIGNS
 from scipy.spatial.transform import Rotation
 
 from cosim import fly
+from cosim.api.call.choices import load_scenario
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
 from cosim.base.frames import jet_axis
@@ -22,7 +23,6 @@ from cosim.base.signals import ZERO3, State
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
 from cosim.cli.main import run
-from cosim.cli.old.options import load_scenario
 from cosim.results.expectations import check_expected, find_expectation
 from cosim.simulation.build import build
 from cosim.spec.scaling import _LAW, length_scale, scale_vehicle
