@@ -10,9 +10,16 @@ from cosim.campaign.analysis.statistics import LEVEL, proportion
 from cosim.campaign.analysis.summary import SUCCESS, rank_keys
 from cosim.campaign.analysis.table import FlightTable, describe_range, read_flight_table
 from cosim.campaign.analysis.worst_cases import eccentricity, write_flight
-from cosim.campaign.folder import STUDY, FrozenStudy, check_asked, freeze, is_campaign
-from cosim.campaign.folder import load as load_study
-from cosim.campaign.run import Progress, choose_workers, fly_again, open_workers, refuse_changes, run_campaign
+from cosim.campaign.folder import CASES, STUDY, is_campaign
+from cosim.campaign.run import (
+    Progress,
+    choose_workers,
+    fly_again,
+    open_workers,
+    refuse_changes,
+    run_campaign,
+    run_sampler,
+)
 from cosim.campaign.store import Campaign
 from cosim.campaign.study.distributions import Vary, first_repeated, parse_number, parse_vary
 from cosim.campaign.study.draws import flight_seed
@@ -27,10 +34,8 @@ from cosim.campaign.study.sequential import MAX_TESTED, Decision, Verdict, defau
 from cosim.campaign.study.study import Study, find_study, flatten_settings, study_code, study_names
 from cosim.campaign.study.values import absolute_support, check_vary, levels, quantum, whole_bounds
 from cosim.campaign.workers.flight_row import MARGIN_OF, NOT_FLOWN, Row, describe_not_flown
-from cosim.campaign.workers.flight_row import kinds as row_kinds
 from cosim.campaign.workers.protocol import Workers
 from cosim.campaign.workers.tasks import run_in_order
 from cosim.results.limits import LIMITED
-from cosim.results.log.arrow import write_table
 from cosim.results.metrics import check_expectations
 from cosim.results.wording import metric

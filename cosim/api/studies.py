@@ -225,6 +225,6 @@ def tell_tally(progress: Progress) -> Any:
 
     def tell(tally: Tally, done: int, of: int) -> None:
         shares = ", ".join(f"{name} {tally.successes[name] / n:.0%}" for name, n in sorted(tally.flights.items()))
-        progress.update(shares, done, of)
+        progress.update(shares if of else f"{done} flights", done, of)
 
     return tell

@@ -6,8 +6,9 @@ these name: commands, controllers, engines that are not of the library.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -35,9 +36,14 @@ STUDY, SCENARIO = "study.toml", "scenario.toml"
 FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS = "flights", "flights.jsonl", "report.html", "cases", "columns.json"
 # What the first flight was asked for: study and scenario once more, hashes of their files, and what was installed.
 RECORD = "asked.toml"
+PLAN, COMMAND = "plan", "command"  # its table of what a command asks beside the study, and the command's name there
+SWEEP = "hexjet sweep"
 # Keys of study and scenario that no row depends on: what they are called, and where values are from.
 WORDS = ("title", "description", "changed")
-CAMPAIGN_FILES = (STUDY, SCENARIO, RECORD, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS)
+CAMPAIGN_FILES = (
+    *(STUDY, SCENARIO, RECORD, FLIGHTS, JOURNAL, REPORT, CASES, COLUMNS),
+    *("search.toml", "search.json", "search.html", "rare.toml", "rare.json", "rare.html"),
+)
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,7 @@ class FrozenStudy:
     study: dict[str, Any]
     scenario: dict[str, Any]
     files: dict[str, bytes]
+    plan: dict[str, Any] = field(default_factory=dict)  # what a command asks beside the study
 
     def write(self, folder: Path) -> None:
         """Put the files into place, the study last: a folder that has it has them all.  Raises OSError."""
@@ -61,51 +68,64 @@ class FrozenStudy:
     def asked(self) -> dict[str, Any]:
         """What rows depend on, as tables; of files the hashes."""
         files = {name: sha256(content).hexdigest() for name, content in self.files.items()}
-        return {STUDY: self.study, SCENARIO: self.scenario, "file": files}
+        return {STUDY: self.study, SCENARIO: self.scenario, "file": files, PLAN: self.plan}
 
 
-def check_asked(folder: Path, frozen: FrozenStudy | None, holds: str) -> None:
+def check_asked(folder: Path, frozen: FrozenStudy | None) -> None:
     """Raise InputError unless a folder may go on with what its first flight was asked for.
 
     Study, scenario and their files have to be as they were then, and what is installed; ``frozen``, if there is one,
-    has to be that study.  ``holds`` begins the message where it is another.
+    has to be that study, with that plan.
     """
     if not (folder / RECORD).is_file():
         raise InputError(
-            f"{folder}: {RECORD} is missing, so nothing tells whether study and program are as they were at the first "
-            "flight; it can be looked at, and flown anew in another folder"
+            f"{folder}: {RECORD} is missing, as in folders of version 0.2.0; it can be looked at, that version goes on "
+            "with it, and this one flies it anew in another folder"
         )
     check_unedited(folder)
-    asked = _read_asked(folder)
+    asked = read_asked(folder)
+    command = (frozen.plan if frozen else {}).get(COMMAND, SWEEP)
+    if (then := asked[PLAN].get(COMMAND, SWEEP)) != command:
+        raise InputError(f"{folder}: holds flights of {then}, which goes on with them; choose another folder")
     for name, value in installed_versions().items():
         if (then := asked["installed"].get(name)) != value:
             change = f"other {FILES}" if name == FILES else f"{name} was {then} and is {value}"
             raise InputError(f"{folder}: what is installed changed since its first flight: {change}")
     if frozen is not None:
         for name, was, now in _differences(asked, frozen.asked):
-            raise InputError(f"{holds}; {name} is {was} there and {now} here")
+            raise InputError(f"{folder}: holds another study; {name} is {was} there and {now} here")
 
 
-def check_unedited(folder: Path) -> None:
-    """Raise InputError where study, scenario or a file of theirs is not as it was at a folder's first flight.
+def check_unedited(folder: Path) -> dict[str, Any]:
+    """Return the plan of a folder, as a table; empty for a sweep, and for folders of versions that kept no record.
 
-    Nothing can be told of folders of versions that kept no record.
+    Raises InputError where study, scenario or a file of theirs is not as it was at the folder's first flight.
     """
     if not (folder / RECORD).is_file():
-        return
-    asked = _read_asked(folder)
+        return {}
+    asked = read_asked(folder)
     files = {name: sha256(read_file(folder / name)).hexdigest() for name in asked["file"]}
-    now = {name: read_toml(folder / name) for name in (STUDY, SCENARIO)} | {"file": files}
+    now = {name: read_toml(folder / name) for name in (STUDY, SCENARIO)} | {"file": files, PLAN: asked[PLAN]}
     for name, was, value in _differences(asked, now):
         raise InputError(f"{folder}: changed since its first flight; {name} was {was} and is {value}")
+    return dict(asked[PLAN])
 
 
-def _read_asked(folder: Path) -> dict[str, Any]:
-    asked = read_toml(folder / RECORD)
-    for name in (STUDY, SCENARIO, "file", "installed"):
+def read_asked(folder: Path) -> dict[str, Any]:
+    """Return the record of what a folder's first flight was asked for.  Raises InputError for one that is none."""
+    asked = {PLAN: {}} | read_toml(folder / RECORD)
+    for name in (STUDY, SCENARIO, "file", PLAN, "installed"):
         if not isinstance(asked.get(name), dict):
             raise InputError(f"{folder / RECORD}: has no table [{name}]; it is not as it was at the first flight")
     return asked
+
+
+def fingerprint(asked: Mapping[str, Any]) -> str:
+    """Return the hash of what all flights of a folder have in common: scenario, files, program and what is judged."""
+    scenario = {key: value for key, value in asked[SCENARIO].items() if key not in WORDS}
+    judged = [asked[STUDY].get(key) for key in ("success", "autopilot", "case")]
+    flown = json.dumps([scenario, asked["file"], asked["installed"], judged], sort_keys=True, default=str)
+    return sha256(flown.encode()).hexdigest()
 
 
 def extend_asked(folder: Path, study: Study) -> None:
@@ -121,14 +141,14 @@ def _differences(asked: Mapping[str, Any], current: Mapping[str, Any]) -> Iterat
         for name, field in Study.model_fields.items()
         if not field.is_required()
     }
-    for name in (STUDY, SCENARIO, "file"):
+    for name in (STUDY, SCENARIO, "file", PLAN):
         unstated = defaults if name == STUDY else {}
         for key, was, now in _compare_tables("", unstated | asked[name], unstated | current[name]):
             if key.partition(".")[0] not in WORDS:
                 yield f"{name}: {key}", _format_value(was), _format_value(now)
 
 
-def freeze(study: Study) -> FrozenStudy:
+def freeze(study: Study, plan: Mapping[str, Any] | None = None) -> FrozenStudy:
     """Return everything that a folder needs to fly ``study``.
 
     Each controller is tried on the scenario as it stands, so that what cannot fly at all is found here.  Raises
@@ -162,20 +182,27 @@ def freeze(study: Study) -> FrozenStudy:
     if reserved is not None:
         raise InputError(f"scenario {base.name}: a file named {reserved!r} cannot be copied into a campaign's folder")
     files = {name: source if isinstance(source, bytes) else read_file(source) for name, source in sources.items()}
-    return FrozenStudy(renamed.table(), scenario, files)
+    return FrozenStudy(renamed.table(), scenario, files, dict(plan or {}))
 
 
 def load(folder: Path) -> Study:
     """Load the study of a campaign's folder.  Raises InputError if there is none."""
     path = folder.absolute() / STUDY
+    if _is_older_search(folder):
+        raise InputError(f"{folder}: is a search of version 0.2.0; its page shows it, and that version goes on with it")
     if not path.is_file():
         raise InputError(f"{folder}: no campaign here ({STUDY} is missing)")
     return Study.load(path)
 
 
 def is_campaign(folder: Path) -> bool:
-    """Return whether a folder is a campaign's, begun at least."""
-    return (folder / STUDY).is_file() and (folder / FLIGHTS).is_dir()
+    """Return whether a folder has the flights of a study, begun at least."""
+    return ((folder / STUDY).is_file() and (folder / FLIGHTS).is_dir()) or _is_older_search(folder)
+
+
+def _is_older_search(folder: Path) -> bool:
+    """Return whether version 0.2.0 searched in a folder, whose layout for that was another one."""
+    return any((folder / name).is_file() for name in ("search.toml", "rare.toml"))
 
 
 def _scenario(

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
+from itertools import tee
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import parse_json
 from cosim.base.trust import need_trust
 from cosim.campaign.folder import STUDY, extend_asked, is_campaign
-from cosim.campaign.store import Campaign, Store, Tally, count_flights, open_campaign
+from cosim.campaign.store import Campaign, Store, Tally, open_campaign
 from cosim.campaign.study.autopilot import StudyAutopilot
 from cosim.campaign.study.options import open_study
-from cosim.campaign.study.plan import Flight, case_of, scenario_of, stopping_rule
+from cosim.campaign.study.plan import Flight, case_of, flight_of, flights, scenario_of, stopping_rule
 from cosim.campaign.study.sequential import default_runs
 from cosim.campaign.study.study import Study, study_code, study_names
 from cosim.campaign.workers.flight_row import Row, inputs, inputs_sha256, verdict_of, with_autopilot
@@ -28,7 +29,11 @@ from cosim.results.log.digest import log_digest
 from cosim.results.run import Run
 from cosim.spec.scenario import scenario_names
 
-Progress = Callable[[Tally, int, int], None]  # called with the tally, the finished flights and the total
+Progress = Callable[[Tally, int, int], None]  # called with the tally, the finished flights and the total, 0: not known
+R = TypeVar("R")
+# It yields the different flights that it asks for next, and is sent their rows in that order, as far as they were
+# flown; an iterator, which is read while they are flown and need not be read to its end.  It returns what it found.
+Sampler = Generator[Iterable[Flight], Iterator[Row], R]
 
 
 def run_campaign(
@@ -53,57 +58,102 @@ def run_campaign(
     (another study's, in use, or of a campaign that is not resumed): nothing is overwritten then.  Raises FlightError if
     no more can be flown or written; this and KeyboardInterrupt lose at most the flights under way.
     """
+    if study is not None:
+        stopping_rule(study)
+    return run_sampler(study, out, draw, workers, resume, progress, kept=("flight", "outcome", "success"))[0]
+
+
+def draw(study: Study) -> Sampler[None]:
+    """Ask for all flights of a study, up to where it stops."""
+    rule = stopping_rule(study)
+    for row in (yield flights(study)):
+        if rule is not None and rule.add(int(row["flight"] or 0), verdict_of(row["outcome"], row["success"])):
+            return
+
+
+def run_sampler(
+    study: Study | None,
+    out: Path | str,
+    sampler: Callable[[Study], Sampler[R]],
+    workers: Workers | int | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+    plan: Mapping[str, Any] | None = None,
+    kept: Sequence[str] | None = None,
+) -> tuple[Campaign, R]:
+    """Fly what a sampler asks for and the folder ``out`` has not, and return the folder's flights and what it found.
+
+    ``sampler`` makes it of the study as it is in the folder.  ``plan`` is what is asked beside the study, as a table;
+    ``kept`` are the columns of a row that the sampler reads, by default all.  For the rest see :func:`run_campaign`.
+    """
     folder = Path(out)
     is_begun = study is None or (resume and folder.is_dir() and any(folder.iterdir()))
     if study is not None and study.autopilot is not None:
         _check_autopilot(study, study.autopilot, workers)
-    if study is not None:
-        stopping_rule(study)
-    with Store.resume(folder, study) if is_begun else Store.create(folder, study) as store:  # type: ignore[arg-type]
-        tell = progress or (lambda tally, done, of: None)
-        tell(store.tally, store.stored, len(store.flights))
+    with Store.resume(folder, study, plan, kept) if is_begun else Store.create(folder, study, plan, kept) as store:  # type: ignore[arg-type]
+
+        def tell() -> None:
+            if progress is not None:
+                progress(store.tally, store.stored, store.of)
+
+        tell()
         with open_workers(workers) as flying:
             try:
-                for row in _fly_remaining(store, flying):
-                    store.add(row)
-                    tell(store.tally, store.stored, len(store.flights))
+                result = _answer(sampler(store.study), lambda asked: _rows(store, asked, flying, tell))
             except FlightError as error:
                 raise FlightError(f"{error}; {describe_progress(store)}") from error
             except KeyboardInterrupt:  # it may have come after a flight was stored and before it was reported
-                tell(store.tally, store.stored, len(store.flights))
+                tell()
                 raise
-    return open_campaign(folder)
+    return open_campaign(folder), result
 
 
-def _fly_remaining(store: Store, workers: Workers) -> Iterator[Row]:
-    """Yield the rows of the flights that are not finished yet, up to where the study stops."""
-    rule = stopping_rule(store.study)
-    if rule is None:
-        yield from workers.fly(store.study, (flight for flight in store.flights if flight.number not in store.done))
-        return
-    if store.stored:
-        count_flights(rule, open_campaign(store.folder))
-    if rule.is_finished:
-        return
-    remaining = [number for number in range(len(store.flights)) if number not in store.done]
-    rows = workers.fly(store.study, (store.flights[number] for number in remaining))
-    with closing(rows):  # type: ignore[type-var]  # both kinds of workers end what is under way when they are closed
-        for row in _in_order(rows, remaining):
-            yield row
-            if rule.add(row["flight"], verdict_of(row["outcome"], row["success"])):  # type: ignore[arg-type]
-                return
+def _answer(sampler: Sampler[R], fly: Callable[[Iterable[Flight]], Generator[Row]]) -> R:
+    """Run a sampler to its end, and return what it found."""
+    rows: Generator[Row] | None = None
+    while True:
+        try:
+            asked = sampler.send(rows)  # type: ignore[arg-type]  # nothing begins a generator
+        except StopIteration as end:
+            return end.value  # type: ignore[no-any-return]
+        finally:
+            if rows is not None:
+                rows.close()
+        rows = fly(asked)
 
 
-def _in_order(rows: Iterator[Row], numbers: list[int]) -> Iterator[Row]:
-    """Yield rows in the order of their flights' numbers, in which a study is judged."""
-    waiting: dict[int, Row] = {}
-    following = iter(numbers)
-    awaited = next(following, None)
-    for row in rows:
-        waiting[row["flight"]] = row  # type: ignore[index]
-        while awaited in waiting:
-            yield waiting.pop(awaited)
-            awaited = next(following, None)
+def _rows(store: Store, asked: Iterable[Flight], workers: Workers, tell: Callable[[], None]) -> Generator[Row]:
+    """Yield the rows of what is asked for, in that order; what the store lacks is flown, and stored as it comes.
+
+    The rows of a study that may stop are stored in order, so that there are none beyond that.
+    """
+    keys: dict[int, str] = {}  # of the flights under way, by their numbers
+    to_fly, to_tell = tee((flight, store.key(flight)) for flight in asked)
+
+    def missing() -> Iterator[Flight]:
+        for flight, key in to_fly:
+            if key not in store.done:
+                keys[flight.number] = key
+                yield flight
+
+    flown = workers.fly(store.study, missing())
+    waiting: dict[str, Row] = {}
+    with closing(flown):  # type: ignore[type-var]  # both kinds of workers end what is under way when they are closed
+        for _, key in to_tell:
+            while key not in waiting and key not in store.done:
+                row = next(flown, None)
+                if row is None:
+                    return
+                key_flown = keys.pop(int(row["flight"] or 0))
+                if store.study.until is None:
+                    store.add(row)
+                    tell()
+                else:
+                    waiting[key_flown] = row
+            if key in waiting:
+                store.add(waiting.pop(key))
+                tell()
+            yield store.done[key]
 
 
 def _check_autopilot(study: Study, autopilot: StudyAutopilot, workers: Workers | int | None) -> None:
@@ -153,7 +203,7 @@ def extend_campaign(folder: Path, until: str | None = None, runs: int | None = N
     """
     with Store.resume(folder) as store:
         study = store.study
-        if runs is not None and study.until is not None and store.stored >= len(store.flights):
+        if runs is not None and study.until is not None and store.stored >= store.of:
             raise InputError(
                 f"{folder}: {study.until} was judged by all of its {study.draws} draws, a number that was fixed "
                 "before; more of them need a study of their own"
@@ -197,8 +247,10 @@ def count_processors() -> int:
 
 
 def describe_progress(store: Store) -> str:
-    """Return a line for an interrupted campaign: how many flights are kept, and how to resume it."""
-    return f"{store.stored} of {len(store.flights)} flights are kept: hexjet sweep {store.folder} --resume goes on"
+    """Return a line for interrupted flights: how many are kept, and how to resume them."""
+    if store.of:
+        return f"{store.stored} of {store.of} flights are kept: hexjet sweep {store.folder} --resume goes on"
+    return f"{store.stored} flights are kept: the same command with --out {store.folder} --resume goes on"
 
 
 @dataclass(frozen=True)
@@ -248,12 +300,6 @@ def fly_again(campaign: Campaign, number: int, out: Path | str | None = None, **
         return RepeatedFlight(number, run, [f"{row['outcome']}, {row['reason']}"], False)
     differences = [] if log_digest(run.log) == row["log_sha256"] else list(_explain_differences(row, run))
     return RepeatedFlight(number, run, differences, True)
-
-
-def flight_of(study: Study, row: Row) -> Flight:
-    """Return the flight that a row describes."""
-    values = {name: row[name] for name in study.drawn}
-    return Flight(row["flight"], row["draw"], row["controller"], row["seed"], values)  # type: ignore[arg-type]
 
 
 def _explain_differences(row: Row, run: Run) -> list[str]:

@@ -12,11 +12,14 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import inf
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.appended import AppendedFile
@@ -34,14 +37,15 @@ from cosim.campaign.folder import (
     FrozenStudy,
     check_asked,
     check_unedited,
+    fingerprint,
     freeze,
     is_campaign,
     load,
+    read_asked,
 )
-from cosim.campaign.study.plan import flight_count, flights
-from cosim.campaign.study.sequential import StoppingRule
+from cosim.campaign.study.plan import Flight, flight_count, flight_key, flight_of, flights
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.flight_row import Kinds, Row, Value, kinds, verdict_of
+from cosim.campaign.workers.flight_row import KEY, Kinds, Row, Value, kinds
 from cosim.results.log.arrow import read_table, write_table
 
 PART_ROWS = 4096  # 2 MB
@@ -49,28 +53,7 @@ WRITE_S = 15.0  # s between replacements of the last part, each of which takes 5
 SYNC_S = 1.0  # s between syncs of the journal to disk: what a power cut may cost
 _PARTS = "part-*.parquet"
 _TALLIED = ("flight", "controller", "success", "outcome")
-
-
-class FinishedNumbers:
-    """The numbers of finished flights, a byte each, for there may be millions."""
-
-    def __init__(self, of: int) -> None:
-        self._marks = bytearray(of)
-        self._count = 0
-
-    def __len__(self) -> int:
-        return self._count
-
-    def __contains__(self, number: int) -> bool:
-        return bool(self._marks[number])
-
-    def add(self, number: int) -> None:
-        self._count += not self._marks[number]
-        self._marks[number] = 1
-
-    def remove(self, number: int) -> None:
-        self._count -= self._marks[number]
-        self._marks[number] = 0
+_NOTHING: Row = {}  # shared: there may be millions
 
 
 class Tally:
@@ -88,17 +71,21 @@ class Tally:
 
 
 class Store:
-    """A campaign's folder as the one process that adds to it sees it; a context manager.
+    """A folder of flights as the one process that adds to it sees it; a context manager.
 
-    ``flights`` are all of the study's, ``done`` the numbers of those that are finished, ``tally`` what became of them.
+    ``done`` has the finished flights by their keys, with the columns ``kept`` of each row, all of them for None;
+    ``tally`` is what became of them, and ``of`` how many there will be, 0 where a sampler decides that as it goes.
     """
 
-    def __init__(self, folder: Path, journal: AppendedFile) -> None:
+    def __init__(self, folder: Path, journal: AppendedFile, kept: Sequence[str] | None = ()) -> None:
+        asked = read_asked(folder)
         self.folder = folder
         self.study = load(folder)
-        self.flights = flights(self.study)
-        self.done = FinishedNumbers(len(self.flights))
+        self.of = 0 if asked["plan"] else flight_count(self.study)
+        self.done: dict[str, Row] = {}
         self.tally = Tally()
+        self._fingerprint = fingerprint(asked)
+        self._kept = kept
         self._journal = journal
         self._kinds = kinds(self.study)
         self._part = 0
@@ -107,25 +94,25 @@ class Store:
         self._last_write = self._last_sync = time.monotonic()
 
     @classmethod
-    def create(cls, folder: Path, study: Study) -> Store:
-        """Begin a campaign in a folder that holds none.
+    def create(
+        cls, folder: Path, study: Study, plan: Mapping[str, Any] | None = None, kept: Sequence[str] | None = ()
+    ) -> Store:
+        """Begin in a folder that holds no flights; ``plan``: what is asked beside the study, as a table.
 
-        Raises InputError if it holds anything of one, or cannot be written to; nothing is changed then.
+        Raises InputError if it holds anything of a campaign, or cannot be written to; nothing is changed then.
         """
         existing = next((name for name in CAMPAIGN_FILES if (folder / name).exists()), None)
-        if existing is not None:
-            what = f"already holds a campaign ({existing})" if is_campaign(folder) else f"already holds {existing}"
-            more = "; --resume goes on with it" if is_campaign(folder) else "; choose another folder"
-            raise InputError(f"{folder}: {what}{more}")
-        frozen = freeze(study)
-        existing = next((name for name in frozen.files if (folder / name).exists()), None)
+        if existing is not None and is_campaign(folder):
+            raise InputError(f"{folder}: already holds a campaign ({existing}); --resume goes on with it")
+        frozen = freeze(study, plan)
+        existing = existing or next((name for name in frozen.files if (folder / name).exists()), None)
         if existing is not None:
             raise InputError(f"{folder}: already holds {existing}; choose another folder")
         with map_os_errors(InputError, folder):
             folder.mkdir(parents=True, exist_ok=True)
             journal = _open_journal(folder, os.O_CREAT | os.O_EXCL)  # first: an empty one tells that it hardly began
         try:
-            return cls._begin_with(folder, journal, frozen)
+            return cls._begin_with(folder, journal, frozen, kept)
         except InputError:
             for name in (*frozen.files, SCENARIO, RECORD, STUDY, JOURNAL, COLUMNS):
                 (folder / name).unlink(missing_ok=True)
@@ -134,12 +121,12 @@ class Store:
             raise
 
     @classmethod
-    def _begin_with(cls, folder: Path, journal: AppendedFile, frozen: FrozenStudy) -> Store:
+    def _begin_with(cls, folder: Path, journal: AppendedFile, frozen: FrozenStudy, kept: Sequence[str] | None) -> Store:
         try:
             with map_os_errors(InputError, folder):
                 (folder / FLIGHTS).mkdir(exist_ok=True)
                 frozen.write(folder)
-                store = cls(folder, journal)
+                store = cls(folder, journal, kept)
                 write_columns(folder, store.study)
         except InputError:
             journal.close()
@@ -147,37 +134,53 @@ class Store:
         return store
 
     @classmethod
-    def resume(cls, folder: Path, study: Study | None = None) -> Store:
-        """Go on with the campaign in a folder, or begin it if it was killed before it had begun.
+    def resume(
+        cls,
+        folder: Path,
+        study: Study | None = None,
+        plan: Mapping[str, Any] | None = None,
+        kept: Sequence[str] | None = (),
+    ) -> Store:
+        """Go on with the flights in a folder, or begin if it was killed before it had begun.
 
-        Raises InputError if the folder, or the program, is not as it was at the first flight, ``study`` is another one
-        than the folder's, or another process is at work there.
+        Raises InputError if the folder, or the program, is not as it was at the first flight, study or plan is another
+        one than the folder's, or another process is at work there.
         """
-        frozen = None if study is None else freeze(study)
+        frozen = None if study is None else freeze(study, plan)
         anew = frozen is not None and _lacks_study(folder)
         if not anew:
             load(folder)
         with map_os_errors(InputError, folder):
             journal = _open_journal(folder, os.O_CREAT)
         if frozen is not None and anew:
-            return cls._begin_with(folder, journal, frozen)
+            return cls._begin_with(folder, journal, frozen, kept)
         try:
-            check_asked(folder, frozen, f"{folder}: holds another study")
-            store = cls(folder, journal)
+            check_asked(folder, frozen)
+            store = cls(folder, journal, kept)
             store._take_up()
         except BaseException:
             journal.close()
             raise
         return store
 
+    @cached_property
+    def flights(self) -> Sequence[Flight]:
+        """All flights of the study."""
+        return flights(self.study)
+
+    def key(self, flight: Flight) -> str:
+        """Return the hash of what is flown: scenario, program, controller, seed and values."""
+        return flight_key(self._fingerprint, flight)
+
     def add(self, row: Row) -> None:
-        """Keep a finished flight; one that is finished already is left aside.
+        """Keep a finished flight under its key; one that is finished already is left aside.
 
         Raises FlightError if it cannot be written; what was finished before is kept.
         """
-        number = _flight_number(row)
-        if number in self.done:
+        key = self.key(flight_of(self.study, row))
+        if key in self.done:
             return
+        row = row | {KEY: key}
         # in memory first: Ctrl-C may come between any two lines, and what only the journal has is not put into a part
         self._rows.append(row)
         self._note(row)
@@ -185,7 +188,7 @@ class Store:
             self._journal.append((json.dumps(row) + "\n").encode())
         except FlightError:
             self._rows.pop()
-            self.done.remove(number)
+            del self.done[key]
             raise
         now = time.monotonic()
         if len(self._rows) >= PART_ROWS or now - self._last_write >= WRITE_S:
@@ -197,7 +200,7 @@ class Store:
     @property
     def stored(self) -> int:
         """How many flights the folder has when it is closed; the last may be held and not noted yet, if Ctrl-C came."""
-        return len(self.done) + sum(_flight_number(row) not in self.done for row in self._rows[-1:])
+        return len(self.done) + sum(row[KEY] not in self.done for row in self._rows[-1:])
 
     def flush(self) -> None:
         """Put what is in the journal into the last part.  Raises FlightError if it cannot be written."""
@@ -238,24 +241,23 @@ class Store:
             leftover.unlink(missing_ok=True)
         paths = _parts(self.folder)
         for path in paths:
-            columns = read_table(path, _TALLIED)
-            for number, controller, success, outcome in zip(*columns.values(), strict=True):
-                self.done.add(int(number or 0))
-                self.tally.add(str(controller), bool(success), str(outcome))
+            for row in _read_rows(path, None if self._kept is None else {KEY, *_TALLIED, *self._kept}):
+                self._note(row)
             self._part = int(path.stem.removeprefix("part-")) + 1
         if paths:
-            columns = read_table(paths[-1])
-            last = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+            last = list(_read_rows(paths[-1]))
             if len(last) < PART_ROWS:
                 self._part, self._rows, self._written = self._part - 1, last, len(last)
-        for row in _journal(self.folder, len(self.flights)):
-            if _flight_number(row) not in self.done:
+        for row in _journal(self.folder, self.of):
+            if row.get(KEY) is None or row[KEY] != self.key(flight_of(self.study, row)):
+                raise InputError(f"{self.folder / JOURNAL}: flight {row['flight']} is no flight of this study")
+            if row[KEY] not in self.done:
                 self._note(row)
                 self._rows.append(row)
         self.flush()
 
     def _note(self, row: Row) -> None:
-        self.done.add(_flight_number(row))
+        self.done[str(row[KEY])] = row if self._kept is None else {name: row[name] for name in self._kept} or _NOTHING
         self.tally.add(str(row["controller"]), bool(row["success"]), str(row["outcome"]))
 
 
@@ -266,13 +268,14 @@ class Campaign:
     ``columns["outcome"]`` is a list with an entry for each finished flight, in the order of their numbers; there are
     flight, draw, controller, seed, every varied key under its dotted name, outcome, reason, success, steps, duration_s,
     every metric under the name that an expectation uses, hashes of the log and of what it was made from, and wall_s and
-    worker.  ``of`` is how many flights the study has.
+    worker.  ``of`` is how many flights the study has, and ``plan`` what a command asked beside it, as a table.
     """
 
     folder: Path
     study: Study
     columns: Mapping[str, list[Value]]
     of: int
+    plan: Mapping[str, Any] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.columns["flight"])
@@ -300,17 +303,10 @@ def open_campaign(folder: Path | str) -> Campaign:
     folder = Path(folder)
     with without_code():
         study = load(folder)
-        check_unedited(folder)
-        of = flight_count(study)
-        columns = stored_kinds(folder, study)
-    return Campaign(folder, study, _Columns(folder, columns, of), of)
-
-
-def count_flights(rule: StoppingRule, campaign: Campaign) -> None:
-    """Let a stopping rule count the flights of a campaign."""
-    columns = [campaign.columns.get(name, []) for name in ("flight", "outcome", "success")]
-    for number, outcome, success in zip(*columns, strict=True):
-        rule.add(int(number or 0), verdict_of(outcome, success))
+        plan = check_unedited(folder)
+        of = 0 if plan else flight_count(study)
+        columns = _Columns(folder, stored_kinds(folder, study), of)
+    return Campaign(folder, study, columns, of or len(columns["flight"]), plan)
 
 
 class _Columns(Mapping[str, list[Value]]):
@@ -358,10 +354,15 @@ def _parts(folder: Path) -> list[Path]:
     return sorted((folder / FLIGHTS).glob(_PARTS))
 
 
+def _read_rows(path: Path, names: Collection[str] | None = None) -> Iterator[Row]:
+    columns = read_table(path, None if names is None else tuple(names))
+    return (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+
+
 def _journal(folder: Path, of: int) -> Iterator[Row]:
     """Yield the rows of the journal up to its end, or to the line that is torn.
 
-    Raises InputError if it cannot be read, or has anything but flights below ``of``.
+    Raises InputError if it cannot be read, or has anything but flights, below ``of`` where that is not 0.
     """
     path = folder / JOURNAL
     for number, line in enumerate(read_file(path).splitlines(keepends=True) if path.exists() else (), 1):
@@ -372,7 +373,7 @@ def _journal(folder: Path, of: int) -> Iterator[Row]:
         except InputError:
             return
         is_row = isinstance(row, dict) and row.keys() >= set(_TALLIED)
-        if not is_row or not isinstance(row["flight"], int) or not 0 <= row["flight"] < of:
+        if not is_row or not isinstance(row["flight"], int) or not 0 <= row["flight"] < (of or inf):
             raise InputError(f"{folder / JOURNAL}: line {number} is no flight of this study")
         yield row
 

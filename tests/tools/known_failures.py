@@ -16,6 +16,7 @@ from scipy.stats import norm
 from cosim.base.arrays import Array
 from hexjet_prove.rare.estimate import Budget, Estimate, estimate
 from hexjet_prove.rare.repeats import Simulations, simulate_groups
+from hexjet_prove.search.probe import answer_all
 
 CURVATURE = 0.3
 BAND_FURTHER = 0.42  # standard deviations between the limit of roll and the band of height
@@ -125,10 +126,9 @@ TRUTHS = {
 def simulated(truth: Truth, probability: float, budget: Budget, seed: int) -> tuple[Estimate, Simulations]:
     """Return the estimate of one whole simulation of a known truth, and the simulations that it is from."""
     level = truth.level(probability)
-    made = simulate_groups(
-        truth.dimension,
-        budget,
-        [np.random.default_rng([seed, repeat]) for repeat in range(budget.repeats)],
+    randoms = [np.random.default_rng([seed, repeat]) for repeat in range(budget.repeats)]
+    made = answer_all(
+        simulate_groups(truth.dimension, budget, randoms),
         lambda asked: {
             place: truth.margin(candidates.points, np.array(candidates.seeds), level).reshape(len(candidates.seeds), -1)
             for place, candidates in asked.items()

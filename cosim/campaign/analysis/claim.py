@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from math import ceil, floor, log10
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from cosim.campaign.store import count_flights
 from cosim.campaign.study.plan import stopping_rule
 from cosim.campaign.study.sequential import Claim, Verdict
+from cosim.campaign.workers.flight_row import verdict_of
 from cosim.spec.controller_name import short_name
 
 if TYPE_CHECKING:
@@ -75,7 +75,9 @@ def judge_claim(campaign: Campaign) -> ClaimResult | None:
     rule = stopping_rule(campaign.study)
     if rule is None:
         return None
-    count_flights(rule, campaign)
+    columns = [campaign.columns.get(name, []) for name in ("flight", "outcome", "success")]
+    for number, outcome, success in zip(*columns, strict=True):
+        rule.add(int(number or 0), verdict_of(outcome, success))
     verdicts = {short_name(name): test.verdict() for name, test in rule.tests.items() if test.flights}
     return ClaimResult(rule.claim, str(campaign.study.until), rule.is_finished, verdicts)
 

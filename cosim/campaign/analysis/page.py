@@ -13,6 +13,7 @@ import numpy as np
 from markupsafe import Markup
 
 from cosim.base.arrays import Array
+from cosim.base.errors import InputError
 from cosim.base.storage.files import parse_json, read_text
 from cosim.campaign.analysis.cards import comparison_cards, format_span, metrics_card, ranking_cards, success_card
 from cosim.campaign.analysis.claim import judge_claim
@@ -30,7 +31,7 @@ from cosim.campaign.analysis.summary import (
 )
 from cosim.campaign.analysis.table import FlightTable, KeyColumn, describe_criterion, if_here, read_flight_table
 from cosim.campaign.analysis.worst_cases import CASE_COLUMNS, case_rows
-from cosim.campaign.folder import REPORT
+from cosim.campaign.folder import COMMAND, REPORT
 from cosim.campaign.study.engine_draw import DRAWN_BY
 from cosim.campaign.study.keys import FLOWN_STATIONS
 from cosim.campaign.workers.flight_row import describe_not_flown
@@ -71,8 +72,11 @@ MAP = Path(__file__).parent / "templates" / "stability_map.html"
 def write_campaign_report(campaign: Campaign) -> Path:
     """Write the page into the campaign's folder, with the scenario files that it links to, and return its path.
 
-    Raises FlightError if a file cannot be written.
+    Raises FlightError if a file cannot be written, and InputError for the flights of another command than a sweep.
     """
+    if command := campaign.plan.get(COMMAND):
+        page = f"{command.split()[-1]}.html"
+        raise InputError(f"{campaign.folder}: has the flights of {command}; its page is {campaign.folder / page}")
     path = campaign.folder / REPORT
     make_page(campaign).write(path)
     return path

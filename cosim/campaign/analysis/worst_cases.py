@@ -16,7 +16,7 @@ from cosim.base.trust import CodeRefusedError, is_code_forbidden
 from cosim.campaign.analysis.summary import SUCCESS, unmet_criteria
 from cosim.campaign.analysis.table import KINDS, FlightTable, KeyColumn
 from cosim.campaign.folder import CASES, SCENARIO
-from cosim.campaign.study.plan import scenario_of
+from cosim.campaign.study.plan import flight_of, scenario_of
 from cosim.results.report.cards import link
 from cosim.results.resolved_scenario import resolve
 from cosim.simulation.build import build
@@ -127,8 +127,6 @@ def write_case(campaign: Campaign, row: int) -> tuple[str, str]:
     Where files go along with it, such as an engine of the user's, it has a folder of its own.  Raises FlightError if it
     cannot be written.
     """
-    from cosim.campaign.run import flight_of
-
     names = ("flight", "draw", "controller", "seed", *campaign.study.drawn)
     try:
         flight = flight_of(campaign.study, {name: campaign.columns[name][row] for name in names})

@@ -5,8 +5,10 @@ Flights of one draw are neighbours: they meet the same numbers, the same noise a
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import blake2b
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,6 +38,18 @@ class Flight:
     controller: str
     seed: int
     values: Mapping[str, Value]
+
+
+def flight_of(study: Study, row: Mapping[str, Value | None]) -> Flight:
+    """Return the flight that a row describes; a key that has no value in it is as the scenario has it."""
+    values = {name: value for name in study.drawn if (value := row[name]) is not None}
+    return Flight(row["flight"], row["draw"], row["controller"], row["seed"], values)  # type: ignore[arg-type]
+
+
+def flight_key(fingerprint: str, flight: Flight) -> str:
+    """Return the hash of what is flown: of scenario and program as in ``fingerprint``, controller, seed and values."""
+    flown = json.dumps([fingerprint, flight.controller, flight.seed, flight.values], sort_keys=True)
+    return blake2b(flown.encode(), digest_size=8).hexdigest()
 
 
 class _Flights(LazySequence[Flight]):

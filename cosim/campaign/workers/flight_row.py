@@ -48,6 +48,7 @@ Kinds = dict[str, type[Value]]
 
 _FIRST: Kinds = {"flight": int, "draw": int, "controller": str, "seed": int}
 _OUTCOME: Kinds = {"outcome": str, "reason": str, "success": bool, "beyond": str, "steps": int, "duration_s": float}
+KEY = "key"  # the hash of what was flown, by which a folder knows a flight
 MARGIN_OF = "margin_"  # before the name of a requirement: its margin, in its unit
 LIMITS_MARGIN = "limits_margin"  # the smallest margin of the flight's own limits and expectations, in scales
 _LAST: Kinds = {
@@ -58,6 +59,7 @@ _LAST: Kinds = {
     "inputs": str,
     "wall_s": float,
     "worker": str,
+    KEY: str,
 }
 # the one rule for flights without a verdict: there is no such vehicle, say, or no such scenario
 NOT_FLOWN = (

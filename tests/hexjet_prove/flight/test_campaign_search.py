@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
@@ -16,6 +17,8 @@ from hypothesis import strategies as st
 
 from cosim import fly
 from cosim.base.errors import InputError
+from cosim.campaign import open_campaign, run_campaign
+from cosim.campaign.analysis.page import write_campaign_report
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row, failed_row, fly_one
@@ -30,13 +33,9 @@ from hexjet_design.loop.channel import channels
 from hexjet_design.loop.closed_loop import ClosedLoop, FrequencyGrid
 from hexjet_design.loop.dynamics import make_lag_dynamics
 from hexjet_prove.search.folder import resolve_search, run_search
-from hexjet_prove.search.line_search import run_walks, scan_outward
+from hexjet_prove.search.line_search import scan_outward
 from hexjet_prove.search.page import describe_resolution, together_lines
-from hexjet_prove.search.probe import (
-    Journal,
-    Point,
-    Prober,
-)
+from hexjet_prove.search.probe import Point, Prober, answer_all
 from hexjet_prove.search.search import Edge, SearchResult, search
 
 Values = Mapping[str, Any]
@@ -76,7 +75,7 @@ class Rule:
 def found(rule: Rule, vary: list[str], **options: Any) -> SearchResult:
     """A search by rule; the gust's scenario has 8 m/s along y, and 0 along x and z."""
     study, plan = resolve_search("gust", vary=vary, **options)
-    return search(plan, Prober(study, plan.seeds, plan.share, rule))
+    return answer_all(search(plan, study), partial(rule.fly, study))
 
 
 def by_side(result: SearchResult) -> dict[str, Edge]:
@@ -211,11 +210,11 @@ def test_a_walk_asks_for_nothing_twice() -> None:
     asked: list[float] = []
 
     def look(places: Any) -> list[bool]:
-        asked.extend(place for _, place in places)
-        return [place > 0.55 for _, place in places]
+        asked.extend(places)
+        return [place > 0.55 for place in places]
 
     walk = scan_outward([0.0, 0.25, 0.5, 0.75, 1.0], lambda a, b: None if b - a < 0.02 else 0.5 * (a + b), at_once=2)
-    (scan,) = run_walks({"one": walk}, look).values()
+    scan = answer_all(walk, look)
     assert scan.change is not None
     assert scan.change[0] <= 0.55 < scan.change[1]
     assert len(asked) == len(set(asked))
@@ -239,12 +238,16 @@ def test_several_keys_are_searched_each_alone_and_the_answer_names_what_searches
 def test_flights_that_are_known_cost_nothing_and_count_once() -> None:
     study, plan = resolve_search("gust", vary=[f"{X}=0:10"], seeds=2)
     rule = Rule(lambda values, controller, seed: False)
-    prober = Prober(study, plan.seeds, plan.share, rule)
+    prober = Prober(study, plan.seeds, plan.share)
+
+    def evaluate(points: list[Point]) -> list[bool]:
+        return answer_all(prober.evaluate(points), partial(rule.fly, study))
+
     one, two, three = (plan.point("smith", {X: value}) for value in (1.0, 2.0, 3.0))
     for _ in range(3):
-        assert prober.evaluate([one, two, one]) == [False, False, False]
+        assert evaluate([one, two, one]) == [False, False, False]
     assert len(rule.flown) == prober.flights == 4
-    assert prober.evaluate([one, three]) == [False, False]
+    assert evaluate([one, three]) == [False, False]
     assert len(rule.flown) == prober.flights == 6
 
 
@@ -300,7 +303,7 @@ def test_the_delay_margin_of_the_linear_roll_channel_to_the_sample() -> None:
         controllers=controllers,
     )
     with LocalWorkers(2) as workers:
-        result = search(plan, Prober(study, plan.seeds, plan.share, workers))
+        result = answer_all(search(plan, study), partial(workers.fly, study))
     assert {edge.controller: edge.breaks for edge in result.edges} == {
         name: first_unstable(name) for name in controllers
     }
@@ -349,7 +352,7 @@ def test_what_is_left_behind_flies_again_and_what_was_stopped_goes_on(tmp_path: 
     searched = run_search(study, plan, tmp_path / "run", again, resume=True)
     whole = run_search(study, plan, tmp_path / "whole", Here())
     assert len(stopped.flown) + len(again.flown) == searched.result.flights == whole.result.flights
-    assert len(Journal(journal).read()) == searched.result.flights
+    assert len(open_campaign(tmp_path / "run")) == searched.result.flights
     assert searched.result.edges == whole.result.edges
 
     (edge,) = searched.result.edges
@@ -383,32 +386,24 @@ def test_what_cannot_be_flown_breaks_and_says_so(tmp_path: Path) -> None:
     assert [case.breaks for case in searched.cases] == [True, False]
 
 
-def test_journal_is_read_back_whole(tmp_path: Path) -> None:
-    journal = Journal(tmp_path / "flights.jsonl")
-    assert journal.read() == {}
-    point = Point.of("smith", {"b": 0.1 + 0.2, "a": 3})
-    journal.add(point, 4, {"success": True, "x": None})
-    assert journal.read() == {(Point.of("smith", {"a": 3, "b": 0.30000000000000004}), 4): {"success": True, "x": None}}
-
-
 def test_another_search_is_left_alone(tmp_path: Path) -> None:
     study, plan = resolve_search("gust", vary=[f"{X}=0:4:2"])
     rule = Here(most=0)
     with pytest.raises(KeyboardInterrupt):
         run_search(study, plan, tmp_path, rule)
     before = sorted(path.name for path in tmp_path.rglob("*"))
-    with pytest.raises(InputError, match="already holds a search"):
+    with pytest.raises(InputError, match="already holds a campaign"):
         run_search(study, plan, tmp_path, rule)
     other = resolve_search("gust", vary=[f"{X}=0:5:2"])
-    with pytest.raises(InputError, match=r"holds another search; .*[54]\.0"):
+    with pytest.raises(InputError, match=r"holds another study; .*[54]\.0"):
         run_search(*other, tmp_path, rule, resume=True)
-    with pytest.raises(InputError, match=r"holds another search; search\.toml: seeds is"):
+    with pytest.raises(InputError, match=r"holds another study; plan: seeds is"):
         run_search(study, replace(plan, seeds=(1, 2)), tmp_path, rule, resume=True)
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
-    (tmp_path / "else").mkdir()
-    (tmp_path / "else" / "notes.txt").touch()
-    with pytest.raises(InputError, match="is not empty and holds no search"):
-        run_search(study, plan, tmp_path / "else", rule)
+    with pytest.raises(InputError, match="holds flights of hexjet search, which goes on with them"):
+        run_campaign(None, tmp_path, rule, resume=True)
+    with pytest.raises(InputError, match=r"has the flights of hexjet search; its page is .*search\.html"):
+        write_campaign_report(open_campaign(tmp_path))
 
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,18 +16,18 @@ from click.testing import CliRunner
 
 from cosim import fly
 from cosim.base.errors import FlightError, InputError
+from cosim.campaign import open_campaign
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.flight_row import Row, fly_one
 from cosim.campaign.workers.local import LocalWorkers
-from cosim.results.log.arrow import read_table
 from cosim.results.log.digest import log_digest
 from cosim.spec.scenario import Scenario
 from hexjet_prove.command.searches import rare as command
 from hexjet_prove.rare.estimate import Budget
-from hexjet_prove.rare.folder import resolve_rare, run_rare
-from hexjet_prove.rare.simulation import Plan, SavedRare
+from hexjet_prove.rare.folder import SavedRare, resolve_rare, run_rare
+from hexjet_prove.rare.simulation import Plan
 
 WIND, ROLL = "environment.wind_ned_m_s.1", "initial.attitude_deg.0"
 KNOWN = 0.5 * erfc(2.5 / sqrt(2.0))  # of windy: 0.0062
@@ -68,8 +68,8 @@ def tilted(limit_deg: float) -> Study:
 
 
 def rows(saved: SavedRare) -> list[Row]:
-    columns = read_table(saved.folder / "flights.parquet")
-    return [without_chance(dict(zip(columns, row, strict=True))) for row in zip(*columns.values(), strict=True)]
+    campaign = open_campaign(saved.folder)
+    return [without_chance(campaign.row(number)) for number in range(len(campaign))]
 
 
 def result(saved: SavedRare) -> dict[str, Any]:
@@ -90,7 +90,7 @@ def test_a_known_truth_is_in_the_interval_and_all_is_kept(whole: SavedRare) -> N
         f"hover with smith fails with a probability of {found.text} after {whole.result.flights:,} flights; seeds of "
         "wind and noise are part of what varies"
     )
-    assert len(rows(whole)) + whole.result.searched.flights == whole.result.flights <= 1600
+    assert len(rows(whole)) == whole.result.flights <= 1600
     assert whole.result.searched.distance == pytest.approx(2.5, abs=0.02)
     assert whole.result.contradiction == ""
     nearest = whole.result.nearest
@@ -156,19 +156,22 @@ def test_a_cluster_flies_the_same_rows(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_of_one_simulation(whole: SavedRare, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="already holds one; choose another folder, or --resume goes on with it"):
+    with pytest.raises(InputError, match=r"already holds a campaign \(study.toml\); --resume goes on with it"):
         run_rare(known(), SMALL, whole.folder, Here())
-    with pytest.raises(InputError, match=r"holds another one; rare.toml: flights is 1600 there and 1700 here"):
+    with pytest.raises(InputError, match=r"holds another study; plan: flights is 1600 there and 1700 here"):
         run_rare(known(), Plan(Budget(1e-3, 1700)), whole.folder, Here(), resume=True)
-    with pytest.raises(InputError, match=r"holds another one; study.toml: seed is 1 there and 4 here"):
+    with pytest.raises(InputError, match=r"holds another study; study.toml: seed is 1 there and 4 here"):
         run_rare(known().changed(seed=4), SMALL, whole.folder, Here(), resume=True)
     with pytest.raises(
-        InputError, match=r"holds another one; study.toml: controllers is \['smith'\] there and \[\] here"
+        InputError, match=r"holds another study; study.toml: controllers is \['smith'\] there and \[\] here"
     ):
         run_rare(known().changed(controllers=[]), SMALL, whole.folder, Here(), resume=True)
-    (tmp_path / "else").touch()
-    with pytest.raises(InputError, match="is not empty and holds no simulation of rare failures"):
-        run_rare(known(), SMALL, tmp_path, Here())
+    (tmp_path / "rare.toml").touch()
+    for resume in (False, True):
+        with pytest.raises(
+            InputError, match=r"already holds rare\.toml|is a search of version 0\.2\.0; its page shows it"
+        ):
+            run_rare(known(), SMALL, tmp_path, Here(), resume=resume)
 
 
 @pytest.mark.parametrize(

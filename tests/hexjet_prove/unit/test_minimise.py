@@ -10,6 +10,7 @@ import pytest
 
 from cosim.base.arrays import Array
 from hexjet_prove.search.minimise import NEAR, Ball, Box, Found, descend
+from hexjet_prove.search.probe import answer_all
 
 Margin = Callable[[Array], float]
 
@@ -17,7 +18,8 @@ Margin = Callable[[Array], float]
 def found(
     margin: Margin, region: Ball | Box, dimension: int, budget: int, seed: int = 1, nearest: bool = False
 ) -> Found:
-    return descend(lambda points: np.array([margin(x) for x in points]), region, dimension, budget, seed, nearest)
+    steps = descend(region, dimension, budget, seed, nearest)
+    return answer_all(steps, lambda points: np.array([margin(x) for x in points]))
 
 
 def plane(distance: float, dimension: int) -> Margin:
@@ -92,7 +94,7 @@ def test_the_budget_is_kept_and_used(budget: int, nearest: bool) -> None:
         asked.append(len(points))
         return np.array([two_regions(x) for x in points])
 
-    result = descend(evaluate, Ball(6.0), 6, budget, nearest=nearest)
+    result = answer_all(descend(Ball(6.0), 6, budget, nearest=nearest), evaluate)
     assert sum(asked) == result.evaluations == budget
     assert 0 <= result.since < budget
 
@@ -110,7 +112,7 @@ def test_every_point_is_in_the_region_that_is_left() -> None:
         looked.extend(points)
         return np.array([two_regions(x) for x in points])
 
-    result = descend(evaluate, Ball(4.0), 6, 500, nearest=True)
+    result = answer_all(descend(Ball(4.0), 6, 500, nearest=True), evaluate)
     far = np.linalg.norm(looked, axis=1)
     assert far.max() <= 4.0 + 1e-9
     assert far[-result.since :].max() <= result.distance + 1e-9  # nothing further than what is known already

@@ -30,6 +30,7 @@ from hexjet_prove.rare.groups import Group, group_requirements, measure_distance
 from hexjet_prove.rare.nearest import NearestSearch
 from hexjet_prove.rare.repeats import simulate_groups
 from hexjet_prove.rare.subset import Candidates, Level, Repeat
+from hexjet_prove.search.probe import answer_all
 
 STUDIES = 40
 LEAST_HELD = 0.93
@@ -148,7 +149,7 @@ def ended(margin: Callable[[Candidates], Any], seed: int | None = None) -> list[
         return {place: np.reshape(margin(each), (-1, 1)) for place, each in asked.items()}
 
     randoms = [np.random.default_rng(repeat) for repeat in range(8)]
-    return list(simulate_groups(3, Budget(1e-3, 2960), randoms, fly, seed).repeats[0])
+    return list(answer_all(simulate_groups(3, Budget(1e-3, 2960), randoms, seed), fly).repeats[0])
 
 
 def test_candidates_keep_the_normal_distribution_and_their_seeds_all_values() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from itertools import combinations, islice, product
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,14 @@ import numpy as np
 import pytest
 
 from cosim.base.errors import InputError
+from cosim.campaign import open_campaign
+from cosim.campaign.run import run_sampler
 from cosim.campaign.study.draws import Draws
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import Flight, scenario_of
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import Row, failed_row
-from hexjet_prove.search.probe import Journal, Prober
+from hexjet_prove.search.probe import answer_all
 from hexjet_prove.search.worst_case import WorstSearch, search_worst
 from hexjet_prove.search.worst_folder import resolve_worst
 
@@ -50,12 +53,14 @@ class Measured:
 
 
 def searched(
-    metric: Callable[[Values, int], float], vary: list[str], journal: Path | None = None, stop_after: int | None = None,
+    metric: Callable[[Values, int], float], vary: list[str], out: Path | None = None, stop_after: int | None = None,
     **options: Any,
 ) -> WorstSearch:  # fmt: skip
     study, plan = resolve_worst("gust", vary=vary, success=[f"{METRIC}<=1"], **options)
-    log = None if journal is None else Journal(journal)
-    return search_worst(plan, Prober(study, plan.seeds, 0.0, Measured(metric, stop_after), log))  # type: ignore[arg-type]
+    workers: Any = Measured(metric, stop_after)
+    if out is None:
+        return answer_all(search_worst(plan, study), partial(workers.fly, study))
+    return run_sampler(study, out, partial(search_worst, plan), workers, True, None, plan.table())[1]
 
 
 def corner(values: Values, seed: int = 0) -> float:
@@ -182,7 +187,7 @@ def test_a_vehicle_that_no_body_is_does_not_fail() -> None:
         "gust", vary=[f"{inertia}=0.05:0.2"], success=[f"{METRIC}<=1"], within="ranges", budget=80
     )
     workers = Possible(lambda values, seed: 5.0 * values[inertia])
-    result = search_worst(plan, Prober(study, plan.seeds, 0.0, workers))  # type: ignore[arg-type]
+    result = answer_all(search_worst(plan, study), partial(workers.fly, study))
     (case,) = result.cases
     most = sum(study.base().resolved_vehicle()[0].inertia_kg_m2[:2])
     assert case.values[inertia] == pytest.approx(most, abs=2e-3)
@@ -205,10 +210,10 @@ def test_a_search_that_is_stopped_goes_on_as_if_it_had_not_been(tmp_path: Path) 
     whole = searched(metric, vary, **options)
     for stop in (1, 100, 250):
         with pytest.raises(KeyboardInterrupt):
-            searched(metric, vary, tmp_path / "flights.jsonl", stop, **options)
-    assert searched(metric, vary, tmp_path / "flights.jsonl", **options).to_json() == whole.to_json()
-    rows = Journal(tmp_path / "flights.jsonl").read()
-    assert len(rows) == whole.flights  # nothing twice, and nothing that the whole one had not flown
+            searched(metric, vary, tmp_path / "out", stop, **options)
+    assert searched(metric, vary, tmp_path / "out", **options).to_json() == whole.to_json()
+    # nothing twice, and nothing that the whole one had not flown
+    assert open_campaign(tmp_path / "out").columns["flight"] == list(range(whole.flights))
 
 
 def test_another_seed_of_the_study_searches_another_way(tmp_path: Path) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from command_tools import Done, Hexjet
+from places import TESTS
 
 from cosim.base.errors import InputError
 from cosim.campaign import installed, open_campaign
@@ -37,9 +39,9 @@ BUDGET = ["--budget", "800", "--target", "0.5", "--same-seed"]
 COMMANDS: dict[str, tuple[list[str], list[str], str]] = {
     "sweep": (["sweep", "short.toml"], ["sweep", "out"], ""),
     "prove": (["prove", "short.toml", "--search", "0", "--no-limit"], ["prove", "out", "--search", "0"], "campaign"),
-    "search": (["search", "hover", "--vary", "vehicle.mass_kg=5.5:5.6:3", *HOVER], [], "study"),
-    "likely": (["search", *DRAWN, "--likely", "--budget", "20", *HOVER], [], "study"),
-    "rare": (["rare", *DRAWN, *BUDGET, *HOVER], [], "study"),
+    "search": (["search", "hover", "--vary", "vehicle.mass_kg=5.5:5.6:3", *HOVER], [], ""),
+    "likely": (["search", *DRAWN, "--likely", "--budget", "20", *HOVER], [], ""),
+    "rare": (["rare", *DRAWN, *BUDGET, *HOVER], [], ""),
 }
 
 
@@ -85,7 +87,31 @@ def test_an_edited_folder_is_refused_by_the_key_that_changed(
     assert resume() == (2, "", line)
     (folder / RECORD).unlink()
     status, _, line = resume()
-    assert (status, line.startswith(f"hexjet: {folder}: asked.toml is missing")) == (2, True)
+    assert (status, line.startswith(f"hexjet: {folder}: asked.toml is missing, as in folders of version 0.2.0")) == (
+        2,
+        True,
+    )
+
+
+def test_a_campaign_of_version_0_2_0_is_read_and_goes_on_there_alone(tmp_path: Path, hexjet: Hexjet) -> None:
+    folder = tmp_path / "c"
+    shutil.copytree(TESTS / "older" / "0.2.0-a" / "campaign", folder)
+    assert len(open_campaign(folder)) > 0
+    assert hexjet("report", str(folder)).status == 0
+    status, _, line = hexjet("sweep", str(folder), "--resume")
+    assert (status, "as in folders of version 0.2.0; it can be looked at, that version goes on with it" in line) == (
+        2,
+        True,
+    )
+
+
+@pytest.mark.parametrize("command", [["report"], ["sweep", "--resume"], ["fly", "--flight", "0"]])
+def test_a_search_of_version_0_2_0_is_refused_by_the_version(
+    tmp_path: Path, hexjet: Hexjet, command: list[str]
+) -> None:
+    (tmp_path / "search.toml").touch()
+    line = f"hexjet: {tmp_path}: is a search of version 0.2.0; its page shows it, and that version goes on with it\n"
+    assert hexjet(command[0], str(tmp_path), *command[1:]) == (2, "", line)
 
 
 def test_the_rows_of_an_edited_study_are_not_shown_beside_its_limits(tmp_path: Path, hexjet: Hexjet) -> None:

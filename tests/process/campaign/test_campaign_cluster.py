@@ -268,7 +268,7 @@ def test_the_scheduler_is_lost(processes: Processes, tmp_path: Path) -> None:
     assert status == 1
     with Store.resume(tmp_path / "out") as store:
         assert len(store.done) == int(found[1]) >= 5
-        left = [flight for flight in store.flights if flight.number not in store.done][:4]
+        left = [flight for flight in store.flights if store.key(flight) not in store.done][:4]
         assert len(left) == 4
         with LocalWorkers(1) as workers:
             assert {row["outcome"] for row in workers.fly(store.study, left)} == {"completed"}

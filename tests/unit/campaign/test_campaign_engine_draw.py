@@ -17,7 +17,6 @@ from cosim.campaign.study.engine_draw import engine_draw
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.plan import flights, scenario_of
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.local import LocalWorkers
 from hexjet_prove.search.folder import resolve_search
 from hexjet_prove.search.probe import Prober
 
@@ -228,7 +227,7 @@ def test_a_search_draws_in_all_flights_of_a_point_but_the_first(tmp_path: Path) 
     options: dict[str, Any] = {"settings": [f"engine={file}", "controller=baseline"], "seed": 5}
     searched, plan = resolve_search("roll-doublet", vary=["mismatch.mass_factor=0.8:1.2"], seeds=3, **options)
     assert plan.draws_engine
-    prober = Prober(searched, plan.seeds, 0.0, LocalWorkers(1), engine=engine_draw(searched.base()))
+    prober = Prober(searched, plan.seeds, engine=engine_draw(searched.base()))
     point = plan.point("baseline", {})
     flown = [prober.flight(point, seed).values for seed in plan.seeds]
     assert list(flown[0]) == ["mismatch.mass_factor"]

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from cosim.api.call import Limits, Progress, Result, Table, checked
 from cosim.api.call.choices import as_texts
-from cosim.api.studies import study_settings
+from cosim.api.studies import study_settings, tell_tally
 from cosim.base.errors import InputError
 
 if TYPE_CHECKING:
     from cosim.studies import Workers
-    from hexjet_prove.rare.simulation import SavedRare
-    from hexjet_prove.search.result import SavedSearch
+    from hexjet_prove.rare.folder import SavedRare
+    from hexjet_prove.search.folder import SavedSearch
     from hexjet_prove.search.worst_folder import SavedWorst
 
 
@@ -44,14 +44,13 @@ class SearchResult(Result):
     def lines(self) -> list[str]:
         """Return what was flown, what counts as broken, and what was found."""
         from hexjet_prove.search.page import describe_resolution, together_lines
-        from hexjet_prove.search.result import SavedSearch
+        from hexjet_prove.search.worst_case import WorstSearch
 
-        found = self.searched
-        base = found.result.study.base()
-        first = f"{base.name}: {base.aircraft_name}, engine {base.engine}; {found.result.flights} flights"
-        if not isinstance(found, SavedSearch):
-            return [first, *found.result.lines(), *found.result.notes]
-        result = found.result
+        result = self.searched.result
+        base = result.study.base()
+        first = f"{base.name}: {base.aircraft_name}, engine {base.engine}; {result.flights} flights"
+        if isinstance(result, WorstSearch):
+            return [first, *result.lines(), *result.notes]
         notes = [result.engine_note] if result.engine_note else []
         return [
             first,
@@ -64,14 +63,14 @@ class SearchResult(Result):
     def tables(self) -> list[Table]:
         """Return the edges, or the keys of what was found."""
         from hexjet_prove.search.page import table
-        from hexjet_prove.search.result import SavedSearch
+        from hexjet_prove.search.worst_case import WorstSearch
         from hexjet_prove.search.worst_page import rows, titles
 
-        found = self.searched
-        if isinstance(found, SavedSearch):
-            heads, lines, *_ = table(found.result)
-            return [Table("", heads, list(lines))]
-        return [Table("", titles(found.result), rows(found.result))]
+        result = self.searched.result
+        if isinstance(result, WorstSearch):
+            return [Table("", titles(result), rows(result))]
+        heads, lines = table(result)
+        return [Table("", heads, list(lines))]
 
 
 class RareResult(Result):
@@ -270,12 +269,8 @@ def _searching(
     folder = Path(out) if out is not None else new_folder(Path("runs"), name)
     hears = progress or Progress()
     hears.begin(folder)
-
-    def tell(flights: int) -> None:
-        hears.update(f"{flights} flights", flights, 0)
-
     with choose_workers(*fleet) as flying:
-        yield folder, tell, flying
+        yield folder, tell_tally(hears), flying
 
 
 @checked(target=Limits(1e-9, 0.5), budget=Limits(1))

@@ -23,8 +23,8 @@ from cosim.commands import (
 
 if TYPE_CHECKING:
     from hexjet_prove.api.searches import SearchResult
-    from hexjet_prove.rare.simulation import SavedRare
-    from hexjet_prove.search.result import SavedSearch
+    from hexjet_prove.rare.folder import SavedRare
+    from hexjet_prove.search.folder import SavedSearch
     from hexjet_prove.search.worst_folder import SavedWorst
 
 
@@ -138,13 +138,12 @@ def rare(options: Rare) -> int:
 
 def print_found(found: SearchResult) -> None:
     """Print what a search found, of one key or of all at once."""
-    from hexjet_prove.search.result import SavedSearch
+    from hexjet_prove.search.worst_case import WorstSearch
 
-    searched = found.searched
-    if isinstance(searched, SavedSearch):
-        print_search(searched)
+    if isinstance(found.searched.result, WorstSearch):
+        print_worst(found.searched)
     else:
-        print_worst(searched)
+        print_search(found.searched)
 
 
 def print_search(searched: SavedSearch) -> None:

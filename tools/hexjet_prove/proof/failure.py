@@ -7,12 +7,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from cosim.base.errors import InputError
-from cosim.studies import Study, Workers
+from cosim.studies import CASES, Progress, Study, Workers
 from hexjet_prove.proof.result import Part
 from hexjet_prove.rare.estimate import Budget
 from hexjet_prove.rare.folder import run_rare
 from hexjet_prove.rare.simulation import Plan
-from hexjet_prove.search.question import CASES
 from hexjet_prove.search.worst_case import LIKELY_WITHIN, WORST_WITHIN, WorstCase, WorstPlan, important
 from hexjet_prove.search.worst_folder import SavedWorst, run_worst
 
@@ -54,9 +53,13 @@ def search_failures(
         within = LIKELY_WITHIN if name == LIKELY else WORST_WITHIN
         plan = WorstPlan(name == LIKELY, within, (study.base().seed,), budget, study.seed)
         place = folder / name
-        saved = run_worst(searched, plan, place, workers, True, lambda flights, name=name: say(f"{name}: {flights}"))  # type: ignore[misc]
+        saved = run_worst(searched, plan, place, workers, True, _tell(say, name))
         parts[name] = _part(saved, f"{folder.name}/{name}")
     return parts
+
+
+def _tell(say: Callable[[str], None], name: str) -> Progress:
+    return lambda tally, done, of: say(f"{name}: {done}")
 
 
 def _part(saved: SavedWorst, place: str) -> Part:
@@ -101,7 +104,7 @@ def simulate_rare(study: Study, folder: Path, flights: int, workers: Workers, sa
     """
     asked = study.changed(until=None, runs=flights)
     plan = Plan(Budget(TARGET, flights))
-    saved = run_rare(asked, plan, folder, workers, True, lambda flown: say(f"rare: {flown}"))
+    saved = run_rare(asked, plan, folder, workers, True, _tell(say, "rare"))
     told = saved.to_json()
     cases = [
         {

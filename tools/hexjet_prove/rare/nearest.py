@@ -6,7 +6,7 @@ on outwards: Phi(-b) of all draws.  An interval that ends below that has missed 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 
@@ -14,10 +14,10 @@ import numpy as np
 from scipy.special import ndtr
 
 from cosim.base.arrays import Array
-from cosim.studies import Flight, NormalSpace, Study, Value, flight_seed, row_margin
+from cosim.studies import NormalSpace, Value, flight_seed, row_margin
 from hexjet_prove.rare.estimate import probability_text
 from hexjet_prove.search.minimise import Ball, descend
-from hexjet_prove.search.probe import FlownRows, Point
+from hexjet_prove.search.probe import Asking, Point, Prober, answer_by
 from hexjet_prove.search.worst_case import LIKELY_WITHIN
 
 # Flights of the search, of those that the simulations leave, and seeds of noise and turbulence that are tried at the
@@ -64,8 +64,8 @@ class NearestSearch:
 
 
 def search_nearest(
-    study: Study, space: NormalSpace, controller: str, seed: int | None, left: int, flown: FlownRows
-) -> NearestSearch:
+    space: NormalSpace, controller: str, seed: int | None, left: int, prober: Prober
+) -> Asking[NearestSearch]:
     """Search the failure nearest to the middle of all draws, with at most ``left`` flights, and try other seeds there.
 
     All have the ``seed``, or that of the scenario where it varies.  Without enough flights, or without the package that
@@ -74,25 +74,25 @@ def search_nearest(
     budget = min(left - (SEEDS_TRIED if seed is None else 0), MAX_SEARCHED)
     if budget < MIN_SEARCHED or find_spec("cmaes") is None:
         return NearestSearch()
-    requested: set[tuple[Point, int]] = set()
+    study, requested = prober.study, set[tuple[Point, int]]()
     own_seed = study.base().seed if seed is None else seed
 
-    def keys(places: Array, seeds: list[int]) -> list[tuple[Point, int]]:
+    def margins(places: Array, seeds: Sequence[int] = (own_seed,)) -> Asking[Array]:
         points = [Point.of(controller, values) for values in space.values(places)]
-        return [(point, each) for point in points for each in seeds]
-
-    def margins(places: Array, seeds: list[int] | None = None) -> Array:
-        asked = keys(places, [own_seed] if seeds is None else seeds)
+        asked = [(point, each) for point in points for each in seeds]
         requested.update(asked)
-        flown.fly(asked, lambda point, each, number: Flight(number, number, point.controller, each, dict(point.values)))
-        rows = [flown.rows[key] for key in asked]
+        yield from prober.fly(asked)
+        rows = [prober.rows[key] for key in asked]
         # what cannot be flown is no failure that a search finds
         return np.array([np.nan if row["outcome"] == "failed" else row_margin(row, study) for row in rows])
 
-    found = descend(margins, Ball(LIKELY_WITHIN), space.dimension, budget, study.seed, nearest=True)
+    steps = descend(Ball(LIKELY_WITHIN), space.dimension, budget, study.seed, nearest=True)
+    found = yield from answer_by(steps, margins)
     if not found.fails:
         return NearestSearch(len(requested))
     place = found.point[None, :]
-    tried = margins(place, [flight_seed(study.seed, number) for number in range(SEEDS_TRIED)]) if seed is None else None
-    share = 1.0 if tried is None else float(np.mean(tried < 0.0))
+    share = 1.0
+    if seed is None:
+        tried = yield from margins(place, [flight_seed(study.seed, number) for number in range(SEEDS_TRIED)])
+        share = float(np.mean(tried < 0.0))
     return NearestSearch(len(requested), found.distance, share, space.values(place)[0])

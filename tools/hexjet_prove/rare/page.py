@@ -10,9 +10,10 @@ import numpy as np
 from cosim.pages import GREY, RED, Card, Page, closest, dotted, run_colour, sentence
 from cosim.spec.controller_name import short_name
 from hexjet_prove.rare.estimate import probability_text
-from hexjet_prove.rare.simulation import RareResult, SavedRare, describe_plan
+from hexjet_prove.rare.simulation import RareResult, describe_plan
 from hexjet_prove.rare.subset import Repeat
 from hexjet_prove.search.page import cases_card, list_facts
+from hexjet_prove.search.question import Answered
 
 Figure = dict[str, Any]
 
@@ -29,7 +30,7 @@ LIMITS = (
 )
 
 
-def write_page(saved: SavedRare, path: Path) -> None:
+def write_page(saved: Answered[RareResult], path: Path) -> None:
     """Write the page of a simulation.  Raises FlightError if the file cannot be written."""
     result = saved.result
     base, plan = result.study.base(), describe_plan(result.plan, len(result.groups))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,16 +40,15 @@ def simulate_groups(
     dimension: int,
     budget: Budget,
     randoms: Sequence[np.random.Generator],
-    fly: Callable[[Mapping[Place, Candidates]], Mapping[Place, Array]],
     seed: int | None = None,
-) -> Simulations:
+) -> Generator[dict[Place, Candidates], Mapping[Place, Array], Simulations]:
     """Return the simulations of a budget, a repeat for each of ``randoms``.
 
-    ``fly`` returns the margins of candidates, a row a flight and a column a requirement.  All flights have this
+    Yields candidates and is told their margins, a row a flight and a column a requirement.  All flights have this
     ``seed``, or one each.
     """
     first = {(at, 0): first_level(dimension, budget.size, random, seed) for at, random in enumerate(randoms)}
-    flown = fly(first)
+    flown = yield first
     groups = group_requirements(np.concatenate([flown[place] for place in first]), budget.most_groups)
     size = budget.size_of(len(groups))
     generators = {
@@ -57,7 +56,7 @@ def simulate_groups(
         for at, random in enumerate(randoms)
         for number, (group, own_random) in enumerate(zip(groups, [random, *random.spawn(len(groups) - 1)], strict=True))
     }
-    ended = run_together(generators, fly)
+    ended = yield from run_together(generators)
     return Simulations(
         tuple(groups),
         tuple(tuple(ended[at, number] for at in range(len(randoms))) for number in range(len(groups))),

@@ -1,11 +1,11 @@
-"""The flights of subset simulations: from coordinates to rows by any workers, and from rows to a result.
+"""The flights of subset simulations: from coordinates to flights, and from their rows to a result.
 
 What is flown depends on the study and its seed alone, never on who flies it, in what order, or how often it stopped.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,23 +14,19 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.spec.controller_name import short_name
 from cosim.studies import (
-    Flight,
     NormalSpace,
     Row,
     Study,
-    Workers,
     describe_not_flown,
     flight_seed,
     only_controller,
     requirement_margins,
-    row_margin,
 )
 from hexjet_prove.rare.estimate import SEEDS_DECIDE, Budget, Estimate, estimate, probability_text, seed_effect
 from hexjet_prove.rare.nearest import NearestSearch, search_nearest
 from hexjet_prove.rare.repeats import Place, Simulations, simulate_groups
 from hexjet_prove.rare.subset import Candidates
-from hexjet_prove.search.probe import FlownRows, Journal, Point
-from hexjet_prove.search.question import Answered
+from hexjet_prove.search.probe import Asking, Point, Prober, answer_by
 
 ASKED = "a rare failure"
 REPEAT_STREAMS = 2  # index of the repeats' random streams of a study's seed, beside those of its draws
@@ -50,7 +46,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Failure:
-    """A flight that failed: its number, where it lies in standard deviations, and its part of the probability."""
+    """A flight that failed: the place of its row, its own in standard deviations, and its part of the probability."""
 
     number: int
     point: Array
@@ -75,8 +71,8 @@ class KeyShift:
 class RareResult:
     """The result of subset simulations of one controller.
 
-    ``rows`` are all flights in the order in which they were asked for, with ``repeat``, ``group`` and ``level`` of
-    each.  The flights of ``searched`` are no part of them.
+    ``rows`` are those of all candidates in the order in which they were asked for.  The flights of ``searched`` are no
+    part of them.
     """
 
     study: Study
@@ -214,7 +210,7 @@ class RareResult:
     def _flight_table(self, failure: Failure) -> dict[str, Any]:
         row = self.rows[failure.number]
         return {
-            "flight": failure.number,
+            "flight": row["flight"],
             "seed": row["seed"],
             "values": {name: row[name] for name in self.study.drawn},
             "outcome": row["outcome"],
@@ -223,45 +219,22 @@ class RareResult:
         }
 
 
-@dataclass(frozen=True)
-class RareCase:
-    """A failure flown again from its own scenario file: the folder's name, and whether it is the same bit for bit."""
+def simulate(plan: Plan, study: Study) -> Asking[RareResult]:
+    """Fly a study's subset simulations, and search the nearest failure beside them.
 
-    name: str
-    flight: int
-    distance: float  # standard deviations
-    seed: int
-    values: dict[str, Any]
-    reason: str
-    same: bool
-
-
-SavedRare = Answered[RareResult, RareCase]
-
-
-def simulate(
-    study: Study,
-    plan: Plan,
-    workers: Workers,
-    journal: Journal | None = None,
-    progress: Callable[[int], None] = lambda flights: None,
-) -> RareResult:
-    """Fly a study's subset simulations.
-
-    Flights that ``journal`` has are not flown again.  Raises InputError for a study with more controllers than one or
-    a budget that is too small, FlightError if flights cannot be flown.
+    Raises InputError for a study with more controllers than one or a budget that is too small, FlightError if flights
+    cannot be flown.
     """
     controller = only_controller(study, ASKED)
     plan.budget.check()
     space = NormalSpace(study)
-    flyer = _Flyer(study, space, controller, workers, journal, progress)
+    flyer = _Flyer(study, space, controller)
     seed = None if plan.seeds_vary else flight_seed(study.seed, 0)
     streams = np.random.SeedSequence(study.seed, spawn_key=(REPEAT_STREAMS,)).spawn(plan.budget.repeats)
-    simulations = simulate_groups(
-        space.dimension, plan.budget, [np.random.default_rng(stream) for stream in streams], flyer.margins, seed
-    )
+    randoms = [np.random.default_rng(stream) for stream in streams]
+    simulations = yield from answer_by(simulate_groups(space.dimension, plan.budget, randoms, seed), flyer.margins)
     left = 0 if simulations.counted else plan.budget.flights - len(flyer.rows)
-    searched = search_nearest(study, space, controller, seed, left, flyer.flown)
+    searched = yield from search_nearest(space, controller, seed, left, flyer.prober)
     return RareResult(
         study, plan, controller, estimate(simulations.repeats), simulations, searched,
         tuple(flyer.failures(simulations)), tuple(flyer.rows), tuple(space.names), tuple(flyer.requirements),
@@ -269,50 +242,34 @@ def simulate(
 
 
 class _Flyer:
-    """Flies candidates, each once, and numbers them in the order in which they were asked for."""
+    """Has candidates flown; ``rows`` are theirs in the order in which they were asked for, one may be there twice."""
 
-    def __init__(
-        self,
-        study: Study,
-        space: NormalSpace,
-        controller: str,
-        workers: Workers,
-        journal: Journal | None,
-        progress: Callable[[int], None],
-    ) -> None:
-        self._study, self._space, self._controller = study, space, controller
-        self.flown = FlownRows(study, workers, journal, progress)
+    def __init__(self, study: Study, space: NormalSpace, controller: str) -> None:
+        self._space, self._controller = space, controller
+        self.prober = Prober(study, (0,))
         self.requirements, self._margins_of = requirement_margins(study)
         self.rows: list[Row] = []
         self._points: list[Array] = []
-        self._numbers: dict[Place, list[int]] = {}  # of each simulation's own flights
+        self._numbers: dict[Place, list[int]] = {}  # of each simulation's own rows
 
-    def margins(self, asked: Mapping[Place, Candidates]) -> dict[Place, Array]:
+    def margins(self, asked: Mapping[Place, Candidates]) -> Asking[dict[Place, Array]]:
         """Return the margins of candidates, a column a requirement.  Raises FlightError if flights cannot be flown."""
-        requests: list[tuple[Place, int, tuple[Point, int]]] = []  # whose, level, what is flown
-        for place, candidates in asked.items():
-            self._points += list(candidates.points)
-            for values, seed in zip(self._space.values(candidates.points), candidates.seeds, strict=True):
-                requests.append((place, candidates.level, (Point.of(self._controller, values), seed)))
-        self.flown.fly([key for *_, key in requests], _flight)
-        margins: dict[Place, list[list[float]]] = {place: [] for place in asked}
-        for place, level, key in requests:
-            row = self.flown.rows[key]
-            number = len(self.rows)
-            self.rows.append(
-                {
-                    **row,
-                    "flight": number,
-                    "draw": number,
-                    "repeat": place[0],
-                    "group": place[1],
-                    "level": level,
-                    "margin": row_margin(row, self._study),
-                }
-            )
-            self._numbers.setdefault(place, []).append(number)
-            margins[place].append(self._margins_of(row))
-        return {place: np.array(values) for place, values in margins.items()}
+        keys = {
+            place: [
+                (Point.of(self._controller, values), seed)
+                for values, seed in zip(self._space.values(each.points), each.seeds, strict=True)
+            ]
+            for place, each in asked.items()
+        }
+        yield from self.prober.fly([key for each in keys.values() for key in each])
+        margins = {}
+        for place, each in keys.items():
+            rows = [self.prober.rows[key] for key in each]
+            self._numbers.setdefault(place, []).extend(range(len(self.rows), len(self.rows) + len(rows)))
+            self._points += list(asked[place].points)
+            self.rows += rows
+            margins[place] = np.array([self._margins_of(row) for row in rows])
+        return margins
 
     def failures(self, simulations: Simulations) -> list[Failure]:
         """Return the failed flights of the last levels, each with its part of the probability."""
@@ -327,10 +284,6 @@ class _Flyer:
                     weights[number] = weights.get(number, 0.0) + each * float(last.shares[state])
         total = sum(weights.values()) or 1.0
         return [Failure(number, self._points[number], weight / total) for number, weight in sorted(weights.items())]
-
-
-def _flight(point: Point, seed: int, number: int) -> Flight:
-    return Flight(number, number, point.controller, seed, dict(point.values))
 
 
 def describe_plan(plan: Plan, groups: int) -> str:

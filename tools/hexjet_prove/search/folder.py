@@ -1,42 +1,41 @@
-"""A search from a command line to a folder: what was asked, every flight, what was found, and the flights that show it.
+"""A search from a command line to a folder: every flight, what was found, and the flights that show it.
 
-``study/`` has the study and the scenario with all their numbers, ``search.toml`` what was searched, ``flights.jsonl`` a
-line a flight, ``search.json`` and ``search.html`` the result, and ``cases/`` the runs of what breaks and of what just
-holds: their ``scenario.toml`` flies as it is.
+``search.json`` and ``search.html`` are the result, and ``cases/`` has the runs of what breaks and of what just holds.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.spec.controller_name import short_name
 from cosim.studies import (
-    Row,
+    Progress,
     Study,
     Vary,
     Workers,
     check_vary,
     default_draw,
-    engine_draw,
     first_repeated,
     levels,
     open_study,
     parse_number,
     parse_vary,
+    run_sampler,
 )
 from hexjet_prove.search.page import write_page
-from hexjet_prove.search.probe import Point, Prober
-from hexjet_prove.search.question import Words, empty_cases, fly_row_again, open_question
-from hexjet_prove.search.result import Case, SavedSearch
+from hexjet_prove.search.probe import Point
+from hexjet_prove.search.question import Answered, fly_cases
 from hexjet_prove.search.search import Edge, Plan, SearchResult, SecondKey, search
 from hexjet_prove.search.span import span
 
 RESULT, REPORT = "search.json", "search.html"
-SEARCH = Words("search.toml", "search", "a search", "another search", "search")
+COMMAND = {"command": "hexjet search"}  # as a folder records it
+SavedSearch = Answered[SearchResult]
 
 
 def resolve_search(
@@ -87,6 +86,8 @@ def resolve_search(
     )
     if over_entries:
         check_vary(over_entries[0], study.key(over_entries[0].key))
+    if plan.draws_engine:
+        study = study.changed(vary=[*study.vary, parse_vary("engine")])
     return study, plan
 
 
@@ -123,48 +124,28 @@ def _tolerances(texts: Sequence[str], keys: Sequence[str]) -> dict[str, float]:
 
 
 def run_search(
-    study: Study,
-    plan: Plan,
-    out: Path,
-    workers: Workers,
-    resume: bool = False,
-    progress: Callable[[int], None] = lambda flights: None,
+    study: Study, plan: Plan, out: Path, workers: Workers, resume: bool = False, progress: Progress | None = None
 ) -> SavedSearch:
     """Search, and leave everything in ``out``; ``progress`` is told how many flights there are so far.
 
-    ``resume``: go on with what the folder holds, if it holds anything; nothing is flown twice.
-    Raises InputError if study or folder is not usable (another search's, in use, or one that is not resumed), and
-    nothing is overwritten then; FlightError if no more can be flown or written.
+    ``resume``: go on with what the folder holds, if it holds anything; nothing is flown twice, and what is found is the
+    same as without a stop.  Raises InputError if study or folder is not usable (another search's, in use, or one that
+    is not resumed), and nothing is overwritten then; FlightError if no more can be flown or written.
     """
-    with open_question(study, plan.table(), out, resume, SEARCH) as (flown, journal):
-        engine = engine_draw(flown.base()) if plan.draws_engine else None
-        prober = Prober(flown, plan.seeds, plan.share, workers, journal, progress, engine)
-        result = search(plan, prober)
-        searched = SavedSearch(out, result, tuple(_cases(result, prober, empty_cases(out))))
-        searched.write(RESULT)
-        write_page(searched, out / REPORT)
-    return searched
+    asked = COMMAND | plan.table()
+    campaign, result = run_sampler(study, out, partial(search, plan), workers, resume, progress, asked)
+    cases = ((name, _number(result, point, breaks), breaks, None) for name, point, breaks in _points_to_record(result))
+    saved = SavedSearch(out, result, fly_cases(campaign, cases))
+    saved.write(RESULT)
+    write_page(saved, out / REPORT)
+    return saved
 
 
-def _cases(result: SearchResult, prober: Prober, folder: Path) -> Iterator[Case]:
-    """Fly what breaks and what just holds once more, recorded in full."""
-    for name, point, breaks in _points_to_record(result):
-        verdict = prober.result(point)
-        row = verdict.worst if breaks else _first_success(result, prober, point)
-        yield fly_case(prober, point, row, breaks, folder / name)
-
-
-def fly_case(prober: Prober, point: Point, row: Row, breaks: bool, folder: Path) -> Case:
-    """Fly a flight of a search once more, recorded in full in ``folder``, and compare it with its row."""
-    seed = int(row["seed"] or 0)
-    again = fly_row_again(prober.study, prober.flight(point, seed), row, folder)
-    return Case(folder.name, point.controller, breaks, dict(point.values), seed, *again)
-
-
-def _first_success(result: SearchResult, prober: Prober, point: Point) -> Row:
-    """Return the row of the first flight at a point that was a success."""
-    rows = [prober.row(point, seed) for seed in result.plan.seeds]
-    return next((row for row in rows if row["success"]), rows[0])
+def _number(result: SearchResult, point: Point, breaks: bool) -> int:
+    """Return the flight that shows that a point breaks, or holds."""
+    rows = [result.prober.rows[point, seed] for seed in result.plan.seeds]
+    holds = next((row for row in rows if row["success"]), rows[0])
+    return int((result.prober.result(point).worst if breaks else holds)["flight"] or 0)
 
 
 def _points_to_record(result: SearchResult) -> Iterator[tuple[str, Point, bool]]:

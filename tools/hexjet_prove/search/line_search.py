@@ -1,7 +1,7 @@
 """A yes or no along a line: looked at from its start outwards on a grid, then bisected where it changes first.
 
-Nothing here knows of flights.  A walk is a generator: it yields the places it wants to know of, and is sent whether
-each of them breaks.  Many walks go side by side, so that what they want to know at one time can be flown at one time.
+Nothing here knows of flights.  A walk is a generator: it yields the places it asks for, and is told whether each of
+them breaks.  Many walks go side by side, so that what they ask for at one time can be flown at one time.
 
 Bisection alone would not do: stability is not monotonic.  With a delay it may be lost and come back, and what lies
 between start and end would never be looked at.  And it needs no slope: of a flight that ends early there is none.
@@ -75,23 +75,10 @@ def _first_change(evaluated: Mapping[float, bool]) -> tuple[float, float] | None
     return None
 
 
-def run_walks(
-    walks: Mapping[Name, Walk], evaluate: Callable[[Sequence[tuple[Name, float]]], Sequence[bool]]
-) -> dict[Name, Scan]:
-    """Run all walks to their ends; ``evaluate`` is given all positions that they need next at a time."""
-
-    def answer(asked: Mapping[Name, Sequence[float]]) -> dict[Name, Sequence[bool]]:
-        results = iter(evaluate([(name, position) for name, positions in asked.items() for position in positions]))
-        return {name: [next(results) for _ in positions] for name, positions in asked.items()}
-
-    return run_together(walks, answer)
-
-
 def run_together(
     generators: Mapping[Name, Generator[Asked, Answer, Result]],
-    answer: Callable[[Mapping[Name, Asked]], Mapping[Name, Answer]],
-) -> dict[Name, Result]:
-    """Run generators side by side to their ends; ``answer`` is given what all of them ask for next at a time."""
+) -> Generator[dict[Name, Asked], Mapping[Name, Answer], dict[Name, Result]]:
+    """Run generators side by side to their ends; asks for what all of them ask for next, and is told it, by name."""
     answers: Mapping[Name, Answer | None] = dict.fromkeys(generators)
     ended: dict[Name, Result] = {}
     while answers:
@@ -101,6 +88,6 @@ def run_together(
                 waiting[name] = generators[name].send(given)  # type: ignore[arg-type]  # nothing begins a generator
             except StopIteration as end:
                 ended[name] = end.value
-        told = answer(waiting) if waiting else {}
+        told = (yield waiting) if waiting else {}
         answers = {name: told[name] for name in waiting}
     return {name: ended[name] for name in generators}

@@ -1,7 +1,8 @@
 """The least margin in a region, and the failure nearest to its middle: CMA-ES with restarts, in batches.
 
-Nothing here knows of flights.  A point is a vector; its margin is a number, negative where it fails.  Two questions are
-answered by one descent:
+Nothing here knows of flights.  A point is a vector; its margin is a number, negative where it fails, and not a number
+where there is no such point.  A descent is a generator: it yields the points it asks for, a row each, and is told their
+margins.  Two questions are answered by one:
 
 - *The worst case*: the region stays as it is, and the margin is made small in it.
 - *The nearest failure*: whenever a point fails, the way from the middle to it is searched for where it fails first, and
@@ -18,19 +19,20 @@ is no better than random draws.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 from itertools import product
 from math import inf
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError
-from hexjet_prove.search.line_search import run_walks, scan_outward
+from hexjet_prove.search.line_search import scan_outward
 
-Evaluate = Callable[[Array], Array]  # the margins of points, a row each; not a number where there is no such point
+R = TypeVar("R")
+Steps = Generator[Array, Array, R]  # asks for points, a row each, and is told their margins
 
 NEAR = 0.01  # in standard deviations: how finely the distance of a failure is made known, chosen by us
 CONVERGED = 0.02  # of the region's size: a generation that is spread less than this has converged, if it is the best
@@ -130,18 +132,13 @@ class Found:
         return float(np.linalg.norm(self.point))
 
 
-def descend(
-    evaluate: Evaluate, region: Region, dimension: int, budget: int, seed: int = 1, nearest: bool = False
-) -> Found:
+def descend(region: Region, dimension: int, budget: int, seed: int = 1, nearest: bool = False) -> Steps[Found]:
     """Return the point of least margin that ``budget`` evaluations find in a region, or the failure nearest to 0.
 
     The same seed gives the same points in the same batches, whatever evaluates them.
 
     Parameters
     ----------
-    evaluate
-        Returns the margins of points (a row each) in a batch, negative where a point fails; nan where there is no such
-        point, which neither fails nor keeps.
     region
         Where points may lie; with ``nearest`` it becomes the ball that ends before the nearest failure.
     dimension
@@ -153,14 +150,14 @@ def descend(
     nearest
         Search the failure nearest to the origin in place of the least margin.
     """
-    descent = _Descent(evaluate, region, dimension, budget, nearest)
+    descent = _Descent(region, dimension, budget, nearest)
     starts = begun = 0
     try:
-        descent.margins(np.zeros((1, dimension)))
-        descent.shrink()
+        yield from descent.margins(np.zeros((1, dimension)))
+        yield from descent.shrink()
         corners = region.corners(dimension, budget // CORNERS)
         if len(corners):
-            descent.margins(corners)
+            yield from descent.margins(corners)
         while descent.region.size > 0.0:
             random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(starts,)))
             improved = descent.best_at > begun
@@ -173,24 +170,24 @@ def descend(
             else:
                 start, sigma = descent.region.draw(random, dimension), size / 5.0
             starts += 1
-            _run(descent, _optimiser(start, sigma, int(random.integers(2**31))))
+            yield from _run(descent, _optimiser(start, sigma, int(random.integers(2**31))))
     except BudgetSpentError:
         pass
     best = descent.best
     return replace(best, evaluations=descent.evaluations, since=descent.evaluations - descent.best_at, starts=starts)
 
 
-def _run(descent: _Descent, optimiser: Any) -> None:
+def _run(descent: _Descent, optimiser: Any) -> Steps[None]:
     """Run one descent until it has converged, or goes where an earlier one has ended."""
     begun, stalled, lowest, slope = descent.evaluations, 0, inf, 0.0
     while descent.region.size > 0.0 and not optimiser.should_stop():
         size = descent.region.size
         points = descent.region.project(np.array([optimiser.ask() for _ in range(optimiser.population_size)]))
-        found = descent.margins(points)
+        found = yield from descent.margins(points)
         known = found[~np.isnan(found)]
         margins = np.where(np.isnan(found), np.max(known, initial=0.0) + 1.0, found)  # ranked behind those that exist
         optimiser.tell(list(zip(points, margins.tolist(), strict=True)))
-        descent.shrink()
+        yield from descent.shrink()
         least = int(np.argmin(margins))
         slope = max(slope, float(np.ptp(known)) if len(known) else 0.0)
         if margins[least] < lowest - SLIGHT * slope or descent.region.size < size:
@@ -218,8 +215,7 @@ def _optimiser(start: Array, sigma: float, seed: int) -> Any:
 class _Descent:
     """The state of a search: what was evaluated, the best of it, and the region that is left."""
 
-    def __init__(self, evaluate: Evaluate, region: Region, dimension: int, budget: int, nearest: bool) -> None:
-        self._evaluate = evaluate
+    def __init__(self, region: Region, dimension: int, budget: int, nearest: bool) -> None:
         self.region = region
         self.left = budget
         self._nearest = nearest
@@ -227,7 +223,7 @@ class _Descent:
         self.best = Found(np.zeros(dimension), inf)
         self.ends: list[tuple[Array, float]] = []  # where descents ended
 
-    def margins(self, points: Array) -> Array:
+    def margins(self, points: Array) -> Steps[Array]:
         """Return the margins of points, and keep the best.
 
         Raises BudgetSpentError if that is more than is allowed, after those that are.
@@ -235,7 +231,7 @@ class _Descent:
         allowed = points[: self.left]
         if not len(allowed):
             raise BudgetSpentError
-        found = self._evaluate(allowed)
+        found = yield allowed
         self.left -= len(allowed)
         self.evaluations += len(allowed)
         for point, margin in zip(allowed, found, strict=True):
@@ -255,7 +251,7 @@ class _Descent:
         near = ALIKE * self.region.size
         return any(low <= margin and float(np.linalg.norm(point - end)) < near for end, low in self.ends)
 
-    def shrink(self) -> None:
+    def shrink(self) -> Steps[None]:
         """Find where the way to the nearest failure fails first, and let the region end there."""
         if not self._nearest or not self.best.fails or self.best.distance > self.region.size:
             return
@@ -267,12 +263,16 @@ class _Descent:
         def between(a: float, b: float) -> float | None:
             return None if (b - a) * reach <= NEAR * (1.0 + 1e-9) else 0.5 * (a + b)
 
-        def fails(asked: Sequence[tuple[str, float]]) -> list[bool]:
-            places = np.array([place for _, place in asked if place < 1.0])  # the end was evaluated already
-            margins = self.margins(places[:, None] * end) if len(places) else ()
-            return [*(bool(margin < 0.0) for margin in margins), *(True for _, place in asked if place >= 1.0)]
-
+        way = scan_outward([step / RAY_POINTS for step in range(RAY_POINTS + 1)], between)
         try:
-            run_walks({"way": scan_outward([step / RAY_POINTS for step in range(RAY_POINTS + 1)], between)}, fails)
+            asked = next(way)
+            while True:
+                places = np.array([place for place in asked if place < 1.0])  # the end was evaluated already
+                margins = (yield from self.margins(places[:, None] * end)) if len(places) else ()
+                asked = way.send(
+                    [*(bool(margin < 0.0) for margin in margins), *(True for place in asked if place >= 1.0)]
+                )
+        except StopIteration:
+            pass
         finally:
             self.region = Ball(max(self.best.distance - NEAR, 0.0))

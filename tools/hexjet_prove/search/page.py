@@ -12,7 +12,6 @@ from cosim.spec.controller_name import short_name
 from cosim.spec.scenario import Scenario, flown_parameters, list_changes
 from cosim.studies import Value
 from hexjet_prove.search.question import Answered, case_rows
-from hexjet_prove.search.result import SavedSearch
 from hexjet_prove.search.search import Edge, SearchResult
 from hexjet_prove.search.span import Span
 
@@ -28,7 +27,7 @@ MOST_ANSWERS = 4  # at the top of a page; the table below has all
 COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change", "then")
 
 
-def write_page(searched: SavedSearch, path: Path) -> None:
+def write_page(searched: Answered[SearchResult], path: Path) -> None:
     """Write the page of a search.  Raises FlightError if the file cannot be written."""
     result = searched.result
     base, drawn = result.study.base(), figures(result)
@@ -66,7 +65,7 @@ def list_facts(base: Scenario, flights: int, more: Sequence[tuple[str, str]]) ->
 
 def cases_card(
     title: str,
-    answered: Answered[Any, Any],
+    answered: Answered[Any],
     page: Path,
     columns: Sequence[str] = (),
     cells: Callable[[Any], Sequence[str]] = lambda case: (),

@@ -13,9 +13,20 @@ from typing import Any, Literal
 from cosim.simulation.controllers.external_controller import find_controller
 from cosim.spec.controller_name import is_design
 from cosim.spec.scenario import Scenario
-from cosim.studies import MARGIN_OF, Key, Row, Study, Value, check_expectations, default_draw, metric, with_values
-from hexjet_prove.search.line_search import Scan, run_walks, scan_outward
-from hexjet_prove.search.probe import Point, Prober, count_needed
+from cosim.studies import (
+    MARGIN_OF,
+    Key,
+    Row,
+    Study,
+    Value,
+    check_expectations,
+    default_draw,
+    engine_draw,
+    metric,
+    with_values,
+)
+from hexjet_prove.search.line_search import Scan, run_together, scan_outward
+from hexjet_prove.search.probe import Asking, Point, Prober, answer_by, count_needed
 from hexjet_prove.search.span import Span
 
 Side = Literal["up", "down"]
@@ -98,6 +109,7 @@ class SearchResult:
     plan: Plan
     edges: tuple[Edge, ...]
     flights: int
+    prober: Prober
 
     @property
     def criterion(self) -> str:
@@ -153,11 +165,11 @@ def _sha256(base: Scenario, controller: str) -> str | None:
     return None if source is None else source.sha256
 
 
-def search(plan: Plan, prober: Prober) -> SearchResult:
+def search(plan: Plan, study: Study) -> Asking[SearchResult]:
     """Search every controller of the study.  Raises FlightError if flights cannot be flown."""
-    study = prober.study
-    edges = search_singly(plan, prober, study.controller_names)
-    return SearchResult(study, plan, tuple(edges), prober.flights)
+    prober = Prober(study, plan.seeds, plan.share, engine_draw(study.base()) if plan.draws_engine else None)
+    edges = yield from _search_singly(plan, prober, study.controller_names)
+    return SearchResult(study, plan, tuple(edges), prober.flights, prober)
 
 
 def describe_flight(study: Study, row: Row) -> str:
@@ -191,7 +203,7 @@ class _Line:
         return plan.point(self.controller, {span.key.path: span.value_at(self.side * position)}, level)
 
 
-def search_singly(plan: Plan, prober: Prober, controllers: Sequence[str]) -> list[Edge]:
+def _search_singly(plan: Plan, prober: Prober, controllers: Sequence[str]) -> Asking[list[Edge]]:
     """Search every key by itself, for every controller, side and level, all side by side."""
     lines = [
         _Line(controller, number, side, level)
@@ -204,9 +216,13 @@ def search_singly(plan: Plan, prober: Prober, controllers: Sequence[str]) -> lis
         line: scan_outward(plan.spans[line.span].positions(line.side), plan.spans[line.span].bisector(line.side))
         for line in lines
     }
-    scans = run_walks(
-        walks, lambda requests: prober.evaluate([line.point(plan, position) for line, position in requests])
-    )
+
+    def evaluate(asked: Mapping[_Line, Sequence[float]]) -> Asking[dict[_Line, list[bool]]]:
+        points = {line: [line.point(plan, position) for position in positions] for line, positions in asked.items()}
+        yield from prober.evaluate([point for each in points.values() for point in each])
+        return {line: [prober.result(point).breaks for point in each] for line, each in points.items()}
+
+    scans = yield from answer_by(run_together(walks), evaluate)
     return [_edge(plan, prober, line, scan) for line, scan in scans.items()]
 
 

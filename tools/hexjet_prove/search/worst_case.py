@@ -25,7 +25,7 @@ from cosim.simulation.build import build
 from cosim.spec.controller_name import short_name
 from cosim.studies import FURTHEST, NOT_FLOWN, NormalSpace, Row, Study, Value, row_margin, scenario_of
 from hexjet_prove.search.minimise import Ball, Box, Found, descend
-from hexjet_prove.search.probe import Point, Prober
+from hexjet_prove.search.probe import Asking, Point, Prober, answer_by
 from hexjet_prove.search.search import describe_flight
 
 WORST_WITHIN = 3.0  # standard deviations, by default; chosen by us
@@ -95,6 +95,7 @@ class WorstCase:
     distance: float | None
     values: Mapping[str, Value]
     seed: int  # of those of the point, the one with the smallest margin
+    flight: int  # its number in the folder
     outcome: str
     reason: str
     effects: tuple[KeyEffect, ...]
@@ -180,21 +181,22 @@ def check_region(study: Study, plan: WorstPlan) -> None:
             raise InputError(f"--within ranges: {vary.text} has no bounds; state them, or give standard deviations")
 
 
-def search_worst(plan: WorstPlan, prober: Prober) -> WorstSearch:
+def search_worst(plan: WorstPlan, study: Study) -> Asking[WorstSearch]:
     """Search the worst case, or the most likely failure, of every controller of the study.
 
     Raises InputError if the study states no distributions; FlightError if flights cannot be flown.
     """
-    study = prober.study
     check_region(study, plan)
-    space = NormalSpace(study)
-    cases = tuple(_search(plan, prober, space, controller) for controller in study.controller_names)
-    return WorstSearch(study, plan, cases, prober.flights)
+    prober, space = Prober(study, plan.seeds), NormalSpace(study)
+    cases = []
+    for controller in study.controller_names:
+        cases.append((yield from _search(plan, prober, space, controller)))
+    return WorstSearch(study, plan, tuple(cases), prober.flights)
 
 
 def worst_row(prober: Prober, point: Point) -> tuple[float, Row]:
     """Return the smallest margin of a point's flights, and the row that has it."""
-    rows = [prober.row(point, seed) for seed in prober.seeds]
+    rows = [prober.rows[point, seed] for seed in prober.seeds]
     margins = [row_margin(row, prober.study) for row in rows]
     smallest = margins.index(min(margins))
     return margins[smallest], rows[smallest]
@@ -217,9 +219,10 @@ class PlaceMargins:
             normal = np.clip(ndtri(0.5 + 0.5 * places), -FURTHEST, FURTHEST)
         return [Point.of(self._controller, values) for values in self._space.values(normal)]
 
-    def __call__(self, places: Array) -> Array:
+    def evaluate(self, places: Array) -> Asking[Array]:
+        """Return the margins at these places."""
         points = self.points(places)
-        self._prober.evaluate(points)
+        yield from self._prober.evaluate(points)
         margins = np.array([self._margin(point) for point in points])
         self.counts.update(margins[~np.isnan(margins)].tolist())
         return margins
@@ -244,12 +247,13 @@ class PlaceMargins:
         return ""
 
 
-def _search(plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str) -> WorstCase:
+def _search(plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str) -> Asking[WorstCase]:
     study, before = prober.study, prober.flights
     margins = PlaceMargins(plan, prober, space, controller)
     region = Box() if plan.within is None else Ball(plan.within)
     budget = max(1, plan.budget // len(plan.seeds))  # points
-    found = descend(margins, region, space.dimension, budget, plan.seed, plan.likely)
+    steps = descend(region, space.dimension, budget, plan.seed, plan.likely)
+    found = yield from answer_by(steps, margins.evaluate)
     flights, flat = prober.flights - before, max(margins.counts.values(), default=0) / max(margins.counts.total(), 1)
     if not margins.counts:
         raise InputError(
@@ -258,16 +262,19 @@ def _search(plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str
     impossible = margins.impossible.copy()
     (point,) = margins.points(found.point[None, :])
     margin, row = worst_row(prober, point)
+    (middle,) = yield from margins.evaluate(np.zeros((1, space.dimension)))
+    effects = yield from _effects(margins, space, found, dict(point.values))
     return WorstCase(
         controller=controller,
         margin=margin,
-        middle_margin=_number(margins(np.zeros((1, space.dimension)))[0]),
+        middle_margin=_number(middle),
         distance=None if plan.within is None else found.distance,
         values=dict(point.values),
         seed=int(row["seed"] or 0),
+        flight=int(row["flight"] or 0),
         outcome=str(row["outcome"]),
         reason=describe_flight(prober.study, row),
-        effects=_effects(margins, space, found, dict(point.values)),
+        effects=effects,
         flights=flights,
         since=min(flights, found.since * len(plan.seeds)),
         starts=found.starts,
@@ -279,11 +286,11 @@ def _search(plan: WorstPlan, prober: Prober, space: NormalSpace, controller: str
 
 def _effects(
     margins: PlaceMargins, space: NormalSpace, found: Found, values: Mapping[str, Value]
-) -> tuple[KeyEffect, ...]:
+) -> Asking[tuple[KeyEffect, ...]]:
     """Return what each coordinate does in what was found, by flights with it put back and with it alone."""
     place, count = found.point, space.dimension
     without, alone = np.where(np.eye(count, dtype=bool), 0.0, place), np.diag(place)
-    flown = margins(np.vstack([without, alone]))
+    flown = yield from margins.evaluate(np.vstack([without, alone]))
     middle = dict(margins.points(np.zeros((1, count)))[0].values)
     squares = place**2 / max(float(place @ place), 1e-300)
     return tuple(

@@ -1,24 +1,18 @@
-"""A search for the worst case or the most likely failure from a command line to a folder.
-
-The folder is that of any search (:mod:`hexjet_prove.search.folder`): ``study/``, ``search.toml``, ``flights.jsonl``,
-``search.json``, ``search.html``, and ``cases/`` with the run of what was found for each controller.
-"""
+"""A search for the worst case or the most likely failure from a command line to a folder."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from cosim.base.errors import InputError
 from cosim.spec.controller_name import short_name
-from cosim.studies import Study, Workers, open_study, parse_number
-from hexjet_prove.search.folder import REPORT, RESULT, SEARCH, fly_case, point_seeds
-from hexjet_prove.search.probe import Point, Prober
-from hexjet_prove.search.question import Answered, empty_cases, open_question
-from hexjet_prove.search.result import Case
+from cosim.studies import Progress, Study, Workers, open_study, parse_number, run_sampler
+from hexjet_prove.search.folder import COMMAND, REPORT, RESULT, point_seeds
+from hexjet_prove.search.question import Answered, fly_cases
 from hexjet_prove.search.worst_case import (
     LIKELY_WITHIN,
     WORST_WITHIN,
@@ -26,14 +20,11 @@ from hexjet_prove.search.worst_case import (
     WorstSearch,
     check_region,
     search_worst,
-    worst_row,
 )
 from hexjet_prove.search.worst_page import write_page
 
 RANGES = "ranges"
-
-
-SavedWorst = Answered[WorstSearch, Case]
+SavedWorst = Answered[WorstSearch]
 
 
 def resolve_worst(
@@ -73,35 +64,15 @@ def _within(text: str | float | None, likely: bool) -> float | None:
 
 
 def run_worst(
-    study: Study,
-    plan: WorstPlan,
-    out: Path,
-    workers: Workers,
-    resume: bool = False,
-    progress: Callable[[int], None] = lambda flights: None,
+    study: Study, plan: WorstPlan, out: Path, workers: Workers, resume: bool = False, progress: Progress | None = None
 ) -> SavedWorst:
-    """Search, and leave everything in ``out``; ``progress`` is told how many flights there are so far.
-
-    ``resume``: go on with what the folder holds, if it holds anything; nothing is flown twice, and what is found is the
-    same as without a stop.  Raises InputError if study or folder is not usable, FlightError if no more can be flown or
-    written.
-    """
-    with open_question(study, plan.table(), out, resume, SEARCH) as (flown, journal):
-        prober = Prober(flown, plan.seeds, 0.0, workers, journal, progress)
-        result = search_worst(plan, prober)
-        saved = SavedWorst(out, result, tuple(_cases(result, prober, empty_cases(out))))
-        saved.write(RESULT)
-        write_page(saved, out / REPORT)
+    """Search as :func:`hexjet_prove.search.folder.run_search`; ``cases/`` has what was found for each controller."""
+    asked = COMMAND | plan.table()
+    campaign, result = run_sampler(study, out, partial(search_worst, plan), workers, resume, progress, asked)
+    kind = "likely" if plan.likely else "worst"
+    labels = [re.sub(r"[^A-Za-z0-9_.-]+", "_", short_name(case.controller)) for case in result.cases]
+    found = [(f"{at}-{kind}", c.flight, c.fails, c.distance) for at, c in zip(labels, result.cases, strict=True)]
+    saved = SavedWorst(out, result, fly_cases(campaign, found))
+    saved.write(RESULT)
+    write_page(saved, out / REPORT)
     return saved
-
-
-def _cases(result: WorstSearch, prober: Prober, folder: Path) -> Sequence[Case]:
-    """Fly what was found for each controller once more, recorded in full."""
-    kind = "likely" if result.plan.likely else "worst"
-    cases = []
-    for case in result.cases:
-        point = Point.of(case.controller, case.values)
-        label = re.sub(r"[^A-Za-z0-9_.-]+", "_", short_name(case.controller))
-        _, row = worst_row(prober, point)
-        cases.append(fly_case(prober, point, row, case.fails, folder / f"{label}-{kind}"))
-    return cases

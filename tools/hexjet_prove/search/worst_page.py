@@ -9,7 +9,6 @@ from cosim.pages import Card, Page, bars, closest, run_colour, sentence
 from cosim.spec.controller_name import short_name
 from hexjet_prove.search.page import ROW_PX, cases_card, list_facts, text
 from hexjet_prove.search.question import Answered
-from hexjet_prove.search.result import Case
 from hexjet_prove.search.worst_case import WorstCase, WorstSearch, important
 
 MEANT = (
@@ -41,7 +40,7 @@ def _rows(case: WorstCase) -> list[list[str]]:
     return listed
 
 
-def write_page(saved: Answered[WorstSearch, Case], path: Path) -> None:
+def write_page(saved: Answered[WorstSearch], path: Path) -> None:
     """Write the page of a search.  Raises FlightError if the file cannot be written."""
     result = saved.result
     base, kind = result.study.base(), "most likely failure" if result.plan.likely else "worst case"
