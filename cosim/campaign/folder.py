@@ -188,8 +188,7 @@ def freeze(study: Study, plan: Mapping[str, Any] | None = None) -> FrozenStudy:
 def load(folder: Path) -> Study:
     """Load the study of a campaign's folder.  Raises InputError if there is none."""
     path = folder.absolute() / STUDY
-    if _is_older_search(folder):
-        raise InputError(f"{folder}: is a search of version 0.2.0; its page shows it, and that version goes on with it")
+    refuse_older_search(folder)
     if not path.is_file():
         raise InputError(f"{folder}: no campaign here ({STUDY} is missing)")
     return Study.load(path)
@@ -198,6 +197,12 @@ def load(folder: Path) -> Study:
 def is_campaign(folder: Path) -> bool:
     """Return whether a folder has the flights of a study, begun at least."""
     return ((folder / STUDY).is_file() and (folder / FLIGHTS).is_dir()) or _is_older_search(folder)
+
+
+def refuse_older_search(folder: Path) -> None:
+    """Raise InputError for a folder in which version 0.2.0 searched."""
+    if _is_older_search(folder):
+        raise InputError(f"{folder}: is a search of version 0.2.0; its page shows it, and that version goes on with it")
 
 
 def _is_older_search(folder: Path) -> bool:

@@ -42,6 +42,7 @@ from cosim.campaign.folder import (
     is_campaign,
     load,
     read_asked,
+    refuse_older_search,
 )
 from cosim.campaign.study.plan import Flight, flight_count, flight_key, flight_of, flights
 from cosim.campaign.study.study import Study
@@ -101,6 +102,7 @@ class Store:
 
         Raises InputError if it holds anything of a campaign, or cannot be written to; nothing is changed then.
         """
+        refuse_older_search(folder)
         existing = next((name for name in CAMPAIGN_FILES if (folder / name).exists()), None)
         if existing is not None and is_campaign(folder):
             raise InputError(f"{folder}: already holds a campaign ({existing}); --resume goes on with it")

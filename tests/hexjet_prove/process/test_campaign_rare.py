@@ -168,9 +168,7 @@ def test_a_folder_is_of_one_simulation(whole: SavedRare, tmp_path: Path) -> None
         run_rare(known().changed(controllers=[]), SMALL, whole.folder, Here(), resume=True)
     (tmp_path / "rare.toml").touch()
     for resume in (False, True):
-        with pytest.raises(
-            InputError, match=r"already holds rare\.toml|is a search of version 0\.2\.0; its page shows it"
-        ):
+        with pytest.raises(InputError, match=r"is a search of version 0\.2\.0; its page shows it"):
             run_rare(known(), SMALL, tmp_path, Here(), resume=resume)
 
 
