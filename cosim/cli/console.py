@@ -112,10 +112,10 @@ class CommandProgress(Progress):
 class TerminalProgress(Progress):
     """Shows a call on a terminal: notes on standard error, and a bar of how far it is and how long the rest takes.
 
-    Ctrl-C is answered in a line; ``goes_on`` is the command that goes on in the folder of the call.
+    Ctrl-C is answered in a line; ``goes_on`` is the command that goes on, ``{folder}`` that of the call.
     """
 
-    def __init__(self, quiet: bool, goes_on: str | None = None, notes: str = "note") -> None:
+    def __init__(self, quiet: bool, goes_on: str = "", notes: str = "note") -> None:
         self._notes = notes
         self._is_shown = not quiet and sys.stderr is not None and sys.stderr.isatty()
         self._goes_on = goes_on
@@ -131,15 +131,16 @@ class TerminalProgress(Progress):
         if self._bar is not None:
             self._bar.stop()
             _bars.remove(self._bar)
-        if isinstance(error, KeyboardInterrupt) and self._goes_on is not None:
+        if isinstance(error, KeyboardInterrupt) and self._goes_on:
             error.add_note(REPORTED)
             echo(f"hexjet: stopped{self._describe_kept()}", err=True)
 
     def _describe_kept(self) -> str:
-        if not self._of:
+        if not self._done and not self._of:
             return " before the first flight"
-        kept = "what was flown is kept" if self._is_concluding else f"{self._done} of {self._of} flights are kept"
-        return f"; {kept}: {self._goes_on} {self._folder} --resume goes on"
+        flown = f"{self._done} of {self._of}" if self._of else f"{self._done}"
+        kept = "what was flown is kept" if self._is_concluding else f"{flown} flights are kept"
+        return f"; {kept}: {self._goes_on.format(folder=self._folder)} goes on"
 
     def begin(self, folder: Path) -> None:
         """Keep the folder."""
@@ -183,7 +184,7 @@ def show_result(result: Result) -> None:
     first, *others = result.lines() or [""]
     say(f"[bold]{escape(first)}[/bold]", marked=True)
     for line in others:
-        say(line, wrap=" runs/" not in line)
+        say(line, wrap=" runs/" not in line and ": hexjet " not in line)
     for table in result.tables():
         if table.title:
             say(table.title)

@@ -130,6 +130,9 @@ class Command:
     hidden: tuple[str, ...] = ()
     # What a note of the call is called on standard error.
     notes: str = "note"
+    # The command that goes on with a call that was stopped, ``{folder}`` that of the call; without it
+    # ``hexjet NAME {folder} --resume``.
+    goes_on: str = ""
     # Called before the function with all arguments, such as for warnings.
     before: Callable[[Mapping[str, Any]], None] = lambda arguments: None
 
@@ -374,7 +377,8 @@ class Command:
             stack.enter_context(output_to_stderr(as_json))
             self.before(_Arguments(parameters, arguments))
             if "progress" in parameters:
-                goes_on = f"hexjet {self.name}" if "resume" in parameters else None
+                again = self.goes_on or f"hexjet {self.name} {{folder}} --resume"
+                goes_on = again if "resume" in parameters else ""
                 arguments["progress"] = stack.enter_context(TerminalProgress(as_json, goes_on, self.notes))
             result = self.call(*_by_place(parameters, arguments), **arguments)
         if as_json and self.data is not None:
@@ -424,7 +428,8 @@ def _read_type(annotation: Any, function: Callable[..., Any]) -> tuple[Any, bool
     for member in members:
         if get_origin(member) is Mapping:
             return str, True, get_args(member)
-    for kind in (bool, int, float, str, Path):
+    # A text can be any number; the function reads it.
+    for kind in (bool, str, int, float, Path):
         if kind in members:
             return kind, False, None
     return (str, False, None) if Any in members else None

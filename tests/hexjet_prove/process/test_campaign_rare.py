@@ -12,7 +12,6 @@ from typing import Any
 import campaign_tools as tools
 import pytest
 from campaign_tools import windy, without_chance
-from click.testing import CliRunner
 
 from cosim import fly
 from cosim.base.errors import FlightError, InputError
@@ -22,9 +21,9 @@ from cosim.campaign.study.study import Study
 from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.flight_row import Row, fly_one
 from cosim.campaign.workers.local import LocalWorkers
+from cosim.cli.main import run
 from cosim.results.log.digest import log_digest
 from cosim.spec.scenario import Scenario
-from hexjet_prove.command.searches import rare as command
 from hexjet_prove.rare.estimate import Budget
 from hexjet_prove.rare.folder import SavedRare, resolve_rare, run_rare
 from hexjet_prove.rare.simulation import Plan
@@ -182,23 +181,25 @@ def test_a_folder_is_of_one_simulation(whole: SavedRare, tmp_path: Path) -> None
             ["predictor-robustness"],
             "has 5 controllers, and a rare failure is one's; --controller NAME says which: baseline, smith",
         ),
-        (["hover", "--vary", "vehicle.mass_kg=5:6", "--resume"], "--resume: give the folder of the simulation"),
+        (["hover", "--vary", "vehicle.mass_kg=5:6", "--resume"], "resume: give the folder of the simulation"),
     ],
 )
 def test_what_cannot_be_asked_is_one_line(arguments: list[str], message: str) -> None:
-    ended = CliRunner().invoke(command, arguments)
-    assert isinstance(ended.exception, InputError)
-    assert message in str(ended.exception)
-    assert "\n" not in str(ended.exception)
+    with pytest.raises(InputError) as refused:
+        run(["rare", *arguments])
+    assert message in str(refused.value)
+    assert "\n" not in str(refused.value)
 
 
-def test_a_failure_that_comes_out_otherwise_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_that_comes_out_otherwise_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Rows that nobody flew: the cases are flown, and are not as the rows say; the status is 1."""
     monkeypatch.setattr("cosim.studies.choose_workers", lambda *_: nullcontext(Here()))
     varied = ["--vary", f"{WIND}=normal(0,1)", "--controller", "smith", "--set", "duration_s=0.1"]
     asked = ["hover", *varied, "--target", "1e-2", "--budget", "1200", "--out", str(tmp_path / "rare")]
-    ended = CliRunner().invoke(command, asked, standalone_mode=False)
-    assert ended.return_value == 1
-    assert ended.output.startswith("hover with smith fails with a probability of ")
-    assert "failure-1: flight " in ended.output
-    assert "not as before" in ended.output
+    assert run(["rare", *asked]) == 1
+    shown = capsys.readouterr().out
+    assert shown.startswith("hover with smith fails with a probability of ")
+    assert "failure-1: flight " in shown
+    assert "flown again NOT the same" in shown

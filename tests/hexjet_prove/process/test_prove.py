@@ -187,7 +187,7 @@ def test_stopped_and_resumed_it_comes_to_the_same(proven: Path, study: Path, hex
     assert partly.sentence.startswith("Nothing can be said yet")
     refused = hexjet("prove", str(tmp_path / "p"))
     assert (refused.status, refused.err.count("\n")) == (2, 1)
-    assert "already holds a proof; --resume goes on with it" in refused.err
+    assert "already holds a proof; resume goes on with it" in refused.err
     for option, value in (("--claim", "99%@95%"), ("--set", "duration_s=1"), ("--out", str(tmp_path / "q"))):
         refused = hexjet("prove", str(tmp_path / "p"), "--resume", option, value)
         assert refused.status == 2

@@ -65,7 +65,7 @@ def test_a_call_is_typed_and_refuses_a_name_that_is_none(name: str) -> None:
         ("compare", ("a",), {}, "compare: 1 flight; allowed: 2 to 8"),
         ("export", ("runs/a", "csvv"), {}, "export: to: 'csvv': did you mean 'csv'? allowed: csv, mat, mcap, "),
         ("export_vehicle", (), {"outside": ["engine"]}, "export_vehicle: outside: 'engine': did you mean 'engines'?"),
-        ("search", ("hover",), {"within": 3.0}, "--within: goes with --worst or --likely"),
+        ("search", ("hover",), {"within": 3.0}, "within: goes with worst or likely"),
         ("search", ("hover",), {"seeds": 0}, "search: seeds: 0; allowed: at least 1, at most 10000"),
         ("search", ("hover",), {"share": 2}, "search: share: 2; allowed: at least 0, at most 1"),
         ("rare", ("hover",), {"target": 0.0}, "rare: target: 0; allowed: at least 1e-09, at most 0.5"),
@@ -127,9 +127,6 @@ OTHERWISE = {"inertia_tolerance": "inertia", "mass_tolerance": "mass", "thrust_t
     ("call", "record", "shares"),
     [
         ("hexjet_design.api:design", "hexjet_design.command:DesignOptions", 1.0),
-        ("hexjet_prove.api.searches:search", "hexjet_prove.command.searches:Search", 1.0),
-        ("hexjet_prove.api.searches:rare", "hexjet_prove.command.searches:Rare", 1.0),
-        ("hexjet_prove.api.prove:prove", "hexjet_prove.command.prove:Prove", 1.0),
     ],
 )
 def test_numbers_have_the_limits_of_their_options(call: str, record: str, shares: float) -> None:

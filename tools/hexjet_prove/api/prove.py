@@ -46,6 +46,7 @@ class ProofResult(Result):
             *(f"{about}: {text}" for about, text in proof.facts.items()),
             *(f"not covered: {text}" for text in proof.not_covered),
             f"again: {proof.repeat['command']}",
+            f"folder: {proof.folder}",
         ]
 
     def tables(self) -> list[Table]:
@@ -54,11 +55,11 @@ class ProofResult(Result):
         record = [(one.name, one.evidence) for one in proof.credibility]
         return [
             Table("", ("", "requirement", "broken", "smallest margin"), list(proof.requirement_rows())),
-            Table("", ("factor, NASA-STD-7009B", "on record"), record),
+            Table("On record by NASA-STD-7009B; no level of credibility is computed", ("factor", "on record"), record),
         ]
 
 
-@checked(budget=Limits(1), search=Limits(0))
+@checked(budget=Limits(1), search=Limits(0), rare=Limits(0))
 def prove(
     name: str | Path,
     claim: str | None = None,
@@ -112,9 +113,9 @@ def prove(
     rare : int
         Flights for the probability of failures too rare to count; 0: none.
     limit : bool
-        Whether the controller is compared with the best that any linear one could do.
+        Compare the controller with the best that any linear one could do, which takes a minute.
     replays : sequence of str or Path
-        What :func:`replay` left of recorded flights of this vehicle: ``replay.json``, or its folder.
+        What ``replay`` left of recorded flights of this vehicle: ``replay.json``, or its folder.
     workers : int or None
         Processes; None: one a processor.
     cluster : str or None
@@ -150,7 +151,7 @@ def prove(
     hears = progress or Progress()
     is_begun = is_campaign(Path(name) / CAMPAIGN)
     if is_begun and not resume:
-        raise InputError(f"{name}: already holds a proof; --resume goes on with it")
+        raise InputError(f"{name}: already holds a proof; resume goes on with it")
     if is_begun:
         refuse_changes(
             f"{name}: is a proof",
@@ -171,7 +172,7 @@ def prove(
         study, folder = None, Path(name)
     else:
         if resume and out is None:
-            raise InputError("--resume: give the folder of the proof, as in hexjet prove DIR --resume")
+            raise InputError("resume: give the folder of the proof as its name")
         study = proof_study(
             str(name),
             claim,

@@ -42,22 +42,24 @@ class SearchResult(Result):
         return self.searched.to_json()
 
     def lines(self) -> list[str]:
-        """Return what was flown, what counts as broken, and what was found."""
-        from hexjet_prove.search.page import describe_resolution, together_lines
+        """Return what was found, what was flown, what counts as broken, and the flights that show it."""
+        from hexjet_prove.search.page import answers, describe_resolution, together_lines
         from hexjet_prove.search.worst_case import WorstSearch
 
         result = self.searched.result
         base = result.study.base()
-        first = f"{base.name}: {base.aircraft_name}, engine {base.engine}; {result.flights} flights"
+        flown = f"{base.name}: {base.aircraft_name}, engine {base.engine}; {result.flights} flights"
         if isinstance(result, WorstSearch):
-            return [first, *result.lines(), *result.notes]
+            return [*result.lines(), flown, *result.notes, *self.searched.lines()]
         notes = [result.engine_note] if result.engine_note else []
         return [
-            first,
+            *answers(result),
+            flown,
             result.criterion,
             *notes,
             *together_lines(result),
             *map(describe_resolution, result.plan.spans),
+            *self.searched.lines(),
         ]
 
     def tables(self) -> list[Table]:
@@ -96,12 +98,12 @@ class RareResult(Result):
         return self.simulated.to_json()
 
     def lines(self) -> list[str]:
-        """Return the probability, how it was made, and what decides."""
+        """Return the probability, how it was made, what decides, and the most likely failures."""
         from hexjet_prove.rare.page import LIMITS, describe_deciders, describe_result
 
         result = self.simulated.result
         deciders = [describe_deciders(result)] if result.deciders else []
-        return [*describe_result(result), *deciders, LIMITS]
+        return [*describe_result(result), *deciders, *self.simulated.lines(), LIMITS]
 
     def tables(self) -> list[Table]:
         """Return where the failures lie in what is drawn."""
@@ -148,19 +150,21 @@ def search(
     name : str or Path
         A scenario; with ``worst`` and ``likely`` a study or the controller file of a design, too.
     vary : sequence of str or mapping
-        What is searched, ``KEY=LO:HI``: each key alone; ``likely`` searches several together.
+        What is searched, ``KEY=LO:HI``, each key alone, scanned in N points with ``KEY=LO:HI:N``; ``*=``, ``+=`` and
+        ``log(LO:HI)`` as ``sweep`` has them.  With ``worst`` and ``likely`` all keys together, whatever they draw.
     worst : bool
-        Whether the flight of least margin over all keys at once is searched.
+        Search the flight of least margin over all keys at once, of a design in its tolerances.
     likely : bool
-        Whether the failure that is nearest to the middle of what is drawn is searched.
+        Search the failure that is nearest to the middle of what is drawn.
     within : str or float or None
-        With ``worst`` or ``likely``: at most so many standard deviations from the middle, or ``ranges``.
+        With ``worst`` or ``likely``: at most so many standard deviations from the middle, or anywhere in the
+        ``ranges``; None: 3, 6 with ``likely``, or the ranges of a design's tolerances.
     over : str or None
         A curve: a search at each of these values of a second key, ``KEY=LO:HI:N``.
     controllers : sequence of str
         Each is searched.
     tolerance : sequence of str
-        How near the edge is to be known, ``X`` or ``KEY=X``.
+        How near the edge is to be known, ``X`` or ``KEY=X``, else a 200th of the range.
     seeds : int
         Flights of every point.
     share : float
@@ -182,7 +186,7 @@ def search(
     wind : str or None
         A wind of your own, over time and place.
     seed : int or None
-        Seed of the first flight of a point.
+        Seed of the first flight of a point; None: the scenario's.
     workers : int or None
         Processes; None: one a processor.
     cluster : str or None
@@ -224,7 +228,7 @@ def search(
     fleet = (workers, cluster, time_limit_s)
     if not worst and not likely:
         if within is not None:
-            raise InputError("--within: goes with --worst or --likely")
+            raise InputError("within: goes with worst or likely")
         study, plan = resolve_search(str(name), over=over, tolerance=tolerance, share=share, **sought, **options)
         with _searching(out, resume, f"search-{study.name}", "search", fleet, progress) as (folder, tell, flying):
             return SearchResult(run_search(study, plan, folder, flying, resume, tell))
@@ -245,10 +249,10 @@ def search(
 def _check_worst(both: bool, **given: Any) -> None:
     """Raise InputError for what a search over all keys at once has not."""
     if both:
-        raise InputError("--likely: goes without --worst; each is a search of its own")
+        raise InputError("likely: goes without worst; each is a search of its own")
     for option, value in given.items():
         if value:
-            raise InputError(f"--{option}: is of a search of one key, and goes with neither --worst nor --likely")
+            raise InputError(f"{option}: is of a search of one key, and goes with neither worst nor likely")
 
 
 @contextmanager
@@ -265,7 +269,7 @@ def _searching(
     from cosim.studies import choose_workers
 
     if resume and out is None:
-        raise InputError(f"--resume: give the folder of the {what} with --out")
+        raise InputError(f"resume: give the folder of the {what} with out")
     folder = Path(out) if out is not None else new_folder(Path("runs"), name)
     hears = progress or Progress()
     hears.begin(folder)
@@ -305,7 +309,7 @@ def rare(
     name : str or Path
         A scenario or a study.
     vary : sequence of str or mapping
-        What varies, as of :func:`sweep`.
+        What varies, as ``sweep`` has it.
     controllers : sequence of str
         The one that flies, of a study with several.
     correlate : sequence of str
@@ -313,7 +317,7 @@ def rare(
     success : sequence of str
         What a completed flight must keep to count, ``METRIC<=X``.
     target : float
-        The smallest probability to look for.
+        The smallest probability to look for; with the budget it says how many flights a level has.
     budget : int
         Flights at most.
     same_seed : bool

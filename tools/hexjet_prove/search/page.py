@@ -22,8 +22,6 @@ BOUNDARY = (
 )
 ROW_PX = 44
 
-
-MOST_ANSWERS = 4  # at the top of a page; the table below has all
 COLUMNS = ("controller", "key", "at", "from", "holds to", "breaks at", "change", "then")
 
 
@@ -49,7 +47,7 @@ def write_page(searched: Answered[SearchResult], path: Path) -> None:
         base.name if list_changes(base, flown_parameters(base)) else base.title or base.name,
         cards,
         drawn,
-        answer=[_answer(result, edge) for edge in result.edges[:MOST_ANSWERS]],
+        answer=answers(result),
         summary=criterion,
         facts=list_facts(base, result.flights, facts),
         are_figures_linked=False,
@@ -115,6 +113,11 @@ def _row(result: SearchResult, edge: Edge) -> tuple[str, ...]:
     if edge.breaks is None:
         return *common, f"{text(edge.end)}, the end", "-", "-", ""
     return *common, text(edge.holds), text(edge.breaks), _change(edge), _describe_break(edge)
+
+
+def answers(result: SearchResult, at_most: int = 4) -> list[str]:
+    """Return where the first edges are, a sentence each; the table has all of them."""
+    return [_answer(result, edge) for edge in result.edges[:at_most]]
 
 
 def _answer(result: SearchResult, edge: Edge) -> str:

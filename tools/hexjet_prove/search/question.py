@@ -68,6 +68,17 @@ class Answered(Generic[A]):
         cases = [asdict(case) for case in self.cases]
         return {"folder": str(self.folder), **self.result.to_json(), "cases": cases, "confirmed": self.confirmed}
 
+    def lines(self) -> list[str]:
+        """Return what became of each case, with the command that flies it."""
+        lines = []
+        for each in case_rows(self, self.folder / REPORT):
+            case = each["case"]
+            distance = "" if case.distance is None else f", {case.distance:.2f} standard deviations out"
+            again = "the same bit for bit" if case.same else "NOT the same"
+            line = f"{case.name}: flight {case.flight}{distance}; {case.reason}; flown again {again}"
+            lines.append(f"{line}: hexjet fly {each['command']}" if each["report"] else line)
+        return lines
+
     def write(self, name: str) -> None:
         """Write the folder's JSON file.  Raises FlightError."""
         text = json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n"
