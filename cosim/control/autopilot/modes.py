@@ -27,6 +27,8 @@ DIRECT = frozenset({Mode.MANUAL, Mode.STABILIZED})
 
 
 class LandedState(Enum):
+    """Where the vehicle is between standing and flying."""
+
     ON_GROUND = "on_ground"
     TAKING_OFF = "taking_off"
     IN_AIR = "in_air"

@@ -63,6 +63,8 @@ class Disarm(CheckedRecord):
 
 
 class SetMode(CheckedRecord):
+    """Change into a flight mode, by its name in lower case."""
+
     mode: str
 
 
@@ -183,6 +185,8 @@ class OffboardVelocity(CheckedRecord):
 
 
 class OffboardPosition(CheckedRecord):
+    """Hold a position from home [m, north-east-down] and, where it is given, a yaw angle."""
+
     north: Metres
     east: Metres
     down: Metres
@@ -190,6 +194,8 @@ class OffboardPosition(CheckedRecord):
 
 
 class ItemKind(Enum):
+    """What an item of a mission asks for, with the fields of the item that it uses."""
+
     WAYPOINT = "waypoint"  # north, east, altitude; hold_s, acceptance_m, yaw
     TAKEOFF = "takeoff"  # altitude
     LAND = "land"  # north and east, or where it is
@@ -261,6 +267,8 @@ class MissionStart(CheckedRecord):
 
 
 class MissionSetCurrent(CheckedRecord):
+    """Go on with the mission at this item."""
+
     index: Index
 
 
@@ -269,6 +277,8 @@ class MissionClear(CheckedRecord):
 
 
 class ZoneKind(Enum):
+    """What a zone of the geofence forbids."""
+
     STAY_IN_POLYGON = "stay_in_polygon"
     STAY_OUT_OF_POLYGON = "stay_out_of_polygon"
     STAY_IN_CIRCLE = "stay_in_circle"
@@ -325,6 +335,8 @@ class RallyUpload(CheckedRecord):
 
 
 class SetParameter(CheckedRecord):
+    """Set a parameter of the autopilot by its name."""
+
     name: str
     value: Number
 
