@@ -13,7 +13,6 @@ import click
 
 from cosim.base.errors import nearest
 from cosim.cli.console import echo
-from cosim.cli.old.outputs import Out
 
 T = TypeVar("T")
 
@@ -54,11 +53,6 @@ def option(*names: str, **attributes: Any) -> Any:
     return Option(click.option, names, attributes)
 
 
-def argument(**attributes: Any) -> Any:
-    """Declare a field of a record as an argument; ``attributes`` as of ``click.argument``."""
-    return Option(click.argument, (), attributes)
-
-
 def flag(name: str, text: str) -> bool:
     """Declare an option without a value."""
     return cast(bool, option(name, is_flag=True, help=text))
@@ -88,21 +82,6 @@ def path(name: str, metavar: str | None, text: str, **limits: Any) -> Path | Non
     return cast("Path | None", option(name, type=click.Path(path_type=Path, **limits), metavar=metavar, help=text))
 
 
-def out(text: str, metavar: str = "DIR", kind: Out | None = None) -> Path | None:
-    """Declare ``--out``: a folder, or what ``kind`` says."""
-    return cast("Path | None", option("--out", type=kind or Out(), metavar=metavar, help=text))
-
-
-@overload
-def whole(name: str, metavar: str | None, text: str, *, default: int, **limits: int) -> int: ...
-@overload
-def whole(name: str, metavar: str | None, text: str, **limits: int) -> int | None: ...
-def whole(name: str, metavar: str | None, text: str, *, default: int | None = None, **limits: Any) -> Any:
-    """Declare an option that is a whole number; ``limits`` as of ``click.IntRange``."""
-    kind = click.IntRange(**limits) if limits else int
-    return option(name, type=kind, metavar=metavar or "N", help=text, default=default, show_default=default is not None)
-
-
 @overload
 def number(name: str, metavar: str | None, text: str, *, default: float, **limits: float) -> float: ...
 @overload
@@ -111,15 +90,6 @@ def number(name: str, metavar: str | None, text: str, *, default: float | None =
     """Declare an option that is a finite number; ``limits`` as of ``click.FloatRange``."""
     kind = Number(**limits)
     return option(name, type=kind, metavar=metavar or "X", help=text, default=default, show_default=default is not None)
-
-
-@overload
-def positive(name: str, metavar: str | None, text: str, *, default: float) -> float: ...
-@overload
-def positive(name: str, metavar: str | None, text: str) -> float | None: ...
-def positive(name: str, metavar: str | None, text: str, *, default: Any = None) -> Any:
-    """Declare an option that is a number above 0."""
-    return number(name, metavar, text, default=default, min=0.0, min_open=True)
 
 
 class Record:
@@ -200,6 +170,3 @@ def json(text: str = "Print one JSON object and nothing else.") -> bool:
 
 
 JSON = json()
-OUT = out("[default: a new one in runs/]")
-SETTINGS = words("--set", "KEY=VALUE", "As in hexjet fly.")
-NOMINAL_ENGINE = flag("--nominal-engine", "Fly the engine as it is stated: do not draw it by its [uncertainty].")
