@@ -230,7 +230,9 @@ def test_parquet_is_a_copy_that_says_what_was_flown(run: Run, tmp_path: Path) ->
             np.testing.assert_array_equal(table[name], own[name], err_msg=name)  # NaN equals NaN here
         assert table.schema.metadata[b"controller"] == b"smith"
         assert table.schema.field("mass_kg").metadata[b"unit"] == b"kg"
-    with pytest.raises(InputError, match=r"the log is Parquet already; another file \(out\) is a copy that says what was flown"):
+    with pytest.raises(
+        InputError, match=r"the log is Parquet already; another file \(out\) is a copy that says what was flown"
+    ):
         export_log("parquet", run.folder, run.folder / LOG)
 
 

@@ -11,24 +11,24 @@ from places import ROOT
 
 # Lines of Python by folder.  A change that makes a folder smaller lowers its limit to the new number of lines.
 MAX_LINES = {
-    "benchmarks": 5_500,
-    "cosim": 64_900,
-    "docs": 6_500,
-    "tests": 73_650,
-    "tools/hexjet_design": 8_350,
-    "tools/hexjet_export": 3_900,
+    "benchmarks": 3_450,
+    "cosim": 64_800,
+    "docs": 1_900,
+    "tests": 72_850,
+    "tools/hexjet_design": 8_300,
+    "tools/hexjet_export": 3_800,
     "tools/hexjet_gym": 310,
-    "tools/hexjet_identify": 12_650,
-    "tools/hexjet_laws": 650,
+    "tools/hexjet_identify": 11_350,
+    "tools/hexjet_laws": 600,
     "tools/hexjet_paper": 4_550,
-    "tools/hexjet_prove": 7_300,
-    "tools/hexjet_sitl": 3_400,
+    "tools/hexjet_prove": 6_600,
+    "tools/hexjet_sitl": 3_350,
 }
 # Lines of the package and of the tools that begin with a name in capitals and have a number.
-MAX_CONSTANTS = 1_100
+MAX_CONSTANTS = 560
 # Words of README.md and the pages in docs/, and of the tables in docs/tables/.
-MAX_PAGE_WORDS = 82_200
-MAX_TABLE_WORDS = 48_450
+MAX_PAGE_WORDS = 81_200
+MAX_TABLE_WORDS = 20_050
 
 _CONSTANT = re.compile(r"^[_A-Z][A-Z0-9_]* *(: *[^=]+)?= *-?[0-9.]")
 _GENERATED = {"_messages.py"}
