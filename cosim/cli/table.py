@@ -115,6 +115,8 @@ def find(words: list[str]) -> tuple[str, list[str]]:
         if (removed := describe_removed(f"hexjet {' '.join(words[:2])}")) is not None:
             raise InputError(f"{words[1]}: {removed}")
         inner = [name.partition(" ")[2] for name in list_names(first)]
+        if not inner:  # loading one of them says which package is missing
+            return next(name for name in added() if name.startswith(f"{first} ")), words[1:]
         raise InputError(f"No such command {words[1]!r}; {nearest(words[1], inner)} (hexjet {first} --help)")
     names = {name.partition(" ")[0] for name in list_names()}
     raise InputError(f"No such command {first!r}; {nearest(first, names)} (hexjet --help)")

@@ -575,9 +575,9 @@ def test_the_command_prints_the_papers_turbojet(hexjet, tmp_path: Path) -> None:
     [
         (["engine", "nope"], "unknown engine 'nope'"),
         (["engine", "edf", "--set", "delay"], "settings (--set) delay: write it as NAME=NUMBER"),
-        (["engine", "edf", "--amplitude", "nan"], "'--amplitude': nan is not a finite number"),
-        (["engine", "edf", "--duration", "inf"], "'--duration': inf is not a finite number"),
-        (["roll", "--hold", "lag_s=much"], "--hold lag_s=much: write it as NAME=NUMBER"),
+        (["engine", "edf", "--amplitude", "nan"], "--amplitude: nan is not a finite number"),
+        (["engine", "edf", "--duration", "inf"], "--duration: inf is not a finite number"),
+        (["roll", "--hold", "lag_s=much"], "--hold lag_s=much: must be NAME=VALUE"),
         (["roll", "--aircraft", "nope"], "unknown aircraft 'nope'"),
         (["roll", "--lags", "7"], "--lags"),
     ],

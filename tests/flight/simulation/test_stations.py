@@ -55,7 +55,7 @@ def test_one_straight_curve_is_left_alone() -> None:
     assert thrust_map.identity
     assert thrust_map.throttle(shares) is shares
     assert thrust_map.idle == 0.0
-    assert thrust_map.fraction(7.3) == invert(LINE)(7.3)
+    assert thrust_map.fraction(7.3) == invert(LINE).at(7.3)
 
 
 def test_what_a_curve_answers_does_not_depend_on_what_it_was_asked_before() -> None:
@@ -65,10 +65,10 @@ def test_what_a_curve_answers_does_not_depend_on_what_it_was_asked_before() -> N
     kept = invert(curve)
     for one in asked:
         for other in asked:
-            kept(one)
-            assert kept(other) == invert(curve)(other)
+            kept.at(one)
+            assert kept.at(other) == invert(curve).at(other)
     for thrust, throttle in zip(curve.thrust, curve.throttle, strict=True):
-        assert kept(thrust) == pytest.approx(throttle, abs=1e-15)
+        assert kept.at(thrust) == pytest.approx(throttle, abs=1e-15)
 
 
 @pytest.mark.parametrize("name", ["edf", "edf-as-flown", "turbojet", "motor"])

@@ -110,7 +110,7 @@ def test_what_is_wrong_is_found(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch)
         (("new", "hexjet"), "hexjet: is the name of an aircraft that is shipped; choose another"),
         (
             ("new", "mine", "--from", "hexjett"),
-            "base (--from) hexjett: must be one that is shipped; did you mean 'hexjet'?",
+            "base: 'hexjett': must be one that is shipped; did you mean 'hexjet'?",
         ),
         (("new", "held"), "held/vehicle.toml: is there already"),
         (("check", "./none"), "none: no such file"),

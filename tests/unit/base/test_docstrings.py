@@ -150,7 +150,7 @@ def test_what_tools_may_import_has_a_docstring() -> None:
 
 def docstrings(module: str) -> dict[str, str | None]:
     """The docstrings in a module's source, by name, its own without one; what is compiled has none where it runs."""
-    path = ROOT.joinpath(*module.split("."))
+    path = (ROOT if module.startswith("cosim") else ROOT / "tools").joinpath(*module.split("."))
     source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     tree = ast.parse(source.read_text(encoding="utf-8"))
     members = [each for each in tree.body if isinstance(each, ast.ClassDef | ast.FunctionDef)]
