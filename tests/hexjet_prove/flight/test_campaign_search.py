@@ -428,7 +428,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     with pytest.raises(SystemExit) as end:
         main([*line, "--out", str(tmp_path / "run"), "--resume"])
     assert end.value.code == 0
-    shown = capsys.readouterr().out
+    shown = " ".join(capsys.readouterr().out.split())
     assert "breaks at" in shown
     assert "what lasts for less than a step may be missed" in shown
 

@@ -31,7 +31,6 @@ COMMANDS = [
 ]
 PYTHON = [text for language, text in BLOCKS if language == "python"]
 OF_A_SWEEP = ("vary", "correlate", "success", "settings", "controllers", "design", "runs", "repeats", "seed", "until")
-OF_ONE_KEY = ("over", "tolerance", "share")
 
 
 def parsed(words: list[str]) -> dict[str, Any]:
@@ -55,28 +54,13 @@ def test_a_command_is_one(words: list[str]) -> None:
     if flown and not name.startswith("runs/") and not {"mine.toml", "fitted/engine.toml"} & set(words):
         open_study(name, **{option: options[option] for option in OF_A_SWEEP if options.get(option)})
     if words[0] == "search":
-        elsewhere = (
-            "workers",
-            "cluster",
-            "time_limit_s",
-            "out",
-            "resume",
-            "as_json",
-            "name",
-            "metrics",
-            "wind",
-            "aircraft",
-            "engine",
-        )
-        stated = {option: value for option, value in options.items() if option not in elsewhere}
-        if stated.pop("worst") or stated["likely"]:
+        asked = {option: value for option, value in options.items() if option not in ("name", "worst", "likely")}
+        if options.get("worst") or options.get("likely"):
             designed = find_design(ROOT / name)
-            drawn = {option: value for option, value in stated.items() if option not in OF_ONE_KEY}
-            resolve_worst(name if designed is None else design_study(designed, "", 1), **drawn)
+            study = name if designed is None else design_study(designed, "", 1)
+            resolve_worst(study, likely=options.get("likely", False), **asked)
         else:
-            searches.resolve_search(
-                name, **{key: stated[key] for key in stated if key not in ("likely", "within", "budget")}
-            )
+            searches.resolve_search(name, **asked)
 
 
 def test_the_study_on_the_page_is_one(tmp_path: Path) -> None:
