@@ -95,15 +95,15 @@ def columns_from(block: Any) -> tuple[Column, ...]:
 
 
 class Guarded:
-    """A block of the user's whose calls are guarded; its columns go into the log."""
+    """A ``block`` of the user's, which the export to C reads, whose calls are guarded; its columns go into the log."""
 
     def __init__(self, block: Any, guard: CallGuard) -> None:
-        self._block, self._guard = block, guard
+        self.block, self._guard = block, guard
         self.columns = columns_from(block)
 
     @property
     def shown(self) -> tuple[float, ...]:
-        return self._guard.read_shown(self._block, self.columns)
+        return self._guard.read_shown(self.block, self.columns)
 
 
 class GuardedPredictor(Guarded):
@@ -114,10 +114,10 @@ class GuardedPredictor(Guarded):
         self._answer = (f"the rate of {axis}",)
 
     def reset(self) -> None:
-        self._guard.call("reset", self._block.reset)
+        self._guard.call("reset", self.block.reset)
 
     def update(self, measured: float, applied: float) -> float:
-        answer = self._guard.call("update", self._block.update, measured, applied)
+        answer = self._guard.call("update", self.block.update, measured, applied)
         if type(answer) is float and isfinite(answer):
             return answer
         return self._guard.check_numbers((answer,) if not isinstance(answer, (list, tuple)) else answer, self._answer)[
@@ -126,7 +126,7 @@ class GuardedPredictor(Guarded):
 
     @property
     def diagnostics(self) -> Diagnostics:
-        diagnostics = getattr(self._block, "diagnostics", UNKNOWN3)
+        diagnostics = getattr(self.block, "diagnostics", UNKNOWN3)
         return (float(diagnostics[0]), float(diagnostics[1]), float(diagnostics[2]))
 
 
@@ -140,15 +140,15 @@ class GuardedRate(Guarded):
 
     def reset(self) -> None:
         self._torque, self.predicted = ZERO3, UNKNOWN3
-        self._guard.call("reset", self._block.reset)
+        self._guard.call("reset", self.block.reset)
 
     def update(self, setpoint: Vector3, measured: Vector3, unallocated: Unallocated) -> Vector3:
         roll, pitch, yaw = self._torque
         applied = (roll - unallocated.roll, pitch - unallocated.pitch, yaw - unallocated.yaw)
-        answer = self._guard.call("update", self._block.update, setpoint, measured, applied)
+        answer = self._guard.call("update", self.block.update, setpoint, measured, applied)
         roll, pitch, yaw = self._guard.check_numbers(answer, _AXIS_ANSWERS)
         self._torque = (roll, pitch, yaw)
-        predicted = getattr(self._block, "predicted", None)
+        predicted = getattr(self.block, "predicted", None)
         if predicted is not None:
             x, y, z = predicted
             self.predicted = (float(x), float(y), float(z))
@@ -163,11 +163,11 @@ class GuardedAttitude(Guarded):
     """An attitude loop of the user's: see :class:`cosim.base.protocols.AttitudeLoop`."""
 
     def reset(self) -> None:
-        self._guard.call("reset", self._block.reset)
+        self._guard.call("reset", self.block.reset)
 
     def update(self, command: Command, measured: Measured) -> Vector3:
         x, y, z = self._guard.check_numbers(
-            self._guard.call("update", self._block.update, command, measured),
+            self._guard.call("update", self.block.update, command, measured),
             ("the rate of roll", "the rate of pitch", "the rate of yaw"),
         )
         return (x, y, z)
@@ -205,7 +205,7 @@ class GuardedController(Guarded):
         self._throttle, self._tilt = throttle, self._rest
         self._engines, self._burnt = EngineOutput(unknown, unknown, unknown, unknown), burnt
         self._flying = True
-        self._guard.call("reset", self._block.reset)
+        self._guard.call("reset", self.block.reset)
         self.signals = self._control_signals(throttle)
         return throttle
 
@@ -216,10 +216,10 @@ class GuardedController(Guarded):
             off = self._all_jets if engines is EngineState.OFF else NO_JETS
             return self._record(Actuation(self._idle, self._rest, Unallocated(), off))
         if not self._flying:
-            self._guard.call("reset", self._block.reset)
+            self._guard.call("reset", self.block.reset)
             self._flying = True
         applied = Applied(self._throttle, self._tilt, self._engines, self._burnt)
-        return self._record(self._checked(self._guard.call("update", self._block.update, command, measured, applied)))
+        return self._record(self._checked(self._guard.call("update", self.block.update, command, measured, applied)))
 
     def _record(self, answer: Actuation) -> Actuation:
         self._throttle, self._tilt = answer.throttle, answer.tilt
@@ -228,7 +228,7 @@ class GuardedController(Guarded):
 
     def _control_signals(self, throttle: PerJet) -> ControlSignals:
         """Return the signals of a block that is a cascade; of any other controller only its mean throttle is known."""
-        signals = getattr(self._block, "signals", None)
+        signals = getattr(self.block, "signals", None)
         if isinstance(signals, ControlSignals):
             return signals
         mean = sum(throttle) / len(throttle)
