@@ -57,12 +57,20 @@ class FrozenStudy:
 
     def write(self, folder: Path) -> None:
         """Put the files into place, the study last: a folder that has it has them all.  Raises OSError."""
+        self.write_files(folder)
+        self.write_study(folder)
+
+    def write_files(self, folder: Path) -> None:
+        """Put everything but the study into place.  Raises OSError."""
         for name, content in self.files.items():
             write_whole(folder / name, content)
         write_whole(folder / SCENARIO, toml_text(self.scenario).encode())
         write_whole(folder / RECORD, toml_text(self.asked | {"installed": installed_versions()}).encode())
-        write_whole(folder / STUDY, toml_text(self.study, multiline=True).encode())
         remember_written(folder)
+
+    def write_study(self, folder: Path) -> None:
+        """Put the study into place.  Raises OSError."""
+        write_whole(folder / STUDY, toml_text(self.study, multiline=True).encode())
 
     @property
     def asked(self) -> dict[str, Any]:

@@ -127,9 +127,10 @@ class Store:
         try:
             with map_os_errors(InputError, folder):
                 (folder / FLIGHTS).mkdir(exist_ok=True)
-                frozen.write(folder)
+                frozen.write_files(folder)
+                write_columns(folder, Study.from_table(frozen.study, folder.absolute(), str(folder.absolute() / STUDY)))
+                frozen.write_study(folder)
                 store = cls(folder, journal, kept)
-                write_columns(folder, store.study)
         except InputError:
             journal.close()
             raise

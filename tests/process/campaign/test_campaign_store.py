@@ -25,6 +25,7 @@ from patience import FLIGHT_PATIENCE, PATIENCE
 from places import TOOLS
 
 from cosim.base.errors import FlightError, InputError
+from cosim.campaign import folder as folder_module
 from cosim.campaign import store as store_module
 from cosim.campaign.folder import (
     FLIGHTS,
@@ -160,6 +161,21 @@ def test_a_campaign_that_was_killed_before_it_had_a_study_begins_anew(tmp_path: 
     with Store.resume(folder, tools.study()) as store:
         assert len(store.done) == 0
     assert (folder / STUDY).is_file()
+
+
+def test_the_study_is_written_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder that has it can be looked at, whenever its process was killed."""
+    folder, beside = tmp_path / "c", []
+    write = folder_module.write_whole
+
+    def noted(path: Path, content: bytes) -> None:
+        if path.name == STUDY:
+            beside.extend(each.name for each in folder.iterdir())
+        write(path, content)
+
+    monkeypatch.setattr(folder_module, "write_whole", noted)
+    Store.create(folder, tools.study()).close()
+    assert {*beside, STUDY} == {path.name for path in folder.iterdir()}
 
 
 def test_two_processes_do_not_fly_into_one_folder(tmp_path: Path) -> None:
