@@ -26,9 +26,10 @@ def _show_aircraft(path: Path) -> None:
 
     folder = path.parent if path.parent.is_absolute() else f"./{path.parent}"
     echo(f"{path}\nhexjet aircraft check {folder}\nhexjet fly hover --aircraft {folder}")
-    if load_vehicle(str(folder))[0].identified:
+    vehicle = load_vehicle(str(folder))[0]
+    if vehicle.identified:
         note(
-            "its identified models are those of the aircraft that it is a copy of: they hold until inertia, jets, "
+            f"{vehicle.title}: its identified models are those of that aircraft: they hold until inertia, jets, "
             f"sensors or engine change; hexjet aircraft check {folder} compares them"
         )
 

@@ -184,7 +184,7 @@ def show_result(result: Result) -> None:
     first, *others = result.lines() or [""]
     say(f"[bold]{escape(first)}[/bold]", marked=True)
     for line in others:
-        say(line, wrap=" runs/" not in line and ": hexjet " not in line)
+        say(line, wrap=" runs/" not in line and ": hexjet " not in line and not line.startswith("note: "))
     for table in result.tables():
         if table.title:
             say(table.title)

@@ -255,7 +255,7 @@ def test_a_study_says_which_design_is_for_another_engine() -> None:
 def test_an_edit_after_new_is_not_fit_to_fly(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cosim.aircraft_check.check.FLIGHT_S", 0.3)
     made = hexjet("aircraft", "new", "mine")
-    assert "its identified models are those of hexjet" in made.err
+    assert "begun as a copy of hexjet: its identified models are those of that aircraft" in made.err
     assert "hexjet aircraft check ./mine compares them" in made.err
     assert "its identified models" not in hexjet("aircraft", "new", "tri", "--from", "trijet").err
     path = Path("mine/vehicle.toml")
@@ -267,7 +267,8 @@ def test_an_edit_after_new_is_not_fit_to_fly(hexjet: Hexjet, monkeypatch: pytest
     path.write_text("\n".join(lines).replace("mass_kg = 5.525", "mass_kg = 7.5"))
     done = hexjet("aircraft", "check", "./mine")
     assert done.status == 1
-    assert "not fit to fly: roll model, edf-as-flown, roll model, edf\n" in done.out
+    assert "not fit to fly\nroll model, edf-as-flown: not of this vehicle" in done.out
+    assert "\nroll model, edf: not of this vehicle" in done.out
     report = check_aircraft("./mine")
     of = {line.name: line for line in report.lines}
     assert "and 225.1 by geometry, inertia and engine (1.92 times)" in of["roll model, edf-as-flown"].text
