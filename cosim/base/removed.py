@@ -24,6 +24,7 @@ _ENGINE_OUT: Final = Removal(
     "the table of three vehicles with one engine out", "0.3.0", "hexjet faults --kind flame-out for a vehicle"
 )
 _PAGES: Final = Removal("writing this project's own pages", "0.3.0", "the scripts in docs/ of a checkout")
+_COSTS: Final = Removal("the cost of memory and of a campaign", "0.3.0", "benchmarks of version 0.2.0")
 # By what a user writes to name it: an option, a command, a key, the beginning of a value.
 REMOVED: Final[Mapping[str, Removal]] = {
     "hexjet fmu compile": Removal("compiling the sources of an FMU", "0.3.0", "python -m fmpy compile FILE.fmu"),
@@ -39,6 +40,8 @@ REMOVED: Final[Mapping[str, Removal]] = {
     ),
     "hexjet sitl betaflight --rates": _RATES,
     "hexjet sitl px4 --rates": _RATES,
+    "hexjet bench --campaign": _COSTS,
+    "hexjet bench --memory-minutes": _COSTS,
     "hexjet open --port": Removal("the server of hexjet open", "0.3.0", "the page that hexjet open writes"),
     ".ssp": Removal("a system of FMUs (SSP) as an engine", "0.3.0", "one FMU; OMSimulator and FMPy run systems"),
     "input clock": Removal("input clocks of FMI 3.0", "0.3.0", "an FMU that samples by itself, once a step"),
