@@ -1,4 +1,4 @@
-"""Writes docs/api.md from the docstrings: ``python docs/api.py``; ``--json`` prints the parts and writes nothing.
+"""Pages of reference of the Python API, made of the docstrings; as a program it prints them as JSON.
 
 In it is what a program calls, the exports of ``cosim`` and of its public modules; what it may write for a flight, the
 protocols with what they are told; and the records that travel between them.  Docstrings of the first and second have
@@ -12,7 +12,6 @@ import inspect
 import json
 import os
 import re
-import sys
 from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -24,28 +23,40 @@ if __name__ == "__main__":
 import cosim
 from cosim.base import protocols
 from cosim.control.belief import Belief
-from cosim.results.report.marks import write_marks
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "api.md"
 SECTION = re.compile(r"^(\w+)\n-{3,}\n", re.MULTILINE)
 ENTRY = re.compile(r"^(\S[^\n]*)\n((?:    [^\n]*\n?|\n(?=    ))+)", re.MULTILINE)
 MODULES = ("api", "campaign", "commands", "files", "identify", "laws", "loops", "pages")
 RECORDS = ("cosim/base/signals.py", "cosim/base/protocols/records.py")
 
 
-def parts() -> dict[str, str]:
-    """Return the page's parts: the exports, those of each public module, the protocols, the records."""
+def pages() -> dict[str, str]:
+    """Return the pages: the exports, those of each public module, the protocols, the records."""
     exports = {name: called(name) for name in cosim.__all__}
     blocks = {name: each for name, each in vars(protocols).items() if getattr(each, "_is_protocol", False)}
     del exports["Command"]  # a record
-    text = {
-        "calls": [_about(name, each) for name, each in exports.items()],
-        "protocols": [_about(name, each) for name, each in (blocks | {"Belief": Belief}).items()],
-        "records": [_record(each, lines) for module in RECORDS for each, lines in _records(ROOT / module)],
+    made = {
+        "python.md": [
+            "# Python: `from cosim import ...`\n\nVectors are tuples of three floats, body forward-right-down or NED "
+            "as said; per jet is a tuple from jet 1 on; all is SI, angles are rad. Step `k` acts over `[t_k, t_k+1)`, "
+            "`t_k = k dt`. [How it is used](../docs/python.md).\n",
+            *(_about(name, each) for name, each in exports.items()),
+        ]
     }
-    text |= {name: list(_module(import_module(f"cosim.{name}"))) for name in MODULES}
-    return {f"api: {name}": "\n".join(each).rstrip() + "\n" for name, each in text.items()}
+    for name in MODULES:
+        module = import_module(f"cosim.{name}")
+        made[f"python-{name}.md"] = [f"# Python: `from cosim.{name} import ...`\n", *_module(module)]
+    made["python-protocols.md"] = [
+        "# To write: `cosim.base.protocols`\n\nAny object of the right shape takes the place of a block: "
+        "[ways to name it](../docs/own-controller.md#ways-to-name-it).\n",
+        *(_about(name, each) for name, each in (blocks | {"Belief": Belief}).items()),
+    ]
+    made["python-records.md"] = [
+        "# Records: `cosim.base.signals`, `cosim.base.protocols`\n\nNamed tuples: fields by name or by place.\n",
+        *(_record(each, lines) for module in RECORDS for each, lines in _records(ROOT / module)),
+    ]
+    return {name: "\n".join(each).rstrip() + "\n" for name, each in made.items()}
 
 
 def called(name: str) -> Any:
@@ -63,14 +74,14 @@ def _module(module: Any) -> Iterator[str]:
         yield f"Constants: {', '.join(constants)}.\n"
     for name, each in exports.items():
         if inspect.isclass(each):
-            yield f"### `{name}`\n\n{_body(each)}"
+            yield f"## `{name}`\n\n{_body(each)}"
         elif inspect.ismodule(each):
             own = (
                 (key, value) for key, value in vars(each).items() if inspect.isclass(value) or inspect.isroutine(value)
             )
             docs = ((key, inspect.getdoc(value)) for key, value in own if value.__module__ == each.__name__)
             lines = [f"- `{name}.{key}`: {_prose(doc.splitlines()[0])}\n" for key, doc in docs if doc]
-            yield f"### `{name}`\n\n{_body(each)}\n{''.join(lines)}"
+            yield f"## `{name}`\n\n{_body(each)}\n{''.join(lines)}"
         elif inspect.isroutine(each):
             yield _about(name, each)
 
@@ -78,8 +89,8 @@ def _module(module: Any) -> Iterator[str]:
 def _about(name: str, each: Any) -> str:
     """A function; or a class, with what it has."""
     if not inspect.isclass(each):
-        return f"### `{name}`\n\n{_signature(name, each)}{_body(each)}"
-    shown = f"### `{name}`\n\n{_body(each)}"
+        return f"## `{name}`\n\n{_signature(name, each)}{_body(each)}"
+    shown = f"## `{name}`\n\n{_body(each)}"
     for member, value in vars(each).items():
         found = value.__func__ if isinstance(value, (classmethod, staticmethod)) else value
         if member.startswith("_") or not inspect.getdoc(found):
@@ -137,7 +148,7 @@ def _record(node: ast.ClassDef, lines: Sequence[str]) -> str:
             said = _prose(meaning).replace("|", "\\|")
             rows.append(f"| `{ast.unparse(each.target)}` | `{kind}` | {default} | {said} |\n")
     head = "| field | type | default | meaning |\n| --- | --- | --- | --- |\n"
-    return f"### `{node.name}`\n\n{_prose(ast.get_docstring(node) or '')}\n\n{head}{''.join(rows)}"
+    return f"## `{node.name}`\n\n{_prose(ast.get_docstring(node) or '')}\n\n{head}{''.join(rows)}"
 
 
 def _prose(text: str) -> str:
@@ -147,7 +158,4 @@ def _prose(text: str) -> str:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["--json"]:
-        print(json.dumps(parts()))
-    else:
-        write_marks(PAGE, parts())
+    print(json.dumps(pages()))

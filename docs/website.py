@@ -10,9 +10,11 @@ flown for the site.  Warnings are errors: a link or an anchor that leads nowhere
 from __future__ import annotations
 
 import io
+import json
 import os
 import re
 import shutil
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -61,7 +63,7 @@ def stage(folder: Path, live: bool = True) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     for page in sources():
         _write(folder / place(page), _seen_from(page, page.read_text(encoding="utf-8"), folder, live))
-    made = pages() | {"examples.md": _examples()}
+    made = pages() | {"examples.md": _examples()} | _python()
     for name, text in made.items():
         _write(folder / "reference" / name, text)
     for kind in ("scenarios", "studies", "examples"):
@@ -173,6 +175,13 @@ def _examples() -> str:
     for path in sorted((ROOT / "examples").glob("*.py")):
         shown += f"\n## {path.name}\n\n```{{literalinclude}} ../examples/{path.name}\n:language: python\n```\n"
     return shown
+
+
+def _python() -> dict[str, str]:
+    """The pages of the Python API, by a process that runs from source: what is compiled has no docstrings."""
+    printed = subprocess.run([sys.executable, str(DOCS / "api.py")], capture_output=True, text=True, check=True)
+    made: dict[str, str] = json.loads(printed.stdout)
+    return made
 
 
 def build(folder: Path, source: Path | None = None) -> int:
