@@ -9,35 +9,16 @@ from __future__ import annotations
 
 from cosim.base.errors import nearest
 from cosim.base.runtime.threads import one_thread
-from cosim.cli.console import (
-    CommandProgress,
-    echo,
-    output_to_stderr,
-    part_progress,
-    say,
-    show_result,
-    show_table,
-    terminal,
-)
+from cosim.cli.console import echo, say, show_result, show_table, terminal
 from cosim.cli.declare import Command
-from cosim.cli.old import opt
-from cosim.cli.old.options import DONE, FLIGHT_FAILED, example, warn_of_fmu_defects
 
 __all__ = [
-    "DONE",
-    "FLIGHT_FAILED",
     "Command",
-    "CommandProgress",
     "echo",
-    "example",
     "nearest",
     "one_thread",
-    "opt",
-    "output_to_stderr",
-    "part_progress",
     "say",
     "show_result",
     "show_table",
     "terminal",
-    "warn_of_fmu_defects",
 ]

@@ -25,7 +25,6 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 BEFORE_MB = 863.0  # a fresh installation of commit 2f44bdb, with pymavlink, plotly and python-control
 COMPILER = "cmake"  # what FMPy asks for to compile with, and nothing else needs
 WHAT = {  # every package that pyproject.toml names for those who fly, and why it is needed
-    "click": "the command line",
     "cyclopts": "the command line: options out of the signatures of functions",
     "docstring-parser": "the texts of options, out of docstrings",
     "fastcrc": "checksums of MAVLink frames: a lockstep's, a log's",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from shutil import get_terminal_size
@@ -20,17 +20,6 @@ if TYPE_CHECKING:
 _PIPE_WIDTH = 120  # in a pipe there is no width to fit, unless COLUMNS states one
 _NARROWEST = 20
 _bars: list[Bar] = []  # on the terminal now
-
-
-@contextmanager
-def on_terminal(bar: Bar) -> Iterator[Bar]:
-    """Show a bar, which gives way to questions (:func:`without_bars`)."""
-    with bar:
-        _bars.append(bar)
-        try:
-            yield bar
-        finally:
-            _bars.remove(bar)
 
 
 @contextmanager
@@ -66,47 +55,6 @@ def output_to_stderr(active: bool) -> Iterator[None]:
         ctypes.CDLL(None).fflush(None)  # buffered output of C code
         os.dup2(saved, 1)
         os.close(saved)
-
-
-@contextmanager
-def part_progress(title: str, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
-    """Give a function that is told the part that is done, how many are, and of how many; shown on a terminal."""
-    if quiet or not sys.stderr.isatty():
-        yield lambda part, done, of: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Bar
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with on_terminal(Bar(*columns, console=Console(stderr=True), transient=True)) as progress:
-        task = progress.add_task(title, total=None)
-        yield lambda part, done, of: progress.update(task, description=printable(part), completed=done, total=of)
-
-
-class CommandProgress(Progress):
-    """What a command shows of a call: notes on standard error, and how far it is with ``show``."""
-
-    def __init__(self, show: Callable[[str, int, int], None] = lambda part, done, of: None) -> None:
-        self._show = show
-        self.folder = Path()
-        self.done = self.of = 0
-        self.is_concluding = False  # no flights are counted any more
-
-    def begin(self, folder: Path) -> None:
-        """Keep the folder."""
-        self.folder = folder
-
-    def note(self, text: str) -> None:
-        """Print it on standard error."""
-        note(text)
-
-    def update(self, part: str, done: int, of: int) -> None:
-        """Show it, and keep how far it is."""
-        self.is_concluding = done == of == 0
-        if not self.is_concluding:
-            self.done, self.of = done, of
-        self._show(part, done, of)
 
 
 class TerminalProgress(Progress):

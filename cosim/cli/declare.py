@@ -213,7 +213,8 @@ class Command:
         for option in self.declared:
             text = texts.get(option.argument, "")
             if option.argument == "out" and self.folder is not None:
-                text = "The folder that is written, by default a new one in runs/."
+                kinds = "folder or file" if self.writes else "folder"
+                text = f"The {kinds} that is written, by default a new folder in runs/."
             rows.append(Option(**vars(option) | {"text": text}))
         return rows + self._added
 

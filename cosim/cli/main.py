@@ -151,8 +151,6 @@ def _make_tree() -> Any:
             command = table.load(name)
         except InputError:
             continue
-        if not hasattr(command, "app"):
-            continue
         app = command.app(with_help=True)
         if not second:
             root.command(app, name=first)

@@ -139,10 +139,6 @@ def load(name: str) -> Command:
             raise InputError(f"{name}: {reason}") from None
         text = f"{entry.value} of {packages[0]} cannot be loaded: {type(error).__name__}: {error}"
         raise InputError(f"{name}: {text.partition(chr(10))[0]}") from None
-    if hasattr(loaded, "params") and hasattr(loaded, "main"):
-        from cosim.cli.old.unconverted import Unconverted
-
-        return Unconverted(name, loaded)  # type: ignore[return-value]
     if not hasattr(loaded, "run"):
         raise InputError(f"{name}: {entry.value} of {packages[0]} is no cosim.commands.Command")
     return loaded  # type: ignore[no-any-return]

@@ -9,6 +9,7 @@ from pathlib import Path
 from cosim.base.errors import InputError
 from cosim.base.storage.files import one_line, write_whole
 from cosim.base.storage.toml import read_toml, toml_text
+from cosim.base.storage.user import settings_folder
 from cosim.engine import file_label
 from cosim.spec.controller_name import SHORT, folder_name
 from cosim.spec.scenario import Scenario
@@ -27,10 +28,8 @@ def make_vehicle_key(scenario: Scenario) -> str:
 
 
 def find_default_file(vehicle: str) -> Path:
-    """Return the default file of a vehicle's parameters, in the platform's folder for settings."""
-    import click
-
-    return Path(click.get_app_dir("hexjet")) / "parameters" / f"{vehicle}.toml"
+    """Return the default file of a vehicle's parameters, in the folder of the user's settings."""
+    return settings_folder() / "parameters" / f"{vehicle}.toml"
 
 
 class ParameterStore:

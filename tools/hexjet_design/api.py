@@ -1,14 +1,15 @@
-"""A controller for an engine: what ``hexjet design`` calls."""
+"""A controller for an engine."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.call import Limits, Progress, Result, Table, checked
-from cosim.api.call.choices import as_settings, engine_for
+from cosim.api.call import FolderResult, Limits, Progress, Table, checked
+from cosim.api.call.choices import as_settings, engine_for, list_fmu_defects
 from cosim.base.errors import InputError
 from cosim.base.plugins.entry_points import load_hook
 from cosim.base.storage.files import read_text
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from hexjet_design.loop.firmware import Firmware
 
 
-class DesignResult(Result):
+class DesignResult(FolderResult):
     """A controller with its predictor, model and gains, their margins, and the proof flown with them.
 
     Attributes
@@ -28,10 +29,11 @@ class DesignResult(Result):
         Everything.
     """
 
-    def __init__(self, designed: Design, autopilot: str | None = None) -> None:
+    def __init__(self, designed: Design, autopilot: str | None = None, chosen: Sequence[tuple[str, str]] = ()) -> None:
         self.designed = designed
         self.files = {}
         self._autopilot = autopilot
+        self._chosen = chosen
 
     @property
     def ok(self) -> bool:
@@ -43,40 +45,30 @@ class DesignResult(Result):
         """The controller file, for :func:`cosim.fly`, of a design not proved too; None where none was written."""
         return self.files.get("controller")
 
-    def write(self, file: Path | str | None = None) -> DesignResult:
-        """Write the controller file, where there is a design, and the page beside it.
+    @property
+    def fly_command(self) -> str:
+        """The command that flies it, with the aircraft, engine and settings that it was made for; of an autopilot none.
 
-        Parameters
-        ----------
-        file : Path or str or None
-            Its name ends in ``.toml``; None: in a new folder in ``runs/``.
-
-        Returns
-        -------
-        DesignResult
-            This one, which has the files now.
-
-        Raises
-        ------
-        InputError
-            For a name that is no file of a design.
-        FlightError
-            If a file cannot be written.
+        Empty where no controller file was written.
         """
+        if self.controller is None or self._autopilot is not None:
+            return ""
+        chosen = "".join(f" {option} {quote(value)}" for option, value in self._chosen)
+        return f"hexjet fly SCENARIO{chosen} --controller {quote(str(self.controller))}"
+
+    def _write(self, folder: Path) -> dict[str, Path]:
+        """Write the controller file, where there is a design, and the page beside it."""
         from hexjet_design.result import write
 
-        path = None if file is None else Path(file)
-        if path is not None:
-            prepare(path)
-        self.files = write(self.designed, path)
+        file = prepare(folder)
+        files = write(self.designed, file)
         if self._autopilot is not None and self.ok:
-            scenario = self.designed.scenario
             write_parameters = _ask_autopilots("autopilot_parameters", self._autopilot)
-            self.files |= write_parameters(self._autopilot, scenario, self.files["controller"])
-        return self
+            files |= write_parameters(self._autopilot, self.designed.scenario, file)
+        return files
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``hexjet design --json`` prints."""
+        """Return everything but the curves."""
         from hexjet_design.result import to_dict
 
         return to_dict(self.designed, self.files)
@@ -138,8 +130,9 @@ def design(
 ) -> DesignResult:
     """Design a controller for an engine on an aircraft: predictor, its model, and the gains of all axes.
 
-    A design ends with its proof: hover, gust and doublets flown with noise at the corners of the tolerances and with
-    one engine off.
+    A design ends with its proof: the loops with the engine's own response, and hover, gust, and doublets to the lean
+    that the pilot may ask for, flown with noise, at the corners of the tolerances and with one engine off.  A
+    controller that flies as designed is written though its proof failed, marked as not proved.
 
     Parameters
     ----------
@@ -151,37 +144,38 @@ def design(
         One of the predictors, ``auto`` for the best of them, or ``optimal``: the controller at the limit of
         performance, of low order.
     model : str or Path or None
-        A file with identified models, taken instead of what engine and airframe make together.
+        A TOML file with identified models, taken instead of what engine and airframe make together.
     amplitude : float or None
-        Amplitude of the engine's sweep, in throttle; None: 0.005.
+        Amplitude of the engine's chirp, in throttle, more where the flight will reach its limits; None: 0.005.
     max_sensitivity : float
         The largest peak of |S|.
     delay_tolerance : float or None
-        Share of the delay that it may be off, both ways; None: as the engine's uncertainty, or 0.3.
+        Share of the delay that it may be off, both ways; None: as the engine's ``[uncertainty]``, or 0.3.
     gain_tolerance : float or None
         Share of the gain that it may be off, both ways; None: as of the delay.
     engine_spread : float or None
-        Share of gain and lag by which one engine is off in the proof.
+        Share of gain and lag by which one engine is off in the proof; None: as the engine's ``[uncertainty]``, or 0.3,
+        at most the gain's tolerance where that is not the engine's.
     min_bandwidth_hz : float
         Least bandwidth of roll and pitch [Hz].
     noise_share : float
         One standard deviation of sensor noise in a command, as a share of its room.
     autopilot : str or None
-        ``betaflight``, ``px4`` or ``ardupilot``: gains for that autopilot's own loops.
+        Design gains for that autopilot's own loops, with their filters, delays and units.
     lead : bool
-        Whether a lead against the engine's lag is tried.
+        Try a lead against the engine's lag.
     scheduled : bool
-        Whether gains may follow the thrust where fuel burns.
+        Let gains follow the thrust where fuel burns and a full tank's do not fit.
     start : str or Path or None
         A controller file: the search begins at its gains, for its candidate alone.
     proof : bool
-        Whether the design ends with its proof.
+        End with the proof: measured past the crossover, flown at the corners of the tolerances.
     limit : bool
-        Whether each axis is compared with the best that any linear controller could do.
+        Compare each axis with the best that any linear controller could do; a minute.
     settings : sequence of str or mapping
         Written over a plain hover.
     out : str or Path or None
-        The controller file, ``.toml``; without it nothing is written.
+        A folder, or the name of the controller file, ``.toml``, with the page beside it; None: nothing is written.
     progress : Progress or None
         Hears what is being done.
 
@@ -203,12 +197,14 @@ def design(
 
     hears, texts = progress or Progress(), as_settings(settings)
     mention([*texts, engine], Path())
-    if out is not None:  # before minutes of searching
+    if out is not None:
         prepare(Path(out))
     limit = limit or controller == LAW
     if limit:
         need_solver()
     name, vehicle = engine_for(str(aircraft), None if engine is None else str(engine)), str(aircraft)
+    for line in list_fmu_defects(name):
+        hears.note(line)
     firmware: Firmware | None = None
     if autopilot is not None:
         firmware, controller = _loops_of(autopilot, vehicle, texts, controller, start)
@@ -244,7 +240,9 @@ def design(
         designed = add_proof(designed, tell, lambda unsure: seek(unsure=unsure))
     if limit and designed.is_written:
         designed = add_limits(designed, tell)
-    result = DesignResult(designed, autopilot)
+    chosen = [("--aircraft", vehicle)] if vehicle != "hexjet" else []
+    chosen += [] if engine is None else [("--engine", str(engine))]
+    result = DesignResult(designed, autopilot, [*chosen, *(("--set", text) for text in texts)])
     return result if out is None else result.write(out)
 
 
@@ -255,32 +253,32 @@ def _loops_of(
     from cosim.control.predictors.registry import BASELINE
 
     if controller not in ("auto", BASELINE.name) or start is not None:
-        raise InputError(f"autopilot (--for) {autopilot}: has no predictor of ours; leave --controller and --start out")
+        raise InputError(f"autopilot {autopilot}: has no predictor of ours; leave controller and start out")
     return _ask_autopilots("autopilot_loops", autopilot)(autopilot, aircraft, settings), BASELINE.name
 
 
 def _ask_autopilots(hook: str, autopilot: str) -> Any:
     """Return a function of the tool that knows the autopilots.  Raises InputError where it is not installed."""
     if (function := load_hook(hook)) is None:
-        raise InputError(f"--for {autopilot}: hexjet_sitl is not installed, which knows its loops and parameters")
+        raise InputError(f"autopilot {autopilot}: hexjet_sitl is not installed, which knows its loops and parameters")
     return function
 
 
-def prepare(out: Path) -> None:
-    """Make the folder of a controller file.
+def prepare(out: Path) -> Path:
+    """Make the folder of a controller file, ``out`` or ``controller.toml`` in it, and return the file.
 
-    Raises InputError for a name that is none, where it cannot be made, and for a file that no design left there.
+    Raises InputError where it cannot be made, and for a file that no design left there.
     """
-    if out.suffix.lower() != ".toml":
-        raise InputError(f"--out {out}: must end in .toml, by which --controller knows it")
     from cosim.base.storage.toml import read_toml
 
-    page = out.with_suffix(".html")
-    if out.exists() and not {"controller", "design"} <= read_toml(out).keys():
-        raise InputError(f"--out {out}: is there already, and is no file of hexjet design; choose another name")
+    file = out if out.suffix.lower() == ".toml" else out / "controller.toml"
+    page = file.with_suffix(".html")
+    if file.exists() and not {"controller", "design"} <= read_toml(file).keys():
+        raise InputError(f"out: {file}: is there already, and is no file of hexjet design; choose another name")
     if page.exists() and " control design</title>" not in read_text(page)[:4096]:
-        raise InputError(f"--out {out}: {page} is there already, and is no page of hexjet design; choose another name")
+        raise InputError(f"out: {page}: is there already, and is no page of hexjet design; choose another name")
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
+        file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"--out {out}: cannot be written to: {error.strerror or error}") from error
+        raise InputError(f"out: {file}: cannot be written to: {error.strerror or error}") from error
+    return file

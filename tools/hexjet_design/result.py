@@ -11,7 +11,6 @@ from typing import Any
 from cosim.base.signals import AXES
 from cosim.base.storage.files import to_json_record, write_files
 from cosim.base.storage.toml import toml_text
-from cosim.flight import new_folder
 from cosim.spec.vehicle import EngineLead
 from hexjet_design.assessment import Assessment, AxisDesign
 from hexjet_design.candidates import WITH_LEAD
@@ -26,28 +25,23 @@ from hexjet_design.proof.comparison import (
 )
 from hexjet_design.proof.result import Proof
 
-PAGE = "design.html"
 NOT_PROVED = "NOT PROVED"  # a controller that is written though its proof failed
 OPTIONS = ("engine_spread", "gain_tolerance", "delay_tolerance")  # what allows a design whose proof failed
 
 
-def write(design: Design, out: Path | None) -> dict[str, Path]:
+def write(design: Design, file: Path) -> dict[str, Path]:
     """Write the controller file, where there is a design, and the page beside it; say which files there are.
 
     Raises FlightError if a file cannot be written.
     """
+    from hexjet_design.page import make_page
 
-    name = f"{design.vehicle.name}-{design.engine.name}"
-    file = out if out is not None else new_folder(Path("runs"), f"design-{name}") / "controller.toml"
     paths = {}
-    file.parent.mkdir(parents=True, exist_ok=True)
     if design.is_written:
         mark = "" if design.ok else f"# {NOT_PROVED}: {design.reason}\n\n"
         write_files({file: mark + toml_text(make_controller_table(design, file.parent))})
         paths["controller"] = file
-    paths["report"] = file.with_suffix(".html") if out is not None else file.parent / PAGE
-    from hexjet_design.page import make_page
-
+    paths["report"] = file.with_suffix(".html")
     make_page(design).write(paths["report"])
     return paths
 

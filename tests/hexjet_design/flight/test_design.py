@@ -652,7 +652,7 @@ def test_the_command_writes_file_and_page(capfd: pytest.CaptureFixture[str], tmp
     assert 'id="figure-nyquist_roll"' in page
 
 
-@pytest.mark.parametrize(("place", "said"), [(".", "' is a directory"), ("file/made.toml", ": cannot be written to: ")])
+@pytest.mark.parametrize(("place", "said"), [("file", ": is a file; "), ("file/made.toml", ": cannot be written to: ")])
 def test_where_nothing_can_be_written_nothing_is_searched(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, place: str, said: str
 ) -> None:

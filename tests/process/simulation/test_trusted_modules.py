@@ -80,10 +80,10 @@ def test_a_folder_without_init_is_asked_for(mark: Path) -> None:
 
 def test_a_name_that_is_installed_elsewhere_is_asked_for(mark: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is run is what is found first, whoever else has a package of this name."""
-    for name in [name for name in sys.modules if name.partition(".")[0] == "click"]:
+    for name in [name for name in sys.modules if name.partition(".")[0] == "tomli_w"]:
         monkeypatch.delitem(sys.modules, name)
-    write("click/__init__.py", mark)
-    refused("click")
+    write("tomli_w/__init__.py", mark)
+    refused("tomli_w")
     assert not mark.exists()
 
 

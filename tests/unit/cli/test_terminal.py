@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,7 +18,7 @@ from cosim.base.wording import printable_line
 from cosim.cli import main as command
 from cosim.cli.console import show_result
 from cosim.results.run import open_run
-from hexjet_design.command import fly_command
+from hexjet_design.api import DesignResult
 
 RUN = sorted((TESTS / "older").iterdir())[0] / "run"
 
@@ -99,14 +98,17 @@ def test_ctrl_c_is_answered_in_a_line(monkeypatch: pytest.MonkeyPatch, capsys: p
 
 def test_a_design_that_no_flight_would_know_is_refused_before_the_search(hexjet: Hexjet, tmp_path: Path) -> None:
     done = hexjet("design", "--engine", "edf", "--out", "d.txt")
-    assert (done.status, done.err) == (2, "hexjet: --out d.txt: must end in .toml, by which --controller knows it\n")
+    wanted = "hexjet design writes a folder, or a file that ends in .toml"
+    assert (done.status, done.err) == (2, f"hexjet: --out d.txt: names a file by its ending; {wanted}\n")
 
 
 def test_a_design_says_the_command_that_flies_it() -> None:
-    options: Any = SimpleNamespace(aircraft="hexjet", engine=None, settings=())
-    assert fly_command(options, Path("runs/d/c.toml")) == "hexjet fly SCENARIO --controller runs/d/c.toml"
-    options = SimpleNamespace(aircraft="quadjet", engine="my e.fmu", settings=("engine_parameters.delay=4",))
-    assert fly_command(options, Path("c.toml")) == (
+    designed: Any = None
+    chosen = [("--aircraft", "quadjet"), ("--engine", "my e.fmu"), ("--set", "engine_parameters.delay=4")]
+    result = DesignResult(designed, None, chosen)
+    assert result.fly_command == ""
+    result.files = {"controller": Path("c.toml")}
+    assert result.fly_command == (
         "hexjet fly SCENARIO --aircraft quadjet --engine 'my e.fmu' --set engine_parameters.delay=4 --controller c.toml"
     )
 

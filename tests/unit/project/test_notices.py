@@ -55,7 +55,7 @@ def test_every_script_of_others_has_a_licence_that_goes_with_it() -> None:
 def test_every_dependency_is_in_the_notice() -> None:
     names = {
         "fmpy": "FMPy", "jinja2": "Jinja2", "jsbsim": "JSBSim", "numpy": "NumPy", "pyarrow": "PyArrow", "pydantic": "Pydantic",
-        "scipy": "SciPy", "click": "Click", "rich": "Rich",
+        "scipy": "SciPy", "rich": "Rich",
     }  # fmt: skip
     needed = [re.match(r"[\w-]+", entry)[0] for entry in PROJECT["dependencies"]]  # type: ignore[index]
     assert [name for name in needed if names.get(name, name) not in NOTICE] == []

@@ -1,1 +1,0 @@
-"""Commands that are still written for click, and what they share."""
