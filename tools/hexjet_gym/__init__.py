@@ -26,7 +26,7 @@ except ModuleNotFoundError as error:
     if error.name != "gymnasium":
         raise
     raise ModuleNotFoundError(
-        "hexjet_gym needs gymnasium, which is not installed: pip install 'hexjet-cosim[gym]'", name="gymnasium"
+        "hexjet_gym needs gymnasium, which is not installed: pip install gymnasium", name="gymnasium"
     ) from None
 
 ACTS = ("actuators", "rates", "attitude")  # what an action is

@@ -34,7 +34,7 @@ def osqp() -> Any:
     try:
         import osqp
     except ImportError:
-        raise InputError("mpc needs the package osqp: pip install 'hexjet-cosim[mpc]'") from None
+        raise InputError("mpc needs the package osqp: pip install osqp") from None
     return osqp
 
 

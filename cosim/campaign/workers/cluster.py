@@ -352,9 +352,7 @@ def _dask() -> Any:
     try:
         import distributed
     except ImportError as error:
-        raise InputError(
-            f"--cluster needs Dask, which is not installed ({error}): pip install 'hexjet-cosim[cluster]'"
-        ) from error
+        raise InputError(f"--cluster needs Dask, which is not installed ({error}): pip install distributed") from error
     return distributed
 
 

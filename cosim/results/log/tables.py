@@ -81,9 +81,7 @@ class Columnar:
         except ModuleNotFoundError as error:
             if error.name != "pandas":
                 raise
-            raise InputError(
-                "a table needs pandas, which is not installed: pip install 'hexjet-cosim[notebook]'"
-            ) from None
+            raise InputError("a table needs pandas, which is not installed: pip install pandas") from None
         chosen = [require(name, self.columns) for name in names or self.columns]
         values = self._read(list(dict.fromkeys([TIME, *chosen])))
         frame = DataFrame(values, index=Index(values.pop(TIME), name=TIME))

@@ -147,7 +147,7 @@ def as_plotly(figure: dict[str, Any]) -> Any:
     try:
         from plotly.graph_objects import Figure
     except ImportError:
-        raise InputError("a plot needs plotly, which is not installed: pip install 'hexjet-cosim[notebook]'") from None
+        raise InputError("a plot needs plotly, which is not installed: pip install plotly") from None
     return Figure(figure)
 
 

@@ -183,7 +183,7 @@ def test_what_has_no_limit_is_a_line(channel: dict[str, float], bounds: Bounds, 
 
 def test_without_the_solver_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"pip install 'hexjet-cosim\[limit\]'"):
+    with pytest.raises(InputError, match=r"pip install clarabel"):
         find_limit(roll(), LAWS["pid"][0])
 
 

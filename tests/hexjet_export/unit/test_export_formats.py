@@ -246,7 +246,9 @@ def test_a_missing_extra_is_one_line(run: Run, tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr(builtins, "__import__", without)
     assert run.folder is not None
-    with pytest.raises(InputError, match=r"^MCAP needs mcap.*: pip install 'hexjet-cosim\[export\]'$"):
+    with pytest.raises(
+        InputError, match=r"^MCAP needs mcap.*: pip install mcap mcap-protobuf-support foxglove-schemas-protobuf$"
+    ):
         export_log("mcap", run.folder, tmp_path / "x.mcap")
     assert not list(tmp_path.iterdir())
 

@@ -247,5 +247,5 @@ def test_without_the_extra_it_says_which_one() -> None:
     script = "import sys; sys.modules['gymnasium'] = None\nimport hexjet_gym"
     answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=ROOT)
     assert answer.stderr.splitlines()[-1] == (
-        "ModuleNotFoundError: hexjet_gym needs gymnasium, which is not installed: pip install 'hexjet-cosim[gym]'"
+        "ModuleNotFoundError: hexjet_gym needs gymnasium, which is not installed: pip install gymnasium"
     )

@@ -59,7 +59,7 @@ WORDS = {
     "step_error": "more step error",
     "delay_error": "less tolerance of the delay",
 }
-HINT = "pip install 'hexjet-cosim[limit]'"
+HINT = "pip install clarabel"
 
 
 class Bounds(NamedTuple):

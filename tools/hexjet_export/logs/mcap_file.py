@@ -73,7 +73,8 @@ def export_mcap(run: Run, path: Path) -> None:
         if (error.name or "").partition(".")[0] not in ("mcap", "mcap_protobuf", "google", "foxglove_schemas_protobuf"):
             raise
         raise InputError(
-            f"MCAP needs {error.name}, which is not installed: pip install 'hexjet-cosim[export]'"
+            f"MCAP needs {error.name}, which is not installed: "
+            "pip install mcap mcap-protobuf-support foxglove-schemas-protobuf"
         ) from None
 
     with open(path, "wb") as file:

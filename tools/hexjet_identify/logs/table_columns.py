@@ -100,7 +100,8 @@ def read_mcap(path: Path) -> TableColumns:
         from mcap.reader import make_reader
     except ModuleNotFoundError as error:
         raise InputError(
-            f"{path}: MCAP needs {error.name}, which is not installed: pip install 'hexjet-cosim[export]'"
+            f"{path}: MCAP needs {error.name}, which is not installed: "
+            "pip install mcap mcap-protobuf-support foxglove-schemas-protobuf"
         ) from None
     rows: dict[str, list[bytes]] = {}
     names: dict[str, list[str]] = {}

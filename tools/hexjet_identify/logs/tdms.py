@@ -24,7 +24,7 @@ def read(path: Path) -> FlightLog:
     tables.  Raises InputError without npTDMS, for a damaged file, and where no channel has a time.
     """
     if find_spec("nptdms") is None:
-        raise InputError(f"{path}: TDMS needs npTDMS, which is not installed: pip install 'hexjet-cosim[tdms]'")
+        raise InputError(f"{path}: TDMS needs npTDMS, which is not installed: pip install nptdms")
     from nptdms import TdmsFile
 
     try:

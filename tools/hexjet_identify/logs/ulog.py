@@ -35,7 +35,7 @@ def read(path: Path) -> FlightLog:
     Raises InputError, and whatever pyulog may for a damaged file.
     """
     if find_spec("pyulog") is None:
-        raise InputError("a ULog needs pyulog, which is not installed: pip install 'hexjet-cosim[logs]'")
+        raise InputError("a ULog needs pyulog, which is not installed: pip install pyulog")
     data = path.read_bytes()
     begin = max(data[:SEARCHED].find(MAGIC), 0)
     printed = io.StringIO()

@@ -34,7 +34,7 @@ KEPT = (
     "shifts",
     "contradiction",
 )  # of rare.json
-HINT = "pip install 'hexjet-cosim[worst]'"
+HINT = "pip install cmaes"
 
 
 def search_failures(

@@ -206,9 +206,7 @@ def _optimiser(start: Array, sigma: float, seed: int) -> Any:
     try:
         from cmaes import CMA
     except ImportError as error:
-        raise InputError(
-            "a search for the worst case needs the package cmaes: pip install 'hexjet-cosim[worst]'"
-        ) from error
+        raise InputError("a search for the worst case needs the package cmaes: pip install cmaes") from error
     return CMA(mean=start, sigma=sigma, seed=seed)
 
 
