@@ -474,8 +474,8 @@ def columns_page() -> str:
         "# Columns of the log\n\nOne row of `flight.parquet` is one control step `k`. True and measured quantities are taken at `t_k`, before the "
         f"step; everything else acts over `[t_k, t_k+1)`. All are float64. A vehicle with more than {JETS} jets has the columns of jets up "
         f"to {MOST_JETS} too; one with fewer has NaN there. Body is forward-right-down, NED north-east-down with its origin on the ground "
-        "below the start. Columns that a block [of your own](../docs/own-blocks.md) shows come last. In exports the names are the same, or "
-        "[stated beside](../docs/log-export.md).\n\n"
+        "below the start. Columns that a block [of your own](../docs/own-controller.md#your-own-metric-wind-sensors-and-observer) shows come last. In exports the names are the same, or "
+        "[stated beside](../docs/runs.md#the-log-in-other-tools).\n\n"
     )
     rows = [
         [f"`{each.name}`", cell(each.unit) or "-", cell(each.frame) or "-", cell(each.meaning)]
@@ -505,7 +505,7 @@ def metrics_page() -> str:
     """Every metric with its unit."""
     head = (
         "# Metrics\n\nNames as `[[expect]]`, `[success]`, `--success`, `summary.json` and campaigns use them; the [definitions](../docs/metrics.md), "
-        "with what each leaves out. A metric [of your own](../docs/own-blocks.md) is `own.NAME`.\n\n"
+        "with what each leaves out. A metric [of your own](../docs/own-controller.md#your-own-metric-wind-sensors-and-observer) is `own.NAME`.\n\n"
     )
     rows = [[f"`{name}`", _unit(name), meaning] for name, meaning in metrics()]
     return head + table(("metric", "unit", "meaning"), rows)

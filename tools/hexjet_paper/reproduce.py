@@ -59,9 +59,7 @@ Task = tuple[Callable[..., Any], tuple[Any, ...]]  # a function that another pro
 
 
 @checked(workers=Limits(1, 64))
-def reproduce(
-    out: str | Path = Path("runs/paper"), *, workers: int = 2, progress: Progress | None = None
-) -> Reproduction:
+def reproduce(out: str | Path = "runs/paper", *, workers: int = 2, progress: Progress | None = None) -> Reproduction:
     """Reproduce the paper: every experiment on the linear plant and in six degrees of freedom, number by number.
 
     Leaves comparison.csv, comparison.json and report.html.  An interrupted call goes on where it ended.

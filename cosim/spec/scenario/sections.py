@@ -82,7 +82,7 @@ class Expectation(Model):
 
 
 class RequireEntry(Model):
-    """A requirement on the flight: a formula over its signals, with a margin; see docs/requirements.md."""
+    """A requirement on the flight: a formula over its signals, with a margin; see docs/metrics.md."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
     formula: str  # always(abs(roll_deg) < 30)

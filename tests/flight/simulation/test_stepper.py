@@ -103,7 +103,7 @@ def test_blocks_of_the_users_go_back_too_and_observers_see_each_flight(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A wind over place, sensors with random numbers, a metric; an observer is of one flight, and closed after it."""
-    page = (ROOT / "docs" / "own-blocks.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "own-controller.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"<!-- blocks -->\n```python\n(.*?)```", page, re.DOTALL)
     (tmp_path / "mine.py").write_text(code)
     mine = {key: f"{tmp_path / 'mine.py'}:{name}" for key, name in (("wind", "Shear"), ("sensors", "Drifting"))}

@@ -337,7 +337,7 @@ def apart(db: float, other: float | None) -> float:
 
 
 def test_what_is_off_of_hexjet_p220s_roll_is_the_air_it_takes_along_and_its_rotors_spin() -> None:
-    """docs/margins.md: taken away one by one, what is left is as computed, to 2 % of every factor."""
+    """docs/judging.md: taken away one by one, what is left is as computed, to 2 % of every factor."""
     still_rotors = [f"vehicle.jets.{jet}.spin=0" for jet in range(6)]
     scenario, without = (
         still(Scenario.read("full-scale-hover", ["sensor_noise=false", *changes])) for changes in ([], still_rotors)
@@ -358,7 +358,7 @@ def test_what_is_off_of_hexjet_p220s_roll_is_the_air_it_takes_along_and_its_roto
     assert abs(apart(silent["gain_down_db"].value, whole.gain_down_db)) < 0.02
     for name in ("phase_deg", "delay_s", "peak_sensitivity"):
         assert silent[name].value == pytest.approx(getattr(whole, name), rel=0.02), name
-    page = "docs/margins.md"
+    page = "docs/judging.md"
     stated(page, "every margin is within {} % of what is computed", 2)
     assert whole.gain_db is not None
     assert whole.gain_down_db is not None
@@ -380,7 +380,7 @@ def test_what_is_off_of_hexjet_p220s_roll_is_the_air_it_takes_along_and_its_roto
 
 @pytest.mark.long
 def test_what_is_off_of_hexjet_100s_roll_is_the_air_it_takes_along_and_what_its_engines_feel() -> None:
-    """docs/margins.md: computed with both dampings it is as measured, to 2 %."""
+    """docs/judging.md: computed with both dampings it is as measured, to 2 %."""
     changes = ['engine="turbine-100"', 'controller="state-disturbance"', "sensor_noise=false"]
     scenario = still(Scenario.read("hover", ['aircraft="hexjet-100"', *changes]))
     sine = multisine(20.0, scenario.step_s, 0.1, 25.0)
@@ -406,7 +406,7 @@ def test_what_is_off_of_hexjet_100s_roll_is_the_air_it_takes_along_and_what_its_
     assert design.phase_deg is not None
     for name in ("gain_db", "gain_down_db"):
         assert abs(apart(flown[name].value, getattr(whole, name))) < 0.02, name
-    page = "docs/margins.md"
+    page = "docs/judging.md"
     stated(page, "Of hexjet-100's roll it is the streams, {} N m s", streams(vehicle))
     stated(page, "a turbine gives {} N less for every metre a second", less)
     stated(page, "which damps with another {} N m s", felt)

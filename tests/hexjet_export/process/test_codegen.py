@@ -141,7 +141,7 @@ def test_a_microcontroller_repeats_the_flight(flown: Path, board: str, flags: li
 
 
 def test_single_precision_says_where_it_is_not_enough(tmp_path: Path) -> None:
-    """The one built-in controller of docs/controller-export.md that a float does not carry."""
+    """The one built-in controller of docs/export.md that a float does not carry."""
     flight = scenario("full-scale-roll-doublet", controller="filtered-smith", duration_s=3.0)
     done = export_controller(flight, tmp_path / "out", name="ours", fmus=False).exported
     assert done.measured is not None
@@ -188,7 +188,7 @@ def test_cppcheck_has_nothing_to_say(flown: Path) -> None:
         "2.5",
         "12.1",
         "12.3",
-    }  # as docs/controller-export.md says
+    }  # as docs/export.md says
 
 
 def test_no_heap_no_globals_no_library_but_mathematics(flown: Path, tmp_path: Path) -> None:
@@ -333,7 +333,7 @@ def test_what_cannot_be_is_one_line(hexjet: Hexjet, arguments: list[str], messag
 
 
 def page() -> str:
-    return (DOCS / "controller-export.md").read_text(encoding="utf-8")
+    return (DOCS / "export.md").read_text(encoding="utf-8")
 
 
 def test_the_first_lines_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

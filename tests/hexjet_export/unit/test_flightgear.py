@@ -1,4 +1,4 @@
-"""FlightGear's packets (docs/log-export.md): their layout by its header, what stands in them, and a flight that sends them."""
+"""FlightGear's packets (docs/runs.md): their layout by its header, what stands in them, and a flight that sends them."""
 
 from __future__ import annotations
 

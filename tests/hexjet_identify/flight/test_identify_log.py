@@ -1,4 +1,4 @@
-"""A model out of a log: the truth where it is known, and a refusal where a log does not tell (docs/identify-logs.md)."""
+"""A model out of a log: the truth where it is known, and a refusal where a log does not tell (docs/identification.md)."""
 
 import json
 import re
@@ -328,7 +328,7 @@ def test_two_real_flights_of_one_vehicle_predict_each_other() -> None:
         sums.append((total - 1.96 * deviation, total + 1.96 * deviation))
     for (a, b), (c, d) in (delays, gains, lags, sums):
         assert max(a, c) <= min(b, d)
-    page = (Path(__file__).parents[3] / "docs" / "identify-logs.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "identification.md").read_text(encoding="utf-8")
     for name, pairs, unit, form in (
         ("delay, ms", delays, 1e3, ".1f"), ("gain, 1e-10 g a count squared", gains, 1e10, ".3f"), ("lag, ms", lags, 1e3, ".0f"),
         ("delay and lag together, ms", sums, 1e3, ".1f"),

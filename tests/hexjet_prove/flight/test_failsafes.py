@@ -541,8 +541,8 @@ def test_what_is_drawn_is_the_same_again_and_other_for_every_flight() -> None:
     ]
     tall = [start.height for start, number in table.Conditions(flights=2).starts(fuel)]
     assert tall == [3.0, 3.0, 10.0, 10.0, 30.0, 30.0, 100.0, 300.0]
-    stated("docs/failsafes.md", "What takes long, from {} and {} m, is one flight", *table.TALL_M)
-    stated("docs/failsafes.md", "A flight takes off, hovers for {} to {} s, and then something fails", *table.HOVER_S)
+    stated("docs/faults.md", "What takes long, from {} and {} m, is one flight", *table.TALL_M)
+    stated("docs/faults.md", "A flight takes off, hovers for {} to {} s, and then something fails", *table.HOVER_S)
     with Flight("hexjet-p220") as flight:
         energy = flight.pilot.energy
 

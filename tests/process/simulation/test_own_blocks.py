@@ -23,7 +23,7 @@ from cosim.simulation.build import build
 from cosim.simulation.plugins import WindTable, find_block
 from hexjet_prove.search.search import describe_flight
 
-PAGE = ROOT / "docs" / "own-blocks.md"
+PAGE = ROOT / "docs" / "own-controller.md"
 SHORT = Scenario.load("roll-doublet").replace(duration_s=0.2, expect=[])
 STEADY = (2.0, -3.0, 0.5)
 

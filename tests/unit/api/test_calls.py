@@ -241,7 +241,7 @@ def test_records_show_themselves_on_one_line_and_as_tables() -> None:
     assert "roll_rad" in run.log._ipython_key_completions_()
 
 
-PAGES = [ROOT / "README.md", *(DOCS / f"{name}.md" for name in ("tutorial", "python", "requirements", "prove"))]
+PAGES = [ROOT / "README.md", *(DOCS / f"{name}.md" for name in ("tutorial", "python", "metrics", "prove"))]
 
 
 @pytest.mark.parametrize("path", [*sorted((ROOT / "examples").glob("*.py")), *PAGES], ids=lambda path: path.stem)

@@ -84,10 +84,10 @@ def test_the_spin_is_where_damping_holds_the_reaction_and_within_the_vehicles_li
     _, spins, totals = body(0, 8.0)
     assert spins[-1] == pytest.approx(0.9 * LIMIT, rel=0.01)
     assert totals[-1] == pytest.approx(WEIGHT, rel=0.01)
-    page = "docs/failsafes.md"
+    page = "docs/faults.md"
     stated(page, "the spin would end at {} deg/s", degrees(alone))
     stated(page, "vehicle's limit of {} deg/s; the spin", VEHICLE.limits.rate_deg_s)
-    stated(page, "time constant of {} s", INERTIA[2] / DAMPING[2])
+    stated(page, "approaches that with a time constant of {} s", INERTIA[2] / DAMPING[2])
     stated(page, "gives {} N", across)
     stated(page, "then spins at {} deg/s", degrees(0.9 * LIMIT))
     leg = next(contact for contact in VEHICLE.contacts if contact.kind == "leg").position_m
@@ -98,7 +98,7 @@ def test_the_spin_is_where_damping_holds_the_reaction_and_within_the_vehicles_li
 @pytest.mark.parametrize("lost", range(4))
 def test_any_rotor_may_be_lost_and_it_is_level_again(lost: int) -> None:
     leans, spins, _ = body(lost, 2.5)
-    stated("docs/failsafes.md", "leans by up to {} deg first", degrees(leans.max()))
+    stated("docs/faults.md", "leans by up to {} deg first", degrees(leans.max()))
     assert degrees(leans[-400:].max()) < 3.0
     assert spins[-1] * VEHICLE.jets[lost].reaction_m < 0.0
 

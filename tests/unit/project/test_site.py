@@ -1,4 +1,4 @@
-"""The documentation's site (docs/README.md is its contents, docs/glossary.md a part of it): its reference has everything, its links lead somewhere, its tutorial's commands exist.
+"""The documentation's site (docs/README.md is its contents): its reference has everything, its links lead somewhere, its pages' commands exist.
 
 That Sphinx builds it without a warning is a long test of its own, and so is the tutorial as written.
 """
@@ -164,7 +164,7 @@ def test_the_pages_that_open_in_place_are_made_and_shown(website: dict[str, Any]
 
     shown = {name for page in website["sources"]() for _, _, name in website["PICTURE"].findall(page.read_text())}
     assert set(website["LIVE"]) <= shown & set(PAGES)
-    page = DOCS / "flight-page.md"
+    page = DOCS / "runs.md"
     text = website["_seen_from"](page, "a ![b](pictures/page-flight.png) [c](../README.md#install)", tmp_path, True)
     assert text.split() == [
         *("a", "```{image}", "pictures/page-flight.png", ":alt:", "b", ":class:", "live"),
@@ -173,17 +173,30 @@ def test_the_pages_that_open_in_place_are_made_and_shown(website: dict[str, Any]
     assert (tmp_path / "docs" / "pictures" / "page-flight.png").is_file()
 
 
-# --- the tutorial -----------------------------------------------------------------------------------------------------
+# --- commands on pages ------------------------------------------------------------------------------------------------
 
 
-def test_the_commands_of_the_tutorial_exist() -> None:
+def commands(page: Path) -> Iterator[str]:
+    """The calls of hexjet in blocks of a page without a language, without what is said of them behind three blanks."""
+    blocks = re.findall(
+        r"^```(?:sh)?\n(.*?)^```|((?:^ {4}\S.*\n)+)", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
+    for line in "\n".join(fenced or indented for fenced, indented in blocks).replace("\\\n", " ").splitlines():
+        if found := re.match(r" *(?:\$ )?(?:\.venv/bin/)?hexjet (?!goes)(.*)", line):
+            for command in found[1].split(" && hexjet "):
+                yield re.split(r" {3,}(?!-)| > | && ", command)[0]
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda page: page.stem)
+def test_the_commands_of_a_page_exist(page: Path) -> None:
     """Every one with its options, as the command line reads them; nothing is flown."""
-    lines = re.findall(r"^hexjet .*$", (DOCS / "tutorial.md").read_text(encoding="utf-8"), re.MULTILINE)
-    commands = [command for line in lines for command in line.split(" && ")]
-    assert len(commands) > 8
-    for line in commands:
-        name, words = table.find(shlex.split(line, comments=True)[1:])
+    for command in commands(page):
+        name, words = table.find(shlex.split(command, comments=True))
         table.load(name).read(words)
+
+
+def test_there_are_commands_on_pages() -> None:
+    assert sum(len(list(commands(page))) for page in DOCS.glob("*.md")) > 100
 
 
 @pytest.mark.long
@@ -210,7 +223,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     index = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
     assert index.count('class="door docutils container"') == 6
     texts = (tmp_path / "site" / "_static" / "texts.js").read_text(encoding="utf-8")
-    assert '"docs/margins": "' in texts
+    assert '"docs/judging": "' in texts
     assert "<!-- measured" not in texts
     assert "texts.js" in (tmp_path / "site" / "search.html").read_text(encoding="utf-8")
     assert "texts.js" not in index

@@ -1,4 +1,4 @@
-"""Requirements of a flight: margins of limits and ranges, lost flights, what is refused, and docs/requirements.md."""
+"""Requirements of a flight: margins of limits and ranges, lost flights, what is refused, and docs/metrics.md."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from hexjet_prove.search.search import describe_flight
 from hexjet_prove.surveys.faults import judge
 from hexjet_prove.surveys.survey import held_formula
 
-PAGE = (DOCS / "requirements.md").read_text(encoding="utf-8")
+PAGE = (DOCS / "metrics.md").read_text(encoding="utf-8")
 STEP = 0.1
 LEVEL = {"name": "level", "formula": "always(abs(roll_deg) < 30)"}
 
@@ -288,7 +288,7 @@ def test_the_page_has_every_word() -> None:
 
 
 def test_the_examples_of_the_page_run() -> None:
-    (text,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
+    (text,) = re.findall(r"```toml\n(\[\[require\]\].*?)```", PAGE, re.DOTALL)
     check_expected(Scenario.load("roll-doublet").replace(require=tomllib.loads(text)["require"]))
     (program,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     exec(program, {})

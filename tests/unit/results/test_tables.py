@@ -94,3 +94,13 @@ def test_the_page_s_notebook_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     assert told["table"].attrs["units"] == {"roll_rad": "rad", "thrust_1_N": "N"}
     told["figure"].write_html(tmp_path / "roll.html")
     assert (tmp_path / "roll.html").stat().st_size > 1e6  # with the library that draws it
+
+
+def test_the_figure_of_the_page_is_drawn(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="no matplotlib, which python-control brings: make setup")
+    monkeypatch.setenv("MPLBACKEND", "pdf")
+    monkeypatch.chdir(tmp_path)
+    page = (ROOT / "docs" / "figures.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"<!-- figure -->\n```python\n(.*?)```", page, re.DOTALL)
+    exec(code.replace('load("roll-doublet")', 'load("roll-doublet").replace(duration_s=0.02)'), {})
+    assert (tmp_path / "roll.pdf").stat().st_size > 5_000

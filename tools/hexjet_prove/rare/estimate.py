@@ -5,7 +5,7 @@ the whole simulation is repeated, each repeat from its own random numbers, and h
 method does not know.  Their probabilities are nearly lognormal, so the interval is Cox's of a lognormal mean with
 Student's t: y + s^2 / 2 +- t sqrt(s^2 / K + s^4 / (2 (K + 1))) with mean y and variance s^2 of K logarithms (X. H. Zhou
 and S. Gao, Statist. Med. 16 (1997) 783-790), the second term with K + 1 because it is unbiased so.  How often it holds
-the truth is measured: docs/rare.md.
+the truth is measured: docs/campaigns.md.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hexjet_prove.rare.subset import LEVEL_FRACTION, Repeat
 REPEATS = 8  # chosen by us: t of 7 degrees of freedom, and levels that are not too small
 CONFIDENCE = LEVEL
 SEEDS_DECIDE = 0.5  # of seed_effect: below it noise decides; 0.4 to 0.1 where half of the margin's variance is its
-# Flights a level at least, of one group of requirements (five starts) and of one of several (docs/tables/rare.md), and
+# Flights a level at least, of one group of requirements (five starts) and of one of several (docs/campaigns.md), and
 # the part of all flights that several groups leave to the search for the nearest failure.
 SMALLEST_LEVEL, SMALLEST_OF_SEVERAL, SEARCHED = 50, 20, 0.05
 

@@ -138,7 +138,7 @@ class RareResult:
             return ""
         return (
             f"a flight with another seed stays as near to failure {effect:.2f} times as often as with the same one: "
-            "wind and noise decide, no chain leads there, and the interval is wide (docs/rare.md)"
+            "wind and noise decide, no chain leads there, and the interval is wide (docs/campaigns.md)"
         )
 
     @property
