@@ -438,19 +438,6 @@ def test_one_silent_one_flooding_and_two_are_served(vehicle: VehicleProcess) -> 
     print(summary["pacing"])  # how many deadlines were missed says more of the machine than of us
 
 
-def test_who_goes_silent_is_missed(vehicle: VehicleProcess) -> None:
-    """The last ground station in the air is lost: the vehicle returns and lands by itself."""
-    with Station(vehicle.port) as only:
-        only.until("SYS_STATUS", lambda m: bool(m.onboard_control_sensors_health & 1 << 28), FLIGHT_PATIENCE)
-        assert only.command(ARM, 1.0) == 0
-        assert only.command(TAKEOFF, 0.0, 0.0, 0.0, NAN, NAN, NAN, NAN) == 0
-        only.until("HEARTBEAT", lambda m: only.mode == HOLD and only.armed, FLIGHT_PATIENCE)
-        only.hush()
-        only.until("HEARTBEAT", lambda m: only.mode == RETURN, FLIGHT_PATIENCE)
-        only.until("HEARTBEAT", lambda m: not only.armed, FLIGHT_PATIENCE)
-        assert any("no ground station" in text for text in only.texts())
-
-
 @pytest.mark.long
 def test_a_stranger_without_the_key_is_not_obeyed(tmp_path: Path) -> None:
     """Signing on: who has the key flies; unsigned, wrongly signed and replayed frames change nothing."""

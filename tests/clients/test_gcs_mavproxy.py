@@ -11,13 +11,15 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from gcs_tools import LOOPBACK, VehicleProcess, mavlogdump
 from patience import FLIGHT_PATIENCE
 
+from cosim import fly
 from cosim.control.autopilot import requests as rq
 from cosim.results.autopilot.request_log import read_requests
-from cosim.results.run import REQUESTS
+from cosim.results.run import REQUESTS, open_run
 
 MAVPROXY = Path(sys.executable).parent / "mavproxy.py"
 MODULES = (
@@ -145,6 +147,11 @@ def test_connect_parameters_arm_take_off_land_and_logs(both: tuple[VehicleProces
     takeoff = flown[2]
     assert isinstance(takeoff, rq.Takeoff)
     assert takeoff.altitude_m == pytest.approx(10.0, abs=0.5)  # above the sea, which is the ground here
+
+    # without a ground station it is the same flight
+    run = open_run(vehicle.folder)
+    again = fly(vehicle.folder / "scenario.toml", report=False)
+    assert [c for c in run.log.columns if not np.array_equal(run.log[c], again.log[c], equal_nan=True)] == []
 
     # both logs, by a reader that is not ours
     for log in (proxy.log, vehicle.folder / "telemetry.tlog"):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,7 +29,7 @@ from mavsdk.plugins import mission as mis
 from mavsdk.plugins import offboard as off
 from mavsdk.plugins import param as par
 from mavsdk.plugins import telemetry as tel
-from patience import FLIGHT_PATIENCE, stretched
+from patience import FLIGHT_PATIENCE
 
 RTF = 6.0  # steps of 0.67 ms: a machine that does nothing else does three times as many
 SOON = 5.0  # s for anything that is only asked
@@ -310,19 +309,6 @@ def test_arm_take_off_goto_hold_return(drone: Drone) -> None:
     until(lambda: not telemetry.in_air(), SOON, "landed")
 
 
-def test_land_and_disarm_by_hand(drone: Drone) -> None:
-    drone.param.set_param_float("HJ_DISARM_LAND", 60.0)
-    try:
-        drone.take_off(3.0)
-        drone.action.land()
-        drone.until(lambda: drone.telemetry.landed_state() is tel.LandedState.ON_GROUND, "on the ground")
-        assert drone.telemetry.armed()
-        drone.action.disarm()
-        until(lambda: not drone.telemetry.armed(), SOON, "disarmed")
-    finally:
-        drone.param.set_param_float("HJ_DISARM_LAND", 2.0)
-
-
 # what is sent unasked, and what has to be asked for
 ALWAYS = (
     "position", "home", "in_air", "landed_state", "armed", "vtol_state", "attitude_quaternion", "attitude_euler",
@@ -374,20 +360,6 @@ def test_every_stream_that_is_claimed_comes_and_they_agree(drone: Drone) -> None
     assert (came["armed"], came["in_air"], came["flight_mode"]) == (True, True, tel.FlightMode.HOLD)
 
 
-def test_rates_are_set(drone: Drone) -> None:
-    """Never more often than asked; nearly as often, where the machine has the time for it."""
-    came: list[float] = []
-    handle = drone.telemetry.subscribe_attitude_euler(lambda value, _: came.append(time.monotonic()))
-    for rate, count in ((5.0, 10), (100.0, 40)):  # 25 a second unasked
-        drone.telemetry.set_rate_attitude_euler(rate)
-        begin, most = time.monotonic(), len(came) + count
-        until(lambda: len(came) >= most, FLIGHT_PATIENCE, f"{count} messages")  # noqa: B023
-        lasted = time.monotonic() - begin
-        assert lasted > (count - 5) / rate, (rate, lasted)  # some are on the way while the rate is set
-        assert lasted < stretched(count / rate), (rate, lasted)  # twice as long, and more on a busy machine
-    drone.telemetry.unsubscribe_attitude_euler(handle)
-
-
 def test_it_says_how_much_faster_than_time_it_is(drone: Drone) -> None:
     """MAVSDK divides simulation time by its own; a busy machine makes it slower."""
     drone.until(lambda: 0.3 * RTF < drone.info.get_speed_factor() < 1.3 * RTF, "speed factor")
@@ -427,18 +399,6 @@ def test_offboard_position_velocity_attitude(drone: Drone) -> None:
     offboard.stop()
     until(lambda: drone.mode is tel.FlightMode.HOLD, SOON, "hold")
     drone.stopped()
-
-
-def test_offboard_ends_when_the_set_points_do(drone: Drone) -> None:
-    drone.take_off(5.0)
-    drone.offboard.set_velocity_ned(off.VelocityNedYaw(0.0, 0.0, 0.0, 0.0))
-    drone.offboard.start()
-    until(lambda: drone.mode is tel.FlightMode.OFFBOARD, SOON, "offboard")
-    drone.param.set_param_float("HJ_OFFB_TIME", 0.1)  # s of flight: less than the time between two of its set-points
-    drone.until(lambda: drone.mode is tel.FlightMode.HOLD, "hold")
-    drone.param.set_param_float("HJ_OFFB_TIME", 5.0)
-    until(lambda: any("no more set-points" in text for text in drone.texts), SOON, "a reason")
-    drone.offboard.stop()
 
 
 class Pad:

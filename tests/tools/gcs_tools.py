@@ -128,9 +128,9 @@ class Station:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def hush(self) -> None:
-        """Say nothing any more, and go on listening."""
-        self._talks = False
+    def speak(self) -> None:
+        """Send heartbeats from now on."""
+        self._talks = True
 
     def sign(self, key: bytes) -> None:
         """Sign everything from here on."""

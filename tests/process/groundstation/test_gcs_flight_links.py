@@ -25,10 +25,6 @@ from cosim.simulation.pacing import PaceReport
 
 LOOK_STEPS = 5  # of flight between two turns of the link's loop
 BEAT_S, ASK_S = 1.0, 0.5  # between a station's heartbeats, and between its commands
-ANSWERED_S = 0.2
-UNREAD_S = 60.0  # for which nobody reads the port
-# what a pseudo-terminal of Linux holds before it takes no more (64 KiB of its buffer), and the line's own 50 ms
-HELD_BYTES = 65536 + 4096
 
 
 class Asker:

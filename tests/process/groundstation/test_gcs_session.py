@@ -12,7 +12,6 @@ import threading
 import time
 import tomllib
 from collections.abc import Callable, Iterator
-from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -310,38 +309,6 @@ def test_of_two_who_hold_sticks_the_first_flies_until_it_lets_go(tmp_path: Path)
     assert senders == ["255/190"] * 10 + ["254/190"]
 
 
-def test_a_second_stations_full_sticks_move_nobody(tmp_path: Path) -> None:
-    """They came last in every step, and the vehicle flew off at 4 m/s."""
-    session = Session(
-        Scenario.load("hover").replace(name="gcs"), Exchange(), records=RecordOptions(tmp_path / "run", report=False)
-    )
-    flight = session._next
-    assert flight is not None
-    flight.begin()
-    simulation, pilot, speeds = flight.simulation, flight.pilot, []
-
-    def fly(seconds: float, until: Callable[[], bool] = lambda: False) -> None:
-        for _ in range(round(seconds / simulation.dt)):
-            if simulation.k % 25 == 0:
-                flight.ask("255/190", rq.Sticks(0.0, 0.0, 0.0, 0.5), simulation.k)
-                flight.ask("254/190", rq.Sticks(1.0, 1.0, 1.0, 1.0), simulation.k)
-            simulation.step()
-            if pilot.mode is Mode.POSCTL:
-                speeds.append(hypot(*simulation.state.velocity[:2]))
-            if until():
-                return
-
-    fly(1.1)
-    assert flight.ask("255/190", rq.Arm(), simulation.k).accepted
-    assert flight.ask("255/190", rq.Takeoff(3.0), simulation.k).accepted
-    fly(30.0, lambda: pilot.mode is Mode.HOLD)
-    assert flight.ask("255/190", rq.SetMode("POSCTL"), simulation.k).accepted
-    fly(4.0)
-    assert pilot.mode is Mode.POSCTL
-    assert max(speeds) < 0.5
-    flight.close()
-
-
 def test_the_scenario_is_as_at_the_start(toured: Run) -> None:
     """Faults that came by request are in the requests, not in the scenario."""
     assert toured.folder is not None
@@ -434,21 +401,11 @@ def test_parameters_are_kept_for_the_vehicle_and_are_part_of_the_next_run(tmp_pa
     assert differing(again.log, session.runs[0].log) == []
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ('format = 1\nvehicle = "hexjet-edf-as-flown-smith"\n[parameters]\nHJ_ATT_ROLL = "fast"\n', "must be a number"),
-        ('format = 1\nvehicle = "quadrotor"\n', "not the parameters of hexjet-edf-as-flown-smith"),
-        ("HJ_ATT_ROLL = = 2\n", "kept.toml"),
-    ],
-)
-def test_a_file_of_parameters_that_cannot_be_used_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_a_file_of_parameters_that_cannot_be_used_is_refused(tmp_path: Path) -> None:
     kept = tmp_path / "kept.toml"
-    kept.write_text(text)
-    with pytest.raises(InputError, match=r"kept\.toml") as caught:
+    kept.write_text('format = 1\nvehicle = "quadrotor"\n')
+    with pytest.raises(InputError, match=r"kept\.toml.*not the parameters of hexjet-edf-as-flown-smith"):
         Session(Scenario.load("hover"), Exchange(), parameter_file=kept, records=RecordOptions(tmp_path / "run"))
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
     assert not (tmp_path / "run").exists()
 
 
