@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
 from math import hypot, radians
-from typing import Any
 
 import pytest
 from long_cases import long_after
@@ -24,7 +22,6 @@ from cosim.spec.scenario import FlameOut, Scenario, SensorBias
 from cosim.spec.vehicle import load_vehicle
 
 STANDING = 0.125
-Script = Iterable[tuple[float, Any]]
 
 
 def test_from_the_ground_to_a_place_and_back() -> None:
@@ -298,43 +295,6 @@ def test_kill_in_the_air_needs_force_and_then_it_falls() -> None:
         # thrust ends at once, and the rest is free fall
         assert sum(flight.samples[-1].engines.thrust) == 0.0
         assert flight.samples[-1].state.specific_force[2] == pytest.approx(0.0, abs=2.5)
-
-
-def test_engines_that_were_shut_off_on_the_ground_start_again() -> None:
-    with Flight() as flight:
-        flight.fly(1.1)
-        flight.ok(rq.Arm(), rq.Kill())
-        flight.fly(0.5)
-        assert sum(flight.samples[-1].engines.thrust) == 0.0
-        flight.ok(rq.Arm())
-        flight.fly(0.5)
-        assert sum(flight.samples[-1].engines.thrust) > 0.0
-        flight.ok(rq.Takeoff(2.0))
-        flight.fly(15.0, lambda: flight.pilot.landed is LandedState.IN_AIR)
-
-
-def test_a_flame_out_lands_the_vehicle() -> None:
-    """The monitor notices, allocation re-plans, the autopilot lands where it is."""
-    with Flight(airborne=True, monitor=True, initial={"altitude_m": 5.0}) as flight:
-        flight.fly(1.0)
-        flight.ok(rq.SetParameter("SYS_FAILURE_EN", 1), rq.InjectFault("flame_out", (5,)))
-        flight.fly(1.0)
-        assert flight.pilot.mode is Mode.LAND
-        assert flight.pilot.failsafe == "engine 5 failed"
-        flight.fly(20.0, lambda: flight.pilot.landed is LandedState.ON_GROUND)
-        assert flight.ending is None
-        assert "engine 5 failed" in flight.pilot.status.refusals or flight.pilot.armed
-
-
-def test_without_positions_it_lands_by_its_lean() -> None:
-    """Half a degree of error in the lean would be 0.09 m/s^2; the sensor here has none but noise."""
-    with Flight(airborne=True, initial={"altitude_m": 3.0}) as flight:
-        flight.fly(1.0)
-        flight.ok(rq.SetParameter("SYS_FAILURE_EN", 1), rq.InjectFault("sensor_dropout", sensor="gnss"))
-        flight.fly(1.8)
-        assert flight.pilot.mode is Mode.LAND
-        assert flight.pilot.failsafe == "position lost"
-        assert flight.ending is None
 
 
 def test_a_mission_climbs_before_it_leaves() -> None:
