@@ -29,7 +29,6 @@ from hexjet_design import design as make
 from hexjet_design.loop.actuator import Actuator
 from hexjet_design.loop.channel import Channel, channels
 from hexjet_design.loop.closed_loop import WINDOW
-from hexjet_design.loop.limit import tolerated_error
 
 SMALL = 1e-3  # rad, rad/s, and of the command: what the impulses are
 LOST = 1e3  # times the impulse: the loop runs away
@@ -140,14 +139,6 @@ class LawLoop:
             return None
         return float(np.abs(1.0 / (1.0 + self.open_loop * np.exp(-1j * self.theta[1:] * samples))).max())
 
-    def delays_within(self, peak: float, most: float) -> tuple[float, float]:
-        """Errors of the delay, less and more, in quarters of a sample and up to ``most``, before the peak is higher.
-
-        Beyond them the loop may still be stable: lobes of ``L`` that stay just below 1 make peaks and no poles.
-        """
-        less = tolerated_error(lambda error: self.with_delay(-error), peak, most)
-        return -less, tolerated_error(self.with_delay, peak, most)
-
     @cached_property
     def delay_margins(self) -> tuple[float, float]:
         """The delays less and more, in samples, at which a pole comes to the unit circle.
@@ -204,12 +195,6 @@ class LawLoop:
     def load_error(self) -> float:
         """Integrated absolute error of the angle after a unit step of load, rad s per unit of the command."""
         return float(np.abs(np.cumsum(self._load.angle)).sum()) * self.channel.step
-
-    def errors_within(self, seconds: float) -> tuple[float, float]:
-        """Return :attr:`step_error` and :attr:`load_error` as integrated over the first ``seconds`` alone."""
-        end = round(seconds / self.channel.step)
-        step, load = np.abs(1.0 - self.angle[:end]), np.abs(np.cumsum(self._load.angle[:end]))
-        return float(step.sum()) * self.channel.step, float(load.sum()) * self.channel.step
 
     @property
     def load_left(self) -> float:

@@ -13,12 +13,6 @@ DOCS = ROOT / "docs"
 DATA = ROOT.parent / "shared" / "data"  # measurements of others, where they are at hand
 
 
-def file_of(name: str) -> Path:
-    """The file of that name among the tests, in whatever folder it is."""
-    (path,) = TESTS.rglob(name)
-    return path
-
-
 def script(name: str) -> ModuleType:
     """docs/NAME.py, which is no module of the package, with those that it imports from beside it."""
     beside = str(DOCS)

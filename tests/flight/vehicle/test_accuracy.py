@@ -1,8 +1,7 @@
-"""How exact the airframe is: NASA's check cases, an independent integration of our own flights, and the page about both."""
+"""How exact the airframe is: NASA's check cases, and an independent integration of our own flights."""
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import replace
 from typing import Any
 
@@ -10,27 +9,18 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from benchmarks.accuracy.__main__ import (
-    BARE_MARK,
-    CLOSED_MARK,
-    main,
-)
-from benchmarks.accuracy.bare_jsbsim import measure
 from benchmarks.accuracy.check_cases import (
     CASES,
     QUANTITIES,
     Array,
-    _half_digit,
     compare,
     fly_case,
     read_simulators,
 )
 from benchmarks.accuracy.exact import density, geodetic, gravitation, local, start
 from benchmarks.accuracy.flights import (
-    CLOSED,
     OFF_CENTRE,
     SCHEMES,
-    WINDOW,
     Course,
     course,
     error,
@@ -38,10 +28,7 @@ from benchmarks.accuracy.flights import (
     fly_again,
     from_the_log,
 )
-from benchmarks.accuracy.runs_a_step import Apart, Flight, as_toml, vehicle_rows, worst
-from benchmarks.accuracy.runs_a_step import compare as compare_runs
 from cosim import Scenario, fly
-from cosim.results.report.marks import page_parts
 
 # Least and greatest of NASA's simulators after 30 s, from the same files, for where these are not at hand
 AFTER_30_S: dict[str, dict[str, tuple[float, float]]] = {
@@ -138,13 +125,6 @@ def test_a_wrong_body_is_found_outside() -> None:
     assert not rows["altitudeMsl_ft"]
 
 
-@pytest.mark.parametrize(
-    ("text", "half"), [("1.25", 0.005), ("3", 0.5), ("2.1E-5", 5e-7), ("-9.39E-9", 5e-12), ("2.09556463253E7", 5e-5)]
-)
-def test_half_a_unit_of_the_last_digit(text: str, half: float) -> None:
-    assert _half_digit(text) == pytest.approx(half, rel=1e-9)
-
-
 # --- the independent integration
 
 
@@ -239,7 +219,7 @@ def test_masses_and_rotors_act_with_the_forces(name: str, changes: dict[str, Any
 
 
 def test_a_gust_in_turbulence_is_integrated_from_its_log() -> None:
-    """The whole of ``gust``, damping, gust and drag off the centre included; docs/accuracy.md has the figures.
+    """The whole of ``gust``, damping, gust and drag off the centre included.
 
     Linear between rows is not what the turbulence, which changes at every run, did there; the rest is the airframe's own
     error.  Without the rate of the air the equations miss what the damping makes of it.
@@ -249,11 +229,6 @@ def test_a_gust_in_turbulence_is_integrated_from_its_log() -> None:
     assert log["air_rate_p_rad_s"].std() > 0.2  # a vehicle as small as this is turned, not only pushed
     rate, velocity = from_the_log(log, scenario)
     without, _ = from_the_log(log, scenario, air_turns=False)
-    page = " ".join((ROOT / "docs" / "accuracy.md").read_text().split())
-    assert (
-        f"after {WINDOW:g} s the rate misses by at most {rate:.1e} rad/s and the velocity by {velocity:.1e} m/s; without "
-        f"`air_rate_*` the rate misses by {without:.1e} rad/s"
-    ) in page
     assert rate < 2e-4
     assert velocity < 2e-4
     assert without > 30.0 * rate
@@ -264,91 +239,3 @@ def test_without_turbulence_the_air_does_not_turn() -> None:
     assert log["wind_north_m_s"][1:] == pytest.approx(3.0)
     for axis in "pqr":
         assert not log[f"air_rate_{axis}_rad_s"].any()
-
-
-# --- the command and its page
-
-
-def test_no_flight_as_flown_is_off_by_more_than_a_tenth_of_a_degree_and_a_centimetre() -> None:
-    parts = page_parts(ROOT / "docs" / "accuracy.md")
-    closed = [[cell.strip() for cell in row.strip("| ").split("|")] for row in parts[CLOSED_MARK].splitlines()[2:]]
-    assert {row[0] for row in closed} == set(CLOSED)
-    for row in closed:
-        assert float(row[1]) < 0.1, row
-        assert float(row[-1]) < 10.0, row
-
-
-@pytest.mark.filterwarnings("ignore:the matrix subclass")  # in which JSBSim's binding answers
-def test_jsbsim_alone_is_late_and_moves_the_structure() -> None:
-    """What docs/accuracy.md says to JSBSim's people, measured again."""
-    page = page_parts(ROOT / "docs" / "accuracy.md")[BARE_MARK]
-    for what, measured in measure():
-        assert f"| {what} | {measured} |" in page
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--data", "nowhere", "--only", "cases"], "nowhere: no files Atmos_02_sim_*.csv of the check cases"),
-        (["--only", "flights", "--page", "nothing.md"], "nothing.md: No such file"),
-    ],
-)
-def test_wrong_input_is_one_line(arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(arguments) == 2
-    told = capsys.readouterr().err
-    assert says in told
-    assert told.count("\n") == 1
-
-
-def test_the_check_cases_need_their_data(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main([])
-    assert end.value.code == 2
-    assert "--data FOLDER is needed" in capsys.readouterr().err
-
-
-# --- runs a step
-
-
-class Moved:
-    """A log of three rows, turned and moved by so much at the second."""
-
-    def __init__(self, yaw: float = 0.0, north: float = 0.0, rows: int = 3) -> None:
-        still = {f"{name}_rad": np.array([0.3, 0.4, 0.5]) for name in ("roll", "pitch", "yaw")}
-        still |= {f"{name}_m": np.array([1.0, 2.0, 3.0]) for name in ("north", "east", "down")}
-        still["yaw_rad"] = still["yaw_rad"] + np.array([0.0, yaw, 0.0])
-        still["north_m"] = still["north_m"] + np.array([0.0, north, 0.0])
-        self._columns = {name: values[:rows] for name, values in still.items()}
-
-    def __len__(self) -> int:
-        return len(self._columns["yaw_rad"])
-
-    def __getitem__(self, name: str) -> Array:
-        return self._columns[name]
-
-
-@pytest.mark.parametrize("turn", [1e-6, 0.01, 1.0, 3.0, 2.0 * np.pi + 0.01])
-def test_the_angle_between_attitudes_is_that_of_the_turn(turn: float) -> None:
-    apart = compare_runs(Moved(turn, 0.002), Moved())  # type: ignore[arg-type]
-    assert apart.attitude_deg == pytest.approx(np.degrees(turn % (2.0 * np.pi)), rel=1e-7)
-    assert apart.place_mm == pytest.approx(2.0)
-    assert compare_runs(Moved(turn, rows=1), Moved()) == (0.0, 0.0)  # type: ignore[arg-type]
-
-
-def test_a_vehicle_is_as_far_off_as_the_worst_of_its_flights() -> None:
-    flights = [
-        Flight("a", "one", "jet", "smith", False, {1: Apart(0.5, 1.0), 4: Apart(0.01, 0.002)}),
-        Flight("b", "three", "jet", "smith", False, {1: Apart(9.0, 9.0), 4: Apart(8.0, 8.0)}),
-        Flight("a", "two", "jet", "smith", True, {1: Apart(0.25, 3.0), 4: Apart(0.02, 0.001)}),
-    ]
-    assert worst(flights)["a"] == {1: (0.5, 3.0), 4: (0.02, 0.002)}
-    assert tomllib.loads(as_toml(flights))["a"] == {
-        "flights": 2,
-        "scenarios": ["one", "two"],
-        "engines": ["jet"],
-        "controllers": ["smith"],
-        "runs": [1, 4],
-        "attitude_deg": [0.5, 0.02],
-        "place_mm": [3.0, 0.002],
-    }
-    assert vehicle_rows(flights)[0] == ["a", "2", "0.5 deg, 3 mm", "0.02 deg, 0.002 mm"]

@@ -14,7 +14,6 @@ import pytest
 from command_tools import Hexjet
 from long_cases import long_after
 from places import ROOT
-from stated_figures import stated
 
 from cosim import InputError, Scenario
 from cosim.base.constants import GRAVITY
@@ -337,7 +336,7 @@ def apart(db: float, other: float | None) -> float:
 
 
 def test_what_is_off_of_hexjet_p220s_roll_is_the_air_it_takes_along_and_its_rotors_spin() -> None:
-    """docs/judging.md: taken away one by one, what is left is as computed, to 2 % of every factor."""
+    """Taken away one by one, what is left is as computed, to 2 % of every factor."""
     still_rotors = [f"vehicle.jets.{jet}.spin=0" for jet in range(6)]
     scenario, without = (
         still(Scenario.read("full-scale-hover", ["sensor_noise=false", *changes])) for changes in ([], still_rotors)
@@ -358,29 +357,11 @@ def test_what_is_off_of_hexjet_p220s_roll_is_the_air_it_takes_along_and_its_roto
     assert abs(apart(silent["gain_down_db"].value, whole.gain_down_db)) < 0.02
     for name in ("phase_deg", "delay_s", "peak_sensitivity"):
         assert silent[name].value == pytest.approx(getattr(whole, name), rel=0.02), name
-    page = "docs/judging.md"
-    stated(page, "every margin is within {} % of what is computed", 2)
-    assert whole.gain_db is not None
-    assert whole.gain_down_db is not None
-    assert design.gain_down_db is not None
-    stated(page, "takes its part of the roll rate with it, {} N m s in all", streams(vehicle))
-    stated(
-        page,
-        "the margin downwards is {} dB both ways; computed as a design has it, it is {} dB",
-        -whole.gain_down_db,
-        -design.gain_down_db,
-    )
-    stated(
-        page,
-        "the margin upwards is {} dB more than computed ({} % in its factor)",
-        up - whole.gain_db,
-        100.0 * apart(up, whole.gain_db),
-    )
 
 
 @pytest.mark.long
 def test_what_is_off_of_hexjet_100s_roll_is_the_air_it_takes_along_and_what_its_engines_feel() -> None:
-    """docs/judging.md: computed with both dampings it is as measured, to 2 %."""
+    """Computed with both dampings it is as measured, to 2 %."""
     changes = ['engine="turbine-100"', 'controller="state-disturbance"', "sensor_noise=false"]
     scenario = still(Scenario.read("hover", ['aircraft="hexjet-100"', *changes]))
     sine = multisine(20.0, scenario.step_s, 0.1, 25.0)
@@ -400,25 +381,9 @@ def test_what_is_off_of_hexjet_100s_roll_is_the_air_it_takes_along_and_what_its_
     design, whole = computed_roll(scenario, vehicle, spec, streams(vehicle) + felt)
     for name in ("phase_deg", "delay_s", "peak_sensitivity"):
         assert flown[name].value == pytest.approx(getattr(whole, name), rel=0.02), name
-    assert whole.gain_down_db is not None
-    assert whole.phase_deg is not None
-    assert design.gain_down_db is not None
-    assert design.phase_deg is not None
+    assert abs(apart(flown["gain_down_db"].value, design.gain_down_db)) > 0.02
     for name in ("gain_db", "gain_down_db"):
         assert abs(apart(flown[name].value, getattr(whole, name))) < 0.02, name
-    page = "docs/judging.md"
-    stated(page, "Of hexjet-100's roll it is the streams, {} N m s", streams(vehicle))
-    stated(page, "a turbine gives {} N less for every metre a second", less)
-    stated(page, "which damps with another {} N m s", felt)
-    stated(
-        page,
-        "the margin downwards is {} dB and the phase {}°, as measured with little added ({}); a design has {} dB and {}°",
-        -whole.gain_down_db,
-        whole.phase_deg,
-        0.004,
-        -design.gain_down_db,
-        design.phase_deg,
-    )
 
 
 # ---- any controller

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from places import ROOT
-from stated_figures import stated
 
 from cosim import fly
 from cosim.base.constants import GRAVITY
 from cosim.control.predictors.linear import model_response
-from cosim.results.report.marks import page_parts
 from cosim.spec.vehicle import load_vehicle
 from hexjet_paper import numbers, readings
 from hexjet_paper.claims import CLAIMS, CONSISTENCY, Evidence, claim_rows
@@ -21,12 +18,10 @@ from hexjet_paper.readings import READINGS, Gains, ReadingResult, gain_pairs, re
 from hexjet_paper.report.readings import (
     HANGS,
     judge_reading,
-    model_error_table,
     model_errors_in_words,
 )
 
 FOUND = load().parameters
-PAGE = "docs/paper.md"
 STEP = numbers.value("hexjet.step")
 DELAY, CORRECTED, FANS = READINGS["delay"], READINGS["corrected"], READINGS["corrected-fans"]
 
@@ -115,7 +110,6 @@ def test_each_reading_has_gains_at_which_the_claims_hold_and_others_at_which_non
         for key in set(HANGS) - {"hexjet-smith"}:
             assert verdicts[key] == ("by construction", "by construction")
     times = [trial.flight.settling_s or 0.0 for trial in (r.trial("fitted", "baseline") for r in results)]
-    stated(PAGE, "it is {} s on the first reading and {} s on the others", times[0], times[1])
     assert times[1] == pytest.approx(times[2], rel=1e-3)
 
 
@@ -130,8 +124,6 @@ def test_smith_holds_with_models_that_are_off() -> None:
     errors = readings.fly_model_errors()
     assert len(errors) == 9
     assert all(error.stable for error in errors)
-    said = page_parts(ROOT / PAGE)["paper: model errors"]
-    assert said == model_error_table(errors).markdown()
     assert "8 of 8 flights settle" in model_errors_in_words(errors)
     lost = errors[0].model_copy(update={"stable": False})
     assert "7 of 8 flights settle" in model_errors_in_words([lost, *errors[1:]])

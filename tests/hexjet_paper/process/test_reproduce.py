@@ -20,14 +20,13 @@ import numpy as np
 import psutil
 import pytest
 from patience import PATIENCE
-from places import ROOT, TOOLS
+from places import TOOLS
 from pydantic import TypeAdapter
 
 from cosim import fly
 from cosim.base.errors import InputError
 from cosim.cli.main import main
 from cosim.loops import margins
-from cosim.results.report.marks import page_parts
 from cosim.results.report.page import figure_json
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
@@ -66,9 +65,8 @@ from hexjet_paper.readings import (
     gain_pairs,
 )
 from hexjet_paper.report.figures import panels, paper_figures
-from hexjet_paper.report.page import count_choices, counts_in_words, page_values, tally
+from hexjet_paper.report.page import counts_in_words, page_values, tally
 from hexjet_paper.report.page import write_page as paper_report
-from hexjet_paper.report.pages import CONSTRUCTED as CONSTRUCTED_PART
 from hexjet_paper.report.pages import COUNTS, NAMED, counts_table
 from hexjet_paper.report.pages import page_parts as paper_parts
 from hexjet_paper.report.result import Identified, Manual, Reproduction
@@ -374,23 +372,6 @@ def test_counts_are_those_of_the_rows(found: Reproduction) -> None:
     assert tally(without)["six degrees of freedom"]["not flown"] == len(without)
     values = page_values(found)
     assert values["used_count"] == len({row.key for row in FROZEN.used}) < len(FROZEN.used)  # two are used twice
-
-
-def test_the_page_counts_what_the_report_counts(found: Reproduction, tmp_path: Path) -> None:
-    """What the page's table says of the linear plant is what the linear plant says now."""
-    parts = page_parts(ROOT / "docs/paper.md")
-    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in parts[COUNTS].splitlines()]
-    said = {verdict: int(linear) for verdict, linear, _ in cells[2:]}
-    counts = tally(found.claims)["linear plant"]
-    assert list(said.values()) == [
-        counts["holds"], count_choices(found.claims)[0], counts["under a condition"], counts["by construction"],
-        counts["does not hold"], counts["not flown"], len(found.claims),
-    ]  # fmt: skip
-    assert parts[CONSTRUCTED_PART].startswith("| claim | by construction on | ours is | because |")
-    paper_report(found, tmp_path / "report.html")
-    assert counts_in_words(found.claims) in (tmp_path / "report.html").read_text(encoding="utf-8")
-    # every mark of the package is on the page, and nothing else between marks of its kind
-    assert {name for name in parts if name.startswith("paper: ")} == set(NAMED)
 
 
 def test_what_is_written_into_a_page(found: Reproduction) -> None:

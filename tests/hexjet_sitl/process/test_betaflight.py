@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from autopilot_standins import free_port
 from command_tools import Hexjet
-from stated_figures import stated
 
 from cosim import fly
 from cosim.api.call import Progress
@@ -177,16 +176,10 @@ def test_with_a_motor_lost_it_is_lost(tmp_path: Path) -> None:
     out = Scenario.load("fault-flame-out").replace(vehicle=DESIGNED)
     run = flown(out, tmp_path / "run").run
     assert run.outcome == "diverged"
-    (fault,) = run.scenario.fault
-    stated(
-        "docs/autopilots.md",
-        "(`--scenario fault-flame-out`) the vehicle is lost {} s after the engine",
-        run.summary.duration_s - fault.start_s,
-    )
 
 
-def test_at_its_own_gains_the_delay_loses_it(minute: AutopilotRun, tmp_path: Path) -> None:
-    """And at those of the vehicle, which are for a predictor; without the delay they fly.  As the page has it."""
+def test_at_its_own_gains_the_delay_loses_it(tmp_path: Path) -> None:
+    """And at those of the vehicle, which are for a predictor; without the delay they fly."""
     hover, doublet = Scenario.load("hover").replace(duration_s=10.0), Scenario.load("roll-doublet")
     stock = flown(hover, tmp_path / "stock", "stock").run
     still = flown(hover.replace(duration_s=20.0), tmp_path / "still").run
@@ -195,21 +188,7 @@ def test_at_its_own_gains_the_delay_loses_it(minute: AutopilotRun, tmp_path: Pat
     turned = flown(doublet.replace(vehicle=DESIGNED), tmp_path / "doublet").run
     assert [run.outcome for run in (stock, still, ours)] == ["diverged"] * 3
     assert [run.outcome for run in (quick, turned)] == ["completed"] * 2
-    settled = turned.metrics["roll"].settling_time_s
-    assert settled is not None
-    assert quick.metrics["roll"].settling_time_s is not None
-    stated(
-        "docs/autopilots.md",
-        "With the Hex-Jet's engines, 0.1 s late, Betaflight as it ships "
-        "is lost {} s after the start of a hover. With the gains of `vehicle.toml`, which are made for a predictor, it is lost "
-        "in a hover at {} s and in the roll doublet at {} s; without the delay (`--engine edf`) that settles. With the gains that "
-        "`hexjet design --controller baseline --no-lead` finds it holds roll within {}° for a minute, and the doublet settles in {} s",
-        stock.summary.duration_s,
-        still.summary.duration_s,
-        ours.summary.duration_s,
-        np.degrees(minute.run.metrics["roll"].max_abs_error_rad),
-        settled,
-    )
+    assert all(run.metrics["roll"].settling_time_s is not None for run in (quick, turned))
 
 
 def test_its_loop_is_the_models(tmp_path: Path) -> None:
@@ -243,7 +222,7 @@ def test_its_loop_is_the_models(tmp_path: Path) -> None:
         state = a @ state + b @ given
     out = np.array(asked[before:])
     off = float(100.0 * np.std(np.array(model) - out) / np.std(out))
-    stated("docs/autopilots.md", "its roll output differs from the model's by {} % of its RMS", off)
+    assert off < 1.1  # its whole numbers
 
 
 @pytest.mark.long
@@ -279,13 +258,7 @@ def test_its_margin_of_delay_is_the_designs(tmp_path: Path) -> None:
     assert swings[0] < 0.7
     assert swings[1] > 1.5
     settled = flown(doublet, tmp_path / "own").run.metrics["roll"].settling_time_s
-    assert settled is not None
-    stated(
-        "docs/autopilots.md",
-        "The roll doublet, flown by it, settles in {} s, of the model's {} s",
-        settled,
-        closed.settling_s,
-    )
+    assert settled == pytest.approx(closed.settling_s, rel=0.05)
 
 
 CONTROLLER_FILE = """controller = "baseline"

@@ -16,8 +16,6 @@ from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario, scenario_names
 from cosim.spec.vehicle import load_vehicle
 
-OWN = ("aircraft", "engine", "controller")
-
 
 def numbers(scenario: Scenario) -> dict[str, Key]:
     return {key.path: key for key in all_keys(scenario) if key.kind in ("float", "int") and key.nominal is not None}

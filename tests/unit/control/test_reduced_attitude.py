@@ -7,7 +7,6 @@ from math import acos, cos, degrees, hypot, radians, sin
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from stated_figures import stated
 
 from cosim.base.constants import GRAVITY
 from cosim.base.errors import InputError
@@ -80,25 +79,15 @@ def test_the_spin_is_where_damping_holds_the_reaction_and_within_the_vehicles_li
     """Two rotors alone would turn it faster than its limit; the one across takes away twice what it gives."""
     alone = LEVER * WEIGHT / DAMPING[2]
     assert alone > LIMIT
-    across = 0.5 * (WEIGHT - DAMPING[2] * 0.9 * LIMIT / LEVER)
     _, spins, totals = body(0, 8.0)
     assert spins[-1] == pytest.approx(0.9 * LIMIT, rel=0.01)
     assert totals[-1] == pytest.approx(WEIGHT, rel=0.01)
-    page = "docs/faults.md"
-    stated(page, "the spin would end at {} deg/s", degrees(alone))
-    stated(page, "vehicle's limit of {} deg/s; the spin", VEHICLE.limits.rate_deg_s)
-    stated(page, "approaches that with a time constant of {} s", INERTIA[2] / DAMPING[2])
-    stated(page, "gives {} N", across)
-    stated(page, "then spins at {} deg/s", degrees(0.9 * LIMIT))
-    leg = next(contact for contact in VEHICLE.contacts if contact.kind == "leg").position_m
-    over = WEIGHT * (hypot(leg[1], leg[2]) - leg[2])  # about the line between two legs
-    stated(page, "holds {} times the energy that lifts the vehicle", 0.5 * INERTIA[2] * (0.9 * LIMIT) ** 2 / over)
 
 
 @pytest.mark.parametrize("lost", range(4))
 def test_any_rotor_may_be_lost_and_it_is_level_again(lost: int) -> None:
     leans, spins, _ = body(lost, 2.5)
-    stated("docs/faults.md", "leans by up to {} deg first", degrees(leans.max()))
+    assert degrees(leans.max()) < 26.0
     assert degrees(leans[-400:].max()) < 3.0
     assert spins[-1] * VEHICLE.jets[lost].reaction_m < 0.0
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 from places import DOCS, ROOT, TESTS
-from stated_figures import stated
 
 from cosim import Scenario, fly, open_run
 from cosim.campaign import open_campaign
@@ -148,7 +147,6 @@ def test_what_travels_has_these_files() -> None:
     assert "report" in (ROOT / "SECURITY.md").read_text(encoding="utf-8").lower()
     assert "](CODE_OF_CONDUCT.md)" in (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     assert len((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").splitlines()) <= 200
-    stated("docs/versions.md", "Python {} and later. A wheel", float(PROJECT["requires-python"].removeprefix(">=")))
     assert "tests/older/" in (DOCS / "versions.md").read_text(encoding="utf-8")
 
 

@@ -23,8 +23,6 @@ from cosim.results.metrics import metric_names
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import load_vehicle
 
-PLACES = {"scenario": "scenarios", "study": "studies"}
-
 
 @pytest.fixture(scope="module")
 def reference() -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import itertools
 import json
@@ -113,11 +112,6 @@ class Page(HTMLParser):
 def page_of(run: Run, tmp_path: Path) -> Page:
     write_report(run, tmp_path / "report.html")
     return Page(tmp_path / "report.html")
-
-
-def decoded(values: Any) -> np.ndarray:
-    kinds = {"f4": np.float32, "f8": np.float64}
-    return np.frombuffer(base64.b64decode(values["bdata"]), dtype=kinds[values["dtype"]])
 
 
 # ---- figures

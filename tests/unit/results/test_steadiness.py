@@ -16,7 +16,6 @@ from cosim.results.steadiness import AxisLimitInputs, axis_limits, noise_floor, 
 STEP, SPAN = 0.004, 0.4
 AXIS = AxisLimitInputs(gain_1_s=2.5, noise_rad=0.001, rate_noise_rad_s=0.005)  # a step is to settle in 4 s
 FLOOR = noise_floor(AXIS, STEP)
-ROLL = ("roll.settling_time_s", "roll.oscillation_rad")
 
 
 class Rows(dict[str, Array]):
