@@ -1,4 +1,4 @@
-"""The tables of docs/paper.md, by the marks between which ``docs/paper.py`` writes them."""
+"""The tables of docs/paper.md between its marks, as Markdown."""
 
 from __future__ import annotations
 
