@@ -97,7 +97,7 @@ def check_aircraft(aircraft: str, engine: str | None = None, out: Path | None = 
     aircraft = aircraft_seen_from(aircraft, Path())
     engine = file_seen_from(engine, Path()) if engine else engine_of(aircraft)
     if engine is None:
-        raise InputError(f"{aircraft}: vehicle.toml names no engine: name one with --engine")
+        raise InputError(f"{aircraft}: vehicle.toml names no engine: name one as engine")
     vehicle, _ = load_vehicle(aircraft)
     flown = {"aircraft": aircraft, "engine": engine, "controller": BASELINE.name, "step_s": vehicle.control_step}
     flown |= {"name": "aircraft-check", "duration_s": FLIGHT_S, "initial": {"altitude_m": HEIGHT_M}}
@@ -254,7 +254,7 @@ def _models(simulation: Simulation) -> list[Line]:
         scenario, engine = simulation.scenario, simulation.engine
         if family not in engine.families:
             if family not in list_engine_names():
-                text = f"not compared: --engine FILE names the engine {family}"
+                text = f"not compared: state as engine the file of engine {family}"
                 lines += [Line(f"{axis} model, {family}", text) for axis in models]
                 continue
             scenario = scenario.replace(engine=family)

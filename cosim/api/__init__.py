@@ -5,7 +5,7 @@ from cosim import sweep
 swept = sweep("roll-doublet", vary=["vehicle.mass_kg=5:6.5"], controllers=["smith", "baseline"], runs=100)
 swept.columns["success"], swept.folder
 
-A result shows itself in a notebook, knows its files, and ``to_dict()`` is what the command prints with ``--json``.
+A result shows itself in a notebook, knows its files, and ``to_dict()`` is what the command prints as JSON.
 """
 
 from __future__ import annotations

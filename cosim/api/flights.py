@@ -229,7 +229,7 @@ def fly(
     mavlink : sequence of str
         Where ground stations watch, such as ``udpout:127.0.0.1:14550``.
     flightgear : str or None
-        Where FlightGear shows it, ``[HOST:]PORT``, begun with ``--fdm=null --native-fdm=socket,in,60,,PORT,udp``.
+        Where FlightGear shows it, ``[HOST:]PORT``, begun with ``fgfs --fdm=null --native-fdm=socket,in,60,,PORT,udp``.
     report : bool
         Whether ``report.html`` is written into the folder.
     shared_assets : bool

@@ -170,6 +170,6 @@ def identify(
     elif name is None:
         raise InputError("identify: engine: name which")
     else:
-        numbers = parse_numbers(tuple(texts), "settings (--set)")
+        numbers = parse_numbers(tuple(texts), "settings")
         result = IdentifyResult(identify_engine(name, numbers, throttle=throttle, step=step_s, **swept))
     return result if out is None else result.write(out)

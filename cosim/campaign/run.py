@@ -159,7 +159,7 @@ def _rows(store: Store, asked: Iterable[Flight], workers: Workers, tell: Callabl
 def _check_autopilot(study: Study, autopilot: StudyAutopilot, workers: Workers | int | None) -> None:
     """Raise InputError for an autopilot that is not here, or flights that it cannot fly, or not here."""
     if not (workers is None or isinstance(workers, (int, LocalWorkers))):
-        raise InputError(f"study {study.name}: autopilot {autopilot.name} flies on this machine; leave out --cluster")
+        raise InputError(f"study {study.name}: autopilot {autopilot.name} flies on this machine; leave out cluster")
     autopilot.check(study.base(), study.folder)
 
 
@@ -174,7 +174,7 @@ def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) 
     is_shipped = name in (*study_names(), *scenario_names()) and (out is not None or not resume)
     if not is_shipped and is_campaign(Path(name)):
         if not resume:
-            raise InputError(f"{name}: already holds a campaign; --resume goes on with it")
+            raise InputError(f"{name}: already holds a campaign; resume goes on with it")
         longer = {key: options.pop(key, None) for key in ("until", "runs")}
         refuse_changes(f"{name}: is a campaign", **options, out=out)
         if any(value is not None for value in longer.values()):
@@ -182,8 +182,8 @@ def resolve_campaign(name: str, out: Path | None, resume: bool, **options: Any) 
         return None, Path(name)
     if resume and out is None:
         if name not in (*study_names(), *scenario_names()):
-            raise InputError(f"{name}: holds no campaign; --resume goes on with a campaign's folder")
-        raise InputError("--resume: give the folder of the campaign, as in hexjet sweep DIR --resume")
+            raise InputError(f"{name}: holds no campaign; resume goes on with a campaign's folder")
+        raise InputError("resume: give the folder of the campaign, as in hexjet sweep DIR --resume")
     study = open_study(name, **options)
     return study, out if out is not None else new_folder(Path("runs"), study.name)
 
@@ -192,8 +192,7 @@ def refuse_changes(what: str, **choices: Any) -> None:
     """Raise InputError where one of these choices is made for what is there already; ``what`` says what that is."""
     for name, value in choices.items():
         if value not in (None, (), []) and value is not False:
-            option = {"controllers": "controller", "settings": "set"}.get(name, name).replace("_", "-")
-            raise InputError(f"{what} and goes on as it began; leave out --{option}")
+            raise InputError(f"{what} and goes on as it began; leave out {name}")
 
 
 def extend_campaign(folder: Path, until: str | None = None, runs: int | None = None) -> None:
@@ -250,7 +249,7 @@ def describe_progress(store: Store) -> str:
     """Return a line for interrupted flights: how many are kept, and how to resume them."""
     if store.of:
         return f"{store.stored} of {store.of} flights are kept: hexjet sweep {store.folder} --resume goes on"
-    return f"{store.stored} flights are kept: the same command with --out {store.folder} --resume goes on"
+    return f"{store.stored} flights are kept: the same call with out {store.folder} and resume goes on"
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,7 @@ class Store:
         refuse_older_search(folder)
         existing = next((name for name in CAMPAIGN_FILES if (folder / name).exists()), None)
         if existing is not None and is_campaign(folder):
-            raise InputError(f"{folder}: already holds a campaign ({existing}); --resume goes on with it")
+            raise InputError(f"{folder}: already holds a campaign ({existing}); resume goes on with it")
         frozen = freeze(study, plan)
         existing = existing or next((name for name in frozen.files if (folder / name).exists()), None)
         if existing is not None:
@@ -288,7 +288,7 @@ class Campaign:
         if not 0 <= number < self.of:
             raise InputError(f"{self.folder}: flight {number}: there are 0 to {self.of - 1}")
         if number not in self.columns["flight"]:
-            raise InputError(f"{self.folder}: flight {number} is not finished; --resume goes on")
+            raise InputError(f"{self.folder}: flight {number} is not finished; resume goes on")
         index = self.columns["flight"].index(number)
         return {name: values[index] for name, values in self.columns.items()}
 

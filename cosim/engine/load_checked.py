@@ -117,7 +117,7 @@ def _need_no_problems(source: EngineSource, problems: Sequence[str]) -> None:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise InputError(
             f"{source.path}: is not fit to fly: {problems[0]}{more}; hexjet fmu check says all, "
-            "--unchecked-engine flies it all the same"
+            "unchecked_engine flies it all the same"
         )
 
 

@@ -47,7 +47,7 @@ class Links:
     ) -> None:
         if system not in endpoint.SYSTEMS:
             most = endpoint.SYSTEMS[-1]
-            raise InputError(f"--system {system}: must be from 1 to {most}; ground stations have the ids above")
+            raise InputError(f"system {system}: must be from 1 to {most}; ground stations have the ids above")
         self.exchange = Exchange()
         self.system = system
         self.endpoints = [endpoint.parse_endpoint(url, public) for url in urls or endpoint.default_urls(system)]

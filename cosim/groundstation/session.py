@@ -337,7 +337,7 @@ def parse_place(text: str) -> dict[str, float]:
     try:
         latitude, longitude = (float(part) for part in text.split(","))
     except ValueError as error:
-        raise InputError(f"--place {text}: must be LAT,LON in degrees, such as 22.35,113.59") from error
+        raise InputError(f"place {text}: must be LAT,LON in degrees, such as 22.35,113.59") from error
     return {"latitude_deg": latitude, "longitude_deg": longitude}
 
 

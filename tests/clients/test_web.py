@@ -324,7 +324,7 @@ def test_it_listens_on_this_machine_alone(flown: Flown) -> None:
 
 
 def test_a_port_that_is_taken(flown: Flown) -> None:
-    with pytest.raises(InputError, match=f"--web {flown.web.port}: the port cannot be opened: [^\n]+$"):
+    with pytest.raises(InputError, match=f"web {flown.web.port}: the port cannot be opened: [^\n]+$"):
         WebServer(Exchange(), flown.web.port).start()
     with pytest.raises(InputError, match="from 0 to 65535"):
         WebServer(Exchange(), 65536)

@@ -53,7 +53,7 @@ class DesignResult(FolderResult):
         """
         if self.controller is None or self._autopilot is not None:
             return ""
-        chosen = "".join(f" {option} {quote(value)}" for option, value in self._chosen)
+        chosen = "".join(f" --{option} {quote(value)}" for option, value in self._chosen)
         return f"hexjet fly SCENARIO{chosen} --controller {quote(str(self.controller))}"
 
     def _write(self, folder: Path) -> dict[str, Path]:
@@ -240,9 +240,9 @@ def design(
         designed = add_proof(designed, tell, lambda unsure: seek(unsure=unsure))
     if limit and designed.is_written:
         designed = add_limits(designed, tell)
-    chosen = [("--aircraft", vehicle)] if vehicle != "hexjet" else []
-    chosen += [] if engine is None else [("--engine", str(engine))]
-    result = DesignResult(designed, autopilot, [*chosen, *(("--set", text) for text in texts)])
+    chosen = [("aircraft", vehicle)] if vehicle != "hexjet" else []
+    chosen += [] if engine is None else [("engine", str(engine))]
+    result = DesignResult(designed, autopilot, [*chosen, *(("set", text) for text in texts)])
     return result if out is None else result.write(out)
 
 

@@ -27,11 +27,11 @@ def candidate_names(controller: str, start: Path | None) -> Sequence[str]:
     if controller == LAW:
         need_solver()
         if start is not None:
-            raise InputError(f"--controller {LAW}: its search begins at the limit: leave --start out")
+            raise InputError(f"controller {LAW}: its search begins at the limit: leave start out")
         return (LAW,)
     names = candidates() if controller == "auto" else (controller,)
     for name in names:
-        designable(name, f"--controller {name}", ["auto", LAW])
+        designable(name, f"controller {name}", ["auto", LAW])
     return names
 
 
@@ -40,7 +40,7 @@ def names_for_servos(
 ) -> Sequence[str]:
     """Return the controllers that are tried where servos turn the roll: a predictor is for engines that answer late."""
     if controller == LAW:
-        raise InputError(f"--controller {LAW}: servos turn the roll of {vehicle.name}, and engines have to")
+        raise InputError(f"controller {LAW}: servos turn the roll of {vehicle.name}, and engines have to")
     return (BASELINE.name,) if controller == "auto" and firmware is None else names
 
 

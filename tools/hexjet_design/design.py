@@ -311,7 +311,7 @@ def _read_start(
     """Return the tunings of a controller file from which a search goes on: by axis, then by fraction of fuel."""
     file = read_controller(start, aircraft)
     if file.controller == LAW:
-        raise InputError(f"{start}: is of controller {LAW!r}, whose search begins at the limit: leave --start out")
+        raise InputError(f"{start}: is of controller {LAW!r}, whose search begins at the limit: leave start out")
     changes = merge(file.vehicle, {"mass_kg": vehicle.mass_kg})
     designed, _ = load_vehicle(aircraft, changes, f"{start}: vehicle")
     tunings: dict[str, dict[float, Tuning]] = {}
@@ -353,10 +353,10 @@ def _scenario(engine: str, aircraft: str, settings: Sequence[str]) -> tuple[Scen
     table["engine"] = file_seen_from(engine, Path())
     for text in settings:
         key, value = parse_setting(text)
-        set_path(table, key, value, "design: settings (--set)")
+        set_path(table, key, value, "design: settings")
     scenario = Scenario.from_table(table, Path(), "design")
     if scenario.stations:
-        raise InputError("design: settings (--set) stations: a design is for one engine at all stations")
+        raise InputError("design: settings stations: a design is for one engine at all stations")
     load_vehicle(scenario.aircraft, scenario.vehicle, "design: vehicle")  # a wrong key is the design's
     return scenario, scenario.resolved_vehicle()[0]
 

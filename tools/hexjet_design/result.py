@@ -353,7 +353,7 @@ def _allowing_lines(design: Design) -> list[str]:
             else "without any lag of the engine there would be one"
         )
     lines += [
-        f"--{name.replace('_', '-')} {value:g} would allow it: with these gains that flight keeps what is promised"
+        f"{name} {value:g} would allow it: with these gains that flight keeps what is promised"
         for name, value in design.allowing.items()
         if name in OPTIONS
     ]

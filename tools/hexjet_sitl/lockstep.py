@@ -203,12 +203,12 @@ class Program:
 
 
 def find_configured_program(binary: Path | None, variable: str) -> Path | None:
-    """Return the program of ``--binary``, or that this environment variable names; None if neither does.
+    """Return the program of ``binary``, or that this environment variable names; None if neither does.
 
     Raises InputError for what is no program.
     """
     if binary is not None:
-        return check_program(binary, "--binary")
+        return check_program(binary, "binary")
     variable_path = os.environ.get(variable)
     return check_program(Path(variable_path), variable) if variable_path else None
 
@@ -292,7 +292,7 @@ class Autopilot:
 
     name: ClassVar[str]
     timing: ClassVar[StartTiming]
-    port_option: ClassVar[str] = "--instance"  # that states another port
+    port_option: ClassVar[str] = "instance"  # that states another port
     log_pattern: ClassVar[str] = ""  # of its own logs in its folder; empty: none is read
     patience_s = 0.0  # that it has to end by itself once it is asked to
 

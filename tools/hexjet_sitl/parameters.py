@@ -283,7 +283,7 @@ def ardupilot_frame(vehicle: Vehicle) -> tuple[int, list[int]]:
     if len(jets) != 4:
         raise InputError(
             f"ardupilot: {vehicle.name}: no frame of ArduCopter with {len(jets)} engines is known here, only with "
-            "four; state parameters of yours (--defaults): the first outputs are the engines"
+            "four; state parameters of yours (defaults): the first outputs are the engines"
         )
     positions = [tuple(int(np.sign(v)) for v in (*jet.position_m[:2], jet.reaction_m)) for jet in jets]
     for number, (_, motors) in _QUAD_FRAMES.items():

@@ -90,7 +90,7 @@ def find_program(name: str, binary: Path | None) -> Path | None:
 
 def describe_missing(name: str) -> str:
     """Return where a program was looked for, and how its makers build it."""
-    return f"--binary, {VARIABLES[name]}, {PROGRAMS[name]} on the path; its makers build it by {BUILDS[name]}"
+    return f"binary, {VARIABLES[name]}, {PROGRAMS[name]} on the path; its makers build it by {BUILDS[name]}"
 
 
 def require_program(name: str, binary: Path | None) -> Path:
@@ -117,12 +117,12 @@ def prepare(name: str, scenario: Scenario, folder: Path, program: Path | None, s
     if is_design(scenario.controller):
         raise InputError(
             f"controller = {scenario.controller}: {name} flies in the place of the controller; the gains of a design "
-            f"go into it by --gains {scenario.controller}"
+            f"go into it as gains {scenario.controller}"
         )
     check_faults(name, scenario)
     if setup.hands_off and not scenario.initial.on_ground:
         raise InputError(
-            f"--hands-off: scenario {scenario.name} begins in the air; a ground station takes a vehicle that stands: "
+            f"hands_off: scenario {scenario.name} begins in the air; a ground station takes a vehicle that stands: "
             "allowed is initial.on_ground = true, such as climb-and-land"
         )
     make = {"betaflight": _betaflight, "px4": _px4, "ardupilot": _ardupilot}[name]

@@ -83,7 +83,7 @@ def check_unknown_parameters(log: Path, parameters: Collection[str], optional: C
     unknown = [name for name in printed if name in parameters and name not in optional]
     if unknown:
         words = describe_unknown(unknown, set(parameters) - set(unknown), "PX4")
-        raise InputError(f"px4: {words} (--param; {log}); the first PX4 that is flown is 1.17")
+        raise InputError(f"px4: {words} (parameters; {log}); the first PX4 that is flown is 1.17")
 
 
 def describe_version(facts: Mapping[str, str | int]) -> str:

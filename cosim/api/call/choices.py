@@ -125,7 +125,7 @@ def _read(scenario: Scenario | str | Path, settings: Sequence[str]) -> Scenario:
     table, where = scenario.stated(), f"scenario {scenario.name}"
     for text in settings:
         key, value = parse_setting(text)
-        set_path(table, key, value, f"{where}: settings (--set)")
+        set_path(table, key, value, f"{where}: settings")
     return Scenario.from_table(table, scenario.folder, where, scenario.origin or scenario)
 
 
@@ -173,7 +173,7 @@ def engine_for(aircraft: str, engine: str | None) -> str:
 
     chosen = engine or engine_of(aircraft_seen_from(aircraft, Path()))
     if chosen is None:
-        raise InputError(f"{aircraft}: vehicle.toml names no engine: name one with --engine")
+        raise InputError(f"{aircraft}: vehicle.toml names no engine: name one as engine")
     return chosen
 
 
@@ -225,7 +225,7 @@ def engine_choices(texts: tuple[str, ...]) -> dict[str, Any]:
         target = changes if station is None else changes.setdefault("stations", {}).setdefault(station, {})
         if "engine" in target:
             raise InputError(
-                f"--engine {text}: there is already another for {f'station {station}' if station else 'all'}"
+                f"engine {text}: there is already another for {f'station {station}' if station else 'all'}"
             )
         target["engine"] = engine
     return changes

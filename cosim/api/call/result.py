@@ -67,7 +67,7 @@ class Result:
     files: dict[str, Path]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the command prints with ``--json``.
+        """Return it as a table of numbers, texts and lists, which the command prints as JSON.
 
         Returns
         -------

@@ -31,7 +31,7 @@ class Report(NamedTuple):
 
 
 class Parameter(NamedTuple):
-    """One number of a controller of one's own that scenarios, ``--set``, studies and searches reach by its name.
+    """One number of a controller of one's own that scenarios, ``settings``, studies and searches reach by its name.
 
     It is ``controller_parameters.<name>`` there, and ``default`` where nobody states it.
     """

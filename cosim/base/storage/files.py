@@ -164,12 +164,12 @@ def check_results_folder(out: Path | str | None, record: str, *files: str) -> No
         return
     folder = Path(out)
     if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; name a folder with --out")
+        raise InputError(f"{folder}: is a file; name a folder as out")
     present = [name for name in (*files, record) if os.path.lexists(folder / name)]
     if present and not holds_record(folder / record):
         raise InputError(
             f"{folder / present[0]}: is there already, and no {record} beside it says that it is of an earlier call; "
-            "name another folder with --out"
+            "name another folder as out"
         )
 
 

@@ -163,7 +163,7 @@ def parse_setting(text: str) -> tuple[list[str], Any]:
     key, equals, value = text.partition("=")
     path = [part.strip() for part in split_key(key.strip())]
     if not equals or not all(path):
-        raise InputError(f"settings (--set) {text}: write it as KEY=VALUE, for example vehicle.mass_kg=6.0")
+        raise InputError(f"settings {text}: write it as KEY=VALUE, for example vehicle.mass_kg=6.0")
     return path, parse_value(value)
 
 

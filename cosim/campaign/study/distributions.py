@@ -212,7 +212,7 @@ def _table_of(text: str) -> dict[str, Any]:
     try:
         return parse_vary(text).model_dump(mode="json", exclude_none=True)
     except InputError as error:
-        raise ValueError(str(error).removeprefix("--vary ")) from error
+        raise ValueError(str(error).removeprefix("vary ")) from error
 
 
 def parse_vary(text: str) -> Vary:
@@ -224,10 +224,10 @@ def parse_vary(text: str) -> Vary:
         return Vary(key=UNCERTAIN, uncertainty=True)
     match = re.fullmatch(r"\s*([^=*+\s]+)\s*(\*=|\+=|=)\s*(.+?)\s*", text)
     if match is None:
-        raise InputError(f"--vary {text}: {USAGE}")
+        raise InputError(f"vary {text}: {USAGE}")
     key, sign, form = match.groups()
     table = {"key": key, "relative": RELATIVE[sign], **_parse_form(form, text)}
-    return validate(Vary, table, f"--vary {text}")
+    return validate(Vary, table, f"vary {text}")
 
 
 def _parse_form(form: str, text: str) -> dict[str, Any]:
@@ -239,29 +239,29 @@ def _parse_form(form: str, text: str) -> dict[str, Any]:
         if "," in form:
             return {"values": [parse_value(part) for part in form.split(",")]}
         if ends := re.fullmatch(r"([\d.]+)\s*(?:-|\.\.|to)\s*([\d.]+)", form):
-            raise InputError(f"--vary {text}: write the range as {ends[1]}:{ends[2]}")
-        raise InputError(f"--vary {text}: one value does not vary; KEY=LO:HI or KEY=A,B do, or --set {text}")
+            raise InputError(f"vary {text}: write the range as {ends[1]}:{ends[2]}")
+        raise InputError(f"vary {text}: one value does not vary; KEY=LO:HI or KEY=A,B do, or settings {text}")
     name, argument_text = call.groups()
     if name == "log":
         return {**_span(argument_text, text), "scale": "log"}
     if name not in CALLS:
-        raise InputError(f"--vary {text}: unknown distribution {name!r}; {nearest(name, [*CALLS, 'log'])}")
+        raise InputError(f"vary {text}: unknown distribution {name!r}; {nearest(name, [*CALLS, 'log'])}")
     arguments, fields = [part.strip() for part in argument_text.split(",")], CALLS[name].model_fields
     needed = [key for key, field in fields.items() if field.is_required()]
     if not len(needed) <= len(arguments) <= len(fields):
-        raise InputError(f"--vary {text}: {name} takes {', '.join(fields)}")
+        raise InputError(f"vary {text}: {name} takes {', '.join(fields)}")
     stated = {key: part for key, part in zip(fields, arguments, strict=False) if part or key in needed}
-    return {name: {key: parse_number(part, f"--vary {text}") for key, part in stated.items()}}
+    return {name: {key: parse_number(part, f"vary {text}") for key, part in stated.items()}}
 
 
 def _span(span: str, text: str) -> dict[str, Any]:
     numbers = span.split(":")
     if len(numbers) not in (2, 3):
-        raise InputError(f"--vary {text}: {USAGE}")
-    table: dict[str, Any] = {"range": [parse_number(part, f"--vary {text}") for part in numbers[:2]]}
+        raise InputError(f"vary {text}: {USAGE}")
+    table: dict[str, Any] = {"range": [parse_number(part, f"vary {text}") for part in numbers[:2]]}
     if len(numbers) == 3:
         if not re.fullmatch(r"\s*\d+\s*", numbers[2]):
-            raise InputError(f"--vary {text}: {numbers[2].strip()!r} is no number of levels: a whole one from 2 on")
+            raise InputError(f"vary {text}: {numbers[2].strip()!r} is no number of levels: a whole one from 2 on")
         table["levels"] = int(numbers[2])
     return table
 

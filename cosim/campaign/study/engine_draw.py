@@ -27,8 +27,8 @@ ENGINE = "engine"  # the key that is varied so
 DRAWN_BY = "by the engine's [uncertainty]"
 SMALLEST = 2.0**-54  # a point at 0 would be minus infinity under a normal distribution
 HOW = (
-    "hexjet identify bench writes one, docs/own-engine.md says how; or list engines, --vary engine=A,B, or vary single "
-    "parameters, --vary mismatch.engine_parameters.NAME=LO:HI"
+    "hexjet identify bench writes one, docs/own-engine.md says how; or list engines, vary engine=A,B, or vary single "
+    "parameters, vary mismatch.engine_parameters.NAME=LO:HI"
 )
 
 
@@ -129,7 +129,7 @@ def default_draw(scenario: Scenario, nominal: bool, varied: Collection[str] = ()
         why = "" if other is None else f": {other} is varied"
         return None, f"the engine flies as it is stated and is not {draw.description}{why}"
     more = f"; {others}" if others else ""
-    return draw, f"the engine of each flight is {draw.description}; --nominal-engine flies it as it is stated{more}"
+    return draw, f"the engine of each flight is {draw.description}; nominal_engine flies it as it is stated{more}"
 
 
 def _describe_stations_not_drawn(scenario: Scenario) -> str:

@@ -74,7 +74,7 @@ def open_study(
     chosen = {"design": design, "runs": runs, "repeats": repeats, "seed": seed, "until": until}
     data |= {key: value for key, value in chosen.items() if value is not None}
     if until:
-        parse_claim(until, "--until")
+        parse_claim(until, "until")
     if not data.get("until"):
         data.pop("until", None)
     if "title" in data and (vary or settings or controllers or design or runs or repeats):
@@ -83,12 +83,12 @@ def open_study(
     if _is_engine_drawn(data, folder, where):
         data["vary"] = [*data["vary"], {"key": UNCERTAIN, "uncertainty": True}]
     if not data["vary"]:
-        raise NothingVariesError(f"{where}: nothing varies; --vary KEY=LO:HI says what does")
+        raise NothingVariesError(f"{where}: nothing varies; vary KEY=LO:HI says what does")
     if data.get("until") is not None:
         data = {"design": "random", "runs": default_runs(str(data["until"]))} | data
     data.setdefault("design", _default_design(data))
     if data["design"] not in DESIGNS:
-        raise InputError(f"design (--sampling) {data['design']}: {nearest(str(data['design']), DESIGNS)}")
+        raise InputError(f"design {data['design']}: {nearest(str(data['design']), DESIGNS)}")
     return Study.from_table(data, folder, where)
 
 
@@ -168,9 +168,9 @@ def parse_correlate(text: str) -> Correlation:
     """Read ``KEY,KEY=R``.  Raises InputError: one line."""
     match = re.fullmatch(r"\s*([^=,\s]+)\s*,\s*([^=,\s]+)\s*=\s*(\S+)\s*", text)
     if match is None:
-        raise InputError(f"--correlate {text}: write it as KEY,KEY=R with the rank correlation R above -1 and below 1")
-    rank = parse_number(match[3], f"--correlate {text}")
-    return validate(Correlation, {"keys": [match[1], match[2]], "rank": rank}, f"--correlate {text}")
+        raise InputError(f"correlate {text}: write it as KEY,KEY=R with the rank correlation R above -1 and below 1")
+    rank = parse_number(match[3], f"correlate {text}")
+    return validate(Correlation, {"keys": [match[1], match[2]], "rank": rank}, f"correlate {text}")
 
 
 def parse_success(texts: Iterable[str]) -> dict[str, Range]:
@@ -179,15 +179,15 @@ def parse_success(texts: Iterable[str]) -> dict[str, Range]:
     for text in texts:
         match = re.fullmatch(r"\s*([^<>=\s]+)\s*(<=|>=)\s*(\S+)\s*", text)
         if match is None:
-            raise InputError(f"--success {text}: write it as METRIC<=X or METRIC>=X")
-        limit = parse_number(match[3], f"--success {text}")
+            raise InputError(f"success {text}: write it as METRIC<=X or METRIC>=X")
+        limit = parse_number(match[3], f"success {text}")
         side = "max" if match[2] == "<=" else "min"
         if not isfinite(limit) or side in success.get(match[1], {}):
-            raise InputError(f"--success {text}: {'there is one already' if isfinite(limit) else 'must be finite'}")
+            raise InputError(f"success {text}: {'there is one already' if isfinite(limit) else 'must be finite'}")
         success.setdefault(match[1], {})[side] = limit
     empty = next((metric for metric, span in success.items() if span.get("min", -inf) > span.get("max", inf)), None)
     if empty is not None:
         raise InputError(
-            f"--success {empty}: nothing lies between {success[empty]['min']:g} and {success[empty]['max']:g}"
+            f"success {empty}: nothing lies between {success[empty]['min']:g} and {success[empty]['max']:g}"
         )
     return {metric: Range(**span) for metric, span in success.items()}

@@ -89,7 +89,7 @@ def only_controller(study: Study, what: str) -> str:
     names = controllers(study)
     if len(names) > 1:
         raise InputError(
-            f"study {study.name}: has {len(names)} controllers, and {what} is one's; --controller NAME says which: "
+            f"study {study.name}: has {len(names)} controllers, and {what} is one's; controller NAME says which: "
             f"{', '.join(map(short_name, names))}"
         )
     return names[0]

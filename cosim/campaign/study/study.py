@@ -44,9 +44,9 @@ Design = Literal["grid", "latin-hypercube", "random", "sobol"]
 DESIGNS: tuple[Design, ...] = ("grid", "latin-hypercube", "random", "sobol")
 MAX_DRAWS = 10_000_000  # chosen by us: a year of this machine; more is a typing error
 ROW_COLUMNS = {  # a row of the campaign has these itself
-    "controller": "list controllers (--controller): each draw is flown with every one",
+    "controller": "list controllers: each draw is flown with every one",
     "seed": "every draw has a seed of its own, made from the study's",
-    "duration_s": "a row says under this name how long the flight lasted; set it with --set",
+    "duration_s": "a row says under this name how long the flight lasted; set it with settings",
 }
 
 
@@ -314,7 +314,7 @@ class Study(Model):
                         f"design = {self.design!r}, or give every key levels or values under design = 'grid'"
                     )
             if self.runs is None:
-                raise ValueError(f"runs is missing (--runs): how many draws the {self.design} has")
+                raise ValueError(f"runs is missing: how many draws the {self.design} has")
             if self.repeats != 1:
                 raise ValueError(f"repeats: only a grid is repeated; a {self.design} has more runs instead")
             return self
@@ -341,13 +341,13 @@ class Study(Model):
         except InputError as error:
             raise ValueError(str(error)) from error
         if self.design != "random":
-            raise ValueError(f"until = {self.until}: counts independent draws; design must be random (--design random)")
+            raise ValueError(f"until = {self.until}: counts independent draws; design must be random")
         if self.draws > MAX_TESTED:
             raise ValueError(f"until = {self.until}: at most {MAX_TESTED:,} runs")
         if claim.fewest > self.draws:
             raise ValueError(
                 f"until = {self.until}: {self.draws} flights do not show it, even if all succeed; that takes "
-                f"{claim.fewest:,} without a failure, and more with one (--runs)"
+                f"{claim.fewest:,} without a failure, and more with one"
             )
         return self
 

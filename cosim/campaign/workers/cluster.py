@@ -66,7 +66,7 @@ class DaskWorkers:
         if time_limit_s is not None and not time_limit_s > 0.0:
             raise InputError(f"time limit = {time_limit_s:g} s: must be above 0")
         if address is not None and count is not None:
-            raise InputError(f"--workers {count}: a cluster has the workers that it has; leave it out with --cluster")
+            raise InputError(f"workers {count}: a cluster has the workers that it has; leave it out with cluster")
         self._dask = _dask()
         self._time_limit = time_limit_s
         self._where = address or "the cluster of this process"
@@ -103,7 +103,7 @@ class DaskWorkers:
             try:
                 return self._dask.Client(scheduler, timeout=CONNECT_S, set_as_default=False, name="hexjet")
             except (OSError, ValueError, TypeError) as error:
-                raise InputError(f"--cluster {address}: {_line(error)}") from error
+                raise InputError(f"cluster {address}: {_line(error)}") from error
 
     def _check_workers(self) -> None:
         """Refuse workers that would fly something else."""
@@ -111,7 +111,7 @@ class DaskWorkers:
         while not (workers := self._threads.look()):
             if monotonic() > end:
                 option = f"--scheduler-file {self._where}" if self._where.endswith(".json") else self._where
-                raise InputError(f"--cluster {self._where}: has no workers; one is started with: dask worker {option}")
+                raise InputError(f"cluster {self._where}: has no workers; one is started with: dask worker {option}")
             sleep(0.1)
         installed = {name: self._client.submit(installed_versions, workers=[name], pure=False) for name in workers}
         end = monotonic() + CHECK_S
@@ -121,10 +121,10 @@ class DaskWorkers:
             except TimeoutError:
                 continue
             except Exception as error:
-                raise InputError(f"--cluster {self._where}: worker {name}: {_describe(error)}") from error
+                raise InputError(f"cluster {self._where}: worker {name}: {_describe(error)}") from error
             differences = list_differences(remote_versions, installed_versions())
             if differences:
-                raise InputError(f"--cluster {self._where}: worker {name} has {', '.join(differences)}")
+                raise InputError(f"cluster {self._where}: worker {name} has {', '.join(differences)}")
 
     def fly(self, study: Study, flights: Iterable[Flight]) -> Iterator[Row]:
         """See :class:`cosim.campaign.workers.protocol.Workers`."""
@@ -352,7 +352,7 @@ def _dask() -> Any:
     try:
         import distributed
     except ImportError as error:
-        raise InputError(f"--cluster needs Dask, which is not installed ({error}): pip install distributed") from error
+        raise InputError(f"cluster needs Dask, which is not installed ({error}): pip install distributed") from error
     return distributed
 
 
@@ -362,7 +362,7 @@ def _scheduler_at(address: str) -> str:
         try:
             scheduler = str(read_json(Path(address))["address"])
         except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"--cluster {address}: no scheduler file: {_line(error)}") from error
+            raise InputError(f"cluster {address}: no scheduler file: {_line(error)}") from error
     else:
         scheduler = address
     answer: list[BaseException | dict[str, Any]] = []
@@ -378,13 +378,13 @@ def _scheduler_at(address: str) -> str:
     asking.join()
     if isinstance(answer[0], (OSError, TimeoutError)):
         raise InputError(
-            f"--cluster {address}: no scheduler answers within {CONNECT_S:g} s; one is started with: dask scheduler"
+            f"cluster {address}: no scheduler answers within {CONNECT_S:g} s; one is started with: dask scheduler"
         ) from answer[0]
     if isinstance(answer[0], BaseException):
         hint = "; an address looks like tcp://HOST:8786" if isinstance(answer[0], ValueError) else ""
-        raise InputError(f"--cluster {address}: {_line(answer[0])}{hint}") from answer[0]
+        raise InputError(f"cluster {address}: {_line(answer[0])}{hint}") from answer[0]
     if answer[0].get("type") != "Scheduler":
-        raise InputError(f"--cluster {address}: is a {answer[0].get('type')}, not a scheduler")
+        raise InputError(f"cluster {address}: is a {answer[0].get('type')}, not a scheduler")
     return scheduler
 
 

@@ -19,7 +19,7 @@ from cosim.engine.make.controller_fmu import is_controller
 
 _HEAD = """\
 # Ports of {fmu}, begun by hexjet fmu map. A line behind "# OPEN" is to be stated; others hold unless you change them.
-# All that a mapping file may say: docs/own-engine.md. It takes the FMU's place: --engine {file}
+# All that a mapping file may say: docs/own-engine.md. It takes the FMU's place: hexjet fly hover --engine {file}
 """
 
 
@@ -63,7 +63,7 @@ def begin_mapping(fmu: Path, out: Path | None = None) -> BegunMapping:
     except UnusableError as reason:
         raise InputError(f"{fmu}: {reason}") from reason
     if is_controller(fmu):
-        raise InputError(f"{fmu}: is the FMU of a controller, which needs no mapping file; it goes with --controller")
+        raise InputError(f"{fmu}: is the FMU of a controller, which needs no mapping file; give it as controller")
     path = fmu.with_suffix(".toml") if out is None else out
     if path.suffix.lower() != ".toml" or path.is_dir():
         path = path / f"{fmu.stem}.toml"
@@ -74,7 +74,7 @@ def begin_mapping(fmu: Path, out: Path | None = None) -> BegunMapping:
 def write_mapping(begun: BegunMapping) -> Path:
     """Write a mapping file and return its path.  Raises InputError where it is there already, or cannot be written."""
     if begun.path.exists():
-        raise InputError(f"{begun.path}: is there already; name another file with --out, or remove it")
+        raise InputError(f"{begun.path}: is there already; name another file as out, or remove it")
     with map_os_errors(InputError, begun.path):
         begun.path.parent.mkdir(parents=True, exist_ok=True)
         begun.path.write_text(begun.text, encoding="utf-8")

@@ -104,7 +104,7 @@ class WebServer:
 
     def __init__(self, exchange: Exchange, port: int) -> None:
         if not 0 <= port <= 65535:
-            raise InputError(f"--web {port}: must be a port from 0 to 65535")
+            raise InputError(f"web {port}: must be a port from 0 to 65535")
         self._exchange = exchange
         self.port = port
         self.refused = 0  # connections and messages that were refused
@@ -135,7 +135,7 @@ class WebServer:
             listening = socket.create_server(("127.0.0.1", self.port))
         except OSError as error:
             reason = os.strerror(error.errno or 0)
-            raise InputError(f"--web {self.port}: the port cannot be opened: {reason}") from error
+            raise InputError(f"web {self.port}: the port cannot be opened: {reason}") from error
         # Connections inherit the option from the listening socket.
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, LIMITS.kernel_bytes)
         self.port = listening.getsockname()[1]

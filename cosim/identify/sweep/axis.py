@@ -98,7 +98,7 @@ def identify_axis(
     if axis not in AXES:
         raise InputError(f"unknown axis {axis!r}; allowed: {', '.join(AXES)}")
     if amplitude is not None and not amplitude > 0.0:
-        raise InputError(f"--amplitude {amplitude:g}: must be above 0")
+        raise InputError(f"amplitude {amplitude:g}: must be above 0")
     base = _scenario(axis, aircraft, engine, controller, substeps, seed, settings)
     vehicle = base.resolved_vehicle()[0]
     accelerates = vehicle.allocation == "effectiveness"
@@ -107,7 +107,7 @@ def identify_axis(
         unit = UNITS["roll"]
     size = usual if amplitude is None else amplitude
     if size > MOST[unit]:
-        raise InputError(f"--amplitude {size:g}: at most {MOST[unit]:.4g} {unit}, which is more than any vehicle has")
+        raise InputError(f"amplitude {size:g}: at most {MOST[unit]:.4g} {unit}, which is more than any vehicle has")
     low, high = _band(base, vehicle, axis, from_hz, to_hz)
     check_band(low, high, duration, base.step_s)
     seconds = suitable_duration(low) if duration is None else duration
@@ -252,7 +252,7 @@ def _scenario(
     data |= {key: value for key, value in given.items() if value is not None}
     for text in settings:
         key, value = parse_setting(text)
-        set_path(data, key, value, f"identify {axis}: settings (--set)")
+        set_path(data, key, value, f"identify {axis}: settings")
     scenario = Scenario.from_table(data, Path(), f"identify {axis}")
     vehicle, _ = load_vehicle(scenario.aircraft, scenario.vehicle, f"identify {axis}: vehicle")
     changes: dict[str, Any] = {}
@@ -286,13 +286,13 @@ def _sweep(base: Scenario, axis: str, sweep: Sweep, automatic: bool) -> _Flight:
         how = smaller.ending.reason if is_lost else "it swings between its limits"
         raise InputError(
             f"{where}: the loop is not stable ({how}, swept with {smaller.sweep.amplitude:g}); choose another "
-            f"--controller or less gain: --set vehicle.control.rate.{axis}.p=..., vehicle.control.attitude.gain_1_s=..."
+            f"controller or less gain: vehicle.control.rate.{axis}.p, vehicle.control.attitude.gain_1_s"
         )
     if automatic:
         return smaller
     is_lost = flight.ending.outcome != "completed"
     trouble = f"loses the vehicle ({flight.ending.reason})" if is_lost else "saturates"
-    raise InputError(f"{where}: --amplitude {sweep.amplitude:g} {trouble}; {smaller.sweep.amplitude:g} fits")
+    raise InputError(f"{where}: amplitude {sweep.amplitude:g} {trouble}; {smaller.sweep.amplitude:g} fits")
 
 
 def _two_digits(value: float) -> float:

@@ -49,10 +49,10 @@ def identify_engine(
     engine = name if isinstance(name, EngineSpec) else load_engine(name, parameters or {}, step)
     room = min(throttle, 1.0 - throttle)
     if room <= 0.0:
-        raise InputError(f"--throttle {throttle:g}: must be between 0 and 1, so that it can be swept both ways")
+        raise InputError(f"throttle {throttle:g}: must be between 0 and 1, so that it can be swept both ways")
     size = 0.4 * room if amplitude is None else amplitude
     if not 0.0 < size <= room:
-        raise InputError(f"--amplitude {size:g}: at throttle {throttle:g} it saturates; above 0 and at most {room:g}")
+        raise InputError(f"amplitude {size:g}: at throttle {throttle:g} it saturates; above 0 and at most {room:g}")
     try:
         low, high = _band(engine, throttle, size, step, from_hz, to_hz)
         check_band(low, high, duration, step)
@@ -140,7 +140,7 @@ def _lags(engine: EngineSpec, throttle: float, size: float, step: float) -> tupl
                 break
     moved = np.abs(np.array(course) - before)
     if moved[-1] <= 1e-9 * max(1.0, abs(before)):
-        more = f"; raise --amplitude (now {size:g})" if size < min(throttle, 1.0 - throttle) else ""
+        more = f"; raise amplitude (now {size:g})" if size < min(throttle, 1.0 - throttle) else ""
         raise InputError(f"engine {engine.name}: its thrust does not answer the throttle around {throttle:g}{more}")
     first = int(np.argmax(moved >= 0.1 * moved[-1]))
     rise = int(np.argmax(moved >= 0.9 * moved[-1])) - first

@@ -139,7 +139,7 @@ def fit(response: FrequencyResponse, lags: int, label: str, hold: Mapping[str, f
     names_known = names(lags)
     for name in hold:
         if name not in names_known:
-            raise InputError(f"--hold {name}: not a parameter of this form; allowed: {', '.join(names_known)}")
+            raise InputError(f"hold {name}: not a parameter of this form; allowed: {', '.join(names_known)}")
     weight = counts(response)
     use = weight > 0.0
     if int(use.sum()) < len(names_known):
@@ -187,10 +187,10 @@ class _Problem:
         for name, fixed in hold.items():
             i = self.names.index(name)
             if _logarithmic(name) and not fixed > 0.0:
-                raise InputError(f"--hold {name}={fixed:g}: must be above 0")
+                raise InputError(f"hold {name}={fixed:g}: must be above 0")
             self.full[i] = log(fixed) if _logarithmic(name) else fixed
             if not self.low[i] <= self.full[i] <= self.high[i]:
-                raise InputError(f"--hold {name}={fixed:g}: out of range")
+                raise InputError(f"hold {name}={fixed:g}: out of range")
 
     def model(self, x: Array) -> Model:
         full = self.full.copy()

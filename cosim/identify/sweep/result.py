@@ -162,19 +162,19 @@ def check_band(low: float, high: float, duration: float | None, step: float) -> 
     """Refuse a band or a duration that cannot give a response.  Raises InputError."""
     nyquist = 0.5 / step
     if high >= nyquist:
-        raise InputError(f"--to-hz {high:g}: must be below {nyquist:g} Hz, half the sample rate")
+        raise InputError(f"to_hz {high:g}: must be below {nyquist:g} Hz, half the sample rate")
     if not 0.0 < low < high:
-        raise InputError(f"--from-hz {low:g}, --to-hz {high:g}: the band must go from a lower to a higher frequency")
+        raise InputError(f"from_hz {low:g}, to_hz {high:g}: the band must go from a lower to a higher frequency")
     if shortest_record(low) > LONGEST_SWEEP_S:
-        raise InputError(f"--from-hz {low:g}: must be at least {shortest_record(1.0) / LONGEST_SWEEP_S:.2g}")
+        raise InputError(f"from_hz {low:g}: must be at least {shortest_record(1.0) / LONGEST_SWEEP_S:.2g}")
     if duration is not None and not duration <= LONGEST_SWEEP_S:
-        raise InputError(f"--duration {duration:g}: must be at most {LONGEST_SWEEP_S:g} s")
+        raise InputError(f"duration_s {duration:g}: must be at most {LONGEST_SWEEP_S:g} s")
     if duration is not None and duration < shortest_record(low):
         raise InputError(
-            f"--duration {duration:g}: too short for {low:g} Hz; it takes {shortest_record(low):.3g} s, "
-            f"or --from-hz {1.01 * shortest_record(low) * low / duration:.2g}"
+            f"duration_s {duration:g}: too short for {low:g} Hz; it takes {shortest_record(low):.3g} s, "
+            f"or from_hz {1.01 * shortest_record(low) * low / duration:.2g}"
             if duration > 0.0
-            else f"--duration {duration:g}: must be above 0"
+            else f"duration_s {duration:g}: must be above 0"
         )
 
 
@@ -196,7 +196,7 @@ def need_coherence(response: FrequencyResponse, subject: str, amplitude: float, 
         raise NotIdentifiedError(
             f"{subject} does not answer the sweep: coherence is at least {LEAST_COHERENCE:g} at {int(good.sum())} of "
             f"{len(good)} points (median {np.median(response.coherence):.2f}); "
-            f"raise --amplitude (now {amplitude:g}), sweep longer, or narrow the band"
+            f"raise amplitude (now {amplitude:g}), sweep longer, or narrow the band"
         )
     if not good.all():
         first = response.hertz[~good]
@@ -247,8 +247,8 @@ def why_refused(fit: Fit, engine: bool) -> list[str]:
     reasons = []
     if not fit.misfit <= MISFIT:
         reasons.append(
-            f"the form is {100.0 * fit.misfit:.0f} % off the response, {100.0 * MISFIT:.0f} % at most: another --lags, "
-            "a narrower band (--from-hz, --to-hz) or another --amplitude"
+            f"the form is {100.0 * fit.misfit:.0f} % off the response, {100.0 * MISFIT:.0f} % at most: another lags, "
+            "a narrower band (from_hz, to_hz) or another amplitude"
         )
     words = {"gain": "gain", "rate_1_s": "time constant", "delay_samples": "delay", "lag_s": "lag"}
     unknown = [
@@ -257,10 +257,10 @@ def why_refused(fit: Fit, engine: bool) -> list[str]:
         if (engine or name != "rate_1_s") and not is_none(fit, name) and not is_determined(fit, name)
     ]
     if unknown:
-        few = "" if len(fit.model.lags) <= (0 if engine else 1) else "fewer --lags, "
+        few = "" if len(fit.model.lags) <= (0 if engine else 1) else "fewer lags, "
         reasons.append(
             f"not determined by this sweep, as the bounds exceed the value: {', '.join(unknown)}: {few}a wider band "
-            "(--from-hz, --to-hz), more --amplitude, or state what is known by --hold"
+            "(from_hz, to_hz), more amplitude, or state what is known by hold"
         )
     return reasons
 

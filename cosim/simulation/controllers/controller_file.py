@@ -19,7 +19,7 @@ from cosim.spec.scenario import FlownParameters, Scenario, find_scenario, parame
 from cosim.spec.scenario.parameter_file import parse_table
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
 
-NO_PROOF = "has no proof flights: made with --no-proof, or for another autopilot, or before designs had them"
+NO_PROOF = "has no proof flights: made without one, or for another autopilot, or before designs had them"
 LAW = "optimal"  # the law of an entry point that a design has a form of, beside the predictors
 NOISE_SHARE = 0.0833  # of the room of the command: three standard deviations of noise take a quarter of it
 STEP_RAD = 0.1745  # 10 deg, the size of the roll doublet
@@ -132,7 +132,7 @@ class Purpose(Model):
         if path is not None and os.path.exists(path):
             return path
         where = "is not shipped" if path is None else f"is not at {path}"
-        raise InputError(f"{file}: designed for aircraft {self.aircraft!r}, which {where}; name it with --aircraft")
+        raise InputError(f"{file}: designed for aircraft {self.aircraft!r}, which {where}; name it as aircraft")
 
 
 class ControllerFile(Model):
@@ -248,7 +248,7 @@ def apply_controller(
     table = merge(table, written | {"parameter_files": parameter_files(known, "design", path)})
     for text in settings:
         keys, value = parse_setting(text)
-        set_path(table, keys, value, f"{where}: settings (--set)")
+        set_path(table, keys, value, f"{where}: settings")
     changed = Scenario.from_table(table, folder, where, original)
     file.check_step(path, changed.step_s)
     return changed

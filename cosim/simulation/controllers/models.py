@@ -124,5 +124,5 @@ def _advise_design(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec) -> 
     file = f"{vehicle.name}-{engine.name}.toml"
     return (
         f"one is made, with gains to go with it, by: hexjet design --engine {engine_name}{aircraft} --out {file} "
-        f"(then fly with --controller {file}; or fly --controller {BASELINE.name})"
+        f"(then fly with controller {file}; or with controller {BASELINE.name})"
     )

@@ -151,7 +151,7 @@ def find_controller_source(controller: str, folder: Path, complaint: str) -> Sou
     if controller.lower().endswith(".py"):
         raise InputError(f"controller {controller}: a file alone is none; name its class too: {controller}:Mine")
     if is_design(controller):
-        raise InputError(f"controller {controller} is a design, which no scenario names: give it with --controller")
+        raise InputError(f"controller {controller} is a design, which no scenario names: give it as controller")
     raise InputError(f"{complaint}; {nearest(controller, [*PREDICTORS, *find_entries('controller')])}")
 
 

@@ -287,8 +287,8 @@ class Scenario(Model):
         origin = cls.as_filed(path) if settings else None
         for text in settings or []:
             key, value = parse_setting(text)
-            set_path(data, key, value, f"{path}: settings (--set)")
-        return cls.from_table(data, path.parent, str(path) if origin is None else f"{path}: settings (--set)", origin)
+            set_path(data, key, value, f"{path}: settings")
+        return cls.from_table(data, path.parent, str(path) if origin is None else f"{path}: settings", origin)
 
     @classmethod
     def as_filed(cls, path: Path) -> "Scenario | None":

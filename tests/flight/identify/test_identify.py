@@ -352,7 +352,7 @@ def test_the_printed_form_is_the_papers() -> None:
         ({"from_hz": 0.5, "duration": 5.0}, "too short for 0.5 Hz; it takes 32 s"),
         (
             {"hold": {"lag_s": 1.0}},
-            "--hold lag_s: not a parameter of this form; allowed: gain, rate_1_s, delay_samples",
+            "hold lag_s: not a parameter of this form; allowed: gain, rate_1_s, delay_samples",
         ),
         ({"step": 0.003}, "not a whole multiple"),
         ({"from_hz": 20.0, "to_hz": 20.2, "duration": 2.0}, "too few"),
@@ -442,7 +442,7 @@ def test_the_chosen_model_follows_the_response(roll: Identification) -> None:
         ((), {"to_hz": 130.0}, "must be below 125 Hz"),
         ((), {"duration": 5.0}, "too short for 0.3 Hz"),
         ((), {"amplitude": -1.0}, "above 0"),
-        ((), {"amplitude": 1000.0}, "--amplitude 1000: at most 1 throttle"),
+        ((), {"amplitude": 1000.0}, "amplitude 1000: at most 1 throttle"),
         ((), {"engine": "no-such"}, "unknown engine"),
         (("duration_s",), {}, "KEY=VALUE"),
         (
@@ -482,7 +482,7 @@ def test_the_band_follows_the_engine_that_turns_the_axis() -> None:
 def test_a_sweep_that_saturates_says_what_would_fit() -> None:
     """And that then does."""
     band = {"from_hz": 1.5, "to_hz": 6.0, "duration": 14.0}
-    with pytest.raises(InputError, match=r"--amplitude 0\.5 .*; ([0-9.e-]+) fits") as error:
+    with pytest.raises(InputError, match=r"amplitude 0\.5 .*; ([0-9.e-]+) fits") as error:
         identify_axis("roll", amplitude=0.5, **band)
     fitting = float(str(error.value).split("; ")[1].split()[0])
     found = identify_axis("roll", amplitude=fitting, **band)
@@ -574,7 +574,7 @@ def test_the_command_prints_the_papers_turbojet(hexjet, tmp_path: Path) -> None:
     ("arguments", "said"),
     [
         (["engine", "nope"], "unknown engine 'nope'"),
-        (["engine", "edf", "--set", "delay"], "settings (--set) delay: write it as NAME=NUMBER"),
+        (["engine", "edf", "--set", "delay"], "settings delay: write it as NAME=NUMBER"),
         (["engine", "edf", "--amplitude", "nan"], "--amplitude: nan is not a finite number"),
         (["engine", "edf", "--duration", "inf"], "--duration: inf is not a finite number"),
         (["roll", "--hold", "lag_s=much"], "--hold lag_s=much: must be NAME=VALUE"),

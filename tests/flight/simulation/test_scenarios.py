@@ -180,8 +180,8 @@ def test_settings_write_over_the_file() -> None:
     [
         ("mass", "write it as KEY=VALUE"),
         ("=3", "write it as KEY=VALUE"),
-        ("command.7.amplitude=5", r"settings \(--set\): command\.7: a number from 0 to 0 goes here"),
-        ("title.x=5", r"settings \(--set\): title is a value, not a table"),
+        ("command.7.amplitude=5", r"settings: command\.7: a number from 0 to 0 goes here"),
+        ("title.x=5", r"settings: title is a value, not a table"),
         ("vehicel.mass_kg=5", r"unknown key 'vehicel'; did you mean 'vehicle'\?"),
         ("duration_s=inf", r"duration_s = inf: .*finite"),
         # what no float holds, and what Python reads no more

@@ -362,9 +362,9 @@ def test_engines_on_the_command_line() -> None:
         "engine": "turbojet", "stations": {"1": {"engine": here}},
     }  # fmt: skip
     assert engine_choices(("a=b.toml",)) == {"engine": str(Path("a=b.toml").absolute())}
-    with pytest.raises(InputError, match=r"--engine 3=turbojet: there is already another for station 3"):
+    with pytest.raises(InputError, match=r"engine 3=turbojet: there is already another for station 3"):
         engine_choices(("3=edf", "3=turbojet"))
-    with pytest.raises(InputError, match=r"--engine turbojet: there is already another for all"):
+    with pytest.raises(InputError, match=r"engine turbojet: there is already another for all"):
         engine_choices(("edf", "turbojet"))
 
 

@@ -275,4 +275,4 @@ def test_an_edit_after_new_is_not_fit_to_fly(hexjet: Hexjet, monkeypatch: pytest
     assert "hexjet identify roll" in of["roll model, edf-as-flown"].fault
     path.write_text(text.replace("[identified.edf.roll]", '[identified."theirs.fmu".roll]'))
     text = next(line.text for line in check_aircraft("./mine").lines if line.name == "roll model, theirs.fmu")
-    assert text == "not compared: --engine FILE names the engine theirs.fmu"
+    assert text == "not compared: state as engine the file of engine theirs.fmu"

@@ -125,7 +125,7 @@ def test_what_was_designed_for_it_flies_it_and_no_other(mine: Path, hexjet: Hexj
     fly_it = ("fly", "hover", "--set", "duration_s=0.1", "--engine", "edf-as-flown", "--controller")
     assert hexjet(*fly_it, "own.toml", "--aircraft", "./mine").status == 0
     done = hexjet(*fly_it, "own.toml")
-    line = "own.toml: designed for aircraft 'mine', which is not shipped; name it with --aircraft"
+    line = "own.toml: designed for aircraft 'mine', which is not shipped; name it as aircraft"
     assert (done.status, done.err) == (2, f"hexjet: {line}\n")
     done = hexjet(*fly_it, str(design), "--aircraft", "./mine")
     assert done.status == 2

@@ -163,8 +163,8 @@ def test_where_none_keeps_the_requirements_it_says_what_each_would_have_to_be(mo
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"engine": "edf", "start": Path("x.toml")}, "--controller optimal: its search begins at the limit"),
-        ({"engine": "edf", "aircraft": "jetwing"}, "--controller optimal: servos turn the roll of jetwing"),
+        ({"engine": "edf", "start": Path("x.toml")}, "controller optimal: its search begins at the limit"),
+        ({"engine": "edf", "aircraft": "jetwing"}, "controller optimal: servos turn the roll of jetwing"),
     ],
 )
 def test_what_it_is_not_for_is_refused(arguments: dict[str, object], said: str) -> None:

@@ -484,7 +484,7 @@ def test_an_engine_that_does_not_lift_is_refused() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"engine": "edf", "controller": "pid"}, "--controller pid"),
+        ({"engine": "edf", "controller": "pid"}, "controller pid"),
         ({"engine": "nothing"}, "unknown engine"),
         ({"engine": "edf", "aircraft": "nothing"}, "unknown aircraft"),
         ({"engine": "edf", "settings": ["mass=1"]}, "unknown key 'mass'"),
@@ -607,7 +607,7 @@ def test_a_file_without_a_proof_is_told(tmp_path: Path, capsys: pytest.CaptureFi
     short = apply_controller("roll-doublet", path, ["duration_s=0.1"])
     assert list_differences(short, path) == [NO_PROOF]
     assert list_differences(short, path, noted=False) == []
-    assert NO_PROOF.startswith("has no proof flights: made with --no-proof")
+    assert NO_PROOF.startswith("has no proof flights: made without one")
     note = f"unproved.toml: {NO_PROOF}"
     arguments = ["fly", "roll-doublet", "--controller", str(path), "--set", "duration_s=0.1", "--out"]
     with pytest.raises(SystemExit):

@@ -98,7 +98,7 @@ def test_another_table_is_another_design(designed: dict[str, Design], tmp_path: 
     assert after["sure"].bandwidth_hz > 1.02 * after["unsure"].bandwidth_hz  # type: ignore[operator]
     made = designed["unsure"]
     (line,) = [line for line in summary_lines(made) if line.startswith("tolerances from the engine's uncertainty")]
-    assert "source: bench.csv: 6 steps, 2 holds; --gain-tolerance and --delay-tolerance would state others" in line
+    assert "source: bench.csv: 6 steps, 2 holds; gain_tolerance and delay_tolerance would state others" in line
     paths = write(made, tmp_path / "made.toml")
     filed = read_toml(paths["controller"])["design"]
     assert (filed["tolerances"], filed["requirements"]["gain_tolerance"]) == (line, unsure.gain_tolerance)
@@ -121,7 +121,7 @@ def test_what_is_stated_is_not_taken_from_the_engine(designed: dict[str, Design]
     assert "engine_spread" not in Requirements().model_dump()
     delay, gain, words = asked(Requirements(delay_tolerance=0.2))
     assert (delay, gain) == (0.2, made.need.gain_tolerance)
-    assert "--gain-tolerance would state others" in words
+    assert "gain_tolerance would state others" in words
     assert "delay" not in words.partition("source")[0]
     plain = load_engine("edf", {}, STEP)
     found = engine_tolerances(Requirements(), made.scenario, made.vehicle, plain, plants)

@@ -494,7 +494,7 @@ def test_the_status_says_whether_the_margins_are_what_was_asked_for(
     ("arguments", "message"),
     [
         (["--axis", "heave"], "heave"),
-        (["--period", "0.003"], "--period"),
+        (["--period", "0.003"], "period_s"),
         (["--from-hz", "0.01"], "the lowest must be at least 0.05 Hz"),
         (["--to-hz", "200"], "the highest at most 125 Hz"),
         (["--amplitude", "0"], "must be above 0"),

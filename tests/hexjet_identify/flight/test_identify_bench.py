@@ -121,12 +121,12 @@ def test_a_time_in_milliseconds_that_does_not_say_so_is_asked_for(tmp_path: Path
     times, command, thrust, _ = bench_log("stairs of 5 s", 50.0, ONE)
     path = write(tmp_path / "bench.csv", command, thrust, 1e3 * times, "time,throttle,thrust_N")
     (doubted,) = read_records([path])
-    assert "20 s from row to row: if the time is in milliseconds, --time-unit ms" in doubted.notes
+    assert "20 s from row to row: if the time is in milliseconds, time_unit ms" in doubted.notes
     (record,) = read_records([path], Columns(time_unit="ms"))
     assert record.step == pytest.approx(0.02)
-    assert not any("--time-unit" in note for note in record.notes)
+    assert not any("time_unit" in note for note in record.notes)
     (record,) = read_records([path], Columns(time_unit="s"))
-    assert not any("--time-unit" in note for note in record.notes)
+    assert not any("time_unit" in note for note in record.notes)
 
 
 def test_a_load_cell_at_a_kilohertz_tells_the_delay_to_a_millisecond(tmp_path: Path) -> None:
@@ -238,8 +238,8 @@ def test_channels_that_are_given_leave_an_engine_where_the_output_is_a_thrust(he
         ("three rows", lambda t, u, y: (t[:3], u[:3], y[:3]), 2, "3 rows of throttle that can be used; at least 20"),
         ("no step", lambda t, u, y: (t, 0 * u, y), 1, "throttle does not move; step it: a step up and one down"),
         ("noise alone", lambda t, u, y: (t, u, y - y + np.sin(1e4 * t**2)), 1, "the output hardly shows the command"),
-        ("percent", lambda t, u, y: (t, 100 * u, y), 0, "has no unit: taken for percent; --throttle-range LOW HIGH says"),
-        ("negative", lambda t, u, y: (t, u, -y), 0, "if the load cell's sign is the other one: --output=-thrust_N"),
+        ("percent", lambda t, u, y: (t, 100 * u, y), 0, "has no unit: taken for percent; throttle_range LOW HIGH says"),
+        ("negative", lambda t, u, y: (t, u, -y), 0, "if the load cell's sign is the other one: output -thrust_N"),
         ("backwards", lambda t, u, y: (np.where(t > 30, t - 30, t), u, y), 2, "the time goes back after 30 s"),
         ("nothing but a head", lambda t, u, y: (t[:0], u[:0], y[:0]), 2, "the table has no rows"),
         ("no numbers", lambda t, u, y: (t, u, np.nan * y), 2, "0 rows of thrust_N that can be used; at least 20"),
@@ -276,7 +276,7 @@ def test_a_share_that_is_called_percent_leaves_no_engine(tmp_path: Path) -> None
     times, command, thrust, _ = bench_log("stairs of 5 s", 10.0)
     result = identify_bench(read_records([write(tmp_path / "b.csv", command, thrust, times, "t,throttle [%],F [N]")]))
     assert any("is in percent and never above 0.9" in note for note in result.notes)
-    assert why_no_engine(result) == "what throttle 0 and 1 are is not known: --throttle-range LOW HIGH"
+    assert why_no_engine(result) == "what throttle 0 and 1 are is not known: throttle_range LOW HIGH"
 
 
 @pytest.mark.parametrize(
@@ -370,7 +370,7 @@ def test_two_clocks_are_refused_in_a_line(tmp_path: Path) -> None:
     times, command, thrust, _ = bench_log("stairs of 5 s", 20.0)
     np.savetxt(tmp_path / "ecu.csv", np.column_stack([times, command]), "%.9g", ",", header="t,throttle", comments="")
     np.savetxt(tmp_path / "cell.csv", np.column_stack([times, thrust]), "%.9g", ",", header="t,F (N)", comments="")
-    with pytest.raises(InputError, match=r"no column is called like what --output needs.*on one clock in one file"):
+    with pytest.raises(InputError, match=r"no column is called like what output needs.*on one clock in one file"):
         read_records([tmp_path / "ecu.csv", tmp_path / "cell.csv"])
 
 
@@ -379,7 +379,7 @@ def test_columns_that_are_called_alike_are_asked_for(tmp_path: Path) -> None:
     path = tmp_path / "two.csv"
     np.savetxt(path, np.column_stack([times, command, thrust, thrust]), "%.9g", ",",
                header="time_s,throttle,thrust_1_N,thrust_2_N", comments="")  # fmt: skip
-    with pytest.raises(Exception, match="thrust_1_N, thrust_2_N: --output NAME says which"):
+    with pytest.raises(Exception, match="thrust_1_N, thrust_2_N: output NAME says which"):
         read_records([path])
     assert read_records([path], Columns(output="thrust_2_N"))[0].output_unit == "N"
 
@@ -485,7 +485,7 @@ def test_a_real_turbojet_is_no_lag_and_that_is_said() -> None:
     columns = Columns("setpoint_rpm", "rpm", begin=80.0, end=290.0)
     result = identify_bench(read_records([RECORDINGS / "run-2023-01-09-a.csv"], columns))
     assert not result.is_explained
-    assert any("try --engine jetcat-p300 --fit fuel_integral" in note for note in result.notes)
+    assert any("try engine jetcat-p300 with fit fuel_integral" in note for note in result.notes)
     assert 1.0 < result.chosen.total[0] < 4.0
 
 

@@ -91,7 +91,7 @@ def test_a_range_in_another_unit_than_the_throttle_is_refused(tmp_path: Path) ->
         throttle_limits(records, None, []) == throttle_limits(records, (1000.0, 2000.0), []) == ((1000.0, 2000.0), True)
     )
     for wrong in ((0.0, 1.0), (0.0, 100.0), (2500.0, 3500.0)):
-        with pytest.raises(InputError, match=r"--throttle-range .*: throttle goes from 1.* to .*; allowed: 5 % of"):
+        with pytest.raises(InputError, match=r"throttle_range .*: throttle goes from 1.* to .*; allowed: 5 % of"):
             throttle_limits(records, wrong, [])
 
 

@@ -67,7 +67,7 @@ def test_surveys_draw_the_engine_for_each_case_the_same_for_every_controller(tmp
     file = str(fan(tmp_path, [3.0, 0.006, 0.02], [1.0, 0.002, 0.01]))
     plan = plan_faults("hexjet", file, ("baseline", DESIGN), ("none", "gyro bias"))
     assert plan.engine_note.startswith("the engine of each flight is drawn by the engine's [uncertainty]")
-    assert "; --nominal-engine flies it as it is stated" in plan.engine_note
+    assert "; nominal_engine flies it as it is stated" in plan.engine_note
     scenarios = [scenario_of(plan.study, flight) for flight in flights(plan.study)]
     engines = [tuple(scenario.mismatch.engine_parameters.values()) for scenario in scenarios]
     assert engines[::2] == engines[1::2]

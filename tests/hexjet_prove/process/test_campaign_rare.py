@@ -155,7 +155,7 @@ def test_a_cluster_flies_the_same_rows(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_of_one_simulation(whole: SavedRare, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"already holds a campaign \(study.toml\); --resume goes on with it"):
+    with pytest.raises(InputError, match=r"already holds a campaign \(study.toml\); resume goes on with it"):
         run_rare(known(), SMALL, whole.folder, Here())
     with pytest.raises(InputError, match=r"holds another study; plan: flights is 1600 there and 1700 here"):
         run_rare(known(), Plan(Budget(1e-3, 1700)), whole.folder, Here(), resume=True)
@@ -176,10 +176,10 @@ def test_a_folder_is_of_one_simulation(whole: SavedRare, tmp_path: Path) -> None
     [
         (["hover"], "hover: nothing varies"),
         (["hover", "--vary", "vehicle.mass_kg=5:6:3"], "has 3 levels, which only a grid has"),
-        (["hover", "--vary", "vehicle.mass_kg=5:6", "--budget", "100"], "--budget 100: 8 repeats of 7 levels"),
+        (["hover", "--vary", "vehicle.mass_kg=5:6", "--budget", "100"], "budget 100: 8 repeats of 7 levels"),
         (
             ["predictor-robustness"],
-            "has 5 controllers, and a rare failure is one's; --controller NAME says which: baseline, smith",
+            "has 5 controllers, and a rare failure is one's; controller NAME says which: baseline, smith",
         ),
         (["hover", "--vary", "vehicle.mass_kg=5:6", "--resume"], "resume: give the folder of the simulation"),
     ],

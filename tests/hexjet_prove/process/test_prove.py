@@ -188,10 +188,10 @@ def test_stopped_and_resumed_it_comes_to_the_same(proven: Path, study: Path, hex
     refused = hexjet("prove", str(tmp_path / "p"))
     assert (refused.status, refused.err.count("\n")) == (2, 1)
     assert "already holds a proof; resume goes on with it" in refused.err
-    for option, value in (("--claim", "99%@95%"), ("--set", "duration_s=1"), ("--out", str(tmp_path / "q"))):
-        refused = hexjet("prove", str(tmp_path / "p"), "--resume", option, value)
+    for name, value in (("claim", "99%@95%"), ("settings", "duration_s=1"), ("out", str(tmp_path / "q"))):
+        refused = hexjet("prove", str(tmp_path / "p"), "--resume", f"--{name}", value)
         assert refused.status == 2
-        assert f"is a proof and goes on as it began; leave out {option}\n" in refused.err
+        assert f"is a proof and goes on as it began; leave out {name}\n" in refused.err
     assert hexjet("prove", str(tmp_path / "p"), "--resume", "--no-limit", "--search", "0").status == 0
     data = told(tmp_path / "p")
     first = told(proven)
@@ -319,23 +319,23 @@ def test_a_rare_failure_has_its_probability(tmp_path: Path) -> None:
         ),
         (
             ["STUDY", "--claim", "99.9%@95%", "--budget", "100"],
-            "--budget 100: 100 flights do not show it, even if all succeed; 99.9%@95% takes 2,995 without a failure",
+            "budget 100: 100 flights do not show it, even if all succeed; 99.9%@95% takes 2,995 without a failure",
         ),
-        (["STUDY", "--budget", "2000000"], "--budget 2000000: at most 1,000,000"),
-        (["STUDY", "--claim", "99.9999%@95%"], "--claim 99.9999%@95%: 1,000,000 flights do not show it"),
-        (["STUDY", "--claim", "99%"], "--claim 99%: write it as"),
-        (["STUDY", "--claim", "100%@95%"], "--claim 100%@95%: 100 % must be at least 1"),
+        (["STUDY", "--budget", "2000000"], "budget 2000000: at most 1,000,000"),
+        (["STUDY", "--claim", "99.9999%@95%"], "claim 99.9999%@95%: 1,000,000 flights do not show it"),
+        (["STUDY", "--claim", "99%"], "claim 99%: write it as"),
+        (["STUDY", "--claim", "100%@95%"], "claim 100%@95%: 100 % must be at least 1"),
         (["STUDY", "--claim", "smith>baseline@95%"], "compares two controllers, which hexjet sweep --until does"),
         (
             ["predictor-robustness", "--claim", "99%@95%"],
-            "has 5 controllers, and a proof is one's; --controller NAME says which: baseline, smith",
+            "has 5 controllers, and a proof is one's; controller NAME says which: baseline, smith",
         ),
-        (["predictor-robustness"], "states no claim (until); --claim says what is to be shown"),
+        (["predictor-robustness"], "states no claim (until); claim says what is to be shown"),
         (["robustness-predictor"], "unknown study or scenario 'robustness-predictor'"),
         (["runs/nothere"], "nothere: no such study or scenario; a .toml file, or a name of hexjet list, is needed"),
         (["DESIGN"], "a design states no claim"),
         (["DESIGN", "--claim", "99%@95%", "--controller", "smith"], "a design brings its own controllers"),
-        (["STUDY", "--rare", "100"], "--rare 100: 8 repeats of 7 levels down to"),
+        (["STUDY", "--rare", "100"], "rare 100: 8 repeats of 7 levels down to"),
         (["STUDY", "--resume"], "give the folder of the proof"),
         (["STUDY", "--out", "."], "is not empty; choose another folder"),
         (["STUDY", "--replay", "."], "is no replay.json of hexjet replay"),
@@ -359,7 +359,7 @@ def test_a_design_for_an_engine_of_the_users_asks_for_its_file(
     (tmp_path / "mine.toml").write_text(design.replace('engine = "turbojet"', 'engine = "MyEngine"'))
     done: Done = hexjet(words[0], "mine.toml", *words[1:])
     assert (done.status, done.err.count("\n")) == (2, 1), done.err
-    assert "mine.toml: designed for engine 'MyEngine', which is not shipped; give its file with --engine" in done.err
+    assert "mine.toml: designed for engine 'MyEngine', which is not shipped; give its file as engine" in done.err
 
 
 def test_a_design_knows_where_its_aircraft_and_engine_are(hexjet: Hexjet, tmp_path: Path) -> None:

@@ -143,7 +143,7 @@ def test_a_killed_search_goes_on_to_the_same(searched: SavedWorst, hexjet: Hexje
         (["--worst"], "likely: goes without worst"),
         (["--over", "seed=1:2:2"], "over: is of a search of one key"),
         (["--tolerance", "0.1"], "tolerance: is of a search of one key"),
-        (["--within", "12"], "--within 12: must be above 0"),
+        (["--within", "12"], "within 12: must be above 0"),
         (["--resume"], "resume: give the folder of the search with out"),
     ],
 )

@@ -209,7 +209,7 @@ def test_what_is_said() -> None:
 
 def test_a_budget_that_is_too_small_is_refused() -> None:
     assert (Budget(1e-6, 5000).size, Budget(1e-6, 5000).most_levels, Budget(1e-5, 5000).size) == (90, 7, 110)
-    with pytest.raises(InputError, match=r"--budget 1000: 8 repeats of 7 levels down to 1.0e-6 take at least 2,560"):
+    with pytest.raises(InputError, match=r"budget 1000: 8 repeats of 7 levels down to 1.0e-6 take at least 2,560"):
         Budget(1e-6, 1000).check()
     Budget(1e-6, 2560).check()
 

@@ -116,7 +116,7 @@ def test_a_parameter_that_it_does_not_have_fails_the_flight_and_the_run_is_kept(
     assert done.status == 1, done.out + done.err
     assert (
         "failed, ardupilot: parameter ATC_RAT_RLL_PP: this ArduCopter has none of that name; did you mean "
-        "ATC_RAT_RLL_P? (--param, --defaults; run/ardupilot/logs)"
+        "ATC_RAT_RLL_P? (parameters, defaults; run/ardupilot/logs)"
     ) in " ".join(done.out.split())
     run = open_run(Path("run"))
     assert (len(run.log), run.outcome) == (50, "failed")
@@ -216,11 +216,11 @@ def test_the_names_of_a_log_are_those_that_the_autopilots_own_reader_finds(
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (["--channel", "3=2000"], "hexjet: --channel 3=2000: must be a channel"),
+        (["--channel", "3=2000"], "hexjet: channels 3=2000: must be a channel"),
         (["--gains", "nowhere.toml"], "nowhere.toml"),
         (["--set", "controller=baseline.toml"], "the autopilot flies in the place of the controller"),
         (["--defaults", "binary.parm"], "hexjet: binary.parm: is no text file"),
-        (["--binary", "/nope"], "hexjet: --binary: /nope: no such file"),
+        (["--binary", "/nope"], "hexjet: binary: /nope: no such file"),
         (["--gains", "fast"], "hexjet: gains fast: must be vehicle, stock, or a file of hexjet design (.toml)"),
         (["--param", "FOO=nan"], "hexjet: parameters FOO=nan: write it as NAME=NUMBER, with a finite number"),
         (["--param", "=3"], "hexjet: parameters =3: write it as NAME=NUMBER"),
@@ -282,12 +282,12 @@ def test_a_gnss_that_is_out_is_taken_away_by_a_switch() -> None:
     ],
 )
 def test_a_channel_is_read(text: str, channel: TransmitterChannel) -> None:
-    assert parse_channel(text, "--channel") == channel
+    assert parse_channel(text, "channels") == channel
 
 
 @pytest.mark.parametrize(
     "text", ["3=2000", "7=1000", "16=2000", "17=2000", "8=200", "8", "8=2000@-1", "8=high", "0=2000"]
 )
 def test_what_is_no_channel_is_refused_with_those_that_are(text: str) -> None:
-    with pytest.raises(InputError, match=rf"^--channel {text}: must be .*; allowed channels: 6, 8, 9, 10, .*, 15$"):
-        parse_channel(text, "--channel")
+    with pytest.raises(InputError, match=rf"^channels {text}: must be .*; allowed channels: 6, 8, 9, 10, .*, 15$"):
+        parse_channel(text, "channels")

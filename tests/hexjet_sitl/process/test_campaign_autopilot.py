@@ -140,7 +140,7 @@ def test_it_flies_on_this_machine_alone_and_only_if_it_is_here(
     assert "nothing: no such file" in done.err
     done = hexjet("sweep", str(path), "--cluster", "local", "--out", str(tmp_path / "out"))
     assert done.status == 2
-    assert "autopilot px4 flies on this machine; leave out --cluster" in done.err
+    assert "autopilot px4 flies on this machine; leave out cluster" in done.err
     assert not (tmp_path / "out").exists()
 
 

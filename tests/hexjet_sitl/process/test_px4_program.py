@@ -219,7 +219,7 @@ def test_what_is_not_to_be_had_is_one_line(hexjet: Hexjet) -> None:
     done = flown(hexjet, "--param", "MC_ROLRATE_P=0.1", "--param", "MC_ROLL_P=5")
     assert done.status == 2
     assert done.err.strip() == (
-        "hexjet: px4: parameter MC_ROLRATE_P: this PX4 has none of that name; did you mean MC_ROLLRATE_P? (--param; "
+        "hexjet: px4: parameter MC_ROLRATE_P: this PX4 has none of that name; did you mean MC_ROLLRATE_P? (parameters; "
         "run/px4/px4.log); the first PX4 that is flown is 1.17"
     )
     assert not Path("run/scenario.toml").exists()

@@ -105,7 +105,7 @@ def test_a_busy_port_is_named(tmp_path: Path) -> None:
         held.bind(("127.0.0.1", 0))
         port = held.getsockname()[1]
         one = Betaflight(tmp_path / "any", tmp_path, vehicle("hexjet"), 0.004, PLACE, Setup(port=port))
-        with pytest.raises(InputError, match=rf"betaflight: port {port} is in use; .*\(--port\)"):
+        with pytest.raises(InputError, match=rf"betaflight: port {port} is in use; .*\(port\)"):
             one.start()
         one.close()
 
@@ -113,7 +113,7 @@ def test_a_busy_port_is_named(tmp_path: Path) -> None:
 def test_what_is_no_program_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = tmp_path / "text"
     text.write_text("no program")
-    with pytest.raises(InputError, match=r"--binary: .*text: is no program"):
+    with pytest.raises(InputError, match=r"binary: .*text: is no program"):
         find_program(text)
     monkeypatch.setenv("BETAFLIGHT_SITL", str(tmp_path / "missing"))
     with pytest.raises(InputError, match=r"BETAFLIGHT_SITL: .*missing: no such file"):

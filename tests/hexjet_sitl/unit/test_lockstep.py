@@ -289,7 +289,7 @@ def test_a_port_of_the_sticks_that_is_taken_is_named(tmp_path: Path) -> None:
     ours = ardupilot_of(Path("/bin/true"), tmp_path)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as held:
         held.bind(("127.0.0.1", ours.sticks_port))
-        with pytest.raises(InputError, match=rf"ardupilot: port {ours.sticks_port} is in use; .*\(--instance\)"):
+        with pytest.raises(InputError, match=rf"ardupilot: port {ours.sticks_port} is in use; .*\(instance\)"):
             ours.start()
     ours.close()
 

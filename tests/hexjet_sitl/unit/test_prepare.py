@@ -250,8 +250,8 @@ def test_a_file_that_is_no_text_is_called_that(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["FOO=nan", "FOO=inf", "=3", " =3", "FOO", "FOO="])
 def test_what_is_no_name_with_a_finite_number_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match=f"^--param {text}: write it as NAME=NUMBER, with a finite number$"):
-        parse_numbers([text], "--param")
+    with pytest.raises(InputError, match=f"^parameters {text}: write it as NAME=NUMBER, with a finite number$"):
+        parse_numbers([text], "parameters")
 
 
 def test_the_stand_in_for_px4_has_nothing_of_the_project_in_it() -> None:
@@ -299,5 +299,5 @@ def test_a_program_is_found_on_the_path_behind_what_is_named(
 @pytest.mark.parametrize("name", ["px4", "ardupilot", "betaflight"])
 def test_a_design_in_the_place_of_the_controller_is_refused_and_not_left_out(name: str, tmp_path: Path) -> None:
     """The autopilot flies in the controller's place, so that its gains would not be flown."""
-    with pytest.raises(InputError, match=rf"controller = gains\.toml: {name} flies in .* --gains gains\.toml"):
+    with pytest.raises(InputError, match=rf"controller = gains\.toml: {name} flies in .* as gains gains\.toml"):
         prepare(name, QUAD.replace(controller="gains.toml"), tmp_path, PROGRAM, Setup())

@@ -311,7 +311,7 @@ def test_what_cannot_be_reached_is_told_in_a_line(
     assert left.value.code == 2
     said = capfd.readouterr()
     assert said.out == ""
-    assert said.err.startswith(f"hexjet: --cluster {address}: ")
+    assert said.err.startswith(f"hexjet: cluster {address}: ")
     assert words in said.err
     assert said.err.count("\n") == 1
     assert not out.exists()
@@ -326,12 +326,12 @@ def test_a_scheduler_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_dask_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError, match=r"--cluster needs Dask, which is not installed.*pip install distributed"):
+    with pytest.raises(InputError, match=r"cluster needs Dask, which is not installed.*pip install distributed"):
         DaskWorkers("tcp://127.0.0.1:1")
 
 
 def test_workers_are_counted_where_they_are_made() -> None:
-    with pytest.raises(InputError, match="--workers 3: a cluster has the workers that it has"):
+    with pytest.raises(InputError, match="workers 3: a cluster has the workers that it has"):
         DaskWorkers("tcp://127.0.0.1:1", 3)
 
 

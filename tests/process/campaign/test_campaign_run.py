@@ -274,7 +274,7 @@ def test_what_is_shipped_is_meant_where_a_folder_is_called_the_same(flown: Campa
     done = hexjet("sweep", "hover", "--vary", "vehicle.mass_kg=5.4:5.8:2", "--controller", "smith", *SHORT)
     assert (done.status, done.err) == (0, "")
     assert len(open_campaign("runs/hover-001")) == 2
-    assert "./hover: already holds a campaign; --resume goes on with it" in hexjet("sweep", "./hover").err
+    assert "./hover: already holds a campaign; resume goes on with it" in hexjet("sweep", "./hover").err
     assert "6 flights" in hexjet("sweep", "hover", "--resume").out
 
 
@@ -286,13 +286,13 @@ VARY = ("--vary", "vehicle.mass_kg=5.4:5.8", "--runs", "2")
     [
         (["hover", *VARY, "--workers", "0"], "workers = 0: at least 1"),
         (["hover", *VARY, "--time-limit", "0"], "time limit = 0 s: must be above 0"),
-        (["hover", *VARY, "--resume"], "--resume: give the folder of the campaign"),
-        (["hover", *VARY, "--out", "c"], "c: already holds a campaign (study.toml); --resume goes on with it"),
-        (["c"], "c: already holds a campaign; --resume goes on with it"),
+        (["hover", *VARY, "--resume"], "resume: give the folder of the campaign"),
+        (["hover", *VARY, "--out", "c"], "c: already holds a campaign (study.toml); resume goes on with it"),
+        (["c"], "c: already holds a campaign; resume goes on with it"),
         (["c", "--resume", "--runs", "5"], "c: runs = 5: its latin-hypercube has 3 draws; only a random or a sobol"),
-        (["c", "--resume", "--seed", "5"], "c: is a campaign and goes on as it began; leave out --seed"),
-        (["c", "--resume", "--set", "seed=5"], "c: is a campaign and goes on as it began; leave out --set"),
-        (["c", "--resume", "--out", "d"], "c: is a campaign and goes on as it began; leave out --out"),
+        (["c", "--resume", "--seed", "5"], "c: is a campaign and goes on as it began; leave out seed"),
+        (["c", "--resume", "--set", "seed=5"], "c: is a campaign and goes on as it began; leave out settings"),
+        (["c", "--resume", "--out", "d"], "c: is a campaign and goes on as it began; leave out out"),
         (["hover", *VARY, "--out", "c", "--resume"], "c: holds another study; study.toml: "),
         (["hover", *VARY, "--out", "file"], "file: "),
         (["hover", *VARY, "--out", "empty", "--resume", "--controller", "smiht"], "smiht"),
@@ -332,7 +332,7 @@ def test_a_flight_that_is_not_finished(tmp_path: Path, hexjet: Hexjet) -> None:
     from cosim.campaign.store import Store
 
     Store.create(tmp_path / "c", tools.study(1)).close()
-    assert "c: flight 0 is not finished; --resume goes on" in hexjet("fly", "c", "--flight", "0").err
+    assert "c: flight 0 is not finished; resume goes on" in hexjet("fly", "c", "--flight", "0").err
 
 
 def test_a_flight_that_could_not_be_flown_is_told_so_again(tmp_path: Path, hexjet: Hexjet) -> None:

@@ -213,7 +213,7 @@ def test_the_folder_of_another_study_is_refused(tmp_path: Path, options: dict[st
     before = contents(folder)
     with pytest.raises(InputError, match=f"c: holds another study; {difference}"):
         run_campaign(tools.study(**options), folder, 1, resume=True)
-    with pytest.raises(InputError, match=r"c: already holds a campaign \(study.toml\); --resume goes on with it"):
+    with pytest.raises(InputError, match=r"c: already holds a campaign \(study.toml\); resume goes on with it"):
         run_campaign(tools.study(**options), folder, 1)
     assert contents(folder) == before
 

@@ -122,7 +122,7 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
         (["fly", "hover", "--set", "duration_s=1e308"], "duration_s = 1e+308"),
         (
             ["fly", "hover", "--set", "duration_s='2'"],
-            "hover.toml: settings (--set): duration_s = '2': must be a number",
+            "hover.toml: settings: duration_s = '2': must be a number",
         ),
         (["fly", "hover", "--set", "duration_s=true"], "duration_s = True: must be a number"),
         (["fly", "hover", "--set", "vehicle.name='a/b'"], "name = 'a/b'"),

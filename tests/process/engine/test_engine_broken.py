@@ -233,7 +233,7 @@ def test_a_memory_that_cannot_be_kept_is_done_without(sound: Path, tmp_path: Pat
 def test_only_what_is_fit_is_remembered(kit: Kit, sound: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sound.write_bytes(packed(kit.contents("process")))
     for _ in range(2):
-        with pytest.raises(InputError, match=r"is not fit to fly: two processes with.*--unchecked-engine"):
+        with pytest.raises(InputError, match=r"is not fit to fly: two processes with.*unchecked_engine"):
             load_engine(str(sound), {}, STEP)
 
 

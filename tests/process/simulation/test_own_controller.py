@@ -271,7 +271,7 @@ def test_what_cannot_fly_is_one_line(tmp_path: Path, text: str, message: str) ->
         ({"controller": "mine.py"}, "controller mine.py: a file alone is none; name its class too: mine.py:Mine"),
         (
             {"controller": "mine.toml"},
-            "controller mine.toml is a design, which no scenario names: give it with --controller",
+            "controller mine.toml is a design, which no scenario names: give it as controller",
         ),
         ({"controller": "smiht"}, "unknown controller 'smiht'; did you mean 'smith'?"),
         (

@@ -70,7 +70,7 @@ def test_a_call_is_typed_and_refuses_a_name_that_is_none(name: str) -> None:
         ("prove", ("hover",), {"search": -1}, "prove: search: -1; allowed: at least 0"),
         ("design", (), {"amplitude": 0.0}, "design: amplitude: 0; allowed: above 0, at most 0.5"),
         ("margins", (), {"from_hz": float("nan")}, "margins: from_hz: nan is no finite number"),
-        ("margins", (), {"out": __file__}, f"{__file__}: is a file; name a folder with --out"),
+        ("margins", (), {"out": __file__}, f"{__file__}: is a file; name a folder as out"),
         ("identify", ("engine", "edf"), {"lags": 7}, "identify: lags: 7; allowed: at least 0, at most 2"),
         ("identify", ("roll",), {"lags": 0}, "identify: lags: 0; allowed: at least 1 of an axis"),
         ("identify_log", ("a.ulg",), {}, "identify_log: say axis (roll, pitch or yaw) or engine"),

@@ -153,7 +153,7 @@ def test_what_cannot_be_drawn_is_one_line(tmp_path: Path, options: dict[str, Any
 
 
 def test_a_search_does_not_draw(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="is drawn with --seeds N, or by hexjet sweep"):
+    with pytest.raises(InputError, match="is drawn with seeds N, or by hexjet sweep"):
         resolve_search("hover", vary=["engine"], settings=[f"engine={fan(tmp_path, DEVIATION)}"])
 
 
@@ -168,7 +168,7 @@ def test_an_uncertain_engine_is_drawn_by_default_and_said_so(tmp_path: Path) -> 
     assert keys(by_default) == ["vehicle.mass_kg", "engine"]
     assert by_default.notes()[-1] == (
         "the engine of each flight is drawn by the engine's [uncertainty] (delay_samples, pole, gain, each engine by "
-        "itself too; source: bench.csv: 6 steps, 2 holds); --nominal-engine flies it as it is stated"
+        "itself too; source: bench.csv: 6 steps, 2 holds); nominal_engine flies it as it is stated"
     )
     assert [draw.values for draw in Draws(by_default)] == [draw.values for draw in Draws(study(file, 5, vary=mass))]
     nominal = study(file, 5, vary=mass, nominal_engine=True)

@@ -90,12 +90,12 @@ def test_correlations_and_criteria_are_read() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("a", "--vary a: write it as KEY=LO:HI, "),
-        ("=1:2", "--vary =1:2: write it as KEY=LO:HI, "),
-        ("a=", "--vary a=: write it as KEY=LO:HI, "),
+        ("a", "vary a: write it as KEY=LO:HI, "),
+        ("=1:2", "vary =1:2: write it as KEY=LO:HI, "),
+        ("a=", "vary a=: write it as KEY=LO:HI, "),
         ("a=1:2:3:4", "write it as KEY=LO:HI, "),
-        ("a=5", "one value does not vary; KEY=LO:HI or KEY=A,B do, or --set a=5"),
-        ("a=5-6", "--vary a=5-6: write the range as 5:6"),
+        ("a=5", "one value does not vary; KEY=LO:HI or KEY=A,B do, or settings a=5"),
+        ("a=5-6", "vary a=5-6: write the range as 5:6"),
         ("a=2:1", "a: 2 to 1 is empty; the lower bound comes first"),
         ("a=1:1", "a: 1 to 1 is empty"),
         ("a=1:x", "'x' is not a number"),
@@ -134,7 +134,7 @@ def test_a_wrong_text_is_refused_in_one_line(text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         parse_vary(text)
     assert message in str(caught.value)
-    assert str(caught.value).startswith(f"--vary {text}: ")
+    assert str(caught.value).startswith(f"vary {text}: ")
     assert "\n" not in str(caught.value)
 
 
@@ -174,7 +174,7 @@ def test_wrong_correlations_and_criteria_are_refused_in_one_line(read: Any, text
         ([f"{MASS}=normal(5,1,,6)"], {}, "state min and max"),
         (["environment.wind_ned_m_s.0*=1:2"], {}, "is 0, and stays so times any factor; += adds to it"),
         (["monitor=1:2"], {}, "monitor is one of true or false; list values of them"),
-        (["controller=smith,baseline"], {}, "controller: list controllers (--controller)"),
+        (["controller=smith,baseline"], {}, "controller: list controllers"),
         (["seed=1:5"], {}, "seed: every draw has a seed of its own"),
         (["duration_s=1:5"], {}, "duration_s: a row says under this name how long the flight lasted"),
         (["engine=edf,fde"], {}, "engine = fde: must be one of edf, "),
@@ -190,10 +190,10 @@ def test_wrong_correlations_and_criteria_are_refused_in_one_line(read: Any, text
         ([f"{MASS}=1:2:3", f"{GAIN}=1:2"], {"design": "grid", "runs": None}, f"{GAIN} needs levels or values in a grid, such"),
         ([f"{MASS}=1:2:3", f"{GAIN}=normal(1,2)"], {"design": "grid", "runs": None}, "distributions belong to latin-hypercube"),
         ([f"{MASS}=5:6:9999", f"{GAIN}=1:2:9999"], {"runs": None}, "a grid of 99980001 draws; at most 10000000"),
-        ([f"{MASS}=1:2"], {"runs": None}, "runs is missing (--runs): how many draws the latin-hypercube has"),
+        ([f"{MASS}=1:2"], {"runs": None}, "runs is missing: how many draws the latin-hypercube has"),
         ([f"{MASS}=1:2"], {"runs": 0}, "runs = 0: should be greater than or equal to 1"),
         ([f"{MASS}=1:2"], {"repeats": 3}, "only a grid is repeated; a latin-hypercube has more runs instead"),
-        ([f"{MASS}=1:2"], {"design": "gird"}, "design (--sampling) gird: did you mean 'grid'?"),
+        ([f"{MASS}=1:2"], {"design": "gird"}, "design gird: did you mean 'grid'?"),
         ([f"{MASS}=1:2"], {"seed": -1}, "seed = -1: should be greater than or equal to 0"),
         ([f"{MASS}=1:2"], {"controllers": ["smth"]}, "unknown controller 'smth'; did you mean 'smith'?"),
         ([f"{MASS}=1:2"], {"controllers": ["smith", "smith"]}, "smith is there twice"),
@@ -217,7 +217,7 @@ def test_wrong_correlations_and_criteria_are_refused_in_one_line(read: Any, text
             {},
             "stations.2.engine = edf: stations.2.parameters.gain belongs to edf-as-flown",
         ),
-        ([], {}, "nothing varies; --vary KEY=LO:HI says what does"),
+        ([], {}, "nothing varies; vary KEY=LO:HI says what does"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_in_one_line(vary: list[str], options: dict[str, Any], message: str) -> None:

@@ -104,7 +104,7 @@ def test_a_design_that_no_flight_would_know_is_refused_before_the_search(hexjet:
 
 def test_a_design_says_the_command_that_flies_it() -> None:
     designed: Any = None
-    chosen = [("--aircraft", "quadjet"), ("--engine", "my e.fmu"), ("--set", "engine_parameters.delay=4")]
+    chosen = [("aircraft", "quadjet"), ("engine", "my e.fmu"), ("set", "engine_parameters.delay=4")]
     result = DesignResult(designed, None, chosen)
     assert result.fly_command == ""
     result.files = {"controller": Path("c.toml")}

@@ -123,7 +123,7 @@ def test_what_it_lacks_is_said_in_one_line(mine: PredictorSpec, plain: Predictor
     from hexjet_design.design import design
 
     with pytest.raises(
-        InputError, match=r"--controller plain: states no frequency response, which a design needs; allowed: auto, "
+        InputError, match=r"controller plain: states no frequency response, which a design needs; allowed: auto, "
     ):
         design("edf", controller="plain")
 

@@ -85,7 +85,7 @@ def test_the_command_says_it_and_whether_it_is_enough(hexjet: Hexjet, tmp_path: 
 @pytest.mark.parametrize(
     ("name", "line"),
     [
-        ("mine.fmu", "mine.toml: is there already; name another file with --out, or remove it"),
+        ("mine.fmu", "mine.toml: is there already; name another file as out, or remove it"),
         ("mine.toml", "mine.toml: is a mapping file already; hexjet fmu check mine.toml says what it lacks"),
         ("edf", "edf: is no file; hexjet fmu map takes the FMU of an engine, FILE.fmu"),
         ("text.fmu", "text.fmu: is not an FMU: not a zip archive"),

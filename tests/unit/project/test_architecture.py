@@ -87,6 +87,14 @@ C_FILES_CLOCKS_AND_CHANCE = (
 )
 
 # What a user would wait for, although a flight does not need it before its first step.
+# Where options may stand in texts: declared commands, programs of others, the words of a command line.
+HAS_OPTIONS = [
+    "base/removed.py", "base/trust.py", "campaign/workers/cluster.py", "cli/", "tools/hexjet_design/command.py",
+    "tools/hexjet_design/measured/command.py", "tools/hexjet_export/command.py", "tools/hexjet_export/controller/measure.py",
+    "tools/hexjet_identify/commands/", "tools/hexjet_paper/command.py", "tools/hexjet_prove/command/",
+    "tools/hexjet_sitl/ardupilot.py", "tools/hexjet_sitl/command.py", "tools/hexjet_sitl/firmware_parameters.py",
+    "tools/hexjet_sitl/prepare.py",
+]  # fmt: skip
 HEAVY = [
     "scipy", "plotly", "pyarrow", "jinja2", "matplotlib", "control", "pymavlink", "pyulog", "hypothesis", "fmpy",
     "websockets", "distributed", "gymnasium", "pandas", "mcap", "foxglove_schemas_protobuf",
@@ -258,6 +266,24 @@ def test_nothing_imports_the_command_line() -> None:
     assert not [
         where for where in importers("cosim.cli.main") if not is_in(PACKAGE / where.split(":")[0], entry_points)
     ]
+
+
+def test_texts_name_arguments_and_no_options() -> None:
+    """An option stands in a whole command, ``hexjet ...``, or in a piece of one, which begins with a blank."""
+    found = []
+    for path in modules():
+        parts = {id(part) for node in nodes(path) if isinstance(node, ast.JoinedStr) for part in node.values}
+        for node in [] if is_in(path, HAS_OPTIONS) else nodes(path):
+            if isinstance(node, ast.JoinedStr):
+                text = "".join(str(part.value) if isinstance(part, ast.Constant) else "{}" for part in node.values)
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in parts:
+                text = node.value
+            else:
+                continue
+            option = re.search(r"(?<![\w-])--[a-z{]", text)
+            if option and not re.search(r"hexjet |fgfs |^ $", text[: option.start()]):
+                found.append(f"{place(path)}:{node.lineno} {text}")
+    assert not found
 
 
 def test_the_simulation_knows_no_output() -> None:

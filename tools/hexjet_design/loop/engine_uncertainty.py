@@ -177,12 +177,11 @@ def engine_tolerances(
         parts.append(
             f"the box around their ellipsoid of correlation {both[0, 1] / np.sqrt(both[0, 0] * both[1, 1]):.2g}"
         )
-    options = " and ".join(f"--{name.replace('_', '-')}" for name in unstated)
     taken = {name: min(ceil(1e4 * values[name]) * 1e-4, MOST[name]) for name in unstated}
     spread, uneven = _engine_spread(need, spec.uncertainty, found)
     words = (
         f"tolerances from the engine's uncertainty, {CUT:g} standard deviations of its parameters: {', '.join(parts)}; "
-        f"source: {spec.uncertainty.source or 'not stated'}; {options} would state others{uneven}"
+        f"source: {spec.uncertainty.source or 'not stated'}; {' and '.join(unstated)} would state others{uneven}"
     )
     return EngineTolerances(need.model_copy(update=taken | spread), words)
 
@@ -201,7 +200,7 @@ def _engine_spread(
     if not any(table.spreads):
         return {"engine_spread": unknown_spread}, (
             f"; it states no spread between engines, so one is off by {100.0 * unknown_spread:.0f} % of gain and lag "
-            "in the proof: --engine-spread would state it"
+            "in the proof: engine_spread would state it"
         )
     ends = [CUT * np.sqrt(np.diag(single)) / (1.0, plant.pace_s) for plant, _, single in found]
     spread = min(ceil(1e4 * float(np.max(ends))) * 1e-4, MOST["gain_tolerance"])

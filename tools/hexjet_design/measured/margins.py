@@ -233,7 +233,7 @@ class _MarginRequest:
 
     def _measured(self, period_s: float, to_hz: float, size: float) -> tuple[Multisine, float, Response]:
         step = self.scenario.step_s
-        count = self.scenario.count(period_s, "--period")
+        count = self.scenario.count(period_s, "period_s")
         low = 2.0 / period_s if self.from_hz is None else self.from_hz
         sine = multisine(count * step, step, low, to_hz)
         size, record = self._fitting(sine, size)
@@ -281,7 +281,7 @@ def _notes(response: Response, half: Response) -> tuple[str, ...]:
     hidden = int((~response.used).sum())
     if hidden:
         lines = f"{hidden} of {len(response.used)} lines"
-        notes.append(f"{lines} are hidden in noise and left out; --set sensor_noise=false flies without it")
+        notes.append(f"{lines} are hidden in noise and left out; settings sensor_noise=false flies without it")
     for name, difference in relative_differences(half.margins, response.margins).items():
         if name not in JUDGED:
             continue

@@ -44,7 +44,7 @@ SHARE_LEFT = 0.8  # of what stability allows, |T (r - 1)| at most
 WORSE = 1.25  # times the sensitivity asked for, that of the measured loop at most
 NOT_KEPT = "flown with the engine itself it does not keep what it promises"
 LESS = 0.125  # of the noise, that is proposed where it moves a hover
-LESS_NOISE = "; where noise takes the engine to its limits, less of it may do: --noise-share {:.2g}"
+LESS_NOISE = "; where noise takes the engine to its limits, less of it may do: noise_share {:.2g}"
 ABOVE = 0.5  # loop gain where nothing was measured, at most: the engine may answer twice as much as its model
 
 Again = Callable[[tuple[tuple[float, float], ...]], Design]

@@ -65,11 +65,11 @@ def parse_address(address: str) -> tuple[str, int]:
     """Parse ``[HOST:]PORT``, on this machine without a host.  Raises InputError."""
     host, _, port = address.rpartition(":")
     if not port.isdigit() or not 1 <= int(port) <= 65535:
-        raise InputError(f"--flightgear {address}: must be PORT or HOST:PORT, such as 5550")
+        raise InputError(f"flightgear {address}: must be PORT or HOST:PORT, such as 5550")
     try:
         addresses = socket.getaddrinfo(host or "127.0.0.1", int(port), socket.AF_INET, socket.SOCK_DGRAM)
     except OSError as error:
-        raise InputError(f"--flightgear {address}: {host}: {error.strerror or error}") from error
+        raise InputError(f"flightgear {address}: {host}: {error.strerror or error}") from error
     name, number = addresses[0][4][:2]
     return str(name), int(number)
 

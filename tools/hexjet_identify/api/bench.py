@@ -149,7 +149,7 @@ def identify_bench(
     else:
         texts = as_settings(settings)
         mention([*texts, engine], Path())
-        numbers = parse_numbers(tuple(texts), "settings (--set)")
+        numbers = parse_numbers(tuple(texts), "settings")
         found = fit_engine(records, EngineChoices(str(engine), tuple(fit), numbers), choices)
     result = BenchIdentifyResult(found)
     return result if out is None else result.write(out)

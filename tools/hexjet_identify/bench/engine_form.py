@@ -146,11 +146,11 @@ def make_form(records: Sequence[BenchRecord], choices: EngineChoices, longest_de
     for name in choices.fitted:
         if name not in spec.parameters:
             allowed = nearest(name, spec.parameters)
-            raise InputError(f"--fit {name}: {choices.engine} has no such parameter; {allowed}")
+            raise InputError(f"fit {name}: {choices.engine} has no such parameter; {allowed}")
         if variables[name].type.startswith(("Int", "UInt", "Bool", "Enum")):
-            raise InputError(f"--fit {name}: is no continuous number; the delay is fitted anyway")
+            raise InputError(f"fit {name}: is no continuous number; the delay is fitted anyway")
         if not spec.parameters[name] > 0.0:
-            raise InputError(f"--fit {name}: is {spec.parameters[name]:g}; say where to begin: --set {name}=...")
+            raise InputError(f"fit {name}: is {spec.parameters[name]:g}; say where to begin: settings {name}=...")
     late = spec.delay_samples
     if late is not None:
         # The delay is fitted before the engine, to any fraction of a step.

@@ -121,7 +121,7 @@ def why_no_engine(found: Identification) -> str:
         how = "" if record.output_unit else f": {record.output_name}_N or {record.output_name} [kN] in the head says so"
         return f"{record.output_name} is in {record.output_unit or 'no unit'}; an engine's output is a thrust in N{how}"
     if not found.limits_known:
-        return "what throttle 0 and 1 are is not known: --throttle-range LOW HIGH"
+        return "what throttle 0 and 1 are is not known: throttle_range LOW HIGH"
     if not engine_parameters(found).told("gain")[0] > 0.0:
         return "the thrust falls where the throttle rises"
     if found.chosen.delay > LARGEST_SAMPLES * FITTED_STEP_S:

@@ -94,7 +94,7 @@ def throttle_limits(
     high = max(float(record.command.max()) for record in records)
     name, unit = records[0].command_name, records[0].command_unit
     if given is not None:
-        words, beyond = f"--throttle-range {given[0]:g} {given[1]:g}", room * (given[1] - given[0])
+        words, beyond = f"throttle_range {given[0]:g} {given[1]:g}", room * (given[1] - given[0])
         if not given[1] > given[0]:
             raise InputError(f"{words}: the second must be above the first")
         if low < given[0] - beyond or high > given[1] + beyond:
@@ -107,25 +107,25 @@ def throttle_limits(
     if unit == "percent" and 1.0 + room < high <= 100.0 * (1.0 + room):
         return (0.0, 100.0), True
     if (is_bare or unit == "us") and low >= 900.0 and high <= 2100.0:
-        notes.append(f"{name}: 1000 to 2000 us are taken for throttle 0 to 1; --throttle-range LOW HIGH says otherwise")
+        notes.append(f"{name}: 1000 to 2000 us are taken for throttle 0 to 1; throttle_range LOW HIGH says otherwise")
         return (1000.0, 2000.0), True
     if is_bare and high <= 1.0 + room:
         return (0.0, 1.0), True
     if is_bare and high <= 100.5:
         notes.append(
-            f"{name} goes from {low:g} to {high:g} and has no unit: taken for percent; --throttle-range LOW HIGH says "
+            f"{name} goes from {low:g} to {high:g} and has no unit: taken for percent; throttle_range LOW HIGH says "
             "what throttle 0 and 1 are"
         )
         return (0.0, 100.0), True
     if unit == "percent" and high <= 1.0 + room:
         notes.append(
-            f"{name} is in percent and never above {high:g}: is it a share? no engine is left; --throttle-range 0 1 or "
-            "--throttle-range 0 100 says what throttle 0 and 1 are"
+            f"{name} is in percent and never above {high:g}: is it a share? no engine is left; throttle_range 0 1 or "
+            "throttle_range 0 100 says what throttle 0 and 1 are"
         )
         return (0.0, 1.0), False
     notes.append(
         f"what throttle 0 and 1 are is not known ({name} goes from {low:g} to {high:g}): the gain is that of this "
-        "range, and no engine is left; --throttle-range LOW HIGH says it"
+        "range, and no engine is left; throttle_range LOW HIGH says it"
     )
     return (low, high), False
 
@@ -203,7 +203,7 @@ def _fit_lags(
     is_doubtful = is_averaged or other.estimates[0].bic - best.estimates[0].bic < 20.0
     name, taken = records[0].command_name, "straight" if best.problem.logs[0].is_straight else "held"
     notes.append(
-        f"{name} moves from row to row: taken for {taken} between rows, as it fits better; --between says which"
+        f"{name} moves from row to row: taken for {taken} between rows, as it fits better; between says which"
         + (f".  Hardly: half a row, {500.0 * row:.3g} ms, is in the delay's bounds" if is_doubtful else "")
     )
     return best._replace(is_open=True, is_doubtful=is_doubtful)

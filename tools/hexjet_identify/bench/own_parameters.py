@@ -41,13 +41,13 @@ def fit_engine(records: Sequence[BenchRecord], engine: EngineChoices, choices: C
     if not form.is_set_point:
         limits, is_known = throttle_limits(records, choices.limits, notes)
         if not is_known:
-            raise InputError(f"{first.path}: what throttle 0 and 1 are is not known: --throttle-range LOW HIGH")
+            raise InputError(f"{first.path}: what throttle 0 and 1 are is not known: throttle_range LOW HIGH")
     is_open = choices.between == "auto" and any(moves_on(record.command) for record in records)
     if is_open:
         half = 500.0 * max(float(np.median(np.diff(record.command_times))) for record in records)
         notes.append(
             f"{first.command_name} moves from row to row: taken for straight between rows; if it is held, the delay is "
-            f"{half:.3g} ms less (--between held)"
+            f"{half:.3g} ms less (between held)"
         )
     unit = SPEED_UNITS.get(first.output_unit, first.newtons or 1.0)
     logs = [as_log(record, limits, is_open or choices.between == "straight") for record in records]
@@ -77,7 +77,7 @@ def _check_told(record: BenchRecord, estimate: Estimate, form: EngineForm) -> No
     if unknown:
         raise NotIdentifiedError(
             f"{record.path}: the log does not tell {' and '.join(unknown)} of {form.label}: the 95 % bounds exceed "
-            f"the value; leave {unknown[0]} out of --fit, or log steps over the whole range, up and down"
+            f"the value; leave {unknown[0]} out of fit, or log steps over the whole range, up and down"
         )
 
 
@@ -91,7 +91,7 @@ def _describe_beginning(
         if off > share * problem.swing:
             notes.append(
                 f"{record.path.name} begins {100.0 * off / problem.swing:.2g} % of the output's range from where the "
-                f"engine rests: each log has to begin at rest; --begin after {log.times[0]:.4g} s"
+                f"engine rests: each log has to begin at rest; begin after {log.times[0]:.4g} s"
             )
     return notes
 

@@ -99,11 +99,11 @@ def read_records(paths: Sequence[Path], columns: Columns | None = None) -> list[
 
 def _read_records(path: Path, columns: Columns) -> list[BenchRecord]:
     log = read_flight_log(path, columns.time, columns.time_unit)
-    command_name = columns.command or _find(log, COMMANDS, "", "--command")
-    output_name = columns.output or _find(log, OUTPUTS, NO_OUTPUT, "--output")
+    command_name = columns.command or _find(log, COMMANDS, "", "command")
+    output_name = columns.output or _find(log, OUTPUTS, NO_OUTPUT, "output")
     notes = list(log.remarks)
     if columns.command is None or columns.output is None:
-        notes.append(f"taken: {command_name} to {output_name}; --command and --output say otherwise")
+        notes.append(f"taken: {command_name} to {output_name}; command and output say otherwise")
     command, output = (_cut(log.signal(name, notes), columns) for name in (command_name, output_name))
     _check(path, command_name, command)
     _check(path, output_name, output)
@@ -157,8 +157,8 @@ def _check(path: Path, name: str, channel: Channel) -> None:
     if back.size:
         at = channel.times[back[0]]
         raise InputError(
-            f"{path}: the time goes back after {at:g} s; two logs in one file, or a clock that was set? --begin and "
-            "--end take a part"
+            f"{path}: the time goes back after {at:g} s; two logs in one file, or a clock that was set? begin and "
+            "end take a part"
         )
 
 
@@ -169,11 +169,11 @@ def _check_row(
     row = float(np.ptp(times)) / max(len(np.unique(times)) - 1, 1)
     if by_name and row >= slow_s:
         prefix, unit = ("milli", "ms") if row < 1e3 * slow_s else ("micro", "us")
-        notes.append(f"{row:.3g} s from row to row: if the time is in {prefix}seconds, --time-unit {unit}")
+        notes.append(f"{row:.3g} s from row to row: if the time is in {prefix}seconds, time_unit {unit}")
     if 0.0 < row < quick_s:
         raise InputError(
             f"{path}: {row:.2g} s from row to row; allowed: {quick_s:g} s or more.  If the time is in days, as "
-            "a spreadsheet's dates are, or in hours: --time-unit d, or h"
+            "a spreadsheet's dates are, or in hours: time_unit d, or h"
         )
 
 

@@ -29,12 +29,12 @@ def describe_doubts(found: Identification, apart: float = 3.29, largest_miss: fl
     elif gain < 0.0:
         doubts.append(
             f"{record.output_name} falls where {record.command_name} rises; if the load cell's sign is the other one: "
-            f"--output=-{record.output_name}"
+            f"output -{record.output_name}"
         )
     if not found.is_explained and record.command_unit in SPEED_UNITS and record.output_unit in SPEED_UNITS:
         doubts.append(
-            "a speed that follows its set-point is a turbine's under an ECU: try --engine jetcat-p300 "
-            "--fit fuel_integral --fit fuel_fall"
+            "a speed that follows its set-point is a turbine's under an ECU: try engine jetcat-p300 "
+            "with fit fuel_integral and fuel_fall"
         )
     if found.is_told and chosen.delay_bounds[0] == 0.0:
         doubts.append(

@@ -172,7 +172,7 @@ def signals_of(log: FlightLog, key: str) -> LogSignals:
             return choice if log.has(choice.setpoint) else choice._replace(setpoint="")
     near = [choice for choice in choices if log.has(choice.command) or log.has(choice.output)]
     needed = " or ".join(f"{choice.command} with {choice.output}" for choice in near or choices)
-    raise InputError(f"{log.path}: it has no {key}; say --command and --output, or log one of: {needed}")
+    raise InputError(f"{log.path}: it has no {key}; say command and output, or log one of: {needed}")
 
 
 def _axis(n: int) -> list[LogSignals]:

@@ -93,7 +93,7 @@ def _time(path: Path, held: TableColumns, name: str | None) -> str:
     if running or called:
         return (running or called)[0]
     growing = [repr(column) for column in columns if _runs(columns[column])][:5]
-    grow = f"; {', '.join(growing)} grow from row to row: time_column (--time) says which" if growing else ""
+    grow = f"; {', '.join(growing)} grow from row to row: time_column says which" if growing else ""
     raise InputError(f"{path}: no column of time; allowed: {', '.join(TIMES)}, in seconds{grow}")
 
 
@@ -164,7 +164,7 @@ def make_log(path: Path, columns: TableColumns, time: str | None = None, unit: s
     if late:
         remarks.append(
             f"{late[0]}{' and the like' if late[1:] else ''}: taken for the end of its step, {1e3 * step:g} ms after "
-            f"{TIME}, as our logs have it; time_column (--time) {TIME} takes the stamps as they are"
+            f"{TIME}, as our logs have it; time_column {TIME} takes the stamps as they are"
         )
     channels = {
         key: Channel(times + step if key in late else times, values, units.get(key, ""))

@@ -232,20 +232,20 @@ def _refuse(problem: Problem, estimates: Sequence[Estimate], prepared: Prepared,
     if unknown:
         raise NotIdentifiedError(
             f"{where}: this log does not tell {unknown}: the 95 % bounds exceed the value; fly doublets or a sweep, "
-            "larger or longer, or state what is known by --hold"
+            "larger or longer, or state what is known by hold"
         )
     if "delay_s" in chosen.fixed:
         return
     if chosen.delay > prepared.longest_delay - prepared.working_step:
         raise NotIdentifiedError(
             f"{where}: the delay is at the end of the search, {prepared.longest_delay:g} s; "
-            "try a longer --longest-delay, or the channels belong to different clocks"
+            "try a longer longest_delay_s, or the channels belong to different clocks"
         )
     low, high = bounds(estimates)
     if not high - low < UNBOUNDED * prepared.longest_delay:
         raise NotIdentifiedError(
             f"{where}: this log does not tell the delay: anything from {1e3 * low:.0f} to {1e3 * high:.0f} ms fits; "
-            "fly doublets or a sweep, or state what is known: --hold lag_s=..., --lags 1"
+            "fly doublets or a sweep, or state what is known: hold lag_s=..., lags 1"
         )
 
 
@@ -375,7 +375,7 @@ def _why_refused(problem: Problem, chosen: Estimate, checks: Sequence[Check]) ->
         return ""
     return (
         f"no model of this form fits: {100.0 * checks[1].share:.0f} % of what is left over still follows the command; "
-        "try --lags, a known --hold, a shorter --longest-delay, or hexjet identify engine"
+        "try lags, a known hold, a shorter longest_delay_s, or hexjet identify engine"
     )
 
 

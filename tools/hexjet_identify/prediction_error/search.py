@@ -92,7 +92,7 @@ def fit(
     keep = keep or {}
     for name in keep:
         if name not in form.names:
-            raise InputError(f"--hold {name}: not a parameter of this form; allowed: {', '.join(form.names)}")
+            raise InputError(f"hold {name}: not a parameter of this form; allowed: {', '.join(form.names)}")
     fixed = [form.names.index(name) for name in keep]
     tried = []
     fixed_values = dict(zip(fixed, keep.values(), strict=True))

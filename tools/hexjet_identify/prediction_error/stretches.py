@@ -169,7 +169,7 @@ def prepare(
     if not high - low > 0.0:
         raise InputError(
             f"command ({_span(command.times)}) and output ({_span(output.times)}) have no time in common"
-            + ("" if begin is None and end is None else " with --begin and --end")
+            + ("" if begin is None and end is None else " with begin and end")
         )
     output = _within(output, low, high)
     clocks = clock_of(command.times), clock_of(output.times)
@@ -178,7 +178,7 @@ def prepare(
         if clock.step > longest_delay:
             raise InputError(
                 f"the {channel} has a sample every {clock.step:.3g} s, and a delay of at most {longest_delay:g} s is "
-                "looked for (--longest-delay): no log of so fast a thing, or of another unit of time"
+                "looked for (longest_delay_s): no log of so fast a thing, or of another unit of time"
             )
     factor = max(1, round((WORKING_STEP_S if step is None else step) / sample))
     if step is None and clocks[1].lost_fraction > LOSSY_FRACTION:
@@ -395,7 +395,7 @@ def _why(command: Channel, output: Channel, longest_delay: float) -> str:
         return "the command never changes"
     seconds = min(command.times[-1], output.times[-1]) - max(command.times[0], output.times[0])
     if seconds < longest_delay + SETTLE_S + SHORTEST_S:
-        return f"the log has {seconds:.3g} s; a smaller --longest-delay ({longest_delay:g} s) asks for less"
+        return f"the log has {seconds:.3g} s; a smaller longest_delay_s ({longest_delay:g} s) asks for less"
     return "there are gaps, or it stands still between"
 
 

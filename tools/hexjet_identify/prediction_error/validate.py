@@ -178,7 +178,7 @@ def _of_model_file(file: Path, axis: str | None) -> StatedModel:
     ]
     if len(candidates) != 1:
         of = f" of {axis}" if axis else ""
-        raise InputError(f"{file}: {len(candidates)} models{of}; say --axis of one that is there")
+        raise InputError(f"{file}: {len(candidates)} models{of}; say axis of one that is there")
     label, model = candidates[0]
     step = model.sample_time_s
     if model.pole_pairs or model.zero_pairs or not all(0.0 < pole <= 1.0 for pole in model.poles):

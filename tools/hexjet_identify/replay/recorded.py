@@ -232,14 +232,14 @@ def _throttles(log: FlightLog, vehicle: Vehicle, mapping: ThrottleChannels, note
     jets = len(vehicle.jets)
     wrong = [n for n in mapping.throttles if not 1 <= n <= jets]
     if wrong:
-        raise InputError(f"--throttle {wrong[0]}=...: {vehicle.name} has engines 1 to {jets}")
+        raise InputError(f"throttle {wrong[0]}=...: {vehicle.name} has engines 1 to {jets}")
     names = [_motor(log, n, mapping) for n in range(1, jets + 1)]
     if None in names:
         commanded = sum(name is not None for name in names)
         have = ", ".join(name for name in log.channels if any(key in name.lower() for key in _LIKE_MOTORS))
         what = f"commands of {commanded} engines" if commanded else "no commands of engines"
         raise InputError(
-            f"{log.path}: {what}, and {vehicle.name} has {jets}; say --throttle N=CHANNEL; of that kind it has "
+            f"{log.path}: {what}, and {vehicle.name} has {jets}; say throttle N=CHANNEL; of that kind it has "
             f"{have or 'nothing'}"[:400]
         )
     # of the same kind: the two tilts' outputs may stand behind those of the engines

@@ -100,7 +100,7 @@ def cut(model: Model, flight: RecordedFlight, length_s: float) -> Flying:
     if len(windows) < LEAST_WINDOWS:
         raise InputError(
             f"{len(windows)} windows of {length_s:g} s in which the engines carry the vehicle; {LEAST_WINDOWS} are "
-            "needed: another engine or throttle range, or a shorter --window"
+            "needed: another engine or throttle range, or a shorter window_s"
         )
     starts = [window.first for window in windows]
     smooth = _smoothed(flight.rate, flight.step)

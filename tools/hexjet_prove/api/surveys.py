@@ -34,7 +34,7 @@ class SurveyResult(SweepResult):
         self.survey = survey
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what the command prints with ``--json``."""
+        """Return what the command prints as JSON."""
         return {"folder": str(self.campaign.folder), "report": str(self.report)} | self.survey.to_dict()
 
     def lines(self) -> list[str]:

@@ -86,7 +86,7 @@ def _need_engine(file: Path, made: Purpose, flown: str) -> None:
     if flown != designed_for or Path(flown).is_file() or flown.removesuffix(FMI2_SUFFIX) in list_engine_names():
         return
     where = "is not shipped" if made.engine_path is None else f"is not at {designed_for}"
-    raise InputError(f"{file}: designed for engine {made.engine!r}, which {where}; give its file with --engine")
+    raise InputError(f"{file}: designed for engine {made.engine!r}, which {where}; give its file as engine")
 
 
 def tolerance_box(made: Purpose, scenario: Scenario) -> list[str]:
@@ -117,6 +117,6 @@ def _settings(file: Path, made: Purpose, given: Sequence[str]) -> dict[str, Any]
     }
     for text in given:
         keys, value = parse_setting(text)
-        set_path(settings, keys, value, "settings (--set)")
+        set_path(settings, keys, value, "settings")
     settings["aircraft"] = settings.get("aircraft") or made.find_aircraft(file)
     return {key: value for key, value in settings.items() if value != {}}

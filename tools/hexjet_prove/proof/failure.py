@@ -94,7 +94,7 @@ def check_flights(flights: int) -> None:
     try:
         Budget(TARGET, flights).check()
     except InputError as error:
-        raise InputError(str(error).replace("--budget", "--rare", 1)) from error
+        raise InputError(str(error).replace("budget", "rare", 1)) from error
 
 
 def simulate_rare(study: Study, folder: Path, flights: int, workers: Workers, say: Callable[[str], None]) -> Part:

@@ -113,10 +113,10 @@ def fly_study(
     """
     folder = out / CAMPAIGN
     if study is None and not is_campaign(folder):
-        raise InputError(f"{out}: holds no proof; --resume goes on with a proof's folder")
+        raise InputError(f"{out}: holds no proof; resume goes on with a proof's folder")
     if not resume and out.is_dir() and any(out.iterdir()):
         is_proof = is_campaign(folder)
-        what = "already holds a proof; --resume goes on with it" if is_proof else "is not empty; choose another folder"
+        what = "already holds a proof; resume goes on with it" if is_proof else "is not empty; choose another folder"
         raise InputError(f"{out}: {what}")
     return run_campaign(study, folder, workers, resume, progress)
 
@@ -164,7 +164,7 @@ def _conclude(
     study, table = campaign.study, read_flight_table(campaign)
     scenario = with_values(study.base(), {"controller": study.tried[0]})
     worst = list(_fly_worst(campaign, table, out, say))
-    limits = flown_limits(scenario, say) if request.limit else dict.fromkeys(AXES, "it was left out (--no-limit)")
+    limits = flown_limits(scenario, say) if request.limit else dict.fromkeys(AXES, "it was left out (limit)")
     evidence = _evidence(study, table, scenario, worst, request, searched)
     return Proof(
         folder=out,

@@ -31,15 +31,15 @@ def proof_study(name: str, claim: str | None, budget: int | None = None, **optio
     designed = find_design(Path(name))
     if designed is not None:
         if claim is None:
-            raise InputError(f"{name}: a design states no claim; --claim says what is to be shown, such as 99.9%@95%")
-        runs = _most_flights(claim, "--claim", budget)
+            raise InputError(f"{name}: a design states no claim; claim says what is to be shown, such as 99.9%@95%")
+        runs = _most_flights(claim, "claim", budget)
         return _checked(design_study(designed, claim, runs, **options))
     table = _study_table(name)
     stated = table.get("until")
     if not claim and stated is None:
         _open(name, **options)  # a name that is not known is reported before
-        raise InputError(f"{name}: states no claim (until); --claim says what is to be shown, such as 99.9%@95%")
-    where = "--claim" if claim else f"{name}: until ="
+        raise InputError(f"{name}: states no claim (until); claim says what is to be shown, such as 99.9%@95%")
+    where = "claim" if claim else f"{name}: until ="
     claim = str(claim or stated)
     runs = _most_flights(claim, where, budget)
     study = _open(name, until=claim, design="random", runs=runs, **options)
@@ -52,7 +52,7 @@ def proof_study(name: str, claim: str | None, budget: int | None = None, **optio
 
 
 def _open(name: str, **options: Any) -> Study:
-    """Open a study as ``open_study``, whose ``--vary`` no proof has."""
+    """Open a study as ``open_study``, whose ``vary`` no proof has."""
     try:
         return open_study(name, **options)
     except NothingVariesError:
@@ -71,9 +71,9 @@ def _most_flights(claim: str, where: str, budget: int | None) -> int:
     needed = parsed.fewest
     most = budget or default_runs(claim)
     if most > MAX_TESTED:
-        raise InputError(f"--budget {most}: at most {MAX_TESTED:,}")
+        raise InputError(f"budget {most}: at most {MAX_TESTED:,}")
     if most < needed:
-        subject = f"--budget {budget}" if budget else f"{where} {claim}"
+        subject = f"budget {budget}" if budget else f"{where} {claim}"
         raise InputError(
             f"{subject}: {most:,} flights do not show it, even if all succeed; {claim} takes {needed:,} without a "
             "failure, and more with one"

@@ -67,7 +67,7 @@ class Budget:
         if self.size < SMALLEST_LEVEL:
             least = ceil(self.repeats * (1.0 + self._later_levels) * SMALLEST_LEVEL)
             raise InputError(
-                f"--budget {self.flights}: {self.repeats} repeats of {self.most_levels} levels down to "
+                f"budget {self.flights}: {self.repeats} repeats of {self.most_levels} levels down to "
                 f"{probability_text(self.target)} take at least {least:,} flights"
             )
 

@@ -59,7 +59,7 @@ class NearestSearch:
         return (
             f"contradicted: a search finds a failure {self.distance:.2f} standard deviations out ({place}), and "
             f"{probability_text(self.probability)} of all draws lie beyond a plane through it, more than the interval "
-            "allows: do not use it; a larger --budget gives each requirement more flights"
+            "allows: do not use it; a larger budget gives each requirement more flights"
         )
 
 

@@ -58,18 +58,17 @@ def resolve_search(
     varied = [parse_vary(text) for text in vary]
     if any(entry.uncertainty for entry in varied):
         raise InputError(
-            "--vary engine: an engine's [uncertainty] is drawn with --seeds N, or by hexjet sweep; a search needs "
-            "KEY=LO:HI"
+            "vary engine: an engine's [uncertainty] is drawn with seeds N, or by hexjet sweep; a search needs KEY=LO:HI"
         )
     over_entries = _parse_over(over)
     keys = [entry.key for entry in (*varied, *over_entries)]
     repeated = first_repeated(keys)
     if repeated is not None:
-        raise InputError(f"--vary {repeated}: is there twice")
+        raise InputError(f"vary {repeated}: is there twice")
     if not varied:
-        raise InputError(f"{name}: nothing varies; --vary KEY=LO:HI says what does")
+        raise InputError(f"{name}: nothing varies; vary KEY=LO:HI says what does")
     if over_entries and len(varied) > 1:
-        raise InputError(f"--over {over}: goes with one --vary, and there are {len(varied)}")
+        raise InputError(f"over {over}: goes with one vary, and there are {len(varied)}")
     plain = [entry.model_copy(update={"levels": None}).text for entry in (*varied, *over_entries)]
     study = open_study(name, vary=plain, design="random", runs=1, **options | {"nominal_engine": True})
     study = study.changed(nominal_engine=bool(options.get("nominal_engine")))
@@ -98,7 +97,7 @@ def point_seeds(study: Study, first: int | None, count: int) -> tuple[int, ...]:
     """
     first = study.base().seed if first is None else first
     if not 0 <= first <= 2**53 - count:
-        raise InputError(f"--seed {first}: must be from 0 to {2**53 - count}")
+        raise InputError(f"seed {first}: must be from 0 to {2**53 - count}")
     return tuple(range(first, first + count))
 
 
@@ -107,7 +106,7 @@ def _parse_over(text: str | None) -> list[Vary]:
         return []
     second = parse_vary(text)
     if not second.discrete:
-        raise InputError(f"--over {text}: say at how many values, {second.key}=LO:HI:N, or at which, {second.key}=A,B")
+        raise InputError(f"over {text}: say at how many values, {second.key}=LO:HI:N, or at which, {second.key}=A,B")
     return [second]
 
 
@@ -118,8 +117,8 @@ def _tolerances(texts: Sequence[str], keys: Sequence[str]) -> dict[str, float]:
         key, equals, number = text.rpartition("=")
         key = key.strip() if equals else keys[0]
         if key not in keys or (not equals and len(keys) > 1):
-            raise InputError(f"--tolerance {text}: write it as KEY=X with a key that is varied: {', '.join(keys)}")
-        tolerances[key] = parse_number(number, f"--tolerance {text}")
+            raise InputError(f"tolerance {text}: write it as KEY=X with a key that is varied: {', '.join(keys)}")
+        tolerances[key] = parse_number(number, f"tolerance {text}")
     return tolerances
 
 

@@ -137,8 +137,8 @@ class SearchResult:
             return text
         where = f"{draw.description} in all flights of a point but the first"
         if self.plan.draws_engine:
-            return f"the engine is {where}; --nominal-engine flies it as it is stated"
-        return f"the engine flies as it is stated; with --seeds N it is {where}"
+            return f"the engine is {where}; nominal_engine flies it as it is stated"
+        return f"the engine flies as it is stated; with seeds N it is {where}"
 
     def to_json(self) -> dict[str, Any]:
         """Return the result as a table of plain values, as ``search.json`` holds it."""

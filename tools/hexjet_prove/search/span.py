@@ -116,7 +116,7 @@ def span(vary: Vary, key: Key, tolerance: float | None) -> Span:
     Raises InputError for anything but a range of numbers, and for a tolerance that is none.
     """
     if vary.range is None or key.kind not in ("float", "int"):
-        raise InputError(f"--vary {vary.text}: a search needs a range of numbers, {key.path}=LO:HI or LO:HI:POINTS")
+        raise InputError(f"vary {vary.text}: a search needs a range of numbers, {key.path}=LO:HI or LO:HI:POINTS")
     check_vary(vary.model_copy(update={"levels": None}), key)
     low, high = absolute_support(vary, key)
     step = quantum(key)
@@ -125,7 +125,7 @@ def span(vary: Vary, key: Key, tolerance: float | None) -> Span:
         low, high = first * step, last * step
     nominal = low if key.nominal is None else float(key.nominal)
     if tolerance is not None and not 0.0 < tolerance < high - low:
-        raise InputError(f"--tolerance {key.path}={tolerance:g}: must be above 0 and below the range's {high - low:g}")
+        raise InputError(f"tolerance {key.path}={tolerance:g}: must be above 0 and below the range's {high - low:g}")
     return Span(
         key,
         low,

@@ -145,7 +145,7 @@ class WorstSearch:
                 lines.append(
                     f"{short_name(case.controller)}: {100.0 * case.flat:.0f} % of the flights have the same margin, "
                     "which says nothing of where it is worse: there the search is no better than random draws; a "
-                    "requirement, or --success METRIC<=X, gives a flight that completes a margin"
+                    "requirement, or success METRIC<=X, gives a flight that completes a margin"
                 )
         return lines
 
@@ -171,14 +171,14 @@ def check_region(study: Study, plan: WorstPlan) -> None:
     if plan.within is not None:
         return
     if study.correlate:
-        raise InputError("--within ranges: correlated keys have no ranges of their own; give standard deviations")
+        raise InputError("within ranges: correlated keys have no ranges of their own; give standard deviations")
     for vary in study.vary:
         if vary.uncertainty:
             raise InputError(
-                "--within ranges: an engine's [uncertainty] has no range; give standard deviations, or --nominal-engine"
+                "within ranges: an engine's [uncertainty] has no range; give standard deviations, or nominal_engine"
             )
         if vary.values is None and not np.all(np.isfinite(vary.support)):
-            raise InputError(f"--within ranges: {vary.text} has no bounds; state them, or give standard deviations")
+            raise InputError(f"within ranges: {vary.text} has no bounds; state them, or give standard deviations")
 
 
 def search_worst(plan: WorstPlan, study: Study) -> Asking[WorstSearch]:

@@ -55,11 +55,11 @@ def _within(text: str | float | None, likely: bool) -> float | None:
         return LIKELY_WITHIN if likely else WORST_WITHIN
     if text == RANGES:
         if likely:
-            raise InputError("--within ranges: says nothing of what is likely; give a number of standard deviations")
+            raise InputError("within ranges: says nothing of what is likely; give a number of standard deviations")
         return None
-    number = parse_number(str(text), "--within")
+    number = parse_number(str(text), "within")
     if not (isfinite(number) and 0.0 < number <= 8.0):
-        raise InputError(f"--within {text}: must be above 0 and at most 8 standard deviations, or ranges")
+        raise InputError(f"within {text}: must be above 0 and at most 8 standard deviations, or ranges")
     return number
 
 

@@ -26,7 +26,7 @@ from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 
 PLACE_MAX = 100e3  # m north or east of the origin: the limit of the pilot's requests
 ORIGIN_NEAR = 1.0  # m: what rounding to 1e-7 deg and a station's own numbers may be off by; chosen by us
-ORIGIN_FIXED = "the origin stays where the flight began; --place puts it elsewhere"
+ORIGIN_FIXED = "the origin stays where the flight began; place puts it elsewhere"
 
 # INJECT_FAILURE states no severity.  We choose one that is noticeable in flight and can still be flown with.
 _MOTOR, _SERVO = 101, 102

@@ -63,7 +63,7 @@ def parse_endpoint(url: str, public: bool = False) -> Endpoint:
     if serves and not public and not ip_address(address.partition("%")[0]).is_loopback:
         raise InputError(
             f"link {url!r}: {host} is open to the network, and whoever reaches it can fly the vehicle; "
-            "allow it with --public, or use 127.0.0.1"
+            "allow it with public, or use 127.0.0.1"
         )
     return Endpoint(kind, address, int(port), family)
 
