@@ -1,0 +1,63 @@
+"""A batch flies what JSBSim flies: sample by sample, with the same noise, or says what it does not fly."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cosim import InputError, Scenario, fly
+from hexjet_batch import fly_batch
+
+# of attitude [rad], rates [rad/s] and place [m]
+TOLERANCES = {"{}_rad": 3.5e-5, "rate_{}_rad_s": 1.7e-4, "{}_m": 0.05}
+NAMES = {"{}_rad": ("roll", "pitch", "yaw"), "rate_{}_rad_s": "pqr", "{}_m": ("north", "east", "altitude")}
+TURBINE = {"aircraft": "hexjet-100", "engine": "turbine-100", "controller": "baseline"}
+PAYLOAD = {"kind": "payload", "start_s": 0.0, "duration_s": 2.0, "mass_kg": 0.5, "offset_m": [0.05, 0.02, 0.1]}
+GUST = {
+    "kind": "gust",
+    "start_s": 1.0,
+    "rise_s": 1.0,
+    "hold_s": 0.5,
+    "fall_s": 0.5,
+    "velocity_ned_m_s": [4.0, 2.0, 1.0],
+}
+MISMATCH = {"mass_factor": 1.1, "centre_m": [0.004, 0.002, 0.0], "delay_samples": 1, "thrust_factor_2": 0.95}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"sensor_noise": False},
+        {"controller": "state-disturbance", "sensors": "measured"},
+        {"controller": "state-model", "mismatch": MISMATCH},
+        {"disturbance": [PAYLOAD], "controller": "filtered-smith", "sensor_noise": False},
+        {"disturbance": [GUST], "environment": {"wind_ned_m_s": [3.0, 0.0, 0.0]}, "sensor_noise": False},
+        TURBINE,
+        {"aircraft": "quadrotor", "engine": "motor", "step_s": 0.0025},
+    ],
+)
+def test_a_batch_flies_what_jsbsim_flies(changes: dict[str, Any]) -> None:
+    scenario = Scenario.load("roll-doublet").replace(duration_s=5.0, substeps=16, expect=[], **changes)
+    (flight,), run = fly_batch([scenario]), fly(scenario, report=False)
+    assert (flight.reason, run.outcome) == ("", "completed")
+    for name, tolerance in TOLERANCES.items():
+        for column in map(name.format, NAMES[name]):
+            assert np.abs(flight.log[column] - np.asarray(run.log[column])).max() < tolerance, column
+
+
+def test_flights_are_the_same_alone_and_together() -> None:
+    base = Scenario.load("roll-doublet").replace(duration_s=1.0, expect=[])
+    scenarios = [base.replace(seed=seed, added_delay_samples=seed % 3) for seed in range(1, 6)]
+    alone = {flight.number: flight.log["roll_rad"].copy() for flight in fly_batch(scenarios, together=1)}
+    for flight in fly_batch(scenarios):
+        assert np.abs(flight.log["roll_rad"] - alone[flight.number]).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("waypoints", "waypoints"), ("fault-flame-out", "faults"), ("gust", "turbulence")]
+)
+def test_what_is_not_covered_is_refused_by_name(name: str, said: str) -> None:
+    with pytest.raises(InputError, match=f"{said}.*; fly it without batch"):
+        list(fly_batch([Scenario.load(name)]))

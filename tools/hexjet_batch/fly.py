@@ -1,0 +1,144 @@
+"""Flights of a batch to their ends: which ended early, which are not to be judged, and the log of each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import cos, hypot, radians
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cosim.base.arrays import Flags
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.base.frames import from_euler
+from cosim.base.signals import ZERO3
+from cosim.base.signals import State as FlownState
+from cosim.simulation.ending import Ending, TerminationCheck
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Limits
+from cosim.vehicle.airframe import start_height
+from hexjet_batch.log import BatchLog, FlightLog, state_values
+from hexjet_batch.make import read_flight
+from hexjet_batch.numbers import Numbers, find_structure, is_absent, stack
+from hexjet_batch.script import Script, find_mode
+from hexjet_batch.stages.airframe import Motion
+from hexjet_batch.stages.rotations import Vector, to_euler
+from hexjet_batch.stages.sensors import Noise
+from hexjet_batch.stages.step import start, step
+
+
+class BatchFlight(NamedTuple):
+    """A flight of a batch: its number in what was asked for, how it ended and its log.
+
+    ``ending`` is None where it is not to be judged here, for the ``reason``: it is to be flown by JSBSim.
+    """
+
+    number: int
+    ending: Ending | None
+    log: FlightLog
+    reason: str = ""
+
+
+def fly_batch(
+    scenarios: Sequence[Scenario], together: int = 1024, further: Sequence[str] = ()
+) -> Iterator[BatchFlight]:
+    """Fly scenarios on arrays and yield each flight, in the order of those that can be flown together.
+
+    ``together``: flights in the memory at once, enough for the overhead of a step to vanish; ``further``: columns of
+    the logs beside those that metrics read.  Raises InputError for what a batch does not cover.
+    """
+    if together < 1:
+        raise InputError(f"together = {together}: a batch has at least 1 flight")
+    groups: dict[Any, list[tuple[int, Scenario, Numbers]]] = {}
+    for number, scenario in enumerate(scenarios):
+        numbers, limits = read_flight(scenario), scenario.resolved_vehicle()[0].limits
+        key = (find_structure(numbers), scenario.steps, scenario.sensor_noise, str(limits), str(find_mode(scenario)))
+        groups.setdefault(key, []).append((number, scenario, numbers))
+        if len(groups[key]) == together:
+            yield from _fly_group(groups.pop(key), further)
+    for group in groups.values():
+        yield from _fly_group(group, further)
+
+
+def _fly_group(group: Sequence[tuple[int, Scenario, Numbers]], further: Sequence[str]) -> Iterator[BatchFlight]:
+    """Fly scenarios of one structure."""
+    numbers_asked, scenarios, flights = zip(*group, strict=True)
+    n: Numbers = stack(flights)
+    vehicles = [scenario.resolved_vehicle()[0] for scenario in scenarios]
+    heights = [start_height(vehicle, s.initial) for vehicle, s in zip(vehicles, scenarios, strict=True)]
+    script, rows = Script(scenarios, heights), scenarios[0].steps
+    log = BatchLog(scenarios, rows + 1, n.jets.channels, further)
+    noise = None
+    if scenarios[0].sensor_noise:
+        has_ahrs = not is_absent(n.sensors.attitude.ahrs_time_constant_s)
+        noise = Noise([scenario.seed for scenario in scenarios], has_ahrs)
+    limits = vehicles[0].limits
+    # Nothing but the air may act: contacts are this far from the ground whatever the attitude.
+    lowest = 0.5 + np.array([max(hypot(*contact.position_m) for contact in v.contacts) for v in vehicles])
+    flies = np.ones(len(group), dtype=np.bool_)
+    endings: dict[int, tuple[int, Ending | None, Any]] = {}
+    with np.errstate(all="ignore"):  # a flight that is lost goes on to infinity unseen
+        state = start(n, _start_motion(scenarios, heights), np.array(heights), script.at(0)[1])
+        for k in range(rows):
+            command, inputs = script.at(k)
+            if noise is not None:
+                inputs = inputs._replace(draws=noise.at(k))
+            state, outputs = step(n, state, inputs)
+            log.add(k, command, inputs, outputs)
+            altitude = state.start[1] - (state.motion.position[2] - state.start[0])
+            burns = ~np.any(np.atleast_2d(outputs.report.out) > 0.0, axis=0)
+            goes_on = _is_within(limits, state.motion) & (altitude > lowest) & burns
+            for i in np.flatnonzero(flies & ~goes_on).tolist():
+                flies[i] = False
+                if not burns[i % burns.size] or altitude[i] <= lowest[i]:
+                    endings[i] = k + 1, None, "near the ground" if altitude[i] <= lowest[i] else "an engine went out"
+                else:
+                    endings[i] = k + 1, *_find_ending(state.motion, altitude[i], i, limits, (k + 1) * n.step)
+            if not flies.any():
+                break
+    log.finish(k + 1)
+    for i, number in enumerate(numbers_asked):
+        end, ending, said = endings.get(i, (rows, Ending("completed", f"flew {rows} steps"), None))
+        if ending is None:
+            yield BatchFlight(number, None, log.of(i, end), said)
+        else:
+            yield BatchFlight(number, ending, log.of(i, end, said))
+
+
+def _is_within(limits: Limits, motion: Motion) -> Flags:
+    """Return which flights neither lean nor turn beyond the limits, nor are lost: comparisons with NaN are false."""
+    _, x, y, _ = motion.attitude
+    most = np.maximum(np.maximum(abs(motion.rate[0]), abs(motion.rate[1])), abs(motion.rate[2]))
+    upright = 1.0 - 2.0 * (x * x + y * y) >= cos(radians(limits.tilt_deg))
+    return np.asarray(upright & (most < radians(limits.rate_deg_s)))
+
+
+def _start_motion(scenarios: Sequence[Scenario], heights: Sequence[float]) -> Motion:
+    """Return the motion of the flights at their start."""
+    initial = [scenario.initial for scenario in scenarios]
+
+    def columns(values: list[tuple[float, ...]]) -> Vector:
+        return tuple(np.array(column) for column in zip(*values, strict=True))
+
+    zero = np.zeros(len(scenarios))
+    return Motion(
+        (zero, zero, -np.array(heights)),
+        columns([at.velocity_ned_m_s for at in initial]),
+        columns([from_euler(*map(radians, at.attitude_deg)) for at in initial]),
+        columns([tuple(map(radians, at.rate_deg_s)) for at in initial]),
+        (zero, zero, zero),
+        (zero, zero, zero - GRAVITY),
+    )
+
+
+def _find_ending(motion: Motion, altitude: float, i: int, limits: Limits, now: float) -> tuple[Ending, dict[str, Any]]:
+    """Return how the state of flight ``i`` ended it, and the values of that state."""
+    at: Any = Motion(*(tuple(float(part[i]) for part in vector) for vector in motion))
+    euler: Any = tuple(float(angle) for angle in to_euler(at.attitude, np))
+    height = float(altitude)
+    state = FlownState(
+        at.position, at.velocity, at.attitude, euler, at.rate, at.force, height, ZERO3, 0.0, False, False
+    )
+    ending = TerminationCheck(limits).check(state, now) or Ending("failed", f"the state is not finite at {now:.3f} s")
+    return ending, state_values(at, height)

@@ -1,0 +1,244 @@
+"""The numbers of flights, from the same scenarios that JSBSim flies, and what a batch does not cover."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from math import exp
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cosim.base.constants import GRAVITY
+from cosim.base.errors import InputError
+from cosim.base.signals import AXES
+from cosim.control.allocation.allocation import RotorAllocator, TiltAllocator
+from cosim.control.lead import Lead
+from cosim.control.predictors.registry import PREDICTORS
+from cosim.control.schedule import FINE, GainSchedule
+from cosim.engine import EngineSpec, find_source
+from cosim.simulation.controllers.models import make_predictors, make_thrust_map
+from cosim.simulation.engines import flown_engines, load_engines
+from cosim.simulation.script.command_script import CommandScript
+from cosim.simulation.script.mismatch import apply_mismatch, compute_engine_mismatch
+from cosim.spec.scenario import Scenario
+from cosim.spec.vehicle import Schedule, Vehicle, load_vehicle
+from cosim.vehicle.airframe import start_height
+from cosim.vehicle.atmosphere import standard_density
+from hexjet_batch.numbers import Numbers, name_values
+from hexjet_batch.stages.airframe import earth_rate, normal_gravity
+from hexjet_batch.stages.engines import P220, DelayedLag, Fitted, P220Of2025
+from hexjet_batch.stages.loops import ScheduleNumbers
+from hexjet_batch.stages.predictors import read_predictor
+from hexjet_batch.stages.turbine import Turbine
+
+# The kind of each engine of the library.
+KINDS: dict[str, Any] = {
+    **dict.fromkeys(("turbojet", "edf", "edf-as-flown", "motor"), DelayedLag()),
+    "fitted": Fitted(),
+    **dict.fromkeys(("turbine-20", "turbine-100", "turbine-220", "jetcat-p300"), Turbine()),
+    "p220": P220(),
+    "p220-2025": P220Of2025(),
+}
+
+
+@cache
+def _is_shipped(model: Path) -> bool:
+    """Return whether a JSBSim model is the Hex-Jet's or the quadrotor's, whose aerodynamics are those of here."""
+    folders = {name: load_vehicle(name)[1] for name in ("hexjet", "quadrotor")}
+    return model.read_bytes() in [(folder / f"{name}.xml").read_bytes() for name, folder in folders.items()]
+
+
+_GUIDED = ("place", "velocity", "waypoints", "track")
+# What a batch does not fly, and how it is seen in a scenario and its vehicle.
+REFUSED: dict[str, Callable[[Scenario, Vehicle], Any]] = {
+    "an autopilot (`requests`)": lambda s, v: s.requests is not None,
+    "places, velocities, waypoints and tracks, which the position law flies": lambda s, v: any(
+        entry.kind in _GUIDED for entry in s.command
+    ),
+    "a JSBSim model of one's own (`model`)": lambda s, v: (
+        v.model and not _is_shipped(s.resolved_vehicle()[1] / v.model)
+    ),
+    "a speed ahead on a wing": lambda s, v: "ahead_m_s" in CommandScript(s, 0.0).signals,
+    "hinges, surfaces and jets that do not point up": lambda s, v: v.allocation == "effectiveness",
+    "jets with an airflow of their own": lambda s, v: any(jet.airflow is not None for jet in v.jets),
+    "banks that are not balanced (`bank_imbalance_kg_m`)": lambda s, v: v.servo and v.servo.bank_imbalance_kg_m,
+    "a ground effect": lambda s, v: v.ground_effect and (v.ground_effect.suckdown or v.ground_effect.hot_gas),
+    "a start on the ground": lambda s, v: s.initial.on_ground,
+    "a start above 10 km": lambda s, v: s.environment.ground_m + s.initial.altitude_m > 10_000.0,
+    "faults": lambda s, v: s.fault,
+    "the engine monitor": lambda s, v: s.monitored,
+    "turbulence": lambda s, v: s.environment.turbulence_severity,
+    "a wind over place and time (`wind`)": lambda s, v: s.wind,
+    "sensors, metrics and observers of one's own": lambda s, v: s.sensor_plugin or s.metrics or s.observers,
+    "a controller of one's own": lambda s, v: s.controller not in PREDICTORS,
+}
+
+
+def check_covered(scenario: Scenario, vehicle: Vehicle) -> None:
+    """Raise InputError, which names what it is, where a batch does not fly a scenario."""
+    for what, is_there in REFUSED.items():
+        if is_there(scenario, vehicle):
+            raise InputError(f"scenario {scenario.name}: {what}: not flown in a batch; fly it without batch")
+
+
+def read_flight(scenario: Scenario) -> Numbers:
+    """Return the numbers of one flight.  Raises InputError where a batch does not cover it, as a flight otherwise."""
+    vehicle, _ = scenario.resolved_vehicle()
+    check_covered(scenario, vehicle)
+    engine, *stations = load_engines(scenario, vehicle)
+    engines = flown_engines(scenario, vehicle, stations)
+    flown, where = apply_mismatch(vehicle, scenario.mismatch), f"scenario {scenario.name}"
+    factors, late = compute_engine_mismatch(scenario.mismatch, len(vehicle.jets))
+    thrust_map, hover = make_thrust_map(vehicle, engine, stations)
+    _check_hover(scenario, vehicle, engine, hover, thrust_map.low + thrust_map.span)
+    step, control, servo = scenario.step_s, vehicle.control, vehicle.servo
+    # JSBSim's flight has the same tables: they keep their names.
+    tables = name_values(vehicle.model_dump(include={"sensors", "servo", "airflow"}))
+    gains = name_values(control.model_dump(include={"attitude", "rate", "altitude", "allocation"}))
+    leads = [_lead(getattr(control.lead, name, None), step) for name in (*AXES, "altitude")]
+    predictors = [read_predictor(predictor, where) for predictor in make_predictors(scenario, vehicle, engine)]
+    rates = [getattr(gains.rate, axis) for axis in AXES]
+    if servo is not None:
+        banks = TiltAllocator(vehicle.jets, control.allocation, servo.range_rad, hover, thrust_map.idle)
+        channels = tuple(0 if left else 1 for left in banks.left)
+        allocation = gains.allocation.replace(
+            method="banks", range_rad=servo.range_rad, hover=hover, idle=thrust_map.idle, pitch_sign=banks.pitch_sign
+        )
+    else:
+        channels = tuple(range(len(vehicle.jets)))
+        signs = RotorAllocator(vehicle.jets, control.allocation, hover).signs
+        allocation = gains.allocation.replace(method="rotors", signs=signs)
+    flying = _engine(engines, step, late, where)
+    inverse, needs_air = thrust_map.stations[0], engines[0].has_port("ambient_temperature")
+    return Numbers(
+        xp=np,
+        step=step,
+        jets=Numbers(
+            places=tuple(jet.position_m for jet in flown.jets),
+            banks=channels,
+            channels=channels,
+            engines=tuple(range(len(vehicle.jets))) if needs_air else channels,
+            rotors=tuple(jet.spin * spec.rotor_inertia for jet, spec in zip(flown.jets, engines, strict=True)),
+            reactions=tuple(jet.reaction_m for jet in flown.jets),
+            factors=factors or (1.0,) * len(vehicle.jets),
+        ),
+        attitude=gains.attitude,
+        rate=tuple(
+            axis.replace(predictor=predictor, lead=lead)
+            for axis, predictor, lead in zip(rates, predictors, leads[:3], strict=True)
+        ),
+        height=gains.altitude.replace(
+            mass_kg=vehicle.mass_kg, low=thrust_map.low, span=thrust_map.span, jets=len(vehicle.jets), lead=leads[3],
+            step=step,
+        ),
+        schedule=_schedule(vehicle, step),
+        added_delay=scenario.added_delay_samples,
+        allocation=allocation,
+        thrust=Numbers(
+            throttles=None if inverse is None else tuple(inverse.throttles),
+            thrusts=() if inverse is None else tuple(inverse.thrusts),
+        ),
+        engine=flying,
+        needs_air=needs_air,
+        servo=tables.servo,
+        airflow=tables.airflow,
+        flown=_body(scenario, flown),
+        sensors=_sensors(tables.sensors, scenario),
+    )  # fmt: skip
+
+
+def _check_hover(scenario: Scenario, vehicle: Vehicle, engine: EngineSpec, hover: float, most: float) -> None:
+    """Refuse engines that do not hold the vehicle up, as a flight does."""
+    limits = vehicle.control.allocation
+    if not limits.throttle_min < hover < limits.throttle_max or most * len(vehicle.jets) <= vehicle.mass_kg * GRAVITY:
+        raise InputError(
+            f"engine {engine.name}: {vehicle.name} ({vehicle.mass_kg:g} kg) would hover at throttle {hover:.2f}, "
+            f"outside {limits.throttle_min:g} to {limits.throttle_max:g}"
+        )
+
+
+def _body(scenario: Scenario, flown: Vehicle) -> Numbers:
+    """Return the rigid body that flies, where it flies."""
+    place, fuel = scenario.environment, flown.fuel
+    height = place.ground_m + start_height(flown, scenario.initial)
+    tank = None if fuel is None else name_values(fuel.model_dump()).replace(share=scenario.initial.fuel)
+    return Numbers(
+        mass_kg=flown.mass_kg,
+        inertia_kg_m2=flown.inertia_kg_m2,
+        products_kg_m2=flown.products_kg_m2,
+        fuel=tank,
+        drag_area_m2=flown.aero.drag_area_m2,
+        centre_m=flown.aero.centre_m,
+        damping_n_m_s=flown.aero.damping_n_m_s,
+        density=standard_density(height),
+        gravity=normal_gravity(place.latitude_deg, height),
+        earth_rate=earth_rate(place.latitude_deg),
+        ground_m=place.ground_m,
+    )
+
+
+def _sensors(sensors: Numbers, scenario: Scenario) -> Numbers:
+    """Return the sensors with the biases that the seed draws added to those that are stated."""
+    gyro, accelerometer = sensors.gyro, sensors.accelerometer
+    if not gyro.bias_sigma_rad_s and not accelerometer.bias_sigma_m_s2:
+        return sensors
+    drawn = np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=(6,))).standard_normal(6).tolist()
+
+    def bias(stated: Sequence[float], sigma: float, draws: Sequence[float]) -> tuple[float, ...]:
+        return tuple(value + sigma * draw for value, draw in zip(stated, draws, strict=True))
+
+    turned = gyro.replace(bias_rad_s=bias(gyro.bias_rad_s, gyro.bias_sigma_rad_s, drawn[:3]))
+    pushed = accelerometer.replace(bias_m_s2=bias(accelerometer.bias_m_s2, accelerometer.bias_sigma_m_s2, drawn[3:]))
+    return sensors.replace(gyro=turned, accelerometer=pushed)
+
+
+def _schedule(vehicle: Vehicle, step: float, rows: int = 1001) -> ScheduleNumbers | None:
+    """Return the schedule of a vehicle, in rows as fine as its gains follow the level of thrust."""
+    control = vehicle.control
+    if not isinstance(control.schedule, Schedule):
+        return None
+    schedule = GainSchedule(control.schedule, control.lead, step)
+    low, high = control.schedule.level[0].share, control.schedule.level[-1].share
+    table = []
+    for share in np.linspace(low, high, rows):
+        at = schedule.at(float(share))
+        roll, height = at.roll, at.altitude
+        leads = [_lead(lead, step) or (0.0,) * 5 for lead in (roll.lead, height.lead)]
+        table.append((roll.angle, roll.p, roll.i, roll.d, height.angle, height.p, height.i, *leads[0], *leads[1]))
+    gain = 1.0 - exp(-step / control.schedule.filter_s)
+    return ScheduleNumbers(low, high, gain, FINE * (high - low), np.array(table))
+
+
+def _lead(settings: Any, step: float) -> tuple[float, ...] | None:
+    return Lead(settings, step).constants if settings else None
+
+
+def _engine(engines: Sequence[EngineSpec], step: float, late: int, where: str) -> Numbers:
+    """Return the kind of the engines with their parameters."""
+    first = engines[0]
+    name = first.path.stem.removesuffix("-fmi2")
+    if any(engine.path != first.path or engine.parameters != first.parameters for engine in engines):
+        raise InputError(f"{where}: engines that differ by station: not flown in a batch; fly it without batch")
+    if name not in KINDS or not _is_of_library(first, name):
+        raise InputError(f"{where}: engine {first.name}, which is not the library's: fly it without batch")
+    if first.internal_step is not None and abs(first.internal_step - step) > 1e-9:
+        raise InputError(f"{where}: engine {first.name} takes several steps in one of control: fly it without batch")
+    numbers = {key: float(value) for key, value in first.parameters.items()}
+    if "pressure_ratio" in numbers:
+        ratio = numbers["pressure_ratio"] ** (2.0 / 7.0)
+        numbers["full_rise"] = (ratio - 1.0) / numbers["compressor_efficiency"]
+    delay = round(numbers.get("delay_samples", 0.0)) + late
+    return Numbers(**{**numbers, "kind": KINDS[name], "delay": delay, "step": step, "xp": np})
+
+
+def _is_of_library(engine: EngineSpec, name: str) -> bool:
+    """Return whether an engine is the library's, perhaps by a file that gives it other parameters alone."""
+    plain = all((p.scale, p.offset, p.gain, p.bias) == (1.0, 0.0, 1.0, 0.0) for p in engine.ports.values())
+    return engine.library or (plain and engine.path.resolve() == _library_path(name))
+
+
+@cache
+def _library_path(name: str) -> Path:
+    return find_source(name).path.resolve()

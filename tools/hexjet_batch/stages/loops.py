@@ -1,0 +1,148 @@
+"""The controller over a batch: attitude, rates with predictor and lead, height, and the schedule of their gains.
+
+The laws are those of :mod:`cosim.control`, where each is explained; here every value is an array over the flights.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cosim.base.constants import GRAVITY
+from cosim.control.altitude import LEAST_UPRIGHT
+from hexjet_batch.numbers import Numbers, is_absent
+from hexjet_batch.stages.rotations import Quaternion, Vector
+
+
+class RateState(NamedTuple):
+    """Of one axis: predictor, integral, filtered slope, last prediction, last command and lead."""
+
+    predictor: Any
+    integral: Any
+    slope: Any
+    predicted: Any
+    command: Any
+    lead: tuple[Any, Any]
+
+
+def update_attitude(n: Numbers, setpoint: Quaternion, measured: Quaternion, xp: Any) -> Vector:
+    """Return the body rates [rad/s] that lead to an attitude: a gain times twice the vector part of the error."""
+    aw, ax, ay, az = measured
+    bw, bx, by, bz = setpoint
+    double = xp.where(aw * bw + ax * bx + ay * by + az * bz >= 0.0, 2.0, -2.0)
+    error = (
+        double * (aw * bx - ax * bw - ay * bz + az * by),
+        double * (aw * by + ax * bz - ay * bw - az * bx),
+        double * (aw * bz - ax * by + ay * bx - az * bw),
+    )
+    limited = zip(n.gain_1_s, error, n.rate_limit_rad_s, strict=True)
+    return tuple(xp.clip(gain * e, -most, most) for gain, e, most in limited)
+
+
+def start_rate(n: Numbers, zero: Any, xp: Any) -> RateState:
+    """Return the state of an axis at rest."""
+    predictor = None if n.predictor is None else n.predictor.start(zero, xp)
+    return RateState(predictor, zero, zero, zero, zero, (zero, zero))
+
+
+def update_rate(
+    n: Numbers, s: RateState, k: Any, step: float, setpoint: Any, measured: Any, unallocated: Any, xp: Any
+) -> RateState:
+    """Return the state after a step; its ``command`` is the torque asked for."""
+    predictor, rate = s.predictor, measured
+    if n.predictor is not None:
+        predictor, rate = n.predictor.update(predictor, k, measured, s.command - unallocated, xp)
+    error = setpoint - rate
+    integral = s.integral
+    if not is_absent(n.i):
+        moved = xp.clip(integral + step * n.i * error, -n.integral_limit, n.integral_limit)
+        integral = xp.where(unallocated * error <= 0.0, moved, integral)
+    command, slope = n.p * error + integral, s.slope
+    if not is_absent(n.d):
+        # The first step has no slope yet.
+        share = step / (n.d_filter_s + step) * (k > 0)
+        slope = slope + share * ((rate - s.predicted) / step - slope)
+        command = command - n.d * slope
+    lead = s.lead
+    if n.lead is not None:
+        command, lead = update_lead(n.lead, lead, command, unallocated)
+    return RateState(predictor, integral, slope, rate, command, lead)
+
+
+def update_lead(n: Vector, state: tuple[Any, Any], value: Any, unallocated: Any) -> tuple[Any, tuple[Any, Any]]:
+    """Return the led command and the next state; ``n``: see :attr:`cosim.control.lead.Lead.constants`."""
+    (instant, pole, rest, of_once, of_twice), (once, twice) = n, state
+    once = once - rest * unallocated / instant
+    led = instant * value + of_once * once + of_twice * twice
+    return led, (pole * once + rest * value, pole * twice + rest * once)
+
+
+def update_height(
+    n: Numbers, s: tuple[Any, Any], asked: Any, measured: Any, unallocated: Any, burnt: Any, xp: Any
+) -> tuple[Any, tuple[Any, Any]]:
+    """Return the collective [share of thrust], integral [m/s^2] and state of the lead, None before the first."""
+    integral, lead = s
+    climb = xp.clip(n.position_1_s * (asked - measured.altitude), -n.descent_limit_m_s, n.climb_limit_m_s)
+    error = climb + measured.velocity[2]
+    moved = xp.clip(integral + n.step * n.integral_1_s2 * error, -n.integral_limit_m_s2, n.integral_limit_m_s2)
+    integral = xp.where(unallocated * error <= 0.0, moved, integral)
+    _, x, y, _ = measured.attitude
+    upright = xp.maximum(1.0 - 2.0 * (x * x + y * y), LEAST_UPRIGHT)
+    thrust = (n.mass_kg - burnt) * (GRAVITY + n.velocity_1_s * error + integral) / upright
+    collective = (thrust / n.jets - n.low) / n.span
+    if n.lead is not None:
+        if lead is None:
+            lead, unallocated = (collective, collective), 0.0 * collective
+        collective, lead = update_lead(n.lead, lead, collective, unallocated)
+    return collective, (integral, lead)
+
+
+class ScheduleNumbers(NamedTuple):
+    """Gains and leads by the level of thrust: rows of ``table`` at even levels, linear in between.
+
+    Columns: factors on the gains of roll (angle, p, i, d) and of height (position, velocity, integral), then the
+    constants of the two leads.  The gains follow once the level has moved by ``resolution``.
+    """
+
+    low: float
+    high: float
+    filter: float
+    resolution: float
+    table: Any
+
+    def at(self, level: Any, xp: Any) -> Any:
+        """Return the columns at these levels, a row each."""
+        last = self.table.shape[0] - 1
+        place = (level - self.low) / (self.high - self.low) * last
+        row = xp.clip(xp.floor(place), 0, last - 1).astype(np.int64)
+        weight = (place - row)[:, None]
+        return (self.table[row] + weight * (self.table[row + 1] - self.table[row])).T
+
+    def update(self, state: tuple[Any, Any, Any], share: Any, xp: Any) -> tuple[Any, Any, Any]:
+        """Return level, the level of the gains and the gains of the next step, after one of this share of thrust."""
+        level, last, gains = state
+        level = level + self.filter * (xp.clip(share, self.low, self.high) - level)
+        moved = xp.abs(level - last) >= self.resolution
+        if xp is not np:
+            return level, xp.where(moved, level, last), xp.where(moved, self.at(level, xp), gains)
+        flights = np.flatnonzero(moved)
+        if flights.size:
+            gains, last = gains.copy(), np.where(moved, level, last)
+            gains[:, flights] = self.at(level[flights], np)
+        return level, last, gains
+
+
+def apply_schedule(gains: Any, attitude: Numbers, roll: Numbers, height: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+    """Return the numbers of the loops at the present level of the schedule."""
+    angle, p, i, d, position, velocity, integral = gains[:7]
+    return (
+        attitude.replace(gain_1_s=(angle * attitude.gain_1_s[0], *attitude.gain_1_s[1:])),
+        roll.replace(p=p * roll.p, i=i * roll.i, d=d * roll.d, lead=None if roll.lead is None else tuple(gains[7:12])),
+        height.replace(
+            position_1_s=position * height.position_1_s,
+            velocity_1_s=velocity * height.velocity_1_s,
+            integral_1_s2=integral * height.integral_1_s2,
+            lead=None if height.lead is None else tuple(gains[12:]),
+        ),
+    )
