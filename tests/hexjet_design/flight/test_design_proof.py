@@ -247,6 +247,7 @@ def test_a_sound_engine_is_proved_and_the_proof_is_told(lively: Design) -> None:
     )
 
 
+@pytest.mark.long
 def test_a_light_mode_past_the_band_is_found_by_measuring_there(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """1 % of the thrust in a mode at 9 Hz: a model within a quarter of a percent, and a loop that swings up.
 
@@ -490,7 +491,7 @@ OVERSHOOT_AND_BACK = "lag=0.15,delay=0.048,over=0.1,over_s=4"
     ("name", "made_of"),
     [
         ("overshoots", OVERSHOOT_AND_BACK),
-        ("creeps", "lag=0.15,delay=0.048,over=-0.5,over_s=8"),
+        pytest.param("creeps", "lag=0.15,delay=0.048,over=-0.5,over_s=8", marks=pytest.mark.long),
         pytest.param("overshoots-by-half", "lag=0.15,delay=0.048,over=0.5,over_s=4", marks=pytest.mark.long),
         pytest.param("leads", "lag=0.12,lag2=0.05,zero=0.35", marks=pytest.mark.long),
     ],

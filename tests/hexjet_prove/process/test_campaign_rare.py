@@ -18,8 +18,7 @@ from cosim.base.errors import FlightError, InputError
 from cosim.campaign import open_campaign
 from cosim.campaign.study.plan import Flight
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.cluster import DaskWorkers
-from cosim.campaign.workers.flight_row import Row, fly_one
+from cosim.campaign.workers.flight_row import Row
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.cli.main import run
 from cosim.results.log.digest import log_digest
@@ -31,7 +30,6 @@ from hexjet_prove.rare.simulation import Plan
 WIND, ROLL = "environment.wind_ned_m_s.1", "initial.attitude_deg.0"
 KNOWN = 0.5 * erfc(2.5 / sqrt(2.0))  # of windy: 0.0062
 SMALL = Plan(Budget(1e-3, 1600))
-TINY = Plan(Budget(0.1, 200, repeats=2))
 
 
 class Here:
@@ -105,9 +103,8 @@ def test_a_known_truth_is_in_the_interval_and_all_is_kept(whole: SavedRare) -> N
         assert ", ".join(f"{key} = {value:.6g}" for key, value in case.values.items()) in page
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_the_same_rows_whoever_flies(whole: SavedRare, tmp_path: Path, count: int) -> None:
-    with LocalWorkers(count, fly=windy) as workers:
+def test_the_same_rows_whoever_flies(whole: SavedRare, tmp_path: Path) -> None:
+    with LocalWorkers(2, fly=windy) as workers:
         other = run_rare(known(), SMALL, tmp_path / "other", workers)
     assert (rows(other), result(other)) == (rows(whole), result(whole))
 
@@ -143,15 +140,6 @@ def test_true_flights_beyond_a_known_lean(tmp_path: Path) -> None:
     assert 2.5758 - 1e-4 < first.distance < 2.7
     again = fly(Scenario.load(tmp_path / "tilted" / "cases" / first.name / "scenario.toml"))
     assert log_digest(again.log) == saved.result.rows[first.flight]["log_sha256"]
-
-
-@pytest.mark.long  # test_campaign_cluster.py has the same of a study
-def test_a_cluster_flies_the_same_rows(tmp_path: Path) -> None:
-    study = tilted(2.0)
-    here = run_rare(study, TINY, tmp_path / "here", Here(fly_one))
-    with DaskWorkers(None, 2) as workers:
-        there = run_rare(study, TINY, tmp_path / "there", workers)
-    assert (rows(there), result(there)) == (rows(here), result(here))
 
 
 def test_a_folder_is_of_one_simulation(whole: SavedRare, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_tools import Done, Hexjet
-from places import DESIGNS, ROOT
+from places import DESIGNS
 
 from cosim import fly
 from cosim.api.call.choices import choose
@@ -24,7 +24,6 @@ from cosim.campaign import open_campaign
 from cosim.campaign.analysis.summary import campaign_summary, success_lines
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
-from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.flight_row import NOT_FLOWN, Row, failed_row, fly_one
 from cosim.cli.main import main
 from cosim.results.log.digest import log_digest
@@ -195,18 +194,6 @@ def test_stopped_and_resumed_it_comes_to_the_same(proven: Path, study: Path, hex
     assert hexjet("prove", str(tmp_path / "p"), "--resume", "--no-limit", "--search", "0").status == 0
     data = told(tmp_path / "p")
     first = told(proven)
-    assert data["repeat"]["rows_sha256"] == first["repeat"]["rows_sha256"]
-    assert {**data, "repeat": 0} == {**first, "repeat": 0}
-
-
-@pytest.mark.long
-def test_on_a_cluster_it_comes_to_the_same(proven: Path, study: Path, tmp_path: Path) -> None:
-    """Killed before, and gone on with by Dask: the rows, the verdict and all that follows are those of two workers."""
-    pytest.importorskip("distributed")
-    fly_study(proof_study(str(study), "90%@95%"), tmp_path / "p", Some(20))  # type: ignore[arg-type]
-    with DaskWorkers(None, 2) as workers:
-        conclude(fly_study(None, tmp_path / "p", workers, True), tmp_path / "p", Request(limit=False), workers)
-    data, first = told(tmp_path / "p"), told(proven)
     assert data["repeat"]["rows_sha256"] == first["repeat"]["rows_sha256"]
     assert {**data, "repeat": 0} == {**first, "repeat": 0}
 
@@ -392,19 +379,6 @@ def test_a_design_knows_where_its_aircraft_and_engine_are(hexjet: Hexjet, tmp_pa
         choose("hover", controller="ours/gryphon.toml")
 
 
-def test_the_quick_example_of_the_page_is_accepted() -> None:
-    """Its budget shows its claim, though the study's own claim takes more flights."""
-    page = (ROOT / "docs" / "prove.md").read_text()
-    (line,) = [line for line in page.splitlines() if line.startswith("hexjet prove") and "--budget 40" in line]
-    words = shlex.split(line, comments=True)
-    option = dict(zip(words[3::2], words[4::2], strict=True))
-    study = proof_study(words[2], option["--claim"], int(option["--budget"]))
-    assert study.draws == 40
-    assert study.title == "roll-doublet-claim: 90%@90% in place of the 99%@95% that its file states"
-    assert study.description.startswith("Of the study as its file states it, not of these flights")
-    assert "99 of 100" in proof_study(words[2], "99%@95%").title
-
-
 def test_a_design_is_proven_over_the_box_that_it_was_made_for(tmp_path: Path) -> None:
     designed = proof_study(str(DESIGNS / "turbojet.toml"), "99%@95%")
     assert designed.name == "hexjet-turbojet-designed"
@@ -443,16 +417,11 @@ def test_an_uncertain_engine_is_drawn_in_place_of_the_box(tmp_path: Path) -> Non
 
 
 @pytest.mark.long
-def test_the_shipped_example_and_its_page(hexjet: Hexjet, tmp_path: Path) -> None:
-    """What docs/prove.md shows, and the limit of the three axes."""
-    from places import DOCS
-
+def test_the_shipped_example_is_shown(hexjet: Hexjet, tmp_path: Path) -> None:
+    """With the limit of the three axes."""
     done = hexjet("prove", "roll-doublet-claim", "--out", "p", "--json")
     data = json.loads(done.out)
     assert (done.status, data["decision"]) == (0, "shown")
-    shown = " ".join((DOCS / "prove.md").read_text(encoding="utf-8").split())
-    assert data["sentence"] in shown
-    assert all(f"{about}: {text}" in shown for about, text in data["facts"].items())
     assert set(data["limit"]) == set(AXES)
     assert data["limit"]["roll"]["times"] > data["limit"]["roll"]["times_as_tolerant"] > 1.0
     assert all(limit["times"] >= 1.0 if limit["done"] else limit["says"] for limit in data["limit"].values())

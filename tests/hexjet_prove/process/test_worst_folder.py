@@ -21,7 +21,6 @@ from places import DESIGNS
 from cosim.campaign import open_campaign
 from cosim.campaign.folder import JOURNAL
 from cosim.campaign.study.draws import Draws
-from cosim.campaign.workers.cluster import DaskWorkers
 from cosim.campaign.workers.local import LocalWorkers
 from cosim.results.log.digest import log_digest
 from cosim.results.run import open_run
@@ -107,15 +106,6 @@ def test_two_workers_come_to_the_same(searched: SavedWorst, tmp_path: Path) -> N
         run_worst(*plan(), tmp_path / "two", workers)
     assert told(tmp_path / "two") == told(searched.folder)
     assert rows(tmp_path / "two") == rows(searched.folder)
-
-
-@pytest.mark.long  # test_campaign_cluster.py has the same of a study
-def test_dask_comes_to_the_same(searched: SavedWorst, tmp_path: Path) -> None:
-    pytest.importorskip("distributed")
-    with DaskWorkers(None, 2) as workers:
-        run_worst(*plan(), tmp_path / "dask", workers)
-    assert told(tmp_path / "dask") == told(searched.folder)
-    assert rows(tmp_path / "dask") == rows(searched.folder)
 
 
 def test_a_killed_search_goes_on_to_the_same(searched: SavedWorst, hexjet: Hexjet, tmp_path: Path) -> None:

@@ -24,7 +24,6 @@ from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.paths import data_folder
 from cosim.campaign.folder import freeze, load
 from cosim.campaign.installed import FILES, installed_versions
-from cosim.campaign.run import run_campaign
 from cosim.campaign.store import Store
 from cosim.campaign.study.plan import Flight, flights
 from cosim.campaign.study.study import Study
@@ -147,17 +146,6 @@ def test_the_rows_are_those_of_this_machine_though_no_file_is_shared(processes: 
     wait_for(lambda: not any(each.children() for each in processes.workers))  # at once, and not after a minute
 
 
-def test_a_study_that_stops_by_its_rule_leaves_the_same_rows(processes: Processes, tmp_path: Path) -> None:
-    claimed = study(runs=None, controllers=["baseline"], until="50%@90%", duration=0.1)
-    here = run_campaign(claimed, tmp_path / "here", 1)
-    with DaskWorkers(str(processes.file)) as workers:
-        there = run_campaign(claimed, tmp_path / "there", workers)
-    assert len(here) == len(there) == 5  # 0.5^5 < 0.05 < 0.5^4
-    assert [without_chance(there.row(number)) for number in range(5)] == [
-        without_chance(here.row(number)) for number in range(5)
-    ]
-
-
 def test_a_worker_unpacks_a_study_again_after_somebody_cleared_up(tmp_path: Path) -> None:
     (tmp_path / "lean.csv").write_text("time_s,roll_deg\n0.0,0.0\n0.1,5.0\n")
     (tmp_path / "lean.toml").write_text(
@@ -249,13 +237,6 @@ def stopped(processes: Processes, out: Path, stop: Callable[[subprocess.Popen[st
     stop(flying)
     said, _ = flying.communicate(timeout=PATIENCE)
     return flying.returncode, said.rstrip("\n")
-
-
-@pytest.mark.long
-def test_a_sweep_is_interrupted(processes: Processes, tmp_path: Path) -> None:
-    status, said = stopped(processes, tmp_path / "out", lambda flying: flying.send_signal(signal.SIGINT))
-    assert re.fullmatch(r"hexjet: stopped; \d+ of 2000 flights are kept: .* --resume goes on", said), said
-    assert status == 130
 
 
 def test_the_scheduler_is_lost(processes: Processes, tmp_path: Path) -> None:

@@ -114,56 +114,6 @@ def test_so_does_that_in_python_and_a_study_of_it_says_that_it_repeats(reference
     assert (tmp_path / "campaign" / "loop.py").is_file()
 
 
-CASCADE = """
-import json, struct, sys
-from types import SimpleNamespace
-from cosim.base.signals import Command, EngineOutput, Measured
-from cosim.control.allocation.thrust_map import StaticCurve, ThrustMap
-from cosim.control.predictors.smith import NoPredictor, SmithPredictor
-from cosim.spec.vehicle import RateModel, Vehicle
-sys.path.insert(0, {folder!r})
-from cascade import Cascade
-
-read, write = sys.stdin.buffer, sys.stdout.buffer
-write.write(b'{{"level": "controller", "extras": ["unallocated", "shown"]}}\\n')
-write.flush()
-line = read.readline()
-told = json.loads(line) if line else sys.exit()
-curves = [StaticCurve("engine", each["throttle"], each["thrust"]) for each in told["engines"]]
-models = {{axis: RateModel.model_validate(model) for axis, model in told["models"].items()}}
-cascade = Cascade()
-cascade.prepare(SimpleNamespace(
-    vehicle=Vehicle.model_validate(told["vehicle"]), thrust_map=ThrustMap(curves[0], curves), hover=told["hover"],
-    step_s=told["step_s"],
-    predictors=lambda name: [SmithPredictor(models[a]) if a in models else NoPredictor() for a in ("roll", "pitch", "yaw")],
-))
-asked, answer = struct.Struct(f"<{{1 + len(told['inputs'])}}d"), struct.Struct(f"<{{1 + len(told['outputs'])}}d")
-while len(frame := read.read(asked.size)) == asked.size:
-    k, *numbers = asked.unpack(frame)
-    at = dict(zip(told["inputs"], numbers))
-    if k == 0:
-        cascade.reset()
-    def three(*names):
-        return tuple(at[name] for name in names)
-    rates = three("roll_rate_setpoint", "pitch_rate_setpoint", "yaw_rate_setpoint") if at["rates_commanded"] else None
-    collective = at["collective_setpoint"] if at["collective_commanded"] else None
-    given = cascade.update(
-        Command(three("roll_setpoint", "pitch_setpoint", "yaw_setpoint"), at["altitude_setpoint"], rates, collective),
-        Measured(
-            three("roll_rate", "pitch_rate", "yaw_rate"),
-            three("attitude_w", "attitude_x", "attitude_y", "attitude_z"),
-            three("position_north", "position_east", "position_down"),
-            three("velocity_north", "velocity_east", "velocity_down"), at["altitude"],
-        ),
-        SimpleNamespace(burnt=at["fuel_burnt"]),
-    )
-    s = cascade.signals
-    shown = (*s.rate_setpoint, *s.rate_predicted, *s.torque, s.collective, s.allocated)
-    write.write(answer.pack(k, *given.throttle, *given.tilt, *given.unallocated, *shown))
-    write.flush()
-"""
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="told by /proc")
 def test_what_a_process_has_started_ends_with_the_flight(tmp_path: Path) -> None:
     """In a session of its own, which a signal to the process's group does not reach."""
@@ -181,15 +131,6 @@ def test_what_a_process_has_started_ends_with_the_flight(tmp_path: Path) -> None
     assert helpers
     for helper in helpers:
         assert is_ended(helper)
-
-
-def test_the_whole_cascade_in_a_process_leaves_the_log_of_ours(tmp_path: Path) -> None:
-    of_page("cascade", tmp_path / "cascade.py")
-    script = tmp_path / "outside.py"
-    script.write_text(CASCADE.format(folder=str(tmp_path)))
-    ours, theirs = fly(ROLL.replace(controller="smith")), fly(ROLL.replace(controller=f"process:{script}"))
-    assert theirs.outcome == "completed", theirs.reason
-    assert same(ours, theirs)
 
 
 def test_a_program_with_a_file_of_toml_as_its_argument_is_no_design(tmp_path: Path, reference: Run) -> None:
@@ -256,9 +197,9 @@ AHEAD = {"kind": "step", "signal": "ahead_m_s", "start_s": 0.04, "amplitude": 20
 
 
 @pytest.mark.parametrize(
-    "flown", [QUADJET, Scenario.load("jetwing-transition").replace(duration_s=0.2, command=[AHEAD], expect=[])]
+    "flown", [ROLL, QUADJET, Scenario.load("jetwing-transition").replace(duration_s=0.2, command=[AHEAD], expect=[])]
 )
-def test_the_cascade_of_a_vehicle_with_hinges_and_a_wing_flies_from_a_process_as_inside(
+def test_the_whole_cascade_flies_from_a_process_as_inside_with_banks_hinges_or_a_wing(
     flown: Scenario, tmp_path: Path
 ) -> None:
     script = tmp_path / "outside.py"

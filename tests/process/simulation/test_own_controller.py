@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import linecache
-import os
 import re
 import shutil
 import site
@@ -25,9 +24,6 @@ from cosim.campaign import open_campaign
 from cosim.campaign.run import choose_workers, fly_again, run_campaign
 from cosim.campaign.study.keys import find_key
 from cosim.campaign.study.options import open_study
-from cosim.campaign.study.plan import flights
-from cosim.campaign.workers.cluster import DaskWorkers
-from cosim.campaign.workers.flight_row import fly_one
 from cosim.control.attitude import AttitudeController
 from cosim.control.rate import RateController
 from cosim.simulation.autopilot_setup import attach_autopilot
@@ -422,26 +418,6 @@ def test_a_search_and_a_survey_of_faults_fly_it_and_say_which_it_was(mine: str, 
     assert set(open_campaign(tmp_path / "search").columns["controller_sha256"]) == {sha256[mine]}
 
 
-def test_a_killed_worker_costs_a_campaign_of_it_nothing(mine: str, tmp_path: Path) -> None:
-    """The file kills the first process beside this one that reads it: the flight is flown by the next."""
-    path = Path(mine.removesuffix(":Mine"))
-    note = tmp_path / "killed"
-    killing = (
-        "\n\nimport os, pathlib, signal\n"
-        f"note = pathlib.Path({str(note)!r})\n"
-        f"if os.getpid() != {os.getpid()} and not note.exists():\n"
-        "    note.touch()\n"
-        "    os.kill(os.getpid(), signal.SIGKILL)\n"
-    )
-    path.write_text(path.read_text(encoding="utf-8") + killing, encoding="utf-8")
-    vary = ["controller_parameters.share=0,1"]
-    study = open_study("roll-doublet", vary=vary, controllers=[mine], settings=["duration_s=0.1"])
-    columns = run_campaign(study, tmp_path / "campaign", workers=1).columns
-    assert note.exists()
-    assert list(columns["outcome"]) == ["completed"] * 2
-    assert len({*columns["controller_sha256"]}) == 1
-
-
 def test_a_run_of_one_gets_its_page_again_and_says_that_nothing_watched(tmp_path: Path) -> None:
     """From what is in the folder alone, the file that was flown being gone."""
     whole = of_page("cascade", tmp_path / "cascade.py") + ":Cascade"
@@ -553,15 +529,6 @@ def test_an_installed_package_brings_one(package: Path) -> None:
     assert "controller mine is not the one that was flown" in again.stderr
 
 
-def test_a_file_is_seen_from_here_and_a_parameter_of_no_controller_refused(package: Path) -> None:
-    done = hexjet(
-        package, "fly", "hover", "--controller", "my_controllers.py:Mine", "--set", "controller_parameters.x=1"
-    )
-    assert done.returncode == 2
-    assert "controller_parameters.x: unknown parameter; allowed: share" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
 @pytest.mark.parametrize("name", ["predictor", "cascade"])
 def test_the_autopilot_flies_it_and_what_it_has_not_cannot_be_set(tmp_path: Path, name: str) -> None:
     """The same steps as over our own; the built-in loops beside it are tuned by nobody."""
@@ -589,17 +556,6 @@ def test_the_autopilot_flies_it_and_what_it_has_not_cannot_be_set(tmp_path: Path
     assert kept["HJ_ROLL_P"] == kept["HJ_CLIMB_P"] == (name == "cascade")
     meanings = dict(pilot.parameters.table["HJ_PRED_TYPE"].values)
     assert meanings[pilot.parameters["HJ_PRED_TYPE"]] == f"{name}.py:{classes[name]}"
-
-
-@pytest.mark.long
-def test_a_cluster_gets_it_by_its_contents(mine: str, tmp_path: Path) -> None:
-    vary = ["controller_parameters.share=0,1"]
-    study = open_study("roll-doublet", vary=vary, controllers=[mine], settings=["duration_s=0.1"])
-    here = fly_one(study, flights(study)[1])
-    with DaskWorkers(None, 1) as workers:
-        there = run_campaign(study, tmp_path / "there", workers=workers).columns
-    for column in ("controller_sha256", "log_sha256"):
-        assert here[column] == there[column][1] is not None
 
 
 def test_a_notebook_is_shown_a_run_and_its_log_is_a_table() -> None:
