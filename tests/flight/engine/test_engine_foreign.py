@@ -115,9 +115,6 @@ def test_a_blemished_engine_is_fit_and_flies_with_a_warning(place: Path, capfd: 
     assert out.startswith("{")
 
 
-# ---- sources
-
-
 # ---- mapping: integers, enumerations, constants, sign, air, starts, rest
 
 
@@ -377,7 +374,6 @@ def test_six_lines_of_mapping_make_it_fly(kind: str, place: Path) -> None:
     )
     run = fly(hover)
     assert run.outcome == "completed", run.reason
-    total = sum(run.log[f"thrust_{jet}_N"].mean() for jet in range(1, 7))
     total = sum(run.log[f"thrust_{jet}_N"].mean() for jet in range(1, 7))
     assert total == pytest.approx(9.81 * run.log["mass_kg"][0], rel=0.02)
 

@@ -64,22 +64,6 @@ def test_a_resolved_scenario_flies_again_to_the_same_bits(hexjet, tmp_path: Path
     assert (tmp_path / "moved/scenario.toml").read_bytes() == (tmp_path / "second/scenario.toml").read_bytes()
 
 
-def test_the_quadrotor_leaves_a_run_too(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    settings = [f"--set={text}" for text in ("aircraft=quadrotor", "engine=motor", "step_s=0.0025", "duration_s=1.0")]
-    assert hexjet("fly", "hover", *settings, "--out", "quad").status == 0
-    assert hexjet("fly", "quad/scenario.toml", "--out", "again").status == 0
-    assert (tmp_path / "quad/flight.parquet").read_bytes() == (tmp_path / "again/flight.parquet").read_bytes()
-
-
-def test_an_engine_of_ones_own_travels_with_the_run(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
-    shutil.copy(data_folder("fmus") / "edf.fmu", tmp_path / "own.fmu")
-    fly = ["fly", "hover", "--engine", "own.fmu", "--controller", "baseline", *SHORT]
-    assert hexjet(*fly, "--out", "first").status == 0
-    (tmp_path / "own.fmu").unlink()
-    assert hexjet("fly", "first/scenario.toml", "--out", "second").status == 0
-    assert (tmp_path / "first/flight.parquet").read_bytes() == (tmp_path / "second/flight.parquet").read_bytes()
-
-
 def test_a_lost_vehicle_is_status_1_with_log_and_report(hexjet, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     done = hexjet("fly", "roll-doublet", "--controller", "baseline", "--out", "lost")
     assert done.status == 1

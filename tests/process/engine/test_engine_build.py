@@ -7,7 +7,6 @@ import math
 import shutil
 import subprocess
 import sys
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -109,40 +108,6 @@ def test_the_sources_inside_are_enough_to_compile_it_elsewhere(fmi: int, tmp_pat
             engine.start()
             runs.append(engine.run(throttles()["random"]))
     assert runs[0].tobytes() == runs[1].tobytes()
-
-
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_the_sources_compile_without_a_warning(fmi: int, tmp_path: Path) -> None:
-    compiler = shutil.which("cc")
-    assert compiler is not None
-    with zipfile.ZipFile(archive("edf", fmi)) as fmu:
-        fmu.extractall(tmp_path)
-    headers = Path(fmpy.__file__).parent / "c-code"
-    sources = sorted((tmp_path / "sources").glob("*.c"))
-    options = [
-        "-std=c99",
-        "-O2",
-        "-Wall",
-        "-Wextra",
-        "-Wpedantic",
-        "-Wconversion",
-        "-Wshadow",
-        "-Werror",
-        "-fPIC",
-        "-shared",
-    ]
-    command = [
-        compiler,
-        *options,
-        f"-I{headers}",
-        f"-I{tmp_path / 'sources'}",
-        *sources,
-        "-lm",
-        "-o",
-        tmp_path / "x.so",
-    ]
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_nothing_but_fmi_functions_is_exported(tmp_path: Path) -> None:

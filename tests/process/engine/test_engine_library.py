@@ -190,6 +190,7 @@ def driver(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return fmi, compiled(target, [DRIVER], f"-DFMI={fmi}", "-O1", "-Wall", "-Wextra", "-Werror")
 
 
+@pytest.mark.long  # the sanitizers below look for the same
 @pytest.mark.parametrize("name", ENGINES)
 def test_valgrind_finds_nothing(name: str, driver: tuple[int, Path], tmp_path: Path) -> None:
     valgrind = shutil.which("valgrind")

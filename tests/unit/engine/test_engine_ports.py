@@ -18,7 +18,6 @@ import pytest
 from engine_tools import STEP, archive, rewrite
 from places import TOOLS
 
-from cosim import Scenario, fly
 from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient, EngineOutput
 from cosim.engine import (
@@ -509,40 +508,6 @@ def test_fmus_in_python_do_not_lend_each_other_their_modules(exporter: str, tmp_
         thrust = bank.reset(1.0).thrust
     assert (thrust[1] / thrust[0], thrust[3] / thrust[2]) == pytest.approx((3.0, 3.0), rel=1e-6)
     assert (sys.path, {name for name in set(sys.modules) - modules if "ngine" in name}) == (path, set())
-
-
-EDF_IN_POUNDS = """
-from pythonfmu import Fmi2Causality, Fmi2Slave, Real
-
-class Engine(Fmi2Slave):
-    def __init__(self, **kwargs):
-        super().__init__(**kwargs)
-        self.pct, self.Fn, self.y = 0.0, 0.0, 0.0
-        self.register_variable(Real("pct", causality=Fmi2Causality.input, start=0.0))
-        self.register_variable(Real("Fn", causality=Fmi2Causality.output))
-
-    def do_step(self, time, step):
-        self.y = 0.8748 * self.y + 0.2554 * self.pct / 100.0
-        self.Fn = self.y / 0.45359237
-        return True
-"""
-
-
-def test_an_edf_of_another_exporter_in_pounds_and_percent_flies_like_ours(tmp_path: Path) -> None:
-    """The roll doublet with a mapping file, tried and found fit first."""
-    path = tmp_path / "theirs.toml"
-    fmu = export(tmp_path, "pythonfmu", "Engine", EDF_IN_POUNDS)
-    path.write_text(
-        f'fmu = "{fmu.name}"\n[ports]\nthrust = "Fn"\n[units]\nthrust = "lbf"\n[range]\nthrottle = [0.0, 100.0]\n'
-    )
-    scenario = Scenario.load("roll-doublet").replace(controller="baseline", duration_s=3.0, expect=[])
-    ours = fly(scenario.replace(engine="edf"))
-    theirs = fly(scenario.replace(engine=str(path)))
-    assert theirs.outcome == ours.outcome == "completed"
-    assert np.ptp(ours.log["roll_rad"]) > 0.17  # the first edge of the doublet: 10 degrees
-    for column in ("roll_rad", "rate_p_rad_s", "altitude_m"):
-        # they start as well settled as a run-up to 1e-10 leaves them, and convert the unit; 3 s make no more of it
-        np.testing.assert_allclose(theirs.log[column], ours.log[column], rtol=0.0, atol=1e-6)
 
 
 WRONG_MAPPINGS = {
