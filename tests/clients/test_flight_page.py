@@ -12,7 +12,6 @@ import pytest
 from flights import STEP, samples, scenario, setup
 from patience import PATIENCE
 
-from benchmarks.measures.browser import Look
 from cosim.flight import with_page
 from cosim.results.log.recorder import MemoryLog
 from cosim.results.report.comparison import compare_report
@@ -127,22 +126,6 @@ def test_two_flights_in_one_scene_and_what_one_is_less_the_other(
 def product(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:
     """Of two quaternions, each a scalar and a vector."""
     return a[0] * b[0] - a[1] @ b[1], a[0] * b[1] + b[0] * a[1] + np.cross(a[1], b[1])
-
-
-@pytest.mark.long
-def test_a_page_is_looked_at(browser: Any, flown: tuple[Run, Path]) -> None:
-    """What the benchmark says of a page in a browser; how fast that is no test asks."""
-    look = Look(browser)
-    look.at(flown[1], 0.2)
-    seen = look.seen(flown[1])
-    assert look.renderer
-    assert seen.replayed is not None
-    assert seen.open_cpu_s.median > 0.0
-    assert seen.open_s.median > 0.0
-    for frames in (seen.scrolled, seen.replayed):
-        assert 0.0 < frames.rate.median < 1000.0
-        assert 0.0 <= frames.late.median <= 100.0
-        assert frames.page_ms.median > 0.0
 
 
 def test_the_keyboard_is_enough(browser: Any, flown: tuple[Run, Path]) -> None:
