@@ -100,10 +100,10 @@ def need_trust(code: Iterable[Code], what: str) -> None:
     if unknown:
         folders = _list_folders(unknown, hashes)
         if not (_ask and _ask(folders)):
-            how = "cosim.trust" if _decision.by_program else "--trust"
+            how = "call cosim.trust(FOLDER)" if _decision.by_program else "add --trust"
             raise CodeRefusedError(
-                f"{what}: {'; '.join(folders)}: is code that you have not flown before; look at the folder, then {how} "
-                "runs what is in it and remembers it"
+                f"{what}: {'; '.join(folders)}: has code that has not been run before. Check it, then "
+                f"{how} to run and remember it."
             )
     _add(accepted=wanted.keys(), contents={entry for found in entries.values() for entry in found or ()})
     _note({value: f"{item.folder}{item.arguments}" for item, value in hashes.items() if value})

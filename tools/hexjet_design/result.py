@@ -335,9 +335,8 @@ def _reach(design: Design) -> str:
     assert after.step_peak is not None
     rate = design.vehicle.control.attitude.rate_limit_rad_s[0] / after.tuning.angle_gain
     return (
-        f"a roll step asks for {'the whole share' if roll.channel.unit == 'share' else 'all of this'} "
-        f"from {degrees(roll.channel.room / after.step_peak):.0f} deg on, "
-        f"and for the limit of the rate from {degrees(rate):.0f} deg on"
+        f"roll steps above {degrees(roll.channel.room / after.step_peak):.0f} deg saturate the "
+        f"{'throttles' if roll.channel.unit == 'share' else 'actuators'}, above {degrees(rate):.0f} deg the rate limit"
     )
 
 

@@ -105,7 +105,7 @@ def test_another_table_is_another_design(designed: dict[str, Design], tmp_path: 
     assert "bench.csv: 6 steps, 2 holds" in paths["report"].read_text(encoding="utf-8")
     assert to_dict(made)["tolerances"] == line
     assert "the box around their ellipsoid of correlation -0." in line or "of correlation 0." in line
-    assert "it states no spread between engines, so one is off by 30 % of gain and lag in the proof" in line
+    assert "it gives no engine-to-engine spread, so the proof assumes 30 % of gain and lag" in line
     assert filed["requirements"]["engine_spread"] == 0.3
 
 

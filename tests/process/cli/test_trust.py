@@ -31,7 +31,7 @@ from cosim.results.run import LOG, REPORT, SUMMARY, open_run
 from cosim.simulation.build import build
 from cosim.spec.scenario import Scenario
 
-REFUSED = "is code that you have not flown before"
+REFUSED = "has code that has not been run before"
 MARK = "import pathlib\n\n\ndef mark(word):\n    with open({mark!r}, 'a') as file:\n        file.write(word)\n\n\nmark('run ')\n"
 CONTROLLER = """
 class Mine:

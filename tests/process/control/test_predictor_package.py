@@ -71,7 +71,7 @@ def test_one_that_is_not_installed_is_asked_for(package: Path, monkeypatch: pyte
     assert "my-smith" not in listed.stdout
     assert misspelt.returncode == 2
     assert "entry point 'my-smith' of hexjet.predictors" in misspelt.stderr
-    assert "is code that you have not flown before" in misspelt.stderr
+    assert "has code that has not been run before" in misspelt.stderr
     assert named.returncode == 0, named.stderr
 
 

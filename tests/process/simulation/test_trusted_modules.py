@@ -22,7 +22,7 @@ from cosim.base.plugins.execute import import_installed
 from cosim.base.storage.user import settings_folder
 from cosim.simulation.controllers.source import find_controller_source, list_installed
 
-REFUSED = "is code that you have not flown before"
+REFUSED = "has code that has not been run before"
 
 
 @pytest.fixture(autouse=True)

@@ -12,7 +12,7 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.user import cache_folder, settings_folder
 from cosim.base.trust import Code, program_code
 
-REFUSED = "is code that you have not flown before"
+REFUSED = "has code that has not been run before"
 
 
 @pytest.fixture(autouse=True)
@@ -145,7 +145,7 @@ def test_a_program_in_bin_brings_the_folder_above(tmp_path: Path) -> None:
 def test_a_folder_that_is_too_large_is_not_remembered(limit: str, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(trust._entries.__kwdefaults__, limit, 0)
     assert runs(Code(file), "fly", "mine.py")
-    with pytest.raises(InputError, match=r"\(mine\.py; too large to be remembered\): is code"):
+    with pytest.raises(InputError, match=r"\(mine\.py; too large to be remembered\): has code"):
         trust.need_trust([Code(file)], "test")
 
 

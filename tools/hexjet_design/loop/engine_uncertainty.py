@@ -199,8 +199,8 @@ def _engine_spread(
         return {}, ""
     if not any(table.spreads):
         return {"engine_spread": unknown_spread}, (
-            f"; it states no spread between engines, so one is off by {100.0 * unknown_spread:.0f} % of gain and lag "
-            "in the proof: engine_spread would state it"
+            "; it gives no engine-to-engine spread, so the proof assumes "
+            f"{100.0 * unknown_spread:.0f} % of gain and lag (engine_spread)"
         )
     ends = [CUT * np.sqrt(np.diag(single)) / (1.0, plant.pace_s) for plant, _, single in found]
     spread = min(ceil(1e4 * float(np.max(ends))) * 1e-4, MOST["gain_tolerance"])

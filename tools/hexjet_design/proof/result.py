@@ -62,10 +62,9 @@ class Proof:
             )
         if isfinite(self.measured_hz):
             lines.append(
-                f"measured to {self.measured_hz:.3g} Hz: the engine's own response takes "
-                f"{100.0 * self.stability_fraction:.0f} % of what stability leaves it, peak |S| {self.sensitivity:.2f}"
-                f"; beyond, the loop's gain is at most "
-                f"{self.above:.2g}"
+                f"model error, measured with the engine, uses {100.0 * self.stability_fraction:.0f} % of the stability "
+                f"margin up to {self.measured_hz:.3g} Hz (peak |S| {self.sensitivity:.2f}); "
+                f"above, |L| < {self.above:.2g}"
             )
         return lines
 

@@ -15,8 +15,8 @@ BADGES = {"shown": "completed", "refuted": "", "open": "failed"}
 WORDS = {"shown": "shown", "refuted": "refuted", "open": "not decided"}
 METHOD = (
     "Flights with independent draws are counted in the order of their numbers, by a test whose boundaries were fixed "
-    "before the first: it says shown, or refuted, of what is not so with a probability of at most {error:g} %, however "
-    "often it is looked at. At most {most:,} flights. Noise and turbulence of each flight have a seed of their own."
+    "before the first. It is wrong in at most {error:g} % of such proofs, however often you look. "
+    "At most {most:,} flights. Noise and turbulence of each flight have a seed of their own."
 )
 MARGIN = (
     "A margin is what is left to the nearest limit by that limit's size; below 0 the flight failed. Each folder flies "
