@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call.result import Progress, Result, Table
+from cosim.api.call.result import Progress, Result, Table, note_lines
 from cosim.base.errors import InputError, notify
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class FlightResult(Result):
             f"{f', sensors {summary.sensors}' if summary.sensors else ''}: {summary.duration_s:.2f} s flown{speed}",
         ]
         lines += [NOTHING_EXPECTED] if summary.verdict == Verdict.NOTHING_CHECKED else []
-        lines += [f"note: {note}" for note in summary.notes]
+        lines += note_lines(summary.notes)
         lines += [f"beyond its limit: {text}" for text in summary.exceeded]
         lines += [f"requirement {each.describe()}" for each in summary.requirements if each.source == "require"]
         if controller is not None and controller.repeatable is False:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.call import FolderResult, Limits, Table, checked
+from cosim.api.call import FolderResult, Limits, Table, checked, note_lines
 from cosim.api.call.choices import as_settings
 from cosim.base.errors import InputError
 from cosim.base.trust import mention
@@ -67,7 +67,7 @@ class IdentifyResult(FolderResult):
             ledger = [f"all delay as the delay ledger has it: {found.ledger_samples:.2f} samples"]
         elif found.no_ledger:
             ledger = [f"the delay ledger has no sum for it: {found.no_ledger}"]
-        return [swept, *model, *ledger, *(f"note: {note}" for note in found.notes)]
+        return [swept, *model, *ledger, *note_lines(found.notes)]
 
     def tables(self) -> list[Table]:
         """Return the parameters of each model with their bounds."""

@@ -11,7 +11,7 @@ from shutil import get_terminal_size
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Self
 
-from cosim.api.call import Progress, Result
+from cosim.api.call import Progress, Result, WholeLine
 from cosim.base.wording import printable, printable_line
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def show_result(result: Result) -> None:
     first, *others = result.lines() or [""]
     say(f"[bold]{escape(first)}[/bold]", marked=True)
     for line in others:
-        say(line, wrap=" runs/" not in line and ": hexjet " not in line and not line.startswith("note: "))
+        say(line, wrap=not isinstance(line, WholeLine))
     for table in result.tables():
         if table.title:
             say(table.title)

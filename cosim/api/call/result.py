@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -43,6 +43,15 @@ class Progress:
         of : int
             All parts; 0 where that is not known.
         """
+
+
+class WholeLine(str):
+    """A line of a result that no terminal breaks, so that it can be copied: a command, a path, a note."""
+
+
+def note_lines(notes: Iterable[str]) -> list[str]:
+    """Return notes as lines of a result."""
+    return [WholeLine(f"note: {note}") for note in notes]
 
 
 class Table(NamedTuple):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from cosim.api.call import FolderResult, Limits, Table, checked
+from cosim.api.call import FolderResult, Limits, Table, checked, note_lines
 from cosim.base.errors import InputError
 from cosim.base.signals import AXES
 from cosim.identify.page import WITH_BOUNDS
@@ -51,7 +51,7 @@ class LogIdentifyResult(FolderResult):
 
         found = self.identification
         reason = why_no_engine(found) if found.engine else ""
-        notes = [f"note: {note}" for note in found.notes]
+        notes = note_lines(found.notes)
         return [summary(found), *notes, *([f"no engine: {reason}"] if reason else [])]
 
     def tables(self) -> list[Table]:
@@ -217,7 +217,7 @@ class ValidateResult(FolderResult):
         """Return the verdict, the evidence, and notes."""
         found = self.validation
         first = f"{self.verdict}: {found.model.what} of {found.model.path} beside {found.log}"
-        return [first, *found.judgement.evidence, *(f"note: {note}" for note in found.notes)]
+        return [first, *found.judgement.evidence, *note_lines(found.notes)]
 
     def tables(self) -> list[Table]:
         """Return the measures of how well it fits."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import FolderResult, Limits, Progress, Table, checked
+from cosim.api.call import FolderResult, Limits, Progress, Table, checked, note_lines
 from cosim.api.call.choices import choose
 from cosim.base.errors import InputError
 from cosim.spec.scenario import Scenario
@@ -51,7 +51,7 @@ class ReplayResult(FolderResult):
         """Return the verdict, what is wrong with the model where the log tells, and the evidence."""
         found = self.replayed
         first = f"{found.verdict}: {found.aircraft} with {found.engine} beside {found.log}"
-        notes = [f"note: {note}" for note in found.notes]
+        notes = note_lines(found.notes)
         return [first, *([found.fault] if found.fault else []), *found.evidence, *notes]
 
     def tables(self) -> list[Table]:

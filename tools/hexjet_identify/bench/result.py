@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cosim.api.call import note_lines
 from cosim.base.storage.toml import toml_text
 from cosim.files import data_folder
 from cosim.identify.page import WITH_BOUNDS, Signals, draw_signals, judged_page
@@ -124,7 +125,7 @@ def lines(found: Identification, most: int = 3) -> tuple[str, list[str]]:
     """Return the verdict, and the ``most`` weighty of what is to be said; the page has the rest."""
     reason = why_no_engine(found)
     said = [f"no engine: {reason}"] if reason else []
-    said += [*(f"not told: {line}" for line in found.untold[:1]), *(f"note: {line}" for line in found.notes)]
+    said += [*(f"not told: {line}" for line in found.untold[:1]), *note_lines(found.notes)]
     said += [f"not told: {line}" for line in found.untold[1:]]
     more = len(said) - most
     rest = [f"{more} more on the page"] if more > 0 else []

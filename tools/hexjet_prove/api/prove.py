@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Limits, Progress, Result, Table, checked
+from cosim.api.call import Limits, Progress, Result, Table, WholeLine, checked
 from cosim.api.call.choices import as_settings
 from cosim.api.studies import study_settings, tell_tally
 from cosim.base.errors import InputError
@@ -45,8 +45,8 @@ class ProofResult(Result):
             proof.sentence,
             *(f"{about}: {text}" for about, text in proof.facts.items()),
             *(f"not covered: {text}" for text in proof.not_covered),
-            f"again: {proof.repeat['command']}",
-            f"folder: {proof.folder}",
+            WholeLine(f"again: {proof.repeat['command']}"),
+            WholeLine(f"folder: {proof.folder}"),
         ]
 
     def tables(self) -> list[Table]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cosim.api.call import Limits, Progress, Table, checked
+from cosim.api.call import Limits, Progress, Table, WholeLine, checked
 from cosim.api.studies import SweepResult
 from cosim.base.trust import mention
 
@@ -39,7 +39,7 @@ class SurveyResult(SweepResult):
 
     def lines(self) -> list[str]:
         """Return what flew, how it is judged, and how to fly one of the flights again."""
-        return [*self.survey.lines(), f"one flight again: hexjet fly {self.campaign.folder} --flight N"]
+        return [*self.survey.lines(), WholeLine(f"one flight again: hexjet fly {self.campaign.folder} --flight N")]
 
     def tables(self) -> list[Table]:
         """Return how the flights of each case ended."""

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
+from cosim.api.call import WholeLine
 from cosim.base.errors import FlightError, InputError
 from cosim.base.storage.files import write_whole
 from cosim.results.run import REPORT, SCENARIO
@@ -76,7 +77,7 @@ class Answered(Generic[A]):
             distance = "" if case.distance is None else f", {case.distance:.2f} standard deviations out"
             again = "the same bit for bit" if case.same else "NOT the same"
             line = f"{case.name}: flight {case.flight}{distance}; {case.reason}; flown again {again}"
-            lines.append(f"{line}: hexjet fly {each['command']}" if each["report"] else line)
+            lines.append(WholeLine(f"{line}: hexjet fly {each['command']}") if each["report"] else line)
         return lines
 
     def write(self, name: str) -> None:
