@@ -107,7 +107,7 @@ def report(folder: str | Path, *, shared_assets: bool = False) -> Result:
     folder : str or Path
         The folder of a run or of a campaign.
     shared_assets : bool
-        Of a run: whether what draws the page goes into one folder beside those of runs, rather than into each page.
+        Of a run: keep what draws the page in one folder beside those of runs, rather than in each page.
 
     Returns
     -------
@@ -222,7 +222,7 @@ def fly(
     wind : str or None
         A wind of your own over time and place, named in the same way, or a table over time, ``FILE.csv``.
     unchecked_engine : bool
-        Whether an FMU flies that the check of engines finds unfit, or has not seen.
+        Fly an FMU that the check of engines finds unfit, or has not seen.
     realtime_factor : float or None
         Seconds of flight in a second of the clock, 1 is real time; None: as fast as it goes, or 1 where somebody
         watches by ``mavlink`` or ``flightgear``.
@@ -231,9 +231,9 @@ def fly(
     flightgear : str or None
         Where FlightGear shows it, ``[HOST:]PORT``, begun with ``fgfs --fdm=null --native-fdm=socket,in,60,,PORT,udp``.
     report : bool
-        Whether ``report.html`` is written into the folder.
+        Write ``report.html`` into the folder.
     shared_assets : bool
-        Whether what draws that page goes into one folder beside those of runs, rather than into each page.
+        Keep what draws that page in one folder beside those of runs, rather than in each page.
     progress : Progress or None
         Hears notes and how far the flight is.
 

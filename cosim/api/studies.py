@@ -157,7 +157,7 @@ def sweep(
     engine : str or Path or None
         In place of the scenario's: a name, an FMU or its mapping file.
     nominal_engine : bool
-        Whether the engine flies as it is stated, not drawn by its uncertainty.
+        Fly the engine as it is stated, not drawn by its uncertainty.
     settings : sequence of str or mapping
         Written over the scenario's: ``duration_s=2.5`` or ``{"duration_s": 2.5}``.
     metrics : sequence of str
@@ -175,7 +175,7 @@ def sweep(
     out : str or Path or None
         The folder; None: a new one in ``runs/``.
     resume : bool
-        Whether it goes on with what the folder holds.
+        Go on with what the folder holds.
     progress : Progress or None
         Hears notes and how far it is.
 

@@ -91,7 +91,7 @@ compare = Command(
     "compare",
     "cosim.api.compare:compare",
     "runs/roll-doublet-smith-001 runs/roll-doublet-baseline-001",
-    metavars={"flights": "A B [C...]", "flight": "N", "signal": "PATTERN", "shift": "LETTER=SECONDS",
+    metavars={"flights": "FLIGHT", "flight": "N", "signal": "PATTERN", "shift": "LETTER=SECONDS",
               "out": "DIR|FILE.html"},
     writes=(".html",),
     folder=lambda arguments: "comparison" if arguments["page"] else None,

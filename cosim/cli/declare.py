@@ -466,7 +466,8 @@ def _as_mapping(option: Option, texts: Sequence[str]) -> dict[Any, Any]:
 
 
 def _as_typed(text: str) -> str:
-    """Return a text of a docstring as a terminal shows it: without marks of code, and without Python's None."""
+    """Return a text of a docstring as a terminal shows it: without marks of code and what is Python's alone."""
+    text = re.sub(r"; in Python [^.;]*| or ``\{.*?\}``", "", text)
     text = re.sub(r"(^|[.;] )None: ", lambda found: f"{found[1]}{'By' if found[1] != '; ' else 'by'} default ", text)
     paragraphs = text.replace("``", "").split("\n\n")
     return "\n\n".join(" ".join(each.split()) for each in paragraphs)

@@ -53,6 +53,8 @@ def fly(
         Pace the flight in real time.
     flight : int or None
         Fly this flight of the campaign in the folder again, as it was.
+    out : str or None
+        The run's folder; by default a new one in runs/.
 
     Returns
     -------

@@ -292,7 +292,13 @@ def call(*words):
 assert call("--help") == [], call("--help")
 assert call("fly", "--help") == [], call("fly", "--help")
 run(["list", "engines"])
-assert not any(name.startswith("hexjet_paper") for name in sys.modules)
+def tools():
+    return {name.partition(".")[0] for name in sys.modules if name.startswith("hexjet_")}
+assert not tools()
+for name in ("design", "prove", "identify log", "export vehicle"):
+    before = tools()
+    call(*name.split(), "--help")
+    assert tools() - before == {f"hexjet_{name.partition(' ')[0]}"}, (name, tools())
 """
     subprocess.run([sys.executable, "-P", "-c", script], check=True, stdout=subprocess.DEVNULL)
 

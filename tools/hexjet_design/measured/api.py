@@ -143,7 +143,7 @@ def margins(
     periods : int
         Periods that are measured.
     limit : bool
-        Whether each computed loop is compared with the best that any linear controller could do.
+        Compare each computed loop with the best that any linear controller could do.
     at_least : str or None
         The judgement that every margin is to have; narrow: with a well-known engine alone.
     out : str or Path or None

@@ -112,9 +112,9 @@ def export_controller(
         Stated in every file that is ours alone, e.g. MIT or "LicenseRef-Ours", yours to choose; None: NOASSERTION.
         What goes into Betaflight's or ArduPilot's own code is GPL-3.0-or-later.
     fmus : bool
-        Whether FMUs are built too, or the C alone.
+        Build FMUs too, or the C alone.
     loops : bool
-        Whether it is the attitude, rate and altitude loops alone, for a mixer of your own; without FMUs.
+        Write the attitude, rate and altitude loops alone, for a mixer of your own; without FMUs.
     inside : sequence of str
         Autopilots that get its rate loop for their inside, with instructions, each in a folder of its own.
     progress : Progress or None

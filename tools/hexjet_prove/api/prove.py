@@ -103,7 +103,7 @@ def prove(
     engine : str or Path or None
         In place of the scenario's.
     nominal_engine : bool
-        Whether the engine flies as it is stated, not drawn by its uncertainty.
+        Fly the engine as it is stated, not drawn by its uncertainty.
     settings : sequence of str or mapping
         Written over the scenario's.
     seed : int or None
@@ -125,7 +125,7 @@ def prove(
     out : str or Path or None
         The folder; None: a new one in ``runs/``.
     resume : bool
-        Whether it goes on with what the folder holds.
+        Go on with what the folder holds.
     progress : Progress or None
         Hears notes and how far it is.
 

@@ -178,7 +178,7 @@ def search(
     engine : str or Path or None
         In place of the scenario's.
     nominal_engine : bool
-        Whether the engine flies as it is stated, not drawn by its uncertainty.
+        Fly the engine as it is stated, not drawn by its uncertainty.
     settings : sequence of str or mapping
         Written over the scenario's.
     metrics : sequence of str
@@ -196,7 +196,7 @@ def search(
     out : str or Path or None
         The folder; None: a new one in ``runs/``.
     resume : bool
-        Whether it goes on with the same search in the folder.
+        Go on with the same search in the folder.
     progress : Progress or None
         Hears how far it is.
 
@@ -321,13 +321,13 @@ def rare(
     budget : int
         Flights at most.
     same_seed : bool
-        Whether all fly with one seed: wind and noise are then no part of what varies.
+        Fly all with one seed: wind and noise are then no part of what varies.
     aircraft : str or Path or None
         In place of the scenario's, with the engine that it is made for.
     engine : str or Path or None
         In place of the scenario's.
     nominal_engine : bool
-        Whether the engine flies as it is stated, not drawn by its uncertainty.
+        Fly the engine as it is stated, not drawn by its uncertainty.
     settings : sequence of str or mapping
         Written over the scenario's.
     metrics : sequence of str
@@ -345,7 +345,7 @@ def rare(
     out : str or Path or None
         The folder; None: a new one in ``runs/``.
     resume : bool
-        Whether it goes on with the same simulation in the folder.
+        Go on with the same simulation in the folder.
     progress : Progress or None
         Hears how far it is.
 

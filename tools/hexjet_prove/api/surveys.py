@@ -85,7 +85,7 @@ def faults(
     limits : bool
         Find out, too, how much thrust may be lost, and how late that may be noticed.
     nominal_engine : bool
-        Whether the engine flies as it is stated, not drawn by its uncertainty.
+        Fly the engine as it is stated, not drawn by its uncertainty.
     workers : int
         Processes.
     out : str or Path or None
@@ -158,7 +158,7 @@ def failsafes(
     moving : float
         What loses the position also begins at this speed, from 10 m on, in the least wind [m/s]; 0: not.
     nominal_engine : bool
-        Whether the engine flies as it is stated, not drawn by its uncertainty.
+        Fly the engine as it is stated, not drawn by its uncertainty.
     workers : int
         Processes.
     out : str or Path or None
