@@ -149,7 +149,7 @@ def sweep(
     correlate : sequence of str
         Rank correlations of what is drawn for two keys, ``KEY,KEY=R``.
     success : sequence of str
-        What a completed flight must keep to count, ``METRIC<=X``.
+        What a completed flight must keep to count: ``METRIC<=X``, or a formula.
     until : str or None
         The claim at which it stops, such as ``99.9%@95%``.
     aircraft : str or Path or None

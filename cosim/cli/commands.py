@@ -200,7 +200,7 @@ sweep = Command(
     "roll-doublet --vary vehicle.mass_kg=5:6.5 --runs 100",
     like="cosim.api.studies:sweep",
     options={"design": "--sampling --design"},
-    metavars={"name": "SCENARIO|STUDY|DIR", "vary": "KEY=...", "correlate": "KEY,KEY=R", "success": "METRIC<=X",
+    metavars={"name": "SCENARIO|STUDY|DIR", "vary": "KEY=...", "correlate": "KEY,KEY=R", "success": "METRIC<=X|FORMULA",
               "until": "P%@C%", "cluster": "ADDRESS|local", "keys": "[PATTERN]"},
     bare={"keys": "*"},
     ends="Leaves one Parquet data set with a row a flight, and a page.  Status 0: all are flown, whatever became of "

@@ -44,7 +44,8 @@ def open_study(
     """Return a study, or a scenario as one, with a command line's options written over it.
 
     ``vary``, ``correlate``, ``success`` and ``settings`` are texts; what is given for a key replaces what the study has
-    for it, and ``controllers`` replace the study's.  Without a ``design`` a scenario is flown over a grid if every key
+    for it, and ``controllers`` replace the study's.  A text of ``success`` with a parenthesis is the formula of a
+    requirement.  Without a ``design`` a scenario is flown over a grid if every key
     has levels or values and no ``runs`` are given, and else over a Latin hypercube.  ``until`` is a claim such as
     ``99.9%@95%``, at which the study stops; without a ``design`` its draws are random, and without ``runs`` it has ten
     times as many as the claim needs at least; an empty one leaves out the study's.  An engine that states its
@@ -61,10 +62,7 @@ def open_study(
     data["vary"] = _merge_by_key(stated, listed, lambda table: table.get("key"))
     pairs = [parse_correlate(text).model_dump(mode="json") for text in correlate]
     data["correlate"] = _merge_by_key(data.get("correlate", []), pairs, lambda table: frozenset(table.get("keys", [])))
-    data["success"] = {
-        **data.get("success", {}),
-        **{metric: span.model_dump(exclude_none=True) for metric, span in parse_success(success).items()},
-    }
+    data |= _add_success(data, success)
     data["settings"] = {
         **dict(flatten_settings(data.get("settings", {}))),
         **{".".join(path): value for path, value in map(parse_setting, settings)},
@@ -101,6 +99,15 @@ def _is_engine_drawn(data: Mapping[str, Any], folder: Path, where: str) -> bool:
     kept = {key: value for key, value in data.items() if key not in left_out}
     study = Study.unchecked({**kept, "vary": [UNCERTAIN], "design": "random", "runs": 1}, folder, where)
     return default_draw(study.base(), False, [*keys, *study.case_keys])[0] is not None
+
+
+def _add_success(data: Mapping[str, Any], texts: Sequence[str]) -> dict[str, Any]:
+    """Return the conditions of a study with those of the command line, and its requirements with the formulas."""
+    conditions = parse_success(text for text in texts if "(" not in text)
+    spans = {metric: span.model_dump(exclude_none=True) for metric, span in conditions.items()}
+    formulas = [{"formula": text} for text in texts if "(" in text]
+    named = [{"name": f"success-{number}"} | formula for number, formula in enumerate(formulas, 1)]
+    return {"success": data.get("success", {}) | spans, "require": [*data.get("require", []), *named]}
 
 
 def _retitle(data: Mapping[str, Any], settings: Sequence[str], controllers: Sequence[str]) -> dict[str, str]:
@@ -179,7 +186,9 @@ def parse_success(texts: Iterable[str]) -> dict[str, Range]:
     for text in texts:
         match = re.fullmatch(r"\s*([^<>=\s]+)\s*(<=|>=)\s*(\S+)\s*", text)
         if match is None:
-            raise InputError(f"success {text}: write it as METRIC<=X or METRIC>=X")
+            raise InputError(
+                f"success {text}: write it as METRIC<=X or METRIC>=X, or a formula as always(abs(roll_deg) < 30)"
+            )
         limit = parse_number(match[3], f"success {text}")
         side = "max" if match[2] == "<=" else "min"
         if not isfinite(limit) or side in success.get(match[1], {}):

@@ -66,6 +66,7 @@ def prove(
     *,
     budget: int | None = None,
     controllers: Sequence[str] = (),
+    success: Sequence[str] = (),
     aircraft: str | Path | None = None,
     engine: str | Path | None = None,
     nominal_engine: bool = False,
@@ -98,6 +99,8 @@ def prove(
         Flights at most; None: ten times what the claim needs at least.
     controllers : sequence of str
         The controller that is meant, of a study with several.
+    success : sequence of str
+        What a flight must keep beside its limits: ``METRIC<=X``, or a formula as ``always(abs(roll_deg) < 30)``.
     aircraft : str or Path or None
         In place of the scenario's, with the engine that it is made for.
     engine : str or Path or None
@@ -158,6 +161,7 @@ def prove(
             claim=claim,
             budget=budget,
             controllers=controllers,
+            success=success,
             aircraft=aircraft,
             engine=engine,
             nominal_engine=nominal_engine,
@@ -179,6 +183,7 @@ def prove(
             budget,
             settings=study_settings(settings, aircraft, engine, (), None),
             controllers=controllers,
+            success=success,
             seed=seed,
             nominal_engine=nominal_engine,
         )

@@ -170,7 +170,7 @@ def search(
     share : float
         Share of a point's flights that have to break before it does; 0: any of them.
     success : sequence of str
-        What a completed flight must keep too, ``METRIC<=X``.
+        What a completed flight must keep too: ``METRIC<=X``, or a formula.
     budget : int
         With ``worst`` and ``likely``: flights of each controller.
     aircraft : str or Path or None
@@ -315,7 +315,7 @@ def rare(
     correlate : sequence of str
         Rank correlations of what is drawn for two keys, ``KEY,KEY=R``.
     success : sequence of str
-        What a completed flight must keep to count, ``METRIC<=X``.
+        What a completed flight must keep to count: ``METRIC<=X``, or a formula.
     target : float
         The smallest probability to look for; with the budget it says how many flights a level has.
     budget : int

@@ -2,7 +2,7 @@
 
 from cosim.commands import Command
 
-METAVARS = {"correlate": "KEY,KEY=R", "success": "METRIC<=X", "cluster": "ADDRESS|local"}
+METAVARS = {"correlate": "KEY,KEY=R", "success": "METRIC<=X|FORMULA", "cluster": "ADDRESS|local"}
 AGAIN = "the same command with --out {folder} --resume"
 
 search = Command(

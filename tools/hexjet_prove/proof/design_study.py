@@ -44,9 +44,11 @@ def find_design(path: Path) -> Path | None:
 def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
     """Return the study of the design in a controller file, with its claim and so many draws at most.
 
-    ``options``: ``settings``, ``seed`` and ``nominal_engine``, as of a study.  Raises InputError, for any other too.
+    ``options``: ``settings``, ``success``, ``seed`` and ``nominal_engine``, as of a study; ``success`` stands beside
+    what the design promises.  Raises InputError, for any other too.
     """
-    refused = next((k for k, v in options.items() if v and k not in ("settings", "seed", "nominal_engine")), None)
+    known = ("settings", "success", "seed", "nominal_engine")
+    refused = next((k for k, v in options.items() if v and k not in known), None)
     if refused is not None:
         raise InputError(
             f"{file}: a design brings its own {refused}; leave it out, or prove a study that names the file"
@@ -69,6 +71,7 @@ def design_study(file: Path, claim: str, runs: int, **options: Any) -> Study:
         success=[
             f"roll.overshoot_percent<={overshoot:.6g}",
             f"roll.oscillation_rad<={radians(CORNER * BOUNDS.still_deg):.6g}",
+            *options.get("success", ()),
         ],
         design="random",
         runs=runs,

@@ -183,6 +183,7 @@ def _conclude(
         rare=searched[RARE],
         limits=limits,
         axis=_commanded_axis(scenario),
+        not_varied=evidence.not_varied,
         not_covered=not_covered(
             study,
             [part.says for part in searched.values() if part.result is None],

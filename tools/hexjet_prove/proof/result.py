@@ -66,6 +66,7 @@ class Proof:
     rare: Part  # the probability of failure by a method for rare ones
     limits: Mapping[str, AxisLimit | str]  # by axis; or why there is none
     axis: str  # whose limit the sentence states
+    not_varied: Sequence[str]  # kinds of numbers, as the files state them in every flight
     not_covered: Sequence[str]
     credibility: Sequence[Factor]
     repeat: Mapping[str, Any]  # command, rows_sha256, versions
@@ -82,8 +83,9 @@ class Proof:
 
     @property
     def sentence(self) -> str:
-        """The result in one sentence: who keeps what, with which probability, as so many flights show."""
-        return f"{self._shown()}."
+        """The result in one sentence: who keeps what, with which probability, by how many flights, and what was fixed."""
+        fixed = f"; not varied: {', '.join(self.not_varied)}" if self.not_varied else ""
+        return f"{self._shown()}{fixed}."
 
     @property
     def facts(self) -> dict[str, str]:
@@ -165,6 +167,7 @@ class Proof:
                 axis: {"done": False, "says": limit} if isinstance(limit, str) else {"done": True, **limit.to_dict()}
                 for axis, limit in self.limits.items()
             },
+            "not_varied": list(self.not_varied),
             "not_covered": list(self.not_covered),
             "credibility": [factor._asdict() for factor in self.credibility],
             "repeat": dict(self.repeat),

@@ -39,12 +39,9 @@ def not_covered(study: Study, missing: Sequence[str], not_flown: Sequence[str]) 
     ``missing`` are the parts that were not done, and ``not_flown`` the reasons of the flights that could not be flown.
     """
     base = study.base()
-    left = kinds_not_varied(study)
     lines = [f"{part}" for part in missing]
     if not_flown:
         lines.append(describe_not_flown(len(not_flown), not_flown[0]))
-    if left:
-        lines.append(f"no key varies {', '.join(left)}: they are as the vehicle's files state them in every flight")
     lines.append(
         f"the manoeuvre is that of the scenario {base.name}, {base.duration_s:g} s long: nothing is said of another one"
     )

@@ -43,7 +43,9 @@ def proof_study(name: str, claim: str | None, budget: int | None = None, **optio
     claim = str(claim or stated)
     runs = _most_flights(claim, where, budget)
     study = _open(name, until=claim, design="random", runs=runs, **options)
-    if not any(options.get(key) for key in ("settings", "controllers", "vary")):  # what flies is what the title says
+    if not any(
+        options.get(key) for key in ("settings", "controllers", "success", "vary")
+    ):  # what flies is what the title says
         said = {key: table[key] for key in ("title", "description") if key in table}
         if "title" in said and stated is not None and claim != str(stated):  # the file's words are of its own claim
             said = {"title": f"{table['name']}: {claim} in place of the {stated} that its file states"}
