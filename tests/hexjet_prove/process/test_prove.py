@@ -28,7 +28,7 @@ from cosim.campaign.workers.flight_row import NOT_FLOWN, Row, failed_row, fly_on
 from cosim.cli.main import main
 from cosim.results.log.digest import log_digest
 from cosim.results.run import open_run
-from hexjet_prove.proof.prove import Request, conclude, fly_study, prove
+from hexjet_prove.proof.prove import Request, conclude, fly_study
 from hexjet_prove.proof.scope import kinds_not_varied
 from hexjet_prove.proof.source import proof_study
 
@@ -213,7 +213,11 @@ def test_refuted_and_open_are_no_success(study: Path, hexjet: Hexjet, tmp_path: 
     assert data["requirements"][2]["margin"] < 0.0
     seldom = tmp_path / "seldom.toml"  # one in two
     seldom.write_text(HOVER.replace('"altitude.max_abs_error_m" = { max = 0.5 }', '"altitude.rmse_m" = { max = 1.0 }'))
-    few = prove(proof_study(str(seldom), "50%@99.9%", 10), tmp_path / "few", 1, request=Request(limit=False))
+    few = conclude(
+        fly_study(proof_study(str(seldom), "50%@99.9%", 10), tmp_path / "few", 1),
+        tmp_path / "few",
+        Request(limit=False),
+    )
     assert few.decision == "shown"  # 10 of 10: 2^-10 is below the error
 
 
@@ -225,7 +229,9 @@ def test_what_could_not_be_flown_is_said(tmp_path: Path) -> None:
             "range = [5.4, 5.8]", "range = [1.8, 2.4]"
         )
     )
-    proof = prove(proof_study(str(impossible), "50%@90%", 40), tmp_path / "p", 1, request=Request(limit=False))
+    proof = conclude(
+        fly_study(proof_study(str(impossible), "50%@90%", 40), tmp_path / "p", 1), tmp_path / "p", Request(limit=False)
+    )
     (line,) = [text for text in proof.not_covered if "could not be flown" in text]
     assert "to a verdict, the first because:" in line
     assert line.endswith(NOT_FLOWN)

@@ -79,26 +79,6 @@ class Request:
     comparisons: Sequence[dict[str, Any]] = field(default_factory=tuple)  # what replay.json says of recorded flights
 
 
-def prove(
-    study: Study | None,
-    out: Path,
-    workers: Workers | int | None = None,
-    resume: bool = False,
-    request: Request | None = None,
-) -> Proof:
-    """Fly a study until its claim is decided, and leave the proof in the folder ``out``: its page, its JSON, all runs.
-
-    ``study`` is one of ``proof_study``.  ``workers``: how many processes of this machine, by default one a processor,
-    or where else.  ``resume``: go on with what the folder holds, if it holds anything; then ``study`` may be None and
-    is the folder's.  ``request``: what the proof has beside its flights, by default the distance to the best
-    controller and no search.
-
-    Raises InputError if the study or the folder is not usable, and nothing is overwritten then; FlightError if no more
-    can be flown or written.
-    """
-    return conclude(fly_study(study, out, workers, resume), out, request or Request(), workers)
-
-
 def fly_study(
     study: Study | None,
     out: Path,

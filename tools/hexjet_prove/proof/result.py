@@ -83,7 +83,7 @@ class Proof:
 
     @property
     def sentence(self) -> str:
-        """The result in one sentence: who keeps what, with which probability, by how many flights, and what was fixed."""
+        """The result in one sentence: who keeps what, with which probability, by how many flights; what was fixed."""
         fixed = f"; not varied: {', '.join(self.not_varied)}" if self.not_varied else ""
         return f"{self._shown()}{fixed}."
 
