@@ -127,6 +127,7 @@ def flown(flight: Flight, *requests: Any) -> float:
     return (flight.simulation.k - begin) * flight.simulation.dt
 
 
+@pytest.mark.long
 def test_a_slow_descent_is_begun_while_the_fuel_for_it_is_there() -> None:
     """The fuel was gone on the way down, which was reckoned at MPC_LAND_SPEED."""
     with airborne("hexjet-p220", 30.0, 0.26) as flight:  # of which 23 % are for the way down

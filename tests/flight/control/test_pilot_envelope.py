@@ -12,7 +12,6 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from long_cases import long_after
 from pilot_flights import Flight
-from places import ROOT
 
 from cosim.api.listing import catalogue
 from cosim.base.frames import from_euler
@@ -92,10 +91,6 @@ def square(t: float, half: float) -> float:
     return 1.0 if int(t / half) % 2 == 0 else -1.0
 
 
-def page_of(aircraft: str) -> str:
-    return " ".join((ROOT / "aircraft" / aircraft / "README.md").read_text(encoding="utf-8").split())
-
-
 def test_every_vehicle_with_an_autopilot_is_flown_here() -> None:
     able = {
         name
@@ -103,10 +98,6 @@ def test_every_vehicle_with_an_autopilot_is_flown_here() -> None:
         if load_vehicle(name)[0].control.pilot is not None
     }
     assert able == {aircraft for aircraft, _ in FLOWN}
-    for aircraft in OTHERS:
-        assert "Full reversals of the sticks lose it in no mode, and its lean stays within 1.2 times" in page_of(
-            aircraft
-        )
 
 
 # --- the shaper --------------------------------------------------------------------------------------------------------
@@ -229,7 +220,7 @@ def test_a_fall_is_caught_before_the_ground(answer: float, weight: float) -> Non
 
 
 @pytest.mark.parametrize(
-    ("aircraft", "controller", "half"), long_after(2, [(*flown, half) for flown in FLOWN for half in (0.25, 1.2)])
+    ("aircraft", "controller", "half"), long_after(1, [(*flown, half) for flown in FLOWN for half in (0.25, 1.2)])
 )
 def test_full_reversals_of_all_sticks_lose_no_vehicle(aircraft: str, controller: str, half: float) -> None:
     """In altitude mode: the lean stays at the stick's, the height is held, no torque command reaches its stop."""
@@ -251,7 +242,7 @@ def test_full_reversals_of_all_sticks_lose_no_vehicle(aircraft: str, controller:
 
 
 @pytest.mark.parametrize(
-    ("aircraft", "controller"), long_after(2, [each for each in FLOWN if each[0] in OTHERS and each[1] != "smith"])
+    ("aircraft", "controller"), long_after(1, [each for each in FLOWN if each[0] in OTHERS and each[1] != "smith"])
 )
 def test_a_full_reversal_turns_the_other_layouts_round(aircraft: str, controller: str) -> None:
     """What the long ones go on with: there and back once, in STABILIZED, the throttle from stop to stop."""
@@ -293,7 +284,6 @@ def test_a_lift_fan_quicker_than_the_turbojets_behind_pitches_the_vehicle(engine
         samples = with_sticks(flight, 2.6, lambda t: rq.Sticks(-1.0, -1.0, -1.0, 0.0))
         assert flight.ending is None
         assert degrees(max(map(lean, samples))) - 20.0 == pytest.approx(past, abs=0.5)
-    assert "passes the 20° of the stick by 6°, held back by 2°" in page_of("trijet")
 
 
 HALF = st.sampled_from([-1.0, 0.0, 1.0]) | st.floats(-1.0, 1.0)
@@ -318,7 +308,7 @@ def sticks_of(pattern: list[tuple[float, float, float, float, float]], level: bo
 
 @pytest.mark.parametrize(
     ("aircraft", "controller", "mode"),
-    long_after(2, [(*flown, mode) for flown in FLOWN for mode in ("ALTCTL", "POSCTL", "STABILIZED")]),
+    long_after(1, [(*flown, mode) for flown in FLOWN for mode in ("STABILIZED", "ALTCTL", "POSCTL")]),
 )
 @settings(deadline=None, max_examples=4, derandomize=True, phases=(Phase.explicit, Phase.generate))
 @given(pattern=PATTERN)
@@ -373,7 +363,7 @@ def test_the_throttle_let_go_at_a_height_is_caught(aircraft: str, controller: st
 
 def test_reversals_of_the_throttle_do_not_hit_the_ground() -> None:
     """The scaled Hex-Jet in STABILIZED, from stop to stop: without the floor it touched at 6 m/s."""
-    for half in (1.0, 2.0, 5.0):
+    for half in (1.0, 5.0):
         with in_the_air("hexjet", "smith", 10.0) as flight:
             flight.ok(rq.Sticks(0.0, 0.0, 0.0, 0.5), rq.SetMode("STABILIZED"))
             with_sticks(flight, 20.0, lambda t, half=half: rq.Sticks(0.0, 0.0, 0.0, 0.5 - 0.5 * square(t, half)))

@@ -1,13 +1,12 @@
-"""aircraft/trijet: its README's sums and margins, its hover, the air its fan swallows, and the loss of an engine."""
+"""aircraft/trijet: its hover, the air its fan swallows, and the loss of an engine."""
 
 from __future__ import annotations
 
-from math import atan2, cos, degrees, pi, sqrt
+from math import atan2, cos, pi, sqrt
 
 import numpy as np
 import pytest
 from loads import acted
-from places import ROOT
 
 from cosim import fly
 from cosim.base.constants import GRAVITY
@@ -21,7 +20,6 @@ from cosim.spec.vehicle import load_vehicle
 from cosim.vehicle.effects.intakes import IntakeDrag
 
 VEHICLE, _ = load_vehicle("trijet")
-PAGE = " ".join((ROOT / "aircraft" / "trijet" / "README.md").read_text(encoding="utf-8").split())
 TURBOJET_N, FAN_N = 24.0, 9.80665 * 0.2554 / (1.0 - 0.8748)
 
 
@@ -30,12 +28,11 @@ def test_the_air_that_its_engines_swallow() -> None:
     assert fan is not None
     assert jet is not None
     assert fan.kg_s == pytest.approx(sqrt(1.225 * pi / 4.0 * (0.07**2 - 0.03**2) * 20.0), abs=0.001)
-    # turbine.c: flow = n (1 - droop (1 - n)) of the full one, at the speeds and thrusts of the table of its README
+    # turbine.c: flow = n (1 - droop (1 - n)) of the full one, at three of its speeds and thrusts
     for newton, rpm in ((6.57, 176464.0), (11.97, 207861.0), (17.65, 228830.0)):
         n = rpm / 245000.0
         own = np.log(n * (1.0 - 0.666979 * (1.0 - n))) / np.log(newton / 24.0)
         assert own == pytest.approx(jet.exponent, rel=0.1)
-    assert "The fan swallows five times the air of a turbojet" in PAGE
     assert round(fan.kg_s / jet.kg_s) == 5
 
 
@@ -65,8 +62,7 @@ def test_it_hovers_with_its_hinges_at_rest_and_all_engines_at_the_same_share() -
     assert found[0] / TURBOJET_N == pytest.approx(found[2] / FAN_N, rel=0.001)
     assert sum(found[:3]) == pytest.approx(VEHICLE.mass_kg * GRAVITY, rel=1e-9)
     shares = [round(100.0 * sum(compute_axis_fractions(VEHICLE, allocator, axis).thrusts)) for axis in range(3)]
-    assert f"thrusts give {shares[1]} %, hinges the rest; of roll {shares[0]} %, of yaw nothing" in PAGE
-    assert shares[2] == 0
+    assert shares == [4, 11, 0]
 
 
 def test_nothing_balances_it_without_an_engine() -> None:
@@ -76,12 +72,9 @@ def test_nothing_balances_it_without_an_engine() -> None:
     tilt, vane = (VEHICLE.hinges[k].angle_limits[1] for k in (0, 2))
     needed = atan2(y * cos(tilt), low + (z - low) * cos(tilt))  # it falls with the tilt
     assert needed < atan2(y, z)
-    assert f"would have to stand at {degrees(needed):.0f}°" in PAGE
-    assert f"stands at {degrees(vane):.0f}° at most" in PAGE
     assert needed > vane
-    assert f"the fan alone carries {100.0 * FAN_N / (VEHICLE.mass_kg * GRAVITY):.0f} % of the weight" in PAGE
+    assert FAN_N / (VEHICLE.mass_kg * GRAVITY) == pytest.approx(0.64, abs=0.005)
     both = atan2(-x, low)  # a tilted turbojet pushes along a line through the axis of its hinge
-    assert f"would have to tilt by {degrees(both):.0f}°, and tilt by {degrees(tilt):.0f}°" in PAGE
     assert both > tilt
 
 
@@ -91,7 +84,6 @@ def test_without_an_engine_it_is_lost(jet: int) -> None:
     run = fly(Scenario.load("trijet-hover").replace(fault=fault, expect=[], duration_s=3.0))
     assert run.outcome in ("diverged", "crashed")
     assert run.log["time_s"][-1] < 0.5 + 0.5
-    assert "In flight it is over within half a second." in PAGE
 
 
 def test_an_axis_on_hinges_is_identified_in_angular_acceleration() -> None:
