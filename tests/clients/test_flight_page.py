@@ -20,13 +20,7 @@ from cosim.results.report.flight_figures import strips
 from cosim.results.report.log_reader import Reader
 from cosim.results.report.page import Flights, render
 from cosim.results.report.panels import Panel, Trace
-from cosim.results.report.signals_data import (
-    NOISE_BITS,
-    FlightData,
-    extremes,
-    quantisation_step,
-    run_data,
-)
+from cosim.results.report.signals_data import NOISE_BITS, FlightData, extremes, quantisation_step, run_data
 from cosim.results.run import Run, begin_run
 
 HOUR = 900_000  # steps

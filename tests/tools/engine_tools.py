@@ -22,11 +22,7 @@ from cosim.engine import library
 STEP = 0.004
 NEWTON_PER_KGF = 9.80665
 # gain, pole, delay of G(z) = gain / (z - pole) z^-delay as the paper prints them; the third is the EDF with 25 samples
-PAPER = {
-    "turbojet": (0.01866, 0.9879, 25),
-    "edf": (0.2554, 0.8748, 0),
-    "edf-as-flown": (0.2554, 0.8748, 25),
-}
+PAPER = {"turbojet": (0.01866, 0.9879, 25), "edf": (0.2554, 0.8748, 0), "edf-as-flown": (0.2554, 0.8748, 25)}
 BOTH = [(name, fmi) for name in PAPER for fmi in (2, 3)]
 
 
@@ -52,11 +48,7 @@ def archive(name: str, fmi: int) -> Path:
 
 def throttles() -> dict[str, Array]:
     random = np.random.default_rng(20240607)
-    return {
-        "step": np.ones(600),
-        "ramp": np.linspace(0.0, 1.0, 600),
-        "random": random.uniform(0.0, 1.0, 600),
-    }
+    return {"step": np.ones(600), "ramp": np.linspace(0.0, 1.0, 600), "random": random.uniform(0.0, 1.0, 600)}
 
 
 class Driven:

@@ -26,15 +26,7 @@ from cosim.base.signals import (
 from cosim.control.autopilot.estimation.position import Fix
 from cosim.control.autopilot.modes import Home, LandedState, Mode
 from cosim.control.autopilot.parameters import Parameters
-from cosim.control.autopilot.requests import (
-    Answer,
-    Arm,
-    Disarm,
-    Request,
-    Result,
-    SetMode,
-    Takeoff,
-)
+from cosim.control.autopilot.requests import Answer, Arm, Disarm, Request, Result, SetMode, Takeoff
 from cosim.control.autopilot.status import Status
 from cosim.groundstation.exchange import Exchange, FlightInfo, Port, Snapshot
 from cosim.groundstation.mavlink.telemetry_state import VehicleConstants

@@ -55,13 +55,7 @@ from cosim.campaign.analysis.summary import (
     strip_numbers,
     success_lines,
 )
-from cosim.campaign.analysis.table import (
-    KINDS,
-    describe_criterion,
-    metric,
-    read_flight_table,
-    short_names,
-)
+from cosim.campaign.analysis.table import KINDS, describe_criterion, metric, read_flight_table, short_names
 from cosim.campaign.analysis.worst_cases import eccentricity, worst_flights, write_case
 from cosim.campaign.store import Campaign
 from cosim.campaign.study.plan import Flight, flights

@@ -12,13 +12,7 @@ from cosim.base.signals import State
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.geometry import wrap
 from cosim.control.autopilot.modes import LandedState, Mode
-from cosim.control.autopilot.requests import (
-    FenceUpload,
-    FenceZone,
-    RallyPoint,
-    RallyUpload,
-    ZoneKind,
-)
+from cosim.control.autopilot.requests import FenceUpload, FenceZone, RallyPoint, RallyUpload, ZoneKind
 
 IN, OUT, CIRCLE, HOLE = ZoneKind
 SQUARE = FenceZone(IN, ((-10.0, -10.0), (-10.0, 10.0), (10.0, 10.0), (10.0, -10.0)))

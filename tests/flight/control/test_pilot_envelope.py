@@ -17,18 +17,8 @@ from cosim.api.listing import catalogue
 from cosim.base.frames import from_euler
 from cosim.base.signals import Sample, Vector3
 from cosim.control.autopilot import requests as rq
-from cosim.control.autopilot.guidance.descent import (
-    CollectiveFloor,
-    descent_rate,
-    height_limits,
-    thrust_margins,
-)
-from cosim.control.autopilot.guidance.shaper import (
-    AttitudeLimits,
-    Shaper,
-    angular_authority,
-    attitude_limits,
-)
+from cosim.control.autopilot.guidance.descent import CollectiveFloor, descent_rate, height_limits, thrust_margins
+from cosim.control.autopilot.guidance.shaper import AttitudeLimits, Shaper, angular_authority, attitude_limits
 from cosim.control.autopilot.modes import LandedState
 from cosim.spec.vehicle import load_vehicle
 

@@ -350,10 +350,7 @@ def test_the_printed_form_is_the_papers() -> None:
         ({"from_hz": 3.0, "to_hz": 2.0}, "from a lower to a higher"),
         ({"to_hz": 125.0}, "must be below 125 Hz"),
         ({"from_hz": 0.5, "duration": 5.0}, "too short for 0.5 Hz; it takes 32 s"),
-        (
-            {"hold": {"lag_s": 1.0}},
-            "hold lag_s: not a parameter of this form; allowed: gain, rate_1_s, delay_samples",
-        ),
+        ({"hold": {"lag_s": 1.0}}, "hold lag_s: not a parameter of this form; allowed: gain, rate_1_s, delay_samples"),
         ({"step": 0.003}, "not a whole multiple"),
         ({"from_hz": 20.0, "to_hz": 20.2, "duration": 2.0}, "too few"),
     ],

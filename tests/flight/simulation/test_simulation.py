@@ -11,13 +11,7 @@ import pytest
 
 from cosim import fly
 from cosim.base.errors import EngineError, InputError
-from cosim.base.signals import (
-    Ambient,
-    EngineOutput,
-    PerJet,
-    Sample,
-    Unallocated,
-)
+from cosim.base.signals import Ambient, EngineOutput, PerJet, Sample, Unallocated
 from cosim.results.run import Run
 from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import sum_samples

@@ -175,8 +175,7 @@ def test_a_station_has_its_own_engine_and_the_same_thrust() -> None:
     """One turbojet of less thrust and one EDF with a larger delay among EDFs as flown."""
     rows = Rows()
     mixed = scenario(
-        duration_s=0.4,
-        stations={"3": {"engine": "turbojet"}, "5": {"parameters": {"delay_samples": 40.0}}},
+        duration_s=0.4, stations={"3": {"engine": "turbojet"}, "5": {"parameters": {"delay_samples": 40.0}}}
     )
     with build(mixed) as simulation:
         simulation.run([rows])

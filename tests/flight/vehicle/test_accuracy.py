@@ -9,25 +9,9 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from benchmarks.accuracy.check_cases import (
-    CASES,
-    QUANTITIES,
-    Array,
-    compare,
-    fly_case,
-    read_simulators,
-)
+from benchmarks.accuracy.check_cases import CASES, QUANTITIES, Array, compare, fly_case, read_simulators
 from benchmarks.accuracy.exact import density, geodetic, gravitation, local, start
-from benchmarks.accuracy.flights import (
-    OFF_CENTRE,
-    SCHEMES,
-    Course,
-    course,
-    error,
-    exact,
-    fly_again,
-    from_the_log,
-)
+from benchmarks.accuracy.flights import OFF_CENTRE, SCHEMES, Course, course, error, exact, fly_again, from_the_log
 from cosim import Scenario, fly
 
 # Least and greatest of NASA's simulators after 30 s, from the same files, for where these are not at hand

@@ -108,10 +108,7 @@ def test_what_is_wrong_is_found(hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch)
             "'my plane' is no name for an aircraft: letters, digits, - and _, a letter or digit first",
         ),
         (("new", "hexjet"), "hexjet: is the name of an aircraft that is shipped; choose another"),
-        (
-            ("new", "mine", "--from", "hexjett"),
-            "base: 'hexjett': must be one that is shipped; did you mean 'hexjet'?",
-        ),
+        (("new", "mine", "--from", "hexjett"), "base: 'hexjett': must be one that is shipped; did you mean 'hexjet'?"),
         (("new", "held"), "held/vehicle.toml: is there already"),
         (("check", "./none"), "none: no such file"),
         (("check", "hexjet", "--engine", "none"), "unknown engine 'none'"),

@@ -18,12 +18,7 @@ from cosim.campaign.study.options import open_study
 from cosim.simulation.build import build
 from cosim.simulation.delay_ledger import sum_samples
 from cosim.simulation.engines import load_engines
-from cosim.simulation.model_agreement import (
-    ModelAgreement,
-    compare_flown_models,
-    compare_models,
-    list_model_notes,
-)
+from cosim.simulation.model_agreement import ModelAgreement, compare_flown_models, compare_models, list_model_notes
 from cosim.spec.vehicle import RateModel, Vehicle, aircraft_names, load_vehicle
 
 ROWS = {

@@ -29,10 +29,7 @@ from cosim.control.predictors.linear import model_response, observer_response
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.predictors.state import ModalPredictor, Modes, modal_observer
 from cosim.engine import load_engine
-from cosim.loops import (
-    grid,
-    impulse_response,
-)
+from cosim.loops import grid, impulse_response
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import (
     NO_PROOF,

@@ -521,8 +521,7 @@ def test_an_engine_that_warms_up_is_designed_for_or_refused_in_a_line(place: Pat
 
 
 @pytest.mark.parametrize(
-    "made_of",
-    ["lag=0.00001", "lag=0.00001,delay=0.1", "lag=0.12,lag2=0.12,delay=0.02", "lag=0.05,more=5,more_s=0.05"],
+    "made_of", ["lag=0.00001", "lag=0.00001,delay=0.1", "lag=0.12,lag2=0.12,delay=0.02", "lag=0.05,more=5,more_s=0.05"]
 )
 def test_what_is_no_lag_is_a_model_all_the_same(made_of: str, place: Path) -> None:
     """A gain, a delay, two equal lags and six of them: sampled, closed and followed in time."""

@@ -8,11 +8,7 @@ from typing import Any
 import pytest
 
 from hexjet_design.measured.estimate import Bounded
-from hexjet_design.measured.judgement import (
-    falls_below,
-    judge_axis,
-    judgement_line,
-)
+from hexjet_design.measured.judgement import falls_below, judge_axis, judgement_line
 
 
 def an_axis(axis: str, uncertainty: float | None = None, lost: int = 0, **margins: tuple[float, float, float]) -> Any:

@@ -31,13 +31,7 @@ from hexjet_design.loop.frequency import LoopMargins, loop_margins, margin_point
 from hexjet_design.measured import margins
 from hexjet_design.measured.computed import compute_margins, find_tunings, make_plants
 from hexjet_design.measured.estimate import measured
-from hexjet_design.measured.excitation import (
-    Record,
-    Tap,
-    fly_excitation,
-    multisine,
-    still,
-)
+from hexjet_design.measured.excitation import Record, Tap, fly_excitation, multisine, still
 from hexjet_design.measured.margins import measure_margins
 from hexjet_design.measured.page import heading, rows
 

@@ -191,11 +191,7 @@ def test_cppcheck_has_nothing_to_say(flown: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
     strict = ["cppcheck", "--addon=misra", "--enable=style", "--std=c99", "-q", *files[:2]]
     said = subprocess.run(strict, capture_output=True, text=True, check=False).stderr
-    assert set(re.findall(r"misra-c2012-([\d.]+)", said)) <= {
-        "2.5",
-        "12.1",
-        "12.3",
-    }  # as docs/export.md says
+    assert set(re.findall(r"misra-c2012-([\d.]+)", said)) <= {"2.5", "12.1", "12.3"}  # as docs/export.md says
 
 
 def test_no_heap_no_globals_no_library_but_mathematics(flown: Path, tmp_path: Path) -> None:

@@ -338,10 +338,7 @@ def test_what_cannot_be_exported_is_one_line(hexjet: Hexjet) -> None:
     Path("full").mkdir()
     Path("full/file").touch()
     done = hexjet("export", "vehicle", "--out", "full")
-    assert (done.status, done.err) == (
-        2,
-        "hexjet: full: is there already and not an empty folder; name another\n",
-    )
+    assert (done.status, done.err) == (2, "hexjet: full: is there already and not an empty folder; name another\n")
     fault = {"kind": "stuck_throttle", "jet": 1, "start_s": 0.1}
     with pytest.raises(InputError, match="fault stuck_throttle: acts between controller and engines, and both are out"):
         ExportedFlight(doublet(fault=[fault]), VehicleContents(False, False), lambda: None)

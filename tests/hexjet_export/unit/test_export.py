@@ -18,12 +18,7 @@ from cosim.base.signals import Command, EngineOutput
 from cosim.results.export import export_log
 from cosim.results.log.columns import NAMES
 from cosim.results.report.flight import write_report
-from cosim.results.run import (
-    LOG,
-    Run,
-    begin_run,
-    open_run,
-)
+from cosim.results.run import LOG, Run, begin_run, open_run
 from hexjet_export.logs.contents import list_numbers, quaternions
 from hexjet_export.logs.ulog_topics import TOPICS
 

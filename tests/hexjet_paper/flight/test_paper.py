@@ -14,24 +14,10 @@ import pytest
 from cosim.base.errors import InputError
 from cosim.loops import margins
 from cosim.spec.vehicle import RateGains
-from hexjet_paper import (
-    calibration,
-    extensions,
-    frozen,
-    numbers,
-)
+from hexjet_paper import calibration, extensions, frozen, numbers
 from hexjet_paper.calibration import STAGES
-from hexjet_paper.claims import (
-    CLAIMS,
-    ClaimRow,
-    Evidence,
-    claim_rows,
-)
-from hexjet_paper.comparison import (
-    Row,
-    comparison_rows,
-    write_csv,
-)
+from hexjet_paper.claims import CLAIMS, ClaimRow, Evidence, claim_rows
+from hexjet_paper.comparison import Row, comparison_rows, write_csv
 from hexjet_paper.conditions import conditions
 from hexjet_paper.experiments import (
     COMPARED,
@@ -48,22 +34,8 @@ from hexjet_paper.experiments import (
     swings,
 )
 from hexjet_paper.frozen import Frozen, load
-from hexjet_paper.linear import (
-    STATE_AS_PRINTED,
-    Axis,
-    Plant,
-    doublet,
-    predictor,
-    simulate,
-)
-from hexjet_paper.loops import (
-    LOW_END_HZ,
-    LoopMap,
-    gain_at,
-    open_loop,
-    sweep,
-    unstable_poles,
-)
+from hexjet_paper.linear import STATE_AS_PRINTED, Axis, Plant, doublet, predictor, simulate
+from hexjet_paper.loops import LOW_END_HZ, LoopMap, gain_at, open_loop, sweep, unstable_poles
 
 FROZEN = load()
 FOUND = FROZEN.parameters

@@ -15,11 +15,7 @@ from hexjet_paper.experiments import Experiment
 from hexjet_paper.flight import scenario
 from hexjet_paper.frozen import load
 from hexjet_paper.readings import READINGS, Gains, ReadingResult, gain_pairs, reading_scenario
-from hexjet_paper.report.readings import (
-    HANGS,
-    judge_reading,
-    model_errors_in_words,
-)
+from hexjet_paper.report.readings import HANGS, judge_reading, model_errors_in_words
 
 FOUND = load().parameters
 STEP = numbers.value("hexjet.step")

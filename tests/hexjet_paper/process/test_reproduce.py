@@ -35,25 +35,9 @@ from hexjet_paper import reproduce
 from hexjet_paper.claims import CONSISTENCY, Evidence, claim_rows
 from hexjet_paper.comparison import LinearPart, comparison_rows
 from hexjet_paper.conditions import Condition
-from hexjet_paper.experiments import (
-    COMPARED,
-    Result,
-    experiments,
-    linear,
-    quadrotor_axis,
-)
-from hexjet_paper.extensions import (
-    DelayPoint,
-    Offset,
-    Reach,
-    RobustnessMap,
-)
-from hexjet_paper.loops import (
-    gain_at,
-    measured_sweep,
-    open_loop,
-    sweep,
-)
+from hexjet_paper.experiments import COMPARED, Result, experiments, linear, quadrotor_axis
+from hexjet_paper.extensions import DelayPoint, Offset, Reach, RobustnessMap
+from hexjet_paper.loops import gain_at, measured_sweep, open_loop, sweep
 from hexjet_paper.readings import (
     DELAY_ERRORS,
     GAIN_FACTORS,
@@ -198,8 +182,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize(
-    "how",
-    [pytest.param(signal.SIGINT, id="ctrl-c"), pytest.param(signal.SIGKILL, id="killed", marks=pytest.mark.long)],
+    "how", [pytest.param(signal.SIGINT, id="ctrl-c"), pytest.param(signal.SIGKILL, id="killed", marks=pytest.mark.long)]
 )
 def test_after_an_interruption_finished_parts_are_not_repeated(tmp_path: Path, how: signal.Signals) -> None:
     (tmp_path / "parts").mkdir()

@@ -262,8 +262,7 @@ def test_a_loss_is_found_as_soon_after_a_take_off_as_in_a_long_hover(aircraft: s
 
 
 @pytest.mark.parametrize(
-    ("jet", "hover"),
-    [(1, 5.0), *(pytest.param(jet, 3.0 * jet, marks=pytest.mark.long) for jet in range(1, 5))],
+    ("jet", "hover"), [(1, 5.0), *(pytest.param(jet, 3.0 * jet, marks=pytest.mark.long) for jet in range(1, 5))]
 )
 def test_the_jetwing_lands_without_an_engine_soon_after_a_take_off(jet: int, hover: float) -> None:
     """From a take-off to 3 m five of six were lost without engine 1; begun in the air, trimmed, they landed."""
@@ -390,10 +389,7 @@ def test_a_leg_switch_that_sticks_in_the_air_takes_no_thrust_away(aircraft: str)
 
 @pytest.mark.parametrize(
     ("wind", "turbulence", "furthest"),
-    [
-        pytest.param(8.0, 3, 6.0, id="with turbulence"),
-        pytest.param(5.0, 0, 3.0, id="steady", marks=pytest.mark.long),
-    ],
+    [pytest.param(8.0, 3, 6.0, id="with turbulence"), pytest.param(5.0, 0, 3.0, id="steady", marks=pytest.mark.long)],
 )
 def test_a_full_scale_vehicle_holds_in_wind(wind: float, turbulence: int, furthest: float) -> None:
     """Blown off while it learns a wind that it begins in, by 8.4 and 15.9 m once; back within a waypoint's radius."""

@@ -56,12 +56,7 @@ KEYS = [f"controller_parameters.k{n}" for n in range(6)]
 
 def plan() -> tuple[Any, Any]:
     return resolve_worst(
-        "hover",
-        likely=True,
-        vary=[SEARCH[3], SEARCH[5]],
-        settings=[SEARCH[7]],
-        success=[SEARCH[9]],
-        budget=60,
+        "hover", likely=True, vary=[SEARCH[3], SEARCH[5]], settings=[SEARCH[7]], success=[SEARCH[9]], budget=60
     )
 
 

@@ -107,8 +107,7 @@ def test_the_product_is_right_on_average(steps: int) -> None:
     """With ties too: margins that a flight takes in quarters only, whose probability of less than 0 is the same."""
     truth = TRUTHS["plane 2"]
     stepped = replace(
-        truth,
-        margin=lambda points, seeds, level: np.floor(4.0 * truth.margin(points, seeds, level)) / 4.0,
+        truth, margin=lambda points, seeds, level: np.floor(4.0 * truth.margin(points, seeds, level)) / 4.0
     )
     found = [simulated(stepped if steps else truth, 1e-3, Budget(1e-3, 3000), seed) for seed in range(30)]
     logs = [repeat.log_probability for _, made in found for repeat in made.repeats[0]]

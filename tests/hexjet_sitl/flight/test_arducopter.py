@@ -21,13 +21,7 @@ from cosim.base.geodesy import Geodesy
 from cosim.results.run import Run, open_run
 from cosim.spec.scenario import Scenario
 from hexjet_identify.logs.dataflash import read_notes
-from hexjet_sitl.ardupilot import (
-    START_TIMING,
-    ArduPilot,
-    Transmitter,
-    TransmitterChannel,
-    parse_channel,
-)
+from hexjet_sitl.ardupilot import START_TIMING, ArduPilot, Transmitter, TransmitterChannel, parse_channel
 from hexjet_sitl.lockstep import SensorFrame, Setup, StickPositions
 from hexjet_sitl.parameters import ardupilot_sticks
 from hexjet_sitl.prepare import prepare

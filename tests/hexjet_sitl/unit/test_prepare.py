@@ -169,10 +169,7 @@ def test_a_name_that_no_parameter_can_have_is_refused_wherever_it_is_taken(
 ) -> None:
     """By a command, a study and a file: an autopilot passes over such a name, and a script that has it runs it."""
     study = {"name": "px4", "parameters": {name: 3.0}}
-    for said in (
-        lambda: Setup(parameters={name: 3.0}),
-        lambda: validate(AutopilotTable, study, "study.toml"),
-    ):
+    for said in (lambda: Setup(parameters={name: 3.0}), lambda: validate(AutopilotTable, study, "study.toml")):
         with pytest.raises(InputError, match=r"is no name of one; allowed: a capital letter, .* sixteen characters"):
             said()
     for autopilot in ("px4", "ardupilot"):

@@ -17,20 +17,8 @@ from command_tools import Hexjet
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
 from cosim.base.storage.toml import read_toml
-from cosim.campaign import (
-    Campaign,
-    fly_again,
-    open_campaign,
-    open_study,
-    run_campaign,
-)
-from cosim.campaign.folder import (
-    FLIGHTS,
-    JOURNAL,
-    RECORD,
-    SCENARIO,
-    STUDY,
-)
+from cosim.campaign import Campaign, fly_again, open_campaign, open_study, run_campaign
+from cosim.campaign.folder import FLIGHTS, JOURNAL, RECORD, SCENARIO, STUDY
 from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study
 from cosim.campaign.workers.flight_row import fly_one

@@ -27,12 +27,7 @@ from places import TOOLS
 from cosim.base.errors import FlightError, InputError
 from cosim.campaign import folder as folder_module
 from cosim.campaign import store as store_module
-from cosim.campaign.folder import (
-    FLIGHTS,
-    JOURNAL,
-    SCENARIO,
-    STUDY,
-)
+from cosim.campaign.folder import FLIGHTS, JOURNAL, SCENARIO, STUDY
 from cosim.campaign.run import run_campaign
 from cosim.campaign.store import Store, open_campaign
 from cosim.campaign.study.plan import flights

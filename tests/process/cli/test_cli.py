@@ -84,10 +84,7 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (
-            ["fly", "rol-doublet"],
-            "unknown scenario 'rol-doublet'; did you mean 'roll-doublet', '",
-        ),
+        (["fly", "rol-doublet"], "unknown scenario 'rol-doublet'; did you mean 'roll-doublet', '"),
         (
             ["fly", "hover", "--controller", "nowhere"],
             "unknown controller 'nowhere'; allowed: adrc, baseline, filtered-smith, indi",
@@ -104,10 +101,7 @@ def test_a_missed_expectation_is_status_1_and_named(hexjet, tmp_path: Path) -> N
             "step 0.005 s is not a whole multiple of the engine's internal step 0.004 s",
         ),
         (["fly", "hover", "--set", "duration_s=1e308"], "duration_s = 1e+308"),
-        (
-            ["fly", "hover", "--set", "duration_s='2'"],
-            "hover.toml: settings: duration_s = '2': must be a number",
-        ),
+        (["fly", "hover", "--set", "duration_s='2'"], "hover.toml: settings: duration_s = '2': must be a number"),
         (["fly", "hover", "--set", "duration_s=true"], "duration_s = True: must be a number"),
         (["fly", "hover", "--set", "vehicle.name='a/b'"], "name = 'a/b'"),
         (["fly", "hover", "--seed", "-1"], "seed = -1"),

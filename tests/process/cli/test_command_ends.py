@@ -32,12 +32,7 @@ def test_a_flight_that_is_asked_to_end_leaves_page_and_summary(number: signal.Si
     flown = tmp_path / "flown"
     command = [*HEXJET, "fly", "hover", "--set", "duration_s=3600", "--out", str(flown)]
     flight = subprocess.Popen(
-        command,
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=heard,
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard
     )
     try:
         end = time.monotonic() + PATIENCE

@@ -18,14 +18,7 @@ from fmpy.validation import validate_fmu
 
 from cosim.base.errors import InputError
 from cosim.base.storage.paths import data_folder
-from cosim.engine import (
-    EngineBank,
-    build_engines,
-    check_fmu,
-    library,
-    list_engine_names,
-    load_engine,
-)
+from cosim.engine import EngineBank, build_engines, check_fmu, library, list_engine_names, load_engine
 from cosim.engine.library import BuildError, archives, build_all, read_engine
 
 
@@ -197,10 +190,7 @@ def replaced(old: str, new: str) -> Callable[[str], str]:
             replaced("title = ", "titel = "),
             "unknown key titel; allowed: description, flame_out, internal_step_s, ledger, ports,",
         ),
-        (
-            replaced("electric = true", "electric = false"),
-            "flame_out.electric = False: allowed: true",
-        ),
+        (replaced("electric = true", "electric = false"), "flame_out.electric = False: allowed: true"),
         (replaced("electric = true", "thrust_left = 0.4"), "flame_out.exponent is missing"),
         (replaced('title = "Electric ducted fan"\n', ""), "title is missing"),
         (replaced("title", "title title"), "not valid TOML: "),

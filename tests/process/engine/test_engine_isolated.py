@@ -243,11 +243,7 @@ def test_what_a_child_answers_runs_nothing_here(
     sender = Pipes(reader, writer)
     data, calls = (
         head + answer(tmp_path / "ran"),
-        (
-            lambda: bank.step(0, (0.5,)),
-            lambda: bank.reset(0.5),
-            lambda: bank.run_down(1.0),
-        ),
+        (lambda: bank.step(0, (0.5,)), lambda: bank.reset(0.5), lambda: bank.run_down(1.0)),
     )
     for call in calls:
         thread = Thread(target=sender.send_message, args=(data,))  # more than a pipe holds, once

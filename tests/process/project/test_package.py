@@ -346,13 +346,7 @@ def test_nothing_imports_cmake_but_what_compiles() -> None:
 
 @pytest.mark.parametrize(
     ("package", "arguments", "said"),
-    [
-        (
-            "distributed",
-            ("sweep", "payload-and-gust", "--cluster", "tcp://127.0.0.1:1"),
-            "pip install distributed",
-        ),
-    ],
+    [("distributed", ("sweep", "payload-and-gust", "--cluster", "tcp://127.0.0.1:1"), "pip install distributed")],
 )
 def test_a_command_says_which_extra_it_lacks(
     package: str, arguments: tuple[str, ...], said: str, hexjet: Hexjet, monkeypatch: pytest.MonkeyPatch

@@ -7,15 +7,7 @@ from pathlib import Path
 import pytest
 
 from cosim.base.errors import InputError
-from cosim.results.report.marks import (
-    check_marks,
-    filled,
-    page_parts,
-    parts_of,
-    row,
-    table,
-    write_marks,
-)
+from cosim.results.report.marks import check_marks, filled, page_parts, parts_of, row, table, write_marks
 
 PAGE = "# Title\n\n<!-- measured: a -->\nold\n<!-- end -->\ntext <!-- end -->\n<!-- measured: b c -->\n<!-- end -->\n"
 

@@ -14,15 +14,7 @@ from hypothesis import strategies as st
 from scipy.stats import pearsonr, qmc, spearmanr
 
 from cosim.campaign.study.distributions import Vary, parse_vary
-from cosim.campaign.study.draws import (
-    BLOCK,
-    SMALLEST,
-    Draws,
-    flight_seed,
-    inverse,
-    latin_hypercube,
-    reorder_points,
-)
+from cosim.campaign.study.draws import BLOCK, SMALLEST, Draws, flight_seed, inverse, latin_hypercube, reorder_points
 from cosim.campaign.study.key import Key
 from cosim.campaign.study.options import open_study
 from cosim.campaign.study.study import Study

@@ -11,13 +11,7 @@ from hypothesis import strategies as st
 
 from cosim.api.listing import catalogue
 from cosim.base.errors import InputError
-from cosim.campaign.study.distributions import (
-    LogNormal,
-    Normal,
-    Triangular,
-    Vary,
-    parse_vary,
-)
+from cosim.campaign.study.distributions import LogNormal, Normal, Triangular, Vary, parse_vary
 from cosim.campaign.study.options import open_study, parse_correlate, parse_success
 from cosim.campaign.study.plan import flights
 from cosim.campaign.study.study import Study, study_names

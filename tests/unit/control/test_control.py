@@ -19,21 +19,9 @@ from cosim.base.signals import Command, Measured, Unallocated
 from cosim.control.allocation.allocation import TiltAllocator
 from cosim.control.altitude import AltitudeController
 from cosim.control.attitude import AttitudeController
-from cosim.control.predictors.smith import (
-    DelayLine,
-    NoPredictor,
-    SmithPredictor,
-    rate_model,
-)
+from cosim.control.predictors.smith import DelayLine, NoPredictor, SmithPredictor, rate_model
 from cosim.control.rate import RateAxis
-from cosim.spec.vehicle import (
-    AltitudeGains,
-    AttitudeGains,
-    Jet,
-    RateGains,
-    RateModel,
-    load_vehicle,
-)
+from cosim.spec.vehicle import AltitudeGains, AttitudeGains, Jet, RateGains, RateModel, load_vehicle
 
 STEP = 0.004
 VEHICLE, _ = load_vehicle("hexjet")

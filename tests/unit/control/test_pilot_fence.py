@@ -16,11 +16,7 @@ from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.fence import edge_distance, measure_excess
 from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.control.autopilot.modes import Mode
-from cosim.control.autopilot.requests import (
-    FenceUpload,
-    FenceZone,
-    ZoneKind,
-)
+from cosim.control.autopilot.requests import FenceUpload, FenceZone, ZoneKind
 
 IN, OUT, CIRCLE, HOLE = ZoneKind
 SQUARE = FenceZone(IN, ((-10.0, -10.0), (-10.0, 10.0), (10.0, 10.0), (10.0, -10.0)))

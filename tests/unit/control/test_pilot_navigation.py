@@ -22,12 +22,7 @@ from cosim.control.autopilot.guidance.position_control import PositionController
 from cosim.control.autopilot.guidance.tracker import Track, Tracker
 from cosim.control.lead import lead_polynomials
 from cosim.control.predictors.smith import polynomial
-from cosim.spec.vehicle import (
-    EngineLead,
-    PositionGains,
-    Vehicle,
-    load_vehicle,
-)
+from cosim.spec.vehicle import EngineLead, PositionGains, Vehicle, load_vehicle
 
 DT = 0.004
 VEHICLE, _ = load_vehicle("hexjet")

@@ -22,12 +22,7 @@ from cosim.control.autopilot.tuning import Blocks, LiveTuning, rate_gains
 from cosim.control.predictors.registry import PREDICTORS
 from cosim.control.predictors.smith import NoPredictor, SmithPredictor
 from cosim.control.rate import RateAxis, RateController
-from cosim.spec.vehicle import (
-    AltitudeGains,
-    PredictorTuning,
-    RateGains,
-    load_vehicle,
-)
+from cosim.spec.vehicle import AltitudeGains, PredictorTuning, RateGains, load_vehicle
 
 DT = 0.004
 VEHICLE, _ = load_vehicle("hexjet")

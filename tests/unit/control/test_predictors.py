@@ -17,13 +17,7 @@ from cosim.control.predictors.smith import (
     rate_model,
     robustness_filter,
 )
-from cosim.control.predictors.state import (
-    DoubleIntegratorObserver,
-    ModelObserver,
-    Pair,
-    StateModel,
-    StatePredictor,
-)
+from cosim.control.predictors.state import DoubleIntegratorObserver, ModelObserver, Pair, StateModel, StatePredictor
 from cosim.spec.vehicle import RateModel
 from hexjet_paper.numbers import quadrotor_model, roll_model
 

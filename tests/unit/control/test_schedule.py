@@ -23,12 +23,7 @@ from cosim.control.lead import Lead
 from cosim.control.schedule import GainSchedule
 from cosim.simulation.build import build
 from cosim.simulation.controllers.controller_file import read_controller
-from cosim.spec.vehicle import (
-    EngineLead,
-    Leads,
-    Schedule,
-    load_vehicle,
-)
+from cosim.spec.vehicle import EngineLead, Leads, Schedule, load_vehicle
 
 STEP = 0.004
 FULL = EngineLead(natural_rad_s=1.3, damping=0.66, pole_rad_s=8.0)

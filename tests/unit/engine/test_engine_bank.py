@@ -23,12 +23,7 @@ from engine_tools import (
 )
 
 from cosim.base.errors import EngineError, InputError
-from cosim.engine import (
-    EngineBank,
-    EngineSpec,
-    build_engines,
-    load_engine,
-)
+from cosim.engine import EngineBank, EngineSpec, build_engines, load_engine
 
 
 @pytest.fixture(scope="module", autouse=True)

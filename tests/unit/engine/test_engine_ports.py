@@ -20,13 +20,7 @@ from places import TOOLS
 
 from cosim.base.errors import EngineError, InputError
 from cosim.base.signals import Ambient, EngineOutput
-from cosim.engine import (
-    EngineBank,
-    EngineSpec,
-    build_engines,
-    library,
-    load_engine,
-)
+from cosim.engine import EngineBank, EngineSpec, build_engines, library, load_engine
 from cosim.engine.fmu.archive import read_archive
 from cosim.engine.fmu.instance import FmuInstance
 from cosim.engine.fmu.mapping import PortMap

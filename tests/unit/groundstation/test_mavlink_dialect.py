@@ -17,12 +17,7 @@ from mavlink_tools import ABOUT, message_of, sample, snapshot, status
 
 from cosim.groundstation.mavlink.streams import STREAMS
 from cosim.groundstation.mavlink.telemetry_state import FlightEvents, TelemetryState
-from cosim.groundstation.mavlink.wire.dialect import (
-    BY_NAME,
-    KINDS,
-    mav,
-    prepare_message,
-)
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, KINDS, mav, prepare_message
 from cosim.groundstation.mavlink.wire.frames import FramePacker, Parser
 from cosim.groundstation.mavlink.wire.generate import generate
 

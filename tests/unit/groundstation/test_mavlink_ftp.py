@@ -20,16 +20,8 @@ from pyulog import ULog
 
 from cosim import fly
 from cosim.control.autopilot.parameters import Parameters, table
-from cosim.groundstation.mavlink.services.ftp import (
-    File,
-    FileService,
-    MemoryFile,
-)
-from cosim.groundstation.mavlink.services.logs import (
-    LogService,
-    LogStore,
-    find_finished_runs,
-)
+from cosim.groundstation.mavlink.services.ftp import File, FileService, MemoryFile
+from cosim.groundstation.mavlink.services.logs import LogService, LogStore, find_finished_runs
 from cosim.groundstation.mavlink.services.metadata import Metadata
 from cosim.groundstation.mavlink.services.service import crc32
 from cosim.results.export import export_log

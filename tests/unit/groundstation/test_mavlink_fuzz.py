@@ -18,11 +18,7 @@ from mavlink_tools import ABOUT, Bench, Desk, command, message_of
 
 from cosim.control.autopilot.requests import from_dict, to_dict
 from cosim.groundstation.mavlink.services.commands import KNOWN
-from cosim.groundstation.mavlink.wire.dialect import (
-    BY_NAME,
-    KINDS,
-    mav,
-)
+from cosim.groundstation.mavlink.wire.dialect import BY_NAME, KINDS, mav
 from cosim.groundstation.mavlink.wire.signing import EPOCH, Signing
 
 FRAMES = int(os.environ.get("HEXJET_FUZZ", "20000"))

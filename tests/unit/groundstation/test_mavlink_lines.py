@@ -15,12 +15,7 @@ from link_tools import Flight, Tcp, until
 from mavlink_tools import Bench, Udp, command
 from patience import PATIENCE
 
-from cosim.control.autopilot.requests import (
-    Answer,
-    LinkBack,
-    LinkLost,
-    Result,
-)
+from cosim.control.autopilot.requests import Answer, LinkBack, LinkLost, Result
 from cosim.groundstation.mavlink.wire.dialect import mav, prepare_message
 from cosim.groundstation.mavlink.wire.peer import LIMITS as PEER
 from cosim.groundstation.mavlink.wire.peer import Priority

@@ -29,13 +29,7 @@ from cosim.control.autopilot.requests import (
     Result,
     ZoneKind,
 )
-from cosim.groundstation.mavlink.services.items import (
-    PARAM5,
-    Item,
-    ItemError,
-    to_item,
-    to_mission_item,
-)
+from cosim.groundstation.mavlink.services.items import PARAM5, Item, ItemError, to_item, to_mission_item
 from cosim.groundstation.mavlink.services.missions import MissionService
 from cosim.groundstation.mavlink.services.service import make_service_text
 from cosim.spec.scenario import Environment, Initial
@@ -268,10 +262,7 @@ def test_loiter_items_are_flown_by_a_vehicle_that_hovers() -> None:
     ]
     assert upload(vehicle.station, loiter) == ACCEPTED
     stay, circle, there, here = vehicle.items
-    assert [item.kind for item in vehicle.items] == [
-        *(ItemKind.STAY, ItemKind.CIRCLE),
-        *[ItemKind.ALTITUDE] * 2,
-    ]
+    assert [item.kind for item in vehicle.items] == [*(ItemKind.STAY, ItemKind.CIRCLE), *[ItemKind.ALTITUDE] * 2]
     assert stay.yaw == pytest.approx(radians(90.0))
     assert (circle.turns, circle.radius, circle.clockwise) == (2.0, 8.0, False)
     assert [item.altitude for item in vehicle.items] == [height + HOME for height in (10.0, 12.0, 14.0, 9.0)]

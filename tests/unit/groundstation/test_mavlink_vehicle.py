@@ -13,12 +13,7 @@ from mavlink_tools import ABOUT, GEODESY, Bench, Desk, command, sample, snapshot
 from cosim.base.frames import from_euler
 from cosim.base.protocols import EngineState
 from cosim.control.autopilot.estimation.position import Fix
-from cosim.control.autopilot.modes import (
-    Home,
-    LandedState,
-    Mode,
-    Severity,
-)
+from cosim.control.autopilot.modes import Home, LandedState, Mode, Severity
 from cosim.control.autopilot.requests import LinkBack, LinkLost
 from cosim.groundstation.mavlink.modes import base_mode, custom_mode, from_custom, vehicle_type
 from cosim.groundstation.mavlink.streams import BY_ID, DEFAULT, STREAMS

@@ -24,7 +24,7 @@ BENCHMARKS = ROOT / "benchmarks"
 MOST_LINES = 500
 LONGER = {
     # one class: an airframe's properties in JSBSim are set and read together, in the order of a control step
-    "vehicle/airframe.py",
+    "vehicle/airframe.py"
 }
 
 # A foreign library has one home: a module, or a folder with one duty.
@@ -325,13 +325,7 @@ def test_an_import_stays_light(module: str) -> None:
     assert answer.stdout.split() == []
 
 
-@pytest.mark.parametrize(
-    "script",
-    [
-        "from cosim import fly",
-        "from cosim.cli.main import run; run(['--help'])",
-    ],
-)
+@pytest.mark.parametrize("script", ["from cosim import fly", "from cosim.cli.main import run; run(['--help'])"])
 def test_what_only_names_a_flight_loads_no_model(script: str) -> None:
     """A name, or the list of commands, is there before pydantic and numpy would be."""
     seen = f"import sys; {script}; print(*sys.modules.keys() & {{'numpy', 'pydantic'}}, file=sys.stderr)"

@@ -72,12 +72,7 @@ def test_notice_and_licences_go_into_the_packages() -> None:
 
 @pytest.mark.parametrize(
     ("flights", "figures", "parts"),
-    [
-        (FLIGHTS, {}, ("uPlot", "three")),
-        (None, FIGURES, ()),
-        (FLIGHTS, FIGURES, ("uPlot", "three")),
-        (None, {}, ()),
-    ],
+    [(FLIGHTS, {}, ("uPlot", "three")), (None, FIGURES, ()), (FLIGHTS, FIGURES, ("uPlot", "three")), (None, {}, ())],
 )
 def test_a_page_holds_the_notices_of_what_it_holds(
     flights: Flights | None, figures: dict[str, object], parts: tuple[str, ...], tmp_path: Path

@@ -17,14 +17,7 @@ from hypothesis import strategies as st
 
 from cosim.base.errors import FlightError, InputError
 from cosim.results.log import arrow as arrow_module
-from cosim.results.log.arrow import (
-    ParquetLog,
-    StreamSink,
-    Value,
-    read_table,
-    stream_to_parquet,
-    write_table,
-)
+from cosim.results.log.arrow import ParquetLog, StreamSink, Value, read_table, stream_to_parquet, write_table
 from cosim.results.log.columns import COLUMNS, NAMES
 
 

@@ -155,7 +155,7 @@ def flown() -> Run:
             LEVEL,
             {"name": "lean", "formula": "always(lean_deg < 12)", "reason": "so that one is broken"},
             {"name": "late", "formula": 'after("doublet ends", for(0.5 s, abs(roll_deg) < 15))'},
-        ],
+        ]
     )
     return fly(scenario)
 

@@ -11,13 +11,7 @@ from scipy.signal import chirp
 
 from cosim.base.errors import InputError
 from cosim.base.signals import ZERO3, Disturbance
-from cosim.simulation.script.command_script import (
-    CommandScript,
-    make_doublet,
-    make_pulse,
-    make_sweep,
-    read_columns,
-)
+from cosim.simulation.script.command_script import CommandScript, make_doublet, make_pulse, make_sweep, read_columns
 from cosim.simulation.script.disturbance_script import DisturbanceScript
 from cosim.spec.scenario import Scenario
 

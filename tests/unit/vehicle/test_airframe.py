@@ -20,11 +20,7 @@ from cosim.results.setup import describe_integration
 from cosim.spec.scenario import Environment, Initial, Scenario
 from cosim.spec.vehicle import Vehicle, load_vehicle
 from cosim.vehicle._properties import Properties
-from cosim.vehicle.airframe import (
-    METHODS,
-    Airframe,
-    standing_height,
-)
+from cosim.vehicle.airframe import METHODS, Airframe, standing_height
 from cosim.vehicle.jsbsim_model import render
 from cosim.vehicle.jsbsim_units import POUND_FORCE
 

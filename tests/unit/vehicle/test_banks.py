@@ -11,12 +11,7 @@ from loads import acted
 
 from cosim import fly
 from cosim.base.errors import InputError
-from cosim.base.signals import (
-    ZERO3,
-    Disturbance,
-    State,
-    Vector3,
-)
+from cosim.base.signals import ZERO3, Disturbance, State, Vector3
 from cosim.engine import load_engine
 from cosim.identify.sweep import identify_axis
 from cosim.spec.scenario import Environment, Initial, Scenario
