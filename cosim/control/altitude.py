@@ -13,7 +13,8 @@ from cosim.control.bumpless import Fade
 from cosim.control.lead import Lead
 from cosim.spec.vehicle import AltitudeGains, EngineLead
 
-LEAST_UPRIGHT: Final = 0.5  # thrust is not raised further for a lean beyond 60 degrees
+# Thrust is not raised further for a lean beyond 60 degrees.
+LEAST_UPRIGHT: Final = 0.5
 
 
 class AltitudeController:

@@ -33,7 +33,7 @@ from cosim.control.schedule import GainSchedule
 from cosim.spec.vehicle import Vehicle
 
 _FLY: Final = EngineState.FLY
-_SIGNALS: Final = ControlSignals  # a module-level Final, which compiled code accesses directly
+_SIGNALS: Final = ControlSignals  # direct access in compiled code
 
 
 class Cascade:
@@ -97,10 +97,10 @@ class Cascade:
         self.selector.reset()
         self.signals = ControlSignals(ZERO3, ZERO3, ZERO3, 0.0, 0.0)
         self._off = NO_JETS  # jets that are to be shut off
-        self._shut_by_law = NO_JETS  # jets that a flight law shut off because another one failed
+        self._shut_by_law = NO_JETS  # shut because another jet failed
         self.lost: tuple[int, ...] = ()
         self._engines_off = self._is_idle = self._clears_losses = self._is_cold = False
-        self._starting = 0.0  # s during which restarted engines may still be starting
+        self._starting = 0.0  # s left for restarted engines
 
     def reset(self, on_ground: bool, burnt: float) -> PerJet:
         """Start a flight at rest and return its first throttles.  See :class:`cosim.base.protocols.Controller`."""

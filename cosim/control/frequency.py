@@ -122,7 +122,7 @@ def margins(response: Callable[[Complex], Complex], step: float, low: float = 0.
     for k in np.flatnonzero(turns):
         crossing = _bisect(lambda f: at(f).imag, frequencies[k], frequencies[k + 1])
         gains.append(-20.0 * float(np.log10(abs(at(crossing)))))
-    last = complex(response(np.array([-1.0 + 0.0j]))[0]).real  # at half the sampling rate the loop is real
+    last = complex(response(np.array([-1.0 + 0.0j]))[0]).real  # real at half the sampling rate
     if last < 0.0:
         gains.append(-20.0 * float(np.log10(-last)))
     return Margins(

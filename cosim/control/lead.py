@@ -79,7 +79,7 @@ class Lead:
 
     def settle(self, value: float) -> None:
         """Start as if ``value`` had always been the input."""
-        self._once = self._twice = value  # the input after one low-pass and after two
+        self._once = self._twice = value  # input after one and two low-passes
 
     def update(self, value: float, unallocated: float) -> float:
         """Return the led command; ``unallocated``: the allocation residual of the one before."""

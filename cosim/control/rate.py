@@ -133,7 +133,7 @@ class RateAxis:
 
     def _set_predictor(self, predictor: Predictor) -> None:
         self._predictor: SmithPredictor | Predictor = predictor
-        self._predicts = not isinstance(predictor, NoPredictor)  # False: the measurement is fed back directly
+        self._predicts = not isinstance(predictor, NoPredictor)  # else the measurement is fed back
 
     def _update_at_change(self, old: _Law, setpoint: float, measured: float, unallocated: float) -> float:
         """Return the command at a change of gains: that of the old gains, from which the difference fades."""

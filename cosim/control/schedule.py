@@ -17,7 +17,8 @@ from typing import NamedTuple
 from cosim.base.limits import clip
 from cosim.spec.vehicle import EngineLead, Leads, Schedule, ScheduledGains
 
-FINE = 1e-3  # fraction of the schedule's range by which the level moves before the gains do
+# Gains change when the level has moved by this fraction of the schedule's range.
+FINE = 1e-3
 
 
 class Factors(NamedTuple):

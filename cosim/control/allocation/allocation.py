@@ -21,8 +21,10 @@ from cosim.base.signals import AXES, NO_JETS, ZERO3, Actuation, JetHealth, PerJe
 from cosim.control.allocation.reallocation import Plan, plan
 from cosim.spec.vehicle import AllocationLimits, Jet
 
-LEAST_SHARE: Final = 0.25  # fraction of hover thrust below which tilts are not enlarged further
-_FLAT: Final = 1e-9  # throttle per collective below which a jet counts as constant
+# Fraction of hover thrust below which tilts are not enlarged further.
+LEAST_SHARE: Final = 0.25
+# A jet whose throttle changes by less than this per collective counts as constant.
+_MIN_SLOPE: Final = 1e-9
 # compiled code finds these without looking in a dictionary
 _ACTUATION: Final = Actuation
 _UNALLOCATED: Final = Unallocated
@@ -142,7 +144,7 @@ class TiltAllocator:
         least, most = -inf, inf
         for i in jets:
             base, slope = at_roll[i], ups[i]
-            if -_FLAT <= slope <= _FLAT:
+            if -_MIN_SLOPE <= slope <= _MIN_SLOPE:
                 continue
             bottom, top = (low - base) / slope, (high - base) / slope
             if slope < 0.0:
@@ -190,10 +192,10 @@ class TiltAllocator:
             return 0.0
         room, steepest = missing, 0.0
         for slope, at in zip(plan.boost, throttles, strict=True):
-            if slope > _FLAT:
+            if slope > _MIN_SLOPE:
                 room = min(room, (self._high - at) / slope)
                 steepest = max(steepest, slope)
-            elif slope < -_FLAT:
+            elif slope < -_MIN_SLOPE:
                 room = min(room, (self._low - at) / slope)
         if steepest == 0.0:
             return 0.0

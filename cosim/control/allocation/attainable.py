@@ -44,9 +44,9 @@ class Hull:
     """The hull of a layout with thrusts [N] and hinges [rad] within these ends."""
 
     def __init__(self, columns: Array, sets: Array, thrusts: Array, angles: Array) -> None:
-        self.columns = columns  # force and moment of each corner: shape (6, corners)
-        self._sets = sets  # set of engines of each corner, as rows of ones: shape (sets, corners)
-        self._thrusts, self._angles = thrusts, angles  # of each corner: shape (corners, jets), (corners, hinges)
+        self.columns = columns  # force and moment, (6, corners)
+        self._sets = sets  # its engines as ones, (sets, corners)
+        self._thrusts, self._angles = thrusts, angles  # (corners, jets or hinges)
 
     @classmethod
     def of(cls, layout: Layout, min_thrust: Array, max_thrust: Array, low: Array, high: Array) -> Hull | None:

@@ -28,9 +28,8 @@ if TYPE_CHECKING:
     Array = NDArray[Any]
 
 DOWN: Final = 2  # the row of body z in force and moment
-RESOLUTION: Final = 1e-3  # relative gap between bound and attained value that three digits do not show
-CUTS: Final = 12  # most bisections of the hinges' ranges; a few are usual
-OFFSET: Final = 0.1  # fraction of a range to a second start, where the linear programs of a climb may have no answer
+# Fraction of a range to a second start, where the linear programs of a climb may have no answer.
+OFFSET: Final = 0.1
 
 
 class Range(NamedTuple):
@@ -42,7 +41,7 @@ class Range(NamedTuple):
     @property
     def is_exact(self) -> bool:
         """Whether both bounds are equal to three digits."""
-        return self.upper < inf and self.upper - self.lower <= RESOLUTION * abs(self.upper)
+        return self.upper < inf and self.upper - self.lower <= 1e-3 * abs(self.upper)
 
     def describe(self) -> str:
         """Return the range as text, to three digits."""
@@ -118,7 +117,7 @@ class Reach:
         import numpy as np
 
         remaining = self.without(lost)
-        lift = remaining._largest(Objective(-np.eye(6)[DOWN], np.eye(6)[3:], np.zeros(3)), CUTS)
+        lift = remaining._largest(Objective(-np.eye(6)[DOWN], np.eye(6)[3:], np.zeros(3)))
         lines = [sign * np.eye(3)[axis] for axis in range(3) for sign in (1.0, -1.0)]
         ends = [remaining.moment(line) for line in lines]
 
@@ -140,7 +139,7 @@ class Reach:
         """Return the largest moment [N m] along a unit direction in body axes, with none across it at hover's lift.
 
         Minus infinity where the weight cannot be carried so."""
-        return self._largest(self._about(direction), CUTS)
+        return self._largest(self._about(direction))
 
     def _about(self, direction: Any) -> Objective:
         import numpy as np
@@ -150,8 +149,8 @@ class Reach:
         across = [np.concatenate([np.zeros(3), row]) for row in basis[1:]]
         return Objective(along, np.array([np.eye(6)[DOWN], *across]), np.array([-self._weight, 0.0, 0.0]))
 
-    def _largest(self, objective: Objective, cuts: int) -> Range:
-        """Return both bounds, with up to so many cuts to bring them together."""
+    def _largest(self, objective: Objective, cuts: int = 12) -> Range:
+        """Return both bounds, with up to so many cuts (a few are usual) to bring them together."""
         if self._hull is None:
             return Range(self._search(objective), inf)
         root = self._hull.bound(objective, self._weight)

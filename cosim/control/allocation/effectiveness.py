@@ -49,10 +49,12 @@ HORIZONTAL: Final = ((FORWARD, RIGHT),)  # optional rows of the lowest priority
 AHEAD: Final = ((FORWARD,),)  # row added in forward flight
 # rad, of a tilt from the force that is wanted; chosen by us: the front turned back and the rear ahead, against each
 # other, is a solution that no small step leads out of
-ASTRAY: Final = 0.6
-GIVEN: Final = 1e-10  # residuals below this fraction of the weight, or times the radius of gyration, are rounding
-PASSES: Final = 6  # most Newton iterations in a step; two are usual from the previous solution
-FIRST_PASSES: Final = 60  # most Newton iterations without a previous solution
+MAX_SWING: Final = 0.6
+# Residuals below this fraction of the weight, or times the radius of gyration, are rounding.
+EXACT: Final = 1e-10
+# Most Newton iterations in a step, where two are usual, and without a previous solution.
+PASSES: Final = 6
+FIRST_PASSES: Final = 60
 
 
 class Effector(NamedTuple):
@@ -63,8 +65,8 @@ class Effector(NamedTuple):
     rest: float
     step: float  # largest change of its command in a step
     effort: float
-    wrench: tuple[float, ...] = ()  # of a surface: force and moment per unit and Pa of dynamic pressure, body
-    lead: float = 0.0  # additional change that lets the servo move at its full rate: the rate times its lag
+    wrench: tuple[float, ...] = ()  # force, moment per unit and Pa, body axes
+    lead: float = 0.0  # for full servo rate: rate times lag
 
 
 class AllocationModel(NamedTuple):
@@ -125,7 +127,7 @@ class SolverOptions(NamedTuple):
     thrust_limits: list[tuple[float, float]]  # of each thrust, N
     levels: list[tuple[int, ...]]
     servo_limits: list[tuple[float, float]]
-    neutral: list[float]  # positions of the servos if there is a choice
+    neutral: list[float]  # preferred servo positions
 
 
 class EffectivenessAllocator:
@@ -157,15 +159,13 @@ class EffectivenessAllocator:
         ] + [(effector.upper - effector.lower) / effector.effort for effector in effectors]
         self._described = _describe_effectors(model)
         try:
-            self._solver = Solver(*self._described, self._scales, self._norms, self._weight, GIVEN)
+            self._solver = Solver(*self._described, self._scales, self._norms, self._weight, EXACT)
         except ValueError as error:
             raise InputError(f"{name}: jets, hinges, surfaces, control.allocation: {error}") from error
         self.rest: PerServo = tuple([effector.rest for effector in effectors]) or (0.0, 0.0)
         self.pressure = 0.0  # dynamic pressure at the surfaces, Pa
         self._servo_limits = [(effector.lower, effector.upper) for effector in effectors]
-        self._neutral = [
-            effector.rest for effector in effectors
-        ]  # positions of hinges and surfaces that are preferred where several would do
+        self._neutral = [effector.rest for effector in effectors]  # preferred positions
         self.surfaces = len(self._effectors) - self._hinges
         self.reset()
         if not self.is_balanced:
@@ -257,7 +257,7 @@ class EffectivenessAllocator:
 
         Returned second is what is missing of force [N] and moment [N m], in the order of the rows."""
         found, missing = self._solve(self._wanted(self._weight, torque, ZERO3), self._weight, FIRST_PASSES, False)
-        return found, [0.0 if -GIVEN <= m * norm <= GIVEN else m for m, norm in zip(missing, self._norms, strict=True)]
+        return found, [0.0 if -EXACT <= m * norm <= EXACT else m for m, norm in zip(missing, self._norms, strict=True)]
 
     def unit_changes(self, axis: int) -> tuple[list[float], list[float]]:
         """Return each effector's change per rad/s^2 about an axis in hover, and the acceleration about it per change.
@@ -273,7 +273,8 @@ class EffectivenessAllocator:
             for row, inverse in zip((ROLL, PITCH, YAW), self._inverse[axis], strict=True):
                 turn += inverse * rows[row][j] / self._norms[row]
             effects.append(turn / scale)
-        given = 0.0  # linearised; the exact commands differ by the square of ``small``
+        # Linearised: the exact commands differ by the square of ``small``.
+        given = 0.0
         for m, s, effect in zip(moved, still, effects, strict=True):
             given += effect * (m - s)
         return [(m - s) / given if given else 0.0 for m, s in zip(moved, still, strict=True)], effects
@@ -334,7 +335,8 @@ class EffectivenessAllocator:
         for low, _ in self._thrust_limits:
             least += low
         asked = lift
-        for number in range(self._hinges, len(self._effectors)):  # jets do not counteract the lift of surfaces
+        # Jets do not counteract the lift of surfaces.
+        for number in range(self._hinges, len(self._effectors)):
             asked += self.pressure * last[jets + number] * self._effectors[number].wrench[2]
         # Lift is at least this fraction of the force ahead, which allows for what surfaces lift.
         asked = lift + max(0.0, 0.05 * max(force, least) - asked)
@@ -350,7 +352,7 @@ class EffectivenessAllocator:
         for tilt in tilts:
             low, high = servo_limits[tilt]
             middle = self._neutral[tilt] = min(max(along, low), high)
-            self._servo_limits[tilt] = (max(low, middle - ASTRAY), min(high, middle + ASTRAY))
+            self._servo_limits[tilt] = (max(low, middle - MAX_SWING), min(high, middle + MAX_SWING))
         self._preferred = self._shared(cos(along) * cos(along))
         self._levels = self._levels_ahead
         found, missing = self._solve(wanted, whole, PASSES, True)
@@ -378,7 +380,7 @@ class EffectivenessAllocator:
         """Return the actuation of a solution, from which the next step begins, with ``missing`` per axis."""
         self._last = found
         for row in range(6):
-            if -GIVEN <= missing[row] * self._norms[row] <= GIVEN:
+            if -EXACT <= missing[row] * self._norms[row] <= EXACT:
                 missing[row] = 0.0
         roll = pitch = yaw = 0.0
         if missing[ROLL] or missing[PITCH] or missing[YAW]:

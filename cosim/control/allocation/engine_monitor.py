@@ -21,10 +21,10 @@ class EngineReference(NamedTuple):
 
     throttle: Sequence[float]
     thrust: Sequence[float]  # N, at each throttle
-    speed: Sequence[float] | None  # rad/s, at each throttle; None where the engine reports none
+    speed: Sequence[float] | None  # rad/s at each throttle; None: no sensor
     lag: float  # s, about hover
     delay: float  # s
-    shortest: float  # s, the shortest lag anywhere in its range, up or down
+    shortest: float  # s, least in its range, up or down
     longest: float  # s
 
     def thrust_at(self, throttle: float) -> float:
@@ -109,7 +109,7 @@ class EngineMonitor:
         # thrust that the commands ask for at rest, oldest first
         self._past = [at_rest] * (self._sudden + self._latest + 1)
         self._reports = [at_rest] * max(2, self._confirm)  # oldest first
-        self._window = [at_rest] * (2 * self._sudden + 1)  # reports over a longer window, oldest first
+        self._window = [at_rest] * (2 * self._sudden + 1)  # reports, oldest first
         for engine, x in zip(self._engines, at_rest, strict=True):
             engine.settle(x)
 
@@ -253,7 +253,7 @@ class _Engine:
         """Start at rest at a thrust [N]."""
         self.high = self.low = thrust
         self.outside = 0  # steps
-        self.agreed = self.agreed_reference = thrust  # report and reference when they last agreed
+        self.agreed = self.agreed_reference = thrust  # thrusts at the last agreement
 
     def follow(self, least: float, most: float) -> tuple[float, float]:
         """Return the bounds, upper and lower, after a step in which the command asks for ``least`` to ``most`` N."""
@@ -269,7 +269,7 @@ class _Curve:
 
     def __init__(self, xs: Sequence[float], ys: Sequence[float]) -> None:
         self._xs, self._ys = [float(x) for x in xs], [float(y) for y in ys]
-        self._x = self._y = self._rise = 0.0  # the line of the last answer, from its lower point on
+        self._x = self._y = self._rise = 0.0  # last segment used, from its lower point
         self._end, self._run = -inf, 1.0
         self._start, slope = self._ys[0], self._ys[-1] - self._ys[0]
         self._slope = slope

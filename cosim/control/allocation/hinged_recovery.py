@@ -15,7 +15,7 @@ pushing nowhere.
 Hinges that carry engines turn lift away, and that has more than one solution: the engine across turned level, or the
 two beside it.  No small step leads from one to the other, and the second gives less lift.  While the reported
 thrusts cannot hold the weight in balance, the angles that come nearest to it are followed from step to step, searched
-for at first with each of those hinges at either end, and no such hinge goes further from them than ``ASTRAY``.
+for at first with each of those hinges at either end, and no such hinge goes further from them than ``MAX_SWING``.
 
 Surfaces stay at zero: how fast the air comes is not known.  The heading is not held, its turning is only stopped
 (:meth:`cosim.control.attitude.AttitudeController.update_tilt_first`): to turn back costs lift.
@@ -34,13 +34,13 @@ from typing import Final, NamedTuple
 from cosim.base.limits import clamp
 from cosim.base.signals import ZERO3, Actuation, PerJet, Vector3
 from cosim.control.allocation.effectiveness import (
-    ASTRAY,
+    EXACT,
     FIRST_PASSES,
     FORWARD,
-    GIVEN,
     HORIZONTAL,
     LEVELS,
     LIFT,
+    MAX_SWING,
     PASSES,
     PITCH,
     RIGHT,
@@ -52,7 +52,7 @@ from cosim.control.allocation.effectiveness import (
 )
 
 # Lift deficit over the weight from which on hinges are kept near the most lift; chosen by us.
-SHORT: Final = 0.01
+MAX_LIFT_DEFICIT: Final = 0.01
 # what hinges beside reported thrusts are for, where they carry engines, and where they only deflect thrust
 TURNING: Final = ((ROLL, PITCH), (YAW,), (LIFT,), (FORWARD, RIGHT))
 DEFLECTING: Final = ((ROLL, PITCH), (YAW,))
@@ -79,13 +79,13 @@ class HingedRecovery(EffectivenessAllocator):
 
     def reset(self) -> None:
         """Start with all engines healthy and hinges at rest."""
-        self._reported: list[float] = []  # reported thrusts [N] after an engine is lost; empty: all run
+        self._reported: list[float] = []  # N; empty while all engines run
         self._rising = [0.0] * self._jets  # slopes of the reported thrusts, N/s
-        self._carrying: list[float] = []  # thrusts [N] and servos that give the lift in balance
-        self._lifting: list[float] = []  # servos that give the most lift in balance beside the reports; empty: unknown
-        self._short = True  # whether the reported thrusts cannot hold the weight in balance
-        self._turning_on = False  # whether the vehicle turns the wrong way with hinges at their limits
-        self.lean = (0.0, 0.0)  # rad, roll and pitch: see the module's text
+        self._carrying: list[float] = []  # thrusts and servos of balanced lift
+        self._lifting: list[float] = []  # servos of most balanced lift, if known
+        self._short = True  # reports cannot carry the weight
+        self._turning_on = False  # turns the wrong way, hinges at limits
+        self.lean = (0.0, 0.0)  # rad, roll and pitch; see the module
         super().reset()
 
     @property
@@ -133,7 +133,7 @@ class HingedRecovery(EffectivenessAllocator):
         turning, missing = self._beside(wanted, servos, reach, stand, PASSES, True)
         self._turning_on = self._turns_on(wanted, missing, turning)
         if self._carriers:
-            given, enough = lift - missing[LIFT], (1.0 - SHORT) * self._weight
+            given, enough = lift - missing[LIFT], (1.0 - MAX_LIFT_DEFICIT) * self._weight
             if not self._short and given < min(lift, enough):
                 self._short, self._lifting = True, turning
             self._lean(missing, given)
@@ -183,14 +183,17 @@ class HingedRecovery(EffectivenessAllocator):
             turned = abs(missing[ROLL]) * norms[ROLL] + abs(missing[PITCH]) * norms[PITCH]
             costs.append(unbalanced * turned + abs(missing[LIFT]) * norms[LIFT])
         self._lifting, missing = found[costs.index(min(costs))]
-        return missing[LIFT] * norms[LIFT] > SHORT
+        return missing[LIFT] * norms[LIFT] > MAX_LIFT_DEFICIT
 
     def _near(self, angles: Sequence[float]) -> list[tuple[float, float]]:
-        """Return the servos' ranges [rad], for hinges that carry engines within ``ASTRAY`` of these angles."""
+        """Return the servos' ranges [rad], for hinges that carry engines within ``MAX_SWING`` of these angles."""
         near = list(self._servo_limits)
         for number in self._carriers:
             low, high = near[number]
-            near[number] = (max(low, angles[number] - ASTRAY), min(high, angles[number] + ASTRAY))
+            near[number] = (
+                max(low, angles[number] - MAX_SWING),
+                min(high, angles[number] + MAX_SWING),
+            )
         return near
 
     def _beside(
@@ -210,7 +213,7 @@ class HingedRecovery(EffectivenessAllocator):
 
     def _turns_on(self, wanted: Sequence[float], missing: Sequence[float], servos: Sequence[float]) -> bool:
         """Return whether saturated hinges and the coming thrusts turn the vehicle against the demand."""
-        if all(-GIVEN <= missing[row] * self._norms[row] <= GIVEN for row in (ROLL, PITCH)):
+        if all(-EXACT <= missing[row] * self._norms[row] <= EXACT for row in (ROLL, PITCH)):
             return False
         lag = self._lag
         coming = [max(0.0, f + lag.delay * up) for f, up in zip(self._reported, self._rising, strict=True)]

@@ -29,10 +29,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[Any]
 
-_KEPT = 0.15  # fraction of hover thrust kept either way for height while roll is used; chosen by us: 1.5 m/s^2 of climb
-# fractions of that reserve, tried in turn: an engine that runs away leaves little room downward
-_PARTS_KEPT = (1.0, 0.5, 0.25, 0.1)
-_FLAT = 1e-9  # throttle per collective below which a jet counts as constant
+# Fraction of hover thrust kept either way for height while roll is used: 1.5 m/s^2 of climb, chosen by us; then
+# fractions of that reserve, tried in turn, since an engine that runs away leaves little room downward.
+_RESERVE, _RESERVE_FALLBACKS = 0.15, (1.0, 0.5, 0.25, 0.1)
 
 
 @dataclass(frozen=True)
@@ -44,11 +43,11 @@ class Plan:
     """
 
     centre: float
-    free: tuple[bool, ...]  # jets that follow their commands; the others get ``trim``
+    free: tuple[bool, ...]  # jets that follow; others get ``trim``
     trim: tuple[float, ...]
     up: tuple[float, ...]
     roll: tuple[float, ...]
-    roll_range: tuple[float, float]  # roll range; beyond it no collective is left
+    roll_range: tuple[float, float]  # beyond it no collective is left
     boost: tuple[float, ...]
     pitch: tuple[float, float, float, float]
 
@@ -76,10 +75,10 @@ def plan(
     top = _most_collective(given, at_zero, per_collective, low, high)
     if top is None:
         return None
-    most = min(top[0], hover * (1.0 + 2.0 * _KEPT))
-    centre, kept = (hover, min(_KEPT * hover, 0.5 * (most - hover))) if most > hover else (0.9 * most, 0.05 * most)
+    most = min(top[0], hover * (1.0 + 2.0 * _RESERVE))
+    centre, kept = (hover, min(_RESERVE * hover, 0.5 * (most - hover))) if most > hover else (0.9 * most, 0.05 * most)
     planned = None
-    for part in _PARTS_KEPT:
+    for part in _RESERVE_FALLBACKS:
         reserve = part * kept
         planned = _weights(
             given,
@@ -197,17 +196,19 @@ def _boost(trim: Array, up: Array, centre: float, top: tuple[float, Array], high
     """
     import numpy as np
 
+    flat = 1e-9  # throttle per collective: constant
+
     room = [
         ((high if slope > 0.0 else low) - base) / slope
         for base, slope in zip(trim, up, strict=True)
-        if abs(slope) > _FLAT
+        if abs(slope) > flat
     ]
     reached = min(room, default=0.0)
     gain = top[0] - centre - reached
     if gain <= 1e-6:
         return np.zeros(len(trim))
     boost: Array = (top[1] - trim - reached * up) / gain
-    boost[np.abs(boost) < _FLAT] = 0.0
+    boost[np.abs(boost) < flat] = 0.0
     return boost
 
 

@@ -10,7 +10,8 @@ from typing import NamedTuple
 from cosim.base.errors import InputError
 from cosim.base.signals import PerJet
 
-STRAIGHT = 1e-9  # relative to the thrust between throttle 0 and 1: a curve this close to its chord is a straight line
+# A curve closer to its chord than this fraction of the thrust between throttle 0 and 1 counts as a straight line.
+MAX_BEND = 1e-9
 
 
 class StaticCurve(NamedTuple):
@@ -29,7 +30,7 @@ class StaticCurve(NamedTuple):
     def is_straight(self) -> bool:
         low, span = self.thrust[0], self.span
         return all(
-            abs(f - (low + u * span)) <= STRAIGHT * abs(span) for u, f in zip(self.throttle, self.thrust, strict=True)
+            abs(f - (low + u * span)) <= MAX_BEND * abs(span) for u, f in zip(self.throttle, self.thrust, strict=True)
         )
 
 
@@ -54,7 +55,7 @@ class ThrustMap:
         self.identity = not any(self.stations)
         self.inverse = inverse[id(reference)] if reference.is_straight else None  # None: a straight line
         # thrust at throttle 0 as a fraction: the thrust itself is proportional to c + idle
-        self.idle = self.low / self.span if abs(self.low) > STRAIGHT * self.span else 0.0
+        self.idle = self.low / self.span if abs(self.low) > MAX_BEND * self.span else 0.0
 
     def fraction(self, thrust: float) -> float:
         """Return the thrust fraction that asks a station for ``thrust`` [N]."""

@@ -33,7 +33,7 @@ class Energy:
         self._course, self._parameters, self._landmarks = course, course.parameters, course.landmarks
         self._estimates, self.ground_speed = course.estimates, ground_speed
         self._hover, self._step = hover, step
-        self.hover_burn: float | None = None  # 1/s, fraction of a full tank, by the engines' figures
+        self.hover_burn: float | None = None  # 1/s of a full tank, by the engines
         self.reset()
 
     def reset(self) -> None:

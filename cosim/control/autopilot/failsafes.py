@@ -16,9 +16,10 @@ from cosim.control.autopilot.modes import Home, Mode
 from cosim.control.autopilot.parameters import LAND, NOTHING, Parameters
 from cosim.control.autopilot.requests import FenceZone
 
-Act = Callable[[int, str], None]  # takes an action of the parameters and the reason
+Act = Callable[[int, str], None]  # called with an action and its reason
 OUTSIDE = "outside the fence"
-_TO_GROUND = ("attitude lost", "gyro lost")  # estimates in place of these get worse with time
+# Estimates in place of these sensors get worse with time.
+_LAND_AT_ONCE_ON = ("attitude lost", "gyro lost")
 _RETURNS, _LANDS, _LANDS_AGAIN = 1, 2, 3
 
 
@@ -39,16 +40,16 @@ class Watch:
         self._tank = TankWatch(parameters, energy, step, act)
         self._step = step
         self._act = act
-        self.zones: tuple[FenceZone, ...] = ()  # drawn by a ground station; they stay from flight to flight
+        self.zones: tuple[FenceZone, ...] = ()  # of a ground station; flights keep them
         self.reset()
 
     def reset(self) -> None:
         """Start a flight without any event."""
-        self.link_lost = -1  # the step at which the link was lost; -1: it is there
+        self.link_lost = -1  # step of the loss; -1: it is there
         self._link_has_acted = False
         self.energy.reset()
         self._tank.reset()
-        self._excess: float | None = None  # m outside at the last action or take-over; None: inside
+        self._excess: float | None = None  # m when it last acted; None: inside
         self._fence_has_acted = False  # the action of the fence is being flown
         self._waited_s = 0.0  # outside since the take-over
         self._lost_engines: tuple[int, ...] = ()
@@ -120,7 +121,7 @@ class Watch:
         new = [text for text in failed if text not in self._failed_sensors]
         self._failed_sensors = failed
         for text in new:
-            self._act(LAND if text in _TO_GROUND else int(self._parameters["HJ_SENS_ACT"]), text)
+            self._act(LAND if text in _LAND_AT_ONCE_ON else int(self._parameters["HJ_SENS_ACT"]), text)
 
     def _check_wind(self, fix: Fix) -> None:
         most = GRAVITY * tan(radians(self._parameters["HJ_LEAN_MAX"]))
@@ -176,7 +177,7 @@ class TankWatch:
         """Start a flight."""
         self._level = 0
         self._dry = False
-        self._warned_at: int | None = None  # step of the last warning of a landing taken over; None: it lands
+        self._warned_at: int | None = None  # step of the warning; None: it lands
 
     def update(self, k: int, mode: Mode) -> None:
         """Check one step in the air, in a mode, and act once at each level."""

@@ -40,8 +40,8 @@ class Thrust(NamedTuple):
     """The nominal thrust of the vehicle."""
 
     hover: float  # collective at which it hovers
-    idle: float = 0.0  # thrust of an engine without throttle, as a fraction of what full throttle adds to it
-    answer: tuple[float, float] = (0.2, 0.2)  # delay and lag [s] of the thrust, about hover and the longest
+    idle: float = 0.0  # at zero throttle, of the full span
+    answer: tuple[float, float] = (0.2, 0.2)  # s, delay plus lag: at hover, longest
 
 
 class FaultCommands(NamedTuple):

@@ -12,14 +12,14 @@ class Mode(Enum):
     MANUAL = "MANUAL"
     STABILIZED = "STABILIZED"
     ALTCTL = "ALTCTL"  # lean and climb rate by stick
-    POSCTL = "POSCTL"  # velocity and climb rate by stick; let go, it stays
+    POSCTL = "POSCTL"  # velocity and climb by stick, then holds
     HOLD = "HOLD"
     TAKEOFF = "TAKEOFF"
     LAND = "LAND"
     RTL = "RTL"
     MISSION = "MISSION"
     OFFBOARD = "OFFBOARD"
-    ORBIT = "ORBIT"  # round a centre; begun by a request that names it, not by the mode alone
+    ORBIT = "ORBIT"  # round a centre that a request names
 
 
 BY_STICK = frozenset({Mode.MANUAL, Mode.STABILIZED, Mode.ALTCTL, Mode.POSCTL})

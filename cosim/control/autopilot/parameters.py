@@ -17,8 +17,8 @@ from cosim.base.signals import AXES
 from cosim.control.predictors.registry import PREDICTORS, number_of
 from cosim.spec.vehicle import Control, Jet, PilotSettings, PositionGains, PredictorTuning
 
-# Times the default is the most a gain may be; chosen by us: beyond it no loop here is stable.
-_LARGEST = 10.0
+# A gain may be at most so many times its default; chosen by us: beyond it no loop here is stable.
+_MAX_GAIN_RATIO = 10.0
 
 
 class EnumValue(NamedTuple):
@@ -149,7 +149,7 @@ def table(
 
 
 def _gain(name: str, default: float, unit: str, group: str, text: str, most: float | None = None) -> Parameter:
-    return Parameter(name, "float", default, 0.0, most or _LARGEST * default, unit, group, text, decimals=5)
+    return Parameter(name, "float", default, 0.0, most or _MAX_GAIN_RATIO * default, unit, group, text, decimals=5)
 
 
 def _loops(control: Control) -> Iterator[Parameter]:
@@ -159,9 +159,9 @@ def _loops(control: Control) -> Iterator[Parameter]:
     for axis, law, (of_p, of_i, of_d) in zip(AXES, rate, units, strict=True):
         name = f"HJ_{axis.upper()}"
         yield _gain(f"{name}_P", law.p, of_p, "Rate loop", f"{axis} rate, proportional gain")
-        most = _LARGEST * max(law.i, law.p)
+        most = _MAX_GAIN_RATIO * max(law.i, law.p)
         yield _gain(f"{name}_I", law.i, of_i, "Rate loop", f"{axis} rate, integral gain", most)
-        most = max(_LARGEST * law.d, law.p)  # a derivative time of a second at the default P
+        most = max(_MAX_GAIN_RATIO * law.d, law.p)  # a derivative time of 1 s
         yield _gain(f"{name}_D", law.d, of_d, "Rate loop", f"{axis} rate, derivative gain", most)
     attitude = control.attitude
     for axis, gain, limit in zip(AXES, attitude.gain_1_s, attitude.rate_limit_rad_s, strict=True):

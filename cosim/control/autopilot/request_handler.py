@@ -8,7 +8,7 @@ from typing import Any
 from cosim.base.errors import InputError
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.flight_state import FlightState
-from cosim.control.autopilot.guidance.course import LOWEST_M
+from cosim.control.autopilot.guidance.course import MIN_HEIGHT_M
 from cosim.control.autopilot.manoeuvres.remote import Setpoint
 from cosim.control.autopilot.modes import BY_STICK, Home, Mode, Severity
 from cosim.control.autopilot.requests import Answer, Request, Result
@@ -146,9 +146,9 @@ def _goto(pilot: FlightState, request: rq.Goto, k: int) -> Answer:
     if altitude is None:
         altitude = course.height if course.height is not None else course.stop_height
     elif altitude < pilot.landmarks.lowest_altitude:
-        above = altitude - pilot.landmarks.lowest_altitude + LOWEST_M
+        above = altitude - pilot.landmarks.lowest_altitude + MIN_HEIGHT_M
         return refuse(
-            Result.DENIED, f"goto refused: {above:.1f} m above the ground, at least {LOWEST_M:g} m are needed"
+            Result.DENIED, f"goto refused: {above:.1f} m above the ground, at least {MIN_HEIGHT_M:g} m are needed"
         )
     if why := pilot.watch.describe_outside(*(position or here), altitude, pilot.landmarks.home):
         return refuse(Result.DENIED, f"goto refused: {why}")

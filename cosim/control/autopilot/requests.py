@@ -28,8 +28,9 @@ Seconds = Annotated[float, Bounds(0.0, 1e5)]
 Number = Annotated[float, Bounds(-1e9, 1e9)]
 Index = Annotated[int, Bounds(0, 10_000)]
 
-LONGEST_MISSION = 1000  # items; chosen by us
-MOST_ZONES, MOST_CORNERS, MOST_RALLY = 50, 500, 100  # of a fence, of one polygon; rally points; chosen by us
+# Chosen by us: more than a flight needs, and few enough to be checked within a step.
+MAX_MISSION_ITEMS = 1000
+MAX_ZONES, MAX_CORNERS, MAX_RALLY_POINTS = 50, 500, 100  # corners: of one polygon
 
 
 class Result(Enum):
@@ -194,19 +195,23 @@ class OffboardPosition(CheckedRecord):
 
 
 class ItemKind(Enum):
-    """What an item of a mission asks for, with the fields of the item that it uses."""
+    """What an item of a mission asks for, with the fields of the item that it uses.
 
-    WAYPOINT = "waypoint"  # north, east, altitude; hold_s, acceptance_m, yaw
+    ``ALTITUDE`` goes to north and east, if given, at its present height, and there to the altitude.  ``LEFT_OUT`` is
+    of a payload that is not here: passed at once, so that the other items keep their numbers.
+    """
+
+    WAYPOINT = "waypoint"  # north, east, altitude, hold_s, yaw, ...
     TAKEOFF = "takeoff"  # altitude
     LAND = "land"  # north and east, or where it is
     RETURN = "return"
     SPEED = "speed"  # speed
     DELAY = "delay"  # hold_s
-    JUMP = "jump"  # to item `target`, `repeat` times; -1: without end
-    CIRCLE = "circle"  # round north, east at altitude: radius, clockwise, turns
-    STAY = "stay"  # at north, east, altitude until something else is asked; yaw
-    ALTITUDE = "altitude"  # to north and east, if given, at the height that it has, and there to altitude
-    LEFT_OUT = "left_out"  # of a payload that is not here: passed at once, so that the other items keep their numbers
+    JUMP = "jump"  # to `target`, `repeat` times (-1: always)
+    CIRCLE = "circle"  # round north, east at altitude
+    STAY = "stay"  # at north, east, altitude for good; yaw
+    ALTITUDE = "altitude"  # north, east, altitude
+    LEFT_OUT = "left_out"
 
 
 _NEEDS = {
@@ -253,8 +258,8 @@ class MissionUpload(CheckedRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.items) > LONGEST_MISSION:
-            raise InputError(f"MissionUpload.items: {len(self.items)} items, at most {LONGEST_MISSION} are allowed")
+        if len(self.items) > MAX_MISSION_ITEMS:
+            raise InputError(f"MissionUpload.items: {len(self.items)} items, at most {MAX_MISSION_ITEMS} are allowed")
         for index, item in enumerate(self.items):
             if item.target is not None and item.target >= len(self.items):
                 raise InputError(
@@ -298,8 +303,8 @@ class FenceZone(CheckedRecord):
     def __post_init__(self) -> None:
         super().__post_init__()
         corners = len(self.points)
-        if self.kind in _POLYGONS and not 3 <= corners <= MOST_CORNERS:
-            raise InputError(f"FenceZone.points: {corners} corners, a polygon has 3 to {MOST_CORNERS}")
+        if self.kind in _POLYGONS and not 3 <= corners <= MAX_CORNERS:
+            raise InputError(f"FenceZone.points: {corners} corners, a polygon has 3 to {MAX_CORNERS}")
         if self.kind not in _POLYGONS and (corners != 1 or self.radius <= 0.0):
             raise InputError("FenceZone: a circle has one centre and a radius above 0")
 
@@ -311,8 +316,8 @@ class FenceUpload(CheckedRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.zones) > MOST_ZONES:
-            raise InputError(f"FenceUpload.zones: {len(self.zones)} zones, at most {MOST_ZONES} are allowed")
+        if len(self.zones) > MAX_ZONES:
+            raise InputError(f"FenceUpload.zones: {len(self.zones)} zones, at most {MAX_ZONES} are allowed")
 
 
 class RallyPoint(CheckedRecord):
@@ -330,8 +335,8 @@ class RallyUpload(CheckedRecord):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.points) > MOST_RALLY:
-            raise InputError(f"RallyUpload.points: {len(self.points)} points, at most {MOST_RALLY} are allowed")
+        if len(self.points) > MAX_RALLY_POINTS:
+            raise InputError(f"RallyUpload.points: {len(self.points)} points, at most {MAX_RALLY_POINTS} are allowed")
 
 
 class SetParameter(CheckedRecord):

@@ -27,19 +27,19 @@ class Status(NamedTuple):
     fix: Fix
     target: Home | None  # where it flies to or stays
     track: Pair | None  # the set-point of position on the way there, m
-    altitude: float  # set-point, m; the last one where the height is not controlled
+    altitude: float  # m, set-point or the last one
     yaw: float  # set-point, rad
     mission_count: int
     mission_current: int
-    mission_reached: int  # the last item that was finished, -1: none
+    mission_reached: int  # last finished item; -1: none
     mission_done: bool
     failsafe: str  # why it acts; empty: it does not
-    remaining: float | None  # fraction of fuel or battery, None: not known
+    remaining: float | None  # of fuel or battery; None: unknown
     sticks_fresh: bool
     link_lost: bool
     zones: tuple[FenceZone, ...] = ()  # of the fence that was drawn
     rally: tuple[RallyPoint, ...] = ()
     orbit: Orbit | None = None  # that it flies; ``target`` is its centre
     positioned: bool = True  # fixes of the GNSS come
-    seen: Measured | None = None  # attitude, rates, height and climb as estimated
+    seen: Measured | None = None  # attitude, rates, height, climb
     quality: EstimateQuality = EstimateQuality()

@@ -40,9 +40,9 @@ from cosim.spec.vehicle import WingControl
 
 # kg/m^3, at sea level in the standard atmosphere (ISO 2533): what is known of the air without a sensor for it
 DENSITY: Final = 1.225
-# Of the largest angle of attack, the most lead of the nose.  Chosen by us, by flights in wind from behind: where lift
-# is missing the height loop asks for more for good, which bends no path, and the nose would rise until the wing stalls.
-MOST_LEAD: Final = 0.25
+# The nose leads by at most this fraction of the largest angle of attack.  Chosen by us, by flights in wind from behind:
+# where lift is missing the height loop asks for more for good, which bends no path, and the nose would rise to a stall.
+MAX_LEAD: Final = 0.25
 
 
 def dynamic_pressure(measured: Measured) -> float:
@@ -219,7 +219,7 @@ class WingFlight(FlightLaw):
         # A path that bends has to turn the nose too, and the attitude follows late.  The alpha that is short until then
         # would cost lift, at 25 m/s more than half of what the height loop asks for.
         bend = opening * (self._vertical / self._mass - GRAVITY) / max(speed, open_speed)
-        path += clamp(self._lag * bend, MOST_LEAD * self._alphas[1])
+        path += clamp(self._lag * bend, MAX_LEAD * self._alphas[1])
         roll, pitch, heading = command.attitude
         bank = clamp(self._aside_gain * side_speed / GRAVITY, self._most_bank)
         attitude = (roll - bank, pitch + path + self._alpha, heading)
@@ -235,7 +235,7 @@ class WingFlight(FlightLaw):
         up = vertical - lift * c + drag * s
         c, s = cos(pitch), sin(pitch)
         along = ahead * c + up * s
-        self._vertical = vertical - max(0.0, along) * s  # thrust along the body lifts where the nose is up
+        self._vertical = vertical - max(0.0, along) * s  # thrust of a raised nose lifts
         return WingDemand(along, (up * c - ahead * s) / max(LEAST_UPRIGHT, cos(roll)), -moment)
 
     def report_residual(self, ahead: float, unallocated: Unallocated, margin: float = 0.005) -> Unallocated:

@@ -144,7 +144,7 @@ def cascade(model: RateModel) -> tuple[Array, Array, Array]:
         order = 2 if pole.imag else 1
         section_zeros = [zeros.pop() for _ in range(min(order, len(zeros)))]
         if len(section_zeros) == 1 and isinstance(section_zeros[0], complex) and section_zeros[0].imag:
-            zeros.append(section_zeros.pop())  # avoids leaving one zero of a conjugate pair
+            zeros.append(section_zeros.pop())  # keeps conjugate pairs together
         sections.append(_section(pole, np.real(np.poly(section_zeros)) if section_zeros else np.array([1.0])))
     if zeros:
         raise InputError(f"identified model: more pairs of zeros ({model.zero_pairs}) than pairs of poles take")
@@ -158,7 +158,7 @@ def cascade(model: RateModel) -> tuple[Array, Array, Array]:
 def _section(pole: complex, numerator: Array) -> tuple[Array, Array, Array, float]:
     """Return the section of a real pole, or of a conjugate pair, below a polynomial of at most its order."""
     re, im = pole.real, pole.imag
-    size = abs(1.0 - pole) or 1.0  # scales the state to the size of the input
+    size = abs(1.0 - pole) or 1.0  # scales the state to the input
     if not im:
         feedthrough = numerator[0] if len(numerator) == 2 else 0.0
         rest = numerator[-1] + feedthrough * re

@@ -26,11 +26,10 @@ from cosim.spec.vehicle import PredictorTuning, RateModel
 if TYPE_CHECKING:
     from cosim.control.predictors.linear import PairResponse, PredictorSpace
 
-OTHERS, NUMBERS = 1000, 60000  # numbers of predictors that state none begin here, and so many there are
 _NAME = re.compile(r"[a-z][a-z0-9-]*")
 _MAVLINK = re.compile(r"HJ_PRED_[A-Z0-9_]{1,8}")
 
-Own = Mapping[str, float]  # the values of a predictor's own parameters, by name
+Own = Mapping[str, float]  # values by parameter's name
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,8 @@ class TuningParameter:
     """One number that a predictor is tuned with.
 
     It stands in ``[control.predictor]`` of ``vehicle.toml`` where that has a key of this name, else in
-    ``[control.predictor.own.<predictor>]``, and is ``default`` where it is not stated.
+    ``[control.predictor.own.<predictor>]``, and is ``default`` where it is not stated.  A design searches the range
+    ``search``: times the channel's delay where the unit is s, over it for 1/s.
     """
 
     name: str
@@ -46,11 +46,9 @@ class TuningParameter:
     text: str  # meaning of the parameter, for users
     least: float
     most: float
-    search: tuple[
-        float, float
-    ]  # range that a design searches: times the channel's delay where the unit is s, over it for 1/s
+    search: tuple[float, float]
     default: float | None = None
-    mavlink: str | None = None  # the autopilot's parameter; None: not to be changed in flight
+    mavlink: str | None = None  # None: not changed in flight
     decimals: int = 3
 
     def scale(self, delay_s: float) -> float:
@@ -72,14 +70,14 @@ class PredictorSpec:
     name: str
     title: str
     make: Callable[[Any, Own], Predictor]
-    number: int | None = None  # permanent number over MAVLink; None: made from the name
+    number: int | None = None  # permanent; None: made from the name
     needs_model: bool = True
     parameters: tuple[TuningParameter, ...] = ()
     response: Callable[[RateModel, Own], PairResponse] | None = None
     space: Callable[[RateModel, Own], PredictorSpace] | None = None
-    automatic: bool = False  # tried by a design that is free to choose, in the order of registration
+    automatic: bool = False  # tried by a design that chooses freely
     with_lead: bool = False  # tried there with a lead too
-    compared: bool = False  # flown where the surveys compare controllers
+    compared: bool = False  # flown in comparisons of controllers
 
     @property
     def value(self) -> int:
@@ -108,7 +106,8 @@ class PredictorSpec:
 
 def number_of(name: str) -> int:
     """Return the number over MAVLink of a predictor that specifies none."""
-    return OTHERS + crc32(name.encode()) % NUMBERS
+    # Numbers below 1000 are permanent ones.
+    return 1000 + crc32(name.encode()) % 60000
 
 
 _FIELDS = frozenset(PredictorTuning.model_fields) - {"own"}

@@ -17,7 +17,7 @@ steep = st.floats(-1.5, 1.5)  # short of the pole, where roll and yaw are not to
 parts = st.floats(-10.0, 10.0)
 vectors = st.tuples(parts, parts, parts)
 quaternions = st.tuples(parts, parts, parts, parts).filter(lambda q: sum(x * x for x in q) > 1e-3).map(frames.normalize)
-ROUNDING = 1e-12  # a few dozen operations on numbers of order 10
+EXACT = 1e-12  # a few dozen operations on numbers of order 10
 
 
 def scipy_of(q: tuple[float, float, float, float]) -> Rotation:
@@ -27,7 +27,7 @@ def scipy_of(q: tuple[float, float, float, float]) -> Rotation:
 @given(angles, steep, angles)
 def test_from_euler_is_yaw_pitch_roll(roll: float, pitch: float, yaw: float) -> None:
     ours = scipy_of(frames.from_euler(roll, pitch, yaw)).as_matrix()
-    assert ours == pytest.approx(Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), abs=ROUNDING)
+    assert ours == pytest.approx(Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), abs=EXACT)
 
 
 @given(st.floats(-3.1, 3.1), steep, st.floats(-3.1, 3.1))
@@ -38,19 +38,19 @@ def test_to_euler_undoes_from_euler(roll: float, pitch: float, yaw: float) -> No
 
 @given(quaternions, vectors)
 def test_rotate(q: tuple[float, float, float, float], v: tuple[float, float, float]) -> None:
-    assert frames.rotate(q, v) == pytest.approx(scipy_of(q).apply(v), abs=ROUNDING * 10)
-    assert frames.rotate(frames.conjugate(q), frames.rotate(q, v)) == pytest.approx(v, abs=ROUNDING * 10)
+    assert frames.rotate(q, v) == pytest.approx(scipy_of(q).apply(v), abs=EXACT * 10)
+    assert frames.rotate(frames.conjugate(q), frames.rotate(q, v)) == pytest.approx(v, abs=EXACT * 10)
 
 
 @given(quaternions, quaternions)
 def test_multiply_rotates_by_the_second_first(a: tuple[float, ...], b: tuple[float, ...]) -> None:
     ours = scipy_of(frames.multiply(a, b)).as_matrix()  # type: ignore[arg-type]
-    assert ours == pytest.approx((scipy_of(a) * scipy_of(b)).as_matrix(), abs=ROUNDING)  # type: ignore[arg-type]
+    assert ours == pytest.approx((scipy_of(a) * scipy_of(b)).as_matrix(), abs=EXACT)  # type: ignore[arg-type]
 
 
 @given(vectors, vectors)
 def test_cross(a: tuple[float, float, float], b: tuple[float, float, float]) -> None:
-    assert frames.cross(a, b) == pytest.approx(np.cross(a, b), abs=ROUNDING * 100)
+    assert frames.cross(a, b) == pytest.approx(np.cross(a, b), abs=EXACT * 100)
 
 
 @given(st.floats(-pi / 2, pi / 2))

@@ -16,7 +16,7 @@ from cosim.base.signals import Vector3
 from cosim.control.allocation._effectiveness import Solver, prioritise
 
 ELEVON = (0.0, 0.004, -0.01, 0.003, -0.006, 0.001)  # force and moment per unit and Pa
-WEIGHT, GIVEN = 60.0, 1e-10
+WEIGHT, EXACT = 60.0, 1e-10
 LEVELS: list[tuple[int, ...]] = [(0, 1), (2,), (3,)]
 
 
@@ -60,7 +60,7 @@ class Drawn:
             self.scales,
             self.norms,
             WEIGHT,
-            GIVEN,
+            EXACT,
         )
         self.movers = len(turns) + 1
 
@@ -130,7 +130,7 @@ def test_where_no_limit_is_met_it_is_the_nearest_solution_as_another_optimiser_f
     corners = [np.linalg.pinv(held[:count]) @ targets[:count] * scales for count in (2, 3, 4)]
     if max(np.abs(corner[drawn.jets :]).max() for corner in corners) > 0.09:
         return
-    assert np.abs(missing[:4] * drawn.norms[:4]).max() <= GIVEN
+    assert np.abs(missing[:4] * drawn.norms[:4]).max() <= EXACT
     multipliers = np.linalg.lstsq(held.T, distance, rcond=None)[0]
     assert held.T @ multipliers == pytest.approx(distance, abs=1e-6)
     other = minimize(
@@ -194,7 +194,7 @@ def test_what_is_no_number_is_refused(name: str, value: Any, message: str) -> No
 def test_a_vehicle_that_is_none_is_refused() -> None:
     station: tuple[Any, ...] = ((0.0, 0.0, 0.0), UP, 0.0, [])
     hinge: tuple[Any, ...] = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), -1.0, 1.0, 0.1, 0.0)
-    rest = [1.0] * 6, WEIGHT, GIVEN
+    rest = [1.0] * 6, WEIGHT, EXACT
     cases: list[tuple[str, tuple[Any, ...]]] = [
         ("takes 1 to 16 jets", ([], [], [], [], *rest)),
         ("takes 1 to 16 jets", ([station] * 17, [], [], [1.0] * 17, *rest)),

@@ -30,8 +30,8 @@ _GYRO_BIAS_AT_START, _GYRO_BIAS_UNKNOWN = 0.01, 0.3
 # The disagreement of gyro and attitude, averaged over so many s, is a surprise from so many standard deviations of the
 # mean and so many rad on (what filters and sampling leave unexplained in a manoeuvre), once in so many s.
 _MEAN_S, _SURPRISE, _MIN_SURPRISE, _BETWEEN_S = 0.1, 8.0, 2e-3, 0.5
-# Repeated samples of gyro or attitude while the other moves.
-_STOPPED = 5
+# A gyro or attitude sensor has failed after so many repeated samples while the other moves.
+_MAX_REPEATS = 5
 # rad/s for so many s: four times the noise of a sample; the controllers would lean by less than a degree.
 _BIASED, _BIASED_S = 0.02, 0.3
 # m/s^2: 10 mg, more than is left after any calibration; and the most that is taken for a bias.
@@ -202,12 +202,12 @@ class Estimator:
     @property
     def has_attitude(self) -> bool:
         """Whether the attitude sensor is trusted."""
-        return self._attitude_repeats < _STOPPED and not self._has_jumped
+        return self._attitude_repeats < _MAX_REPEATS and not self._has_jumped
 
     @property
     def has_rate(self) -> bool:
         """Whether the gyro is trusted, bias or not."""
-        return self._rate_repeats < _STOPPED
+        return self._rate_repeats < _MAX_REPEATS
 
     @property
     def is_biased(self) -> bool:

@@ -13,12 +13,12 @@ from cosim.control.autopilot.modes import Home
 from cosim.control.autopilot.parameters import Parameters
 from cosim.control.autopilot.requests import RallyPoint
 
-# Chosen by us, with the reason.
-LOWEST_M = 1.0  # m above the ground: no automatic flight is lower, and a stop ends no lower
-GROUND_M = 0.3  # m above the ground: a height below this asks the vehicle to stand
-REACHED_M = 0.4  # m of height error at which a take-off or climb is over, or a waypoint's height is reached
-ABOVE_M = 0.7  # m from home: below 0.5 m/s the descent begins
-SLOW = 0.5  # m/s
+# Chosen by us: large beside the noise of a GNSS receiver, small beside the vehicle's surroundings.
+MIN_HEIGHT_M = 1.0  # above the ground, in automatic flight
+LANDING_HEIGHT_M = 0.3  # a lower height demand lands
+AT_HEIGHT_M = 0.4  # at take-offs, climbs and waypoints
+ARRIVED_M = 0.7  # from home or a waypoint
+SLOW = 0.5  # m/s, below which a descent may begin
 
 
 class Landmarks:
@@ -32,7 +32,7 @@ class Landmarks:
         """Start without a home, standing at the height ``ground`` [m]."""
         self.home: Home | None = None
         self.home_is_set = False  # whether a request has set home
-        self.ground = ground  # height on its legs where it last took off
+        self.ground = ground  # its height at the last take-off
         self.take_off_position: Pair | None = None  # of the last take-off
 
     @property
@@ -47,7 +47,7 @@ class Landmarks:
     @property
     def lowest_altitude(self) -> float:
         """The lowest height that automatic flight may fly to, m."""
-        return min(self.home_altitude, self.ground) + LOWEST_M
+        return min(self.home_altitude, self.ground) + MIN_HEIGHT_M
 
     def nearest(self, home: Home, position: Pair) -> Pair:
         """Return home, or a rally point that is nearer."""
@@ -68,7 +68,7 @@ class Course:
 
     def reset(self) -> None:
         """Stop where the vehicle is."""
-        self.cruise: float | None = None  # horizontal speed that was asked for, m/s; None: the parameter's
+        self.cruise: float | None = None  # m/s; None: the parameter's
         self.descending = self.landing = self._is_pushed = False
         self.aim(None, None, None)
         self.guide.reset()
@@ -100,7 +100,7 @@ class Course:
         stop = measured.altitude - measured.velocity[2] / max(self.parameters["HJ_ALT_P"], 0.1)
         if self.guide.holds_height:
             stop = self.guide.stop_height
-        return max(stop, min(measured.altitude, self.landmarks.ground + LOWEST_M))
+        return max(stop, min(measured.altitude, self.landmarks.ground + MIN_HEIGHT_M))
 
     def distance_to(self, position: Pair) -> float:
         """Return the distance to a position [m]."""
@@ -135,7 +135,7 @@ class Course:
         parameters = self.parameters
         height_setpoint = self.guide.to_height(altitude, parameters["HJ_CLIMB_AUTO"], parameters["HJ_DESC_AUTO"])
         # The set-point may reach the ground, or a height below it, before the vehicle does.
-        self.descending = altitude < max(height_setpoint, self.landmarks.ground + GROUND_M)
+        self.descending = altitude < max(height_setpoint, self.landmarks.ground + LANDING_HEIGHT_M)
         return height_setpoint
 
     def descend(self, position: Pair | None = None) -> Command:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from cosim.base.constants import GRAVITY
 from cosim.base.limits import clamp
 from cosim.control.altitude import LEAST_UPRIGHT
-from cosim.control.autopilot.guidance.shaper import MEAN, ROOM_FRACTION
+from cosim.control.autopilot.guidance.shaper import BUILD_UP, ROOM_FRACTION
 
 
 class HeightLimits(NamedTuple):
@@ -32,7 +32,7 @@ def height_limits(height: float, gain: float, speed: float, up: float, down: flo
     """
     k = max(gain, 0.1)
     a = min(k * speed, ROOM_FRACTION * up, ROOM_FRACTION * down)
-    return HeightLimits(a, a * k / MEAN, 0.75 * a, 1.0 / max(height, 0.1) + (1.0 + 0.5 * MEAN) / k)
+    return HeightLimits(a, a * k / BUILD_UP, 0.75 * a, 1.0 / max(height, 0.1) + (1.0 + 0.5 * BUILD_UP) / k)
 
 
 def thrust_margins(hover: float, idle: float, throttle_min: float, throttle_max: float) -> tuple[float, float]:

@@ -20,9 +20,10 @@ from cosim.control.autopilot.geometry import Pair, limit_length, wrap
 from cosim.control.autopilot.guidance.tracker import Tracker
 from cosim.spec.vehicle import EngineLead, Vehicle
 
-# Chosen by us.
-ROOM_FRACTION = 0.25  # fraction of the available torque used for commands; the rest is for wind, noise and overshoot
-MEAN = 0.5  # of the attitude loop's time constant: the acceleration asked for takes this long to build up
+# Fraction of the available torque for commands, chosen by us: the rest is for wind, noise and overshoot.
+ROOM_FRACTION = 0.25
+# The acceleration that is asked for builds up in this fraction of the attitude loop's time constant; chosen by us.
+BUILD_UP = 0.5
 
 
 class AttitudeLimits(NamedTuple):
@@ -62,7 +63,12 @@ def attitude_limits(
     turn = min(yaw_rate, rate_limit[2])
     a_yaw = min(turn * k_yaw, authority[2])
     return AttitudeLimits(
-        min(k * lean, rate_limit[0], rate_limit[1]), a, a * k / MEAN, turn, a_yaw, a_yaw * k_yaw / MEAN
+        min(k * lean, rate_limit[0], rate_limit[1]),
+        a,
+        a * k / BUILD_UP,
+        turn,
+        a_yaw,
+        a_yaw * k_yaw / BUILD_UP,
     )
 
 

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from cosim.control.autopilot.geometry import Pair
 
-BRAKE_FRACTION = 0.75  # fraction of the acceleration planned for braking, so that some is left to turn with
+# Braking is planned with this fraction of the acceleration, so that some is left to turn with.
+BRAKE_FRACTION = 0.75
 
 
 class Track(NamedTuple):

@@ -8,7 +8,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import Command
 from cosim.control.autopilot.failsafes import Watch
 from cosim.control.autopilot.geometry import Pair, wrap
-from cosim.control.autopilot.guidance.course import LOWEST_M, Course
+from cosim.control.autopilot.guidance.course import MIN_HEIGHT_M, Course
 from cosim.control.autopilot.requests import Orbit, OrbitYaw
 
 
@@ -25,7 +25,7 @@ class Circle:
         """Forget the last circle."""
         self.orbit: Orbit | None = None
         self._turned = 0.0  # rad round the centre, on the circle
-        self._bearing: float | None = None  # from the centre a step ago; None: not on the circle
+        self._bearing: float | None = None  # rad, a step ago; None: not circling
 
     def check_request(self, request: Orbit) -> tuple[Pair, float]:
         """Return centre and height of an orbit.  Raises InputError where it may not be flown."""
@@ -36,7 +36,7 @@ class Circle:
         centre = here if request.north is None or request.east is None else (request.north, request.east)
         altitude = request.altitude if request.altitude is not None else self._course.stop_height
         if altitude < self._landmarks.lowest_altitude:
-            raise InputError(f"orbit refused: at least {LOWEST_M:g} m above the ground are needed")
+            raise InputError(f"orbit refused: at least {MIN_HEIGHT_M:g} m above the ground are needed")
         if why := self.describe_outside(centre, request.radius, altitude):
             raise InputError(f"orbit refused: {why}")
         return centre, altitude

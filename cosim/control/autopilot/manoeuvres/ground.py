@@ -6,7 +6,7 @@ from cosim.base.errors import InputError
 from cosim.base.protocols import Report
 from cosim.base.signals import Command
 from cosim.control.autopilot.failsafes import Watch
-from cosim.control.autopilot.guidance.course import LOWEST_M, REACHED_M, Course
+from cosim.control.autopilot.guidance.course import AT_HEIGHT_M, MIN_HEIGHT_M, Course
 from cosim.control.autopilot.manoeuvres.touchdown import Touchdown
 from cosim.control.autopilot.modes import Home
 
@@ -38,8 +38,8 @@ class TakeOff:
         """Return the height [m] above home to climb to; None: the parameter's.  Raises InputError if it may not."""
         estimates, landmarks = self._estimates, self._landmarks
         height = height if height is not None else self._parameters["MIS_TAKEOFF_ALT"]
-        if height < LOWEST_M:
-            raise InputError(f"take-off refused: {height:g} m, at least {LOWEST_M:g} m above home are needed")
+        if height < MIN_HEIGHT_M:
+            raise InputError(f"take-off refused: {height:g} m, at least {MIN_HEIGHT_M:g} m above home are needed")
         home = landmarks.home or Home(*estimates.fix.position, estimates.altitude)
         if home.altitude + height < estimates.altitude + _LIFT_M:
             below = estimates.altitude - home.altitude
@@ -81,7 +81,7 @@ class TakeOff:
     def complete(self) -> bool:
         """Whether that height is reached."""
         height = self._course.height
-        return height is not None and abs(self._estimates.altitude - height) < REACHED_M
+        return height is not None and abs(self._estimates.altitude - height) < AT_HEIGHT_M
 
 
 class Landing:
@@ -106,12 +106,12 @@ class Landing:
     def reset(self) -> None:
         """Forget the last flight."""
         self.touchdown.reset()
-        self._doubt_s = 0.0  # s for which the legs have reported an impossible contact
+        self._doubt_s = 0.0  # s of an impossible contact
         self.abort()
 
     def abort(self) -> None:
         """End the landing: another manoeuvre is flown."""
-        self.collective: float | None = None  # collective while the thrust is reduced after touchdown
+        self.collective: float | None = None  # while reduced after touchdown
         self.disarms = False  # whether to disarm as soon as it stands
 
     def update(self, report: Report, sure: bool) -> None:

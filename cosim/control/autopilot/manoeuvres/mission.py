@@ -24,7 +24,7 @@ class Mission:
     def restart(self, index: int) -> None:
         """Go on from item ``index`` with every jump still to be made."""
         self.current = index
-        self.since = -1  # the step at which the item's waiting began
+        self.since = -1  # step at which its waiting began
         self._jumps: dict[int, int] = {}
 
     @property

@@ -8,7 +8,7 @@ from cosim.base.errors import InputError
 from cosim.base.signals import Command
 from cosim.control.autopilot.energy import Energy
 from cosim.control.autopilot.failsafes import Watch
-from cosim.control.autopilot.guidance.course import ABOVE_M, LOWEST_M, REACHED_M, Course
+from cosim.control.autopilot.guidance.course import ARRIVED_M, AT_HEIGHT_M, MIN_HEIGHT_M, Course
 from cosim.control.autopilot.manoeuvres.circle import Circle
 from cosim.control.autopilot.manoeuvres.mission import Mission, find_endless_jump
 from cosim.control.autopilot.manoeuvres.return_flight import ReturnFlight
@@ -29,12 +29,12 @@ class MissionFlight:
 
     def reset(self) -> None:
         """Forget the last flight and keep the mission."""
-        self._climb_to: float | None = None  # height to reach before it leaves the take-off position
+        self._climb_to: float | None = None  # m, before it leaves the take-off
         self.abort()
 
     def abort(self) -> None:
         """End the present item."""
-        self._is_in_position = False  # where the item changes its height or lands
+        self._is_in_position = False  # where the item climbs or lands
 
     def load(self, request: MissionUpload, watch: Watch) -> str:
         """Take another mission and return a warning of items at the ground; empty: there are none.
@@ -54,7 +54,7 @@ class MissionFlight:
                     raise InputError(f"mission item {index} refused: {why}")
         self.mission.load(request.items)
         low = ", ".join(str(i) for i, item in enumerate(request.items) if self._altitude_of(item) != item.altitude)
-        return f"mission item {low}: below {LOWEST_M:g} m above the ground, flown at that height" if low else ""
+        return f"mission item {low}: below {MIN_HEIGHT_M:g} m above the ground, flown at that height" if low else ""
 
     def _altitude_of(self, item: MissionItem) -> float | None:
         """Return the altitude [m] at which an item is flown: its own, or the lowest of automatic flight."""
@@ -153,12 +153,12 @@ class MissionFlight:
         item, course = self.mission.item, self._course
         if item is None:
             return None
-        if self._climb_to is not None and self._estimates.altitude < self._climb_to - REACHED_M:
+        if self._climb_to is not None and self._estimates.altitude < self._climb_to - AT_HEIGHT_M:
             return course.fly_to(None, self._climb_to, None)
         self._climb_to = None
         if item.kind is ItemKind.LAND:
             self._is_in_position = (
-                self._is_in_position or course.position is None or course.distance_to(course.position) <= ABOVE_M
+                self._is_in_position or course.position is None or course.distance_to(course.position) <= ARRIVED_M
             )
             if self._is_in_position:
                 return course.descend(course.position)
@@ -197,7 +197,7 @@ class MissionFlight:
         if item.kind is not ItemKind.DELAY:
             altitude = self._altitude_of(item)
             height_error = 0.0 if altitude is None else self._estimates.altitude - altitude
-            if height_error < -REACHED_M or (height_error > REACHED_M and item.kind is not ItemKind.TAKEOFF):
+            if height_error < -AT_HEIGHT_M or (height_error > AT_HEIGHT_M and item.kind is not ItemKind.TAKEOFF):
                 return False
             if item.kind is ItemKind.WAYPOINT and place is not None:
                 radius = item.acceptance_m or self._parameters["HJ_ACC_RADIUS"]

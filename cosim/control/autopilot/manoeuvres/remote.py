@@ -7,7 +7,7 @@ from math import cos, radians, sin
 from cosim.base.frames import to_euler
 from cosim.base.signals import Command
 from cosim.control.autopilot.geometry import limit_length
-from cosim.control.autopilot.guidance.course import GROUND_M, Course
+from cosim.control.autopilot.guidance.course import LANDING_HEIGHT_M, Course
 from cosim.control.autopilot.modes import BY_STICK, DIRECT, Mode
 from cosim.control.autopilot.requests import OffboardAttitude, OffboardPosition, OffboardVelocity, Sticks, quaternion_of
 from cosim.spec.vehicle import AllocationLimits
@@ -82,7 +82,7 @@ class Remote:
             if isinstance(setpoint, OffboardVelocity):
                 return setpoint.down < -self.least_climb
             if isinstance(setpoint, OffboardPosition):
-                return -setpoint.down > self._estimates.altitude + GROUND_M
+                return -setpoint.down > self._estimates.altitude + LANDING_HEIGHT_M
         return False
 
     def fly(self, mode: Mode) -> Command:

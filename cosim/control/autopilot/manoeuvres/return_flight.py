@@ -6,7 +6,7 @@ from math import hypot
 
 from cosim.base.signals import Command
 from cosim.control.autopilot.geometry import Pair
-from cosim.control.autopilot.guidance.course import ABOVE_M, REACHED_M, SLOW, Course
+from cosim.control.autopilot.guidance.course import ARRIVED_M, AT_HEIGHT_M, SLOW, Course
 
 _CLIMB, _CRUISE, _DESCENT = range(3)
 
@@ -22,7 +22,7 @@ class ReturnFlight:
     def reset(self) -> None:
         """Forget the last return."""
         self._phase = _CLIMB
-        self._to: Pair | None = None  # the place to land at: home or a rally point
+        self._to: Pair | None = None  # landing place: home or a rally point
 
     def fly(self) -> Command:
         """Return the command of the next step home; the first step chooses the destination."""
@@ -34,9 +34,9 @@ class ReturnFlight:
             self._phase = _CRUISE if near else _CLIMB
         position = self._to
         distance = course.distance_to(position)
-        if self._phase == _CLIMB and estimates.altitude > course.height - REACHED_M:
+        if self._phase == _CLIMB and estimates.altitude > course.height - AT_HEIGHT_M:
             self._phase = _CRUISE
-        if self._phase == _CRUISE and distance < ABOVE_M and hypot(*estimates.fix.velocity) < SLOW:
+        if self._phase == _CRUISE and distance < ARRIVED_M and hypot(*estimates.fix.velocity) < SLOW:
             self._phase = _DESCENT
         if self._phase == _DESCENT:
             return course.descend(position)

@@ -50,8 +50,8 @@ class Touchdown:
         self._contact_s = self._no_contact_s = self._felt_s = self._light_s = 0.0
         self._load_s = self._hanging_s = self._resting_s = 0.0
         self._since_contact = self.bouncing_s  # s since the legs last reported contact
-        self._thrust = 1.0  # thrust over weight, an upper bound of what the engines give
-        self._hover = 1.0  # estimated over nominal hover thrust: what the vehicle hovers with
+        self._thrust = 1.0  # thrust over weight, at most
+        self._hover = 1.0  # estimated over nominal hover thrust
         self.switch_failed = False
 
     def update(self, sink: float, lift: float | None, report: Report, descending: bool, flying: bool = False) -> None:

@@ -214,8 +214,8 @@ class MissionService(Service):
         self._upload = None
         if count == 0:
             return self._clear(client, mission_type)
-        if count > rq.LONGEST_MISSION:
-            lines = _warn(f"{_NAMES[mission_type]} refused: {count} items, {rq.LONGEST_MISSION} are allowed")
+        if count > rq.MAX_MISSION_ITEMS:
+            lines = _warn(f"{_NAMES[mission_type]} refused: {count} items, {rq.MAX_MISSION_ITEMS} are allowed")
             return [_ack(client, NO_SPACE, mission_type), *lines]
         self._upload = _Upload(client, count, self._now, self._now, mission_type)
         return [self._next_request(self._upload)]
