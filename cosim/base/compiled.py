@@ -73,7 +73,7 @@ MODULES = (
 )
 # mypyc's shared library of all compiled modules, in the package's folder, for each Python that it was compiled for.
 SHARED = f"_native__mypyc{EXTENSION_SUFFIXES[0]}"
-PURE = "HEXJET_PURE"  # environment: set, build without and run without
+PURE = "HEXJET_PURE"  # variable: build and run from source
 
 
 def is_current() -> bool:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Final, Literal, get_args
 
-GRAVITY: Final = 9.80665  # m/s^2, the standard acceleration of free fall: exact by definition (CGPM 1901)
+# m/s^2, the standard acceleration of free fall: exact by definition (CGPM 1901).
+GRAVITY: Final = 9.80665
 
 Side = Literal["left", "right"]  # of a tilt servo, seen by the pilot
 Sensor = Literal["gyro", "attitude", "gnss", "barometer"]  # those that can fail

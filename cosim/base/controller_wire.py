@@ -32,7 +32,7 @@ _CONTROLLER_INPUTS = (
     *_RATES, *_ATTITUDE, "position_north", "position_east", "position_down", "velocity_north", "velocity_east",
     "velocity_down", "altitude", "specific_force_x", "specific_force_y", "specific_force_z", "fuel_burnt", "engines",
 )  # fmt: skip
-_AHEAD_INPUTS = ("ahead_commanded", "ahead_setpoint")  # speeds along the heading over the ground, m/s
+_AHEAD_INPUTS = ("ahead_commanded", "ahead_setpoint")  # m/s along the heading, over ground
 _PER_JET = ("throttle_applied", "spool_speed", "exhaust_temperature", "fuel_flow")
 # What a whole controller may answer beside throttles and tilts: what it could not give, which jets it has shut off, and
 # what it shows of a cascade.
@@ -116,7 +116,7 @@ def controller_numbers(ahead: bool, command: Command, measured: Measured, applie
         measured.altitude,
         *measured.specific_force,
         applied.burnt,
-        0.0,  # engines that are told to idle, or are off, are not asked of it
+        0.0,  # idling and shut engines are not asked
         *applied.throttle,
         *engines.spool_speed,
         *engines.exhaust_temperature,

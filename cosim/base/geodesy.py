@@ -16,7 +16,8 @@ SEMI_MAJOR = 6378137.0  # m, WGS 84
 FLATTENING = 1.0 / 298.257223563  # WGS 84
 _E2 = FLATTENING * (2.0 - FLATTENING)
 _EQUATOR, _SOMIGLIANA = 9.7803253359, 1.931852652458e-3  # m/s^2 and -, normal gravity of WGS 84
-_ROUNDS = 8  # iterations, each of which gains two digits or more
+# Iterations, each of which gains two digits or more.
+_MAX_ROUNDS = 8
 
 
 def gravity(latitude_deg: float, height: float, per_height: float = -3.086e-6) -> float:
@@ -48,7 +49,7 @@ class Geodesy:
         """Return latitude, longitude (deg) and height above the sea (m) of a point at ``altitude`` above the ground."""
         height = self.ground + altitude
         up, latitude, longitude = altitude, 0.0, 0.0
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ROUNDS):
             # the point of the plane's normal through (north, east) that has the height
             latitude, longitude, reached = _geodetic(*self._point(north, east, up))
             up += height - reached
@@ -85,7 +86,7 @@ def _geodetic(x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return latitude, longitude (rad) and height (m) of an Earth-fixed point away from the poles' axis."""
     across = hypot(x, y)
     latitude, height = atan2(z, across * (1.0 - _E2)), 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         s = sin(latitude)
         normal = SEMI_MAJOR / sqrt(1.0 - _E2 * s * s)
         before, latitude = latitude, atan2(z + _E2 * normal * s, across)

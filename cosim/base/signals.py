@@ -20,9 +20,9 @@ PerServo = tuple[float, ...]
 
 ZERO3: Vector3 = (0.0, 0.0, 0.0)
 UNKNOWN3: Vector3 = (nan, nan, nan)
-JETS = 6  # columns that every log has of what a jet has, so that logs can be laid side by side
-MOST_JETS = 16  # as many as MAVLink has servo outputs for; chosen by us
-ALL_WELL: Final[PerJet] = (1.0,) * MOST_JETS  # health of unmonitored or fully working engines
+JETS = 6  # columns in every log
+MOST_JETS = 16  # servo outputs that MAVLink has
+ALL_WELL: Final[PerJet] = (1.0,) * MOST_JETS  # no engine is known to have failed
 NO_JETS: Final[frozenset[int]] = frozenset()
 # every jet of the log; left and right servo; gyro, attitude, GNSS, barometer
 NO_FAULTS: Final[tuple[float, ...]] = (0.0,) * (JETS + 2 + 4)
@@ -32,42 +32,43 @@ AXES = ("roll", "pitch", "yaw")
 class Command(NamedTuple):
     """What the pilot or the script asks for during one step."""
 
-    attitude: Vector3  # roll, pitch, yaw [rad], NED to body, order yaw-pitch-roll
-    altitude: float  # height above the ground [m], held when collective is None
-    rate: Vector3 | None = None  # body rates [rad/s]; replaces the attitude loop
-    collective: float | None = None  # mean throttle [0..1]; replaces the altitude hold
-    place: tuple[float, float] | None = None  # north, east [m] to be at; None: none is asked for
-    ahead: float | None = None  # speed along the heading [m/s], over the ground; None: none is asked for
+    attitude: Vector3  # roll, pitch, yaw [rad], NED to body
+    altitude: float  # m above the ground, without collective
+    rate: Vector3 | None = None  # rad/s, body; instead of attitude
+    collective: float | None = None  # mean throttle, instead of altitude
+    place: tuple[float, float] | None = None  # north, east [m] to go to
+    ahead: float | None = None  # m/s along the heading, over the ground
 
 
 class Disturbance(NamedTuple):
     """The disturbances that act on the vehicle during one step."""
 
-    force: Vector3 = ZERO3  # N, body, at the centre of gravity of the vehicle as built
+    force: Vector3 = ZERO3  # N, body, at the centre of gravity
     moment: Vector3 = ZERO3  # N m, body
-    torque_command: Vector3 = ZERO3  # added to the rate controller's output, unknown to the controller
-    wind: Vector3 = ZERO3  # m/s, NED: where the air moves to, turbulence not included
+    torque_command: Vector3 = ZERO3  # added to the rate loop's output, unseen
+    wind: Vector3 = ZERO3  # m/s, NED, towards; no turbulence
     payload: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # kg, then its place [m], body
-    gust: tuple[Vector3, float, float, float] | None = None  # m/s NED, rise, hold, fall [s]; only in the step it starts
-    torque_output: Vector3 = ZERO3  # as torque_command, but added before the added delay
-    torque_seen: Vector3 = ZERO3  # the part of torque_output that a predictor sees
+    gust: tuple[Vector3, float, float, float] | None = None  # m/s NED; rise, hold, fall [s]; once
+    torque_output: Vector3 = ZERO3  # as before, but before the added delay
+    torque_seen: Vector3 = ZERO3  # of torque_output, as predictors see it
 
 
 class State(NamedTuple):
     """The true motion of the airframe at one instant."""
 
-    position: Vector3  # m, NED, of the centre of gravity, which a payload moves in the body
+    position: Vector3  # m, NED, of the centre of gravity
     velocity: Vector3  # m/s, NED, over the ground, of the same
     attitude: Quaternion  # body to NED
     euler: Vector3  # roll, pitch, yaw [rad]
     rate: Vector3  # rad/s, body, against the rotating Earth
-    specific_force: Vector3  # m/s^2, body, what an accelerometer at the centre of gravity as built feels
+    specific_force: Vector3  # m/s^2, body, centre of gravity as built
     altitude: float  # m above the ground
     wind: Vector3  # m/s, NED, turbulence included
     mass: float  # kg
     on_ground: bool  # a leg touches
     hull_contact: bool  # anything but a leg touches
-    air_rate: Vector3 = ZERO3  # rad/s, body: at which turbulence turns the air; aerodynamic damping sees rate less this
+    # rad/s, body: turbulence turns the air at this, and aerodynamic damping acts on the difference.
+    air_rate: Vector3 = ZERO3
 
 
 class Measured(NamedTuple):
@@ -78,7 +79,7 @@ class Measured(NamedTuple):
     position: Vector3  # m, NED
     velocity: Vector3  # m/s, NED
     altitude: float  # m above the ground
-    specific_force: Vector3 = UNKNOWN3  # m/s^2, body, by the accelerometer; NaN where there is none
+    specific_force: Vector3 = UNKNOWN3  # m/s^2, body; NaN: no accelerometer
 
 
 class Unallocated(NamedTuple):
@@ -96,15 +97,15 @@ class Actuation(NamedTuple):
     throttle: PerJet  # 0..1, jet 1 first
     tilt: PerServo
     unallocated: Unallocated
-    off: frozenset[int] = NO_JETS  # the jets, from 0, that are shut off on purpose
+    off: frozenset[int] = NO_JETS  # jets shut on purpose, from 0
 
 
 class ControlSignals(NamedTuple):
     """What a controller shows of itself for one step."""
 
     rate_setpoint: Vector3  # rad/s, body
-    rate_predicted: Vector3  # rad/s, body: what the rate loop is fed with
-    torque: Vector3  # the rate loop's output: throttle, rad of tilt, rad of tilt; or rad/s^2, see docs/own-aircraft.md
+    rate_predicted: Vector3  # rad/s, body, fed back to the rate loop
+    torque: Vector3  # throttle, rad, rad; or rad/s^2
     collective: float  # mean throttle asked for
     allocated: float  # the collective that allocation gave
 
@@ -114,7 +115,7 @@ class Ambient(NamedTuple):
 
     pressure: float  # Pa, static
     temperature: float  # K, static
-    air_speed: PerJet  # m/s, into each intake: of the vehicle through the air, along the jet's thrust
+    air_speed: PerJet  # m/s into each intake, along the thrust
 
 
 class EngineOutput(NamedTuple):
@@ -124,17 +125,17 @@ class EngineOutput(NamedTuple):
     spool_speed: PerJet  # rad/s
     exhaust_temperature: PerJet  # K
     fuel_flow: PerJet  # kg/s
-    force_forward: PerJet = ()  # N, across the jet: along body x while it is upright, and tilting with it
-    force_right: PerJet = ()  # N, across the jet: along body y
-    torque: PerJet = ()  # N m on the airframe, about the jet's axis, right-handed along its thrust
+    force_forward: PerJet = ()  # N across the jet: body x when upright
+    force_right: PerJet = ()  # N across the jet: body y
+    torque: PerJet = ()  # N m on the airframe, about the thrust
 
 
 class JetHealth(NamedTuple):
     """What can still be had of one jet; thrusts as a share of the range of a healthy one, full over no throttle."""
 
-    gain: float = 1.0  # thrust delivered per thrust commanded; 0: it does not follow its command
+    gain: float = 1.0  # 0: does not follow its command
     fixed: float = 0.0  # thrust it delivers whatever the command
-    command: float = 0.0  # throttle command of a jet that does not follow
+    command: float = 0.0  # throttle of a jet that does not follow
 
 
 class Sample(NamedTuple):
@@ -154,10 +155,10 @@ class Sample(NamedTuple):
     engines: EngineOutput  # delivered and reported
     disturbance: Disturbance
     fuel: float = nan  # kg on board at t_k; NaN without a tank
-    spool_moment: Vector3 = UNKNOWN3  # N m, body, of the spinning rotors on the airframe; NaN where not modelled
+    spool_moment: Vector3 = UNKNOWN3  # N m, body, of the rotors; NaN: unknown
     faults: tuple[float, ...] = NO_FAULTS  # 1 where a fault acts
-    health: PerJet = ALL_WELL  # share of its command that each jet gives, as the monitor believes
-    own: tuple[float, ...] = ()  # what blocks show of their own: see cosim.base.protocols.Shows
+    health: PerJet = ALL_WELL  # estimated share that each jet gives
+    own: tuple[float, ...] = ()  # columns of blocks that show some
 
     @property
     def thrust(self) -> PerJet:

@@ -27,18 +27,18 @@ from cosim.base.storage.paths import data_folder
 from cosim.base.storage.user import cache_folder, settings_folder
 from cosim.base.wording import printable
 
-ENVIRONMENT = "HEXJET_TRUST"  # set to 1, it says --trust to every command and program
-REMEMBERED = "trusted"  # file in the settings folder: lines as sha256sum writes them, of folders
+ENVIRONMENT = "HEXJET_TRUST"  # 1: as --trust for every command
+REMEMBERED = "trusted"  # folders in the format of sha256sum
 # What hexjet reads or writes and never runs does not count, or each edit of a scenario and each flight would ask again.
 _DATA = re.compile(
     r".*\.(arrows|bbl|bfl|bin|csv|html|jpg|json|jsonl|log|mat|mcap|md|parquet|png|svg|tlog|toml|ulg|xml)", re.IGNORECASE
 )
-_LEFT_OUT = ("__pycache__", "runs")  # compiled copies, which are never read there, and results
+_LEFT_OUT = ("__pycache__", "runs")  # never read there, and results
 _SHIPPED = ("aircraft", "engines", "fmus", "scenarios", "studies")
 _HASH = re.compile(r"[0-9a-f]{64}(?=  )")
-_CODE = (".py", ".fmu")  # endings of files that are code by their names
+_CODE = (".py", ".fmu")  # endings of code files
 _ENGINES = ("--engine", "--engine=")  # behind which a mapping file is an engine
-_BETWEEN = re.compile(r"[\s\"'\[\],=]+")  # names on a command line, also within KEY=["NAME"]
+_BETWEEN = re.compile(r"[\s\"'\[\],=]+")  # names in arguments, also KEY=["NAME"]
 
 
 class CodeRefusedError(InputError):
@@ -71,11 +71,11 @@ class Decision:
     """What may be run in this process beside what is remembered: handed to the processes that work for it."""
 
     places: frozenset[Path] = frozenset()  # folders with all that is below them
-    named: frozenset[Path | str] = frozenset()  # files, modules, programs with their arguments, by the user
-    accepted: frozenset[tuple[Path, Path, str]] = frozenset()  # what is decided on: folder, file, arguments
-    hashes: frozenset[str] = frozenset()  # of folders that were accepted or are made here
+    named: frozenset[Path | str] = frozenset()  # code that the user named
+    accepted: frozenset[tuple[Path, Path, str]] = frozenset()  # decided on: folder, file, arguments
+    hashes: frozenset[str] = frozenset()  # of folders accepted or made here
     contents: frozenset[str] = frozenset()  # entries of these folders
-    by_program: bool = True  # a program names code when it changes a scenario; a command names it in its arguments
+    by_program: bool = True  # named by a change of a program
 
 
 _decision = Decision()

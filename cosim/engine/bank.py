@@ -11,7 +11,7 @@ from cosim.base.protocols import Column
 from cosim.base.signals import Ambient, EngineOutput, PerJet
 from cosim.engine.fmu.air import Air
 from cosim.engine.fmu.instance import FmuInstance, InstanceError
-from cosim.engine.fmu.port_kinds import AMBIENT, ASIDE
+from cosim.engine.fmu.port_kinds import AMBIENT, SIDE_LOADS
 from cosim.engine.fmu.unpacked import UnpackedArchive, unpack
 from cosim.engine.response import ResponseError, settle
 from cosim.engine.spec import EngineSpec
@@ -137,7 +137,7 @@ class EngineBank:
         try:
             spec = self._specs[station]
             rest, span = spec.archive.starting.rest_n, abs(spec.curve.thrust[-1])
-            settle(hold, throttle, spec.settling_window, self._step, spec.quiet, rest, span)
+            settle(hold, throttle, spec.settling_window, self._step, spec.ripple, rest, span)
         except _bank.FailureError as failure:
             raise self._describe_failure(failure, "before the flight") from failure
         except ResponseError as error:
@@ -205,7 +205,7 @@ class EngineBank:
         values = [
             getattr(self._last_output, port)[station]
             for station, spec in enumerate(self._specs)
-            for port in ASIDE
+            for port in SIDE_LOADS
             if spec.has_port(port)
         ]
         for station, spec in enumerate(self._specs):
@@ -235,7 +235,7 @@ class EngineBank:
         self._folders.clear()
 
     def _close_instances(self) -> None:
-        self._native = _bank.Bank((), self._step, EngineOutput)  # nothing may step an instance that is being freed
+        self._native = _bank.Bank((), self._step, EngineOutput)  # steps no instance while they are freed
         while self._instances:
             self._instances.pop().close()
 

@@ -40,8 +40,10 @@ from cosim.engine.response import (
 from cosim.engine.source import EngineSource, check_whole_steps, find_source, resolve_parameters
 from cosim.engine.spec import EngineSpec
 
-TIME_LIMIT_S = 120.0  # of a check, by the clock
-COMPARED_STEPS = 500  # of each flight that is compared with the first
+# s by the clock, of a check.
+TIME_LIMIT_S = 120.0
+# Of each flight that is compared with the first.
+COMPARED_STEPS = 500
 # Samples between the dead times up and down: a step of the throttle meets the FMU's own step anywhere.
 DESCRIBED = ("name", "type", "unit", "min", "max", "start", "description")
 
@@ -187,12 +189,12 @@ class _Check:
         measured = self.measured = measure_in(self.host, archive, self._settings, self._step, STANDARD_AIR, True)
         report.throttle, report.thrust = list(measured.curve.throttle), list(measured.curve.thrust)
         rest = archive.starting.rest_n
-        report.notes += note_flat_ends(measured.curve, measured.quiet, rest)
-        if measured.quiet > NO_CHANGE:
+        report.notes += note_flat_ends(measured.curve, measured.ripple, rest)
+        if measured.ripple > NO_CHANGE:
             report.notes.append(
-                f"its thrust trembles at rest; it is taken to stand still to {measured.quiet:g} of itself"
+                f"its thrust trembles at rest; it is taken to stand still to {measured.ripple:g} of itself"
             )
-        for problem in find_curve_problems(measured.curve, measured.quiet, rest):
+        for problem in find_curve_problems(measured.curve, measured.ripple, rest):
             self._fail("responds", problem)
         self._spec = load_unchecked(self._source, self._parameters, self._step, lambda *_: measured)
         self._record_responses(measured, rest)
@@ -201,7 +203,7 @@ class _Check:
         self, measured: EngineMeasurement, rest: float, max_points: int = 2000, min_wrong_way: float = 0.02
     ) -> None:
         """Draw at most so many points; thrust the wrong way that a solver or a sample leaves is less of the change."""
-        report, step, quiet, span = self._report, self._step, measured.quiet, abs(measured.curve.thrust[-1])
+        report, step, ripple, span = self._report, self._step, measured.ripple, abs(measured.curve.thrust[-1])
         course: list[float] = []
 
         def hold(throttle: float, steps: int) -> list[float]:
@@ -211,10 +213,10 @@ class _Check:
 
         with self._bank() as bank:
             bank.reset(0.0)
-            before = settle(hold, 0.0, settling_window(round(1.0 / step)), step, quiet, rest, span)
+            before = settle(hold, 0.0, settling_window(round(1.0 / step)), step, ripple, rest, span)
             for way, throttle in (("up", 1.0), ("down", 0.0)):
                 course[:] = [before]
-                response = measure_step_response(hold, before, throttle, step, quiet, rest)
+                response = measure_step_response(hold, before, throttle, step, ripple, rest)
                 before = response.after
                 shown = course[: _drawn(course, response)]
                 every = max(1, len(shown) // max_points)

@@ -25,16 +25,16 @@ class CheckReport:
     ports: list[dict[str, Any]]
     inputs: list[dict[str, Any]]
     outputs: list[dict[str, Any]]
-    parameters: list[dict[str, Any]]  # ``start`` is the FMU's own, ``value`` that with which all was measured
+    parameters: list[dict[str, Any]]  # ``start`` of the FMU, ``value`` measured
     throttle: list[float] | None = None  # of the static curve
     thrust: list[float] | None = None
     delay_samples_up: int | None = None  # communication steps
     delay_samples_down: int | None = None
-    tenth_up: float | None = None  # from the throttle's move to 10 % of the change: delay, lag and slow start together
+    tenth_up: float | None = None  # s to 10 %: delay, lag and slow start
     tenth_down: float | None = None
     rise_time_up: float | None = None  # 10 to 90 %
     rise_time_down: float | None = None
-    course_up: list[float] | None = None  # thrust after the throttle was opened, every ``course_step_up`` s
+    course_up: list[float] | None = None  # thrust every ``course_step_up`` s
     course_down: list[float] | None = None
     course_step_up: float | None = None
     course_step_down: float | None = None

@@ -57,7 +57,7 @@ class HostLimits(NamedTuple):
 LIMITS = HostLimits()
 
 
-Moment = str | tuple[int, float]  # when something was asked: in words, or the step and its time [s]
+Moment = str | tuple[int, float]  # in words, or the step and its time [s]
 _SERVE = "from cosim.engine.isolated import serve; serve()"
 
 

@@ -63,7 +63,7 @@ def load_unchecked(
         archive=archive,
         settings=settings,
         settling_window=settling_window(measured.response.delay),
-        quiet=measured.quiet,
+        ripple=measured.ripple,
         air=air,
         small_step=measured.small,
         logged_outputs=_logged(source),

@@ -54,7 +54,7 @@ def load_engine(
     return replace(load_unchecked(source, parameters, step, measure, air), isolated=isolated)
 
 
-_fit_engines: set[tuple[str, str, float]] = set()  # checked in this process: sha256 of the archive, mapping, step
+_fit_engines: set[tuple[str, str, float]] = set()  # sha256, mapping and step, by process
 _measured: RecentCache[EngineMeasurement] = RecentCache(256)
 
 
@@ -105,7 +105,7 @@ def measure_checked(
             measure_checked(source, parameters, step)
         measured = measure_isolated(source, parameters, step, air)
         rest = source.archive.starting.rest_n
-        _need_no_problems(source, find_curve_problems(measured.curve, measured.quiet, rest))
+        _need_no_problems(source, find_curve_problems(measured.curve, measured.ripple, rest))
     if is_new:
         write_if_possible(path, make_measurement_adapter().dump_json(measured).decode())
     _fit_engines.add(key)

@@ -32,17 +32,15 @@ from cosim.engine.spec import make_behaviour_key
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
-SMALL_STEP_FROM, SMALL_STEP_SIZE = 0.5, 0.05  # throttle: about where an engine hovers, and away from its limits
-
 
 class EngineMeasurement(NamedTuple):
     """Measured behaviour of an engine."""
 
     curve: Curve
     response: Response  # to the throttle opened from 0 to 1
-    start: str | None  # the start parameter, if it does what it should
-    quiet: float  # fraction of itself by which the thrust may move at rest
-    small: SmallStep | None = None  # None: an engine of the library, or no larger than the movement at rest
+    start: str | None  # the start parameter, if it works
+    ripple: float  # relative, of thrust at rest
+    small: SmallStep | None = None  # None: of the library, or below ripple
 
 
 @cache
@@ -95,7 +93,7 @@ def _measure(
     settings: tuple[Setting, ...],
     start: str | None,
     step: float,
-    quiet: float,
+    ripple: float,
     air: Air,
     small: bool,
 ) -> EngineMeasurement:
@@ -109,13 +107,13 @@ def _measure(
             def hold(throttle: float, steps: int) -> list[float]:
                 return native.hold(0, throttle, steps)
 
-            at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, quiet, rest)
-            response = measure_step_response(hold, at_rest, 1.0, step, quiet, rest)
+            at_rest = settle(hold, 0.0, max(1, round(1.0 / step)), step, ripple, rest)
+            response = measure_step_response(hold, at_rest, 1.0, step, ripple, rest)
             window = settling_window(response.delay)
-            curve = measure_static_curve(hold, window, step, quiet, rest)
+            curve = measure_static_curve(hold, window, step, ripple, rest)
             span = abs(response.after - response.before)
-            small_step = _small_step(hold, window, step, quiet, rest, span) if small else None
-            measured = EngineMeasurement(curve, response, None, quiet, small_step)
+            small_step = _small_step(hold, window, step, ripple, rest, span) if small else None
+            measured = EngineMeasurement(curve, response, None, ripple, small_step)
         except _bank.FailureError as failure:
             raise InstanceError(instance.explain(failure, "while its thrust was measured")) from failure
         finally:
@@ -126,18 +124,20 @@ def _measure(
 
 
 def _small_step(
-    hold: Hold, window: int, step: float, quiet: float, rest: float, span: float, min_change_over_rest: float = 5.0
+    hold: Hold, window: int, step: float, ripple: float, rest: float, span: float, min_change_over_rest: float = 5.0
 ) -> SmallStep | None:
+    """Return the response to a step about where an engine hovers, if it is well above the movement at rest."""
+    throttle, opened = 0.5, 0.55
     thrusts: list[float] = []
 
-    def recorded(throttle: float, steps: int) -> list[float]:
-        chunk = list(hold(throttle, steps))
+    def recorded(held: float, steps: int) -> list[float]:
+        chunk = list(hold(held, steps))
         thrusts.extend(chunk)
         return chunk
 
     try:
-        before = settle(hold, SMALL_STEP_FROM, window, step, quiet, rest, span)
-        response = measure_step_response(recorded, before, SMALL_STEP_FROM + SMALL_STEP_SIZE, step, quiet, rest)
+        before = settle(hold, throttle, window, step, ripple, rest, span)
+        response = measure_step_response(recorded, before, opened, step, ripple, rest)
     except ResponseError:
         return None
     change = response.after - response.before

@@ -14,10 +14,14 @@ from typing import NamedTuple
 
 Hold = Callable[[float, int], Sequence[float]]
 
-LONGEST_S = 180.0  # to settle: a real turbojet, closed, creeps for 95 s until it stands still to NO_CHANGE
-NO_CHANGE = 1e-10  # fraction of the thrust, or of 1 N if that is more
-DRIFT = 0.1  # change of the mean from window to window, as a fraction of what counts as still; chosen by us
-LITTLE_CHANGE = 1e-6  # the same, for an FMU whose own solver goes on trembling at rest: a usual tolerance of solvers
+# s to settle: a real turbojet, closed, creeps for 95 s until it stands still to NO_CHANGE.
+MAX_SETTLING_S = 180.0
+# Fraction of the thrust, or of 1 N if that is more, within which it is at rest; then the usual tolerance of solvers,
+# for an FMU whose own solver goes on trembling at rest.
+NO_CHANGE = 1e-10
+LITTLE_CHANGE = 1e-6
+# Change of the mean from window to window, as a fraction of what counts as rest; chosen by us.
+MAX_DRIFT = 0.1
 
 
 class ResponseError(Exception):
@@ -31,7 +35,7 @@ class RestlessError(ResponseError):
 class Response(NamedTuple):
     """A step of the throttle between 0 and 1."""
 
-    delay: int  # communication steps in which nothing moves
+    delay: int  # communication steps without response
     rise: float  # s, from 10 to 90 % of the change
     before: float  # N
     after: float  # N
@@ -41,7 +45,7 @@ class SmallStep(NamedTuple):
     """A small step of the throttle around its middle, in communication steps."""
 
     delay: int  # in which nothing moves
-    late: float  # all delay at low frequency, from the throttle's move: sum of what is missing from the change
+    late: float  # delay at low frequency
 
     @property
     def lag(self) -> float:
@@ -61,27 +65,27 @@ def settle(
     throttle: float,
     window: int,
     step: float,
-    quiet: float = NO_CHANGE,
+    ripple: float = NO_CHANGE,
     rest: float = 0.0,
     span: float = 0.0,
 ) -> float:
-    """Hold a throttle until the thrust has stood still to ``quiet`` for ``window`` steps, and return it [N].
+    """Hold a throttle until the thrust has stood still to ``ripple`` for ``window`` steps, and return it [N].
 
     ``window`` must be longer than the engine's delay.  A thrust that never stands still does so by definition once it
     moves by no more than ``rest`` newtons, peak to peak, in a window, and its mean by no more than a tenth of that from
-    the window before; returned is the mean then.  After ``LONGEST_S`` of simulated time it stands still too if it moves
-    by no more than ``quiet`` of ``span``, the newtons between its throttles 0 and 1; otherwise raises ResponseError.
+    the window before; returned is the mean then.  After ``MAX_SETTLING_S`` of simulated time it stands still too if it
+    moves by no more than ``ripple`` of ``span``, the newtons between throttles 0 and 1; otherwise raises ResponseError.
     """
     before = hold(throttle, window)
-    for _ in range(max(1, math.ceil(LONGEST_S / step / window))):
+    for _ in range(max(1, math.ceil(MAX_SETTLING_S / step / window))):
         thrusts = hold(throttle, window)
         if rest > 0.0:
-            if max(thrusts) - min(thrusts) <= rest and abs(fmean(thrusts) - fmean(before)) <= DRIFT * rest:
+            if max(thrusts) - min(thrusts) <= rest and abs(fmean(thrusts) - fmean(before)) <= MAX_DRIFT * rest:
                 return fmean(thrusts)
-        elif _is_constant([before[-1], *thrusts], quiet):
+        elif _is_constant([before[-1], *thrusts], ripple):
             return thrusts[-1]
         before = thrusts
-    if rest == 0.0 and _is_constant(before, quiet, quiet * span):
+    if rest == 0.0 and _is_constant(before, ripple, ripple * span):
         return before[-1]
     raise _restless_error(before, throttle)
 
@@ -89,8 +93,8 @@ def settle(
 def _restless_error(last: Sequence[float], throttle: float) -> RestlessError:
     moves = max(last) - min(last)
     return RestlessError(
-        f"thrust does not settle within {LONGEST_S:g} s at throttle {throttle:g}: it still moves by {moves:.2g} N; a "
-        f"mapping file says what counts as still: [rest] thrust = {1.5 * moves:.2g}"
+        f"thrust does not settle within {MAX_SETTLING_S:g} s at throttle {throttle:g}: still moves by {moves:.2g} N; "
+        f"a mapping file says what counts as still: [rest] thrust = {1.5 * moves:.2g}"
     )
 
 
@@ -99,7 +103,7 @@ def measure_step_response(
     before: float,
     throttle: float,
     step: float,
-    quiet: float = NO_CHANGE,
+    ripple: float = NO_CHANGE,
     rest: float = 0.0,
     longest_delay_s: float = 10.0,
 ) -> Response:
@@ -107,7 +111,7 @@ def measure_step_response(
 
     With ``rest`` the delay lasts until the thrust has moved by more than that.
 
-    Raises ResponseError if it does not answer within ``longest_delay_s`` or does not settle within ``LONGEST_S``.
+    Raises ResponseError if it does not answer within ``longest_delay_s`` or does not settle within ``MAX_SETTLING_S``.
     """
     thrusts: list[float] = []
     moved = None
@@ -118,16 +122,16 @@ def measure_step_response(
                 "first, or held open, is told how in a mapping file: [start], [inputs]"
             )
         thrusts += hold(throttle, 64)
-        moved = next((k for k, thrust in enumerate(thrusts) if not _is_constant([before, thrust], quiet, rest)), None)
+        moved = next((k for k, thrust in enumerate(thrusts) if not _is_constant([before, thrust], ripple, rest)), None)
     window = settling_window(moved)
-    while len(thrusts) < moved + 2 * window or not _has_settled(thrusts, window, quiet, rest):
-        if len(thrusts) * step > LONGEST_S + longest_delay_s:
-            if rest == 0.0 and _is_constant(thrusts[-window:], quiet, quiet * abs(before - thrusts[-1])):
+    while len(thrusts) < moved + 2 * window or not _has_settled(thrusts, window, ripple, rest):
+        if len(thrusts) * step > MAX_SETTLING_S + longest_delay_s:
+            if rest == 0.0 and _is_constant(thrusts[-window:], ripple, ripple * abs(before - thrusts[-1])):
                 break
             raise _restless_error(thrusts[-window:], throttle)
         thrusts += hold(throttle, window)
     after = fmean(thrusts[-window:]) if rest > 0.0 else thrusts[-1]
-    if _is_constant([before, after], quiet, rest):
+    if _is_constant([before, after], ripple, rest):
         raise ResponseError("thrust is the same at throttle 0 and 1")
     course = [before, *thrusts]
     rise = (find_crossing(course, 0.9, before, after) - find_crossing(course, 0.1, before, after)) * step
@@ -140,24 +144,24 @@ def settling_window(delay: int) -> int:
 
 
 def measure_static_curve(
-    hold: Hold, window: int, step: float, quiet: float = NO_CHANGE, rest: float = 0.0, points: int = 21
+    hold: Hold, window: int, step: float, ripple: float = NO_CHANGE, rest: float = 0.0, points: int = 21
 ) -> Curve:
     """Measure the steady thrust at evenly spaced throttles, from full throttle down."""
     throttles = [k / (points - 1) for k in range(points)]
     thrusts: list[float] = []
     for throttle in reversed(throttles):
-        span = thrusts[0] if thrusts else 0.0  # from full throttle down; closed it is little beside that, or idle
-        thrusts.append(settle(hold, throttle, window, step, quiet, rest, abs(span)))
+        span = thrusts[0] if thrusts else 0.0  # full throttle's, for a closed engine
+        thrusts.append(settle(hold, throttle, window, step, ripple, rest, abs(span)))
     return Curve(tuple(throttles), tuple(reversed(thrusts)))
 
 
-def find_curve_problems(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
-    """Return the problems of a static curve, measured to within ``quiet`` of its thrust or ``rest`` N."""
+def find_curve_problems(curve: Curve, ripple: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
+    """Return the problems of a static curve, measured to within ``ripple`` of its thrust or ``rest`` N."""
     throttle, thrust = curve
-    tolerance = _tolerance(thrust, quiet, rest)
+    tolerance = _tolerance(thrust, ripple, rest)
     problems = []
     falls = [k for k in range(1, len(thrust)) if thrust[k] < thrust[k - 1] - tolerance]
-    inner = trim_flat_ends(curve, quiet, rest)
+    inner = trim_flat_ends(curve, ripple, rest)
     stands = [v for v, (f, g) in zip(inner.throttle[1:], pairwise(inner.thrust), strict=True) if g <= f]
     if falls or stands:
         k = falls[0] if falls else throttle.index(stands[0])
@@ -171,18 +175,18 @@ def find_curve_problems(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.
     return problems
 
 
-def _tolerance(thrust: Sequence[float], quiet: float, rest: float) -> float:
+def _tolerance(thrust: Sequence[float], ripple: float, rest: float) -> float:
     """Return the difference [N] up to which two thrusts count as equal."""
-    return max(rest, 10.0 * quiet * max(1.0, *map(abs, thrust)))
+    return max(rest, 10.0 * ripple * max(1.0, *map(abs, thrust)))
 
 
-def trim_flat_ends(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> Curve:
+def trim_flat_ends(curve: Curve, ripple: float = NO_CHANGE, rest: float = 0.0) -> Curve:
     """Return a static curve without the flat parts at its ends: a dead band, or full thrust before full throttle.
 
     Beyond an end of the remaining curve the engine gives the thrust of that end.
     """
     throttle, thrust = curve
-    tolerance = _tolerance(thrust, quiet, rest)
+    tolerance = _tolerance(thrust, ripple, rest)
     first = max(k for k in range(len(thrust)) if all(abs(g - thrust[0]) <= tolerance for g in thrust[: k + 1]))
     last = min(k for k in range(len(thrust)) if all(abs(g - thrust[-1]) <= tolerance for g in thrust[k:]))
     if last <= first:
@@ -190,9 +194,9 @@ def trim_flat_ends(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) ->
     return Curve(throttle[first : last + 1], thrust[first : last + 1])
 
 
-def note_flat_ends(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
+def note_flat_ends(curve: Curve, ripple: float = NO_CHANGE, rest: float = 0.0) -> list[str]:
     """Return notes on the flat parts at the ends of a static curve."""
-    throttle, thrust = trim_flat_ends(curve, quiet, rest)
+    throttle, thrust = trim_flat_ends(curve, ripple, rest)
     text = "its thrust at rest is the same, {:.4g} N, from throttle {:.4g} to {:.4g}: a flight does not go {} {:.4g}"
     notes = []
     if throttle[0] > curve.throttle[0]:
@@ -202,16 +206,16 @@ def note_flat_ends(curve: Curve, quiet: float = NO_CHANGE, rest: float = 0.0) ->
     return notes
 
 
-def _is_constant(thrusts: Sequence[float], quiet: float, rest: float = 0.0) -> bool:
+def _is_constant(thrusts: Sequence[float], ripple: float, rest: float = 0.0) -> bool:
     low, high = min(thrusts), max(thrusts)
-    return high - low <= max(rest, quiet * max(1.0, abs(low), abs(high)))
+    return high - low <= max(rest, ripple * max(1.0, abs(low), abs(high)))
 
 
-def _has_settled(thrusts: Sequence[float], window: int, quiet: float, rest: float) -> bool:
+def _has_settled(thrusts: Sequence[float], window: int, ripple: float, rest: float) -> bool:
     """Return whether a course's last window is constant and, with ``rest``, has the mean of the window before."""
     last, before = thrusts[-window:], thrusts[-2 * window : -window]
-    level = rest == 0.0 or abs(fmean(last) - fmean(before)) <= DRIFT * rest
-    return _is_constant(last, quiet, rest) and level
+    level = rest == 0.0 or abs(fmean(last) - fmean(before)) <= MAX_DRIFT * rest
+    return _is_constant(last, ripple, rest) and level
 
 
 def find_crossing(course: Sequence[float], fraction: float, before: float, after: float) -> float:

@@ -69,9 +69,9 @@ class EngineSource:
     """Source of an engine: the named file, its archive, and its definition or mapping file."""
 
     name: str  # in the library, or that of its file
-    path: Path  # path of the archive, or of the mapping file that names it
+    path: Path  # of the archive or of its mapping file
     archive: Archive
-    engine: EngineDefinition | None  # its definition, if it is one of the library
+    engine: EngineDefinition | None  # None: not of the library
     mapping: MappingFile
 
     @property

@@ -45,19 +45,19 @@ class EngineSpec:
     internal_step: float | None  # s
     pole: float | None
     delay_samples: int | None
-    start: str | None  # the parameter that starts the engine in equilibrium at a throttle
-    rotor_inertia: float  # kg m^2, about the jet's axis; 0 where it is not known
-    flame_out: FlameOutLaw | None  # law of the thrust after a flame-out; None where it is not known
+    start: str | None  # parameter that starts it in equilibrium
+    rotor_inertia: float  # kg m^2, about the jet; 0: unknown
+    flame_out: FlameOutLaw | None  # None: unknown
     specified_delay: float | None  # s, from a mapping file
     mapping: Path | None  # the mapping file it was loaded by
     archive: Archive = field(repr=False)
     settings: tuple[Setting, ...] = field(repr=False)
-    settling_window: int = field(repr=False)  # communication steps, longer than the engine's delay
-    quiet: float = field(default=NO_CHANGE, repr=False)  # fraction of itself by which the thrust may move at rest
+    settling_window: int = field(repr=False)  # communication steps, beyond the delay
+    ripple: float = field(default=NO_CHANGE, repr=False)  # relative, of thrust at rest
     air: Air = STANDARD_AIR  # in which the curve was measured
     isolated: bool = False  # whether it runs in a process of its own
-    small_step: SmallStep | None = None  # how late it is to a small step, at the control step; None: see Measured
-    logged_outputs: tuple[tuple[str, Variable], ...] = ()  # further outputs by their names in the log
+    small_step: SmallStep | None = None  # at the control step
+    logged_outputs: tuple[tuple[str, Variable], ...] = ()  # further ones, by names in the log
     uncertainty: Uncertainty | None = field(default=None, repr=False)  # of its parameters, from a mapping file
     uncertain_ranges: tuple[ParameterRange, ...] = field(default=(), repr=False)  # of these, about what the file states
 
@@ -92,7 +92,7 @@ class EngineSpec:
     @property
     def behaviour_key(self) -> tuple[Hashable, ...]:
         """Everything besides its inputs that the behaviour of the engine depends on."""
-        return *make_behaviour_key(self.archive, self.settings, self.air), self.start, self.settling_window, self.quiet
+        return *make_behaviour_key(self.archive, self.settings, self.air), self.start, self.settling_window, self.ripple
 
     @property
     def family(self) -> str:
@@ -134,7 +134,7 @@ class EngineSpec:
     @property
     def rising_curve(self) -> Curve:
         """The part of the static curve on which thrust grows with the throttle."""
-        return trim_flat_ends(self.curve, self.quiet, self.archive.starting.rest_n)
+        return trim_flat_ends(self.curve, self.ripple, self.archive.starting.rest_n)
 
     @property
     def lag(self) -> float | None:

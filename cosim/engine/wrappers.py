@@ -122,11 +122,11 @@ class _Rundown(EngineEffect):
     def __init__(self, law: FlameOutLaw, step: float, cold: bool = False) -> None:
         self._law = law
         self._step = step
-        self._steps_out = int(cold)  # steps without fire; a cold engine starts without
-        self._steps_since_start = -1  # steps since it was called to start; -1 while it is not
+        self._steps_out = int(cold)  # without fire; a cold engine has none
+        self._steps_since_start = -1  # -1: not called to start
         self._thrust = 0.0
         self._speed = 0.0
-        self.burns_fuel = False  # whether the command reaches the engine again
+        self.burns_fuel = False  # whether the command reaches the engine
 
     def relight(self) -> None:
         """Start from the next step on; at once if the law has no time for it."""
@@ -194,10 +194,10 @@ class EngineChain:
         """Return to engines that are on and have no fault, as a bank that was reset."""
         self._acting: list[EngineFault] = []
         self._effects: list[tuple[int, EngineFault, EngineEffect]] = []
-        self._flamed_out: list[tuple[int, EngineFault]] = []  # engines that went out through their port run
+        self._flamed_out: list[tuple[int, EngineFault]] = []  # through their port run
         self.off: frozenset[int] = NO_JETS  # switched off
-        self._shut_off: dict[int, EngineEffect] = {}  # effects on the engines switched off that have no port run
-        self._restarts: dict[int, int] = {}  # steps that engines which were switched on again have left to start
+        self._shut_off: dict[int, EngineEffect] = {}  # effects on engines without a port run
+        self._restarts: dict[int, int] = {}  # steps left for restarted engines
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         """Reset to sound engines in equilibrium at the throttle, one for all or one each.  Raises EngineError."""
@@ -319,7 +319,7 @@ class EngineChain:
         if isinstance(fault, SlowSpool):
             return _SlowSpool(1.0 - exp(-self._step / fault.lag_s))
         law = self._laws[i]
-        assert law is not None  # the fault schedule refuses a flame-out of such an engine
+        assert law is not None  # such a flame-out is refused before
         if not law.is_electric:
             return _Rundown(law, self._step)
         lag = self._lag(i)

@@ -47,7 +47,7 @@ class Shutdown:
 
 GroundRequest = rq.Request | Restart | Shutdown
 AnswerCallback = Callable[[rq.Answer], None]
-Claim = Callable[[], bool]  # takes a request over; False where its sender has already been told that it was not done
+Claim = Callable[[], bool]  # False where the sender was answered
 
 
 def ignore_answer(answer: rq.Answer) -> None:
@@ -64,8 +64,8 @@ class FlightInfo(NamedTuple):
     geodesy: Geodesy  # position of the flight's origin
     parameters: Parameters  # read only: SetParameter changes them
     folder: Path | None  # folder of the run
-    factor: float | None  # speed over real time; None: as fast as possible
-    columns: tuple[Column, ...] = ()  # what the flight's blocks show beside the log's columns
+    factor: float | None  # of real time; None: unlimited
+    columns: tuple[Column, ...] = ()  # of the blocks, beside the log's
 
 
 class Snapshot(NamedTuple):
@@ -75,9 +75,9 @@ class Snapshot(NamedTuple):
     info: FlightInfo
     k: int  # steps done; the state is that of k dt
     time: float  # k dt [s]
-    sample: Sample | None  # the step that led here; None before the first
+    sample: Sample | None  # of the last step, if any
     state: State  # true
-    measured: Measured  # what the sensors tell the controller at its next update
+    measured: Measured  # for the next update of the controller
     status: Status
     pace: PaceReport
     ending: Ending | None  # once the flight is over
@@ -231,13 +231,13 @@ class Port:
 
     def __init__(self, exchange: Exchange, name: str, timeout_s: float = 2.0) -> None:
         self.timeout_s = timeout_s
-        self.name = name  # name of the sender where a request states none
+        self.name = name  # sender of requests that state none
         self.wake: Callable[[], None] = lambda: None
-        self.snapshot: Snapshot | None = None  # the newest one; None before the first flight begins
+        self.snapshot: Snapshot | None = None  # newest; None before the first flight
         self._exchange = exchange
         self._messages: tuple[Message, ...] = ()
         self._last_message = 0
-        self._replies: dict[int, AnswerCallback] = {}  # callbacks for answers, by number of the request
+        self._replies: dict[int, AnswerCallback] = {}  # by number of the request
         # Deadlines [s] by number of the request: whichever removes a number first, the flight or the event loop,
         # answers it.
         self._deadlines: dict[int, float] = {}

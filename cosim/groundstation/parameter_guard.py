@@ -50,7 +50,7 @@ class ParameterGuard:
         self.max_deferred = max_deferred
         self.checker = checker
         self._deferred: deque[PendingRequest] = deque()
-        self._batch: list[PendingRequest] = []  # the first deferred changes, whose verdict is being computed
+        self._batch: list[PendingRequest] = []  # deferred changes being judged
         self._verdict: Future[list[list[Caution]]] | None = None
         self._thread: ThreadPoolExecutor | None = None
 
@@ -77,9 +77,8 @@ class ParameterGuard:
         """
         if late := [waiting for waiting in self._deferred if now > waiting.deadline]:
             self._deferred = deque(waiting for waiting in self._deferred if now <= waiting.deadline)
-            if any(
-                now > waiting.deadline for waiting in self._batch
-            ):  # the verdicts on the others assume that this change is made
+            # The verdicts on the others assume that this change is made.
+            if any(now > waiting.deadline for waiting in self._batch):
                 self._batch, self._verdict = [], None
             return [(waiting, None) for waiting in late]
         if self._verdict is None and self._deferred:

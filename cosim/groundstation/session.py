@@ -34,7 +34,7 @@ from cosim.groundstation.parameter_guard import (
     warn,
 )
 from cosim.groundstation.parameter_store import make_vehicle_key
-from cosim.groundstation.session_flight import LIMIT_MB, Publisher, SessionFlight, forward_messages, make_flight_info
+from cosim.groundstation.session_flight import MAX_LOG_MB, Publisher, SessionFlight, forward_messages, make_flight_info
 from cosim.results.run import REQUESTS, Run, claim_folder
 from cosim.simulation.autopilot_setup import attach_autopilot
 from cosim.simulation.build import build
@@ -56,7 +56,7 @@ class RecordOptions:
 
     out: Path | None = None
     report: bool = True
-    log_mb: float | None = LIMIT_MB
+    log_mb: float | None = MAX_LOG_MB
 
 
 class Session:
@@ -93,7 +93,7 @@ class Session:
         self._guard = ParameterGuard()
         self._stopping = ""
         self._restart = False
-        self._folder_number = 1  # number of the last folder that was made beside ``out``
+        self._folder_number = 1  # of the last folder beside ``out``
         # Built here, so that wrong input is reported before a link opens.
         self._next: SessionFlight | None = self._build()
 
@@ -193,7 +193,7 @@ class Session:
                 observers += simulation.plugins.observers
                 ending = simulation.run(observers, flight.pace, lambda k: self._handle_requests(flight, k))
                 simulation.plugins.close()
-            except FlightError as error:  # a log cannot be written: the disk is full, say
+            except FlightError as error:  # a full disk, say
                 ending = Ending("failed", str(error))
             wall = time.perf_counter() - started
         flight.last_message = forward_messages(flight.pilot, exchange, flight.last_message)
@@ -350,7 +350,7 @@ def steady_timing(switch_s: float = 0.5e-3) -> Iterator[None]:
     previous = sys.getswitchinterval()
     sys.setswitchinterval(switch_s)
     gc.collect()
-    gc.freeze()  # what exists now is kept for the whole flight, so the garbage collector can skip it
+    gc.freeze()  # skipped by the garbage collector
     try:
         yield
     finally:

@@ -30,9 +30,8 @@ from cosim.simulation.step import Simulation
 
 # Chosen by us: twice as often as steps at 250 Hz; a flight at full speed publishes less.
 PUBLISH_EVERY = 2e-3  # s of wall time
-MEGABYTE = 1e6
-BYTES = 8  # size of a number in the log
-LIMIT_MB = 2000.0  # two hours of flight at 250 Hz; chosen by us
+# Two hours of flight at 250 Hz; chosen by us.
+MAX_LOG_MB = 2000.0
 
 
 @dataclass
@@ -48,12 +47,12 @@ class SessionFlight:
     log: RequestLog | None = None
     pilot_record: PilotRecord | None = None
     sample: Sample | None = None
-    last_message: int = 0  # messages of the pilot that have been passed on
+    last_message: int = 0  # last one passed on
 
     def __post_init__(self) -> None:
         self.stick_owner = StickOwner(self.pilot.parameters, self.simulation.dt)
 
-    def begin(self, log_mb: float | None = LIMIT_MB) -> LogLimit:
+    def begin(self, log_mb: float | None = MAX_LOG_MB) -> LogLimit:
         """Make the run's folder, for a log of so many MB.  Raises InputError if it is not usable."""
         assert self.info.folder is not None
         self.recording = record(self.simulation, self.info.folder, {REQUESTS: b""}, background=True)
@@ -155,7 +154,7 @@ class StickOwner:
 def estimate_hourly_mb(info: FlightInfo) -> float:
     """Return how many megabytes the log of an hour's flight has."""
     columns = log_columns(logged_vehicle(info.vehicle), info.columns)
-    return BYTES * len(columns) * 3600.0 / info.scenario.step_s / MEGABYTE
+    return 8.0 * len(columns) * 3600.0 / info.scenario.step_s / 1e6
 
 
 class LogLimit:
@@ -170,7 +169,7 @@ class LogLimit:
         self.warn_at = warn_at
         self._recording, self._say = recording, say
         self._limit_mb = limit_mb
-        self._most = None if limit_mb is None else max(1, int(limit_mb * MEGABYTE / (BYTES * recording.columns)))
+        self._most = None if limit_mb is None else max(1, int(limit_mb * 1e6 / (8 * recording.columns)))
         self.rows = 0  # number of rows that were recorded so far
 
     @property

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from cosim.base.errors import InputError
 from cosim.engine import Air, EngineSpec, find_source, load_engine, make_bank
-from cosim.engine.fmu.port_kinds import ASIDE
+from cosim.engine.fmu.port_kinds import SIDE_LOADS
 from cosim.engine.wrappers import EngineChain
 from cosim.simulation.engine_reference import make_engine_reference
 from cosim.simulation.script.mismatch import compute_engine_mismatch
@@ -102,5 +102,5 @@ def make_engines(scenario: Scenario, stations: Sequence[EngineSpec]) -> EngineCh
         step,
         factors,
         delay,
-        any(spec.has_port(port) for spec in stations for port in ASIDE),
+        any(spec.has_port(port) for spec in stations for port in SIDE_LOADS),
     )

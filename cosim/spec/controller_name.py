@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-SHORT = 8  # letters of a hash that tell two files of one name apart for people
+# Letters of a hash that tell two files of one name apart for people.
+SHORT = 8
 
 _NAMED = re.compile(
     r"(?P<before>process:)(?P<program>[^ ]+)(?P<arguments>( .*)?)"

@@ -50,7 +50,7 @@ from cosim.vehicle.model_trial import check_model_loads
 RECTANGULAR: Final = 1.0
 ADAMS_BASHFORTH_2: Final = 3.0
 ADAMS_BASHFORTH_3: Final = 4.0
-BUSS_2: Final = 7.0  # augmented second order, exact for a rate that does not change
+BUSS_2: Final = 7.0  # exact for a constant rate
 METHODS: Final = {  # names in a run's summary and report
     RECTANGULAR: "rectangular rule",
     ADAMS_BASHFORTH_2: "Adams-Bashforth 2",
@@ -62,7 +62,7 @@ RATES: Final = ("rotational", "translational")
 IN_THE_AIR: Final = ADAMS_BASHFORTH_2  # of both rates
 # JSBSim's friction is the force that stops a contact within one run of the rectangular rule.  Adams and Bashforth's
 # method would take half as much again and leave the rates swinging from run to run, for good.
-ON_THE_GROUND: Final = RECTANGULAR  # method of both rates while a contact touches
+ON_THE_GROUND: Final = RECTANGULAR  # of both rates, with a contact
 # A surface is moved by this share of its range, for so many seconds, to see what it does; chosen by us: small beside
 # where tables bend, long beside actuators
 SETTLING: Final = (0.05, 2.0)
@@ -71,11 +71,11 @@ MAKE_UP: Final = {IN_THE_AIR: 0.5, ON_THE_GROUND: 1.0}
 _POUND_SQUARE_FOOT: Final = POUND_FORCE / FOOT**2  # Pa
 _NED = ("north", "east", "down")
 _NONE: Final[Any] = ZERO3  # one shared object
-_STATE: Final = State  # compiled code finds this without looking in a dictionary
+_STATE: Final = State  # direct access in compiled code
 _number = itertools.count()  # numbers the airframes of this process
 
 Node = Callable[[str], Property]  # a property by its name
-Payload = tuple[float, float, float, float]  # kg, then its place, m from the centre of gravity as built, body
+Payload = tuple[float, float, float, float]  # kg, m from the nominal centre, body
 Get = Callable[[], float]
 Set = Callable[[float], object]
 
@@ -137,7 +137,7 @@ class Airframe:
         rotors: bool = False,
     ) -> None:
         self.substeps = substeps
-        self.moving = True  # False: from the next reset on JSBSim does not run, to time what is around it
+        self.moving = True  # False: JSBSim does not run, for timing
         self._rotors = rotors
         self._vehicle = vehicle
         self._environment = environment
@@ -155,7 +155,7 @@ class Airframe:
         }
         try:
             xml = render(vehicle, self._source, rotors)
-            self.sha256 = hashlib.sha256(xml).hexdigest()  # of the model with the vehicle's numbers in it
+            self.sha256 = hashlib.sha256(xml).hexdigest()  # of the model with the vehicle's numbers
             text = read_model(self._source)
             self.file_sha256 = hashlib.sha256(text).hexdigest()
             if self._source is not None:
@@ -206,7 +206,7 @@ class Airframe:
             node(f"{name}/magnitude").set_double_value(1.0)
             node(f"{name}/y").set_double_value(0.0)
         node("external_reactions/twist/magnitude-lbsft").set_double_value(1.0)
-        self._push.put(0.0, 0.0, 0.0)  # instead of the directions that the model's file needs to state
+        self._push.put(0.0, 0.0, 0.0)  # replaces the directions in the file
         self._twist.put(0.0, 0.0, 0.0)
         self._legs, self._hull = self._contacts("leg"), self._contacts("hull")
         self._set_wind = _Write(node, "atmosphere/wind-{}-fps", _NED, FOOT)
@@ -271,7 +271,7 @@ class Airframe:
         self._full = self._mass = self._get_mass() * SLUG
         self._burnt = 0.0
         self._spin = ZERO3
-        self._ahead = False  # whether fuel or rotors include the first run's extra change
+        self._ahead = False  # with the first run's extra change
         if burnt:
             self.burn(burnt)
         turbulence = 4.0 if place.turbulence_severity else 0.0  # 4: MIL-F-8785C, Tustin form

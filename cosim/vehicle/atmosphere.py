@@ -8,10 +8,8 @@ from cosim.base.constants import GRAVITY
 
 # U.S. Standard Atmosphere, 1976 (NOAA-S/T 76-1562), with two numbers of JSBSim's FGStandardAtmosphere, so that an
 # engine is measured in the air in which it will fly: the standard has 101325 Pa and 28.9644 kg/kmol.
-_SEA_LEVEL_PRESSURE = 2116.228 * 4.4482216152605 / 0.3048**2  # Pa: 2116.228 lbf/ft^2, 101325.5 Pa
 _MOLAR_MASS = 28.9645  # kg/kmol
 _GAS_CONSTANT = 8314.32  # J/(kmol K)
-_EARTH_RADIUS = 6356766.0  # m
 _HYDROSTATIC = GRAVITY * _MOLAR_MASS / _GAS_CONSTANT  # K/m
 # geopotential height [m] at which a layer begins, temperature [K] there, its change with height [K/m]
 _LAYERS = ((0.0, 288.15, -0.0065), (11000.0, 216.65, 0.0), (20000.0, 216.65, 0.001))
@@ -25,8 +23,10 @@ def standard_density(height: float) -> float:
 
 def standard_air(height: float) -> tuple[float, float]:
     """Pressure [Pa] and temperature [K] at a geometric height above the sea [m], up to 32 km."""
-    geopotential = _EARTH_RADIUS * height / (_EARTH_RADIUS + height)
-    pressure, temperature = _SEA_LEVEL_PRESSURE, _LAYERS[0][1]
+    radius = 6356766.0  # m, of the Earth
+    geopotential = radius * height / (radius + height)
+    # 2116.228 lbf/ft^2 at sea level, 101325.5 Pa.
+    pressure, temperature = 2116.228 * 4.4482216152605 / 0.3048**2, _LAYERS[0][1]
     for (base, start, lapse), top in zip(_LAYERS, [layer[0] for layer in _LAYERS[1:]] + [32000.0], strict=True):
         height_in_layer = min(geopotential, top) - base
         temperature = start + lapse * height_in_layer

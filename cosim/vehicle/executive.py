@@ -57,7 +57,7 @@ class _LogCapture(jsbsim.FGLogger):
 
 _log = _LogCapture()
 if threading.current_thread() is threading.main_thread():
-    jsbsim.set_logger(_log)  # the logger of this thread only; JSBSim's logger of another one prints
+    jsbsim.set_logger(_log)  # of this thread; JSBSim's else
 
 
 def _quiet_executive(folder: str) -> jsbsim.FGFDMExec:
@@ -136,7 +136,7 @@ class Executive:
 
     def _check_properties(self, xml: bytes) -> None:
         """Refuse a model whose functions, tables and components read a property that is not there."""
-        without_numbers = _NUMBER.sub(b"><", xml)  # no property is a number, and models of a campaign differ in those
+        without_numbers = _NUMBER.sub(b"><", xml)  # no property is a number
         names = _property_cache.get(without_numbers, lambda: tuple(dict.fromkeys(_property_names(ET.fromstring(xml)))))
         missing = [name for name in names if not (_NAME.fullmatch(name) and self._manager.get_node(name))]
         if missing:

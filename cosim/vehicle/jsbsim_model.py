@@ -20,7 +20,7 @@ from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.jsbsim_units import FOOT, INCH, JSBSIM_POUNDS_PER_SLUG, POUND_FOOT, SLUG, SLUG_FT2
 from cosim.vehicle.model_file import find_line, parse, read_model
 
-MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # of the rotors, body; a property of our own in the model
+MOMENTUM = "rotors/momentum-{}-slug_ft2_s"  # body; our own property in the model
 
 
 class _Template(NamedTuple):
@@ -34,7 +34,8 @@ class _Template(NamedTuple):
 
 
 _templates: RecentCache[_Template] = RecentCache(64)
-_CONSTANT, _POSITION = "constant", "position"  # in place of units: of a property of the model, of a part of a location
+# In place of units: of a property of the model, and of a part of a location.
+_CONSTANT, _POSITION = "constant", "position"
 PAYLOAD = "payload"
 PRODUCTS = ("ixy", "ixz", "iyz")
 # What JSBSim takes for the integrals of x y, x z and y z over the mass in body axes: it reads them as minus those in
@@ -206,7 +207,7 @@ def add_missing_parts(root: ET.Element, vehicle: Vehicle, model: Path) -> bool:
     for name in ("ROLL", "PITCH", "YAW"):
         _ensure(aerodynamics, "axis", name)
     if {axis.get("name") for axis in aerodynamics.findall("axis")} <= {"ROLL", "PITCH", "YAW"}:
-        _ensure(aerodynamics, "axis", "X")  # else JSBSim says on standard output which axes it takes forces to have
+        _ensure(aerodynamics, "axis", "X")  # else JSBSim prints a remark
     return has_aerodynamics
 
 

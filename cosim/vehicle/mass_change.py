@@ -21,7 +21,7 @@ from cosim.base.signals import Vector3
 from cosim.vehicle.executive import Executive
 from cosim.vehicle.jsbsim_units import FOOT
 
-PointMass = tuple[float, Vector3]  # kg, m from the centre of gravity as built, body
+PointMass = tuple[float, Vector3]  # kg, m from the nominal centre, body
 
 
 def find_centre(mass: float, others: list[PointMass]) -> Vector3:
@@ -49,7 +49,7 @@ class MassChange:
         north, east, down = (metres / FOOT for metres in ned)
         get = self._get
         latitude, longitude = get("position/lat-geod-rad"), get("position/long-gc-rad")
-        outward = -north * sin(latitude) - down * cos(latitude)  # away from the Earth's axis, in the meridian
+        outward = -north * sin(latitude) - down * cos(latitude)  # from the Earth's axis, in the meridian
         x = get("position/ecef-x-ft") + outward * cos(longitude) - east * sin(longitude)
         y = get("position/ecef-y-ft") + outward * sin(longitude) + east * cos(longitude)
         z = get("position/ecef-z-ft") + north * cos(latitude) - down * sin(latitude)

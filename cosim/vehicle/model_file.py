@@ -32,12 +32,13 @@ ACTING: Final = tuple(
         "jsbsim-debug",
     )
 )  # fmt: skip
-MAX_MB: Final = 64.0  # of one file; the largest of JSBSim's own aircraft has 0.4
+# Of one file; the largest of JSBSim's own aircraft has 0.4.
+MAX_MB: Final = 64.0
 _NONE: Final = b"<fdm_config/>"
 # may name other files, or has an encoding or definitions that hide it
 _HIDES: Final = re.compile(rb"\sfile\s*=|\0|<!DOCTYPE")
 _names_others: RecentCache[bool] = RecentCache(64)
-_cache: RecentCache[bytes] = RecentCache(64)  # files that name no others, as they are handed on
+_cache: RecentCache[bytes] = RecentCache(64)  # files that name no others
 
 
 def read_model(model: Path | None) -> bytes:
@@ -58,7 +59,7 @@ def parse(path: Path, text: bytes) -> ET.Element:
     """Return the root of an XML file.  Raises InputError with its path where it is none."""
     try:
         return ET.fromstring(text)
-    except (ET.ParseError, ValueError, LookupError) as error:  # the last two for an encoding that is not known
+    except (ET.ParseError, ValueError, LookupError) as error:  # the last two: unknown encodings
         raise InputError(f"{path}: not valid XML: {error}") from error
 
 

@@ -50,7 +50,7 @@ class Propulsion:
         self._load = Load(self._layout)
         self._rest = tuple([servo.angle for servo in servos]) or (0.0, 0.0)
         self._wind = ZERO3
-        self.gusts: list[Vector3] = []  # wind at each jet less that at the vehicle [m/s, NED]
+        self.gusts: list[Vector3] = []  # at each jet, relative [m/s, NED]
         self._clear()
 
     def _clear(self) -> None:
@@ -105,7 +105,7 @@ class Propulsion:
         ``state`` is needed by engines that depend on the air; ``wind`` is that at the start [m/s, NED].
         """
         self._clear()
-        self._wind = wind  # JSBSim knows of none before its first run
+        self._wind = wind  # JSBSim has none before its first run
         for servo in self.servos:
             servo.reset()
         ambient = self.ambient(state, wind) if state is not None else None

@@ -20,12 +20,12 @@ from cosim.spec.vehicle import Sensors as SensorSettings
 from cosim.vehicle._noise import Noise
 
 T = TypeVar("T")
-Fix = tuple[Any, Any]  # position and velocity: vectors that are handed on as they are
+Fix = tuple[Any, Any]  # vectors of position and velocity
 
 # Steps drawn at once, each of 13 standard normals: gyro 3, attitude 3, position 3, velocity 3, height 1; and 3 of the
 # accelerometer.
 _DRAWS, _FORCE_DRAWS = (256, 13), (256, 3)
-_MEASURED: Final = Measured  # compiled code finds this without looking in a dictionary
+_MEASURED: Final = Measured  # direct access in compiled code
 
 
 class Latency(Generic[T]):
@@ -89,9 +89,8 @@ class LeanError:
                 sine = sin(half) / across
                 error = multiply((cos(half), e * sine, -n * sine, 0.0), error)
         w, x, y, z = error
-        self._error = normalize(
-            (w * w + z * z, w * x + z * y, w * y - z * x, 0.0)
-        )  # the error without its rotation about down
+        # The error without its rotation about down.
+        self._error = normalize((w * w + z * z, w * x + z * y, w * y - z * x, 0.0))
         return multiply(self._error, attitude)
 
 

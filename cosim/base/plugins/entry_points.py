@@ -17,7 +17,7 @@ from cosim.base.trust import CodeRefusedError
 GROUP = "hexjet.plugins"
 API = "hexjet.api"
 HOOKS = "hexjet.hooks"
-GROUPS = {  # by kind, groups of one kind each, which may be stated instead
+GROUPS = {  # of one kind each, beside GROUP
     "predictor": "hexjet.predictors",
     "controller": "hexjet.controllers",
     "metric": "hexjet.metrics",
@@ -90,7 +90,7 @@ def load_entry(entry: EntryPoint) -> tuple[Any, str]:
         member = entry.load()
     except CodeRefusedError:
         raise
-    except Exception as error:  # whatever the module of somebody else does
+    except Exception as error:  # of a module of somebody else
         raise InputError(f"{where}: {entry.value} cannot be loaded: {describe_error(error)}") from error
     package = None if entry.dist is None else entry.dist.metadata  # read anew whenever it is asked for
     return member, "" if package is None else f"{package['Name']} {package['Version']}"

@@ -86,7 +86,7 @@ class Allocator(Protocol):
     """Turns what the loops ask for into what the actuators can do.  It keeps its plan around lost engines, no more."""
 
     hover: float  # throttle at which the vehicle hovers
-    rest: PerServo  # where servos stand while nothing is asked of them
+    rest: PerServo  # servo positions without demand
 
     def trim(self, collective: float) -> PerJet:
         """Return the balanced throttles of the jets, with nothing asked of the servos."""
@@ -108,7 +108,7 @@ class Allocator(Protocol):
 class Engines(Protocol):
     """The engines of a vehicle: :class:`cosim.engine.EngineBank`, and what stands before and behind it."""
 
-    wants_ambient: bool  # the air around them changes what they give
+    wants_ambient: bool  # their thrust depends on the air
 
     def reset(self, throttle: float | Sequence[float], ambient: Ambient | None = None) -> EngineOutput:
         """Bring the engines into equilibrium at throttles and in air; None: standard air at sea level, still."""

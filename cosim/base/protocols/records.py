@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from cosim.base.signals import EngineOutput, PerJet, PerServo
 
-Diagnostics = tuple[float, float, float]  # a model's rate without its delay, and with it [rad/s]; the delay [samples]
+# A model's rate without its delay and with it [rad/s], and the delay [samples].
+Diagnostics = tuple[float, float, float]
 
 
 class EngineState(Enum):
@@ -23,11 +24,11 @@ class EngineState(Enum):
 class Report(NamedTuple):
     """What the vehicle reports to its pilot beside its sensors at one instant."""
 
-    legs: bool  # the contact switch: a leg touches the ground
-    collective: float  # mean throttle of the step before, as allocated
-    lost: tuple[int, ...] = ()  # engines that are taken for lost, counted from 1
-    remaining: float | None = None  # share of the fuel that is left, 0..1; None: not measured
-    starting: tuple[int, ...] = ()  # engines that have yet to start, counted from 1
+    legs: bool  # a leg touches the ground
+    collective: float  # mean throttle of the step before
+    lost: tuple[int, ...] = ()  # failed engines, counted from 1
+    remaining: float | None = None  # share of fuel, 0 to 1; None: unknown
+    starting: tuple[int, ...] = ()  # engines yet to start, counted from 1
 
 
 class Parameter(NamedTuple):
@@ -47,8 +48,8 @@ class Parameter(NamedTuple):
 class Applied(NamedTuple):
     """What became of the step before: what the actuators were given, and what the engines report of it."""
 
-    throttle: PerJet  # 0 to 1; before the first step those at which the engines stand
-    tilt: PerServo  # rad, left and right servo or hinges, kept within the servos' range
+    throttle: PerJet  # 0 to 1; at first the initial ones
+    tilt: PerServo  # rad, within the servo's range
     engines: EngineOutput  # reported at its end
     burnt: float  # kg of fuel, counted from a full tank
 
@@ -56,8 +57,8 @@ class Applied(NamedTuple):
 class Column(NamedTuple):
     """One column of a flight's log: what it is called and what it means, and where its numbers come from."""
 
-    name: str  # letters, digits and _; ends with its unit where that is not plain: _rad_s, _N
+    name: str  # letters, digits, _; with unit: _rad_s
     unit: str
-    frame: str  # body, NED, ...; empty where there is none
+    frame: str  # body, NED, ...; or empty
     meaning: str
-    source: str = ""  # as in cosim.results.log.columns; a block that shows leaves it out
+    source: str = ""  # empty for columns of blocks

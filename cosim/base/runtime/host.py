@@ -273,7 +273,7 @@ def reap(process: subprocess.Popen[Any]) -> None:
         try:
             process.returncode = os.waitstatus_to_exitcode(os.waitpid(process.pid, 0)[1])
         except ChildProcessError:
-            process.returncode = 0  # as poll() has it where somebody else took the status
+            process.returncode = 0  # as poll() has it
 
 
 def serve_pipes() -> Pipes:

@@ -20,7 +20,7 @@ from typing import Any
 from cosim.base.errors import notify
 
 VARIABLE, REFERENCE = "OPENBLAS_CORETYPE", "Haswell"
-_NEEDED = {b"avx2", b"fma"}  # by those kernels; x86 processors have had both since 2013
+_NEEDED = {b"avx2", b"fma"}  # x86 processors have both since 2013
 _MAPS = "/proc/self/maps"
 _warnings: list[str] = []  # what was warned of in this process
 _NAMES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename", "openblas_get_corename")

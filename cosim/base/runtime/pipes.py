@@ -42,7 +42,7 @@ class Pipes:
         self._writable.register(writer, select.POLLOUT)
         os.set_blocking(writer, False)
         self._rest = b""
-        self.watch: Callable[[], None] = lambda: None  # called now and then while an answer is waited for
+        self.watch: Callable[[], None] = lambda: None  # called while an answer is waited for
 
     def send(self, data: bytes, limit: float | None = None) -> None:
         """Write all of ``data``."""

@@ -27,7 +27,7 @@ class AppendedFile:
             if written < size:
                 write_all(self.number, b"".join(pieces)[written:])
         except OSError as error:
-            os.ftruncate(self.number, before)  # half of a piece would hide what is written after it
+            os.ftruncate(self.number, before)  # half a piece would hide the next
             raise FlightError(f"{self.path}: {one_line(error)}") from error
 
     def sync(self) -> None:

@@ -30,7 +30,7 @@ def replace_on_success(path: Path) -> Iterator[Path]:
         return
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with suppress(OSError):
-        temporary.unlink()  # an existing link of this name may lead to another file
+        temporary.unlink()  # a link of this name may lead elsewhere
     try:
         yield temporary
         with open(temporary, "rb+") as file:

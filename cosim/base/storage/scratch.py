@@ -19,7 +19,7 @@ from cosim.base.storage.files import one_line, try_lock
 
 _PREFIX = "hexjet-scratch-"
 _LOCK = "lock"
-_made: dict[int, Path] = {}  # by process id: a forked process has its own
+_made: dict[int, Path] = {}  # by process: a fork has its own
 
 
 def scratch() -> Path:
@@ -54,7 +54,7 @@ def _make() -> Path:
         if try_lock(file) is not False and (folder / _LOCK).exists():
             atexit.register(_remove, os.getpid(), folder)
             return folder
-        os.close(file)  # another process took it for one that was left, a moment ago
+        os.close(file)  # another process removed it meanwhile
 
 
 def _remove_left() -> None:

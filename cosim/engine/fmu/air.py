@@ -40,4 +40,4 @@ class Air(NamedTuple):
         return dict(zip(DERIVED, (altitude, mach, density, total, self.temperature * ram), strict=True))
 
 
-STANDARD_AIR = Air(101325.0, 288.15, 0.0)  # the standard atmosphere's at sea level, at rest
+STANDARD_AIR = Air(101325.0, 288.15, 0.0)  # at sea level, at rest

@@ -48,19 +48,19 @@ class Archive:
     fmi: int  # 2 or 3
     version: str  # of FMI, as the description says
     model: str
-    ports: Mapping[str, Port]  # empty where the archive was read without ports
+    ports: Mapping[str, Port]  # empty if read without ports
     port_notes: tuple[str, ...]  # what was assumed about the ports
-    harmless_violations: tuple[str, ...]  # violations of FMI that stepping does not depend on
+    harmless_violations: tuple[str, ...]  # of FMI; stepping is independent of them
     inputs: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
     parameters: tuple[Variable, ...]
     once_per_process: bool
     starting: EngineStart = field(default_factory=EngineStart)
-    equations_sha256: str | None = None  # see hash_equations; None if not of the library
+    equations_sha256: str | None = None  # hash_equations; None: foreign
     identifier: str = ""
     token: str = ""
     internal_step: float | None = None  # s, where the description states it
-    returns_early: bool = False  # FMI 3.0: it may return from a step before its end
+    returns_early: bool = False  # FMI 3.0: from a step
 
     @property
     def throttle(self) -> Variable:

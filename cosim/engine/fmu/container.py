@@ -139,7 +139,7 @@ def open_archive(data: bytes, main: str = DESCRIPTION, kind: str = "FMU") -> tup
             return names, fmu.read(main)
     except DAMAGE as error:
         raise UnusableError(f"is damaged or truncated: {to_one_line(error)}") from error
-    except NotImplementedError as error:  # a version of the zip format that Python does not know
+    except NotImplementedError as error:  # a version of zip unknown to Python
         raise UnusableError(f"is a zip archive of a strange kind: {to_one_line(error)}") from error
 
 
@@ -247,7 +247,7 @@ def check_xml(name: str, xml: bytes) -> None:
 
     if xml.startswith((b"\xfe\xff", b"\xff\xfe")) or b"\0" in xml[:4]:
         raise UnusableError(f"{name} is in UTF-16 or UTF-32; allowed: {', '.join(sorted(ENCODINGS))}")
-    parser = expat.ParserCreate(namespace_separator="}")  # a prefix that is not bound is an error, as to ElementTree
+    parser = expat.ParserCreate(namespace_separator="}")  # refuses unbound prefixes
     parser.XmlDeclHandler = declaration
     parser.StartDoctypeDeclHandler = doctype
     parser.StartElementHandler = start

@@ -34,7 +34,7 @@ HARMLESS_VIOLATIONS = tuple(
         r"dependenciesKind",
         r"contains an illegal (carriage return|line feed|tab) character",
         r"is not a legal variable name",
-        r"and must be declared as a local or output",  # of a state, which co-simulation leaves alone
+        r"and must be declared as a local or output",  # of a state, which is not read
         # of the schema: what is not read here
         r"The attribute '\w+' is not allowed",
         r"Element 'fmiModelDescription', attribute '(generationDateAndTime|variableNamingConvention|version)'",
@@ -63,7 +63,7 @@ def read_description(data: bytes) -> tuple[Any, tuple[str, ...]]:
         return read_model_description(pack_descriptions(data)), ()
     except ValidationError as error:
         complaints = [to_one_line(problem) for problem in error.problems]
-    except Exception as error:  # FMPy raises bare exceptions, and stumbles in its own ways over strange descriptions
+    except Exception as error:  # FMPy raises bare exceptions
         stumbled = to_one_line(error)
     try:
         description = read_model_description(pack_descriptions(data, add_missing_initial), validate=False)
@@ -82,7 +82,7 @@ def read_description(data: bytes) -> tuple[Any, tuple[str, ...]]:
         raise _refusal(dangerous)
     for v in description.modelVariables:
         if (v.causality, v.variability) == ("parameter", "constant"):
-            v.causality = "local"  # which is what a number is that nobody may set
+            v.causality = "local"  # a number that nobody may set
     return description, tuple(complaints)
 
 

@@ -23,10 +23,6 @@ from cosim.engine.fmu.starting import Setting
 from cosim.engine.fmu.variables import REALS, Variable
 
 STATUS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
-DISCARD = 2
-FATAL = 4
-PENDING = 5
-LAST_SUCCESSFUL_TIME = 2  # of fmi2StatusKind
 
 # Failure codes of the C loop and the messages for them.
 FAULTS = {
@@ -65,7 +61,7 @@ class FmuInstance:
         self.log = _bank.Log()
         self._stepping = False
         self._dead = False
-        self._start_steps = 0  # communication steps that the warm-up took
+        self._start_steps = 0  # communication steps of the warm-up
         self._inputs = _input_values(0.0, STANDARD_AIR)  # as set last
         self.fmu: Slave | None = None
         try:
@@ -186,7 +182,7 @@ class FmuInstance:
     def record_failure(self, status: int) -> None:
         """Record that the FMU is in its error state, or after a fatal error that nothing may be called any more."""
         self._stepping = False
-        self._dead = self._dead or status == FATAL
+        self._dead = self._dead or STATUS.get(status) == "fatal"
 
     def _with_log(self, text: str) -> str:
         messages = to_one_line(self.log.take())
@@ -195,8 +191,8 @@ class FmuInstance:
     def explain(self, failure: _bank.FailureError, moment: str) -> str:
         """Return a description of a failure in the C loop with its moment and the FMU's own log messages."""
         _, what, status, port = failure.args
-        more = self._reached() if what == "step" and status == DISCARD and self.archive.fmi == 2 else ""
-        if what == "step" and status == PENDING:
+        more = self._reached() if what == "step" and STATUS.get(status) == "discard" and self.archive.fmi == 2 else ""
+        if what == "step" and STATUS.get(status) == "pending":
             more = ", which is for FMUs that step in the background; these are not supported"
         self.record_failure(status)
         text = FAULTS[what].format(status=_status(status), port=port)
@@ -206,7 +202,8 @@ class FmuInstance:
         """Return how far a discarded step of FMI 2.0 has come, or an empty string where the FMU does not report it."""
         component, value = ctypes.c_void_p(self._slave.component), ctypes.c_double(math.nan)
         try:
-            status = self._slave.function("GetRealStatus")(component, LAST_SUCCESSFUL_TIME, ctypes.byref(value))
+            # 2 is fmi2LastSuccessfulTime of fmi2StatusKind.
+            status = self._slave.function("GetRealStatus")(component, 2, ctypes.byref(value))
         except OSError:
             return ""
         reported = status <= 1 and math.isfinite(value.value)
@@ -273,7 +270,7 @@ class FmuInstance:
         if self._python:
             _remove_from_path(self._resources)
         if self._dead:
-            return  # after a fatal error nothing may be called any more, not even to free it
+            return  # after a fatal error no call is allowed
         if self._stepping:
             fmu.terminate()
         fmu.free()

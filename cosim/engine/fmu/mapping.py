@@ -143,7 +143,7 @@ class MappingFile(Model):
 
     fmu: str = Field(min_length=1)
     title: str = ""
-    isolated: bool | None = None  # flown in a process of its own; None: as the scenario says, and else it is
+    isolated: bool | None = None  # own process; None: the scenario's
     ports: _Ports = Field(default_factory=_Ports.model_construct)
     units: _Units = Field(default_factory=_Units.model_construct)
     range: _Range = Field(default_factory=_Range.model_construct)
@@ -155,7 +155,7 @@ class MappingFile(Model):
     rotor: _Rotor = Field(default_factory=_Rotor.model_construct)
     flame_out: _FlameOut | None = None
     ledger: _Ledger = Field(default_factory=_Ledger.model_construct)
-    uncertainty: Uncertainty | None = None  # how well parameters are known, as identified
+    uncertainty: Uncertainty | None = None  # of identified parameters
     # Further outputs by their column in the log.
     log: Annotated[dict[str, str], BeforeValidator(flatten)] = Field(default_factory=dict)
 

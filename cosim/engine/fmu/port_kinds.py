@@ -19,13 +19,13 @@ from cosim.engine.fmu.units import (
     TEMPERATURE,
     Quantity,
 )
-from cosim.engine.fmu.variables import LEVERS, REALS, SWITCHES
+from cosim.engine.fmu.variables import REALS, SWITCHES, THROTTLE_TYPES
 
 # In the order of the C loop.
 BASE = ("throttle", "ambient_pressure", "ambient_temperature", "air_speed")
 INPUTS = (*BASE, *DERIVED)
-ASIDE = ("force_forward", "force_right", "torque")  # loads of an engine on the airframe other than its thrust
-OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow", *ASIDE)
+SIDE_LOADS = ("force_forward", "force_right", "torque")  # loads on the airframe beside thrust
+OUTPUTS = ("thrust", "spool_speed", "exhaust_temperature", "fuel_flow", *SIDE_LOADS)
 AMBIENT = INPUTS[1:]
 NEEDED = ("throttle", "thrust")
 
@@ -40,12 +40,12 @@ class PortKind(NamedTuple):
     causality: str
     quantity: Quantity
     types: tuple[str, ...] = REALS
-    library_name: str = ""  # what the library's engines call it, where that differs
-    only_mapped: bool = False  # never found by name, because an FMU may mean another thing by it
+    library_name: str = ""  # the library's name for it, if another
+    only_mapped: bool = False  # never found by its name
 
 
 KINDS: Mapping[str, PortKind] = {
-    "throttle": PortKind("input", RATIO, LEVERS),
+    "throttle": PortKind("input", RATIO, THROTTLE_TYPES),
     "ambient_pressure": PortKind("input", PRESSURE),
     "ambient_temperature": PortKind("input", TEMPERATURE),
     "air_speed": PortKind("input", SPEED),

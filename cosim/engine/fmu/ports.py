@@ -39,7 +39,7 @@ class PortMap:
     scale: Mapping[str, float] = field(default_factory=dict)  # the port is so many times the variable
     inputs: Mapping[str, ConstantValue] = field(default_factory=dict)  # that are constant
     warm_up_s: float = 0.0
-    rest_n: float = 0.0  # N, peak to peak, within which a thrust stands still
+    rest_n: float = 0.0  # N, peak to peak, of a steady thrust
 
 
 RANGE_ADVICE = "a mapping file does: [range] throttle = [what 0 is, what 1 is]"

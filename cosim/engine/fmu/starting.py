@@ -17,7 +17,7 @@ class EngineStart(NamedTuple):
 
     constants: tuple[Setting, ...] = ()  # set before initialization, and held
     warm_up_s: float = 0.0  # s at throttle 0 before anything else
-    rest_n: float = 0.0  # N, peak to peak, within which the thrust stands still
+    rest_n: float = 0.0  # N, peak to peak, of a steady thrust
 
 
 def resolve_start(port_map: PortMap, inputs: Sequence[Variable], ports: Mapping[str, Port]) -> EngineStart:

@@ -18,11 +18,13 @@ from pydantic import Field, model_validator
 from cosim.base.arrays import Array
 from cosim.base.errors import InputError, nearest
 from cosim.base.storage.toml import Model, NotNegative, read_toml, toml_text
-from cosim.engine.fmu.variables import LEVERS, Variable
+from cosim.engine.fmu.variables import THROTTLE_TYPES, Variable
 
-CUT = 3.0  # standard deviations, of the format: beyond them no identification is normal
-ROUNDING = 1e-3  # of an eigenvalue: correlations are written with some three digits
-SETTABLE = ("", "fixed", "tunable")  # variabilities of a parameter that can be set before a flight
+# Standard deviations at which the format cuts distributions off: beyond them no identification is normal.
+CUT = 3.0
+# Of an eigenvalue: correlations are written with some three digits.
+MIN_EIGENVALUE = 1e-3
+SETTABLE = ("", "fixed", "tunable")  # variabilities that can be set
 
 Matrix = list[list[Annotated[float, Field(ge=-1.0, le=1.0)]]]
 
@@ -41,8 +43,8 @@ class Uncertainty(Model):
     """Standard deviations of an engine's parameters, each in its parameter's unit."""
 
     source: str = ""  # where the numbers are from, one line
-    parameters: Annotated[list[str], Field(min_length=1)]  # of the engine, by name; the rows of the other keys
-    deviation: list[NotNegative]  # about the nominal value, common to all engines of a vehicle
+    parameters: Annotated[list[str], Field(min_length=1)]  # by name; rows of the other keys
+    deviation: list[NotNegative]  # common to all engines of a vehicle
     correlation: Matrix | None = None  # of the common deviations; None: none
     spread: list[NotNegative] | None = None  # between engines of one kind; None: none
 
@@ -73,7 +75,7 @@ class Uncertainty(Model):
                     pair = f"{name} with {names[j]} is {rows[i][j]:g}, {names[j]} with {name} {rows[j][i]:g}"
                     raise ValueError(f"correlation: {pair}; it must be symmetric")
         smallest = float(np.linalg.eigvalsh(np.array(rows))[0]) if rows else 0.0
-        if smallest < -ROUNDING:
+        if smallest < -MIN_EIGENVALUE:
             raise ValueError(
                 "correlation: these numbers cannot hold together (the matrix is not positive semidefinite: its "
                 f"smallest eigenvalue is {smallest:.3g})"
@@ -133,7 +135,7 @@ class Uncertainty(Model):
                 allowed = nearest(name, known) if known else "the FMU has none"
                 raise InputError(f"{where}: uncertainty.parameters: {name}: {reason}; {allowed}")
             variable = known[name]
-            if variable.type not in LEVERS or variable.variability not in SETTABLE or variable.start is None:
+            if variable.type not in THROTTLE_TYPES or variable.variability not in SETTABLE or variable.start is None:
                 kind = " ".join([variable.variability or "fixed", variable.type])
                 raise InputError(
                     f"{where}: uncertainty.parameters: {name} is a {kind}; allowed: fixed or tunable numbers "
@@ -162,7 +164,7 @@ def lower_factor(matrix: Sequence[Sequence[float]]) -> list[list[float]]:
     lower = [[0.0] * size for _ in range(size)]
     for j in range(size):
         pivot = matrix[j][j] - sum([value * value for value in lower[j][:j]])
-        lower[j][j] = sqrt(pivot) if pivot > ROUNDING * ROUNDING else 0.0
+        lower[j][j] = sqrt(pivot) if pivot > MIN_EIGENVALUE * MIN_EIGENVALUE else 0.0
         for i in range(j + 1, size):
             rest = matrix[i][j] - sum([a * b for a, b in zip(lower[i][:j], lower[j][:j], strict=True)])
             lower[i][j] = rest / lower[j][j] if lower[j][j] else 0.0
@@ -185,4 +187,4 @@ def cut_normal(quantiles: Array, centre: Array, deviation: float, low: float = -
     least = ndtr(np.maximum((low - centre) / deviation, -CUT))
     most = ndtr(np.minimum((high - centre) / deviation, CUT))
     drawn = centre + deviation * ndtri(least + quantiles * (most - least))
-    return np.asarray(np.clip(drawn, low, high))  # rounding may have left the limits by a bit
+    return np.asarray(np.clip(drawn, low, high))  # rounding may pass the limits

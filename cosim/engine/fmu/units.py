@@ -44,11 +44,9 @@ class UnitError(ValueError):
     """A unit does not serve: one clause that follows the variable's name."""
 
 
-POUND_FORCE = 0.45359237 * GRAVITY  # N: the international pound and the standard acceleration of gravity, both exact
-SQUARE_INCH = 0.0254**2  # m^2
-FOOT = 0.3048  # m
-POUND = 0.45359237  # kg
-TURN = 2.0 * pi  # rad
+# N, the international pound under standard gravity, both exact; then ft in m and lb in kg.
+POUND_FORCE = 0.45359237 * GRAVITY
+FOOT, POUND = 0.3048, 0.45359237
 
 
 def _units(*rows: tuple[str, float], offset: float = 0.0) -> dict[str, tuple[float, float]]:
@@ -56,7 +54,7 @@ def _units(*rows: tuple[str, float], offset: float = 0.0) -> dict[str, tuple[flo
     return {name: (factor, offset) for names, factor in rows for name in names.split()}
 
 
-_PSI, _RPM = POUND_FORCE / SQUARE_INCH, UNITS["rpm"]["factor"]
+_PSI, _RPM = POUND_FORCE / 0.0254**2, UNITS["rpm"]["factor"]
 FORCE = Quantity("a force", "N", _units(
     ("N newton", 1.0), ("mN", 1e-3), ("daN", 10.0), ("kN", 1e3), ("MN", 1e6), ("lbf lb_f lbs", POUND_FORCE),
     ("klbf", 1e3 * POUND_FORCE), ("kgf kp", GRAVITY), ("gf", GRAVITY * 1e-3),
@@ -77,7 +75,7 @@ SPEED = Quantity("a speed", "m/s", _units(
 ))  # fmt: skip
 ANGULAR_SPEED = Quantity("a speed of rotation", "rad/s", _units(
     ("rad/s rad.s-1 rad/sec", 1.0), ("rpm rev/min r/min 1/min min-1 U/min r.min-1", _RPM), ("krpm", 1e3 * _RPM),
-    ("rps rev/s r/s Hz", TURN), ("deg/s", pi / 180.0),
+    ("rps rev/s r/s Hz", 2.0 * pi), ("deg/s", pi / 180.0),
 ))  # fmt: skip
 MASS_FLOW = Quantity("a mass flow", "kg/s", _units(
     ("kg/s kg.s-1", 1.0), ("kg/min", 1.0 / 60.0), ("kg/h kg/hr", 1.0 / 3600.0), ("g/s", 1e-3), ("g/min", 1e-3 / 60.0),

@@ -78,7 +78,7 @@ def unpack(archive: Archive) -> UnpackedArchive:
         raise
     except UnusableError as reason:
         raise InputError(f"{archive.path}: {reason}") from reason
-    except OSError as error:  # Writing failed; a failure to read is handled above.
+    except OSError as error:  # of writing
         where = error.filename or tempfile.gettempdir()
         raise InputError(f"{archive.path}: cannot be unpacked: {where}: {error.strerror or error}") from error
     except DAMAGE as error:

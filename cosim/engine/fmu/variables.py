@@ -9,7 +9,7 @@ from cosim.engine.fmu.units import Unit
 
 REALS = ("Real", "Float64", "Float32")
 INTEGERS = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
-LEVERS = (*REALS, *INTEGERS)
+THROTTLE_TYPES = (*REALS, *INTEGERS)
 SWITCHES = (*REALS, "Boolean", *INTEGERS)
 # Of an input or a parameter: a number, true or false, or the name of an enumeration's item.
 ConstantValue = bool | int | float | str
@@ -31,8 +31,8 @@ class Variable:
     variability: str = ""
     base: Unit | None = None  # what the description says of the unit
     items: tuple[tuple[str, int], ...] = ()  # of an enumeration
-    index: int = 0  # in the array, counted from 0 in the order in which FMI passes it
-    starts: tuple[float, ...] = (0.0,)  # of the whole array, 0 where none is stated
+    index: int = 0  # in the array, in the order of FMI
+    starts: tuple[float, ...] = (0.0,)  # of the whole array; 0: not stated
 
     @property
     def is_array(self) -> bool:

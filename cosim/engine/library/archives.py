@@ -139,7 +139,7 @@ def write_archive(contents: Mapping[str, bytes], target: Path) -> None:
         with os.fdopen(handle, "wb") as stream, zipfile.ZipFile(stream, "w") as archive:
             for path in sorted(contents):
                 entry = zipfile.ZipInfo(path, date_time=(1980, 1, 1, 0, 0, 0))
-                entry.create_system = 3  # Unix, so that the permission bits mean something
+                entry.create_system = 3  # Unix, for the permission bits
                 entry.external_attr = (0o755 if path.startswith("binaries/") else 0o644) << 16
                 entry.compress_type = zipfile.ZIP_DEFLATED
                 archive.writestr(entry, contents[path])
@@ -199,7 +199,7 @@ def _cmake_on_path() -> Iterator[None]:
 
         os.environ["PATH"] = f"{CMAKE_BIN_DIR}{os.pathsep}{before}"
     except ImportError:
-        pass  # The cmake on PATH is used, if there is one.
+        pass  # uses the cmake on PATH
     try:
         yield
     finally:

@@ -69,10 +69,10 @@ class EngineDefinition:
     ports: Mapping[str, str]
     ledger: Mapping[str, str]
     rotor_inertia: float  # kg m^2
-    flame_out: Mapping[str, float]  # of an engine without a port run: FLAME_OUT, or "electric"; empty: none
+    flame_out: Mapping[str, float]  # of engines without a port run
     variables: tuple[VariableDefinition, ...]
-    uncertainty: Mapping[str, Any] = field(default_factory=dict)  # how well parameters are known; empty: not stated
-    tool: Path | None = None  # C in place of slave.c, where a program outside the archive computes: no saved states
+    uncertainty: Mapping[str, Any] = field(default_factory=dict)  # of parameters; empty: not stated
+    tool: Path | None = None  # C of an engine that a program computes
 
     @property
     def identifier(self) -> str:

@@ -54,8 +54,8 @@ from cosim.engine.library import LIBRARY_SUFFIX, platform_folder
 
 MAPPING = ".fmu.toml"
 _SERVE = "from cosim.engine.make.controller_fmu import serve; serve(sys.argv[1])"
-_STEP, _NUMBER = wire.frame_layout(0), 8  # the number of the step in a frame, and bytes of a number
-_ON_GROUND = "on_ground"  # a parameter that the simulation sets, if there is one
+_STEP, _NUMBER = wire.frame_layout(0), 8  # of the step, and bytes of a number
+_ON_GROUND = "on_ground"  # a parameter set by the simulation
 _KINDS = {*REALS, *INTEGERS, "Boolean"}
 
 
@@ -68,7 +68,7 @@ class ControllerFmu:
     fmi: int
     level: str
     jets: int  # of a whole controller
-    servos: tuple[str, ...]  # of a whole controller, those that it moves
+    servos: tuple[str, ...]  # moved by a whole controller
     extras: tuple[str, ...]
     inputs: Mapping[str, Any]  # by the name of the port
     outputs: Mapping[str, Any]

@@ -9,8 +9,8 @@ from cosim.base.signals import PerServo
 from cosim.groundstation.mavlink.telemetry_state import I16, I32, U16, U32, TelemetryState, to_field
 from cosim.groundstation.mavlink.wire.dialect import Message, mav
 
-# kg/m^3: the middle of the range of Jet A-1 at 15 degC (775 to 840, ASTM D1655), because the fields hold fuel by volume
-KEROSENE = 808.0
+# kg/m^3, because the fields hold fuel by volume: the middle of the range of Jet A-1 at 15 degC (ASTM D1655).
+KEROSENE_KG_M3 = 808.0
 _RPM = 30.0 / pi
 
 
@@ -63,7 +63,7 @@ def fuel_status(v: TelemetryState) -> list[Message]:
     if isnan(full) or left is None:
         return []
     flow = sum(flow for flow in v.sample.engines.fuel_flow[: v.vehicle.jets])
-    capacity, rate = (mass / KEROSENE * 1e6 for mass in (full, flow))
+    capacity, rate = (mass / KEROSENE_KG_M3 * 1e6 for mass in (full, flow))
     percent = to_field(100.0 * left, 0, 100)
     # The last number is MAV_FUEL_TYPE: liquid.
     return [mav.MAVLink_fuel_status_message(0, capacity, nan, left * capacity, percent, rate, nan, 1)]
@@ -116,10 +116,10 @@ def efi_status(v: TelemetryState) -> list[Message]:
     messages = []
     for i in range(v.vehicle.jets):
         full = v.vehicle.full_thrust[i] if i < len(v.vehicle.full_thrust) else nan
-        flow = engines.fuel_flow[i] / KEROSENE * 1e6 * 60.0  # cm^3/min
+        flow = engines.fuel_flow[i] / KEROSENE_KG_M3 * 1e6 * 60.0  # cm^3/min
         throttle = 100.0 * sample.actuation.throttle[i]
         load = 100.0 * engines.thrust[i] / full
-        burnt = v.events.burnt[i] / KEROSENE * 1e6 if v.events.burnt else nan  # cm^3
+        burnt = v.events.burnt[i] / KEROSENE_KG_M3 * 1e6 if v.events.burnt else nan  # cm^3
         exhaust = engines.exhaust_temperature[i] - 273.15
         messages.append(
             mav.MAVLink_efi_status_message(

@@ -13,7 +13,8 @@ from cosim.groundstation.mavlink.telemetry_state import Personality
 from cosim.groundstation.mavlink.wire.dialect import mav
 
 AUTOPILOT: dict[Personality, int] = {"px4": 12, "ardupilot": 3, "generic": 0}  # MAV_AUTOPILOT
-_TYPES = {3: 15, 4: 2, 6: 13, 8: 14, 10: 35, 12: 29}  # tricopter, quadrotor, hexarotor, octo-, deca-, dodecarotor
+# MAV_TYPE by number of engines: tricopter, quadrotor, hexarotor, octo-, deca- and dodecarotor.
+_TYPES = {3: 15, 4: 2, 6: 13, 8: 14, 10: 35, 12: 29}
 
 
 def vehicle_type(jets: int) -> int:
@@ -33,7 +34,7 @@ _PX4: dict[Mode, tuple[int, int]] = {
     Mode.LAND: (_AUTO, 6),
     Mode.OFFBOARD: (6, 0),
     Mode.STABILIZED: (7, 0),
-    Mode.ORBIT: (3, 1),  # PX4 has it as a sub mode of position control
+    Mode.ORBIT: (3, 1),  # a sub mode of position control
 }
 # ArduPilot flies to requested positions, and takes off, in GUIDED.
 _COPTER: dict[Mode, int] = {
@@ -50,7 +51,8 @@ _COPTER: dict[Mode, int] = {
     Mode.ORBIT: 7,  # CIRCLE
 }
 _FROM_PX4 = {value: mode for mode, value in _PX4.items()}
-UNSUPPORTED = {  # modes of PX4 by main and sub mode: a station may ask for them, and the refusal names the mode
+# Modes of PX4 by main and sub mode that a station may ask for: the refusal names the mode.
+UNSUPPORTED = {
     (_AUTO, 8): "follow-me",
     (_AUTO, 9): "precision landing",
     (_AUTO, 10): "VTOL take-off",

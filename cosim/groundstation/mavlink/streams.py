@@ -20,12 +20,15 @@ Build = Callable[[TelemetryState], list[Message]]
 
 @dataclass(frozen=True)
 class Stream:
-    """A message or group of messages, its default rate [Hz of wall time] (0: on request only) and its builder."""
+    """A message or group of messages, its default rate [Hz of wall time] (0: on request only) and its builder.
+
+    ``in_turn``: one message a slot, because stations have one gauge for all of them; all on request.
+    """
 
     name: str
     rate: float
     make_messages: Build
-    in_turn: bool = False  # one message a slot, because stations have one gauge for all; all on request
+    in_turn: bool = False  # one message a slot
 
     def select(self, messages: list[Message], turn: int) -> list[Message]:
         """Return those of its messages that go in a slot; ``turn``: the slots before."""
@@ -76,7 +79,7 @@ STREAMS = (
     Stream("CURRENT_MODE", 0.5, telemetry.current_mode),
 )
 
-FASTEST = 0.004  # s: one control step; nothing changes more often
+MIN_INTERVAL_S = 0.004  # s: one control step; nothing changes more often
 BY_ID: dict[int, Stream] = {BY_NAME[stream.name].id: stream for stream in STREAMS}
 DEFAULT: dict[int, float] = {number: 1.0 / stream.rate if stream.rate else 0.0 for number, stream in BY_ID.items()}
 

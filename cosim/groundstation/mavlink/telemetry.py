@@ -153,7 +153,7 @@ def vfr_hud(v: TelemetryState) -> list[Message]:
 def attitude_target(v: TelemetryState) -> list[Message]:
     command = v.sample.command
     quaternion = from_euler(*command.attitude)
-    mask = 0 if command.rate is None else 128  # 128: ignore the attitude, because the body rates are controlled
+    mask = 0 if command.rate is None else 128  # ignore the attitude: rates are given
     return [
         mav.MAVLink_attitude_target_message(
             v.ms, mask, quaternion, *v.sample.control.rate_setpoint, v.sample.control.collective
@@ -161,7 +161,8 @@ def attitude_target(v: TelemetryState) -> list[Message]:
     ]
 
 
-_POSITION_ONLY = 0b1101_1111_1000  # mask of a target without velocity, acceleration and turn rate
+# Mask of a target without velocity, acceleration and turn rate.
+_POSITION_ONLY = 0b1101_1111_1000
 
 
 def position_target_local_ned(v: TelemetryState) -> list[Message]:
@@ -451,6 +452,6 @@ def statustext(severity: int, text: str, number: int) -> list[Message]:
         return [mav.MAVLink_statustext_message(severity, data)]
     pieces = [data[i : i + 50] for i in range(0, len(data), 50)]
     if len(pieces[-1]) == 50 and len(pieces) < 256:
-        pieces.append(b"")  # a full piece means that another follows, so an empty one ends the text
+        pieces.append(b"")  # after a full piece the text goes on
     number = number % U16 + 1
     return [mav.MAVLink_statustext_message(severity, piece, number, i) for i, piece in enumerate(pieces)]

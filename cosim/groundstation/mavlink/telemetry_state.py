@@ -31,13 +31,13 @@ class VehicleConstants:
     version: str = "0.1.0"
     personality: Personality = "px4"
     system: int = 1
-    tilt_range: float = nan  # rad to either side of the middle; NaN: the outputs are sent in rad
+    tilt_range: float = nan  # rad either way; NaN: sent in rad
     servos: tuple[str, ...] = ("left", "right")  # names of the servos as faults state them
     # Least and greatest angle of each servo, where the servos are not two banks.
     ranges: tuple[tuple[float, float], ...] = ()
-    full_thrust: PerJet = ()  # N, each engine at full throttle; empty: not known
+    full_thrust: PerJet = ()  # N at full throttle; empty: unknown
     fuel_capacity: float = nan  # kg; NaN: no tank
-    position_noise: float = nan  # m, standard deviation of the GNSS; NaN: not known
+    position_noise: float = nan  # m, deviation of the GNSS; NaN: unknown
     velocity_noise: float = nan  # m/s
     height_noise: float = nan  # m, of the barometer
 
@@ -50,7 +50,7 @@ class FlightEvents:
     took_off: int = 0
     landed_ms: int = 0  # simulation time
     flights: int = 0
-    burnt: tuple[float, ...] = ()  # kg, by each engine in this flight; NaN: no tank
+    burnt: tuple[float, ...] = ()  # kg by engine in this flight; or NaN
     clock: Callable[[], float] = field(default=time.time)
 
     def update(self, before: TelemetryState | None, now: TelemetryState) -> None:

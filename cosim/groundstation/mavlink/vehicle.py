@@ -41,11 +41,10 @@ from cosim.groundstation.mavlink.wire.frames import Frame
 from cosim.groundstation.mavlink.wire.link import Link
 from cosim.groundstation.mavlink.wire.peer import Peer, Priority
 
-LINK_LOST = 3.5  # s without a heartbeat of any ground station; QGroundControl waits as long for the vehicle's
 NO_FOLLOWING = "follow-me is not flown here: the place to follow is not used"
 # Lists and files are long and not urgent, and the client asks again for what was lost.
 _BULK = frozenset({"FILE_TRANSFER_PROTOCOL", "LOG_DATA", "LOG_ENTRY", "PARAM_VALUE"})
-_PAGE = (0, 0)  # ids for local pages, which no MAVLink system has
+_PAGE = (0, 0)  # which no MAVLink system has
 
 
 class MavlinkVehicle:
@@ -211,20 +210,20 @@ class MavlinkVehicle:
         if previous.home != status.home:
             self.send(None, home_position(state))
 
-    def _watch_link(self, now: float) -> None:
-        """Tell the pilot when the last ground station has gone quiet, and when one is there again."""
+    def _watch_link(self, now: float, lost_s: float = 3.5) -> None:
+        """Tell the pilot that no ground station was heard for ``lost_s`` (as in QGroundControl), or one is again."""
         if self.page_count():
             self._note_station(_PAGE)
         if not self.stations:
             return
-        is_lost = now - max(self.stations.values()) > LINK_LOST
+        is_lost = now - max(self.stations.values()) > lost_s
         if is_lost == self._is_lost:
             return
         self._is_lost = is_lost
 
         def reply(answer: Answer) -> None:
             if not answer.accepted:
-                self._is_lost = not is_lost  # the request was refused, so it is repeated at the next poll
+                self._is_lost = not is_lost  # repeated at the next poll
 
         self.port.ask(LinkLost() if is_lost else LinkBack(), reply, "link")
 
@@ -249,7 +248,7 @@ class MavlinkVehicle:
             return
         key = (client.system, client.component, command)
         if key in self._pending:
-            return  # the same command is being executed, and its answer will be sent
+            return  # its answer will be sent
         if self._last_done is not None and command.number in commands.ONCE:
             done, at, result = self._last_done
             if done == key and self._now - at < repeat_s:
@@ -343,7 +342,7 @@ class MavlinkVehicle:
         at = self.constants.geodesy
         lat, lon = message.latitude * 1e-7, message.longitude * 1e-7
         valid = abs(lat) <= 90.0 and abs(lon) <= 180.0
-        if not valid or hypot(*at.to_local(lat, lon, at.ground)[:2]) > commands.ORIGIN_NEAR:
+        if not valid or hypot(*at.to_local(lat, lon, at.ground)[:2]) > commands.MAX_ORIGIN_ERROR_M:
             self._report_unusable(commands.ORIGIN_FIXED, client.peer)
 
     def _follow(self, message: Message, client: Client) -> None:

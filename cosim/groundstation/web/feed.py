@@ -21,9 +21,7 @@ from cosim.results.log.recorder import OneRow
 from cosim.results.report.signals_data import describe_shape
 from cosim.spec.scenario import controller_shown
 
-Point = tuple[float | None, ...]  # of the strip chart: t [s], measured p, q, r, predicted p, q, r [deg/s]
-
-_RPM = 60.0 / (2.0 * pi)  # revolutions per minute in 1 rad/s
+Point = tuple[float | None, ...]  # t [s]; p, q, r and predicted [deg/s]
 
 
 def describe_flight(info: FlightInfo) -> dict[str, Any]:
@@ -116,7 +114,7 @@ def describe_jets(info: FlightInfo, sample: Sample, off: bool) -> list[dict[str,
                 "throttle": _finite(throttle),
                 "asked_N": 0.0 if off else _finite(spec.thrust_at(throttle)),
                 "thrust_N": _finite(out.thrust[jet]),
-                "rpm": _finite(out.spool_speed[jet] * _RPM),
+                "rpm": _finite(out.spool_speed[jet] * (30.0 / pi)),
                 "exhaust_C": _finite(out.exhaust_temperature[jet] - 273.15),
                 "fuel_g_s": _finite(1e3 * out.fuel_flow[jet]) if spec.has_port("fuel_flow") else None,
                 "health": _finite(sample.health[jet]),

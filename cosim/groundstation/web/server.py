@@ -63,7 +63,8 @@ class PageLimits(NamedTuple):
 LIMITS = PageLimits()
 _STATIC = Path(__file__).with_name("static")
 _TOKEN, _FILES = "@TOKEN@", "@FILES@"
-_ASSETS = (  # assets of the reports with which this page draws too
+# Assets of the reports with which this page draws too.
+_ASSETS = (
     "vendor/uPlot.iife.min.js", "vendor/uPlot.min.css", THREE, SCENE, licence_file("uPlot"), licence_file("three"),
 )  # fmt: skip
 
@@ -107,7 +108,7 @@ class WebServer:
             raise InputError(f"web {port}: must be a port from 0 to 65535")
         self._exchange = exchange
         self.port = port
-        self.refused = 0  # connections and messages that were refused
+        self.refused = 0  # connections and messages
         self.skipped = 0  # frames that a slow page missed
         self._token, self._key = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         self._pages: dict[ServerConnection, _Page] = {}
@@ -143,7 +144,7 @@ class WebServer:
         self._files = _load_files(self._token, self._key, self._hosts)
         running = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._main(listening, running)), name="web")
-        self._thread.daemon = True  # this thread must not keep the process alive after a session has failed
+        self._thread.daemon = True  # ends with the process
         self._thread.start()
         running.wait()
 
@@ -189,7 +190,7 @@ class WebServer:
             await self._stopping.wait()
             unsubscribe()
             frames.cancel()
-            self._frame()  # the last frame, so that pages show the end
+            self._frame()  # shows pages the end
 
     # --- files ---------------------------------------------------------------------------------------------------
 
@@ -302,7 +303,7 @@ class WebServer:
         if snapshot is None or snapshot.sample is None or not self._pages:
             return
         point = (snapshot.info.number, snapshot.sample.k)
-        if point != self._newest_point:  # a flight that is over publishes the same point repeatedly
+        if point != self._newest_point:  # published once
             self._newest_point = point
             self._strip.append((snapshot.info.number, snapshot.sample))
 
@@ -368,9 +369,9 @@ class _Page:
 
     def __init__(self, number: int) -> None:
         self.number = number
-        self.flight = 0  # number of the last flight that the page was sent
-        self.last_message = 0  # number of the last message that the page was sent
-        self.values: dict[str, float] = {}  # values of parameters that the page was sent
+        self.flight = 0  # number that the page was sent
+        self.last_message = 0  # number that the page was sent
+        self.values: dict[str, float] = {}  # parameters that the page was sent
         self.read_at = time.monotonic()
         self._allowance, self._last_count = LIMITS.burst_messages, self.read_at
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, TypedDict
 
-Section = Mapping[str, Any]  # merged into the scenario's own; or one as it is, a record of the scenario
+Section = Mapping[str, Any]  # merged; a record replaces the section
 Entries = Sequence[Any]  # tables, or records of a scenario
 
 

@@ -102,7 +102,7 @@ class PlaceCommand(Model):
     east_m: Amplitude | None = None
     altitude_m: Height | None = None
     yaw_deg: Heading | None = None  # from north, the short way round
-    speed_m_s: Positive | None = None  # at most on the way; not stated: the vehicle's [control.pilot]
+    speed_m_s: Positive | None = None  # limit; default: [control.pilot]
 
 
 class VelocityCommand(Model):
@@ -115,7 +115,8 @@ class VelocityCommand(Model):
     start_s: Seconds = 0.0
     north_m_s: Amplitude = 0.0
     east_m_s: Amplitude = 0.0
-    climb_m_s: Amplitude | None = None  # no faster than the autopilot climbs and sinks; ends above the ground
+    # No faster than the autopilot climbs and sinks; ends above the ground.
+    climb_m_s: Amplitude | None = None
     yaw_deg: Heading | None = None  # from north, the short way round
 
 

@@ -34,7 +34,7 @@ Jets = Annotated[
 class TimedFault(Model):
     """A fault that acts from ``start_s`` on, for ``duration_s`` or to the end."""
 
-    amount: ClassVar[str] = ""  # the key of how much, where it can be stated with a request in flight
+    amount: ClassVar[str] = ""  # key that a request in flight may state
 
     kind: str
     start_s: Seconds
@@ -109,7 +109,7 @@ class ServoJam(TimedFault):
 
     amount = "angle_deg"
     kind: Literal["servo_jam"]
-    servo: str  # left or right of two banks, else the name of a hinge or a surface
+    servo: str  # left, right, or a hinge or surface
     angle_deg: Annotated[float, Field(ge=-180.0, le=180.0)] | None = None
 
     def describe(self) -> str:

@@ -20,18 +20,17 @@ class Mismatch(Model):
     """
 
     mass_factor: Factor = 1.0  # of the mass; the moments of inertia stay
-    inertia_factor: Annotated[Factor, Field(exclude_if=lambda factor: factor == 1.0)] = (
-        1.0  # of all moments and products of inertia
-    )
-    centre_m: Vector = (0.0, 0.0, 0.0)  # where the centre of gravity is, body, from where it is taken to be
-    thrust_factor: Factor = 1.0  # of every engine's thrust, at the same reported spool speed
-    thrust_factor_1: Factor = 1.0  # of one jet's beside, of the first six
+    # Of all moments and products of inertia.
+    inertia_factor: Annotated[Factor, Field(exclude_if=lambda factor: factor == 1.0)] = 1.0
+    centre_m: Vector = (0.0, 0.0, 0.0)  # body, from the nominal one
+    thrust_factor: Factor = 1.0  # of all engines, at equal spool speed
+    thrust_factor_1: Factor = 1.0  # in addition, of one jet
     thrust_factor_2: Factor = 1.0
     thrust_factor_3: Factor = 1.0
     thrust_factor_4: Factor = 1.0
     thrust_factor_5: Factor = 1.0
     thrust_factor_6: Factor = 1.0
-    delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # control steps by which every engine is later
+    delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # added to every engine, control steps
     # of every engine that is the scenario's, by the FMU's names
     engine_parameters: Annotated[dict[str, float], Field(exclude_if=not_)] = {}
     # of one station's engine, over those of all

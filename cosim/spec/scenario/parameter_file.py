@@ -11,7 +11,7 @@ from cosim.base.errors import InputError
 from cosim.base.storage.files import read_file
 from cosim.base.storage.toml import Model
 
-_CONTENTS: dict[tuple[str, str], bytes] = {}  # contents by path and hash, of files that a command or a study named
+_CONTENTS: dict[tuple[str, str], bytes] = {}  # by path and hash
 
 
 class ParameterFile(Model):

@@ -43,7 +43,7 @@ class FlownParameters(NamedTuple):
     file: str  # from the folder of the scenario
     sha256: str
     content: bytes
-    controller: str  # that a design is for; empty: it names none
+    controller: str  # that it was designed for, if stated
     changed: list[str]  # keys with another value in the flight
 
 

@@ -42,7 +42,7 @@ class Scenario(Model):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     title: str = ""
     description: str = ""
-    aircraft: str = "hexjet"  # or the path of a folder with a vehicle.toml, from the folder of this file
+    aircraft: str = "hexjet"  # or a folder with a vehicle.toml
     engine: str = "edf-as-flown"
     controller: str = "smith"
     controller_parameters: dict[str, float] = {}  # of a controller of one's own
@@ -51,7 +51,8 @@ class Scenario(Model):
     controller_limit_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 10.0
     duration_s: Duration
     step_s: Step = STEP_S  # not stated: the aircraft's control_step
-    substeps: Annotated[int, Field(ge=1, le=100)] = SUBSTEPS  # JSBSim runs in it; or an error: "0.01 deg", "campaign"
+    # JSBSim runs in a control step; or an error: "0.01 deg", "campaign".
+    substeps: Annotated[int, Field(ge=1, le=100)] = SUBSTEPS
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     sensor_noise: bool = True
     added_delay_samples: Annotated[int, Field(ge=0, le=1000)] = 0  # on the rate controller's roll output
@@ -61,19 +62,23 @@ class Scenario(Model):
     command: list[CommandEntry] = []
     disturbance: list[DisturbanceEntry] = []
     fault: list[FaultEntry] = []
-    monitor: bool | None = None  # engines are watched and planned around; None: where an engine is to fail
+    # Engines are monitored, and failed ones planned around; None: where an engine is to fail.
+    monitor: bool | None = None
     engine_parameters: dict[str, float] = {}
-    engine_unchecked: bool = False  # engines that are not of the library fly without having been tried before
-    engine_isolated: bool | None = None  # the engines run in a process of their own; None: those of others
+    engine_unchecked: bool = False  # fly foreign engines without a check
+    engine_isolated: bool | None = None  # own process; None: foreign engines
     stations: dict[StationNumber, Station] = {}  # by the number of the jet
-    requests: str | None = None  # a file of what is asked of the autopilot, which flies then
-    metrics: list[str] = []  # of one's own, beside the built-in ones: FILE.py:Name, package.module:Name, entry points
-    observers: list[str] = []  # of one's own, the same way, as the next two
-    sensors: str | None = None  # behind the built-in ones; or a profile of these: "stated" (as none) or "measured"
-    wind: str | None = None  # over time and place, beside the environment's; or a table over time, FILE.csv
-    own_sha256: dict[str, str] = {}  # of the four above, by name: they fly only if they are these still
-    parameter_files: list[ParameterFile] = []  # whose numbers are in vehicle; written by hexjet
-    changed: list[str] = []  # what was written over the scenario's file, key = value; written into a run by hexjet
+    requests: str | None = None  # file of requests to the autopilot
+    # Own ones beside the built-in ones: FILE.py:Name, package.module:Name or an entry point.
+    metrics: list[str] = []
+    observers: list[str] = []  # own ones, as metrics
+    # Own ones behind the built-in ones, as metrics; or a profile: "stated" (as none) or "measured".
+    sensors: str | None = None
+    # Own one over time and place, as metrics, or a table over time, FILE.csv; added to the environment.
+    wind: str | None = None
+    own_sha256: dict[str, str] = {}  # required hashes of the four above
+    parameter_files: list[ParameterFile] = []  # sources of vehicle; written by hexjet
+    changed: list[str] = []  # values over the file, key = value
     vehicle: dict[str, Any] = {}
     limits: FlightLimits = Field(default_factory=FlightLimits)
     expect: list[Expectation] = []
@@ -81,7 +86,7 @@ class Scenario(Model):
 
     _folder: Path = PrivateAttr(default_factory=Path)
     _origin: "Scenario | None" = PrivateAttr(default=None)  # the scenario of its file; None: this one
-    _step_error: str | None = PrivateAttr(default=None)  # error that substeps keeps to, where it states no number
+    _step_error: str | None = PrivateAttr(default=None)  # tolerance that substeps states
     _resolved: tuple[tuple[Any, ...], dict[str, Any], tuple[Vehicle, Path]] | None = PrivateAttr(default=None)
 
     @model_validator(mode="before")

@@ -13,7 +13,7 @@ class Initial(Model):
     """Initial state of the flight."""
 
     on_ground: bool = False
-    engines: Literal["idle", "off"] = "idle"  # on the ground, before an autopilot is armed
+    engines: Literal["idle", "off"] = "idle"  # on the ground, before arming
     altitude_m: Annotated[float, Field(ge=0.0, le=20000.0)] = 30.0  # above the ground; not used on the ground
     attitude_deg: Vector = (0.0, 0.0, 0.0)
     velocity_ned_m_s: Vector = (0.0, 0.0, 0.0)
@@ -28,7 +28,8 @@ class Environment(Model):
     longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 113.59
     ground_m: Annotated[float, Field(ge=-400.0, le=5000.0)] = 0.0
     wind_ned_m_s: Vector = (0.0, 0.0, 0.0)
-    turbulence_wind_m_s: NotNegative = 0.0  # mean wind at 6 m that sets the turbulence's strength below 300 m
+    # Mean wind at 6 m, which sets the turbulence's strength below 300 m.
+    turbulence_wind_m_s: NotNegative = 0.0
     # probability-of-exceedance index; 0 is none; below 300 m any other is the same: a switch
     turbulence_severity: Annotated[int, Field(ge=0, le=7)] = 0
 
@@ -60,12 +61,12 @@ class FlightLimits(Model):
 
     height_error_m: Most = None  # largest, from the height asked for
     place_error_m: Most = None  # largest, from the place asked for
-    drift_m: Most = None  # largest, from the start; not limited by default where a place is asked for
+    drift_m: Most = None  # largest, from the start
     speed_m_s: Most = None  # largest, over the ground
     saturated_percent: Most = None  # of the steps in the air
-    settling_s: Most = None  # of every axis, after a step of its set-point
+    settling_s: Most = None  # of every axis, after a set-point step
     oscillation_rad: Most = None  # of every axis, in the last second
-    alternating_percent: Most = None  # of the steps of any second, on which a command turns back
+    alternating_percent: Most = None  # of steps in any second
     throttle_activity_1_s: Most = None  # none by default
     tilt_activity_rad_s: Most = None  # none by default
     fuel_burnt_kg: Most = None  # none by default
@@ -76,7 +77,7 @@ class Expectation(Model):
 
     controller: str
     engine: str
-    aircraft: str = ""  # not stated: the one that the scenario states
+    aircraft: str = ""  # default: the scenario's
     outcome: list[Outcome] = ["completed"]
     metrics: dict[str, Range] = {}  # "roll.overshoot_percent" -> range
 
@@ -86,7 +87,8 @@ class RequireEntry(Model):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
     formula: str  # always(abs(roll_deg) < 30)
-    scale: Positive | None = None  # its margin divided by this is compared with others; None: its tolerance
+    # Its margin over this is compared with those of others; None: its tolerance.
+    scale: Positive | None = None
     reason: str = ""  # where the limit is from
 
 
@@ -103,7 +105,8 @@ class Station(Model):
     """Replacement of the scenario's engine, or of its parameters, at one engine station."""
 
     engine: str | None = None  # None: the scenario's
-    parameters: dict[str, float] = {}  # over the scenario's engine_parameters if the engine is the scenario's
+    # Over the scenario's engine_parameters, if the engine is the scenario's.
+    parameters: dict[str, float] = {}
 
     @model_validator(mode="after")
     def _says_something(self) -> Self:

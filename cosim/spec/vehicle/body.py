@@ -35,11 +35,12 @@ class GroundEffect(Model):
     """Effects of the jets near the ground, each with a switch; see :mod:`cosim.vehicle.effects.ground_effect`."""
 
     suckdown: bool = False  # lift loss by Wyatt's correlation
-    planform_m: Positive  # angular mean diameter of what is above the jets: (1 / pi) times the integral of its radius
-    jet_m: Positive  # diameter of one round jet with the area of all
-    planform_z_m: float = 0.0  # body: how far the planform lies below the centre of gravity
-    hot_gas: bool = False  # warmed intakes, of engines that take the ambient temperature
-    hot_gas_height_m: list[NotNegative] = Field(default_factory=list)  # of the centre of gravity, the least first
+    # Angular mean diameter of what is above the jets: (1 / pi) times the integral of its radius.
+    planform_m: Positive
+    jet_m: Positive  # of one round jet with the total area
+    planform_z_m: float = 0.0  # below the centre of gravity
+    hot_gas: bool = False  # warmer intakes
+    hot_gas_height_m: list[NotNegative] = Field(default_factory=list)  # of the centre of gravity, ascending
     hot_gas_rise_k: list[NotNegative] = Field(default_factory=list)  # at each; the last is 0
 
     @model_validator(mode="after")
@@ -61,7 +62,8 @@ class GroundEffect(Model):
 class Aero(Model):
     """Body drag, one drag area per axis, and linear damping of the rates."""
 
-    span_m: Positive  # what JSBSim's turbulence model takes for the wing span: how coarse gusts must be to turn it
+    # Wing span of JSBSim's turbulence model: gusts of this size turn the vehicle.
+    span_m: Positive
     drag_area_m2: Axis3  # Cd times reference area along x, y, z
     centre_m: Vector  # where the drag acts, body
     damping_n_m_s: Axis3  # moment per rate about x, y, z

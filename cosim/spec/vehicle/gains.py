@@ -35,7 +35,7 @@ class RateControl(Model):
 class EngineLead(Model):
     """Poles of an engine, and where a lead on its command moves them; see :mod:`cosim.control.lead`."""
 
-    natural_rad_s: Positive  # two poles of the engine; or, without a damping, one lag of 1 / this
+    natural_rad_s: Positive  # two poles; without damping one lag
     damping: Positive | None = None
     pole_rad_s: Positive  # each of them is moved to minus this
 
@@ -52,11 +52,11 @@ class Leads(Model):
 class ScheduledGains(Model):
     """Factors on one command's nominal gains at a thrust level, and its lead there."""
 
-    angle: Positive = 1.0  # on the attitude gain; of the height, on position_1_s
-    p: Positive = 1.0  # of the height, on velocity_1_s
-    i: Positive = 1.0  # of the height, on integral_1_s2
+    angle: Positive = 1.0  # on attitude or position_1_s
+    p: Positive = 1.0  # of height: on velocity_1_s
+    i: Positive = 1.0  # of height: on integral_1_s2
     d: Positive = 1.0
-    natural_rad_s: Positive | None = None  # the engine's at this thrust, as in EngineLead
+    natural_rad_s: Positive | None = None  # at this thrust, as in EngineLead
     damping: Positive | None = None
     pole_rad_s: Positive | None = None
 
@@ -71,7 +71,7 @@ class ScheduledGains(Model):
 class ThrustLevel(Model):
     """One thrust level of a gain schedule."""
 
-    share: Annotated[float, Field(ge=0.0, le=1.0)]  # the collective, in shares of the engines' range
+    share: Annotated[float, Field(ge=0.0, le=1.0)]  # collective, of the engines' range
     roll: ScheduledGains = Field(default_factory=ScheduledGains)
     altitude: ScheduledGains = Field(default_factory=ScheduledGains)
 
@@ -79,7 +79,7 @@ class ThrustLevel(Model):
 class Schedule(Model):
     """Gains and leads that follow the thrust level: linear between levels, held beyond the first and the last."""
 
-    filter_s: Positive  # lag with which the collective is followed
+    filter_s: Positive  # lag of the collective
     level: Annotated[list[ThrustLevel], Field(min_length=2)]  # the least share first
 
     @model_validator(mode="after")
@@ -120,8 +120,8 @@ class AllocationLimits(Model):
 class PredictorTuning(Model):
     """What a predictor needs beside the identified model; each predictor reads its own."""
 
-    filter_s: NotNegative  # filtered Smith: time constant of the robustness filter
-    observer_rad_s: Positive  # state: both poles of the double-integrator observer at minus this
+    filter_s: NotNegative  # filtered Smith: lag of the filter
+    observer_rad_s: Positive  # state: both observer poles at minus this
     model_observer_rad_s: Positive  # state-model: observer poles
     disturbance_observer_rad_s: Positive  # state-disturbance: observer poles
     # of predictors from elsewhere, by their names
@@ -133,10 +133,12 @@ class PositionGains(Model):
 
     position_1_s: Positive
     velocity_1_s: Positive
-    catch_up_m_s: Positive  # most speed asked for because of a position error
+    catch_up_m_s: Positive  # most, for a position error
     lean_rad: Annotated[float, Field(gt=0.0, lt=1.2)]  # most lean asked for
-    acceleration_noise_m_s15: Positive  # white, of what the attitude does not explain: m/s^2 per root Hz
-    disturbance_walk_m_s25: Positive  # of its slow part (wind on the body): m/s^2 per root s
+    # White, of what the attitude does not explain: m/s^2 per root Hz.
+    acceleration_noise_m_s15: Positive
+    # Walk of the slow part of that (wind on the body): m/s^2 per root s.
+    disturbance_walk_m_s25: Positive
 
 
 class PilotSettings(Model):
@@ -152,20 +154,21 @@ class PilotSettings(Model):
     stick_lean_rad: Annotated[float, Field(gt=0.0, lt=1.2)]
     takeoff_height_m: Positive
     return_height_m: Positive
-    spool_s: Positive  # from idle to hover thrust before take-off
-    endurance_s: NotNegative = 0.0  # hover on a full battery; 0: not known, nothing is estimated
+    spool_s: Positive  # from idle to hover, before take-off
+    endurance_s: NotNegative = 0.0  # hover on a full battery; 0: unknown
 
 
 class MonitorSettings(Model):
     """Thresholds at which the engine monitor reports an engine as faulty."""
 
-    threshold: Positive  # of a jet's thrust in hover, beyond what a healthy engine may do
+    threshold: Positive  # of hover thrust, beyond healthy
     confirm_s: Positive  # for so long without a break
-    stuck_s: Positive  # the same before an engine that does not follow its command is called stuck
-    lag_factor: Annotated[float, Field(ge=1.0)]  # a healthy lag is the nominal one within this factor
-    delay_spread_s: NotNegative  # a healthy delay is the nominal one within this
-    shut_opposite: bool = False  # with the first engine lost, shut off the one across the centre of gravity
-    # then fly roll and height by the catch, until the thrust is made up for, own engine alone; where no jet tilts: with
+    stuck_s: Positive  # until it is called stuck
+    lag_factor: Annotated[float, Field(ge=1.0)]  # a healthy lag is within this factor
+    delay_spread_s: NotNegative  # a healthy delay is within this
+    # With the first engine failed, shut off the one across the centre of gravity.
+    shut_opposite: bool = False
+    # Then fly roll and height by the catch, until the thrust is made up for, own engine alone; where no jet tilts: with
     # the first rotor of four lost fly the direction of thrust on the others, spinning; where allocation is by
     # effectiveness: with an engine lost turn by the hinges alone and carry by the throttles
     catch: bool = False
@@ -175,14 +178,14 @@ class WingControl(Model):
     """Settings of wing-borne forward flight; see :mod:`cosim.control.phases.wing`."""
 
     tilts: Annotated[list[str], Field(min_length=1)]  # the hinges that turn thrust ahead
-    acceleration_m_s2: Positive  # with which the set-point of the speed rises
+    acceleration_m_s2: Positive  # of the speed set-point
     braking_m_s2: Positive  # and falls
     velocity_1_s: Positive  # acceleration over what the speed is off
     integral_1_s2: NotNegative  # the same over its integral
     integral_limit_m_s2: NotNegative  # most of that
-    alpha_rad: tuple[float, float]  # least and most angle of attack that is asked for
+    alpha_rad: tuple[float, float]  # least and most demand
     alpha_filter_s: NotNegative  # lag of that
-    open_m_s: Positive  # speed from which on all of that corridor is used
+    open_m_s: Positive  # all of that corridor is used above it
     aside_1_s: NotNegative  # bank over drift to the side
     bank_rad: Annotated[float, Field(ge=0.0, lt=1.2)]  # most of that
 
@@ -201,7 +204,8 @@ class Control(Model):
     allocation: AllocationLimits
     predictor: PredictorTuning
     lead: Leads | None = None
-    schedule: Schedule | Literal[False] | None = None  # false: none, also where the aircraft states one
+    # False: none, also where the aircraft states one.
+    schedule: Schedule | Literal[False] | None = None
     monitor: MonitorSettings | None = None
     position: PositionGains | None = None
     pilot: PilotSettings | None = None

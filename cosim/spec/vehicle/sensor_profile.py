@@ -16,7 +16,7 @@ from cosim.spec.vehicle.sensors import Sensors
 from cosim.spec.vehicle.vehicle import Vehicle
 
 STATED = "stated"  # the profile that changes nothing
-_LATENCY = ("latency_s", "latency_samples")  # key in a profile and key in a vehicle's file
+_LATENCY = ("latency_s", "latency_samples")  # keys of a profile and of a vehicle
 
 
 def profile_names() -> list[str]:

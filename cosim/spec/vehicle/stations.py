@@ -31,22 +31,22 @@ class Airflow(Model):
     kg_s: Positive
     at_thrust_n: Positive
     exponent: NotNegative
-    intake_m: float  # distance from the station along the thrust
+    intake_m: float  # along the thrust, from the station
     exhaust_m: float  # the same for the exhaust
 
 
 class Jet(Model):
     """One engine station: fixed to the body, on a tilting bank, or on hinges."""
 
-    position_m: Vector  # body, from the centre of gravity of the vehicle as built
+    position_m: Vector  # body, from the centre of gravity
     # of the thrust on the vehicle, body, hinges at zero; None: straight up, [0, 0, -1]
     axis: Annotated[Direction | None, Field(exclude_if=not_)] = None
     servo: Side | None = None
     # moment on the frame per thrust, against the thrust's direction: with thrust straight up positive turns the nose
     # right
     reaction_m: float = 0.0
-    spin: Literal[-1, 0, 1] = 0  # sense of the rotor about the thrust, right-handed; 0: its spin is not modelled
-    engine: Annotated[str | None, Field(exclude_if=not_)] = None  # of another kind than the scenario's; None: as that
+    spin: Literal[-1, 0, 1] = 0  # about the thrust; 0: not modelled
+    engine: Annotated[str | None, Field(exclude_if=not_)] = None  # default: the scenario's
     # of an engine of its own; None: that of the vehicle
     airflow: Annotated[Airflow | None, Field(exclude_if=not_)] = None
     # of allocation by effectiveness: how dear its range is beside that of the others
@@ -59,8 +59,9 @@ class Servo(Model):
     lag_s: NotNegative
     rate_limit_rad_s: Positive
     range_rad: Annotated[float, Field(gt=0.0, le=3.2)]  # either way from straight up
-    bank_inertia_kg_m2: NotNegative = 0.0  # of one bank about its tilt axis; 0: turning it does not turn the body
-    bank_imbalance_kg_m: float = 0.0  # mass of one bank times how far its centre is from that axis along the thrust
+    bank_inertia_kg_m2: NotNegative = 0.0  # of one bank about its axis; 0: ignored
+    # Mass of one bank times the distance of its centre from that axis, along the thrust.
+    bank_imbalance_kg_m: float = 0.0
 
 
 class Hinge(Model):
@@ -70,16 +71,16 @@ class Hinge(Model):
     ``centre_m`` (hinge at zero) and ``inertia_kg_m2`` about the hinge's axis, all of it a part of the vehicle's.
     """
 
-    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]  # in the log, and where faults name it
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]  # in logs and faults
     position_m: Vector  # body: a point of its axis
-    axis: Direction  # body; positive turns right-handed about it
-    carries: list[Annotated[int, Field(ge=1)]] = Field(default_factory=list)  # jets, from 1, that stand on it
-    deflects: list[Annotated[int, Field(ge=1)]] = Field(default_factory=list)  # jets whose thrust alone it turns
-    effect: float = 1.0  # angle of the thrust that it deflects over its own
+    axis: Direction  # body; positive is right-handed
+    carries: list[Annotated[int, Field(ge=1)]] = Field(default_factory=list)  # jets on it, from 1
+    deflects: list[Annotated[int, Field(ge=1)]] = Field(default_factory=list)  # jets whose thrust it turns
+    effect: float = 1.0  # turn of deflected thrust over its own
     lag_s: NotNegative
     rate_limit_rad_s: Positive
     range_rad: Positive | tuple[float, float]  # either way from zero, or least and most
-    rest_rad: float = 0.0  # where it stands at the start, and where allocation leaves it if nothing is asked of it
+    rest_rad: float = 0.0  # at the start, and without demand
     mass_kg: NotNegative = 0.0
     centre_m: Vector | None = None  # body; None: on the axis
     inertia_kg_m2: NotNegative = 0.0  # 0: turning it does not turn the body
@@ -121,7 +122,8 @@ class Surface(Model):
     """A surface of the JSBSim model that is commanded: a property of it, set by a servo of its own."""
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]
-    property: Annotated[str, Field(pattern=r"^[A-Za-z0-9_./\[\]-]+$")]  # of the JSBSim model: fcs/elevator-cmd-norm
+    # Property of the JSBSim model: fcs/elevator-cmd-norm.
+    property: Annotated[str, Field(pattern=r"^[A-Za-z0-9_./\[\]-]+$")]
     lag_s: NotNegative
     rate_limit_1_s: Positive  # of the property's own unit
     range: tuple[float, float] = (-1.0, 1.0)

@@ -20,7 +20,8 @@ from cosim.spec.vehicle.rate_model import RateModel
 from cosim.spec.vehicle.sensors import Sensors
 from cosim.spec.vehicle.stations import Airflow, Hinge, Jet, Servo, Surface, layout_of
 
-STEP_S = 0.004  # the control step of who states none: the paper's 250 Hz
+# Control step where nobody states one: the paper's 250 Hz.
+STEP_S = 0.004
 Step = Annotated[float, Field(gt=0.0, le=0.1)]  # s, of control
 
 
@@ -49,9 +50,9 @@ class Vehicle(Model):
 
     name: Annotated[str, AfterValidator(_named)]
     title: str
-    model: str | None = None  # the JSBSim model's file, beside vehicle.toml; None: all is stated in that
-    engine: str | None = None  # what it is made for, and flies with where only the aircraft is named
-    step_s: Step | None = None  # control step where a scenario states none; None: see control_step
+    model: str | None = None  # JSBSim model file; None: built from this
+    engine: str | None = None  # flown where none is named
+    step_s: Step | None = None  # where a scenario states none
     mass_kg: Positive
     inertia_kg_m2: tuple[Positive, Positive, Positive]
     # of inertia: integral of x y, x z and y z over the mass, body
@@ -63,8 +64,9 @@ class Vehicle(Model):
     contacts: Annotated[list[Contact], Field(min_length=1)]
     servo: Servo | None = None
     fuel: Fuel | None = None
-    airflow: Airflow | None = None  # of every jet without one of its own; None: no intake drag but theirs
-    ground_effect: GroundEffect | None = None  # None: the ground does nothing to the jets
+    # Of every jet without its own; None: no intake drag but theirs.
+    airflow: Airflow | None = None
+    ground_effect: GroundEffect | None = None  # None: no ground effect
     aero: Aero
     sensors: Sensors
     control: Control

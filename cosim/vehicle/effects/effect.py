@@ -10,7 +10,7 @@ from cosim.base.layout import Layout
 from cosim.base.signals import UNKNOWN3, ZERO3, EngineOutput, PerJet, PerServo, State, Vector3
 
 NO_OUTPUT = EngineOutput((), (), (), ())
-_ALONG: Final = along  # compiled code finds this without looking in a dictionary
+_ALONG: Final = along  # direct access in compiled code
 _STILL = State(ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, ZERO3, 0.0, ZERO3, 0.0, False, False)
 
 
@@ -35,9 +35,9 @@ class Load:
         self.axes: list[Vector3] = []
         self.positions: list[Vector3] = []
         self.output = NO_OUTPUT  # output of the engines at the step's end
-        self.tilt: PerServo = ()  # angles of the servos at the step's end, rad
-        self.state = _STILL  # state of the airframe at the step's beginning
-        self.gusts: list[Vector3] = []  # wind at each jet less that at the vehicle [m/s, NED]
+        self.tilt: PerServo = ()  # rad, at the step's end
+        self.state = _STILL  # airframe's, at the step's beginning
+        self.gusts: list[Vector3] = []  # at each jet, relative [m/s, NED]
         self.clear()
 
     def clear(self) -> None:

@@ -41,7 +41,7 @@ class _Part:
         along = (cx - px) * x + (cy - py) * y + (cz - pz) * z
         fx, fy, fz = self.foot = (px + along * x, py + along * y, pz + along * z)
         self.arm: Vector3 = (cx - fx, cy - fy, cz - fz)
-        self.outer: list[_Part] = []  # the hinges that it stands on, from itself to the body
+        self.outer: list[_Part] = []  # hinges from itself to the body
         self.reset()
 
     def reset(self) -> None:

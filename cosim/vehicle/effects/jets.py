@@ -41,7 +41,7 @@ class JetReactions(Effect):
 class EngineTorques(Effect):
     """The torques that engines report, about the jets' own axes, right-handed along thrust.
 
-    ``outputs``: of each engine, of ``ASIDE`` in :mod:`cosim.engine.fmu.port_kinds`.
+    ``outputs``: of each engine, of ``SIDE_LOADS`` in :mod:`cosim.engine.fmu.port_kinds`.
     """
 
     def __init__(self, layout: Layout, outputs: Sequence[AbstractSet[str]]) -> None:

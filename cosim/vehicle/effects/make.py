@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cosim.engine import EngineSpec
-from cosim.engine.fmu.port_kinds import ASIDE
+from cosim.engine.fmu.port_kinds import SIDE_LOADS
 from cosim.spec.vehicle import Vehicle, layout_of
 from cosim.vehicle.effects.banks import Banks
 from cosim.vehicle.effects.effect import Effect
@@ -26,7 +26,7 @@ def make_effects(vehicle: Vehicle, flown: Vehicle, engines: Sequence[EngineSpec]
     """
     jets, hinges = flown.jets, flown.hinges
     layout = layout_of(jets, hinges)
-    ports_aside = [{port for port in ASIDE if engine.has_port(port)} for engine in engines]
+    ports_aside = [{port for port in SIDE_LOADS if engine.has_port(port)} for engine in engines]
     reactions = [0.0 if "torque" in ports else jet.reaction_m for jet, ports in zip(jets, ports_aside, strict=True)]
     rotors, intakes = RotorDynamics(jets, engines, step, hinges), IntakeDrag(vehicle.airflow, jets, hinges)
     hinged, effect = HingeReactions(hinges, jets, step), vehicle.ground_effect

@@ -263,7 +263,7 @@ def test_an_engine_may_tremble_at_rest(kit: Kit, sound: Path) -> None:
     assert report.delay_samples_up == report.delay_samples_down == 100
     assert report.thrust == pytest.approx([float(k) for k in range(21)], abs=1e-4)
     spec = load_engine(str(sound), {}, STEP)
-    assert (spec.quiet, spec.settling_window) == (1e-6, 250)
+    assert (spec.ripple, spec.settling_window) == (1e-6, 250)
     with EngineBank(spec, 2, STEP) as bank:
         assert bank.reset(0.5).thrust == pytest.approx((10.0,) * 2, abs=1e-4)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from cosim.base.layout import HingeAxis, Layout, Station
 from cosim.control.allocation.attainable import Hull
-from cosim.control.allocation.authority import RESOLUTION, Range, Reach, compute_reach
+from cosim.control.allocation.authority import Range, Reach, compute_reach
 from cosim.spec.vehicle import load_vehicle
 
 WEIGHT = 10.0
@@ -161,4 +161,4 @@ def test_the_section_of_a_gimballed_vehicle_has_no_notch() -> None:
     for size in found:
         assert size.upper - size.lower <= 0.01 * size.upper
     for one, other in pairwise([found[1], found[3], found[5], found[7]]):
-        assert one.lower == pytest.approx(other.lower, rel=RESOLUTION)
+        assert one.lower == pytest.approx(other.lower, rel=1e-3)

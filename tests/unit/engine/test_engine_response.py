@@ -6,7 +6,7 @@ from math import exp
 
 import pytest
 
-from cosim.engine.response import LONGEST_S, RestlessError, measure_step_response, settle
+from cosim.engine.response import MAX_SETTLING_S, RestlessError, measure_step_response, settle
 
 STEP = 0.004
 SPAN = 20.0  # N
@@ -41,7 +41,7 @@ def test_what_is_left_of_a_slow_overshoot_is_small_beside_the_thrust_of_its_rang
 def test_what_moves_by_more_than_that_does_not_settle() -> None:
     slower = Slow(0.06, 20.0)
     slower.slow = 1.0
-    with pytest.raises(RestlessError, match=f"within {LONGEST_S:g} s at throttle 0"):
+    with pytest.raises(RestlessError, match=f"within {MAX_SETTLING_S:g} s at throttle 0"):
         settle(slower.hold, 0.0, 60, STEP, span=SPAN)
     alone = Slow(0.06, 10.0)
     alone.slow = 1.0

@@ -12,6 +12,7 @@ from cosim.base.errors import InputError
 from cosim.control.autopilot import requests as rq
 from cosim.control.autopilot.modes import Mode
 from cosim.groundstation.mavlink.modes import CUSTOM, FROM_STANDARD, LIST, UNSUPPORTED, from_custom, from_main_sub
+from cosim.groundstation.mavlink.services.items import FARTHEST
 from cosim.groundstation.mavlink.services.mav_command import (
     ABSOLUTE_FRAMES,
     RELATIVE_FRAMES,
@@ -20,12 +21,12 @@ from cosim.groundstation.mavlink.services.mav_command import (
     MavCommand,
     Plan,
 )
-from cosim.groundstation.mavlink.streams import BY_ID, FASTEST, stream_interval
+from cosim.groundstation.mavlink.streams import BY_ID, MIN_INTERVAL_S, stream_interval
 from cosim.groundstation.mavlink.telemetry import gps_global_origin, mode_line
 from cosim.groundstation.mavlink.wire.dialect import BY_NAME, mav
 
-PLACE_MAX = 100e3  # m north or east of the origin: the limit of the pilot's requests
-ORIGIN_NEAR = 1.0  # m: what rounding to 1e-7 deg and a station's own numbers may be off by; chosen by us
+# m: what rounding to 1e-7 deg and a station's own numbers may be off by; chosen by us.
+MAX_ORIGIN_ERROR_M = 1.0
 ORIGIN_FIXED = "the origin stays where the flight began; place puts it elsewhere"
 
 # INJECT_FAILURE states no severity.  We choose one that is noticeable in flight and can still be flown with.
@@ -160,7 +161,7 @@ def _orbit(command: MavCommand, context: Context) -> Plan:
     )
 
 
-_ORBIT_YAW = {0: rq.OrbitYaw.CENTRE, 3: rq.OrbitYaw.TANGENT}  # ORBIT_YAW_BEHAVIOUR; all others keep the heading
+_ORBIT_YAW = {0: rq.OrbitYaw.CENTRE, 3: rq.OrbitYaw.TANGENT}  # ORBIT_YAW_BEHAVIOUR
 
 
 def _yaw(command: MavCommand, context: Context) -> Plan:
@@ -236,8 +237,8 @@ def _local(position: tuple[float, float], context: Context, above: float | None 
     geodesy = context.vehicle.geodesy
     height = geodesy.ground + (context.state.altitude if above is None else above)
     north, east = geodesy.to_local(lat, lon, height)[:2]
-    if max(abs(north), abs(east)) > PLACE_MAX:
-        far, most = hypot(north, east) / 1e3, PLACE_MAX / 1e3
+    if max(abs(north), abs(east)) > FARTHEST:
+        far, most = hypot(north, east) / 1e3, FARTHEST / 1e3
         raise InputError(f"{lat:g}, {lon:g} is {far:.0f} km from where the flight began; {most:.0f} km is the most")
     return north, east
 
@@ -256,7 +257,7 @@ def _fail(command: MavCommand, context: Context) -> Plan:
     unit, kind = _whole(command.params[0]), _whole(command.params[1])
     which = 0 if command.params[2] is None else _whole(command.params[2])
     if kind == _OK:
-        return _do(rq.ClearFaults())  # all faults are cleared, because a single one cannot be named
+        return _do(rq.ClearFaults())  # a single one cannot be named
     faults: tuple[rq.InjectFault, ...] = ()
     if unit == _MOTOR:
         if not 0 <= which <= context.vehicle.jets:
@@ -341,7 +342,7 @@ def _set_origin(command: MavCommand, context: Context) -> Plan:
     if command.frame is not None and command.frame not in ABSOLUTE_FRAMES:
         return Plan(result=CommandResult.UNSUPPORTED_FRAME, messages=messages)
     off = hypot(*at.to_local(*command.position, at.ground)[:2])
-    if off > ORIGIN_NEAR:
+    if off > MAX_ORIGIN_ERROR_M:
         return Plan(result=CommandResult.DENIED, text=ORIGIN_FIXED, messages=messages)
     return Plan(messages=messages)
 
@@ -356,7 +357,7 @@ def _set_interval(command: MavCommand, context: Context) -> Plan:
     if micro == 0.0:
         context.peer.intervals.pop(number, None)
     else:
-        context.peer.intervals[number] = 0.0 if micro < 0.0 else max(FASTEST, micro * 1e-6)
+        context.peer.intervals[number] = 0.0 if micro < 0.0 else max(MIN_INTERVAL_S, micro * 1e-6)
     return Plan()
 
 
@@ -407,4 +408,5 @@ _HANDLERS: dict[int, Handler] = {
     611: _set_origin,  # DO_SET_GLOBAL_ORIGIN
 }
 KNOWN = frozenset(_HANDLERS)
-ONCE = frozenset({22, 420})  # commands that are not executed again where only their acknowledgement was lost
+# Commands that are not executed again where only their acknowledgement was lost.
+ONCE = frozenset({22, 420})

@@ -24,7 +24,7 @@ CRC, BURST, ACK, NAK = 14, 15, 128, 129
 _WRITING = range(6, 14)  # create, write, remove, rename ...
 FAIL, BAD_SIZE, BAD_SESSION, END, UNKNOWN, PROTECTED, NOT_FOUND = 1, 3, 4, 6, 7, 9, 10
 
-DATA = 239  # bytes of data in one message
+DATA = 239  # bytes in one message
 _HEAD = struct.Struct("<HBBBBBxI")
 
 
@@ -64,7 +64,7 @@ class _Request(NamedTuple):
 class _Burst:
     request: _Request
     offset: int
-    remaining: int  # messages of the burst that are still to be sent
+    remaining: int  # messages still to be sent
     sequence: int
 
 
@@ -155,7 +155,7 @@ class FileService(Service):
         file = None if path is None else self._files(path).get(path)
         if file is None:
             return _nak(request, NOT_FOUND)
-        if file.size >= 1 << 32:  # its size and its offsets do not fit in the fields of 32 bits
+        if file.size >= 1 << 32:  # too large for fields of 32 bits
             return _nak(request, FAIL)
         if code == CRC:
             return _ack(request, struct.pack("<I", _checksum(file)))

@@ -68,8 +68,8 @@ LEFT_OUT: dict[int, str] = {
 
 _SEA = (wire.MAV_FRAME_GLOBAL, wire.MAV_FRAME_GLOBAL_INT)  # z is above the sea
 _HOME = (wire.MAV_FRAME_GLOBAL_RELATIVE_ALT, wire.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # z is above home
-FARTHEST: float = get_args(Metres)[1].upper  # m north or south, east or west: the limit of the pilot's requests
-NO_POSITION = 2**31 - 1  # value of x or y that means: no position
+FARTHEST: float = get_args(Metres)[1].upper  # m: the limit of the pilot's requests
+NO_POSITION = 2**31 - 1  # of x or y
 
 
 class Item(NamedTuple):
@@ -106,7 +106,7 @@ def to_mission_item(item: Item, geodesy: Geodesy, home_altitude: float) -> Missi
             north, east = _position_or_here(item, geodesy, 0.0)
             return MissionItem(ItemKind.LAND, north, east, yaw=_yaw(item.params[3]))
         return _instruction(item.command, *item.params[:2])
-    except InputError as error:  # a number is outside the limits of the autopilot
+    except InputError as error:  # outside the autopilot's limits
         raise ItemError(_find_code(str(error)), str(error).removeprefix("MissionItem.")) from error
 
 
@@ -149,7 +149,7 @@ def to_item(item: MissionItem, geodesy: Geodesy) -> Item:
         ItemKind.ALTITUDE: Item(global_frame, LOITER_ALTITUDE, (0.0, 0.0, 0.0, 0.0), x, y, z),
         ItemKind.SPEED: Item(mission_frame, SPEED, (1.0, item.speed or 0.0, -1.0, 0.0), 0, 0, 0.0),
         ItemKind.DELAY: delay,
-        ItemKind.LEFT_OUT: delay,  # the command that was left out is not stored, so it is sent as a pause of length 0
+        ItemKind.LEFT_OUT: delay,  # a pause of length 0
         ItemKind.JUMP: Item(mission_frame, JUMP, (float(item.target or 0), float(item.repeat), 0.0, 0.0), 0, 0, 0.0),
         ItemKind.RETURN: Item(mission_frame, RETURN, (0.0, 0.0, 0.0, 0.0), 0, 0, 0.0),
     }[item.kind]
@@ -173,7 +173,7 @@ def _waypoint(item: Item, geodesy: Geodesy, home_altitude: float) -> MissionItem
     hold, radius, _, yaw = item.params
     altitude = to_altitude(item, geodesy, home_altitude)
     north, east = to_local_position(item, geodesy, altitude)
-    if item.command == LOITER_TIME:  # all parameters but the time describe a circle, so none is an acceptance radius
+    if item.command == LOITER_TIME:  # its parameters describe a circle
         radius = 0.0
     hold_s = _number(hold, PARAM1, "time to hold", 0.0, 0.0)
     acceptance_m = _number(radius, PARAM2, "radius", 0.0, 0.0)

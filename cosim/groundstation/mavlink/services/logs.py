@@ -93,11 +93,11 @@ class LogStore:
         self._folder = Path(tempfile.mkdtemp(prefix="logs-", dir=scratch()))
         self._seen_runs: set[Path] = set()
         self._conversion: tuple[Host, LogEntry, float] | None = None
-        self._converted_count = 0  # number of logs that were converted, including failures
+        self._converted_count = 0  # logs, including failures
         self._search: Thread | None = None
         self._found_runs: Sequence[Path] = ()
         self._last_search = -inf
-        self._is_outdated = True  # True where a run was finished after the last search began
+        self._is_outdated = True  # a run has ended since the search began
         self._now = 0.0
         self.logs: list[LogEntry] = []
 
@@ -133,7 +133,7 @@ class LogStore:
         self._seen_runs.update(new)
         for run in new[-self.max_earlier :] if first else new[: self.max_logs - len(self.logs)]:
             self.logs.append(LogEntry(len(self.logs), run, _start_time(run)))
-        if self._is_outdated:  # a run was finished during the search, so search again
+        if self._is_outdated:  # a run has ended during the search
             self.search(now)
 
     def poll(self, now: float) -> None:
@@ -198,7 +198,7 @@ class LogService(Service):
     def __init__(self, store: LogStore, rate: float = 2500.0) -> None:
         self.rate = rate
         self._store = store
-        self._lists: dict[Client, tuple[int, int]] = {}  # by client, the entries that are still to be sent
+        self._lists: dict[Client, tuple[int, int]] = {}  # entries still to be sent
         self._downloads: OrderedDict[Client, _Download] = OrderedDict()
 
     def handle(self, message: Message, client: Client, now: float) -> list[Message]:
@@ -235,7 +235,7 @@ class LogService(Service):
                 if download.at >= download.end:
                     break
             if download.at >= download.end:
-                if download.is_past_end:  # the request goes past the end of the log; an empty part tells the client so
+                if download.is_past_end:  # an empty part says so
                     out.append((client.peer, _data(download.number, download.at, b"")))
                 del self._downloads[client]
         return out
@@ -310,7 +310,7 @@ def _start_time(run: Path) -> int:
         started = read_json(run / "summary.json")["started"]
         moment = datetime.fromisoformat(started)
         seconds = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-        return min(2**32 - 1, max(0, int(seconds)))  # the field is an unsigned integer of 32 bits
+        return min(2**32 - 1, max(0, int(seconds)))  # unsigned, 32 bits
     except (ValueError, KeyError, TypeError):
         return 0
 

@@ -38,7 +38,7 @@ class MavCommand(NamedTuple):
 
     number: int
     params: tuple[float | None, ...]  # parameters 1 to 7, counted from 0
-    frame: int | None  # MAV_FRAME; None for COMMAND_LONG, which states no frame
+    frame: int | None  # MAV_FRAME; None: COMMAND_LONG
 
     @property
     def position(self) -> tuple[float, float] | None:

@@ -244,7 +244,7 @@ class MissionService(Service):
             return [self._next_request(upload)]
         try:
             request = self._request(upload)
-        except InputError as error:  # the only error left is a jump to an item that does not exist
+        except InputError as error:  # a jump to an item that does not exist
             return self._refuse(upload, PARAM1, f"mission refused: {error}")
         except ItemError as error:
             return self._refuse(upload, error.code, f"{_NAMES[mission_type]} refused: {error}")
@@ -318,7 +318,7 @@ class MissionService(Service):
             if answer.accepted:
                 status = self._status()
                 if status is not None and status.mission_current == index:
-                    self._progress_sent = ()  # the sender waits for an answer although nothing will change
+                    self._progress_sent = ()  # the sender waits for an answer
                 return []
             return [(client.peer, message) for message in _warn(answer.text)]
 

@@ -33,9 +33,8 @@ from cosim.groundstation.mavlink.wire.dialect import Message
 from cosim.groundstation.mavlink.wire.dialect import mav as wire
 from cosim.groundstation.mavlink.wire.peer import Peer
 
-HASH = "_HASH_CHECK"  # PX4's: a ground station that has the same set cached reads no list
-LIST_RATE = 100.0  # values a second; chosen by us: 3.7 kB/s, two thirds of what a radio of 57600 baud carries
-LIST_BURST = 10
+# PX4's hash of all parameters: a station that has the same set cached reads no list.
+HASH = "_HASH_CHECK"
 
 REAL32, INT32, UINT32 = wire.MAV_PARAM_TYPE_REAL32, wire.MAV_PARAM_TYPE_INT32, wire.MAV_PARAM_TYPE_UINT32
 _INTEGERS = {1: "<B", 2: "<b", 3: "<H", 4: "<h", 5: "<I", 6: "<i"}  # struct format of each MAV_PARAM_TYPE
@@ -69,8 +68,9 @@ class ParameterService(Service):
         kind = message.get_type()
         if kind == "PARAM_REQUEST_LIST":
             if client in self._lists or len(self._lists) < MAX_CLIENTS:
-                first = -1 if self._personality == "px4" else 0  # PX4 sends the hash first, as parameter -1
-                pace = self._lists[client][1] if client in self._lists else RateLimit(LIST_RATE, LIST_BURST)
+                first = -1 if self._personality == "px4" else 0  # the hash goes first, as parameter -1
+                # Values a second: 3.7 kB/s, two thirds of what a radio of 57600 baud carries.
+                pace = self._lists[client][1] if client in self._lists else RateLimit(100.0, 10)
                 self._lists[client] = (first, pace)
             return []
         if kind == "PARAM_REQUEST_READ":
@@ -182,7 +182,7 @@ class ParameterService(Service):
         """Return the value that PARAM_SET carries, or why its type is refused."""
         if kind != REAL32 and kind not in _INTEGERS:
             return _Refusal(UNSUPPORTED_TYPE)
-        if self._personality == "ardupilot":  # ArduPilot's clients may state any type, so the type is not checked
+        if self._personality == "ardupilot":  # its clients may state any type
             return value
         expected = INT32 if line.kind == "int" and self._personality == "px4" else REAL32
         if kind != expected and not (expected == INT32 and kind in _INTEGERS):

@@ -19,7 +19,8 @@ Outgoing = list[tuple[Peer | None, Message]]
 # arguments: request, callback for the answer (called later, from any thread), name of the sender
 Ask = Callable[[Request, Callable[[Answer], None], str], None]
 
-MAX_CLIENTS = 16  # clients for which a service keeps state; chosen by us, more than are ever connected
+# Clients for which a service keeps state; chosen by us, more than are ever connected.
+MAX_CLIENTS = 16
 _text_id = 0
 
 

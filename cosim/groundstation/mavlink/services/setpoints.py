@@ -11,7 +11,7 @@ from cosim.groundstation.mavlink.telemetry_state import TelemetryState
 from cosim.groundstation.mavlink.wire.dialect import Message
 
 _OFFSET_NED, _BODY_NED, _BODY_OFFSET, _BODY_FRD = 7, 8, 9, 12  # MAV_FRAME
-_BY_NOSE = (_BODY_NED, _BODY_OFFSET, _BODY_FRD)  # velocities are along and across the heading
+_BY_NOSE = (_BODY_NED, _BODY_OFFSET, _BODY_FRD)  # velocities along and across heading
 # Bits of POSITION_TARGET_TYPEMASK: this field is to be ignored.
 _POSITION, _VELOCITY, _YAW, _YAW_RATE = 0b111, 0b111 << 3, 1 << 10, 1 << 11
 # Bits of ATTITUDE_TARGET_TYPEMASK: this field is to be ignored.

@@ -15,8 +15,8 @@ try:
 except ImportError as error:
     raise InputError("the MAVLink messages have not been made: install the project again (pip install -e .)") from error
 
-mav.MAVLINK_IGNORE_CRC = False  # damaged frames are refused even if MAV_IGNORE_CRC is set in the environment
-Message = Any  # an instance of one of the generated classes
+mav.MAVLINK_IGNORE_CRC = False  # overrides MAV_IGNORE_CRC
+Message = Any  # an instance of a generated class
 KINDS: dict[int, Any] = mav.mavlink_map
 BY_NAME: dict[str, Any] = {kind.msgname: kind for kind in KINDS.values()}
 COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1, of the vehicle

@@ -13,7 +13,7 @@ from cosim.groundstation.mavlink.wire.dialect import CHECKSUM, COMPONENT, Messag
 from cosim.groundstation.mavlink.wire.signing import Signing
 
 MAGIC_1, MAGIC_2 = mav.PROTOCOL_MARKER_V1, mav.PROTOCOL_MARKER_V2
-SIGNED = mav.MAVLINK_IFLAG_SIGNED  # the only incompatibility flag that MAVLink defines
+SIGNED = mav.MAVLINK_IFLAG_SIGNED  # the only incompatibility flag
 
 
 class Frame(NamedTuple):
@@ -79,7 +79,7 @@ class Parser:
             return "flags", None
         try:
             message = self._mav.decode(bytearray(raw))
-        except mav.MAVError:  # the length was checked before, so it is the checksum that is wrong
+        except mav.MAVError:  # wrong checksum: the length is right
             return "crc", None
         if isinstance(message, mav.MAVLink_unknown):
             return "unknown", None

@@ -15,7 +15,7 @@ from pathlib import Path
 
 SOURCE = Path(__file__).with_name("hexjet.xml")
 TARGET = "_messages.py"
-BUNDLED = ("development", "common", "standard", "minimal")  # the dialects that hexjet.xml includes, directly or not
+BUNDLED = ("development", "common", "standard", "minimal")  # included by hexjet.xml
 _HEAD = "# mypy: ignore-errors\n# ruff: noqa\n# Made by cosim/groundstation/mavlink/wire/generate.py from hexjet.xml\n"
 
 

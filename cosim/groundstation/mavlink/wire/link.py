@@ -20,7 +20,7 @@ from cosim.groundstation.mavlink.wire.transports.tcp import TcpClient, TcpServer
 from cosim.groundstation.mavlink.wire.transports.udp import UdpClient, UdpServer
 
 # Chosen by us.
-_IDLE = 0.05  # s: the longest sleep of the link's thread
+_MAX_SLEEP_S = 0.05  # s, longest sleep of the link's thread
 # Refusals that are reported at once.  Damaged frames are usual on a radio, and are only counted.
 _REPORTED = {
     "signature": "frames with a wrong signature refused",
@@ -119,10 +119,10 @@ class Link(Hub):
         until = flushed
         while not self._stop.is_set():
             now = self.now()
-            for key, mask in self._selector.select(min(_IDLE, max(0.0, until - now))):
+            for key, mask in self._selector.select(min(_MAX_SLEEP_S, max(0.0, until - now))):
                 self._run_isolated(key.data, mask)
             now = self.now()
-            until = min(now + _IDLE, self.poll(now))
+            until = min(now + _MAX_SLEEP_S, self.poll(now))
             if self.log is not None and now - flushed > flush_s:
                 self.log.flush()
                 flushed = now
@@ -132,7 +132,7 @@ class Link(Hub):
         for channel in self._channels:
             self._run_isolated(channel.poll, now)
         self._report_problems(now)
-        until = now + _IDLE
+        until = now + _MAX_SLEEP_S
         if self.handler is not None:
             until = self._run_isolated(self.handler.poll, now) or until
         return until

@@ -58,10 +58,10 @@ class Peer:
         self.created = now = clock()
         self.last_heard = -1.0  # time of the last frame; -1: none yet
         self.intervals: dict[int, float] = {}  # s, by message; 0: not sent
-        self.turn = 0  # slots so far of messages that go one a slot
+        self.turn = 0  # slots of messages that take turns
         self.received = self.sent = self.dropped = 0
         self.signature = packer.signature  # bytes of the signature on every frame
-        self.stuck = False  # True where there is no room for another answer
+        self.stuck = False  # no room for another answer
         self._transmit = transmit
         self._parser = parser
         self._packer = packer
@@ -71,8 +71,8 @@ class Peer:
         self._telemetry: dict[tuple[int, int], Message] = {}
         self._frame = b""  # the rest of the frame that is being sent
         self._waiting = 0  # bytes of answers and bulk data that wait
-        self._balance = 0  # bytes by which bulk is ahead of telemetry while both wait
-        self._blocked: float | None = None  # time since which the line has accepted nothing; None while it accepts
+        self._balance = 0  # bytes of bulk ahead of telemetry
+        self._blocked: float | None = None  # since when it accepts nothing; or None
         self._credit = float(LIMITS.burst_frames)
         self._credited = now
 

@@ -18,7 +18,7 @@ from cosim.base.storage.files import read_text
 
 EPOCH = 1420070400.0  # s: 2015-01-01 as UNIX time
 _TICKS = 100_000  # time stamps per second
-_BEHIND = 60 * _TICKS  # a new stream's time stamp may be this far behind
+_MAX_LATENESS = 60 * _TICKS  # most that a new stream may be late
 _HEX = "hex:"
 
 
@@ -75,7 +75,7 @@ class Signing:
         stamp = int.from_bytes(frame[-12:-6], "little")
         stream = (frame[-13], system, component)
         last = self._streams.get(stream)
-        if stamp <= last if last is not None else stamp + _BEHIND < max(self._last, self._now()):
+        if stamp <= last if last is not None else stamp + _MAX_LATENESS < max(self._last, self._now()):
             return "replay"
         self._streams[stream] = stamp
         self._last = max(self._last, stamp)

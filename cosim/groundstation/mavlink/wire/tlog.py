@@ -31,7 +31,7 @@ class TelemetryLog:
         # The log is not signed, because each link has a signature of its own.
         self._packer = FramePacker(system)
         self.frames = 0
-        self.failure = ""  # why writing stopped; empty while it goes on
+        self.failure = ""  # why writing stopped, if it did
 
     def write_sent(self, packed: Message) -> None:
         """Write a message that was sent."""

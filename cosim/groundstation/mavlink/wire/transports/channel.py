@@ -64,11 +64,11 @@ class Hub:
     def __init__(
         self, system: int, signing: Signing | None, log: TelemetryLog | None, clock: Callable[[], float]
     ) -> None:
-        self.refused: Counter[str] = Counter()  # frames and bytes that were refused, by reason
-        self.failures: Counter[str] = Counter()  # exceptions of this program by kind, each of which is a defect
+        self.refused: Counter[str] = Counter()  # frames and bytes, by reason
+        self.failures: Counter[str] = Counter()  # own exceptions by kind: defects
         self.taken = 0  # frames that were accepted
         self.events: deque[str] = deque(maxlen=100)  # lines about the links, for the user
-        self.on_event: Callable[[str], None] = lambda text: None  # called with each event line, in the link's thread
+        self.on_event: Callable[[str], None] = lambda text: None  # called in the link's thread
         self.log = log
         self.handler: FrameHandler | None = None
         self.now = clock
@@ -155,7 +155,7 @@ class Connection:
         self._read = read
         self._write = write
         self.open = True
-        self.stalled = False  # True where it was closed because it accepted nothing
+        self.stalled = False  # closed because it accepted nothing
         self.why = ""
         self.peer = link.new_peer(name, self._transmit, is_datagram=False)
         self._gate = ReadGate(link, item, self._ready)

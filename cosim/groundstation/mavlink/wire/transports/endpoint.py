@@ -9,7 +9,7 @@ from typing import NamedTuple
 from cosim.base.errors import InputError
 from cosim.base.removed import describe_removed
 
-SYSTEMS = range(1, 251)  # MAVLink ids of vehicles; ground stations use those above
+SYSTEMS = range(1, 251)  # ids of vehicles, below those of stations
 NETWORK = ("udpout", "udpin", "tcp", "tcpin")
 LOOPBACK = "127.0.0.1"
 _FORMS = "udpout:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT or tcpin:[HOST:]PORT"

@@ -27,7 +27,7 @@ def _without_waiting(send: Callable[[bytes], int]) -> Callable[[bytes], int]:
         except (BlockingIOError, InterruptedError):
             return 0
         except OSError:
-            return len(data)  # nobody listens or there is no route: the datagram counts as lost, as any may be
+            return len(data)  # no listener or route: a lost datagram
 
     return transmit
 
