@@ -24,7 +24,7 @@ from cosim.base.signals import Actuation, Command, Measured, PerJet, PerServo, S
 from cosim.flight import opened, record
 from cosim.results.run import Run
 from cosim.simulation.build import build
-from cosim.simulation.controllers.source import OBJECT, Source
+from cosim.simulation.controllers.source import IN_MEMORY_PREFIX, Source
 from cosim.simulation.ending import Ending
 from cosim.spec.scenario import Scenario
 
@@ -126,7 +126,7 @@ class Stepper:
         scenario, self._source = opened(scenario, controller)
         _refuse_autopilot(scenario)
         if self._manual is not None:
-            manual, name = self._manual, f"{OBJECT}by hand"
+            manual, name = self._manual, f"{IN_MEMORY_PREFIX}by hand"
             self._source = Source(name, "controller", lambda: manual, {}, is_copied=False)
             scenario = scenario.replace(controller=name)
         self._scenario, self._log = scenario, log

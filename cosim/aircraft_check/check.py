@@ -28,7 +28,7 @@ from cosim.flight import fly_watched as fly
 from cosim.results.report.three_views import points_of, three_views
 from cosim.simulation.build import build
 from cosim.simulation.engines import load_engines
-from cosim.simulation.model_agreement import NOTED, ModelAgreement, compare_models
+from cosim.simulation.model_agreement import NOTABLE, ModelAgreement, compare_models
 from cosim.simulation.notes import note_missing_fuel_flow
 from cosim.simulation.step import Simulation
 from cosim.spec.scenario import Scenario
@@ -267,7 +267,7 @@ def _models(simulation: Simulation) -> list[Line]:
 
 
 def _model(axis: str, family: str, agreements: Sequence[ModelAgreement]) -> Line:
-    """Return the line on the worst comparison with one model: a note above ``NOTED``, a fault where it is unfit."""
+    """Return the line on the worst comparison with one model: a note above ``NOTABLE``, a fault where it is unfit."""
     name = f"{axis} model, {family}"
     if not agreements:
         return Line(name, "not compared: its sample time is not the vehicle's control step")
@@ -276,7 +276,8 @@ def _model(axis: str, family: str, agreements: Sequence[ModelAgreement]) -> Line
     if worst.is_unfit:
         return Line(name, text, f"not of this vehicle: make one with hexjet identify {axis}, or take it out")
     return Line(
-        name, f"{text}: more than {100.0 * NOTED:.0f} % off, which predictors feel" if worst.is_noteworthy else text
+        name,
+        f"{text}: more than {100.0 * NOTABLE:.0f} % off, which predictors feel" if worst.is_noteworthy else text,
     )
 
 

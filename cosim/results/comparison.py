@@ -17,8 +17,9 @@ from cosim.results.metrics import wrap
 from cosim.results.run import Run
 from cosim.spec.scenario import Scenario
 
-_EULER = "body to NED"  # the frame of angles, whose difference is taken the short way round
-_SLACK = 1e-6  # of a step: times that are nearer are the same, k * dt being rounded
+_EULER = "body to NED"  # angles: difference the short way
+# Of a step: times that are nearer are the same, k * dt being rounded.
+_SLACK = 1e-6
 
 
 class ComparedFlight(NamedTuple):
@@ -36,13 +37,13 @@ class Signal(NamedTuple):
 
     name: str
     unit: str
-    same: bool  # to the last bit, as digests have it: every NaN is one, 0 and -0 are two
-    first_step: int | None  # of those compared, from 0, where they differ
+    same: bool  # bit for bit: NaN equals NaN, 0 not -0
+    first_step: int | None  # of those compared, that differs
     first_s: float | None  # its time
-    largest: float | None  # size of second less first, over the steps on which both are numbers
+    largest: float | None  # of second less first, both numbers
     largest_s: float | None
     rms: float | None
-    alone: int  # steps on which only one of both is a number
+    alone: int  # steps with one number only
 
 
 class LogComparison(NamedTuple):
@@ -53,8 +54,8 @@ class LogComparison(NamedTuple):
     steps: int  # compared
     begins_s: float
     ends_s: float  # start of the last step compared
-    steps_of: str  # whose steps they are: of the one with the shorter steps
-    held: str  # the other, whose values are held from one of its steps to its next; empty where the steps are the same
+    steps_of: str  # of the log with the shorter steps
+    held: str  # the other, held; empty: equal steps
     same: bool  # both logs, whole
     signals: tuple[Signal, ...]
     only_first: tuple[str, ...]  # columns

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import DisturbanceEntry, Fault, Scenario
 
 Kind = Literal["fault", "monitor", "disturbance", "contact", "pilot", "requirement"]
-MOST = 500  # events of one kind that are kept; the log has all of them
+MAX_EVENTS = 500  # of one kind; the log has all
 PHASES = ("on the ground", "in the air", "on its jets", "transition", "on the wing")  # what carries the vehicle
-ON_JETS, ON_WING = 0.05, 0.5  # of the weight on the wing: up to which, from which it is so; chosen by us
+ON_JETS, ON_WING = 0.05, 0.5  # fractions of the weight on the wing
 
 
 class Event(Record):
@@ -39,8 +39,8 @@ class Event(Record):
     kind: Kind
     text: str
     end_s: float | None = None
-    severity: int = 6  # as in syslog: 2 critical, 3 error, 4 warning, 6 information
-    banded: bool = False  # a stretch of time that a figure is to show; steady wind is not, it is there all the while
+    severity: int = 6  # syslog: 2 critical, 3 error, 6 info
+    banded: bool = False  # shown as a band in figures
 
     @property
     def lasts(self) -> bool:
@@ -108,7 +108,7 @@ def list_events(run: Run) -> list[Event]:
     scenario: Scenario | None
     try:
         scenario = run.scenario
-    except (InputError, FlightError):  # the file is of another version or missing; the log can still be read
+    except (InputError, FlightError):  # the log can still be read
         scenario = None
     end = len(log) * step
     events = [
@@ -124,7 +124,7 @@ def list_events(run: Run) -> list[Event]:
 def spans(mask: NDArray[np.bool_], step: float) -> list[tuple[float, float | None]]:
     """Return the times [s] between which a mask is true; None for an end that lies beyond the log."""
     starts, ends = row_spans(mask)
-    return time_spans(starts, ends, mask.size, step)[:MOST]
+    return time_spans(starts, ends, mask.size, step)[:MAX_EVENTS]
 
 
 def row_spans(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -191,7 +191,7 @@ def find_verdicts(log: Log, step: float) -> Iterator[Event]:
         if not np.all(np.isfinite(health)):
             continue
         believed = np.concatenate(([1.0], health))
-        for row in np.flatnonzero(np.diff(believed) != 0.0)[:MOST].tolist():
+        for row in np.flatnonzero(np.diff(believed) != 0.0)[:MAX_EVENTS].tolist():
             yield Event(
                 time_s=row * step, kind="monitor", text=f"jet {jet} {_health_text(believed[row + 1])}", severity=4
             )

@@ -19,7 +19,7 @@ from cosim.base.constants import GRAVITY
 from cosim.base.protocols import Columns
 from cosim.base.signals import AXES
 from cosim.results.metrics import POSITION_SETPOINT, Record, commands_position
-from cosim.results.steadiness import LEAST_GAIN_1_S, AxisLimitInputs, axis_limits, noise_floor
+from cosim.results.steadiness import MIN_GAIN_1_S, AxisLimitInputs, axis_limits, noise_floor
 from cosim.results.wording import metric
 
 if TYPE_CHECKING:
@@ -27,12 +27,15 @@ if TYPE_CHECKING:
     from cosim.spec.vehicle import Vehicle
 
 # Chosen by us, in spans of the vehicle and in its Froude speed sqrt(g span), so that a vehicle and its scaled copy are
-# held to the same.  A span is 0.4 m on the prototype.
-HEIGHT_SPANS = 5.0  # 2 m: no shipped disturbance costs as much, a tenth of the weight taken up at once included
-POSITION_SPANS = 10.0  # 4 m: GNSS that is off by a metre, and the first gust before the estimate of the wind has it
-DRIFT_SPANS = 25.0  # 10 m: nobody holds the place, but nobody would say either that the vehicle hovered
-SPEEDS = 2.0  # 4 m/s
-SATURATED_PERCENT = 50.0  # most of its time in the air a vehicle is to have what its controllers ask for
+# held to the same.  A span is 0.4 m on the prototype: a height error of 2 m, which no shipped disturbance causes (a
+# tenth of the weight taken up at once included); a position error of 4 m, for a GNSS that is off by a metre and the
+# first gust before the estimate of the wind has it; a drift of 10 m, which nobody would call a hover; 4 m/s.
+HEIGHT_SPANS = 5.0
+POSITION_SPANS = 10.0
+DRIFT_SPANS = 25.0
+SPEEDS = 2.0
+# Most of its time in the air a vehicle is to have what its controllers ask for.
+SATURATED_PERCENT = 50.0
 
 # Of the steps of any second, on which a command may turn back.  One that alternates, in a loop that oscillates at half
 # the control rate, does so on all; white noise on 2/3, its differences on 73 % (1/2 + asin(2/3) / pi), and by chance on
@@ -43,7 +46,7 @@ AXIS_LIMITED = {  # those that limit a metric of every axis
     "settling_s": "settling_time_s",
     "oscillation_rad": "oscillation_rad",
 }
-LIMITED = {  # the keys of [limits] and the metrics that they limit
+LIMITED = {  # metrics by key of [limits]
     "height_error_m": "altitude.max_abs_error_m",
     "place_error_m": "position.max_abs_error_m",
     "drift_m": "position.drift_m",
@@ -56,17 +59,17 @@ LIMITED = {  # the keys of [limits] and the metrics that they limit
 }
 
 
-NEVER_SETTLED = ".settling_time_s"  # the metric that is None where a step has not settled
+NEVER_SETTLED = ".settling_time_s"  # None where a step has not settled
 
 
 class LimitInputs(Record):
     """What the limits of a flight are made from, beside its log."""
 
     span_m: float
-    height_law: tuple[float, float, float]  # gain 1/s, most climb and most descent m/s
-    stated: dict[str, float | None]  # by the keys of LIMITED and AXIS_LIMITED; None: none
-    piloted: bool  # by an autopilot that is asked things: where it flies is no drift
-    axes: tuple[AxisLimitInputs, ...] = ()  # roll, pitch, yaw; empty: of a run from before axes had limits
+    height_law: tuple[float, float, float]  # 1/s, most climb and descent m/s
+    stated: dict[str, float | None]  # by keys of the limits; None: none
+    piloted: bool  # by an autopilot: no drift
+    axes: tuple[AxisLimitInputs, ...] = ()  # roll, pitch, yaw; empty: older run
 
 
 def make_limit_inputs(scenario: Scenario, vehicle: Vehicle) -> LimitInputs:
@@ -94,7 +97,7 @@ def note_small_steps(scenario: Scenario, measure: LimitInputs) -> list[str]:
     floors = {
         f"{name}_deg": degrees(noise_floor(axis, scenario.step_s))
         for name, axis in zip(AXES, measure.axes, strict=False)
-        if scenario.sensor_noise and axis.gain_1_s >= LEAST_GAIN_1_S
+        if scenario.sensor_noise and axis.gain_1_s >= MIN_GAIN_1_S
     }
     return [
         f"command.{number}: the {entry.kind} of {entry.amplitude:g} deg in {entry.signal} is below the noise floor of "

@@ -25,14 +25,16 @@ from cosim.results.contacts import find_contact_rows, height_error
 from cosim.results.log.columns import HEXJET, RATES, LoggedVehicle, jets_in, log_columns, logged_vehicle_of, servos_in
 from cosim.spec.scenario import Range
 
-SMALLEST_STEP_RAD = 1e-3  # chosen by us: a smaller offset at the start is trim or noise, not a command
-SETTLING_BAND = 0.05  # of the step's size, the common 5 % convention
-FINAL_S = 1.0  # the end of the flight that tells whether it is at rest
+# A smaller offset at the start is trim or noise, not a command; chosen by us.
+MIN_STEP_RAD = 1e-3
+SETTLING_BAND = 0.05  # of the step's size, as is common
+FINAL_S = 1.0  # end of the flight
 REFUSED = ("refused_roll", "refused_pitch", "refused_yaw", "refused_collective")
 POSITION_SETPOINT = ("north_setpoint_m", "east_setpoint_m")
 WIND = ("wind_north_m_s", "wind_east_m_s", "wind_down_m_s")
-UPSETS = ("disturbance_", "payload_kg", "fault_")  # what acts from outside beside the wind: how its columns begin
-WAYPOINTS_LEFT = "waypoints_left"  # shown by the pilot of a script that has waypoints
+# Columns of what acts from outside beside the wind begin with these.
+UPSETS = ("disturbance_", "payload_kg", "fault_")
+WAYPOINTS_LEFT = "waypoints_left"  # of a script with waypoints
 THROTTLE, HEALTH, FLOW = "throttle_{}", "health_{}", "fuel_flow_{}_kg_s"  # of a jet
 TILT = "tilt_{}_command_rad"
 DEFLECTION = "deflection_{}_command"
@@ -47,14 +49,14 @@ class Record(BaseModel):
 class AxisMetrics(Record):
     """One axis.  None stands for what this flight cannot tell."""
 
-    commanded: bool  # its set-point changes during the flight, or differs from the attitude at the start
+    commanded: bool  # set-point changes, or differs at first
     rmse_rad: float | None = None  # root of the mean square of the error
     max_abs_error_rad: float | None = None  # largest size of the error
-    overshoot_percent: float | None = None  # of the step's size, past it in its direction; worst step
-    settling_time_s: float | None = None  # from a step until within 5 % of its size for good; worst step
+    overshoot_percent: float | None = None  # past the step, of its size; worst step
+    settling_time_s: float | None = None  # until within 5 % for good; worst step
     rate_rmse_rad_s: float | None = None  # true rate against its set-point
     final_error_rad: float | None = None  # mean absolute error over the last second
-    oscillation_rad: float | None = None  # half the peak-to-peak of the error over the last second
+    oscillation_rad: float | None = None  # half peak to peak, last second
 
 
 class AltitudeMetrics(Record):
@@ -71,7 +73,7 @@ class PositionMetrics(Record):
     drift_m: float | None = None  # largest distance from the start
     final_drift_m: float | None = None  # the distance at the end
     rmse_m: float | None = None  # of the distance from the place asked for
-    max_abs_error_m: float | None = None  # largest distance from the place asked for
+    max_abs_error_m: float | None = None  # largest, from the place asked for
     final_error_m: float | None = None  # the same at the end
     waypoints_left: float | None = None  # not reached at the end
 
@@ -87,8 +89,8 @@ class EffortMetrics(Record):
     """What the actuators were made to do."""
 
     saturated_percent: float | None = None  # of the steps in the air
-    alternating_percent: float | None = None  # of the steps of the worst second, of the worst command
-    throttle_1_s: float | None = None  # way of a throttle per second, mean over the jets
+    alternating_percent: float | None = None  # of steps: worst second, worst command
+    throttle_1_s: float | None = None  # travel per second, mean over the jets
     tilt_rad_s: float | None = None  # the same of a servo's command
 
 
@@ -97,7 +99,7 @@ class Metrics(Record):
 
     axes: dict[str, AxisMetrics]
     altitude: AltitudeMetrics
-    touchdown_m_s: float | None = None  # descent speed just before the first contact after a flight
+    touchdown_m_s: float | None = None  # sink rate before the first contact
     position: PositionMetrics = Field(default_factory=PositionMetrics)
     speed: SpeedMetrics = Field(default_factory=SpeedMetrics)
     effort: EffortMetrics = Field(default_factory=EffortMetrics)
@@ -108,7 +110,7 @@ class Reach(Record):
     """How far the actuators can be told to go."""
 
     throttle: tuple[tuple[float, float], ...]  # least and most, jet 1 first
-    tilt_rad: float | None = None  # of two banks, either way; None: nothing tilts, or as servos says
+    tilt_rad: float | None = None  # of two banks, either way
     servos: tuple[tuple[float, float], ...] | None = None  # of hinges and surfaces, least and most
 
 
@@ -215,7 +217,7 @@ def find_steps(setpoint: Array, angle: Array, step_s: float, hold_s: float = 0.2
     changes = np.flatnonzero(np.diff(setpoint) != 0.0) + 1
     starts = setpoint[changes - 1]
     lengths = np.diff(np.concatenate((changes, [setpoint.size])))
-    if abs(wrap(setpoint[:1] - angle[:1])[0]) > SMALLEST_STEP_RAD:
+    if abs(wrap(setpoint[:1] - angle[:1])[0]) > MIN_STEP_RAD:
         lengths = np.append(changes[0] if changes.size else setpoint.size, lengths)
         changes, starts = np.append(0, changes), np.append(angle[0], starts)
     if np.any(lengths < hold_s / step_s - 0.5):  # half a row, against rounding

@@ -29,7 +29,7 @@ from cosim.results.summary import (
     versions,
 )
 from cosim.simulation.controllers.controller_file import list_design_notes
-from cosim.simulation.controllers.source import OBJECT
+from cosim.simulation.controllers.source import IN_MEMORY_PREFIX
 from cosim.simulation.model_agreement import list_model_notes
 from cosim.simulation.notes import note_few_substeps, note_settings_without_effect
 from cosim.simulation.step import Simulation
@@ -131,7 +131,7 @@ def _own_controller(simulation: Simulation) -> OwnController | None:
         files=source.hashes,
         version=source.version,
         parameters=source.resolve_values(scenario.controller_parameters, "controller_parameters"),
-        again=not source.name.startswith(OBJECT),
+        again=not source.name.startswith(IN_MEMORY_PREFIX),
     )
 
 

@@ -20,8 +20,8 @@ from cosim.base.signals import AXES
 from cosim.results.contacts import find_contact_rows
 from cosim.results.metrics import (
     FINAL_S,
+    MIN_STEP_RAD,
     SETTLING_BAND,
-    SMALLEST_STEP_RAD,
     UPSETS,
     WIND,
     Record,
@@ -31,7 +31,8 @@ from cosim.results.metrics import (
     wrap,
 )
 
-LEAST_GAIN_1_S = 1e-3  # an attitude law that takes longer than a quarter of an hour is none
+# An attitude law that takes longer than a quarter of an hour is none.
+MIN_GAIN_1_S = 1e-3
 
 
 # Half peak-to-peak that an axis may have while the wind changes to the end.  Chosen by us: the gusts of the scenarios
@@ -43,7 +44,7 @@ class AxisLimitInputs(Record):
     """What the limits of one axis are made from, beside the log."""
 
     gain_1_s: float  # of the attitude law
-    noise_rad: float  # standard deviation of the measured attitude
+    noise_rad: float  # deviation of the measured attitude
     rate_noise_rad_s: float  # of the measured rate
 
 
@@ -93,7 +94,7 @@ def noise_floor(axis: AxisLimitInputs, step_s: float, deviations: float = 6.0) -
     that, because no controller holds an axis stiller than it is measured.
     """
     moved = axis.rate_noise_rad_s * sqrt(step_s / (2.0 * axis.gain_1_s))
-    return max(SMALLEST_STEP_RAD, deviations * hypot(axis.noise_rad, moved))
+    return max(MIN_STEP_RAD, deviations * hypot(axis.noise_rad, moved))
 
 
 def axis_limits(
@@ -133,7 +134,7 @@ def _settling(
 
     A step of which 5 % are below the noise floor is settled within that floor.
     """
-    if axis.gain_1_s < LEAST_GAIN_1_S:
+    if axis.gain_1_s < MIN_GAIN_1_S:
         return None
     most = settling_limit(axis)
     least_size = noise_floor(axis, step_s) / SETTLING_BAND
@@ -157,7 +158,7 @@ def _oscillation(
     wind changes, and beyond it what is left of how the set-point moved since the axis had time to settle before the
     last second.
     """
-    if axis.gain_1_s < LEAST_GAIN_1_S:
+    if axis.gain_1_s < MIN_GAIN_1_S:
         return None
     last = setpoint.size - round(FINAL_S / step_s)
     first = setpoint.size - round((settling_limit(axis) + FINAL_S) / step_s)

@@ -43,7 +43,7 @@ from cosim.simulation.plugins import CustomMetric
 from cosim.spec.controller_name import SHORT, describe_controller
 from cosim.spec.scenario import Expectation
 
-_TITLED = ("aircraft", "engine", "controller", "design", "models")  # changes that a title states as what flies
+_TITLED = ("aircraft", "engine", "controller", "design", "models")  # stated by the title
 _AS_IN_FILE = "Of the scenario as its file states it, not of this flight:"
 PACKAGES = ("hexjet-cosim", "jsbsim", "fmpy", "numpy", "scipy", "pyarrow")
 
@@ -64,7 +64,7 @@ class StationEngine(Record):
     engine: str
     sha256: str  # of its archive
     curve: tuple[tuple[float, float], ...] = ()
-    file: str = ""  # the name of its archive or mapping file; empty: of the library, or an older run
+    file: str = ""  # archive or mapping; empty: library
     isolated: bool = False  # whether it ran in a process of its own
 
 
@@ -82,7 +82,7 @@ class UncertainParameter(Record):
 class EngineUncertainty(Record):
     """How well the flight's engine is known, by its ``[uncertainty]``."""
 
-    source: str  # where the numbers are from; empty: not stated
+    source: str  # where the numbers are from, if stated
     parameters: list[UncertainParameter]
 
 
@@ -95,7 +95,7 @@ class Integration(Record):
     velocities: str
     attitude: str
     position: str
-    on_ground: str  # of rates and velocities instead, while anything touches the ground
+    on_ground: str  # instead, of rates and velocities
 
     @property
     def methods(self) -> str:
@@ -113,14 +113,13 @@ class OwnController(Record):
 
     name: str
     level: str  # predictor, rate, attitude or controller
-    sha256: (
-        str  # of its files, or its text; as in controller_sha256 of the scenario; empty: nothing was to be had of it
-    )
+    # Of its files, or its text, as controller_sha256 of the scenario; empty: not available.
+    sha256: str
     files: dict[str, str]  # SHA-256 by name
     version: str = ""  # of the package that it is in
     parameters: dict[str, float]
-    again: bool = True  # False: an object of a program, which no file can make again
-    repeatable: bool | None = None  # asked again with the same inputs it answered the same; None: not asked
+    again: bool = True  # False: an object in memory
+    repeatable: bool | None = None  # same answers again; None: not checked
 
 
 class ParametersRecord(Record):
@@ -130,7 +129,7 @@ class ParametersRecord(Record):
     file: str  # its name in the run's folder
     sha256: str
     controller: str = ""  # that a design is for
-    changed: tuple[str, ...] = ()  # keys with another value in the flight than in the file
+    changed: tuple[str, ...] = ()  # keys that the flight has otherwise
 
 
 class PluginRecord(Record):
@@ -156,30 +155,28 @@ class Setup(BaseModel):
     controller: str
     own_controller: OwnController | None = None  # None: a built-in one
     parameter_files: list[ParametersRecord] = []
-    changed: list[str] = []  # what was written over the scenario's own file, key = value
+    changed: list[str] = []  # values over the file, key = value
     brought: list[PluginRecord] = []  # what else is the user's
     seed: int
-    sensors: str = ""  # the profile over the aircraft's sensors, with its file's hash; empty: none, or not known
+    sensors: str = ""  # profile and hash; empty: none
     step_s: float
-    integration: Integration | None = None  # None: of a run from before it was written down
+    integration: Integration | None = None  # None: older
     planned_s: float  # how long the flight is meant to be
     started: str = ""  # UTC, ISO 8601
-    engine_curve: list[tuple[float, float]] = []  # throttle, thrust of one engine at rest [N]
+    engine_curve: list[tuple[float, float]] = []  # throttle, thrust [N] at rest
     engine_uncertainty: EngineUncertainty | None = None  # None: it states none, or an older run
     stations: list[StationEngine] = []  # jet 1 first
     jets_m: list[Vector] = []  # engine stations, body
     delay_ledger: list[DelayRow] = []
     reach: Reach | None = None  # of throttles and tilts
-    yardstick: LimitInputs | None = None  # what its limits are made from; None: it has none
-    expectation: Expectation | None = None  # what this controller with this engine must come to
-    requires: list[Requirement] = []  # of [[require]], with any controller and engine
-    event_times_s: dict[str, list[float]] = {}  # when what they name happens, as far as the scenario says it
-    notes: list[
-        str
-    ] = []  # what is to be known of it: models that are not the vehicle's, what is stated and does nothing
-    by_hand: int = 0  # steps whose command, throttles or tilts a program gave: the scenario alone does not repeat them
+    yardstick: LimitInputs | None = None  # inputs of its limits; None: none
+    expectation: Expectation | None = None  # for this controller and engine
+    requires: list[Requirement] = []  # of [[require]]
+    event_times_s: dict[str, list[float]] = {}  # by name, if the scenario states them
+    notes: list[str] = []  # deviations of models, inert settings
+    by_hand: int = 0  # steps commanded by a program
     versions: dict[str, str] = {}
-    blas_kernels: dict[str, str] = {}  # of OpenBLAS, by the package that brought it; empty: not known
+    blas_kernels: dict[str, str] = {}  # of OpenBLAS, by package; or unknown
     sha256: dict[str, str] = {}  # of the aircraft model and of every FMU
 
     @property
@@ -213,9 +210,9 @@ class Pacing(Record):
     """How well a paced flight kept in step with the clock."""
 
     factor: float | None  # asked for; None: as fast as it goes
-    missed_deadlines: int  # steps that were not done when the next one was due
+    missed_deadlines: int  # not done when the next was due
     worst_s: float  # how late the latest of them was
-    stalls: int  # after which the schedule was moved, rather than caught up with
+    stalls: int  # after which the schedule was moved
     lost_s: float  # by which it was moved, in all
 
 
@@ -227,7 +224,7 @@ class Summary(Setup):
     verdict: RunVerdict | None = None  # None: flown before there were any
     steps: int
     duration_s: float  # flown
-    wall_s: float | None = None  # spent on the steps; None if the process did not live to say so
+    wall_s: float | None = None  # of the steps; None: killed
     realtime_factor: float | None = None
     step_us: float | None = None
     pacing: Pacing | None = None  # None: nothing was paced
@@ -238,15 +235,15 @@ class Summary(Setup):
     speed: SpeedMetrics = Field(default_factory=SpeedMetrics)
     effort: EffortMetrics = Field(default_factory=EffortMetrics)
     fuel_burnt_kg: float | None = None
-    own_metrics: dict[str, float | None] = {}  # of the user's, each with "own." before its name
-    own_metrics_failed: list[str] = []  # a line for each that could not say anything
-    limits: dict[str, float] = {}  # the most that a metric may be, by its name
+    own_metrics: dict[str, float | None] = {}  # the user's, as own.NAME
+    own_metrics_failed: list[str] = []  # a line for each that failed
+    limits: dict[str, float] = {}  # upper limits by metric
     beyond: list[str] = []  # the metrics that are above that
     expectations_met: bool | None = None  # None: nothing is expected
-    complaints: list[str] = []  # a line for each expectation that is not met
-    requirements: list[RequirementResult] = []  # all of them: required, expected, and limits
+    complaints: list[str] = []  # a line for each failed expectation
+    requirements: list[RequirementResult] = []  # required, expected, and limits
     requirements_kept: bool | None = None  # those of [[require]]; None: it has none
-    margin: float | None = None  # the smallest of all, each divided by its scale; below 0: it failed
+    margin: float | None = None  # least, over its scale; below 0: failed
     decided_by: str = ""  # the name of the requirement that has it
 
     def __repr__(self) -> str:

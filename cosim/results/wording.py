@@ -28,7 +28,8 @@ class AxisRow(NamedTuple):
     digits: int
 
 
-UNITS = (  # what a metric's name ends with: the unit shown, and the factor to it
+# What a metric's name ends with, the unit shown, and the factor to it.
+UNITS = (
     ("_rad_s", "deg/s", degrees(1.0)),
     ("_rad", "deg", degrees(1.0)),
     ("_percent", "%", 1.0),
@@ -48,7 +49,7 @@ WORDS = {
     "touchdown": "touchdown speed",
     "fuel_burnt": "fuel burnt",
 }
-WHOLE_FLIGHT = {  # what is not of an axis and not said well by its parts
+WHOLE_FLIGHT = {  # neither of an axis nor said by its parts
     "position.drift_m": "drift from the start",
     "position.final_drift_m": "drift at the end",
     "speed.max_m_s": "largest ground speed",
@@ -68,7 +69,7 @@ AXIS_ROWS = (
     AxisRow("Error at the end", "final_error_rad", "deg", degrees(1.0), 3),
     AxisRow("Residual oscillation", "oscillation_rad", "deg", degrees(1.0), 3),
 )
-WHOLE_ROWS = (  # name and digits of what is measured of the whole flight, in the order in which it is shown
+WHOLE_ROWS = (  # name and digits, in order of display
     ("altitude.rmse_m", 3),
     ("altitude.max_abs_error_m", 3),
     ("altitude.final_error_m", 3),

@@ -25,8 +25,6 @@ from cosim.spec.vehicle import Hinge, Servo, Surface, Vehicle
 from cosim.vehicle.effects.hinges import HingeReactions
 from cosim.vehicle.effects.rotors import RotorDynamics
 
-SMALL = 1e-6  # rad/s^2, by which the rotors' momentum is seen to change
-
 
 @dataclass(frozen=True)
 class AxisPart:
@@ -38,7 +36,7 @@ class AxisPart:
     """
 
     servos: tuple[Servo | Hinge, ...]  # () for the engines
-    moves: tuple[float, ...]  # by which each goes per command; () for the engines
+    moves: tuple[float, ...]  # per command; () for the engines
     fraction: float
     reaction_s2: float = 0.0
     lead_s: float = 0.0
@@ -198,13 +196,14 @@ def rotor_momentum_lead(
     ]
     speeds = [0.0 if around_one is None else around_one.speed for around_one in around]
     speed_per_newton = [0.0 if around_one is None else around_one.speed_per_n for around_one in around]
-    small = [SMALL * move for move in moves]
+    change = 1e-6  # rad/s^2
+    small = [change * move for move in moves]
     rotors.reset(tuple(speeds))
     faster = tuple([speed + slope * move for speed, slope, move in zip(speeds, speed_per_newton, small, strict=False)])
     rest = [hinge.rest_rad for hinge in vehicle.hinges]
     tilt = tuple([angle + move for angle, move in zip(rest, small[len(engines) :], strict=False)]) or (0.0, 0.0)
     x, y, z = np.linalg.solve(np.array(vehicle.tensor), np.array(rotors.update(faster, tilt)))
-    return (float(x) / SMALL, float(y) / SMALL, float(z) / SMALL)
+    return (float(x) / change, float(y) / change, float(z) / change)
 
 
 def compute_hinge_reactions(vehicle: Vehicle, step: float) -> Array:

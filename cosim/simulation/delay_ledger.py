@@ -10,7 +10,7 @@ with their engines, or servos with their banks or hinges.  Where different ones 
 their mean, weighted by their shares: in that limit this is the delay of the axis, while the slowest alone would state
 more than can be measured.
 
-What thrusts give beside servos, or servos beside thrusts, is not in the sum while it is at most :data:`BESIDE` of the
+What thrusts give beside servos, or servos beside thrusts, is not in the sum while it is at most :data:`MINOR` of the
 axis: with a share ``w`` of it the phase is within ``asin(w / (1 - w))``, 3 deg, of the sum at every frequency.
 Where both give more the delay of the axis is another one at every frequency, and there is no sum.
 
@@ -46,7 +46,7 @@ from cosim.simulation.engine_reference import SmallStepResponse, measure_small_s
 from cosim.spec.scenario import Scenario
 from cosim.spec.vehicle import Hinge, Surface, Vehicle
 
-BESIDE = 0.05  # of an axis: chosen by us, see above
+MINOR = 0.05  # of an axis: chosen by us, see above
 MEASURED = ", measured with a small step around half throttle"
 AT_HOVER = ", measured with small steps around the throttle of hover"
 
@@ -57,7 +57,7 @@ class LedgerRow:
 
     element: str
     owner: str
-    kind: str  # "transport", "lag", "lead", "hold", "exchange", "beside" (the sum) or "mixed"
+    kind: str  # transport, lag, lead, hold, mixed, ...
     samples: float | None  # None where it is not known
     axis: str = "roll"
 
@@ -138,10 +138,10 @@ class _Hover:
         if not by_thrust and not by_servo:
             return [(f"nothing turns it in {axis}", "allocation", "mixed", None)]
         rotors = self._rotors(axis, turned)
-        if by_servo <= BESIDE:
+        if by_servo <= MINOR:
             rows = [*self._by_thrust(turned.thrusts), *rotors]
             return [*rows, *_beside("servos give", by_servo, "tilt servos")]
-        if by_thrust <= BESIDE:
+        if by_thrust <= MINOR:
             rows = [*self._by_servos(turned.servos), *rotors]
             return [*rows, *_beside("engines give", by_thrust, _owner(self._engines))]
         why = (

@@ -19,7 +19,7 @@ _LONGEST_S, _NO_CHANGE = 20.0, 1e-6
 class SmallStepResponse(NamedTuple):
     """The response of an engine to small changes of the throttle around a constant one."""
 
-    delay: float | None  # all delay at low frequency, control steps from the throttle's move; None: it does not answer
+    delay: float | None  # control steps at low frequency, or None
     speed: float  # rad/s; 0 where it has none
     speed_per_n: float  # rad/s per N of thrust at rest
     # thrust at the end of each step after the throttle's move, over its change: the mean of both ways; () as above

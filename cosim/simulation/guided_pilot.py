@@ -51,7 +51,7 @@ class GuidedPilot:
     read or that the law cannot lean for.
     """
 
-    seen: Measured  # what the loops fly with: the sensors as they are, as in any script
+    seen: Measured  # the sensors, as in any script
 
     def __init__(
         self, scenario: Scenario, vehicle: Vehicle, commander: CommandScript, hover: float, idle: float
@@ -176,7 +176,7 @@ class GuidedPilot:
         # a model's class is asked once a command: it takes as long as half a step's law
         self._waypoints = aim if isinstance(aim, WaypointsCommand) else None
         self._velocity = (aim.north_m_s, aim.east_m_s) if isinstance(aim, VelocityCommand) else None
-        if self._climb is not None:  # the vehicle comes to rest as soon as it can
+        if self._climb is not None:  # comes to rest as soon as it can
             self._to_altitude, self._climb = self._height.stop_position[0], None
         if isinstance(aim, PlaceCommand):
             north, east = self._tracker.stop_position

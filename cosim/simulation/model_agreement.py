@@ -55,7 +55,7 @@ from cosim.spec.vehicle import RateModel, Vehicle
 # Frequencies [rad/s], and the response there from command to thrust, over thrust at rest.
 Response = tuple[Array, Complex]
 
-NOTED = 0.15  # relative difference of gain, delay or lag
+NOTABLE = 0.15  # relative, of gain, delay or lag
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class ModelAgreement:
     engine: str  # the family that the model is filed under
     axis: str
     unit: str  # unit of the gains
-    state: str  # state of the vehicle: "", or its fuel or payload
+    state: str  # of the vehicle: "", or fuel, payload
     hertz: float  # frequency of the comparison
     model_gain: float  # gain of the model
     vehicle_gain: float  # of the vehicle
@@ -92,7 +92,7 @@ class ModelAgreement:
     @property
     def distance(self) -> float:
         """The difference in units of the threshold of a note."""
-        return self._excess(1.0 + NOTED, NOTED, NOTED)
+        return self._excess(1.0 + NOTABLE, NOTABLE, NOTABLE)
 
     def _excess(self, gain: float, delay: float, lag: float, least_samples: float = 2.0) -> float:
         """Return the largest of the three differences, over its limit; a model of the other sign is beyond any.
@@ -118,7 +118,7 @@ class ModelAgreement:
             f"({self.ratio:.2f} times); all delay {self.model_delay:.1f} samples, and "
             f"{self.vehicle_delay:.1f} by engine, servos and gyro (at {self.hertz:.2g} Hz)"
         )
-        if self.lag_misfit > NOTED:
+        if self.lag_misfit > NOTABLE:
             said += f"; {100.0 * self.lag_misfit:.0f} % off at twice that frequency, as lags of another length are"
         return said
 

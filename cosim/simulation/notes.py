@@ -8,7 +8,8 @@ from cosim.engine import EngineSpec
 from cosim.spec.scenario import SUBSTEPS, Scenario, StepErrors, list_differing_keys, measured_errors
 from cosim.spec.vehicle import Vehicle
 
-BY_WIND_M = 300.0  # JSBSim's MIL-F-8785C takes its strength from the wind below, from the severity well above
+# Below this height JSBSim's MIL-F-8785C takes its strength from the wind, well above from the severity.
+BY_WIND_M = 300.0
 
 
 def note_settings_without_effect(scenario: Scenario, vehicle: Vehicle, engines: Sequence[EngineSpec]) -> list[str]:

@@ -9,19 +9,19 @@ from typing import NamedTuple
 # Chosen by us.  A stall shorter than this is caught up with by stepping without pause, so that flight time stays with
 # the clock; after a longer one the schedule moves instead: a ground station would see the vehicle race, and sticks and
 # set-points, which are a fifth of a second old then, would act at the wrong time.
-CATCH_UP = 0.1  # s of wall time
+MAX_CATCH_UP_S = 0.1  # s of wall time
 
 
 class PaceReport(NamedTuple):
     """The timing of a flight against the wall clock."""
 
-    factor: float | None = None  # requested speed over real time; None: as fast as possible
+    factor: float | None = None  # of real time; None: unlimited
     steps: int = 0
-    missed: int = 0  # steps that were not done when the next one was due
+    missed: int = 0  # not done when the next was due
     longest_delay: float = 0.0  # s, how late the latest of them was
     stalls: int = 0  # times that the schedule was moved
-    postponed: float = 0.0  # s of wall time by which the schedule was moved, in total
-    reached_factor: float | None = None  # speed over real time in the last second; None before that
+    postponed: float = 0.0  # s of wall time, in total
+    reached_factor: float | None = None  # in the last second; None: before that
     load: float | None = None  # fraction of that second spent stepping
 
 
@@ -78,7 +78,7 @@ class Pace:
         if left < 0.0:
             self.missed += 1
             self._worst = max(self._worst, -left)
-            if left < -CATCH_UP:
+            if left < -MAX_CATCH_UP_S:
                 self._origin -= left
                 self._stalls += 1
                 self._lost -= left

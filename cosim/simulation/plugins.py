@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
 PREFIX = "own."  # prefix of a custom metric's name
 TABLE = ("time_s", "north_m_s", "east_m_s", "down_m_s")
-_KEYS = {"observer": 2, "sensors": 3, "wind": 4}  # of the random numbers of each; 0 and 1 are the built-in sensors'
+# Streams of random numbers; 0 and 1 are those of the built-in sensors.
+_KEYS = {"observer": 2, "sensors": 3, "wind": 4}
 
 
 @dataclass(frozen=True)

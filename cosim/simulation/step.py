@@ -31,7 +31,7 @@ _OFF: Final = EngineState.OFF
 _IDLE: Final = EngineState.IDLE
 _START: Final = EngineState.START
 _NOTHING: Final[tuple[float, ...]] = ()
-_SAMPLE: Final = Sample  # compiled code finds this without looking in a dictionary
+_SAMPLE: Final = Sample  # direct access in compiled code
 
 Between = Callable[[int], Ending | None]  # called with the number of the next step
 
@@ -267,7 +267,7 @@ class Simulation:
                 sample = self.step()
             except FlightError as error:
                 return self.make_failure(error)
-            except ArithmeticError as error:  # a gain or a speed beyond what a number holds
+            except ArithmeticError as error:  # a diverged gain or speed
                 return self.make_failure(FlightError(f"a number is out of range: {error}"))
             for look in observe:
                 look(sample)

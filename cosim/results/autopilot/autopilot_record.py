@@ -38,11 +38,10 @@ from cosim.base.storage.appended import AppendedFile
 from cosim.base.storage.files import map_os_errors, parse_json, read_text
 from cosim.results.run import AUTOPILOT
 
-if TYPE_CHECKING:  # a page reads the records of flights without an autopilot too: there are none
+if TYPE_CHECKING:  # not needed to read a record
     from cosim.control.autopilot.autopilot import Autopilot
     from cosim.control.autopilot.status import Status
 
-_BUFFER_BYTES = 64 * 1024  # bytes that wait for a write: a kill loses as little as a few seconds
 
 Line = dict[str, Any]
 
@@ -129,7 +128,8 @@ class PilotRecord:
         line = (json.dumps({"k": k, "kind": kind, **fields}, allow_nan=False) + "\n").encode()
         self._waiting.append(line)
         self._size += len(line)
-        if self._size > _BUFFER_BYTES or kind in ("state", "message"):
+        # A kill loses a few seconds at most.
+        if self._size > 64 * 1024 or kind in ("state", "message"):
             self._flush()
 
     def _flush(self) -> None:

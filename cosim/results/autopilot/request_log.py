@@ -17,7 +17,7 @@ from cosim.base.storage.files import map_os_errors, parse_json, read_text
 from cosim.control.autopilot.autopilot import Autopilot
 from cosim.control.autopilot.requests import Answer, Request, from_dict, to_dict
 
-_ENTRY_KEYS = ("step", "sender", "result", "text", "asked")  # keys of a line that are not the request's
+_ENTRY_KEYS = ("step", "sender", "result", "text", "asked")  # not the request's
 
 
 class Entry(NamedTuple):
@@ -27,7 +27,7 @@ class Entry(NamedTuple):
     sender: str
     request: Request
     result: str  # of the answer it got
-    asked: bool = True  # False: it was refused before the pilot was asked
+    asked: bool = True  # False: refused before that
 
 
 class RequestLog:
@@ -90,7 +90,7 @@ class Replay:
         self.pilot = pilot
         self._entries = entries
         self._next = 0
-        self.otherwise: list[str] = []  # a line for each answer that is not the one it got then
+        self.otherwise: list[str] = []  # answers that differ from then
 
     def __call__(self, k: int) -> None:
         while self._next < len(self._entries) and self._entries[self._next].step <= k:

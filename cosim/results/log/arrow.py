@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 Value = float | int | bool | str | None
 
-ROW_GROUP = 16_384  # rows of Parquet written at once: 16 MB of float64
+ROWS_PER_GROUP = 16_384  # written at once: 16 MB of float64
 _END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"  # Arrow IPC streaming format
 
 
@@ -98,13 +98,13 @@ class ParquetLog(Columnar):
 
     def __getitem__(self, name: str) -> Array:
         values, begin = np.empty(self._rows), 0
-        for block in self.blocks((name,)):  # and not at once, which takes three times the memory
+        for block in self.blocks((name,)):  # a third of the memory of all at once
             end = begin + block[name].size
             values[begin:end] = block[name]
             begin = end
         return values
 
-    def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]:
+    def blocks(self, names: tuple[str, ...], rows: int = ROWS_PER_GROUP) -> Iterator[dict[str, Array]]:
         """Yield the named columns, at most ``rows`` rows at a time."""
         chosen = [require(name, self.columns) for name in names]
         with self._opened() as file:
@@ -173,7 +173,7 @@ def _convert_stream(stream: Path, parquet: Path) -> int:
             _log_writer(temporary, reader.schema.remove_metadata()) as writer,
         ):
             for table in _regroup(_complete_batches(reader)):
-                writer.write_table(table, row_group_size=ROW_GROUP)
+                writer.write_table(table, row_group_size=ROWS_PER_GROUP)
                 rows += table.num_rows
     except (OSError, pa.ArrowException) as error:
         raise FlightError(f"{parquet}: {one_line(error)}") from error
@@ -213,7 +213,7 @@ def write_log(
         with _log_writer(path, schema) as writer:
             for block in blocks:
                 arrays = [_of_numbers(block[name]) for name in schema.names]
-                writer.write_table(pa.Table.from_arrays(arrays, schema=schema), row_group_size=ROW_GROUP)
+                writer.write_table(pa.Table.from_arrays(arrays, schema=schema), row_group_size=ROWS_PER_GROUP)
     except (OSError, pa.ArrowException) as error:
         raise FlightError(f"{path}: {one_line(error)}") from error
 
@@ -269,15 +269,15 @@ def _complete_batches(reader: pa.ipc.RecordBatchStreamReader) -> Iterator[pa.Rec
 
 
 def _regroup(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
-    """Yield the same rows in tables of ROW_GROUP rows, the last one shorter."""
+    """Yield the same rows in tables of ROWS_PER_GROUP rows, the last one shorter."""
     import pyarrow as pa
 
     waiting: list[pa.RecordBatch] = []
     count = 0
     for batch in batches:
-        while count + batch.num_rows >= ROW_GROUP:
-            part = batch.slice(0, ROW_GROUP - count)
-            batch = batch.slice(ROW_GROUP - count)
+        while count + batch.num_rows >= ROWS_PER_GROUP:
+            part = batch.slice(0, ROWS_PER_GROUP - count)
+            batch = batch.slice(ROWS_PER_GROUP - count)
             yield pa.Table.from_batches([*waiting, part])
             waiting, count = [], 0
         if batch.num_rows:

@@ -19,12 +19,13 @@ from cosim.base.errors import FlightError
 from cosim.base.protocols import Column
 from cosim.base.signals import Sample
 from cosim.results._rows import Rows
-from cosim.results.log.arrow import ROW_GROUP
+from cosim.results.log.arrow import ROWS_PER_GROUP
 from cosim.results.log.columns import COLUMNS, NAMES, require
 from cosim.results.log.row_program import Program, program
 from cosim.results.log.tables import Columnar
 
-WALL_FLUSH_S = 1.0  # a slow flight is handed on this often too
+# A slow flight is handed on this often too.
+MAX_FLUSH_INTERVAL_S = 1.0
 
 
 class Sink(Protocol):
@@ -65,7 +66,7 @@ class Log(Protocol):
 
     def table(self, *names: str) -> Any: ...
 
-    def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]: ...
+    def blocks(self, names: tuple[str, ...], rows: int = ROWS_PER_GROUP) -> Iterator[dict[str, Array]]: ...
 
 
 class Observe(Protocol):
@@ -85,7 +86,7 @@ class Recorder:
         run = program(columns)
         self._blocks = _Blocks(sink, len(columns), run)
         rows = max(1, round(1.0 / step_s))
-        self._rows = Rows(rows, WALL_FLUSH_S, self._blocks.hand_on, run.width, run.nodes, run.reads)
+        self._rows = Rows(rows, MAX_FLUSH_INTERVAL_S, self._blocks.hand_on, run.width, run.nodes, run.reads)
         self.observe: Observe = self._rows.add  # itself: it is called once a step
 
     @property
@@ -222,7 +223,7 @@ class MemoryLog(Columnar):
             require(name, self.columns)
         return self._indices[name]
 
-    def blocks(self, names: tuple[str, ...], rows: int = ROW_GROUP) -> Iterator[dict[str, Array]]:
+    def blocks(self, names: tuple[str, ...], rows: int = ROWS_PER_GROUP) -> Iterator[dict[str, Array]]:
         """Yield the named columns, block by block; ``rows`` does not matter here."""
         indices = [self._index(name) for name in names]
         for table in self._tables:

@@ -24,12 +24,12 @@ from cosim.base.signals import (
 )
 from cosim.results.log.columns import require
 
-_RECORDS = {  # what stands at a place of a sample, where that has named fields
+_RECORDS = {  # types of named fields of a sample
     "": Sample, "command": Command, "state": State, "measured": Measured, "control": ControlSignals,
     "actuation": Actuation, "actuation.unallocated": Unallocated, "engines": EngineOutput, "disturbance": Disturbance,
 }  # fmt: skip
 _OPTIONAL = ("command.place",)  # may be None
-_AT_LEAST = ("health",)  # of all that the log has columns for, or of those that the vehicle has
+_AT_LEAST = ("health",)  # of all jets that columns or vehicle have
 
 
 def _roll(w: Array, x: Array, y: Array, z: Array) -> Array:
@@ -55,7 +55,7 @@ class Angle(NamedTuple):
     """A column that is made of four others, block by block."""
 
     column: int
-    of: int  # the first of the four, behind the log's columns
+    of: int  # first of the four, behind the log's
     law: Callable[[Array, Array, Array, Array], Array]
 
 

@@ -41,7 +41,6 @@ KINDS = {
     "pilot": "autopilot",
     "requirement": "requirement",
 }
-GRAVE = 3  # severities up to this, errors, are set off
 
 
 def write_report(run: Run, path: Path, shared_assets: bool = False) -> None:
@@ -79,7 +78,7 @@ def _write(run: Run, path: Path, shared_assets: bool) -> None:
         shaded=bool(flights and (flights.runs[0][0]["upsets"] or flights.runs[0][0]["events"])),
         events=events,
         kinds=KINDS,
-        grave=GRAVE,
+        grave=3,  # errors and above stand out
         phases=list(dict.fromkeys(phase.name for phase in phases)),
         refused=any(
             trace["label"] == "refused"

@@ -15,8 +15,6 @@ from cosim.results.log.recorder import Log
 from cosim.results.log.tables import TIME
 from cosim.results.report.plot import Figure
 
-MOST_POINTS = 4000  # per trace; more cannot be seen and makes the page slow
-MOST_SHADES = 30  # per figure
 _UPSETS = (
     *(f"disturbance_force_{x}_N" for x in "xyz"),
     *(f"disturbance_moment_{x}_N_m" for x in "xyz"),
@@ -31,7 +29,7 @@ class Reader:
     def __init__(self, log: Log, step_s: float, times: Array | None = None) -> None:
         self.log = log
         self.step_s = step_s
-        self._times = times  # times of the rows; None where they are 0, step_s, 2 step_s, ...
+        self._times = times  # None: 0, step_s, 2 step_s, ...
 
     @classmethod
     def of(cls, flight: ComparedFlight) -> Reader:
@@ -66,17 +64,17 @@ class Reader:
             disturbed |= self.log[column] != 0.0
         return self.stretches(disturbed)
 
-    def stretches(self, mask: NDArray[np.bool_]) -> list[tuple[float, float]]:
-        """Return the intervals [s] of a mask, gaps of less than 0.1 s closed; none if there are too many to see."""
+    def stretches(self, mask: NDArray[np.bool_], most: int = 30) -> list[tuple[float, float]]:
+        """Return the intervals [s] of a mask, gaps of less than 0.1 s closed; none if more than ``most``."""
         starts, ends = (self.step_s * rows for rows in row_spans(mask))
         apart = starts[1:] - ends[:-1] >= 0.1
         first = np.concatenate(([True], apart))[: starts.size]
         last = np.concatenate((apart, [True]))[: ends.size]
         pairs = list(zip(starts[first].tolist(), ends[last].tolist(), strict=True))
-        return pairs if len(pairs) <= MOST_SHADES else []
+        return pairs if len(pairs) <= most else []
 
 
-def choose_rows(values: Array, limit: int = MOST_POINTS) -> NDArray[np.intp] | None:
+def choose_rows(values: Array, limit: int = 4000) -> NDArray[np.intp] | None:
     """Return the rows to draw, at most ``limit``, so that no peak is lost; None for all rows.
 
     They are the first, the last, and the least and the greatest of each of many equal stretches.  A stretch without a

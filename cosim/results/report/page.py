@@ -37,7 +37,7 @@ NOTICES = {
     "vendor/uPlot.iife.min.js": ("uPlot",),
     THREE: ("three",),
 }
-SHARED = "assets-"  # and the first of a hash: the folder that pages share
+SHARED = "assets-"  # and a hash: folder shared by pages
 
 
 class Flights(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from math import pi
+from math import degrees, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +17,9 @@ from cosim.results.report.log_reader import Reader
 from cosim.results.report.plot import BLUE, GREEN, GREY, MAGENTA, ORANGE, RED, run_colour
 from cosim.results.summary import Summary
 
-DEG = 180.0 / pi
+DEG = degrees(1.0)
 AT_REST = "thrust_{}_at_rest_N"
-JET_ROWS = ((3, 1), (6, 5), (2, 4))  # front to back, left and right: the Hex-Jet's numbering
+JET_ROWS = ((3, 1), (6, 5), (2, 4))  # front to back, left and right
 
 
 class Trace(NamedTuple):
@@ -30,7 +30,7 @@ class Trace(NamedTuple):
     colour: str = BLUE
     dash: str = "solid"
     width: float = 1.8
-    is_staircase: bool = False  # drawn as a staircase: what is asked for is held over a control step
+    is_staircase: bool = False  # values held over a control step
     only_if_moving: bool = False  # left out where it is 0 throughout
 
 
@@ -41,7 +41,7 @@ class Panel(NamedTuple):
     unit: str
     traces: Sequence[Trace]
     scale: float = 1.0
-    least_span: float = 0.0  # so that the noise around a constant does not fill the panel
+    least_span: float = 0.0  # noise does not fill the panel
 
 
 def _setpoint(column: str) -> Trace:
@@ -133,13 +133,14 @@ HEIGHT = [
     Panel("Climb rate", "m/s", [Trace("velocity_down_m_s", "true", BLUE)], scale=-1.0, least_span=1.0),
 ]
 POSITION = [_tracking_panel(name, "m", "m", 1.0, 2.0) for name in ("north", "east")]
-OUTSIDE = [  # a panel is left out where it is 0 throughout
+# A panel is left out where it is 0 throughout, and one of engines where no engine reports it.
+OUTSIDE = [
     Panel("Force", "N", _vector("disturbance_force_{}_N", ("x", "y", "z"))),
     Panel("Moment", "N m", _vector("disturbance_moment_{}_N_m", ("x", "y", "z"))),
     Panel("Wind", "m/s", _vector("wind_{}_m_s", ("north", "east", "down"))),
     Panel("Payload", "kg", [Trace("payload_kg", "mass", is_staircase=True)]),
 ]
-ENGINES = (  # a panel is left out where no engine says anything
+ENGINES = (
     ("Spool speed", "rpm", "spool_speed_{}_rad_s", 30.0 / pi),
     ("Exhaust temperature", "K", "exhaust_temperature_{}_K", 1.0),
     ("Fuel flow", "g/s", "fuel_flow_{}_kg_s", 1e3),

@@ -14,7 +14,7 @@ BLUE, ORANGE, MAGENTA, GREEN, RED, GREY = "#2f7de1", "#f08c00", "#c2339b", "#2f9
 RUN_COLOURS = (ORANGE, BLUE, GREEN, MAGENTA, RED, "#7048e8", "#1098ad", "#a0522d")
 ABOVE = {"xanchor": "left", "yanchor": "bottom"}  # of a legend: where its place is of it
 LEGEND: Figure = {"orientation": "h", "x": 0, "y": 1.0, **ABOVE}  # in a row above the panels
-HOVER = {"hovermode": "x unified"}  # of a layout: all curves at the pointer's place, in one box
+HOVER = {"hovermode": "x unified"}  # all curves in one box
 
 
 def run_colour(number: int) -> str:

@@ -1,6 +1,6 @@
 """A flight as a page carries it: the samples of every column, what happened, and the vehicle to draw.
 
-Of a flight of more than ``MOST_ROWS`` steps a column has the least and the greatest of each few steps, in the order in
+Of a flight of more than ``MAX_ROWS`` steps a column has the least and the greatest of each few steps, in the order in
 which they come (:func:`extremes`): no peak is lost, and an instant is off by less than those steps.
 
 A column is rounded to whole multiples of a power of two (whole numbers exactly): at most 2^-16 of the range between its
@@ -33,14 +33,14 @@ from cosim.results.metrics import REFUSED, Reach, saturation_in_flight
 from cosim.results.run import Run
 from cosim.spec.vehicle import Vehicle
 
-BITS = 16  # of the usual range, chosen by us: sixteen times finer than a screen of 4000 pixels shows
-NOISE_BITS = 5  # of the roughness, chosen by us: half a step is 1/64 of it
-_HUGE = 1e300
-_MOST = 2.0**28  # steps from zero; second differences of such numbers still are 32 bits
-_TRIED = 20_000  # rows in the middle of a flight, by which the order of differences is chosen
-_LEVEL = 6  # compression level of deflate
-MOST_ROWS = 150_000  # of a column, chosen by us: ten minutes at 250 Hz, which are some 9 MB
-MOST_BANDS = 2000  # times in saturation that are told apart, chosen by us: more than a screen has pixels for
+# Of the roughness, chosen by us: half a step is 1/64 of it.
+NOISE_BITS = 5
+# Steps from zero: second differences of such numbers still are 32 bits.
+_MAX_STEPS = 2.0**28
+# Of a column, chosen by us: ten minutes at 250 Hz, which are some 9 MB.
+MAX_ROWS = 150_000
+# Times in saturation that are told apart, chosen by us: more than a screen has pixels for.
+MAX_BANDS = 2000
 DERIVED = "where the engine would settle if its throttle were held; from its static curve, not in the log"
 
 
@@ -50,9 +50,9 @@ class Packed(NamedTuple):
     base: float
     step: float
     order: int
-    planes: int  # bytes kept of each number, the lowest first
-    gaps: bool  # a byte a row after them: 1 where there is no number
-    data: str  # deflated, base64; empty where all rows are ``base``
+    planes: int  # bytes of each number, lowest first
+    gaps: bool  # then a byte a row: 1 without a number
+    data: str  # deflated, base64; empty: all ``base``
 
 
 def pack(values: Array) -> Packed | None:
@@ -66,30 +66,31 @@ def pack(values: Array) -> Packed | None:
     if low == high and not gaps:
         return Packed(low, 1.0, 0, 0, False, "")
     step = quantisation_step(values_filled, low, high)
-    base = 0.0 if max(abs(low), abs(high)) / step < _MOST else step * floor(low / step)
+    base = 0.0 if max(abs(low), abs(high)) / step < _MAX_STEPS else step * floor(low / step)
     numbers = np.rint((values_filled - base) / step).astype(np.int64)
-    middle = max(0, numbers.size // 2 - _TRIED // 2)
-    tried = numbers[middle : middle + _TRIED]
+    middle = max(0, numbers.size // 2 - 10_000)
+    tried = numbers[middle : middle + 20_000]
     order = min(range(3), key=lambda order: _cost(_difference(tried, order)))
     best = _difference(numbers, order)
     zigzag = ((best << 1) ^ (best >> 63)).astype("<u4")
     planes = zigzag.view(np.uint8).reshape(-1, 4).T
     bytes_used = max((n + 1 for n in range(4) if planes[n].any()), default=0)
     raw = planes[:bytes_used].tobytes() + ((~finite).astype(np.uint8).tobytes() if gaps else b"")
-    return Packed(base, step, order, bytes_used, gaps, base64.b64encode(zlib.compress(raw, _LEVEL)).decode())
+    return Packed(base, step, order, bytes_used, gaps, base64.b64encode(zlib.compress(raw)).decode())
 
 
 def quantisation_step(values: Array, low: float, high: float) -> float:
     """Return the power of two that a column of numbers between ``low`` and ``high`` is rounded to."""
-    if max(abs(low), abs(high)) < _MOST and np.array_equal(values, np.rint(values)):
+    if max(abs(low), abs(high)) < _MAX_STEPS and np.array_equal(values, np.rint(values)):
         return 1.0
-    if max(abs(low), abs(high)) > _HUGE:
-        return 2.0**1000  # differences of such numbers would overflow
+    if max(abs(low), abs(high)) > 1e300:
+        return 2.0**1000  # differences would overflow
     first, last = _ranked(values, ceil(0.01 * (values.size - 1)), floor(0.99 * (values.size - 1)))
     usual = abs(last - first) or (high - low) or abs(high) or 1.0
     rough = _ranked(np.abs(np.diff(values, 2)), (values.size - 3) // 4)[0] if values.size > 2 else 0.0
-    finest = max(log2(usual) - BITS, log2(max(rough, 1e-300)) - NOISE_BITS)
-    return float(2.0 ** floor(max(finest, log2(max(high - low, 1e-300)) - log2(_MOST) + 1.0, -1000.0)))
+    # 16 bits of the usual range are sixteen times finer than a screen of 4000 pixels.
+    finest = max(log2(usual) - 16, log2(max(rough, 1e-300)) - NOISE_BITS)
+    return float(2.0 ** floor(max(finest, log2(max(high - low, 1e-300)) - log2(_MAX_STEPS) + 1.0, -1000.0)))
 
 
 def _ranked(values: Array, *ranks: int) -> list[float]:
@@ -129,10 +130,10 @@ class FlightData(NamedTuple):
     events: Sequence[Event] = ()
     vehicle: Vehicle | None = None
     jets_m: Sequence[Sequence[float]] = ()  # body, where no vehicle is known
-    times: Array | None = None  # of the rows, where they are not 0, step_s, ...
-    derived: Mapping[str, Callable[[], Array]] = MappingProxyType({})  # what makes columns that the log has not
-    made: Sequence[Column] = ()  # what the derived ones are, where that is not DERIVED
-    upsets: Sequence[tuple[float, float]] = ()  # when something disturbs the flight as the log has it
+    times: Array | None = None  # None: 0, step_s, ...
+    derived: Mapping[str, Callable[[], Array]] = MappingProxyType({})  # columns that the log has not
+    made: Sequence[Column] = ()  # derived ones other than DERIVED
+    upsets: Sequence[tuple[float, float]] = ()  # intervals of disturbance
     phases: Sequence[Phase] = ()  # of the flight, drawn behind the lines
     reach: Reach | None = None  # by which the flight's metrics were made
 
@@ -175,7 +176,7 @@ def run_data(flight: FlightData) -> tuple[dict[str, Any], dict[str, str]]:
 
 def group_length(steps: int) -> int:
     """Return of how many steps a page has the least and the greatest; 1: it has them all."""
-    return 1 if steps <= MOST_ROWS else 2 * ceil(steps / MOST_ROWS)
+    return 1 if steps <= MAX_ROWS else 2 * ceil(steps / MAX_ROWS)
 
 
 def extremes(values: Array, group: int) -> Array:
@@ -207,7 +208,7 @@ def _pack_columns(flight: FlightData, group: int) -> tuple[list[dict[str, Any]],
     columns: list[dict[str, Any]] = []
     data: dict[str, str] = {}
     empty: list[str] = []
-    first_of: dict[str, str] = {}  # data and the first column that has it: jets of one bank often get the same command
+    first_of: dict[str, str] = {}  # of equal data: jets of one bank, say
     log, derived = flight.log, flight.derived
     described = {column.name: column for column in (*log.described, *flight.made)}
     for name in (*log.columns, *derived):
@@ -302,13 +303,13 @@ def _jets_only(jets_m: Sequence[Sequence[float]]) -> dict[str, Any]:
 def _saturation_times(log: Log, reach: Reach | None, step_s: float) -> list[tuple[float, float | None]]:
     """Return the intervals [s] in which the flight was in saturation, as its metric counts it.
 
-    Where that changes more than ``MOST_BANDS`` times, the shortest gaps are closed.
+    Where that changes more than ``MAX_BANDS`` times, the shortest gaps are closed.
     """
     if not {"on_ground", "hull_contact", *REFUSED}.issubset(log.columns):  # the log is another tool's
         return []
     rows = saturation_in_flight(log, reach)
     starts, ends = row_spans(rows)
-    if starts.size > MOST_BANDS:
-        apart = np.sort(np.argsort(starts[1:] - ends[:-1], kind="stable")[1 - MOST_BANDS :])
+    if starts.size > MAX_BANDS:
+        apart = np.sort(np.argsort(starts[1:] - ends[:-1], kind="stable")[1 - MAX_BANDS :])
         starts, ends = np.append(starts[:1], starts[apart + 1]), np.append(ends[apart], ends[-1:])
     return time_spans(starts, ends, rows.size, step_s)

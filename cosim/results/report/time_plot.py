@@ -17,7 +17,6 @@ from cosim.results.report.panels import ATTITUDE, Panel, Trace
 from cosim.results.report.plot import ABOVE, Figure, axis_name, layout, run_colour, share
 from cosim.results.run import Run
 
-PANEL_PX = 165
 _DASHES = ("solid", "dash", "dot", "dashdot")  # of several runs in one plot
 
 
@@ -115,7 +114,7 @@ def _show_once(data: list[Figure]) -> list[Figure]:
 
 
 def _layout_of_panels(panels: Sequence[Panel], data: Sequence[Mapping[str, Any]]) -> Figure:
-    figure_layout = _layout(len(panels) * PANEL_PX + 80)
+    figure_layout = _layout(len(panels) * 165 + 80)
     for number, panel in enumerate(panels):
         low, high = share(number, len(panels), gap=0.04)
         axis = {"domain": [low, high], "anchor": "x", "title": {"text": f"{panel.title} [{panel.unit}]".lstrip()}}

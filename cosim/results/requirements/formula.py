@@ -22,8 +22,9 @@ import numpy as np
 from cosim.base.arrays import Array
 from cosim.results.requirements.units import factor_between, in_si, unit_of
 
-_SLACK = 1e-6  # of a row: rounding where a time is divided by the step
-Times = dict[str, list[float]]  # s, when each event happens that is known before the flight
+# Of a row: rounding where a time is divided by the step.
+_SLACK = 1e-6
+Times = dict[str, list[float]]  # s, of events known before the flight
 
 
 class Signals(Protocol):
@@ -417,7 +418,7 @@ def _least_ahead(margins: Array, rows: int) -> Array:
     """Return the least from each row to ``rows`` after it, unknown ones left out; NaN where all are unknown."""
     if rows >= margins.size - 1:
         return np.fmin.accumulate(margins[::-1])[::-1]
-    from scipy.ndimage import minimum_filter1d  # van Herk's: as long for any number of rows
+    from scipy.ndimage import minimum_filter1d  # van Herk: independent of rows
 
     size, is_unknown = rows + 1, np.isnan(margins)
     ahead = {"mode": "constant", "origin": -(size // 2)}  # the rows from each one on

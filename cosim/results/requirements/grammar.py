@@ -45,7 +45,8 @@ from cosim.results.requirements.formula import (
 )
 from cosim.results.requirements.units import UNITS, factor_between
 
-LONGEST, DEEPEST = 2000, 40  # characters, and parts inside each other; chosen by us
+# Chosen by us: far more than a requirement needs, and few enough for recursion.
+MAX_CHARACTERS, MAX_DEPTH = 2000, 40
 WORDS = ("always", "eventually", "for", "within", "until", "after", "abs")
 _JOINED = ("and", "or", "implies", "not")
 _COMPARED = ("<=", ">=", "<", ">")
@@ -124,8 +125,8 @@ def _divided(formula: Formula, tolerances: dict[Comparison, float]) -> Formula:
 class _Parser:
     def __init__(self, text: str) -> None:
         self._text, self._end, self._depth = text, 0, 0
-        if len(text) > LONGEST:
-            raise InputError(f"of {len(text)} characters; at most {LONGEST}: make several requirements of it")
+        if len(text) > MAX_CHARACTERS:
+            raise InputError(f"of {len(text)} characters; at most {MAX_CHARACTERS}: make several requirements of it")
         self._token = self._next()
 
     def read(self) -> Formula:
@@ -294,8 +295,8 @@ class _Parser:
 
     def _enter(self) -> None:
         self._depth += 1
-        if self._depth > DEEPEST:
-            self._refuse(f"at most {DEEPEST} parts inside each other")
+        if self._depth > MAX_DEPTH:
+            self._refuse(f"at most {MAX_DEPTH} parts inside each other")
 
     def _number(self) -> Number:
         token = self._token

@@ -18,10 +18,12 @@ if TYPE_CHECKING:
     from cosim.spec.scenario import Range
 
 Source = Literal["require", "limits", "expect", "success"]
-LOST = 1.0  # in scales: a flight lost at its planned end has -LOST, one lost at its start -2 LOST
-UNKNOWN = 1.0  # in scales: what a flight never tested counts as broken by so much
-FLOWN = "flown"  # to the planned end: what a flight that was lost breaks
-_SIGNALS = {  # metrics that are the greatest of a signal, which is assessed row by row in their place
+# In scales: a flight that failed at its planned end has -LOST, at its start -2 LOST; a requirement never tested counts
+# as broken by UNKNOWN.
+LOST, UNKNOWN = 1.0, 1.0
+FLOWN = "flown"  # to the planned end
+# Metrics that are the greatest of a signal, which is assessed row by row in their place.
+_SIGNALS = {
     **{f"{axis}.max_abs_error_rad": f"abs({axis}_error_rad)" for axis in AXES},
     "altitude.max_abs_error_m": "abs(altitude_error_m)",
     "position.max_abs_error_m": "place_error_m",
@@ -78,9 +80,9 @@ class Requirement(Record):
     name: str
     formula: str
     source: Source = "require"  # the table that states it
-    scale: float | None = None  # its margin is divided by it to be compared; None: its least tolerance
+    scale: float | None = None  # divides the margin; None: tolerance
     reason: str = ""
-    need: bool = True  # False: not broken by a flight that has nothing of what it speaks of
+    need: bool = True  # False: kept without its signals
 
     @property
     def parsed(self) -> ParsedFormula:
@@ -175,13 +177,13 @@ class RequirementResult(Record):
     name: str
     source: Source
     formula: str
-    margin: float | None  # in its unit; None: the flight does not say
+    margin: float | None  # None: unknown
     unit: str
     kept: bool
     decided_at_s: float | None = None
     decided_by: str = ""
     note: str = ""
-    scale: float  # that its margin is divided by to be compared
+    scale: float  # divides the margin
     reason: str = ""
     need: bool = True
 

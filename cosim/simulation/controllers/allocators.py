@@ -22,7 +22,7 @@ from cosim.spec.vehicle import Vehicle
 from cosim.vehicle.airframe import Airframe
 from cosim.vehicle.model_file import read_model
 
-_models: RecentCache[Any] = RecentCache(32)  # what those of vehicles say of their surfaces and wings
+_models: RecentCache[Any] = RecentCache(32)  # surfaces and wings of vehicle models
 T = TypeVar("T")
 
 

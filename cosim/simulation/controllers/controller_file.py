@@ -20,23 +20,23 @@ from cosim.spec.scenario.parameter_file import parse_table
 from cosim.spec.vehicle import Vehicle, aircraft_name, aircraft_names, aircraft_seen_from, load_vehicle
 
 NO_PROOF = "has no proof flights: made without one, or for another autopilot, or before designs had them"
-LAW = "optimal"  # the law of an entry point that a design has a form of, beside the predictors
-NOISE_SHARE = 0.0833  # of the room of the command: three standard deviations of noise take a quarter of it
-STEP_RAD = 0.1745  # 10 deg, the size of the roll doublet
+LAW = "optimal"  # entry point that a design may have
 
 
 class Requirements(Model):
     """The requirements that a design must meet."""
 
     max_sensitivity: float = 1.7
-    delay_tolerance: NotNegative = 0.3  # of the transport delay, at least one sample
+    delay_tolerance: NotNegative = 0.3  # of the delay, at least one sample
     gain_tolerance: NotNegative = 0.3
     # of gain and lag, by which one engine of the proof is off; None: the least of 0.3 and the gain's tolerance
     engine_spread: Annotated[float | None, Field(ge=0.0, lt=1.0, exclude_if=lambda value: value is None)] = None
-    min_bandwidth_hz: NotNegative = 0.16  # of roll and pitch: 1 rad/s, within 5 % in 3 s, a side of the roll doublet
-    max_overshoot: float = 0.2  # of a step, where an engine swings by itself
-    noise_share: float = NOISE_SHARE
-    step_rad: float = STEP_RAD  # an attitude step of this size must not saturate
+    # Of roll and pitch: 1 rad/s, within 5 % in 3 s, a side of the roll doublet.
+    min_bandwidth_hz: NotNegative = 0.16
+    max_overshoot: float = 0.2  # of a step, with an oscillatory engine
+    # Of the room of the command: three standard deviations of noise take a quarter of it.
+    noise_share: float = 0.0833
+    step_rad: float = 0.1745  # must not saturate: the roll doublet
 
     def delay_samples(self, transport: float) -> float:
         """Return the tolerance, in samples, of a transport delay of so many."""
@@ -49,14 +49,14 @@ class AxisRecord(Model):
     controller: str
     peak_sensitivity: float
     gain_margin_db: float | None = None  # of more gain
-    gain_margin_down_db: float | None = None  # of less, below 0; None: none, or a file from before it was stated
+    gain_margin_down_db: float | None = None  # of less, below 0; or older
     phase_margin_deg: float | None = None
     delay_margin_s: float | None = None
     bandwidth_hz: float
     tolerated: float  # times the tolerances until instability
-    overshoot: float | None = None  # share of a step; None in a file from before it was stated, as the next
+    overshoot: float | None = None  # share of a step; None: older
     settling_s: float | None = None  # of a step, within 5 %
-    candidates: dict[str, float] = Field(default_factory=dict)  # that kept the requirements: what the search minimised
+    candidates: dict[str, float] = Field(default_factory=dict)  # acceptable ones: minimised objective
 
 
 class LevelRecord(Model):
@@ -65,8 +65,8 @@ class LevelRecord(Model):
     fuel: float  # share of the tank
     mass_kg: float
     share: float  # of the engines' range, in hover
-    designed: bool  # or between two levels of the schedule that are
-    held: dict[str, float] = Field(default_factory=dict)  # peak sensitivity with the gains of a full tank, where stable
+    designed: bool  # else between two levels that are
+    held: dict[str, float] = Field(default_factory=dict)  # peak sensitivity, gains of a full tank
     axes: dict[str, AxisRecord]
 
 
@@ -76,20 +76,20 @@ class FlownRecord(Model):
     By the keys of :data:`hexjet_design.proof.comparison.MEASURES`; what a flight does not tell is left out.
     """
 
-    flight: str  # what was flown: hover, the doublet, the doublet to the full lean
-    shipped_lost: str = ""  # when, where the gains that ship could not fly this
-    shipped: dict[str, float] = Field(default_factory=dict)  # measures with the gains that ship, by name
-    designed: dict[str, float] = Field(default_factory=dict)  # the same with the designed gains
+    flight: str  # hover, or a doublet
+    shipped_lost: str = ""  # when the shipped gains failed
+    shipped: dict[str, float] = Field(default_factory=dict)  # measures by name, shipped gains
+    designed: dict[str, float] = Field(default_factory=dict)  # the same, designed gains
 
 
 class ProofRecord(Model):
     """The flights that a design was proven in; a flight does not read it."""
 
-    flights: int  # all kept what was promised, where nothing failed
-    failed: str | None = None  # why it failed; only of a design whose file was written under an earlier proof
+    flights: int  # that kept the requirements
+    failed: str | None = None  # reason of an earlier proof
     lean_deg: float  # to which the doublets went
-    worse: list[str] = Field(default_factory=list)  # what is worse as flown than with the gains that ship
-    flown: list[FlownRecord] = Field(default_factory=list)  # flights with the shipped and with the designed gains
+    worse: list[str] = Field(default_factory=list)  # worse than with shipped gains
+    flown: list[FlownRecord] = Field(default_factory=list)  # with shipped and designed gains
 
 
 class Purpose(Model):
@@ -101,21 +101,23 @@ class Purpose(Model):
     aircraft_path: str | None = None
     engine_path: str | None = None
     family: str  # what the models are filed under
-    engine_sha256: str  # of a library engine's equations, of any other's archive; older files: always of the archive
+    # Of a library engine's equations, of any other's archive; in older files always of the archive.
+    engine_sha256: str
     engine_parameters: dict[str, float] = Field(default_factory=dict)  # that were not the engine's own
     vehicle_changes: dict[str, Any] = Field(default_factory=dict)  # of the aircraft, the same way
     step_s: float
     substeps: int
     added_delay_samples: int = 0
-    bank_inertia_kg_m2: float | None = None  # of a tilting bank; None in a file from before it was a part of a design
+    bank_inertia_kg_m2: float | None = None  # of a tilting bank; None: older
     model: str  # where the model comes from
-    misfit: float | None = None  # of the engine's model; None: below what a design carries, or an older file
-    unsure: list[tuple[float, float]] | None = None  # (Hz, share), by which the engine may answer otherwise
+    misfit: float | None = None  # of the engine's model; None: negligible
+    # (Hz, share): relative error bound of the engine model.
+    unsure: list[tuple[float, float]] | None = None
     requirements: Requirements
-    tolerances: str | None = None  # the engine's uncertainty that they are from; None: the usual ones, or stated
+    tolerances: str | None = None  # source: the engine's uncertainty
     axes: dict[str, AxisRecord]
     levels: list[LevelRecord] = Field(default_factory=list)
-    proof: ProofRecord | None = None  # None: it was left out, or a file from before it was stated
+    proof: ProofRecord | None = None  # None: left out, or older
 
     def find_engine(self, file: Path) -> str:
         """Return the engine of the design in a controller file, a name or an absolute path."""
@@ -236,7 +238,7 @@ def apply_controller(
     named, seen_from = (table.get("aircraft"), folder) if aircraft is None else (aircraft, Path())
     flown = None if named is None else aircraft_seen_from(named, seen_from)
     file = read_controller(path, flown)
-    for key in ("controller_parameters", "controller_sha256"):  # what was said of the scenario's own controller
+    for key in ("controller_parameters", "controller_sha256"):  # of the scenario's own controller
         table.pop(key, None)
     if flown is None:
         flown = file.design.find_aircraft(path)

@@ -184,7 +184,7 @@ class GuardedController(Guarded):
         self._mass, self._thrust_map, self._hover = vehicle.mass_kg, belief.thrust_map, belief.hover
         self._tilt_limit = vehicle.servo.range_rad if vehicle.servo else 0.0
         ranges: list[tuple[float, float]] = [] if vehicle.servo else list(vehicle.ranges)
-        self._ranges = ranges  # of hinges and surfaces; none: two banks, or nothing tilts
+        self._ranges = ranges  # of hinges and surfaces, if any
         self._servos = tuple([f"the servo {name}" for name in vehicle.actuators]) if ranges else _TILTS
         self._rest: PerServo = vehicle.rest
         self._names = tuple([f"throttle {number}" for number in range(1, jets + 1)])

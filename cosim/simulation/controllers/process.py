@@ -25,27 +25,29 @@ from cosim.base.signals import ControlSignals
 from cosim.base.storage.scratch import scratch
 from cosim.control.belief import Belief
 
-START_S = 60.0  # chosen by us: until it says what it is; an interpreter on a busy machine takes seconds
-END_S = 1.0  # time limit of its end after its input was closed
-_LINE = 1_000_000  # limit of a line, bytes
-_STEP = wire.frame_layout(0)  # the step's number, with which every frame begins
+# s until it describes itself, chosen by us: an interpreter on a busy machine takes seconds.
+MAX_START_S = 60.0
+MAX_END_S = 1.0  # after its input was closed
+_MAX_LINE_BYTES = 1_000_000  # bytes
+_STEP = wire.frame_layout(0)  # step number that begins a frame
 
 Command = Callable[[], Sequence[str]]
 
 
 def request_description(command: Command, folder: Path, label: str) -> dict[str, Any]:
     """Return a process's description of itself.  Raises InputError."""
-    with tempfile.TemporaryFile() as errors:  # hides the errors of a program that is ended right after its description
+    # Hides the errors of a program that is ended right after its description.
+    with tempfile.TemporaryFile() as errors:
         host = _start_process(command, folder, label, errors)
         try:
             return _description(host, label)
         except InputError as error:
-            host.end(END_S)
+            host.end(MAX_END_S)
             errors.seek(0)
             last_line = errors.read().decode(errors="replace").strip().rpartition("\n")[2]
             raise InputError(f"{error}: {last_line}" if last_line else str(error)) from error
         finally:
-            host.end(END_S)
+            host.end(MAX_END_S)
 
 
 def _start_process(command: Command, folder: Path, label: str, errors: IO[bytes] | None = None) -> Host:
@@ -61,7 +63,7 @@ def _start_process(command: Command, folder: Path, label: str, errors: IO[bytes]
 
 def _description(host: Host, label: str) -> dict[str, Any]:
     try:
-        line = host.read_line(_LINE, START_S)
+        line = host.read_line(_MAX_LINE_BYTES, MAX_START_S)
         description = json.loads(line)
     except FlightError as error:
         raise InputError(f"controller {label}: {error} before it had said what it is") from error
@@ -142,12 +144,12 @@ class ProcessBlock:
         host = _start_process(self._command, self._folder, self._label)
         try:
             _description(host, self._label)
-            host.send(self._belief, START_S)
+            host.send(self._belief, MAX_START_S)
         except FlightError as error:
-            host.end(END_S)
+            host.end(MAX_END_S)
             raise InputError(f"controller {self._label}: {error}") from error
         except BaseException:
-            host.end(END_S)
+            host.end(MAX_END_S)
             raise
         return host
 
@@ -179,7 +181,7 @@ class ProcessBlock:
         answer = host.exchange(frame, self._out.size, self._limit)
         (number,) = _STEP.unpack_from(answer)
         if number == -1.0:
-            raise FlightError(host.read_line(_LINE, self._limit).decode(errors="replace"))
+            raise FlightError(host.read_line(_MAX_LINE_BYTES, self._limit).decode(errors="replace"))
         if number != k:
             raise FlightError(f"its answer begins with {number:g} and not with the step; does it print to its output?")
         return answer
@@ -197,13 +199,13 @@ class ProcessBlock:
         except FlightError:
             return False
         finally:
-            host.end(END_S)
+            host.end(MAX_END_S)
         return True
 
     def close(self) -> None:
         """End the process; may be called twice."""
         if self._host is not None:
-            self._host.end(END_S)
+            self._host.end(MAX_END_S)
             self._host = None
 
 
@@ -216,9 +218,8 @@ def make_program_command(path: Path, arguments: str) -> Command:
             return [sys.executable, str(path), *words]
         if os.access(path, os.X_OK):
             return [str(path), *words]
-        folder = Path(
-            tempfile.mkdtemp(prefix="controller-", dir=scratch())
-        )  # a copy in a run's folder may not be run as it is
+        # A copy in a run's folder may not be executable.
+        folder = Path(tempfile.mkdtemp(prefix="controller-", dir=scratch()))
         copied = folder / path.name
         shutil.copyfile(path, copied)
         copied.chmod(0o700)

@@ -59,7 +59,7 @@ def read_rows(path: Path, where: str) -> tuple[list[Row], tuple[Column, ...]]:
     for number, text in enumerate(lines, 2):
         values = _numbers(text)
         if len(values) != len(names):
-            if number == len(lines) + 1:  # the process was killed while it wrote this one
+            if number == len(lines) + 1:  # of a process that was killed
                 break
             raise InputError(f"{where}: {path}, line {number}: must be {len(names)} finite numbers")
         tilt = (values[jets], values[jets + 1]) if servo else (0.0, 0.0)

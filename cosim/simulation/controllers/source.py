@@ -52,7 +52,7 @@ METHODS: dict[str, tuple[tuple[str, tuple[str, ...]], ...]] = {
     "sensors": (("reset", ("state", "measured")), ("sample", ("state", "measured"))),
     "wind": (("velocity", ("time", "north", "east", "height")),),
 }
-OBJECT = "python:"  # before the name of one that a program handed over, and that no file can make again
+IN_MEMORY_PREFIX = "python:"  # before the name of an object in memory
 _MODULE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 NAME = re.compile(r"[A-Za-z_]\w*")
 
@@ -74,12 +74,12 @@ class Source:
     make: Callable[[], Any]
     files: Mapping[str, Path]
     version: str = ""  # name and version of its package
-    predictor: str = BASELINE.name  # built-in predictor that feeds a custom loop
+    predictor: str = BASELINE.name  # that feeds a custom loop
     parameters: Sequence[Parameter] = ()
     columns: Sequence[Column] = ()
     is_copied: bool = True  # its files go into a run's folder
-    is_in_process: bool = True  # it is code of this process; else it is found out whether it answers the same again
-    text: str = ""  # source text of a class without a file, where available
+    is_in_process: bool = True  # else its repeatability is checked
+    text: str = ""  # of a class without a file, if any
 
     @property
     def label(self) -> str:
@@ -140,10 +140,10 @@ def find_controller_source(controller: str, folder: Path, complaint: str) -> Sou
         return _from_record(controller, path) if path.suffix.lower() == ".csv" else _from_fmu(controller, path)
     if named is None and controller in PREDICTORS:
         return None
-    if controller.startswith(OBJECT):
+    if controller.startswith(IN_MEMORY_PREFIX):
         raise InputError(
-            f"controller {controller.removeprefix(OBJECT)!r} was an object of a program, which no file can make again: "
-            "give it anew, cosim.fly(scenario, controller=...)"
+            f"controller {controller.removeprefix(IN_MEMORY_PREFIX)!r} was an object of a program, which no file can "
+            "make again: give it anew, cosim.fly(scenario, controller=...)"
         )
     source = find_python("controller", controller, folder)
     if source is not None:
@@ -198,7 +198,7 @@ def from_object(value: Any) -> Source:
     check_repeatable = path is not None and path.suffix == ".py" and cls.__qualname__.isidentifier()
     if check_repeatable and (isinstance(value, type) or _is_default(value, cls)):
         return _from_attributes("controller", f"{path}:{cls.__name__}", value, make, files)
-    source = _from_attributes("controller", f"{OBJECT}{label}", value, make, files, copied=False)
+    source = _from_attributes("controller", f"{IN_MEMORY_PREFIX}{label}", value, make, files, copied=False)
     return source if files else replace(source, text=_source_text(cls))
 
 
@@ -209,7 +209,7 @@ def _constant(value: Any) -> Callable[[], Any]:
 def _is_default(value: Any, cls: type) -> bool:
     try:
         return pickle.dumps(vars(cls())) == pickle.dumps(vars(value))
-    except Exception:  # an object that cannot be compared counts as changed
+    except Exception:  # not comparable: counts as changed
         return False
 
 
@@ -237,7 +237,7 @@ def _source_text(cls: type) -> str:
         text = "".join(linecache.getlines(code.co_filename))
         try:
             tree = ast.parse(text)
-        except SyntaxError:  # a cell with commands of the notebook's own
+        except SyntaxError:  # a cell with notebook commands
             continue
         for node in ast.walk(tree):
             if not isinstance(node, ast.ClassDef) or node.name != cls.__name__:
@@ -267,7 +267,7 @@ def _from_file(kind: str, name: str, path: Path, attribute: str) -> Source:
     return _sources.get((kind, name, str(path), tuple(file_hashes)), load)
 
 
-_files_by_path: dict[Path, list[Path]] = {}  # the files that a file was made of when it was last read
+_files_by_path: dict[Path, list[Path]] = {}  # of each file when it was last read
 
 
 def _from_process(controller: str, path: Path, arguments: str) -> Source:
@@ -414,7 +414,7 @@ def _read_attributes(block: Any, where: str, column: str) -> tuple[str, str, tup
     level, predictor = getattr(block, "level", None), BASELINE.name
     if not isinstance(level, str) or level not in LEVELS:
         raise InputError(f"{where}: level = {level!r}: must be one of {', '.join(LEVELS)}")
-    if level == "attitude":  # at other levels a predictor has no name to check
+    if level == "attitude":  # other levels check no predictor
         predictor = getattr(block, "predictor", predictor)
         PREDICTORS.find(str(predictor), f"{where}: predictor = {predictor!r}: there is none of that name")
     try:

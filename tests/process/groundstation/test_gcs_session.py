@@ -36,7 +36,7 @@ from cosim.groundstation.session import RecordOptions, Session, parse_place
 from cosim.results.autopilot.request_log import RequestLog, read_requests
 from cosim.results.log.recorder import Log
 from cosim.results.run import REQUESTS, Run, open_run
-from cosim.simulation.pacing import CATCH_UP, Pace
+from cosim.simulation.pacing import MAX_CATCH_UP_S, Pace
 from cosim.spec.scenario import Scenario
 
 # --- pacing -----------------------------------------------------------------------------------------------------
@@ -90,11 +90,11 @@ def test_a_deadline_is_missed_when_a_step_is_not_done_as_the_next_is_due() -> No
 
 def test_a_short_stall_is_caught_up_with() -> None:
     clock = Clock()
-    pace = paced(clock, 1.0, [0.9 * CATCH_UP, *[0.001] * 40])
+    pace = paced(clock, 1.0, [0.9 * MAX_CATCH_UP_S, *[0.001] * 40])
     assert clock.now == pytest.approx(100.0 + 41 * 0.004, abs=1e-9)
     assert pace.report.stalls == 0
     # with 3 ms gained a step; the deadlines of the steps that were not begun in time count as well
-    assert pace.report.missed == pytest.approx((0.9 * CATCH_UP - 0.004) / 0.003, abs=1.0)
+    assert pace.report.missed == pytest.approx((0.9 * MAX_CATCH_UP_S - 0.004) / 0.003, abs=1.0)
 
 
 def test_after_a_long_stall_it_does_not_race() -> None:

@@ -224,7 +224,7 @@ def test_a_slow_flight_is_handed_on_when_its_time_has_come(
     monkeypatch: pytest.MonkeyPatch, flight: list[Sample]
 ) -> None:
     def sizes(patience: float, between: float = 0.0) -> list[int]:
-        monkeypatch.setattr(recorder_module, "WALL_FLUSH_S", patience)
+        monkeypatch.setattr(recorder_module, "MAX_FLUSH_INTERVAL_S", patience)
         sink = MemorySink()
         recorder = Recorder(STEP, sink)
         for sample in flight[:4]:
@@ -283,7 +283,7 @@ def test_the_same_flight_gives_the_same_bytes(tmp_path: Path) -> None:
 def test_how_the_rows_were_cut_leaves_no_trace(
     tmp_path: Path, flight: list[Sample], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(arrow_module, "ROW_GROUP", 400)
+    monkeypatch.setattr(arrow_module, "ROWS_PER_GROUP", 400)
     random = Random(5)
     files = []
     for name, chance in (("whole", 0.0), ("cut", 0.05)):
